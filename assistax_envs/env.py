@@ -1,0 +1,232 @@
+"""The environment: a task on a physics backend, batch first, inside jit and scan on every backend."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from assistax_envs.disability import DISABILITY_SETTINGS, Disability
+from assistax_envs.models import build_model
+from assistax_envs.physics import SUBSTEPS, PhysicsState, make_physics, resolve_backend
+from assistax_envs.tasks import TASK_CLASSES, Measures, Sensors, Task
+from assistax_envs.tasks.base import HUMAN_ACTUATORS, ROBOT_JOINTS
+from assistax_envs.tremor import TremorFilter
+from assistax_envs.versions import TASKS, VERSIONS
+
+EPISODE_LENGTH = 1000  # control steps of 20 ms: always the full horizon
+LARGEST_STATE = 1e10  # beyond this MuJoCo itself calls a state unstable (mjMAXVAL)
+ELBOW = "human_right_elbow"
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class EnvParams:
+    """The human's impairment in each simulation, [N] float32 each; see `Disability`."""
+
+    strength: jax.Array
+    elbow_range: jax.Array
+    tremor: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class EnvState:
+    """A batch of simulations; every leaf has axis N first."""
+
+    physics: PhysicsState
+    task: Any  # the task's own state
+    obs: dict[str, jax.Array]  # "robot", "human", "global" -> [N, O]
+    reward: jax.Array  # [N] of the step that led here
+    terms: dict[str, jax.Array]  # [N] weighted reward terms; they sum to the reward
+    measures: Measures
+    terminated: jax.Array  # [N] bool: always False, our tasks end by time only
+    truncated: jax.Array  # [N] bool: this step was the episode's last
+    step: jax.Array  # [N] int32 control steps since reset
+    nonfinite: jax.Array  # [N] bool: physics diverged; frozen, earns 0 until the horizon
+    tremor: jax.Array  # [N, 3, 2] filter state
+    params: EnvParams
+    key: jax.Array  # [N] of the episode's noise
+
+
+class Env:
+    """A task on a backend. Make it with `make`; never map it: the batch axis is its own."""
+
+    def __init__(self, task: str, backend: str = "auto", weights: dict[str, float] | None = None) -> None:
+        self.task = task
+        self.backend = resolve_backend(backend)
+        self.version = VERSIONS[task]
+        self.episode_length = EPISODE_LENGTH
+        self.model: mujoco.MjModel = build_model(task)
+        self._task: Task = TASK_CLASSES[task](self.model, weights)
+        self._sensors = Sensors(self.model)
+        self._physics = make_physics(self.model, self.backend)
+        self._tremor = TremorFilter(rate=1.0 / (SUBSTEPS * self.model.opt.timestep))
+        self._actuators = {
+            "robot": np.array([self.model.actuator(name).id for name in ROBOT_JOINTS]),
+            "human": np.array([self.model.actuator(name).id for name in HUMAN_ACTUATORS]),
+        }
+        self._elbow = self.model.joint(ELBOW).id
+        # The elbow's rest angle is where its scene starts it.
+        self._elbow_rest = float(self._task.pose.angle[self.model.joint(ELBOW).qposadr[0]])
+        self.term_names: tuple[str, ...] = tuple(self._task.weights)
+        self.action_size: dict[str, int] = {role: len(ids) for role, ids in self._actuators.items()}
+        shapes = jax.eval_shape(self.reset, jax.random.split(jax.random.key(0), 1), disability_params(["d1"]))
+        self.observation_size: dict[str, int] = {name: obs.shape[-1] for name, obs in shapes.obs.items()}
+        _check_terms(self._task, shapes.terms)
+
+    def reset(self, keys: jax.Array, params: EnvParams) -> EnvState:
+        """Start episodes.
+
+        Args:
+            keys: [N] typed JAX keys; the same key gives the same start on every backend.
+            params: [N] impairments, for example from `disability_params`.
+        """
+        n = keys.shape[0]
+        start_keys, episode_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
+        qpos, task = jax.vmap(self._task.reset)(start_keys)
+        still = jnp.zeros((n, self.model.nv), jnp.float32)
+        physics = PhysicsState(qpos, still, still)
+        readings = self._sensors.read(self._physics.forward(physics, self._joint_range(params)))
+        _, obs, terms, measures = self._task.transition(task, readings)
+        zero, false = jnp.zeros(n, jnp.float32), jnp.zeros(n, bool)
+        return EnvState(
+            physics=physics,
+            task=task,
+            obs=obs,
+            reward=zero,
+            terms=dict.fromkeys(terms, zero),
+            measures=measures,
+            terminated=false,
+            truncated=false,
+            step=jnp.zeros(n, jnp.int32),
+            nonfinite=false,
+            tremor=self._tremor.initial(n, self.action_size["human"]),
+            params=params,
+            key=episode_keys,
+        )
+
+    def step(self, state: EnvState, action: dict[str, jax.Array]) -> EnvState:
+        """Advance by one control step of 20 ms.
+
+        Args:
+            state: [N] simulations.
+            action: "robot" [N, 7] and "human" [N, 3] in [-1, 1] (clipped): shares of the torque limits.
+
+        Returns:
+            The next state. A simulation whose physics diverged keeps its last finite state and earns 0.
+        """
+        tremor, shake = self._shake(state)
+        control = self._control(state.params, action, shake)
+        physics, values = self._physics.step(state.physics, control, self._joint_range(state.params))
+        task, obs, terms, measures = self._task.transition(state.task, self._sensors.read(values))
+        nonfinite = state.nonfinite | _diverged(physics, values, control)
+        physics, task, obs, measures = select(
+            nonfinite,
+            (state.physics, state.task, state.obs, state.measures),
+            (physics, task, obs, measures),
+        )
+        weighted = {name: jnp.where(nonfinite, 0.0, w * terms[name]) for name, w in self._task.weights.items()}
+        step = state.step + 1
+        return dataclasses.replace(
+            state,
+            physics=physics,
+            task=task,
+            obs=obs,
+            reward=sum(weighted.values(), start=jnp.zeros_like(state.reward)),
+            terms=weighted,
+            measures=measures,
+            truncated=step >= self.episode_length,
+            step=step,
+            nonfinite=nonfinite,
+            tremor=tremor,
+        )
+
+    def _control(self, params: EnvParams, action: dict[str, jax.Array], shake: jax.Array) -> jax.Array:
+        """Return the actuators' controls [N, nu]: what is left of the human's strength, and its tremor."""
+        human = jnp.clip(action["human"], -1.0, 1.0) * params.strength[:, None] + shake
+        control = jnp.zeros((human.shape[0], self.model.nu), jnp.float32)
+        control = control.at[:, self._actuators["robot"]].set(jnp.clip(action["robot"], -1.0, 1.0))
+        return control.at[:, self._actuators["human"]].set(jnp.clip(human, -1.0, 1.0))
+
+    def _joint_range(self, params: EnvParams) -> jax.Array:
+        """Return joint limits [N, njnt, 2], the elbow's drawn in about its rest angle."""
+        full = jnp.asarray(self.model.jnt_range, jnp.float32)
+        elbow = self._elbow_rest + params.elbow_range[:, None] * (full[self._elbow] - self._elbow_rest)[None]
+        return jnp.broadcast_to(full, (params.elbow_range.shape[0], *full.shape)).at[:, self._elbow].set(elbow)
+
+    def _shake(self, state: EnvState) -> tuple[jax.Array, jax.Array]:
+        """Advance the tremor; return its filter state and torque share [N, 3]. Costs nothing where none has one."""
+
+        def noise(state: EnvState) -> tuple[jax.Array, jax.Array]:
+            keys = jax.vmap(jax.random.fold_in)(state.key, state.step)
+            white = jax.vmap(lambda key: jax.random.normal(key, state.tremor.shape[1:2]))(keys)
+            tremor, output = self._tremor.step(state.tremor, white)
+            return tremor, state.params.tremor[:, None] * output
+
+        def calm(state: EnvState) -> tuple[jax.Array, jax.Array]:
+            return state.tremor, jnp.zeros(state.tremor.shape[:2], jnp.float32)
+
+        return jax.lax.cond(jnp.any(state.params.tremor > 0.0), noise, calm, state)
+
+
+def make(task: str, backend: str = "auto", weights: dict[str, float] | None = None) -> Env:
+    """Make the environment of `task`.
+
+    Args:
+        task: one of `TASKS`.
+        backend: "native" (CPU threads), "mjx" (XLA), "mjx-warp" (NVIDIA GPU), or "auto": the fastest one here.
+        weights: reward weights by term that replace those of Table 5.
+
+    Raises:
+        ValueError: the task, the backend or a weight's name is unknown, or the backend cannot run here.
+    """
+    if task not in TASKS:
+        raise ValueError(f"task is {task!r}; allowed are {', '.join(TASKS)}")
+    return Env(task, backend, weights)
+
+
+def disability_params(settings: Sequence[str | Disability]) -> EnvParams:
+    """Return the impairments [N] of settings given as "d1".."d9" or `Disability`."""
+    rows = [_disability(setting) for setting in settings]
+    return EnvParams(
+        *(
+            jnp.asarray([getattr(row, field.name) for row in rows], jnp.float32)
+            for field in dataclasses.fields(EnvParams)
+        )
+    )
+
+
+def select(mask: jax.Array, on_true: Any, on_false: Any) -> Any:
+    """Choose whole simulations: leafwise `where` with `mask` [N] over the first axis of two like pytrees."""
+
+    def choose(a: jax.Array, b: jax.Array) -> jax.Array:
+        return jnp.where(mask.reshape(mask.shape + (1,) * (a.ndim - 1)), a, b)
+
+    return jax.tree.map(choose, on_true, on_false)
+
+
+def _disability(setting: str | Disability) -> Disability:
+    if isinstance(setting, Disability):
+        return setting
+    if setting not in DISABILITY_SETTINGS:
+        raise ValueError(f"disability setting is {setting!r}; allowed are {', '.join(DISABILITY_SETTINGS)}")
+    return DISABILITY_SETTINGS[setting]
+
+
+def _diverged(physics: PhysicsState, values: jax.Array, control: jax.Array) -> jax.Array:
+    """Return [N]: whether anything left what MuJoCo calls stable; NaN compares as diverged.
+
+    Controls count because MuJoCo's C engine takes a NaN among them for zeros without a word.
+    """
+    rows = jnp.concatenate([physics.qpos, physics.qvel, values, control], axis=-1)
+    return ~jnp.all(jnp.abs(rows) < LARGEST_STATE, axis=-1)
+
+
+def _check_terms(task: Task, terms: dict[str, Any]) -> None:
+    if set(task.weights) != set(terms):
+        unknown = sorted(set(task.weights) - set(terms))
+        raise ValueError(f"reward weights for unknown terms {unknown}; {task.name} has {sorted(terms)}")

@@ -1,0 +1,5 @@
+"""MJCF scenes and the function that compiles them."""
+
+from assistax_envs.models.build import build_model
+
+__all__ = ["build_model"]

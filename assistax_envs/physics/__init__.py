@@ -1,0 +1,40 @@
+"""Physics backends behind one protocol."""
+
+import jax
+import mujoco
+
+from assistax_envs.physics.base import SUBSTEPS, Physics, PhysicsState
+
+BACKENDS: tuple[str, ...] = ("native", "mjx", "mjx-warp")
+
+__all__ = ["BACKENDS", "SUBSTEPS", "Physics", "PhysicsState", "make_physics", "resolve_backend"]
+
+
+def resolve_backend(backend: str) -> str:
+    """Return the backend that `backend` names: "auto" is the fastest one here, the others are themselves."""
+    if backend == "auto":
+        return _fastest_backend()
+    if backend not in BACKENDS:
+        raise ValueError(f"backend is {backend!r}; allowed are auto, {', '.join(BACKENDS)}")
+    return backend
+
+
+def make_physics(model: mujoco.MjModel, backend: str) -> Physics:
+    """Make the backend named `backend`, one of `BACKENDS`, for `model`."""
+    if backend == "native":
+        from assistax_envs.physics.native import NativePhysics
+
+        return NativePhysics(model)
+    from assistax_envs.physics.mjx import MjxPhysics
+
+    return MjxPhysics(model, "warp" if backend == "mjx-warp" else "jax")
+
+
+def _fastest_backend() -> str:
+    if jax.default_backend() == "cpu":
+        return "native"
+    try:
+        import warp  # noqa: F401
+    except ImportError:
+        return "mjx"
+    return "mjx-warp" if jax.default_backend() == "gpu" else "mjx"

@@ -1,0 +1,36 @@
+"""What every physics backend does: advance a batch of simulations of one model."""
+
+import dataclasses
+from typing import Protocol
+
+import jax
+import mujoco
+
+SUBSTEPS = 4  # physics steps of 5 ms in one control step of 20 ms
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class PhysicsState:
+    """All that a simulation carries from one control step to the next; float32, axis N first."""
+
+    qpos: jax.Array  # [N, nq] joint positions, rad
+    qvel: jax.Array  # [N, nv] joint velocities, rad/s
+    warmstart: jax.Array  # [N, nv] accelerations that start the constraint solver, rad/s^2
+
+
+class Physics(Protocol):
+    """A backend. Both methods stand inside jit and scan; neither may be mapped: the batch axis is theirs."""
+
+    model: mujoco.MjModel
+
+    def forward(self, state: PhysicsState, joint_range: jax.Array) -> jax.Array:
+        """Return the sensor values [N, nsensordata] of `state` under zero control.
+
+        `joint_range` [N, njnt, 2] replaces the model's joint limits, in rad.
+        """
+        ...
+
+    def step(self, state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> tuple[PhysicsState, jax.Array]:
+        """Advance by `SUBSTEPS` under `control` [N, nu]; the sensor values are those before the last substep."""
+        ...

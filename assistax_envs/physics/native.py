@@ -1,0 +1,64 @@
+"""MuJoCo's own C engine on a thread pool, called from inside JAX programs."""
+
+import threading
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import mujoco.batch
+import numpy as np
+
+from assistax_envs.physics.base import SUBSTEPS, PhysicsState
+
+_LOCK = threading.Lock()  # a Batch must not be entered by two threads
+
+
+class NativePhysics:
+    """A `mujoco.batch.Batch` for each batch size, stateless between calls: results depend on the arguments alone."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.model = model
+        self._batches: dict[int, mujoco.batch.Batch] = {}
+
+    def forward(self, state: PhysicsState, joint_range: jax.Array) -> jax.Array:
+        """See `Physics.forward`."""
+        control = jnp.zeros((state.qpos.shape[0], self.model.nu), jnp.float32)
+        sensors = jax.ShapeDtypeStruct((state.qpos.shape[0], self.model.nsensordata), jnp.float32)
+        return jax.pure_callback(self._forward, sensors, state, control, joint_range)
+
+    def step(self, state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> tuple[PhysicsState, jax.Array]:
+        """See `Physics.step`."""
+        shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, jnp.float32), state)
+        sensors = jax.ShapeDtypeStruct((state.qpos.shape[0], self.model.nsensordata), jnp.float32)
+        return jax.pure_callback(self._step, (shapes, sensors), state, control, joint_range)
+
+    def _forward(self, state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> np.ndarray:
+        with _LOCK:
+            batch = self._load(state, control, joint_range)
+            batch.forward()
+            return np.asarray(batch.bind("sensordata"), np.float32)
+
+    def _step(self, state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> tuple[PhysicsState, np.ndarray]:
+        with _LOCK:
+            batch = self._load(state, control, joint_range)
+            batch.step(nstep=SUBSTEPS)
+            after = PhysicsState(
+                np.asarray(batch.bind("qpos"), np.float32),
+                np.asarray(batch.bind("qvel"), np.float32),
+                np.asarray(batch.bind("qacc_warmstart"), np.float32),
+            )
+            return after, np.asarray(batch.bind("sensordata"), np.float32)
+
+    def _load(self, state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> mujoco.batch.Batch:
+        """Write the arguments into the batch of this size, made on first use."""
+        size = state.qpos.shape[0]
+        if size not in self._batches:
+            self._batches[size] = mujoco.batch.Batch(self.model, size)
+            self._batches[size].bind("sensordata")  # outputs are copied out only by calls after their first bind
+        batch = self._batches[size]
+        batch.expand("jnt_range")[:] = np.asarray(joint_range)
+        for name, value in (
+            ("qpos", state.qpos), ("qvel", state.qvel), ("qacc_warmstart", state.warmstart), ("ctrl", control),
+        ):  # fmt: skip
+            batch.bind(name)[:] = np.asarray(value)
+        return batch

@@ -1,0 +1,158 @@
+"""What tasks share: named sensor readings, observations by role, and the protocol of a task."""
+
+import dataclasses
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+ROBOT_JOINTS = tuple(f"robot_joint{i}" for i in range(1, 8))
+HUMAN_JOINTS = (
+    "human_abdomen_x",
+    "human_abdomen_y",
+    "human_abdomen_z",
+    "human_right_shoulder1",
+    "human_right_shoulder2",
+    "human_right_elbow",
+    "human_left_shoulder1",
+    "human_left_shoulder2",
+    "human_left_elbow",
+)
+HUMAN_ACTUATORS = ("human_right_shoulder1", "human_right_shoulder2", "human_right_elbow")
+ARM_SEGMENTS = ("right_upper_arm", "right_lower_arm")
+TOUCHABLE = (*ARM_SEGMENTS, "right_hand")  # what the tool's contact force counts
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Readings:
+    """Sensor values of a batch by name; SI units, world frame, axis N first."""
+
+    robot_position: jax.Array  # [N, 7] joint angles, rad
+    robot_velocity: jax.Array  # [N, 7] rad/s
+    human_position: jax.Array  # [N, 9] joint angles, rad
+    human_velocity: jax.Array  # [N, 9] rad/s
+    tool_position: jax.Array  # [N, 3] end-effector, m
+    tool_orientation: jax.Array  # [N, 4] quaternion (w, x, y, z)
+    tool_velocity: jax.Array  # [N, 3] m/s
+    tool_force: jax.Array  # [N, 3] force between tool and arm in MuJoCo's contact frame (normal first), N
+    arm_position: jax.Array  # [N, 2, 3] centres of upper and lower arm, m
+    arm_orientation: jax.Array  # [N, 2, 4] their quaternions, z along the segment
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Measures:
+    """What evaluation records beside the reward."""
+
+    force: jax.Array  # [N] magnitude of the tool's force on the arm, N
+    distance: jax.Array  # [N] from tool to target, m
+    success: jax.Array  # [N] bool: the task's goal holds at this step
+
+
+class Sensors:
+    """Reads a model's sensor vector by the names that every task's scene defines."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        def columns(*names: str) -> np.ndarray:
+            sensors = [model.sensor(name) for name in names]
+            return np.concatenate([np.arange(s.adr[0], s.adr[0] + s.dim[0]) for s in sensors])
+
+        self._robot_position = columns(*(f"{joint}_position" for joint in ROBOT_JOINTS))
+        self._robot_velocity = columns(*(f"{joint}_velocity" for joint in ROBOT_JOINTS))
+        self._human_position = columns(*(f"{joint}_position" for joint in HUMAN_JOINTS))
+        self._human_velocity = columns(*(f"{joint}_velocity" for joint in HUMAN_JOINTS))
+        self._tool_position = columns("robot_end_effector_position")
+        self._tool_orientation = columns("robot_end_effector_orientation")
+        self._tool_velocity = columns("robot_end_effector_velocity")
+        self._tool_force = columns(*(f"force-{geom}" for geom in TOUCHABLE))
+        self._arm_position = columns(*(f"human_{segment}_position" for segment in ARM_SEGMENTS))
+        self._arm_orientation = columns(*(f"human_{segment}_orientation" for segment in ARM_SEGMENTS))
+
+    def read(self, values: jax.Array) -> Readings:
+        """Split `values` [N, nsensordata] into readings."""
+        n = values.shape[0]
+        return Readings(
+            robot_position=values[:, self._robot_position],
+            robot_velocity=values[:, self._robot_velocity],
+            human_position=values[:, self._human_position],
+            human_velocity=values[:, self._human_velocity],
+            tool_position=values[:, self._tool_position],
+            tool_orientation=values[:, self._tool_orientation],
+            tool_velocity=values[:, self._tool_velocity],
+            tool_force=values[:, self._tool_force].reshape(n, len(TOUCHABLE), 3).sum(axis=1),
+            arm_position=values[:, self._arm_position].reshape(n, len(ARM_SEGMENTS), 3),
+            arm_orientation=values[:, self._arm_orientation].reshape(n, len(ARM_SEGMENTS), 4),
+        )
+
+
+class Task(Protocol):
+    """A task: where episodes start, what roles see, what is rewarded. Pure JAX on sensor values, batch axis first."""
+
+    name: str
+    weights: dict[str, float]  # of the reward terms
+    pose: "Pose"  # where joints start
+
+    def reset(self, key: jax.Array) -> tuple[jax.Array, Any]:
+        """Draw joint positions [nq] and the task state of one simulation from one key."""
+        ...
+
+    def observe(self, task_state: Any, readings: Readings) -> dict[str, jax.Array]:
+        """Return the observations of "robot", "human" and "global", [N, O] each."""
+        ...
+
+    def transition(
+        self, task_state: Any, readings: Readings
+    ) -> tuple[Any, dict[str, jax.Array], dict[str, jax.Array], Measures]:
+        """Return the next task state, observations, unweighted reward terms [N] and measures after a step."""
+        ...
+
+
+class Pose:
+    """Where joints start: a value for each named joint, and uniform noise about it."""
+
+    def __init__(self, model: mujoco.MjModel, start: dict[str, tuple[float, float, float]]) -> None:
+        """Take `start`: joint -> (angle, lowest offset, highest offset), rad; other joints start at zero."""
+        addresses = np.array([model.joint(name).qposadr[0] for name in start])
+        table = np.array(list(start.values()), np.float32)
+        self.angle, self._low, self._high = (np.zeros(model.nq, np.float32) for _ in range(3))
+        for row, values in zip((self.angle, self._low, self._high), table.T, strict=True):
+            row[addresses] = values
+
+    def draw(self, key: jax.Array) -> jax.Array:
+        """Draw joint positions [nq]."""
+        return self.angle + jax.random.uniform(key, self.angle.shape, minval=self._low, maxval=self._high)
+
+
+def segment_points(readings: Readings, segment: jax.Array, offset: jax.Array) -> jax.Array:
+    """Return world positions [N, 3] of points fixed to arm segments.
+
+    Args:
+        readings: where the segments are.
+        segment: [N] index into `ARM_SEGMENTS`.
+        offset: [N, 3] of the point in the segment's frame, m.
+    """
+    row = jnp.arange(segment.shape[0])
+    return readings.arm_position[row, segment] + rotate(readings.arm_orientation[row, segment], offset)
+
+
+def rotate(quaternion: jax.Array, vector: jax.Array) -> jax.Array:
+    """Rotate `vector` [..., 3] by the unit `quaternion` [..., 4] (w, x, y, z)."""
+    w, u = quaternion[..., :1], quaternion[..., 1:]
+    t = 2.0 * jnp.cross(u, vector)
+    return vector + w * t + jnp.cross(u, t)
+
+
+def observations(readings: Readings, *goal: jax.Array) -> dict[str, jax.Array]:
+    """Lay out Table 4: own proprioception first, then tool, force, arm and `goal`; "global" is the whole table."""
+    tool = (readings.tool_position, readings.tool_orientation, readings.tool_force)
+    robot = (readings.robot_position, readings.robot_velocity)
+    human = (readings.human_position, readings.human_velocity)
+    arm = (readings.arm_position[:, 1], readings.arm_position[:, 0])  # lower, then upper
+    return {
+        "robot": jnp.concatenate([*robot, *tool, *arm, *goal], axis=-1),
+        "human": jnp.concatenate([*human, *tool, *arm, *goal], axis=-1),
+        "global": jnp.concatenate([*robot, *tool, *human, *arm, *goal], axis=-1),
+    }

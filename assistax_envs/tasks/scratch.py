@@ -1,0 +1,89 @@
+"""Scratch: the robot moves its stick to a point on the human's right arm and scratches it (paper, 3.1 and A)."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from assistax_envs.tasks.base import ARM_SEGMENTS, Measures, Pose, Readings, observations, segment_points
+
+START = {  # joint -> (angle, lowest offset, highest offset), rad: stick beside the arm, forearm over its trough
+    "robot_joint1": (0.0, -0.1, 0.1),
+    "robot_joint2": (-0.785, -0.1, 0.1),
+    "robot_joint3": (0.0, -0.1, 0.1),
+    "robot_joint4": (-2.356, -0.1, 0.1),
+    "robot_joint5": (0.0, -0.1, 0.1),
+    "robot_joint6": (1.571, -0.1, 0.1),
+    "robot_joint7": (0.785, -0.1, 0.1),
+    "human_right_shoulder1": (0.0, -0.02, 0.02),
+    "human_right_shoulder2": (-0.6, -0.02, 0.02),
+    "human_right_elbow": (-0.36, 0.0, 0.1),
+}
+SIGMA = 0.1  # m^2, width of the reaching term
+REACH = 0.1  # m, how near the tool must be to scratch
+BEST_SPEED = 0.1  # m/s, v* of Table 5
+BEST_FORCE = 3.0  # N, f* of Table 5
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class ScratchState:
+    """The itching point: fixed to one segment of the right arm for the whole episode."""
+
+    segment: jax.Array  # int32 index into ARM_SEGMENTS
+    offset: jax.Array  # [3] in the segment's frame, m
+
+
+class Scratch:
+    """Reach the target, then press and move: `exp(-d^2/sigma) + [d < 0.1] (v/v* e^(-v/v*)) (f/f* e^(-f/f*))`."""
+
+    name = "scratch"
+
+    def __init__(self, model: mujoco.MjModel, weights: dict[str, float] | None = None) -> None:
+        self.weights = {"reach_target": 1.0, "scratch": 1.0} | (weights or {})
+        self.pose = Pose(model, START)
+        sites = [model.site(f"human_{segment}") for segment in ARM_SEGMENTS]
+        self._radius = np.array([site.size[0] for site in sites], np.float32)
+        self._half_length = np.array([site.size[1] for site in sites], np.float32)
+
+    def reset(self, key: jax.Array) -> tuple[jax.Array, ScratchState]:
+        """Draw the start pose [nq] and a target uniform over the skin of upper and lower arm."""
+        pose_key, segment_key, along_key, around_key = jax.random.split(key, 4)
+        area = self._radius * self._half_length
+        segment = jax.random.categorical(segment_key, jnp.log(area)).astype(jnp.int32)
+        along = jax.random.uniform(along_key, minval=-1.0, maxval=1.0) * jnp.asarray(self._half_length)[segment]
+        angle = jax.random.uniform(around_key, maxval=2.0 * jnp.pi)
+        around = jnp.asarray(self._radius)[segment] * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+        return self.pose.draw(pose_key), ScratchState(segment, jnp.append(around, along))
+
+    def observe(self, task_state: ScratchState, readings: Readings) -> dict[str, jax.Array]:
+        """See `Task.observe`: robot [N, 34], human [N, 38], global [N, 52]."""
+        return observations(readings, *_to_target(task_state, readings))
+
+    def transition(
+        self, task_state: ScratchState, readings: Readings
+    ) -> tuple[ScratchState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
+        """See `Task.transition`; the goal holds while the tool touches the arm within reach of the target."""
+        towards, distance = _to_target(task_state, readings)
+        distance = distance[:, 0]
+        force = jnp.linalg.norm(readings.tool_force, axis=-1)
+        terms = scratch_terms(distance, jnp.linalg.norm(readings.tool_velocity, axis=-1), force)
+        measures = Measures(force, distance, (distance < REACH) & (force > 0.0))
+        return task_state, observations(readings, towards, distance[:, None]), terms, measures
+
+
+def scratch_terms(distance: jax.Array, speed: jax.Array, force: jax.Array) -> dict[str, jax.Array]:
+    """Evaluate Table 5 for scratch; m, m/s and N in, unweighted terms out, at most 1 and e^-2."""
+    v, f = speed / BEST_SPEED, force / BEST_FORCE
+    return {
+        "reach_target": jnp.exp(-jnp.square(distance) / SIGMA),
+        "scratch": (distance < REACH) * (v * jnp.exp(-v)) * (f * jnp.exp(-f)),
+    }
+
+
+def _to_target(task_state: ScratchState, readings: Readings) -> tuple[jax.Array, jax.Array]:
+    """Return the vector [N, 3] from tool to target and its length [N, 1]."""
+    towards = segment_points(readings, task_state.segment, task_state.offset) - readings.tool_position
+    return towards, jnp.linalg.norm(towards, axis=-1, keepdims=True)

@@ -1,0 +1,30 @@
+"""Tremor of the human's arm: zero-mean torque in the 4 to 12 Hz band of human tremor."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy import signal
+
+BAND = (4.0, 12.0)  # Hz
+
+
+class TremorFilter:
+    """White noise through a second-order Butterworth band-pass, scaled to unit variance."""
+
+    def __init__(self, rate: float) -> None:
+        """Design the filter for `rate` samples a second, Hz."""
+        b, a = signal.butter(1, BAND, btype="bandpass", fs=rate)
+        response = signal.lfilter(b, a, np.eye(1, 1024)[0])
+        self._b = (b / np.sqrt(np.sum(np.square(response)))).astype(np.float32)
+        self._a = a.astype(np.float32)
+
+    def initial(self, size: int, joints: int) -> jax.Array:
+        """Return the state [N, joints, 2] of a filter at rest."""
+        return jnp.zeros((size, joints, 2), jnp.float32)
+
+    def step(self, state: jax.Array, noise: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Filter `noise` [N, joints] once (transposed direct form II); return the state and the output."""
+        output = self._b[0] * noise + state[..., 0]
+        first = self._b[1] * noise - self._a[1] * output + state[..., 1]
+        second = self._b[2] * noise - self._a[2] * output
+        return jnp.stack([first, second], axis=-1), output

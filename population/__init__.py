@@ -1,0 +1,1 @@
+"""Policies and the trainers that make populations of them."""

@@ -1,0 +1,55 @@
+"""Environments made once a session, and rollouts that the tests of this folder share."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import assistax_envs
+from assistax_envs import Env, EnvState
+
+BACKENDS = ("native", "mjx")
+
+
+@functools.cache
+def environment(task: str, backend: str) -> Env:
+    return assistax_envs.make(task, backend)
+
+
+@functools.cache
+def compiled(task: str, backend: str):
+    env = environment(task, backend)
+    return jax.jit(env.reset), jax.jit(env.step)
+
+
+def start(task: str, backend: str, settings: list[str], seed: int = 0) -> EnvState:
+    keys = jax.random.split(jax.random.key(seed), len(settings))
+    return compiled(task, backend)[0](keys, assistax_envs.disability_params(settings))
+
+
+def random_actions(size: int, steps: int, seed: int = 0) -> list[dict[str, jax.Array]]:
+    """Uniform actions from NumPy, the same on every platform."""
+    rng = np.random.default_rng(seed)
+    return [
+        {
+            role: jnp.asarray(rng.uniform(-1.0, 1.0, (size, width)), jnp.float32)
+            for role, width in (("robot", 7), ("human", 3))
+        }
+        for _ in range(steps)
+    ]
+
+
+def constant_actions(size: int, steps: int, robot: float, human: float) -> list[dict[str, jax.Array]]:
+    action = {"robot": jnp.full((size, 7), robot), "human": jnp.full((size, 3), human)}
+    return [action] * steps
+
+
+def play(task: str, backend: str, state: EnvState, actions: list[dict[str, jax.Array]]) -> list[EnvState]:
+    """Return the state after each action."""
+    step = compiled(task, backend)[1]
+    states = []
+    for action in actions:
+        state = step(state, action)
+        states.append(state)
+    return states

@@ -1,0 +1,125 @@
+"""What every task promises on every backend."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import assistax_envs
+from assistax_envs import TASKS, select
+from tests.envs.conftest import BACKENDS, constant_actions, environment, play, random_actions, start
+
+SETTINGS = ["d1", "d9", "d3", "d7"]  # four simulations: one compile a backend for the whole folder
+WIDTHS = {"scratch": {"robot": 34, "human": 38, "global": 52}}
+FIRST_STEPS_TOLERANCE = 2e-4  # float32 against float64 over 10 control steps, before contacts amplify it
+TWENTY_STEPS_TOLERANCE = 2e-2  # rad, over 20 control steps, contacts with the trough included
+
+each_task_and_backend = pytest.mark.parametrize(
+    ("task", "backend"), [(task, backend) for task in TASKS for backend in BACKENDS]
+)
+
+
+@each_task_and_backend
+def test_shapes_and_types(task: str, backend: str) -> None:
+    env = environment(task, backend)
+    state = start(task, backend, SETTINGS)
+    after = play(task, backend, state, random_actions(4, 1))[0]
+    assert env.observation_size == WIDTHS[task]
+    assert env.action_size == {"robot": 7, "human": 3}
+    for each in (state, after):
+        assert {name: obs.shape for name, obs in each.obs.items()} == {n: (4, w) for n, w in WIDTHS[task].items()}
+        assert each.reward.shape == (4,)
+        assert set(each.terms) == set(env.term_names)
+        assert {leaf.shape[0] for leaf in jax.tree.leaves(each)} == {4}
+    assert jax.tree.structure(state) == jax.tree.structure(after)
+    assert [leaf.dtype for leaf in jax.tree.leaves(state)] == [leaf.dtype for leaf in jax.tree.leaves(after)]
+
+
+@each_task_and_backend
+@pytest.mark.parametrize("actions", ["random", "full", "opposed"])
+def test_a_whole_episode_stays_finite_and_ends_by_time(task: str, backend: str, actions: str) -> None:
+    env = environment(task, backend)
+    rows = {
+        "random": random_actions(4, 1000, seed=1),
+        "full": constant_actions(4, 1000, 1.0, 1.0),
+        "opposed": constant_actions(4, 1000, -1.0, 1.0),
+    }[actions]
+    states = play(task, backend, start(task, backend, SETTINGS), rows)
+    for state in states[::50] + states[-1:]:
+        assert all(bool(jnp.all(jnp.isfinite(obs))) for obs in state.obs.values())
+        np.testing.assert_allclose(sum(state.terms.values()), state.reward, atol=1e-6)
+    assert not bool(jnp.any(states[-1].nonfinite))
+    assert not any(bool(jnp.any(state.terminated)) for state in states[::50])
+    assert [bool(jnp.all(state.truncated)) for state in (states[-2], states[-1])] == [False, True]
+    assert int(states[-1].step[0]) == env.episode_length
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_resets_are_the_same_bits_on_every_backend(task: str) -> None:
+    native, mjx = (start(task, backend, SETTINGS, seed=7) for backend in BACKENDS)
+    for name in ("qpos", "qvel", "warmstart"):
+        np.testing.assert_array_equal(getattr(native.physics, name), getattr(mjx.physics, name))
+    jax.tree.map(np.testing.assert_array_equal, native.task, mjx.task)
+    np.testing.assert_allclose(native.obs["global"], mjx.obs["global"], atol=1e-5)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_backends_agree_over_the_first_steps(task: str) -> None:
+    actions = random_actions(4, 20, seed=2)
+    native, mjx = (play(task, backend, start(task, backend, SETTINGS, seed=3), actions) for backend in BACKENDS)
+    for a, b in zip(native[:10], mjx[:10], strict=True):
+        np.testing.assert_allclose(a.physics.qpos, b.physics.qpos, atol=FIRST_STEPS_TOLERANCE)
+        np.testing.assert_allclose(a.reward, b.reward, atol=FIRST_STEPS_TOLERANCE)
+    np.testing.assert_allclose(native[-1].physics.qpos, mjx[-1].physics.qpos, atol=TWENTY_STEPS_TOLERANCE)
+    other = play(task, "native", start(task, "native", SETTINGS, seed=4), actions)
+    with pytest.raises(AssertionError):  # the tolerance tells another start apart
+        np.testing.assert_allclose(other[-1].physics.qpos, native[-1].physics.qpos, atol=TWENTY_STEPS_TOLERANCE)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_diverged_simulation_is_frozen_earns_nothing_and_leaves_the_others_alone(task: str) -> None:
+    state = start(task, "native", SETTINGS)
+    actions = random_actions(4, 5)
+    calm = play(task, "native", state, actions)[-1]
+    qvel = state.physics.qvel.at[1].set(jnp.nan)
+    sick = dataclasses.replace(state, physics=dataclasses.replace(state.physics, qvel=qvel))
+    last = play(task, "native", sick, actions)[-1]
+    assert last.nonfinite.tolist() == [False, True, False, False]
+    assert float(last.reward[1]) == 0.0
+    np.testing.assert_array_equal(last.obs["global"][1], state.obs["global"][1])
+    np.testing.assert_array_equal(last.obs["global"][0], calm.obs["global"][0])
+    assert not bool(jnp.any(calm.nonfinite))
+
+
+def test_an_action_that_is_not_a_number_is_counted() -> None:
+    action = {"robot": jnp.zeros((4, 7)).at[2, 0].set(jnp.nan), "human": jnp.zeros((4, 3))}
+    last = play("scratch", "native", start("scratch", "native", SETTINGS), [action])[-1]
+    assert last.nonfinite.tolist() == [False, False, True, False]
+
+
+def test_select_takes_whole_simulations() -> None:
+    fresh, old = start("scratch", "native", SETTINGS, seed=5), start("scratch", "native", SETTINGS, seed=6)
+    mixed = select(jnp.array([True, False, False, True]), fresh, old)
+    for i, source in enumerate((fresh, old, old, fresh)):
+        jax.tree.map(lambda a, b, i=i: np.testing.assert_array_equal(a[i], b[i]), _raw(mixed), _raw(source))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: assistax_envs.make("scrath"), "task is 'scrath'; allowed are scratch"),
+        (lambda: assistax_envs.make("scratch", "cuda"), "backend is 'cuda'; allowed are auto, native"),
+        (lambda: assistax_envs.make("scratch", "native", {"wipe": 2.0}), r"unknown terms \['wipe'\]; scratch has"),
+        (lambda: assistax_envs.disability_params(["d10"]), "disability setting is 'd10'; allowed are d1, d2"),
+        (lambda: assistax_envs.make("scratch", "mjx-warp"), "backend 'mjx-warp' needs"),
+    ],
+)
+def test_bad_arguments_are_named(call, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+def _raw(state: assistax_envs.EnvState) -> assistax_envs.EnvState:
+    return dataclasses.replace(state, key=jax.random.key_data(state.key))

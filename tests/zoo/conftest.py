@@ -1,0 +1,103 @@
+"""A small population of random teams, and a registry that holds it."""
+
+import itertools
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from population.spec import PolicySpec
+from zoo.publish import publish
+from zoo.registry import Registry
+from zoo.runs import TrainedTeam
+
+SPECS = {
+    "robot": PolicySpec("robot", 5, 2, hidden=(4,)),
+    "human": PolicySpec("human", 6, 3, hidden=(4,)),
+}
+SELF_PLAY = {"mean": 950.5, "iqm": 952.25, "ci": [940.0, 960.0], "n": 16}
+
+
+def random_params(spec: PolicySpec, seed: int, dtype: type = np.float32) -> dict[str, Any]:
+    """Return the leaves of `Policy(spec)` for a feed-forward spec, at random."""
+    rng = np.random.default_rng(seed)
+    widths = (spec.observation_size, *spec.hidden, spec.action_size)
+    params: dict[str, Any] = {
+        f"Dense_{i}": {
+            "kernel": rng.normal(size=(a, b)).astype(dtype),
+            "bias": rng.normal(size=b).astype(dtype),
+        }
+        for i, (a, b) in enumerate(itertools.pairwise(widths))
+    }
+    size = spec.observation_size
+    params["log_std"] = rng.normal(size=spec.action_size).astype(dtype)
+    params["normaliser"] = {"mean": np.zeros(size, dtype), "std": np.ones(size, dtype)}
+    return params
+
+
+def trained_team(algorithm: str = "ippo", disability: str = "d1", seed: int = 0, **changes: Any) -> TrainedTeam:
+    """Return a team whose parameters follow from its name."""
+    noise = zlib.crc32(f"{algorithm}-{disability}-{seed}".encode())
+    specs = changes.pop("specs", SPECS)
+    fields: dict[str, Any] = {
+        "task": "scratch",
+        "algorithm": algorithm,
+        "disability": disability,
+        "seed": seed,
+        "specs": specs,
+        "params": {role: random_params(spec, noise + index) for index, (role, spec) in enumerate(specs.items())},
+        "training": {
+            "run": f"scratch-{algorithm}",
+            "steps": 10_000_000,
+            "env_version": 1,
+            "backend": "native",
+            "versions": {"jax": "0.10.2"},
+            "hyperparameters": {"learning_rate": 1e-3, "anneal_lr": False},
+        },
+        "self_play": SELF_PLAY,
+    }
+    return TrainedTeam(**{**fields, **changes})
+
+
+def trained_teams(algorithms=("ippo",), disabilities=("d1", "d9"), seeds=range(4)) -> list[TrainedTeam]:
+    return [trained_team(a, d, s) for a in algorithms for d in disabilities for s in seeds]
+
+
+def put(teams: list[TrainedTeam], path: Path, release: str = "v0", **arguments: Any) -> Registry:
+    """Publish without asking JAX for the leaves of each spec."""
+    arguments = {"date": "2027-01-31", "check": lambda spec, leaves, source: None, **arguments}
+    return publish(teams, path, release, **arguments)
+
+
+@pytest.fixture
+def team() -> Callable[..., TrainedTeam]:
+    return trained_team
+
+
+@pytest.fixture
+def teams() -> Callable[..., list[TrainedTeam]]:
+    return trained_teams
+
+
+@pytest.fixture
+def publish_to() -> Callable[..., Registry]:
+    return put
+
+
+@pytest.fixture
+def registry(tmp_path: Path) -> Registry:
+    """A registry with eight teams: ippo, d1 and d9, seeds 0 to 3."""
+    return put(trained_teams(), tmp_path / "registry.json")
+
+
+@pytest.fixture
+def specs() -> dict[str, PolicySpec]:
+    return dict(SPECS)
+
+
+@pytest.fixture
+def params() -> Callable[..., dict[str, Any]]:
+    return random_params

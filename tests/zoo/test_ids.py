@@ -1,0 +1,116 @@
+from typing import Any
+
+import pytest
+from hypothesis import given, seed, settings
+from hypothesis import strategies as st
+
+from population.spec import ROLES
+from zoo.errors import IdError, ZooError, nearest
+from zoo.ids import PolicyId, TeamId, check_release, compile_pattern, parse_policy, parse_team
+
+NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,31}", fullmatch=True)
+TEAMS = st.builds(
+    TeamId,
+    task=NAMES,
+    algorithm=NAMES,
+    disability=st.integers(1, 9999).map(lambda n: f"d{n}"),
+    seed=st.integers(0, 10**10 - 1),
+    release=st.integers(0, 10**10 - 1).map(lambda n: f"v{n}"),
+)
+POLICIES = st.builds(PolicyId, TEAMS, st.sampled_from(ROLES))
+
+
+@seed(0)
+@settings(deadline=None)
+@given(TEAMS, TEAMS)
+def test_parse_and_format_are_inverse(one: TeamId, other: TeamId) -> None:
+    assert parse_team(str(one)) == one
+    assert (str(one) == str(other)) == (one == other)
+
+
+@seed(1)
+@settings(deadline=None)
+@given(POLICIES)
+def test_policy_ids_are_inverse_too(policy: PolicyId) -> None:
+    assert parse_policy(str(policy)) == policy
+    assert parse_policy(str(policy)).team == parse_team(str(policy).rpartition("/")[0])
+
+
+@seed(2)
+@settings(deadline=None)
+@given(st.text(max_size=40) | st.from_regex(r"[a-z]+/[a-z]+-d[0-9]+-s[0-9]+-v[0-9]+(/[a-z]+)?", fullmatch=True))
+def test_any_text_is_an_id_that_formats_back_or_an_error(text: str) -> None:
+    for parse in (parse_team, parse_policy):
+        try:
+            assert str(parse(text)) == text
+        except IdError as error:
+            assert "\n" not in str(error)
+
+
+def test_a_parser_that_takes_leading_zeros_would_be_caught() -> None:
+    """The planted defect of this family: two spellings of one team."""
+    task, rest = ["scratch", "ippo-d3-s05-v1"]
+    algorithm, disability, seed_text, release = rest.split("-")
+    loose = TeamId(task, algorithm, disability, int(seed_text[1:]), release)
+    assert str(loose) != "scratch/ippo-d3-s05-v1"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "scratch/ippo-d3-s5",
+        "scratch/ippo-d3-s05-v1",
+        "scratch/ippo-d0-s5-v1",
+        "Scratch/ippo-d3-s5-v1",
+        "scratch/ippo-d3-s5-v1/",
+        "scratch/ippo-d3-s5-v1\n",
+        "scratch/ippo-d3-s٣-v1",
+        "../ippo-d3-s5-v1",
+        "scratch//ippo-d3-s5-v1",
+        "",
+    ],
+)
+def test_bad_team_ids_are_refused(text: str) -> None:
+    with pytest.raises(IdError, match="task/algorithm-dN-sM-vR"):
+        parse_team(text)
+
+
+@pytest.mark.parametrize(
+    "field", [{"task": "bed-bath"}, {"disability": "3"}, {"seed": -1}, {"seed": True}, {"release": "1"}]
+)
+def test_a_team_id_that_would_not_parse_cannot_be_built(field: dict) -> None:
+    parts: dict[str, Any] = {"task": "scratch", "algorithm": "ippo", "disability": "d3", "seed": 5, "release": "v1"}
+    with pytest.raises(IdError):
+        TeamId(**{**parts, **field})
+
+
+def test_order_counts_numbers() -> None:
+    ids = [f"scratch/ippo-d{d}-s{s}-v1" for d in (10, 2) for s in (10, 9)]
+    ordered = sorted(map(parse_team, ids), key=lambda team: team.order)
+    assert [(team.disability, team.seed) for team in ordered] == [("d2", 9), ("d2", 10), ("d10", 9), ("d10", 10)]
+
+
+def test_globs_see_whole_ids() -> None:
+    human = "scratch/ippo-d3-s5-v1/human"
+    for pattern in ("scratch/ippo-*/human", "scratch/*", "*/human", "scratch/ippo-d[1-3]-s?-v1/*", human):
+        assert compile_pattern(pattern).match(human)
+    for pattern in ("ippo-*", "scratch/ippo-d3-s5-v1", "scratch/IPPO-*", "*/robot"):
+        assert not compile_pattern(pattern).match(human)
+
+
+def test_nearest_names_come_best_first() -> None:
+    known = [f"scratch/ippo-d{d}-s{s}-v1" for d in range(1, 4) for s in range(4)]
+    assert nearest("scratch/ipo-d3-s2-v1", known)[0] == "scratch/ippo-d3-s2-v1"
+    assert nearest("zzz", known) == []
+
+
+def test_release_names() -> None:
+    assert check_release("v10") == "v10"
+    for text in ("1", "v01", "V1", "v1/..", ""):
+        with pytest.raises(IdError, match="release"):
+            check_release(text)
+
+
+def test_control_characters_do_not_break_the_line() -> None:
+    message = str(ZooError("a\nb", expected="\x1b[31m", found="c", done="d", next_step="e"))
+    assert message.isprintable()

@@ -1,0 +1,250 @@
+import dataclasses
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, seed, settings
+from hypothesis import strategies as st
+
+from zoo.errors import RegistryError, RegistryVersionError, SplitError, UnknownIdError, ZooError
+from zoo.index import read_index
+from zoo.registry import Registry, load_registry, parse_registry, save_registry
+from zoo.schema import SCHEMA_VERSION, RegistryFile, dump_registry, spec_from_json
+
+
+def edit(registry: Registry, change) -> Path:
+    """Change the registry's JSON in place."""
+    data = json.loads(registry.path.read_text())
+    change(data)
+    registry.path.write_text(json.dumps(data))
+    return registry.path
+
+
+def test_round_trip_keeps_every_value_and_byte(registry: Registry) -> None:
+    text = registry.path.read_text()
+    assert dump_registry(parse_registry(text, "test")) == text
+    assert load_registry(registry.path) == registry
+
+
+def test_text_does_not_depend_on_the_order_of_the_tables(registry: Registry) -> None:
+    data = json.loads(registry.path.read_text())
+    for table in ("teams", "shards", "runs", "releases"):
+        data[table] = dict(reversed(data[table].items()))
+    assert dump_registry(parse_registry(json.dumps(data), "test")) == registry.path.read_text()
+
+
+def test_entries_carry_what_the_evaluator_reads(registry: Registry, specs) -> None:
+    entry = registry.policy("scratch/ippo-d9-s2-v0/human")
+    assert (entry.team, entry.task, entry.algorithm) == ("scratch/ippo-d9-s2-v0", "scratch", "ippo")
+    assert (entry.role, entry.disability, entry.seed, entry.release) == ("human", "d9", 2, "v0")
+    assert entry.spec == specs["human"] and entry.training.steps == 10_000_000
+    assert entry.training.hyperparameters == {"anneal_lr": False, "learning_rate": 1e-3}
+    assert entry.self_play is not None and entry.self_play.ci == (940.0, 960.0)
+    assert [e.id for e in registry.policies[:2]] == ["scratch/ippo-d1-s0-v0/robot", "scratch/ippo-d1-s0-v0/human"]
+    assert len(registry.data.runs) == 1  # provenance is stored once
+
+
+def test_selection_by_glob_and_field(registry: Registry) -> None:
+    humans = registry.select("scratch/ippo-*/human")
+    assert len(humans) == 8 and {entry.role for entry in humans} == {"human"}
+    assert registry.select(role="human") == humans
+    assert [e.role for e in registry.select("scratch/ippo-d1-s0-v0")] == ["robot", "human"]
+    both = registry.select(["*-d9-s1-*/robot", "scratch/ippo-d1-s3-v0/robot"])
+    assert [e.id for e in both] == ["scratch/ippo-d1-s3-v0/robot", "scratch/ippo-d9-s1-v0/robot"]
+    assert len(registry.select(disability="d9", release="v0", task="scratch", algorithm="ippo")) == 8
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        ({"pattern": "scratch/ipo-d1-s0-v0/human"}, "scratch/ippo-d1-s0-v0/human"),
+        ({"pattern": "scratch/mappo-*"}, "nearest"),
+        ({"pattern": ["*", "nothing"]}, "nothing"),
+        ({"task": "scrach"}, "scratch"),
+        ({"algorithm": "mappo"}, "ippo"),
+        ({"disability": "d3"}, "d1, d9"),
+        ({"release": "v7"}, "v0"),
+        ({"role": "nurse"}, "human, robot"),
+    ],
+)
+def test_what_matches_nothing_names_the_nearest(registry: Registry, arguments: dict, hint: str) -> None:
+    with pytest.raises(UnknownIdError, match=hint):
+        registry.select(**arguments)
+
+
+def test_unknown_ids_name_the_nearest(registry: Registry) -> None:
+    with pytest.raises(UnknownIdError, match="scratch/ippo-d1-s0-v0/human"):
+        registry.policy("scratch/ippo-d1-s0-v0/humans")
+    with pytest.raises(UnknownIdError, match="scratch/ippo-d1-s0-v0"):
+        registry.team("scratch/ippo-d1-s0-v1")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: d.update(colour="red"), "unknown field at colour"),
+        (lambda d: d["shards"].popitem(), "shard .* is not among"),
+        (lambda d: d["teams"]["scratch/ippo-d1-s0-v0"].update(mood=1), "unknown field at teams.*mood"),
+        (lambda d: d["teams"].update({"scratch/ippo-d1-s0": d["teams"]["scratch/ippo-d1-s0-v0"]}), "team id"),
+        (lambda d: d["teams"].update({"scratch/ippo-d1-s9-v7": d["teams"]["scratch/ippo-d1-s0-v0"]}), "release 'v7'"),
+        (lambda d: d["teams"].update({"scratch/isac-d1-s0-v0": d["teams"]["scratch/ippo-d1-s0-v0"]}), "points to a"),
+        (lambda d: d["teams"]["scratch/ippo-d1-s0-v0"]["policies"]["robot"].update(row=99), "row 99"),
+        (lambda d: d["teams"]["scratch/ippo-d1-s0-v0"]["policies"]["robot"].update(row="0"), "valid integer"),
+        (lambda d: d["teams"]["scratch/ippo-d1-s0-v0"].update(policies={}), "at least 1"),
+        (lambda d: d["disability_settings"].pop("d9"), "'d9' is not among"),
+        (lambda d: d["releases"]["v0"]["splits"].update(scratch="scratch/half-s0-v0-00000000"), "is not among"),
+        (lambda d: d["splits"].append(d["splits"][0]), "stands twice"),
+        (lambda d: d["releases"]["v0"].update(splits={"bed_bath": d["splits"][0]["id"]}), "a split of"),
+        (lambda d: d.pop("teams"), "Field required at teams"),
+        (lambda d: d.update(release="v9"), "release 'v9'"),
+        (lambda d: d.update(schema_version=0), "schema_version is 0"),
+        (lambda d: d.update(schema_version="1"), "schema_version '1'"),
+    ],
+)
+def test_planted_defects_are_refused_in_one_line(registry: Registry, change, words: str) -> None:
+    with pytest.raises(RegistryError, match=words) as caught:
+        load_registry(edit(registry, change))
+    assert "\n" not in str(caught.value) and "restore" in str(caught.value)
+
+
+@pytest.mark.parametrize("path", ["../outside.safetensors", "/etc/shadow.safetensors", "a/../b.safetensors", "x.pkl"])
+def test_shard_paths_stay_below_the_registry(registry: Registry, path: str) -> None:
+    shard = registry.policies[0].shard
+
+    def change(data: dict[str, Any]) -> None:
+        data["shards"][path] = data["shards"].pop(shard)
+
+    with pytest.raises(RegistryError):
+        load_registry(edit(registry, change))
+
+
+def test_newer_schema_says_upgrade(registry: Registry) -> None:
+    path = edit(registry, lambda d: d.update(schema_version=SCHEMA_VERSION + 1, news=[]))
+    for load in (load_registry, read_index):
+        with pytest.raises(RegistryVersionError, match="upgrade"):
+            load(path)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"[]", b"{", b"null", b"\xff\xfe", b"[" * 100_000, b'{"schema_version": 1, "schema_version": 1}', b"{}"],
+)
+def test_what_is_no_registry_is_refused(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "registry.json"
+    path.write_bytes(data)
+    for load in (load_registry, read_index):
+        with pytest.raises(RegistryError, match=r"registry\.json"):
+            load(path)
+
+
+def test_missing_registry_and_the_environment_variable(registry: Registry, tmp_path: Path, monkeypatch) -> None:
+    with pytest.raises(RegistryError, match="no such file"):
+        load_registry(tmp_path / "absent.json")
+    monkeypatch.setenv("ASSISTAX_ZOO_REGISTRY", str(registry.path))
+    assert load_registry() == registry
+
+
+@seed(3)
+@settings(deadline=None, max_examples=150)
+@given(st.data())
+def test_a_damaged_registry_loads_or_gives_one_line(data: st.DataObject) -> None:
+    text = _sample_text()
+    position = data.draw(st.integers(0, len(text) - 1))
+    length = data.draw(st.integers(0, 40))
+    damaged = text[:position] + data.draw(st.text(max_size=5)) + text[position + length :]
+    try:
+        assert isinstance(parse_registry(damaged, "test"), RegistryFile)
+    except ZooError as error:
+        assert "\n" not in str(error)
+
+
+def _sample_text() -> str:
+    digest = "a" * 64
+    spec = {"role": "human", "observation_size": 6, "action_size": 3}
+    shard = {"sha256": digest, "bytes": 9, "task": "scratch", "algorithm": "ippo", "role": "human", "release": "v0"}
+    row = {"shard": "a.safetensors", "row": 0, "sha256": digest}
+    return json.dumps(
+        {
+            "schema_version": 1,
+            "release": "v0",
+            "releases": {"v0": {"date": "2027-01-31", "environments": {"scratch": 1}}},
+            "disability_settings": {"d1": {"strength": 1.0, "elbow_range": 1.0, "tremor": 0.0}},
+            "runs": {"r": {"steps": 1, "env_version": 1, "backend": "native"}},
+            "shards": {"a.safetensors": {**shard, "rows": 1, "spec": spec}},
+            "teams": {"scratch/ippo-d1-s0-v0": {"run": "r", "policies": {"human": row}}},
+        }
+    )
+
+
+def test_the_sample_of_the_fuzz_test_is_valid() -> None:
+    assert len(parse_registry(_sample_text(), "test").teams) == 1
+
+
+def test_specs_are_held_to_their_types() -> None:
+    good = {"role": "robot", "observation_size": 5, "action_size": 2, "hidden": [4]}
+    assert spec_from_json(good).hidden == (4,)
+    for bad in (
+        {**good, "observation_size": "5"},
+        {**good, "observation_size": 5.0},
+        {**good, "action_size": True},
+        {**good, "hidden": [4.5]},
+        {**good, "hidden": "44"},
+        {**good, "normalise": 1},
+        {**good, "colour": "red"},
+        {"role": "robot"},
+        [],
+        None,
+    ):
+        with pytest.raises(ValueError, match="spec"):
+            spec_from_json(bad)
+
+
+def test_saving_refuses_what_would_not_load(registry: Registry) -> None:
+    before = registry.path.read_bytes()
+    broken = registry.data.model_copy(update={"release": "v9"})
+    with pytest.raises(RegistryError):
+        save_registry(broken, registry.path)
+    assert registry.path.read_bytes() == before
+    assert not list(registry.path.parent.glob(".*tmp"))
+
+
+def test_index_lists_what_the_registry_holds(registry: Registry) -> None:
+    index = read_index(registry.path)
+    for short, full in zip(index, registry.policies, strict=True):
+        for field in dataclasses.fields(short):
+            value = getattr(full, field.name)
+            plain = value.model_dump(mode="json") if field.name == "self_play" else value
+            assert getattr(short, field.name) == plain
+
+
+def test_index_leaves_what_looks_wrong_to_the_schema(registry: Registry) -> None:
+    team = "scratch/ippo-d1-s0-v0"
+    path = edit(registry, lambda d: d["teams"][team].update(self_play={"mean": 1.0}))
+    with pytest.raises(RegistryError, match=r"Field required at teams.*self_play"):
+        read_index(path)
+
+
+def test_split_lookup(registry: Registry) -> None:
+    default = registry.split("scratch")
+    assert default.rule == "half" and len(default.train) == len(default.test) == 4
+    assert registry.split("scratch", default.id) == registry.split("scratch", "half-s0") == default
+    for arguments in (("scratch", "half-s1"), ("bed_bath",)):
+        with pytest.raises(SplitError, match="split create"):
+            registry.split(*arguments)
+    with pytest.raises(SplitError, match="v0"):
+        registry.split("scratch", release="v5")
+
+
+def test_reading_the_registry_imports_nothing_heavy(registry: Registry) -> None:
+    code = (
+        "import sys, zoo; zoo.load_registry(sys.argv[1]).select('scratch/*')\n"
+        "print(sorted({'jax', 'mujoco', 'flax', 'matplotlib', 'polars', 'numpy'} & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(registry.path)], capture_output=True, text=True, check=True,
+        cwd=Path(__file__).parents[2],
+    )  # fmt: skip
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,155 @@
+import json
+import random
+
+import pytest
+from hypothesis import given, seed, settings
+from hypothesis import strategies as st
+
+from zoo.errors import LeakageError, SplitError
+from zoo.ids import parse_team
+from zoo.registry import Registry, load_registry
+from zoo.release import create_split
+from zoo.splits import RULES, check_split, half_side, make_split, shared_parameters
+
+
+def ids(algorithms=("ippo", "mappo"), disabilities=range(1, 10), seeds=range(8), release="v1") -> list[str]:
+    return [f"scratch/{a}-d{d}-s{s}-{release}" for a in algorithms for d in disabilities for s in seeds]
+
+
+def make(teams, rule="half", **arguments):
+    return make_split(teams, task="scratch", release="v1", rule=rule, **arguments)
+
+
+def test_half_is_exact_in_every_stratum() -> None:
+    split = make(ids())
+    assert len(split.train) == len(split.test) == 72
+    for algorithm in ("ippo", "mappo"):
+        for setting in range(1, 10):
+            stratum = [team for team in split.train if f"/{algorithm}-d{setting}-" in team]
+            assert len(stratum) == 4
+
+
+@seed(4)
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 99), st.integers(1, 12), st.lists(st.integers(0, 11), unique=True), st.randoms())
+def test_half_ignores_order_and_is_stable_when_the_registry_grows(
+    split_seed: int, seeds: int, later: list[int], shuffle: random.Random
+) -> None:
+    small = ids(("ippo",), (1, 9), range(seeds))
+    grown = [*small, *ids(("ippo", "masac"), (1, 2, 9), later), *ids(release="v2")]
+    shuffled = sorted(grown, key=lambda _: shuffle.random())
+    side = {team: half_side(parse_team(team), split_seed) for team in small}
+    if len(set(side.values())) < 2:
+        return
+    before, after = make(small, seed=split_seed), make(shuffled, seed=split_seed)
+    assert make(sorted(grown), seed=split_seed) == after
+    assert all(after.side(team) == before.side(team) == side[team] for team in small)
+    assert not any(team.endswith("-v2") for team in (*after.train, *after.test))
+
+
+def test_a_split_of_the_sorted_list_would_be_caught() -> None:
+    """The planted defect of this family: halves by rank, which move when a team is added."""
+    small = ids(("ippo",), (1,), range(1, 5))
+    grown = sorted([*small, *ids(("ippo",), (1,), (0,))])
+    ranked = {team: rank < 2 for rank, team in enumerate(small)}
+    moved = {team: rank < 2 for rank, team in enumerate(grown)}
+    assert any(ranked[team] != moved[team] for team in small)
+    before, after = make(small), make(grown)
+    assert all(before.side(team) == after.side(team) for team in small)
+
+
+def test_half_is_random_in_the_seed() -> None:
+    sides = [make(ids(("ippo",), (1,)), seed=n).train for n in range(20)]
+    assert len(set(sides)) > 5
+    odd = [len(make(ids(("ippo",), range(1, 10), range(5)), seed=n).train) for n in range(40)]
+    assert 18 <= min(odd) < 22 and 23 < max(odd) <= 27  # the odd team of each stratum falls to either side
+
+
+def test_leave_one_out() -> None:
+    split = make(ids(), "leave-one-algorithm-out", held_out="mappo")
+    assert split.id.startswith("scratch/without-mappo-s0-v1-")
+    assert {parse_team(team).algorithm for team in split.test} == {"mappo"} and len(split.test) == 72
+    split = make(ids(), "leave-one-disability-out", held_out="d9")
+    assert {parse_team(team).disability for team in split.test} == {"d9"} and len(split.train) == 128
+
+
+def test_small_train_keeps_the_test_side_of_half() -> None:
+    half, small = make(ids(), seed=3), make(ids(), "small-train", n=5, seed=3)
+    assert small.test == half.test and len(small.train) == 5 and set(small.train) < set(half.train)
+    assert small.id.startswith("scratch/small-5-s3-v1-")
+
+
+def test_custom() -> None:
+    teams = ids(("ippo",), (1,))
+    split = make(teams, "custom", train=[teams[3], teams[1], teams[3]], test=[teams[0]])
+    assert split.train == (teams[1], teams[3]) and split.test == (teams[0],)
+
+
+@pytest.mark.parametrize(
+    ("rule", "arguments", "words"),
+    [
+        ("third", {}, "one of half"),
+        ("leave-one-algorithm-out", {}, "one of ippo, mappo"),
+        ("leave-one-disability-out", {"held_out": "d12"}, "one of d1"),
+        ("small-train", {"n": 0}, "1 to 72"),
+        ("small-train", {"n": 73}, "1 to 72"),
+        ("custom", {"train": ["scratch/ippo-d1-s0-v1"]}, "at least one team in test"),
+        ("custom", {"train": ["scratch/ippo-d1-s77-v1"], "test": ["scratch/ippo-d1-s0-v1"]}, "s77"),
+    ],
+)
+def test_what_cannot_be_split_is_refused(rule: str, arguments: dict, words: str) -> None:
+    with pytest.raises(SplitError, match=words):
+        make(ids(), rule, **arguments)
+
+
+def test_a_team_on_both_sides_leaks() -> None:
+    teams = ids(("ippo",), (1,))
+    with pytest.raises(LeakageError, match=teams[1]):
+        make(teams, "custom", train=teams[:2], test=teams[1:])
+
+
+def test_a_changed_manifest_is_refused(registry: Registry) -> None:
+    split = registry.split("scratch")
+    moved = split.model_copy(update={"train": split.train[1:]})
+    with pytest.raises(SplitError, match=f"expected sha256 {split.sha256}, found sha256"):
+        check_split(moved)
+    with pytest.raises(SplitError, match="expected id"):
+        check_split(split.model_copy(update={"id": "scratch/half-s0-v0-00000000"}))
+
+
+def test_a_changed_manifest_is_refused_on_load(registry: Registry) -> None:
+    data = json.loads(registry.path.read_text())
+    data["splits"][0]["train"].append(data["splits"][0]["test"].pop())
+    registry.path.write_text(json.dumps(data))
+    with pytest.raises(SplitError, match="sha256"):
+        load_registry(registry.path).split("scratch")
+
+
+def test_identical_parameters_on_both_sides_leak(registry: Registry) -> None:
+    split = registry.split("scratch")
+    assert shared_parameters(split.train, split.test, registry.data.teams) == []
+    data = json.loads(registry.path.read_text())
+    train, test = split.train[0], split.test[0]
+    data["teams"][test]["policies"]["human"]["sha256"] = data["teams"][train]["policies"]["human"]["sha256"]
+    registry.path.write_text(json.dumps(data))
+    with pytest.raises(LeakageError, match=f"{train} = {test}"):
+        load_registry(registry.path).split("scratch")
+    with pytest.raises(LeakageError):
+        create_split(registry.path, task="scratch", rule="custom", train=[train], test=[test])
+
+
+def test_create_writes_once(registry: Registry) -> None:
+    split = create_split(registry.path, task="scratch", rule="leave-one-disability-out", held_out="d9")
+    text = registry.path.read_text()
+    assert create_split(registry.path, task="scratch", rule="leave-one-disability-out", held_out="d9") == split
+    assert registry.path.read_text() == text
+    loaded = load_registry(registry.path)
+    assert loaded.split("scratch", "without-d9") == split and loaded.split("scratch").rule == "half"
+    with pytest.raises(SplitError, match="scratch v0"):
+        create_split(registry.path, task="bed_bath")
+
+
+def test_every_rule_has_a_row_in_the_documentation() -> None:
+    import zoo.splits
+
+    assert all(f"`{rule}`" in (zoo.splits.__doc__ or "") for rule in RULES)

@@ -1,0 +1,270 @@
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import safetensors.numpy
+from hypothesis import given, seed, settings
+from hypothesis import strategies as st
+
+from population.spec import PolicySpec
+from zoo.errors import FormatError, IntegrityError, ZooError
+from zoo.registry import Registry, save_registry
+from zoo.storage import (
+    check_params,
+    encode_shard,
+    load_group,
+    parse_stacked,
+    read_policy_file,
+    take_row,
+    write_policy_file,
+)
+from zoo.tensors import MAX_HEADER_BYTES, decode, encode, flatten, row_sha256, unflatten
+
+
+def leaves_equal(one, other) -> bool:
+    one, other = flatten(one), flatten(other)
+    return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
+
+
+def header(content: object, body: bytes = b"") -> bytes:
+    text = content if isinstance(content, bytes) else json.dumps(content).encode()
+    return struct.pack("<Q", len(text)) + text + body
+
+
+def test_groups_hold_the_published_parameters_in_the_order_asked(registry: Registry, team, params) -> None:
+    names = ["scratch/ippo-d9-s3-v0/human", "scratch/ippo-d1-s2-v0/robot", "scratch/ippo-d1-s0-v0/human"]
+    human, robot = load_group(registry, [registry.policy(name) for name in names])
+    assert human.ids == (names[0], names[2]) and robot.ids == (names[1],)
+    assert human.spec.role == "human" and robot.spec.role == "robot"
+    for group in (human, robot):
+        for row, name in enumerate(group.ids):
+            entry = registry.policy(name)
+            expected = team(entry.algorithm, entry.disability, entry.seed).params[entry.role]
+            stacked = flatten(group.params)
+            assert all(value.dtype == np.float32 and value.flags.c_contiguous for value in stacked.values())
+            assert leaves_equal(unflatten({leaf: value[row] for leaf, value in stacked.items()}), expected)
+
+
+def test_shards_of_one_spec_merge_and_specs_do_not(registry: Registry, team, params, publish_to) -> None:
+    wide = {"robot": PolicySpec("robot", 5, 2, hidden=(8,)), "human": PolicySpec("human", 6, 3, hidden=(4,))}
+    grown = publish_to([team("mappo", "d1", 0, specs=wide)], registry.path)
+    groups = load_group(grown, grown.select("*-s0-*"))
+    assert [(group.spec.role, group.spec.hidden, len(group.ids)) for group in groups] == [
+        ("robot", (4,), 2),
+        ("human", (4,), 3),
+        ("robot", (8,), 1),
+    ]
+
+
+def test_half_precision_is_stored_as_it_is_and_returned_as_float32(
+    tmp_path: Path, team, params, publish_to, specs
+) -> None:
+    half = {role: params(spec, 5, np.float16) for role, spec in specs.items()}
+    registry = publish_to([team(params=half)], tmp_path / "registry.json")
+    entry = registry.policies[0]
+    assert "F16" in registry.shard_path(entry.shard).read_bytes()[:400].decode(errors="replace")
+    group = load_group(registry, [entry])[0]
+    kernel = group.params["Dense_0"]["kernel"]
+    assert kernel.dtype == np.float32 and np.array_equal(kernel[0], half["robot"]["Dense_0"]["kernel"])
+
+
+def test_row_hash_is_over_names_dtypes_shapes_and_bytes(params, specs) -> None:
+    leaves = flatten(params(specs["robot"], 0))
+    digest = row_sha256(leaves)
+    assert row_sha256(dict(reversed(leaves.items()))) == digest
+    name = "Dense_0/kernel"
+    changes = [
+        {**leaves, name: leaves[name].T},
+        {**leaves, name: leaves[name].reshape(-1)},
+        {**leaves, name: np.asfortranarray(leaves[name]) + np.float32(1e-6)},
+        {**{key: value for key, value in leaves.items() if key != name}, "Dense_0/kernels": leaves[name]},
+        {key: value.astype(np.float16) for key, value in leaves.items()},
+    ]
+    assert len({digest, *map(row_sha256, changes)}) == 6
+    assert row_sha256({**leaves, name: np.asfortranarray(leaves[name])}) == digest
+
+
+def test_bytes_are_stable(params, specs) -> None:
+    policies = [(f"p{n}", flatten(params(specs["human"], n))) for n in range(3)]
+    assert encode_shard(specs["human"], policies) == encode_shard(specs["human"], policies)
+    stacked = parse_stacked(encode_shard(specs["human"], policies)[0], "test")
+    assert all(row_sha256(take_row(stacked, n)) == row_sha256(leaves) for n, (_, leaves) in enumerate(policies))
+
+
+def test_a_flipped_byte_is_refused_with_both_hashes(registry: Registry) -> None:
+    entry = registry.policies[0]
+    path = registry.shard_path(entry.shard)
+    data = bytearray(path.read_bytes())
+    data[-3] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(IntegrityError) as caught:
+        load_group(registry, [entry])
+    message = str(caught.value)
+    assert f"expected sha256 {registry.data.shards[entry.shard].sha256}, found sha256 " in message
+    assert entry.shard in message and "nothing was loaded" in message and "git checkout" in message
+    assert len(load_group(registry, registry.select(role="human"))) == 1  # the other shard is whole
+
+
+def test_a_row_that_is_not_the_registrys_is_refused(registry: Registry) -> None:
+    entry, other = registry.policies[0], registry.policies[2]
+    team = registry.data.teams[entry.team]
+    swapped = team.policies["robot"].model_copy(update={"sha256": other.sha256})
+    teams = {**registry.data.teams, entry.team: team.model_copy(update={"policies": {"robot": swapped}})}
+    tampered = save_registry(registry.data.model_copy(update={"teams": teams}), registry.path)
+    with pytest.raises(
+        IntegrityError, match=f"{entry.id}: expected sha256 {other.sha256}, found sha256 {entry.sha256}"
+    ):
+        load_group(tampered, [tampered.policy(entry.id)])
+
+
+def test_truncated_missing_and_grown_shards_are_refused(registry: Registry) -> None:
+    entry = registry.policies[0]
+    path = registry.shard_path(entry.shard)
+    whole = path.read_bytes()
+    for data in (whole[:-1], whole[:7], b"", whole + b"\0"):
+        path.write_bytes(data)
+        with pytest.raises(IntegrityError, match=f"expected {len(whole)} bytes, found {len(data)} bytes"):
+            load_group(registry, [entry])
+    path.unlink()
+    with pytest.raises(IntegrityError, match="no file at"):
+        load_group(registry, [entry])
+
+
+SPEC = {"role": "robot", "observation_size": 1, "action_size": 1}
+META = {"__metadata__": {"assistax": json.dumps({"spec": SPEC, "rows": [0]})}}
+LEAF = {"dtype": "F32", "shape": [1, 1], "data_offsets": [0, 4]}
+BODY = struct.pack("<f", 1.0)
+HOSTILE = {
+    "empty": b"",
+    "seven bytes": b"1234567",
+    "header of 2^63 bytes": struct.pack("<Q", 2**63) + b"{}",
+    "header beyond the file": struct.pack("<Q", 100) + b"{}",
+    "header beyond the bound": struct.pack("<Q", MAX_HEADER_BYTES + 1) + b" " * (MAX_HEADER_BYTES + 1),
+    "no JSON": header(b"\x80\x04pickle."),
+    "a list": header([]),
+    "deep nesting": header(b'{"a":' * 5000),
+    "no metadata": header({"a": LEAF}, BODY),
+    "metadata of another tool": header({"__metadata__": {"format": "pt"}, "a": LEAF}, BODY),
+    "metadata no JSON": header({"__metadata__": {"assistax": "{"}, "a": LEAF}, BODY),
+    "metadata no object": header({"__metadata__": {"assistax": "[]"}, "a": LEAF}, BODY),
+    "no leaf": header(META),
+    "overlap": header({**META, "a": LEAF, "b": LEAF}, BODY),
+    "gap": header({**META, "a": {**LEAF, "data_offsets": [4, 8]}}, BODY + BODY),
+    "beyond the end": header({**META, "a": {**LEAF, "shape": [2, 1], "data_offsets": [0, 8]}}, BODY),
+    "bytes left over": header({**META, "a": LEAF}, BODY + b"#!/bin/sh"),
+    "shape not the size": header({**META, "a": {**LEAF, "shape": [3, 1]}}, BODY),
+    "overflowing shape": header({**META, "a": {**LEAF, "shape": [2**62, 2**62]}}, BODY),
+    "negative shape": header({**META, "a": {**LEAF, "shape": [-1, 1]}}, BODY),
+    "path as a name": header({**META, "../../etc/passwd": LEAF}, BODY),
+    "leaf below a leaf": header(
+        {**META, "a": LEAF, "a/b": {**LEAF, "data_offsets": [4, 8]}}, BODY + BODY
+    ),
+    "integers": header({**META, "a": {**LEAF, "dtype": "I32"}}, BODY),
+    "unknown dtype": header({**META, "a": {**LEAF, "dtype": "O"}}, BODY),
+    "NaN": header({**META, "a": LEAF}, struct.pack("<f", float("nan"))),
+    "a key twice": header(f'{{"a":{json.dumps(LEAF)},"a":{json.dumps(LEAF)},{json.dumps(META)[1:]}'.encode(), BODY),
+}  # fmt: skip
+
+
+def test_the_hostile_files_differ_from_a_good_one_by_their_defect_alone() -> None:
+    assert parse_stacked(header({**META, "a": LEAF}, BODY), "good").spec.role == "robot"
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_files_are_refused(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "policy.safetensors"
+    path.write_bytes(HOSTILE[name])
+    for read in (lambda: parse_stacked(HOSTILE[name], "shard x"), lambda: read_policy_file(path)):
+        with pytest.raises(FormatError) as caught:
+            read()
+        assert str(caught.value).isprintable() and len(str(caught.value)) < 600
+
+
+@pytest.mark.parametrize(
+    ("metadata", "words"),
+    [
+        ({"rows": [0]}, "policy spec"),
+        ({"spec": {**SPEC, "torso": "cnn"}, "rows": [0]}, "torso"),
+        ({"spec": SPEC}, "rows"),
+        ({"spec": SPEC, "rows": []}, "rows"),
+        ({"spec": SPEC, "rows": [0, 1]}, "first axis of 2"),
+    ],
+)
+def test_stacked_metadata_must_say_what_the_rows_are(metadata: dict, words: str) -> None:
+    with pytest.raises(FormatError, match=words):
+        parse_stacked(encode({"a": np.zeros((1, 2), np.float32)}, metadata), "shard x")
+
+
+@seed(5)
+@settings(deadline=None, max_examples=300)
+@given(st.integers(0, 10_000), st.binary(max_size=9), st.integers(0, 30))
+def test_a_damaged_policy_file_gives_one_line_or_the_same_parameters(position: int, patch: bytes, cut: int) -> None:
+    leaves = {"a": np.arange(6, dtype=np.float32), "b/c": np.ones((2, 3), np.float32)}
+    whole = encode(leaves, {"spec": SPEC, "sha256": row_sha256(leaves)})
+    position %= len(whole)
+    damaged = whole[:position] + patch + whole[position + cut :]
+    try:
+        found, metadata = decode(damaged, "test")
+    except ZooError as error:
+        assert str(error).isprintable()
+        return
+    if metadata.get("sha256") == row_sha256(leaves) and set(found) == set(leaves):
+        same = all(np.array_equal(found[name], leaves[name]) for name in leaves)
+        assert same == (row_sha256(found) == metadata["sha256"])  # only the hash tells a flipped byte
+
+
+def test_policy_files_round_trip(tmp_path: Path, params, specs) -> None:
+    path, tree = tmp_path / "mine.safetensors", params(specs["robot"], 1)
+    write_policy_file(path, specs["robot"], tree, {"author": "me", "steps": 3})
+    spec, found, metadata = read_policy_file(path)
+    assert spec == specs["robot"] and metadata == {"author": "me", "steps": 3} and leaves_equal(found, tree)
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"tanh", b"relu"))
+    with pytest.raises(IntegrityError):
+        read_policy_file(path)
+    path.write_bytes(data[:-2] + bytes([data[-2] ^ 1]) + data[-1:])
+    with pytest.raises(IntegrityError, match=r"expected sha256 .* found sha256"):
+        read_policy_file(path)
+    with pytest.raises(FormatError, match="no such file"):
+        read_policy_file(tmp_path / "other.safetensors")
+
+
+def test_what_cannot_be_stored_is_refused(tmp_path: Path, params, specs) -> None:
+    tree = params(specs["robot"], 1)
+    for bad in (
+        {},
+        {**tree, "log_std": np.full(2, np.nan, np.float32)},
+        {**tree, "log_std": np.zeros(2)},
+        {**tree, "log_std": np.zeros(2, np.int32)},
+        {**tree, "log std": np.zeros(2, np.float32)},
+        {**tree, "log_std": None},
+    ):
+        with pytest.raises(FormatError):
+            write_policy_file(tmp_path / "mine.safetensors", specs["robot"], bad)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_rows_of_a_shard_have_one_form(params, specs) -> None:
+    one, other = flatten(params(specs["robot"], 1)), flatten(params(specs["human"], 1))
+    with pytest.raises(FormatError, match=r"Dense_0/kernel .*\(5, 4\).*\(6, 4\)"):
+        encode_shard(specs["robot"], [("a", one), ("b", other)])
+
+
+def test_parameters_are_held_against_the_network_of_their_spec(params, specs) -> None:
+    leaves = flatten(params(specs["robot"], 1))
+    check_params(specs["robot"], leaves, "p")
+    lacking = {name: value for name, value in leaves.items() if name != "log_std"}
+    with pytest.raises(FormatError, match=r"log_std of shape \(2,\)"):
+        check_params(specs["robot"], lacking, "p")
+    with pytest.raises(FormatError, match="Dense_0/kernel"):
+        check_params(specs["human"], leaves, "p")
+
+
+def test_only_our_hash_sees_a_flipped_byte(registry: Registry) -> None:
+    """The reason for row hashes: safetensors itself loads the damaged file."""
+    path = registry.shard_path(registry.policies[0].shard)
+    data = bytearray(path.read_bytes())
+    data[-3] ^= 1
+    assert len(safetensors.numpy.load(bytes(data))) == 7

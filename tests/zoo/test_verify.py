@@ -1,0 +1,87 @@
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from assistax_envs.versions import VERSIONS
+from zoo.files import sha256
+from zoo.registry import Registry, load_registry
+from zoo.storage import encode_shard, read_shard, take_row
+from zoo.verify import verify
+
+
+def replant(registry: Registry, change: Callable[[dict[str, Any]], object]) -> Registry:
+    data = json.loads(registry.path.read_text())
+    change(data)
+    registry.path.write_text(json.dumps(data))
+    return load_registry(registry.path)
+
+
+def flip(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    path.write_bytes(data)
+
+
+def test_all_damage_is_reported_at_once(registry: Registry) -> None:
+    robot, human = (registry.shard_path(entry.shard) for entry in registry.policies[:2])
+    flip(robot)
+    human.unlink()
+    report = verify(registry)
+    assert not report.ok and len(report.problems) == 2
+    assert "found sha256" in "".join(report.problems) and "no file at" in "".join(report.problems)
+    assert report.to_json()["ok"] is False
+
+
+def test_rows_are_held_against_the_registry(registry: Registry) -> None:
+    entry, other = registry.policies[0], registry.policies[2]
+
+    def swap(data: dict[str, Any]) -> None:
+        one, two = (data["teams"][team]["policies"]["robot"] for team in (entry.team, other.team))
+        one["row"], two["row"] = two["row"], one["row"]
+
+    problems = verify(replant(registry, swap)).problems
+    assert any(f"parameters of {entry.id}: expected sha256 {entry.sha256}" in problem for problem in problems)
+    assert any("records" in problem for problem in problems)
+
+
+def test_a_shard_rewritten_with_its_hash_is_caught_by_the_rows(registry: Registry) -> None:
+    """A forger who also corrects the shard's own size and hash in the registry."""
+    entry = registry.policies[0]
+    stacked = read_shard(registry, entry.shard)
+    rows = [(item["id"], {**take_row(stacked, n)}) for n, item in enumerate(stacked.rows)]
+    rows[0][1]["log_std"] = rows[0][1]["log_std"] + 1
+    data, _ = encode_shard(stacked.spec, rows)
+    registry.shard_path(entry.shard).write_bytes(data)
+    forged = replant(registry, lambda d: d["shards"][entry.shard].update(sha256=sha256(data), bytes=len(data)))
+    problems = verify(forged).problems
+    assert len(problems) == 2 and entry.id in problems[0]
+
+
+def test_duplicates_and_lost_rows_are_found(registry: Registry) -> None:
+    one, two = registry.policies[0], registry.policies[2]
+
+    def point(data: dict[str, Any]) -> None:
+        data["teams"][two.team]["policies"]["robot"] = data["teams"][one.team]["policies"]["robot"]
+
+    problems = "\n".join(verify(replant(registry, point)).problems)
+    assert f"{two.id} has the same parameters as {one.id}" in problems
+    assert "rows are not one policy each" in problems
+
+
+def test_changed_splits_and_settings_are_found(registry: Registry) -> None:
+    def change(data: dict[str, Any]) -> None:
+        data["splits"][0]["seed"] = 1
+        data["disability_settings"]["d9"]["strength"] = 0.5
+
+    problems = "\n".join(verify(replant(registry, change)).problems)
+    for words in ("expected sha256", "disability settings"):
+        assert words in problems
+
+
+def test_another_environment_version_is_a_note(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(VERSIONS, "scratch", 2)
+    report = verify(registry)
+    assert report.ok and "scratch version 1; installed is 2" in report.notes[0]

@@ -1,0 +1,49 @@
+"""The published population: registry, shards, splits. Names are loaded when first used, so importing costs nothing."""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from zoo.errors import ZooError as ZooError
+    from zoo.ids import PolicyId as PolicyId
+    from zoo.ids import TeamId as TeamId
+    from zoo.ids import parse_policy as parse_policy
+    from zoo.ids import parse_team as parse_team
+    from zoo.registry import Registry as Registry
+    from zoo.registry import load_registry as load_registry
+    from zoo.runs import TrainedTeam as TrainedTeam
+    from zoo.runs import read_run as read_run
+    from zoo.schema import PolicyEntry as PolicyEntry
+    from zoo.schema import Split as Split
+    from zoo.splits import make_split as make_split
+    from zoo.storage import PolicyFile as PolicyFile
+    from zoo.storage import PolicyGroup as PolicyGroup
+    from zoo.storage import load_group as load_group
+    from zoo.storage import read_policy_file as read_policy_file
+    from zoo.storage import write_policy_file as write_policy_file
+
+_HOMES = {
+    "ZooError": "zoo.errors",
+    "PolicyId": "zoo.ids",
+    "TeamId": "zoo.ids",
+    "parse_policy": "zoo.ids",
+    "parse_team": "zoo.ids",
+    "PolicyEntry": "zoo.schema",
+    "Registry": "zoo.registry",
+    "load_registry": "zoo.registry",
+    "TrainedTeam": "zoo.runs",
+    "read_run": "zoo.runs",
+    "Split": "zoo.schema",
+    "make_split": "zoo.splits",
+    "PolicyFile": "zoo.storage",
+    "PolicyGroup": "zoo.storage",
+    "load_group": "zoo.storage",
+    "read_policy_file": "zoo.storage",
+    "write_policy_file": "zoo.storage",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'zoo' has no attribute {name!r}; it offers {', '.join(sorted(_HOMES))}")
+    return getattr(importlib.import_module(_HOMES[name]), name)

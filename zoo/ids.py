@@ -1,0 +1,122 @@
+"""Ids of teams and policies: one grammar, with `parse` and `str` inverse to each other.
+
+    team    task/algorithm-dN-sM-vR         scratch/ippo-d3-s5-v1
+    policy  task/algorithm-dN-sM-vR/role    scratch/ippo-d3-s5-v1/human
+
+All lower case. Task and algorithm start with a letter and hold letters, digits and underscores; d is the disability
+setting, s the training seed, v the release; numbers have no leading zeros.
+"""
+
+import dataclasses
+import fnmatch
+import re
+
+from population.spec import ROLES, Role
+from zoo.errors import IdError, shorten
+
+_NUMBER = r"(?:0|[1-9][0-9]{0,9})"
+_NAME = r"[a-z][a-z0-9_]{0,31}"
+_PATTERNS = {
+    "task": re.compile(_NAME),
+    "algorithm": re.compile(_NAME),
+    "disability": re.compile(r"d[1-9][0-9]{0,3}"),
+    "release": re.compile(rf"v{_NUMBER}"),
+}
+_TEAM = re.compile(
+    rf"(?P<task>{_NAME})/(?P<algorithm>{_NAME})-(?P<disability>d[1-9][0-9]{{0,3}})-s(?P<seed>{_NUMBER})"
+    rf"-(?P<release>v{_NUMBER})"
+)
+_POLICY = re.compile(rf"(?P<team>[^/]+/[^/]+)/(?P<role>{'|'.join(ROLES)})")
+_MAX_SEED = 10**10
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class TeamId:
+    """A robot and a human trained together; `str` gives the id."""
+
+    task: str  # "scratch"
+    algorithm: str  # "ippo"
+    disability: str  # "d3": the human's setting, numbered as in `assistax_envs.disability`
+    seed: int  # training seed
+    release: str  # "v1"
+
+    def __post_init__(self) -> None:
+        for name, pattern in _PATTERNS.items():
+            value = getattr(self, name)
+            if not isinstance(value, str) or not pattern.fullmatch(value):
+                raise _syntax_error(f"{name} of a team id", f"text like {_EXAMPLES[name]!r}", value)
+        if type(self.seed) is not int or not 0 <= self.seed < _MAX_SEED:
+            raise _syntax_error("seed of a team id", f"an integer from 0 to {_MAX_SEED - 1}", self.seed)
+
+    def __str__(self) -> str:
+        return f"{self.task}/{self.algorithm}-{self.disability}-s{self.seed}-{self.release}"
+
+    @property
+    def order(self) -> tuple[str, str, int, int, int]:
+        """Sort key: d9 comes before d10, and s9 before s10."""
+        return self.task, self.algorithm, int(self.disability[1:]), self.seed, int(self.release[1:])
+
+    def policy(self, role: Role) -> "PolicyId":
+        """Return the id of the team's policy in one role."""
+        return PolicyId(self, role)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class PolicyId:
+    """One seat of a team; `str` gives the id."""
+
+    team: TeamId
+    role: Role
+
+    def __post_init__(self) -> None:
+        if self.role not in ROLES:
+            raise _syntax_error("role of a policy id", " or ".join(ROLES), self.role)
+
+    def __str__(self) -> str:
+        return f"{self.team}/{self.role}"
+
+
+_EXAMPLES = {"task": "scratch", "algorithm": "ippo", "disability": "d3", "release": "v1"}
+
+
+def parse_team(text: str) -> TeamId:
+    """Return the team id that the text spells; `str` of it gives the text back."""
+    match = _TEAM.fullmatch(text) if isinstance(text, str) else None
+    if match is None:
+        raise _syntax_error("team id", "task/algorithm-dN-sM-vR, for example scratch/ippo-d3-s5-v1", text)
+    return TeamId(match["task"], match["algorithm"], match["disability"], int(match["seed"]), match["release"])
+
+
+def parse_policy(text: str) -> PolicyId:
+    """Return the policy id that the text spells; `str` of it gives the text back."""
+    match = _POLICY.fullmatch(text) if isinstance(text, str) else None
+    if match is None or not _TEAM.fullmatch(match["team"]):
+        raise _syntax_error("policy id", "task/algorithm-dN-sM-vR/role, for example scratch/ippo-d3-s5-v1/human", text)
+    return PolicyId(parse_team(match["team"]), match["role"])  # ty: ignore[invalid-argument-type]
+
+
+def check_release(text: str) -> str:
+    """Return the release's name unchanged if the grammar accepts it."""
+    if not isinstance(text, str) or not _PATTERNS["release"].fullmatch(text):
+        raise _syntax_error("release", "v and a number, for example v1", text)
+    return text
+
+
+def is_pattern(text: str) -> bool:
+    """Return whether the text holds glob characters: `*`, `?` or `[`."""
+    return any(character in text for character in "*?[")
+
+
+def compile_pattern(pattern: str) -> re.Pattern[str]:
+    """Return a regular expression for a glob over whole ids; `*` may cross a `/`."""
+    return re.compile(fnmatch.translate(pattern))
+
+
+def _syntax_error(what: str, expected: str, found: object) -> IdError:
+    return IdError(
+        what,
+        expected=expected,
+        found=shorten(found),
+        done="nothing was looked up",
+        next_step="correct the id; `assistax-zoo list` prints the known ones",
+    )

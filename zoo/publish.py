@@ -1,0 +1,298 @@
+"""Publishing teams: shards first, the registry last, and published bytes never change.
+
+Teams that a release does not hold yet go into new shards; the shards and ids that exist stay as they are. A shard left
+behind by a killed publication is in no registry, hence invisible, and the next publication replaces it.
+"""
+
+import dataclasses
+import datetime
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from assistax_envs.disability import DISABILITY_SETTINGS
+from assistax_envs.versions import VERSIONS
+from population.spec import PolicySpec, Role
+from zoo.errors import ImmutableError, PublishError, listing
+from zoo.files import atomic_write, exclusive, sha256, shard_root
+from zoo.ids import TeamId, check_release
+from zoo.registry import Registry, load_registry, save_registry
+from zoo.release import with_default_splits
+from zoo.runs import TrainedTeam
+from zoo.schema import (
+    SCHEMA_VERSION,
+    DisabilitySetting,
+    PolicyRow,
+    RegistryFile,
+    Release,
+    SelfPlay,
+    Shard,
+    Team,
+    Training,
+    first_problem,
+)
+from zoo.storage import check_params, encode_shard
+from zoo.tensors import Leaves, flatten, row_sha256
+
+Check = Callable[[PolicySpec, Leaves, str], None]
+_IDENTITY = ("run", "task", "algorithm", "disability", "seed", "release")  # stand in the id or as the run's key
+
+
+@dataclasses.dataclass(frozen=True)
+class _Candidate:
+    """A team to publish, with what its registry entry needs."""
+
+    team: TeamId
+    specs: Mapping[Role, PolicySpec]
+    leaves: Mapping[Role, Leaves]
+    hashes: Mapping[Role, str]
+    run: str
+    training: Training
+    self_play: SelfPlay | None
+
+
+def publish(
+    teams: Sequence[TrainedTeam],
+    registry_path: Path | str,
+    release: str,
+    *,
+    environments: Mapping[str, int] | None = None,
+    date: str | None = None,
+    description: str = "",
+    check: Check = check_params,
+) -> Registry:
+    """Add teams to a release, with their shards and the default split, and return the new registry.
+
+    Publishing the same bytes again changes nothing.
+
+    Args:
+        teams: Trained teams; `zoo.runs.read_run` reads them from a run folder.
+        registry_path: The registry; it is created if it does not exist. Shards go to `zoo/shards` beside it.
+        release: Release they join, such as "v0"; it is created if it does not exist.
+        environments: Environment version of each task; those of the installed `assistax_envs` if not given.
+        date: ISO date of a new release; today if not given.
+        description: What a new release is, in one sentence.
+        check: Called with spec, leaves and policy id; raises if the parameters are not those of the spec.
+
+    Raises:
+        ImmutableError: An id, a figure or an environment version that is already published would change.
+        PublishError: A team lacks provenance, occurs twice, or has the parameters of another.
+    """
+    path = Path(registry_path)
+    check_release(release)
+    created = Release(date=_day(date), description=description, environments={})
+    candidates = [_candidate(team, release, check) for team in teams]
+    with exclusive(path.parent):
+        old = load_registry(path) if path.exists() else None
+        base = old.data if old else _empty(release, created)
+        fresh = _fresh(base, candidates)
+        if old and not fresh:
+            return old
+        data = _with_release(base, release, created, fresh, environments or VERSIONS)
+        data, files = _with_teams(data, release, fresh)
+        data = with_default_splits(data, release)
+        return _write(data, files, path)
+
+
+def _day(date: str | None) -> str:
+    try:
+        return (datetime.date.fromisoformat(date) if date else datetime.date.today()).isoformat()
+    except ValueError as error:
+        raise _refusal("date of the release", "an ISO date such as 2027-01-31", f"{date!r} ({error})") from None
+
+
+def _candidate(team: TrainedTeam, release: str, check: Check) -> _Candidate:
+    name = TeamId(team.task, team.algorithm, team.disability, team.seed, release)
+    if team.disability not in DISABILITY_SETTINGS:
+        raise _refusal(f"disability of {name}", f"one of {listing(DISABILITY_SETTINGS, 12)}", team.disability)
+    leaves = {role: flatten(team.params[role]) for role in team.specs}
+    for role, spec in team.specs.items():
+        check(spec, leaves[role], f"parameters of {name}/{role}")
+    hashes = {role: row_sha256(leaves[role]) for role in leaves}
+    training = dict(team.training)
+    run = str(training.get("run") or f"{team.task}-{team.algorithm}")
+    try:
+        provenance = Training.model_validate_json(json.dumps(_sorted_provenance(training)))
+        self_play = SelfPlay.model_validate_json(json.dumps(team.self_play)) if team.self_play else None
+    except (ValidationError, TypeError) as error:
+        found = first_problem(error) if isinstance(error, ValidationError) else str(error)
+        raise _refusal(f"team {name}", "provenance and figures of the schema", found) from None
+    return _Candidate(name, team.specs, leaves, hashes, run, provenance, self_play)
+
+
+def _sorted_provenance(training: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the training record by the schema's fields; what it does not know goes to `notes`, flattened."""
+    known = {name: training[name] for name in Training.model_fields if training.get(name) is not None}
+    rest = {name: value for name, value in training.items() if name not in Training.model_fields}
+    notes = {name: value for name, value in rest.items() if name not in _IDENTITY}
+    for field in ("hyperparameters", "notes"):
+        known[field] = dict(sorted(_scalars({**known.get(field, {}), **(notes if field == "notes" else {})}).items()))
+    return known
+
+
+def _scalars(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            flat |= _scalars(value, f"{prefix}{name}.")
+        elif isinstance(value, list | tuple):
+            flat[f"{prefix}{name}"] = ",".join(map(str, value))
+        else:
+            flat[f"{prefix}{name}"] = value
+    return flat
+
+
+def _empty(release: str, created: Release) -> RegistryFile:
+    return RegistryFile(
+        schema_version=SCHEMA_VERSION,
+        release=release,
+        releases={release: created},
+        disability_settings=installed_settings(),
+        runs={},
+        shards={},
+        teams={},
+    )
+
+
+def installed_settings() -> dict[str, DisabilitySetting]:
+    """Return the disability settings of the installed environments."""
+    return {name: DisabilitySetting(**dataclasses.asdict(setting)) for name, setting in DISABILITY_SETTINGS.items()}
+
+
+def _fresh(data: RegistryFile, candidates: Sequence[_Candidate]) -> list[_Candidate]:
+    """Return the candidates that are not published yet, in order; refuse those that would change what is."""
+    if not candidates:
+        raise _refusal("publication", "at least one team", "none")
+    owners = {(role, row.sha256): team for team, entry in data.teams.items() for role, row in entry.policies.items()}
+    fresh: dict[str, _Candidate] = {}
+    for candidate in sorted(candidates, key=lambda candidate: candidate.team.order):
+        name = str(candidate.team)
+        if name in data.teams:
+            _check_unchanged(name, data.teams[name], candidate)
+            continue
+        if name in fresh:
+            raise _refusal(f"team {name}", "each team once", "it is given twice")
+        for role, digest in candidate.hashes.items():
+            other = owners.setdefault((role, digest), name)
+            if other != name:
+                raise _refusal(f"parameters of {name}/{role}", "parameters of its own", f"those of {other}/{role}")
+        fresh[name] = candidate
+    return list(fresh.values())
+
+
+def _check_unchanged(name: str, published: Team, candidate: _Candidate) -> None:
+    hashes = {role: row.sha256 for role, row in published.policies.items()}
+    if hashes != candidate.hashes:
+        raise _change(f"team {name}", f"the published sha256 {hashes}", f"{dict(candidate.hashes)}")
+    if candidate.self_play not in (None, published.self_play):
+        raise _change(f"self-play of {name}", f"the published {published.self_play}", f"{candidate.self_play}")
+
+
+def _with_release(
+    data: RegistryFile,
+    release: str,
+    created: Release,
+    fresh: Sequence[_Candidate],
+    environments: Mapping[str, int],
+) -> RegistryFile:
+    """Return the registry with the release's environment versions extended by the new teams' tasks."""
+    if data.disability_settings != installed_settings():
+        found = f"{installed_settings()} in the installed environments"
+        raise _change("disability settings", f"the registry's {data.disability_settings}", found)
+    entry = data.releases.get(release, created)
+    versions = dict(entry.environments)
+    for candidate in fresh:
+        task, trained = candidate.team.task, candidate.training.env_version
+        if task not in environments:
+            raise _refusal(f"task {task}", f"one of {listing(environments)}", "a task without environment version")
+        if environments[task] != versions.setdefault(task, environments[task]):
+            expected = f"version {versions[task]} of {task}, as release {release} has it"
+            raise _change(f"release {release}", expected, f"version {environments[task]}")
+        if trained != versions[task]:
+            raise _refusal(f"team {candidate.team}", f"training on {task} version {versions[task]}", f"on {trained}")
+    releases = {**data.releases, release: entry.model_copy(update={"environments": dict(sorted(versions.items()))})}
+    newest = max(releases, key=lambda name: int(name[1:]))
+    return data.model_copy(update={"releases": releases, "release": newest})
+
+
+def _with_teams(data: RegistryFile, release: str, fresh: Sequence[_Candidate]) -> tuple[RegistryFile, dict[str, bytes]]:
+    """Return the registry with the new teams, and the bytes of their shards by path."""
+    runs, shards, files = dict(data.runs), dict(data.shards), {}
+    rows: dict[tuple[str, Role], PolicyRow] = {}
+    for (task, algorithm, role, spec), members in _by_shard(fresh):
+        path = _free_path(f"zoo/shards/{release}/{task}-{algorithm}-{role}-{spec.digest}", shards)
+        content, hashes = encode_shard(spec, [(f"{member.team}/{role}", member.leaves[role]) for member in members])
+        files[path] = content
+        shards[path] = Shard(
+            sha256=sha256(content), bytes=len(content), task=task, algorithm=algorithm, role=role, release=release,
+            rows=len(members), spec=spec,
+        )  # fmt: skip
+        for row, (member, digest) in enumerate(zip(members, hashes, strict=True)):
+            rows[str(member.team), role] = PolicyRow(shard=path, row=row, sha256=digest)
+    teams = dict(data.teams)
+    for candidate in fresh:
+        name, run = str(candidate.team), _run_key(runs, candidate)
+        runs[run] = candidate.training
+        policies = {role: rows[name, role] for role in sorted(candidate.specs, reverse=True)}
+        teams[name] = Team(run=run, self_play=candidate.self_play, policies=policies)
+    return data.model_copy(update={"runs": runs, "shards": shards, "teams": teams}), files
+
+
+def _by_shard(fresh: Iterable[_Candidate]) -> list[tuple[tuple[str, str, Role, PolicySpec], list[_Candidate]]]:
+    """Return the teams of each new shard, by task, algorithm, role and spec."""
+    groups: dict[tuple[str, str, Role, PolicySpec], list[_Candidate]] = {}
+    for candidate in fresh:
+        for role, spec in candidate.specs.items():
+            groups.setdefault((candidate.team.task, candidate.team.algorithm, role, spec), []).append(candidate)
+    return sorted(groups.items(), key=lambda group: (*group[0][:3], group[0][3].digest))
+
+
+def _free_path(stem: str, taken: Mapping[str, Shard]) -> str:
+    number = 1
+    while (path := f"{stem}.safetensors" if number == 1 else f"{stem}-{number}.safetensors") in taken:
+        number += 1
+    return path
+
+
+def _run_key(runs: Mapping[str, Training], candidate: _Candidate) -> str:
+    """Return the run's name, with a digest where another provenance has that name already."""
+    if runs.get(candidate.run, candidate.training) == candidate.training:
+        return candidate.run
+    return f"{candidate.run}-{sha256(candidate.training.model_dump_json().encode())[:8]}"
+
+
+def _write(data: RegistryFile, files: Mapping[str, bytes], path: Path) -> Registry:
+    """Write the shards, then the registry; a failure takes the shards back."""
+    written: list[Path] = []
+    try:
+        for name, content in files.items():
+            written.append(shard_root(path) / name)
+            atomic_write(written[-1], content)
+        return save_registry(data, path)
+    except Exception:  # the registry is not yet replaced; an interrupt may come later, then shards stay unlisted
+        for file in written:
+            file.unlink(missing_ok=True)
+        raise
+
+
+def _refusal(problem: str, expected: str, found: str) -> PublishError:
+    return PublishError(
+        problem,
+        expected=expected,
+        found=found,
+        done="nothing was published",
+        next_step="correct the run folder, or leave the team out, and publish again",
+    )
+
+
+def _change(problem: str, expected: str, found: str) -> ImmutableError:
+    return ImmutableError(
+        problem,
+        expected=expected,
+        found=found,
+        done="nothing was published: what is published never changes",
+        next_step="publish under a new release, for example --release v1",
+    )

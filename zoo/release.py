@@ -1,0 +1,74 @@
+"""The splits of a release: the default that follows its teams, and those made by hand."""
+
+from pathlib import Path
+from typing import Any
+
+from zoo.errors import SplitError, listing, shorten
+from zoo.files import exclusive
+from zoo.ids import parse_team
+from zoo.registry import load_registry, save_registry
+from zoo.schema import RegistryFile, Split
+from zoo.splits import half_side, make_split, refuse_leak, shared_parameters
+
+
+def create_split(
+    registry_path: Path | str, *, task: str, rule: str = "half", release: str | None = None, **arguments: Any
+) -> Split:
+    """Make a split of a release's partners, write it to the registry, and return it; an existing one is left as it is.
+
+    Args:
+        registry_path: The registry to write to.
+        task: Task of the split.
+        rule: One of `zoo.splits.RULES`.
+        release: Release of the partners; the registry's newest if not given.
+        **arguments: `seed`, `held_out`, `n`, `train`, `test` of `zoo.splits.make_split`.
+
+    Raises:
+        SplitError: The rule cannot be applied to the partners of the release.
+        LeakageError: A team, or the same parameters, would stand on both sides.
+    """
+    path = Path(registry_path)
+    with exclusive(path.parent):
+        data = load_registry(path).data
+        release = release or data.release
+        partners = [team for team in partner_teams(data, release) if parse_team(team).task == task]
+        if not partners:
+            raise _no_partners(data, task, release)
+        split = make_split(partners, task=task, release=release, rule=rule, **arguments)
+        pairs = shared_parameters(split.train, split.test, data.teams)
+        if pairs:
+            refuse_leak(split.id, pairs)
+        if split not in data.splits:
+            save_registry(data.model_copy(update={"splits": (*data.splits, split)}), path)
+        return split
+
+
+def with_default_splits(data: RegistryFile, release: str) -> RegistryFile:
+    """Return the registry with a `half` split, seed 0, as default for every task of the release that has both halves.
+
+    A split that no longer covers the release stays in the registry; the default moves on to the new one.
+    """
+    splits, defaults = {split.id: split for split in data.splits}, dict(data.releases[release].splits)
+    for task in data.releases[release].environments:
+        partners = [team for team in partner_teams(data, release) if parse_team(team).task == task]
+        if len({half_side(parse_team(team)) for team in partners}) == 2:
+            split = make_split(partners, task=task, release=release)
+            splits[split.id], defaults[task] = split, split.id
+    releases = {**data.releases, release: data.releases[release].model_copy(update={"splits": defaults})}
+    return data.model_copy(update={"splits": tuple(splits.values()), "releases": releases})
+
+
+def partner_teams(data: RegistryFile, release: str) -> list[str]:
+    """Return the teams of a release that have a human, and so can be partners."""
+    return [team for team, entry in data.teams.items() if "human" in entry.policies and team.endswith(f"-{release}")]
+
+
+def _no_partners(data: RegistryFile, task: str, release: str) -> SplitError:
+    present = sorted({f"{team.task} {team.release}" for team in map(parse_team, data.teams)})
+    return SplitError(
+        f"split of {shorten(task)} {shorten(release)}",
+        expected=f"a task and release with partners ({listing(present)})",
+        found="no partners",
+        done="no split was made",
+        next_step="`assistax-zoo list --role human` prints the partners",
+    )

@@ -1,0 +1,120 @@
+"""Trained teams as they come out of a run folder, before they are published.
+
+A run folder (or its `final/`) holds `teams.json`, a list of
+`{"team": {"task", "algorithm", "disability", "seed"}, "roles": {role: {"spec", "file", "row"}}, "training": {...},
+"self_play": {...} | null}`, and the files it names: stacked safetensors with leaves [P, ...] named by '/'-joined path
+and one metadata key `assistax` holding `{"spec": ..., "rows": [...]}`.
+"""
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from population.spec import PolicySpec, Role
+from zoo.errors import FormatError, shorten
+from zoo.schema import spec_from_json
+from zoo.storage import StackedFile, parse_stacked, take_row
+from zoo.tensors import read_bytes, unflatten
+
+_MAX_TEAMS_BYTES = 64 * 1024 * 1024
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainedTeam:
+    """A team ready to be published."""
+
+    task: str
+    algorithm: str
+    disability: str  # "d3"
+    seed: int
+    specs: Mapping[Role, PolicySpec]
+    params: Mapping[Role, Mapping[str, Any]]  # nested dict of float32 or float16 arrays for each role
+    training: Mapping[str, Any]  # `run`, `steps`, `env_version`, `backend`, and what else the trainer recorded
+    self_play: Mapping[str, Any] | None = None  # mean, iqm, ci, n, and success if known
+
+    def __post_init__(self) -> None:
+        if not self.specs or set(self.specs) != set(self.params):
+            raise ValueError(f"specs are for {sorted(self.specs)}, params for {sorted(self.params)}; give both by role")
+        for role, spec in self.specs.items():
+            if spec.role != role:
+                raise ValueError(f"the spec under role {role!r} is of role {spec.role!r}")
+
+
+def read_run(folder: Path | str) -> list[TrainedTeam]:
+    """Return the teams of a run folder.
+
+    Raises:
+        FormatError: `teams.json` or a file it names is missing or malformed.
+    """
+    folder = Path(folder)
+    home = next((place for place in (folder, folder / "final") if (place / "teams.json").is_file()), None)
+    if home is None:
+        raise _error(f"run folder {folder}", "teams.json in it or in its final/", "none")
+    source = str(home / "teams.json")
+    items = _read_teams(home / "teams.json")
+    files: dict[str, StackedFile] = {}
+    teams = []
+    for index, item in enumerate(items):
+        where = f"{source}, team {index}"
+        try:
+            teams.append(_team(home, item, files, folder.resolve().name, where))
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise _error(where, "the fields that zoo/runs.py describes", _reason(error)) from None
+    return teams
+
+
+def _read_teams(path: Path) -> list[Any]:
+    if path.stat().st_size > _MAX_TEAMS_BYTES:
+        raise _error(str(path), f"at most {_MAX_TEAMS_BYTES} bytes", f"{path.stat().st_size} bytes")
+    try:
+        items = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise _error(str(path), "a JSON list of teams", _reason(error)) from None
+    if not isinstance(items, list) or not items:
+        raise _error(str(path), "a JSON list of at least one team", shorten(items))
+    return items
+
+
+def _team(home: Path, item: dict, files: dict[str, StackedFile], run: str, where: str) -> TrainedTeam:
+    team = item["team"]
+    specs: dict[Role, PolicySpec] = {}
+    params: dict[Role, Mapping[str, Any]] = {}
+    for role, place in item["roles"].items():
+        stacked = _stacked(home, place["file"], files)
+        specs[role] = spec_from_json(place["spec"])
+        if stacked.spec != specs[role]:
+            raise _error(where, f"spec {specs[role].digest} for {role}", f"{stacked.spec.digest} in {place['file']}")
+        if type(place["row"]) is not int or not 0 <= place["row"] < len(stacked.rows):
+            raise _error(where, f"a row from 0 to {len(stacked.rows) - 1}", shorten(place["row"]))
+        params[role] = unflatten(take_row(stacked, place["row"]))
+    training = {"run": run, **item["training"]}
+    names = ("task", "algorithm", "disability", "seed")
+    return TrainedTeam(**{name: team[name] for name in names}, specs=specs, params=params, training=training,
+                       self_play=item.get("self_play"))  # fmt: skip
+
+
+def _stacked(home: Path, name: str, files: dict[str, StackedFile]) -> StackedFile:
+    if name != Path(name).name or name in ("", ".", ".."):
+        raise _error(str(home), "a file name without a folder", shorten(name))
+    if name not in files:
+        path = home / name
+        if not path.is_file():
+            raise _error(str(home), f"the file {name} that teams.json names", "no such file")
+        files[name] = parse_stacked(read_bytes(path, str(path)), str(path))
+    return files[name]
+
+
+def _reason(error: Exception) -> str:
+    return f"no {error}" if isinstance(error, KeyError) else f"{type(error).__name__}: {error}"
+
+
+def _error(source: str, expected: str, found: str) -> FormatError:
+    return FormatError(
+        source,
+        expected=expected,
+        found=found,
+        done="nothing was published",
+        next_step="give the folder that `assistax-zoo train` wrote, after the run has finished",
+    )

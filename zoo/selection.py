@@ -1,0 +1,112 @@
+"""Choosing policies by glob and by field, over anything that carries an id's parts. Imports nothing heavy."""
+
+from collections.abc import Iterable, Sequence
+from typing import NoReturn, Protocol, TypeVar
+
+from zoo.errors import UnknownIdError, listing, nearest, shorten
+from zoo.ids import compile_pattern
+
+FIELDS = ("task", "algorithm", "disability", "role", "release")
+
+
+class Selectable(Protocol):
+    """What selection reads of a policy."""
+
+    @property
+    def id(self) -> str: ...
+    @property
+    def team(self) -> str: ...
+    @property
+    def task(self) -> str: ...
+    @property
+    def algorithm(self) -> str: ...
+    @property
+    def disability(self) -> str: ...
+    @property
+    def role(self) -> str: ...
+    @property
+    def release(self) -> str: ...
+
+
+T = TypeVar("T", bound=Selectable)
+
+
+def select(
+    entries: Iterable[T],
+    pattern: str | Sequence[str] | None = None,
+    *,
+    task: str | None = None,
+    algorithm: str | None = None,
+    disability: str | None = None,
+    role: str | None = None,
+    release: str | None = None,
+) -> list[T]:
+    """Return the entries that match, in their own order.
+
+    Args:
+        entries: Policies to choose from.
+        pattern: A glob over policy ids, or several of which one must match; a glob over team ids takes both roles.
+        task: Only this task; the same for the other fields.
+        algorithm: Only this algorithm.
+        disability: Only this disability setting, such as "d3".
+        role: Only "robot" or "human".
+        release: Only this release, such as "v1".
+
+    Raises:
+        UnknownIdError: A pattern or the fields match nothing; the nearest ids are named.
+    """
+    entries = list(entries)
+    wanted = dict(zip(FIELDS, (task, algorithm, disability, role, release), strict=True))
+    chosen = entries
+    for field, value in wanted.items():
+        chosen = chosen if value is None else _with_field(chosen, field, value)
+    if pattern is None:
+        return chosen or refuse_empty()
+    patterns = [pattern] if isinstance(pattern, str) else list(pattern)
+    keep: set[str] = set()
+    for one in patterns:
+        keep |= _matching(one, chosen, entries)
+    return [entry for entry in chosen if entry.id in keep]
+
+
+def _with_field(entries: list[T], field: str, value: str) -> list[T]:
+    kept = [entry for entry in entries if getattr(entry, field) == value]
+    if kept:
+        return kept
+    present = sorted({getattr(entry, field) for entry in entries})
+    raise UnknownIdError(
+        f"no policy has {field} {shorten(value)}",
+        expected=f"a {field} of the policies that the other filters leave ({listing(present, 12)})",
+        found=shorten(value),
+        done="nothing was selected",
+        next_step="use one of these; `assistax-zoo list` prints every policy",
+    )
+
+
+def _matching(pattern: str, entries: list[T], everything: list[T]) -> set[str]:
+    matches = compile_pattern(pattern).match
+    found = {entry.id for entry in entries if matches(entry.id) or matches(entry.team)}
+    return found or refuse_unknown(pattern, [entry.id for entry in entries or everything])
+
+
+def refuse_unknown(wanted: str, known: Sequence[str], what: str = "policy") -> NoReturn:
+    """Raise the error for an id or glob that matches none of the known ids, naming the nearest."""
+    close = nearest(wanted, known)
+    raise UnknownIdError(
+        f"unknown {what} {shorten(wanted)}",
+        expected=f"an id or glob that matches one of the {len(known)} candidates",
+        found="no match",
+        done="nothing was selected",
+        next_step=(f"nearest: {', '.join(close)}" if close else "`assistax-zoo list` prints every policy"),
+    )
+
+
+def refuse_empty() -> NoReturn:
+    """Raise the error for a registry without policies."""
+    raise UnknownIdError(
+        "no policies to select from",
+        expected="a registry with at least one policy",
+        found="an empty one",
+        done="nothing was selected",
+        next_step="publish a population with `assistax-zoo publish RUN --release v0`",
+    )

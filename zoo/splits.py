@@ -1,0 +1,192 @@
+"""Splits: which partners a robot may train with, and which it is tested with.
+
+A split is a manifest: task, release, rule, seed, the sorted team ids of both sides, and the sha256 of all that. Its id
+ends in the first eight digits of that sha256, so a published split never changes: when a release grows, its default
+split becomes a new one with a new id, and the old one stays for whoever cited it.
+
+| rule | train | test |
+|---|---|---|
+| `half` (default) | a random half of each algorithm x disability stratum | the other half |
+| `leave-one-algorithm-out` | every other algorithm | the held-out algorithm |
+| `leave-one-disability-out` | every other disability setting | the held-out setting |
+| `small-train` | n teams of the half's train side, chosen at random | the half's test side |
+| `custom` | the teams given | the teams given |
+
+In `half`, a team's side depends on its own id and the split's seed alone: seeds 2k and 2k+1 of a stratum are a pair,
+and the lowest bit of sha256("{seed}:{task}/{algorithm}-{disability}-{release}:{k}") says which of the two trains. So
+the order of the registry does not matter, no team ever changes sides when teams are added, and strata with consecutive
+seeds are halved exactly; the odd one of an odd stratum falls by that hash to either side.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Literal, NoReturn
+
+from zoo.errors import LeakageError, SplitError, listing, shorten
+from zoo.files import sha256
+from zoo.ids import TeamId, parse_team
+from zoo.schema import Split, Team
+
+RULES = ("half", "leave-one-algorithm-out", "leave-one-disability-out", "small-train", "custom")
+_HELD_OUT_FIELD = {"leave-one-algorithm-out": "algorithm", "leave-one-disability-out": "disability"}
+
+
+def make_split(
+    teams: Iterable[str],
+    *,
+    task: str,
+    release: str,
+    rule: str = "half",
+    seed: int = 0,
+    held_out: str | None = None,
+    n: int = 5,
+    train: Iterable[str] = (),
+    test: Iterable[str] = (),
+) -> Split:
+    """Return the split that the rule makes of the task's teams in a release.
+
+    Args:
+        teams: Team ids to split; those of another task or release are left out.
+        task: Task of the split.
+        release: Release of the split.
+        rule: One of `RULES`.
+        seed: Seed of the rules that choose at random, `half` and `small-train`.
+        held_out: Algorithm or disability setting that a leave-one-out rule tests on.
+        n: Number of training partners of `small-train`.
+        train: Team ids of the train side of `custom`.
+        test: Team ids of the test side of `custom`.
+
+    Raises:
+        SplitError: The rule is unknown, lacks its argument, or leaves a side empty.
+        LeakageError: A team is on both sides.
+    """
+    known = sorted({str(team) for team in map(parse_team, teams) if (team.task, team.release) == (task, release)})
+    if rule == "half":
+        sides = _by(known, lambda team: half_side(team, seed))
+    elif rule in _HELD_OUT_FIELD:
+        sides = _leave_one_out(known, _HELD_OUT_FIELD[rule], held_out)
+    elif rule == "small-train":
+        sides = _small_train(known, n, seed)
+    elif rule == "custom":
+        sides = _custom(known, sorted(train), sorted(test))
+    else:
+        raise _error("rule", f"one of {', '.join(RULES)}", shorten(rule))
+    content = {
+        "task": task,
+        "release": release,
+        "rule": rule,
+        "held_out": held_out if rule in _HELD_OUT_FIELD else None,
+        "n": n if rule == "small-train" else None,
+        "seed": seed if rule in ("half", "small-train") else 0,
+        "train": tuple(sides[0]),
+        "test": tuple(sides[1]),
+    }
+    split = Split(id=_id(content), sha256=_digest(content), **content)
+    check_split(split)
+    return split
+
+
+def half_side(team: TeamId, seed: int = 0) -> Literal["train", "test"]:
+    """Return the side of a team in the `half` split: a function of its id and the split's seed."""
+    stratum = f"{team.task}/{team.algorithm}-{team.disability}-{team.release}"
+    coin = hashlib.sha256(f"{seed}:{stratum}:{team.seed // 2}".encode()).digest()[-1] & 1
+    return "train" if team.seed % 2 == coin else "test"
+
+
+def check_split(split: Split) -> None:
+    """Check that a split's content gives its sha256 and id, that its lists are sorted, and that no team leaks.
+
+    Raises:
+        SplitError: The content differs from what was published, or a side is empty.
+        LeakageError: A team is on both sides.
+    """
+    content = split.model_dump(exclude={"id", "sha256"})
+    digest = _digest(content)
+    if digest != split.sha256:
+        raise _error(f"split {split.id}", f"sha256 {split.sha256}", f"sha256 {digest}")
+    if _id(content) != split.id:
+        raise _error(f"split {split.id}", f"id {_id(content)}", split.id)
+    for name, side in (("train", split.train), ("test", split.test)):
+        if not side:
+            raise _error(f"split {split.id}", f"at least one team in {name}", "none")
+        if list(side) != sorted(set(side)):
+            raise _error(f"split {split.id}", f"{name} sorted and without repetition", "another order")
+        foreign = [team for team in map(parse_team, side) if (team.task, team.release) != (split.task, split.release)]
+        if foreign:
+            raise _error(f"split {split.id}", f"teams of {split.task} {split.release}", listing(map(str, foreign)))
+    both = sorted(set(split.train) & set(split.test))
+    if both:
+        refuse_leak(split.id, [(team, team) for team in both])
+
+
+def shared_parameters(train: Sequence[str], test: Sequence[str], teams: Mapping[str, Team]) -> list[tuple[str, str]]:
+    """Return the pairs (team in train, team in test) that have identical parameters in one role."""
+    owners = {(role, place.sha256): team for team in train for role, place in teams[team].policies.items()}
+    pairs = {
+        (owners[role, place.sha256], team)
+        for team in test
+        for role, place in teams[team].policies.items()
+        if (role, place.sha256) in owners
+    }
+    return sorted(pairs)
+
+
+def refuse_leak(split: str, pairs: Sequence[tuple[str, str]]) -> NoReturn:
+    """Raise the error for pairs of teams that are one and the same on both sides."""
+    raise LeakageError(
+        f"split {split} leaks",
+        expected="no team and no parameters on both sides",
+        found=f"{len(pairs)} on both: {listing([f'{a} = {b}' for a, b in pairs], 3)}",
+        done="the split was refused",
+        next_step="take one of each pair out, or make another split with `assistax-zoo split create`",
+    )
+
+
+def _by(known: Sequence[str], side_of: Callable[[TeamId], str]) -> tuple[list[str], list[str]]:
+    sides = {team: side_of(parse_team(team)) for team in known}
+    return [team for team in known if sides[team] == "train"], [team for team in known if sides[team] == "test"]
+
+
+def _leave_one_out(known: Sequence[str], field: str, held_out: str | None) -> tuple[list[str], list[str]]:
+    present = sorted({getattr(parse_team(team), field) for team in known})
+    if held_out not in present:
+        raise _error(f"{field} to hold out", f"one of {listing(present, 12)}", shorten(held_out))
+    return _by(known, lambda team: "test" if getattr(team, field) == held_out else "train")
+
+
+def _small_train(known: Sequence[str], n: int, seed: int) -> tuple[list[str], list[str]]:
+    train, test = _by(known, lambda team: half_side(team, seed))
+    if not 1 <= n <= len(train):
+        raise _error("n of small-train", f"1 to {len(train)}, the teams of the half's train side", str(n))
+    return sorted(sorted(train, key=lambda team: sha256(f"{seed}:{team}".encode()))[:n]), test
+
+
+def _custom(known: Sequence[str], train: list[str], test: list[str]) -> tuple[list[str], list[str]]:
+    foreign = sorted((set(train) | set(test)) - set(known))
+    if foreign:
+        raise _error("custom split", f"some of the {len(known)} teams of the task and release", listing(foreign))
+    return sorted(set(train)), sorted(set(test))
+
+
+def _digest(content: Mapping[str, object]) -> str:
+    return sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode())
+
+
+def _id(content: Mapping[str, object]) -> str:
+    slug = {
+        "leave-one-algorithm-out": f"without-{content['held_out']}",
+        "leave-one-disability-out": f"without-{content['held_out']}",
+        "small-train": f"small-{content['n']}",
+    }.get(str(content["rule"]), str(content["rule"]))
+    return f"{content['task']}/{slug}-s{content['seed']}-{content['release']}-{_digest(content)[:8]}"
+
+
+def _error(problem: str, expected: str, found: str) -> SplitError:
+    return SplitError(
+        problem,
+        expected=expected,
+        found=found,
+        done="no split was made or loaded",
+        next_step="see `assistax-zoo split --help`; a published split is restored from the repository",
+    )

@@ -1,0 +1,219 @@
+"""Stacked shards and single-policy files: written once, hashed by row and by file, verified on every load."""
+
+import dataclasses
+import functools
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from population.spec import PolicySpec
+from zoo.errors import FormatError, IntegrityError, shorten
+from zoo.files import atomic_write, sha256
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry, spec_from_json
+from zoo.tensors import Leaves, damaged_row, decode, encode, flatten, read_bytes, row_sha256, unflatten
+
+
+@dataclasses.dataclass(frozen=True)
+class PolicyGroup:
+    """Policies of one spec, stacked: every leaf of `params` is float32 [P, ...] in the order of `ids`."""
+
+    spec: PolicySpec
+    ids: tuple[str, ...]
+    params: dict[str, Any]
+
+
+class PolicyFile(NamedTuple):
+    """A single-policy file: leaves of `params` are float32 without the stacked axis."""
+
+    spec: PolicySpec
+    params: dict[str, Any]
+    metadata: dict[str, Any]
+
+
+class StackedFile(NamedTuple):
+    """A file of stacked parameters: leaves [P, ...] as stored, and what its metadata says of each row."""
+
+    spec: PolicySpec
+    leaves: Leaves
+    rows: list[Any]
+
+
+def load_group(registry: Registry, entries: Iterable[PolicyEntry]) -> list[PolicyGroup]:
+    """Return the parameters of the entries, one group for each spec, in the order requested.
+
+    Groups come in the order in which their specs first occur. Every shard's sha256 and every returned row's sha256
+    is held against the registry.
+
+    Raises:
+        IntegrityError: A shard is missing or its bytes are not those of the registry.
+        FormatError: A shard's content contradicts the registry.
+    """
+    entries = list(entries)
+    shards = {path: read_shard(registry, path) for path in dict.fromkeys(entry.shard for entry in entries)}
+    groups: dict[PolicySpec, list[PolicyEntry]] = {}
+    for entry in entries:
+        groups.setdefault(entry.spec, []).append(entry)
+    return [_merge(spec, members, shards) for spec, members in groups.items()]
+
+
+def read_shard(registry: Registry, path: str) -> StackedFile:
+    """Return one shard of the registry, its file verified (rows are verified when they are taken)."""
+    shard = registry.data.shards[path]
+    data = read_bytes(registry.shard_path(path), f"shard {path}", size=shard.bytes, digest=shard.sha256)
+    stacked = parse_stacked(data, f"shard {path}")
+    if stacked.spec != shard.spec or len(stacked.rows) != shard.rows:
+        found = f"{len(stacked.rows)} rows of spec {stacked.spec.digest}"
+        raise _format_error(f"shard {path}", f"{shard.rows} rows of spec {shard.spec.digest}", found)
+    return stacked
+
+
+def parse_stacked(data: bytes, source: str) -> StackedFile:
+    """Return the content of stacked safetensors bytes: leaves [P, ...], metadata {"spec", "rows"}.
+
+    Raises:
+        FormatError: The file is malformed, its spec is no policy spec, or its leaves disagree on P.
+    """
+    leaves, metadata = decode(data, source)
+    spec, rows = _spec(metadata, source), metadata.get("rows")
+    if not isinstance(rows, list) or not rows:
+        raise _format_error(source, "metadata rows: a list with one item for each policy", shorten(rows))
+    wrong = [f"{name} {value.shape}" for name, value in leaves.items() if value.shape[:1] != (len(rows),)]
+    if wrong:
+        raise _format_error(source, f"leaves with a first axis of {len(rows)}", wrong[0])
+    return StackedFile(spec, leaves, rows)
+
+
+def take_row(stacked: StackedFile, row: int) -> Leaves:
+    """Return one policy's leaves as stored, without the stacked axis."""
+    return {name: value[row] for name, value in stacked.leaves.items()}
+
+
+def encode_shard(spec: PolicySpec, policies: Sequence[tuple[str, Leaves]]) -> tuple[bytes, list[str]]:
+    """Return a shard's bytes and its rows' sha256, for (policy id, leaves) in row order.
+
+    Raises:
+        FormatError: The policies' leaves differ in name, shape or dtype.
+    """
+    forms = [{name: (value.shape, value.dtype.name) for name, value in leaves.items()} for _, leaves in policies]
+    for (policy, _), form in zip(policies, forms, strict=True):
+        if form != forms[0]:
+            odd = next(name for name in {**forms[0], **form} if form.get(name) != forms[0].get(name))
+            expected = f"{odd} {forms[0].get(odd)} as in {policies[0][0]}"
+            raise _format_error(f"parameters of {policy}", expected, f"{odd} {form.get(odd)}")
+    hashes = [row_sha256(leaves) for _, leaves in policies]
+    rows = [{"id": policy, "sha256": digest} for (policy, _), digest in zip(policies, hashes, strict=True)]
+    stacked = {name: np.stack([leaves[name] for _, leaves in policies]) for name in forms[0]}
+    return encode(stacked, {"spec": spec.to_json(), "rows": rows}), hashes
+
+
+def read_policy_file(path: Path | str) -> PolicyFile:
+    """Return the policy of a single-policy `.safetensors` file.
+
+    Raises:
+        FormatError: The file is missing, malformed, not finite, or holds no spec.
+        IntegrityError: The parameters are not those that the file's own sha256 was made of.
+    """
+    source = f"policy file {path}"
+    if not Path(path).is_file():
+        raise _format_error(source, "a .safetensors file", "no such file")
+    leaves, metadata = decode(read_bytes(Path(path), source), source)
+    spec = _spec(metadata, source)
+    extra = metadata.get("metadata", {})
+    if not isinstance(extra, dict):
+        raise _format_error(source, "metadata that is an object", shorten(extra))
+    found = _content_sha256(spec, extra, leaves)
+    if metadata.get("sha256") != found:
+        raise IntegrityError(
+            source,
+            expected=f"sha256 {shorten(metadata.get('sha256'))}",
+            found=f"sha256 {found}",
+            done="nothing was loaded",
+            next_step="fetch or export the file again; it was changed after it was written",
+        )
+    return PolicyFile(spec, _float32(leaves), extra)
+
+
+def write_policy_file(
+    path: Path | str, spec: PolicySpec, params: Mapping[str, Any], metadata: Mapping[str, Any] | None = None
+) -> None:
+    """Write one policy as `.safetensors`, atomically; `metadata` is kept as JSON.
+
+    Raises:
+        FormatError: The parameters are not float32 or float16, or not finite.
+    """
+    leaves = flatten(params)
+    extra = dict(metadata or {})
+    content = {"spec": spec.to_json(), "sha256": _content_sha256(spec, extra, leaves), "metadata": extra}
+    atomic_write(Path(path), encode(leaves, content))
+
+
+def check_params(spec: PolicySpec, leaves: Leaves, source: str) -> None:
+    """Check that leaves (without the stacked axis) are those that `Policy(spec)` has; imports JAX.
+
+    Raises:
+        FormatError: A leaf is missing, unknown, or of another shape.
+    """
+    expected = _expected_shapes(spec)
+    found = {name: tuple(value.shape) for name, value in leaves.items()}
+    if found != expected:
+        odd = next(name for name in {**expected, **found} if found.get(name) != expected.get(name))
+        raise _format_error(source, f"{odd} of shape {expected.get(odd)} for its spec", f"shape {found.get(odd)}")
+
+
+@functools.lru_cache
+def _expected_shapes(spec: PolicySpec) -> dict[str, tuple[int, ...]]:
+    import jax
+
+    from population.policy import Policy
+
+    tree = jax.eval_shape(Policy(spec).init, jax.random.key(0))
+    paths = jax.tree_util.tree_flatten_with_path(tree)[0]
+    return {"/".join(key.key for key in path): tuple(leaf.shape) for path, leaf in paths}
+
+
+def _merge(spec: PolicySpec, members: Sequence[PolicyEntry], shards: Mapping[str, StackedFile]) -> PolicyGroup:
+    rows = [_verified_row(shards[entry.shard], entry) for entry in members]
+    forms = [{name: value.shape for name, value in row.items()} for row in rows]
+    for entry, form in zip(members, forms, strict=True):
+        if form != forms[0]:
+            raise _format_error(f"parameters of {entry.id}", f"the leaves of {members[0].id}", "other leaves")
+    stacked = {name: np.stack([row[name] for row in rows]).astype(np.float32, copy=False) for name in forms[0]}
+    return PolicyGroup(spec, tuple(entry.id for entry in members), unflatten(stacked))
+
+
+def _verified_row(stacked: StackedFile, entry: PolicyEntry) -> Leaves:
+    leaves = take_row(stacked, entry.row)
+    found = row_sha256(leaves)
+    if found != entry.sha256:
+        raise damaged_row(entry.id, entry.sha256, found)
+    return leaves
+
+
+def _float32(leaves: Leaves) -> dict[str, Any]:
+    return unflatten({name: value.astype(np.float32, copy=False) for name, value in leaves.items()})
+
+
+def _content_sha256(spec: PolicySpec, metadata: Mapping[str, Any], leaves: Leaves) -> str:
+    """Return the sha256 that a policy file carries of itself: over its spec, its metadata and its leaves."""
+    return sha256(json.dumps([spec.to_json(), dict(metadata), row_sha256(leaves)], sort_keys=True).encode())
+
+
+def _spec(metadata: Mapping[str, Any], source: str) -> PolicySpec:
+    try:
+        return spec_from_json(metadata.get("spec"))
+    except ValueError as error:
+        raise _format_error(source, "a policy spec in the metadata", shorten(str(error))) from None
+
+
+def _format_error(source: str, expected: str, found: str) -> FormatError:
+    return FormatError(
+        source,
+        expected=expected,
+        found=found,
+        done="nothing was loaded or written",
+        next_step="check the path, or export the policy again with `write_policy_file`",
+    )

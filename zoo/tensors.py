@@ -1,0 +1,167 @@
+"""Parameters as bytes: flat leaves, their canonical hash, and safetensors files read with bounds. Never a pickle."""
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors
+import safetensors.numpy
+
+from zoo.errors import FormatError, IntegrityError, shorten
+from zoo.files import sha256
+
+METADATA_KEY = "assistax"  # the only metadata key: bytes are stable with at most one
+MAX_HEADER_BYTES = 4 * 1024 * 1024
+MAX_FILE_BYTES = 4 * 1024 * 1024 * 1024
+_DTYPES = {"F32": np.dtype("<f4"), "F16": np.dtype("<f2")}
+_LEAF = re.compile(r"[A-Za-z0-9_]{1,64}(/[A-Za-z0-9_]{1,64}){0,7}")
+
+Leaves = dict[str, np.ndarray]
+
+
+def flatten(params: Mapping[str, Any], prefix: str = "") -> Leaves:
+    """Return a nested dict's arrays by '/'-joined path, in sorted order.
+
+    Raises:
+        FormatError: A name or a value cannot be stored.
+    """
+    leaves: Leaves = {}
+    for name, value in params.items():
+        path = f"{prefix}{name}"
+        if isinstance(value, Mapping):
+            leaves |= flatten(value, f"{path}/")
+        else:
+            leaves[path] = np.asarray(value)
+    if not prefix:
+        _check_leaves(leaves, "parameters")
+    return dict(sorted(leaves.items()))
+
+
+def unflatten(leaves: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Return the nested dict of leaves named by '/'-joined path: the inverse of `flatten`."""
+    tree: dict[str, Any] = {}
+    for path, value in leaves.items():
+        *folders, name = path.split("/")
+        node = tree
+        for folder in folders:
+            node = node.setdefault(folder, {})
+        node[name] = value
+    return tree
+
+
+def row_sha256(leaves: Mapping[str, np.ndarray]) -> str:
+    """Return the sha256 of one policy's leaves: name, dtype, shape and little-endian bytes of each, in name order."""
+    digest = hashlib.sha256()
+    for name in sorted(leaves):
+        value = np.ascontiguousarray(leaves[name])
+        digest.update(f"{name}\0{value.dtype.name}\0{'x'.join(map(str, np.shape(leaves[name])))}\0".encode())
+        digest.update(value.astype(value.dtype.newbyteorder("<"), copy=False).data)
+    return digest.hexdigest()
+
+
+def encode(leaves: Leaves, metadata: Mapping[str, Any]) -> bytes:
+    """Return the safetensors bytes of leaves, with the metadata as JSON under the one key; stable for equal input."""
+    _check_leaves(leaves, "parameters")
+    text = json.dumps(metadata, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    contiguous = {name: np.require(value, requirements="C") for name, value in leaves.items()}
+    data = safetensors.numpy.save(contiguous, {METADATA_KEY: text})
+    if int.from_bytes(data[:8], "little") > MAX_HEADER_BYTES:
+        raise _error("parameters", f"a header of at most {MAX_HEADER_BYTES} bytes", "a larger one")
+    return data
+
+
+def decode(data: bytes, source: str) -> tuple[Leaves, dict[str, Any]]:
+    """Return leaves and metadata of safetensors bytes.
+
+    Raises:
+        FormatError: The bytes are truncated, malformed, of another dtype, not finite, or lack the metadata.
+    """
+    length = int.from_bytes(data[:8], "little")
+    if len(data) < 8 or length > min(MAX_HEADER_BYTES, len(data) - 8):
+        raise _error(source, "a safetensors file", f"{len(data)} bytes whose header claims {length}")
+    try:
+        tensors = safetensors.deserialize(data)
+        header = json.loads(data[8 : 8 + length], object_pairs_hook=_unique)
+        metadata = json.loads(header["__metadata__"][METADATA_KEY], object_pairs_hook=_unique)
+        if not isinstance(metadata, dict):
+            raise ValueError(f"metadata {METADATA_KEY!r} is no JSON object")
+    except KeyError as error:
+        raise _error(source, f"metadata {METADATA_KEY!r} with spec and rows", f"no {error}") from None
+    except (safetensors.SafetensorError, ValueError, TypeError, RecursionError) as error:
+        raise _error(source, "a safetensors file", f"{shorten(str(error))}") from None
+    leaves = {}
+    for name, tensor in tensors:
+        if tensor["dtype"] not in _DTYPES:
+            raise _error(source, f"leaves of {' or '.join(_DTYPES)}", f"{shorten(name)} of {tensor['dtype']}")
+        leaves[name] = np.frombuffer(tensor["data"], _DTYPES[tensor["dtype"]]).reshape(tensor["shape"])
+    _check_leaves(leaves, source)
+    return dict(sorted(leaves.items())), metadata
+
+
+def read_bytes(path: Path, source: str, *, size: int | None = None, digest: str | None = None) -> bytes:
+    """Return a file's bytes, held against the size and sha256 that the registry records.
+
+    Raises:
+        IntegrityError: The file is missing, or has another size or sha256.
+    """
+    if not path.is_file():
+        raise _damage(source, "a file", f"no file at {path}")
+    found = path.stat().st_size
+    if found > (MAX_FILE_BYTES if size is None else size) or (size is not None and found != size):
+        raise _damage(source, f"{size if size is not None else f'at most {MAX_FILE_BYTES}'} bytes", f"{found} bytes")
+    data = path.read_bytes()
+    if digest is not None and sha256(data) != digest:
+        raise _damage(source, f"sha256 {digest}", f"sha256 {sha256(data)}")
+    return data
+
+
+def damaged_row(policy: str, expected: str, found: str) -> IntegrityError:
+    """Return the error for a row whose bytes are not those of the registry."""
+    return _damage(f"parameters of {policy}", f"sha256 {expected}", f"sha256 {found}")
+
+
+def _check_leaves(leaves: Mapping[str, np.ndarray], source: str) -> None:
+    if not leaves:
+        raise _error(source, "at least one leaf", "none")
+    for name, value in leaves.items():
+        if not _LEAF.fullmatch(name):
+            raise _error(source, "leaf names like Dense_0/kernel", shorten(name))
+        if value.dtype not in _DTYPES.values():
+            raise _error(source, "float32 or float16 leaves", f"{name} of {value.dtype}")
+        if not np.isfinite(value).all():
+            raise _error(source, "finite parameters", f"NaN or infinity in {name}")
+    for name in leaves:
+        parents = name.split("/")[:-1]
+        clash = next((p for i in range(len(parents)) if (p := "/".join(parents[: i + 1])) in leaves), None)
+        if clash:
+            raise _error(source, "leaves that form a tree", f"{clash} both a leaf and the parent of {name}")
+
+
+def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    if len(dict(pairs)) != len(pairs):
+        raise ValueError("a key stands twice in the header")
+    return dict(pairs)
+
+
+def _error(source: str, expected: str, found: str) -> FormatError:
+    return FormatError(
+        source,
+        expected=expected,
+        found=found,
+        done="nothing was loaded or written",
+        next_step="export the policy again with `write_policy_file` or `assistax-zoo publish`",
+    )
+
+
+def _damage(source: str, expected: str, found: str) -> IntegrityError:
+    return IntegrityError(
+        source,
+        expected=expected,
+        found=found,
+        done="nothing was loaded",
+        next_step="restore the file from the repository (`git checkout -- FILE`), then run `assistax-zoo verify`",
+    )

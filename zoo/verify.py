@@ -1,0 +1,118 @@
+"""Holding every published byte against the registry, and the registry against itself."""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from assistax_envs.versions import VERSIONS
+from zoo.errors import ZooError, listing, shorten
+from zoo.files import shard_root
+from zoo.ids import parse_team
+from zoo.publish import installed_settings
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry
+from zoo.storage import StackedFile, read_shard, take_row
+from zoo.tensors import damaged_row, row_sha256
+
+
+@dataclasses.dataclass(frozen=True)
+class Report:
+    """What `verify` looked at and found; notes are worth knowing but no failure."""
+
+    registry: str
+    release: str
+    shards: int
+    bytes: int
+    policies: int
+    splits: int
+    problems: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Return whether no problem was found."""
+        return not self.problems
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the report as JSON-ready values."""
+        return {"ok": self.ok, **dataclasses.asdict(self)}
+
+
+def verify(registry: Registry, progress: Callable[[str], None] = lambda shard: None) -> Report:
+    """Check all shards, rows, splits, duplicates and references of a registry, and report every problem.
+
+    Args:
+        registry: A loaded registry; its ids and references were checked on loading.
+        progress: Called with the path of each shard before it is read.
+    """
+    data = registry.data
+    problems = [problem for shard in data.shards for problem in _shard_problems(registry, shard, progress)]
+    problems += [*_duplicates(registry), *_split_problems(registry)]
+    if data.disability_settings != installed_settings():
+        problems.append("disability settings of the registry differ from those of the installed environments")
+    return Report(
+        registry=str(registry.path),
+        release=registry.release,
+        shards=len(data.shards),
+        bytes=sum(shard.bytes for shard in data.shards.values()),
+        policies=len(registry.policies),
+        splits=len(data.splits),
+        problems=tuple(problems),
+        notes=tuple(_notes(registry)),
+    )
+
+
+def _shard_problems(registry: Registry, shard: str, progress: Callable[[str], None]) -> Iterator[str]:
+    progress(shard)
+    entries = [entry for entry in registry.policies if entry.shard == shard]
+    rows = sorted(entry.row for entry in entries)
+    if rows != list(range(registry.data.shards[shard].rows)):
+        yield f"shard {shard}: its {registry.data.shards[shard].rows} rows are not one policy each (rows {rows[:20]})"
+    try:
+        stacked = read_shard(registry, shard)
+    except ZooError as error:
+        yield str(error)
+        return
+    for entry in entries:
+        yield from _row_problems(stacked, entry)
+
+
+def _row_problems(stacked: StackedFile, entry: PolicyEntry) -> Iterator[str]:
+    found = row_sha256(take_row(stacked, entry.row))
+    if found != entry.sha256:
+        yield str(damaged_row(entry.id, entry.sha256, found))
+    recorded = stacked.rows[entry.row]
+    if recorded != {"id": entry.id, "sha256": entry.sha256}:
+        yield f"shard {entry.shard} records {shorten(recorded)} at row {entry.row}, the registry {entry.id}"
+
+
+def _duplicates(registry: Registry) -> Iterator[str]:
+    first: dict[tuple[str, str], str] = {}
+    for entry in registry.policies:
+        other = first.setdefault((entry.role, entry.sha256), entry.id)
+        if other != entry.id:
+            yield f"{entry.id} has the same parameters as {other}"
+
+
+def _split_problems(registry: Registry) -> Iterator[str]:
+    for split in registry.splits:
+        try:
+            registry.split(split.task, split.id)
+        except ZooError as error:
+            yield str(error)
+
+
+def _notes(registry: Registry) -> Iterator[str]:
+    for name, release in registry.data.releases.items():
+        for task, version in release.environments.items():
+            installed = VERSIONS.get(task, "none")
+            if installed != version:
+                yield f"release {name} was trained on {task} version {version}; installed is {installed}"
+            teams = [team for team in registry.data.teams if parse_team(team).release == name]
+            if task not in release.splits and any(team.startswith(f"{task}/") for team in teams):
+                yield f"release {name} has no default split for {task}: one of its halves would be empty"
+    root = shard_root(registry.path)
+    stored = {path.relative_to(root).as_posix() for path in root.glob("zoo/shards/*/*.safetensors")}
+    stray = sorted(stored - set(registry.data.shards))
+    if stray:
+        yield f"files in no registry, left by an interrupted publication: {listing(stray)}"
