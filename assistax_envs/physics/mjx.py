@@ -36,6 +36,8 @@ class MjxPhysics:
         self._mjx = mjx
         self._implementation = implementation
         self._mjx_model = mjx.put_model(model, impl=implementation)
+        if implementation == "warp":
+            self._mjx_model = _without_iteration_warnings(self._mjx_model)
 
     def forward(self, state: PhysicsState, joint_range: jax.Array) -> jax.Array:
         """See `Physics.forward`."""
@@ -91,6 +93,16 @@ def _check_warp() -> None:
             f"backend 'mjx-warp' needs an NVIDIA GPU that JAX sees; JAX has only {jax.devices()[0].platform}; "
             "install jax[cuda12], or use backend='native'"
         )
+
+
+def _without_iteration_warnings(model):  # noqa: ANN001, ANN202 - mjx's own model type
+    """Silence Warp's lines about a bounded solver, which is meant; overflowing buffers still speak."""
+    from mujoco.mjx.third_party import mujoco_warp
+
+    private = model.opt._impl
+    bounded = mujoco_warp.OverflowType.ITERATIONS | mujoco_warp.OverflowType.LS_ITERATIONS
+    quiet = private.warn_overflow & ~int(bounded)
+    return model.replace(opt=model.opt.replace(_impl=private.replace(warn_overflow=quiet)))
 
 
 @contextlib.contextmanager

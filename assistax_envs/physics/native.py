@@ -1,5 +1,6 @@
 """MuJoCo's own C engine on a thread pool, called from inside JAX programs."""
 
+import copy
 import threading
 
 import jax
@@ -17,7 +18,9 @@ class NativePhysics:
     """A `mujoco.batch.Batch` for each batch size, stateless between calls: results depend on the arguments alone."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        self.model = model
+        self.model = copy.copy(model)
+        # A diverged simulation must stay diverged, to be counted; MuJoCo's C engine would restart it unseen.
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self._batches: dict[int, mujoco.batch.Batch] = {}
 
     def forward(self, state: PhysicsState, joint_range: jax.Array) -> jax.Array:
