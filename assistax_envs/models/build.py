@@ -14,7 +14,7 @@ TOOLS: dict[str, str] = {"scratch": "stick"}  # tool file of each task
 
 def build_model(task: str) -> mujoco.MjModel:
     """Compile the scene of `task` with its tool bolted to the robot's hand."""
-    with resources.as_file(resources.files(__package__)) as folder:
+    with resources.as_file(resources.files("assistax_envs.models")) as folder:
         scene = mujoco.MjSpec.from_file(str(folder / f"{task}.xml"))
         tool = mujoco.MjSpec.from_file(str(folder / f"{TOOLS[task]}.xml"))
         scene.body("robot_hand").add_frame().attach_body(tool.body("tool"), "robot_", "")

@@ -31,9 +31,11 @@ class NativePhysics:
 
     def step(self, state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> tuple[PhysicsState, jax.Array]:
         """See `Physics.step`."""
-        shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, jnp.float32), state)
+        fields = (state.qpos, state.qvel, state.warmstart)
+        shapes = tuple(jax.ShapeDtypeStruct(field.shape, jnp.float32) for field in fields)
         sensors = jax.ShapeDtypeStruct((state.qpos.shape[0], self.model.nsensordata), jnp.float32)
-        return jax.pure_callback(self._step, (shapes, sensors), state, control, joint_range)
+        after, values = jax.pure_callback(self._step, (shapes, sensors), state, control, joint_range)
+        return PhysicsState(*after), values
 
     def _forward(self, state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> np.ndarray:
         with _LOCK:
@@ -41,16 +43,15 @@ class NativePhysics:
             batch.forward()
             return np.asarray(batch.bind("sensordata"), np.float32)
 
-    def _step(self, state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> tuple[PhysicsState, np.ndarray]:
+    def _step(
+        self, state: PhysicsState, control: jax.Array, joint_range: jax.Array
+    ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
         with _LOCK:
             batch = self._load(state, control, joint_range)
             batch.step(nstep=SUBSTEPS)
-            after = PhysicsState(
-                np.asarray(batch.bind("qpos"), np.float32),
-                np.asarray(batch.bind("qvel"), np.float32),
-                np.asarray(batch.bind("qacc_warmstart"), np.float32),
-            )
-            return after, np.asarray(batch.bind("sensordata"), np.float32)
+            names = ("qpos", "qvel", "qacc_warmstart", "sensordata")
+            qpos, qvel, warmstart, sensors = (np.asarray(batch.bind(name), np.float32) for name in names)
+            return (qpos, qvel, warmstart), sensors
 
     def _load(self, state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> mujoco.batch.Batch:
         """Write the arguments into the batch of this size, made on first use."""

@@ -123,7 +123,8 @@ class Pose:
 
     def draw(self, key: jax.Array) -> jax.Array:
         """Draw joint positions [nq]."""
-        return self.angle + jax.random.uniform(key, self.angle.shape, minval=self._low, maxval=self._high)
+        noise = jax.random.uniform(key, self.angle.shape, minval=self._low, maxval=self._high)
+        return jnp.asarray(self.angle) + noise
 
 
 def segment_points(readings: Readings, segment: jax.Array, offset: jax.Array) -> jax.Array:

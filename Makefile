@@ -1,0 +1,74 @@
+# Needs Python 3.11 or 3.12 with venv, and nothing else. PYTHON=... names another interpreter.
+CANDIDATES := $(or $(PYTHON),python3 python3.12 python3.11)
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: help demo test test-slow lint types install lock clean
+.DELETE_ON_ERROR:
+
+help:
+	@echo 'make demo       evaluate a robot on partners it never saw, and plot a cross-play matrix'
+	@echo 'make test       lint, types, tests'
+	@echo 'make test-slow  the tests marked slow'
+	@echo 'make lint       ruff, rules and format'
+	@echo 'make types      ty'
+	@echo 'make lock       resolve requirements.lock anew'
+	@echo 'make clean      remove the virtual environment, the demo and caches'
+
+demo: $(STAMP)
+	$(BIN)/assistax-zoo evaluate --task scratch --policy zoo:scratch/ippo-d1-s0-v0/robot --split test --episodes 2 --out demo/evaluate
+	$(BIN)/assistax-zoo crossplay --task scratch --egos 'scratch/ippo-*/robot' --partners 'scratch/ippo-*/human' --episodes 1 --out demo/crossplay
+	$(BIN)/assistax-zoo plot crossplay demo/crossplay --out demo/crossplay.png
+	@echo
+	@echo 'M_test of the robot, one row an episode:   demo/evaluate'
+	@echo 'cross-play of all teams, one row an episode: demo/crossplay'
+	@echo 'the cross-play matrix, clustered:          demo/crossplay.png'
+
+test: lint types
+	$(BIN)/python -m pytest -n 2 -m "not slow"
+
+test-slow: $(STAMP)
+	$(BIN)/python -m pytest -n 2 -m slow
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(STAMP)
+	$(BIN)/ty check --python $(VENV) --error-on-warning
+
+install: $(STAMP)
+
+# The lock is checked hash by hash; the project itself is built with what the lock has installed.
+$(STAMP): requirements.lock pyproject.toml
+	@set -e; found=; \
+	for python in $(CANDIDATES); do \
+		if "$$python" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' 2>/dev/null; then \
+			found="$$python"; break; \
+		fi; \
+	done; \
+	if [ -z "$$found" ]; then \
+		echo "error: Python 3.11 or 3.12 is needed; tried: $(CANDIDATES)." >&2; \
+		echo "Install one (Debian 12: apt-get install python3 python3-venv), or name one: make PYTHON=/path/to/python3.11" >&2; \
+		exit 1; \
+	fi; \
+	if ! "$$found" -c 'import ensurepip, venv' 2>/dev/null; then \
+		echo "error: $$found has no venv module. On Debian: apt-get install python3-venv" >&2; exit 1; \
+	fi; \
+	echo "building $(VENV) with $$found: some minutes"; \
+	"$$found" -m venv --clear $(VENV)
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet --no-build-isolation --no-deps -e .
+	@touch $@
+
+lock:
+	python3 -m venv .lock-venv
+	.lock-venv/bin/python -m pip install --disable-pip-version-check --quiet uv
+	.lock-venv/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+		--no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' \
+		--upgrade --extra dev pyproject.toml -o requirements.lock > /dev/null
+
+clean:
+	rm -rf $(VENV) .lock-venv build dist demo .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,109 @@
+"""Speed on this machine: the raw environment, and the evaluator beside it."""
+
+import dataclasses
+
+from assistax_zoo.console import print_json, stdout_is_data
+
+
+def env(
+    *, task: str = "all", backend: str = "auto", batch: str = "64,512,4096", seconds: float = 3.0, json: bool = False
+) -> None:
+    """Measure environment steps per second with random actions.
+
+    The median of three repeats; compilation is not counted.
+
+    Args:
+        task: Task, or all.
+        backend: native, mjx, mjx-warp or auto; several with commas.
+        batch: Numbers of simulations, with commas.
+        seconds: Measuring time of each figure, about.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo bench env --task scratch --backend native --batch 64,512,4096
+    """
+    tasks, sizes = _tasks(task), _sizes(batch, "batch")
+    _check_seconds(seconds)
+    with stdout_is_data():
+        from assistax_envs import make
+        from evaluation.benchmark import measure_env
+
+        rows = []
+        for name in tasks:
+            for one in _words(backend, "backend"):
+                environment = make(name, backend=one)
+                rows += [dataclasses.asdict(measure_env(environment, size, seconds)) for size in sizes]
+    if json:
+        print_json(rows)
+        return
+    print("open loop, random actions; median of 3 repeats, compilation not counted")
+    for row in rows:
+        spread = f"{min(row['repeats']):,.0f} to {max(row['repeats']):,.0f}"
+        print(
+            f"{row['task']:10} {row['backend']:9} {row['batch']:7,} simulations {row['env_steps_per_second']:12,.0f} "
+            f"env steps/s ({spread}; {row['steps']} steps each; {row['device']})"
+        )
+
+
+def crossplay(
+    *, task: str = "all", backend: str = "auto", shape: str = "8,16,4", seconds: float = 6.0, json: bool = False
+) -> None:
+    """Measure the evaluator with untrained policies, and the raw environment in turns with it.
+
+    Args:
+        task: Task, or all.
+        backend: native, mjx, mjx-warp or auto.
+        shape: Robots, partners and episodes of the block, with commas.
+        seconds: Measuring time of each of the two, about.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo bench crossplay --backend native --shape 8,16,4
+    """
+    tasks, sizes = _tasks(task), _sizes(shape, "shape")
+    if len(sizes) != 3:
+        raise ValueError(f"shape is {shape!r}; expected three numbers: robots,partners,episodes")
+    _check_seconds(seconds)
+    block = sizes[0], sizes[1], sizes[2]
+    with stdout_is_data():
+        from assistax_envs import make
+        from evaluation.benchmark import measure_evaluator
+
+        rows = [dataclasses.asdict(measure_evaluator(make(name, backend=backend), block, seconds)) for name in tasks]
+    if json:
+        print_json(rows)
+        return
+    for row in rows:
+        print(
+            f"{row['task']} on {row['backend']} ({row['device']}), {block[0]} x {block[1]} pairs x {block[2]} episodes"
+        )
+        print(f"  evaluator    {row['env_steps_per_second']:12,.0f} env steps/s, {row['pairs_per_second']:.2f} pairs/s")
+        print(f"  environment  {row['raw_env_steps_per_second']:12,.0f} env steps/s with random actions")
+        print(f"  ratio        {row['ratio']:12.2f}")
+
+
+def _tasks(task: str) -> tuple[str, ...]:
+    from assistax_envs.versions import TASKS
+
+    if task != "all" and task not in TASKS:
+        raise ValueError(f"task is {task!r}; allowed are all, {', '.join(TASKS)}")
+    return TASKS if task == "all" else (task,)
+
+
+def _words(text: str, name: str) -> list[str]:
+    words = [word.strip() for word in text.split(",") if word.strip()]
+    if not words:
+        raise ValueError(f"{name} is {text!r}; give at least one value")
+    return words
+
+
+def _sizes(text: str, name: str) -> list[int]:
+    words = _words(text, name)
+    if not all(word.isdecimal() and int(word) > 0 for word in words):
+        raise ValueError(f"{name} is {text!r}; expected whole numbers of at least 1 with commas, such as 64,512")
+    return [int(word) for word in words]
+
+
+def _check_seconds(seconds: float) -> None:
+    if not 0 < seconds < 3600:
+        raise ValueError(f"seconds is {seconds}; allowed is more than 0 and less than 3600")

@@ -1,0 +1,227 @@
+"""The command that trains teams."""
+
+import ast
+import json as jsonlib
+import math
+import os
+import re
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
+
+from cyclopts import Parameter
+
+from assistax_zoo.console import SECONDS_BETWEEN_LINES, print_json, stdout_is_data
+
+if TYPE_CHECKING:
+    from population.config import TrainConfig
+    from population.train import Progress
+
+_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "b": 10**9}
+
+
+def train(
+    *,
+    task: str,
+    out: Path,
+    algorithm: str = "ippo",
+    disability: str = "d1",
+    seeds: str = "1",
+    steps: str = "10M",
+    backend: str = "auto",
+    num_envs: int | None = None,
+    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    self_play_episodes: int = 16,
+    checkpoint_every: int = 20,
+    updates_per_call: int = 1,
+    resume: bool = True,
+    json: bool = False,
+    json_lines: bool = False,
+) -> None:
+    """Train teams of a robot and a human, every seed with every disability setting, in one program.
+
+    The same command again goes on where a run was interrupted, and ends with the same parameters.
+
+    Args:
+        task: Task, such as scratch.
+        out: Folder of the run: checkpoints, metrics.parquet, and at the end the teams for `assistax-zoo publish`.
+        algorithm: Preset of hyperparameters: ippo or mappo.
+        disability: Settings of the human, comma-separated, such as d1,d3.
+        seeds: How many, numbered from 0, or which: 8, 0-7 or 2,5.
+        steps: Environment steps of each team, such as 500k, 10M or 2e7; rounded up to whole updates.
+        backend: Physics: native, mjx, mjx-warp, or auto for the fastest one here.
+        num_envs: Simulations of each team; default the preset's.
+        set_: Another hyperparameter, such as learning_rate=3e-4 or torso=gru; repeat the option for more.
+        self_play_episodes: Episodes of each team's final evaluation; 0 leaves it out.
+        checkpoint_every: Updates between checkpoints.
+        updates_per_call: Updates dispatched to the device at once.
+        resume: Go on with a run that the folder holds.
+        json: Print the teams as JSON at the end.
+        json_lines: Print a JSON object for each report on standard output instead of the live line.
+
+    Example:
+        assistax-zoo train --task scratch --disability d1,d3 --seeds 8 --steps 10M --out runs/scratch-ippo
+    """
+    from population.config import TrainConfig, make_members, preset
+
+    check_names(task, settings := disability.split(","))
+    changes = parse_changes(set_) | ({} if num_envs is None else {"num_envs": num_envs})
+    config = TrainConfig(
+        task=task,
+        algorithm=algorithm,
+        members=make_members(parse_seeds(seeds), settings),
+        steps=parse_steps(steps),
+        ppo=preset(algorithm, **changes),
+        checkpoint_every=checkpoint_every,
+        updates_per_call=updates_per_call,
+        self_play_episodes=self_play_episodes,
+    )
+    sys.stdout.flush()
+    with os.fdopen(os.dup(1), "w") as stdout, stdout_is_data():
+        progress = JsonLines(stdout) if json_lines else LiveLine(config, sys.stderr)
+        _run(config, backend, out, resume, progress)
+    _report(out, json, json_lines)
+
+
+def parse_steps(text: str) -> int:
+    """Return a number of steps written as 250000, 500k, 10M or 2e7."""
+    match = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?(?:[eE][0-9]{1,2})?)([kmgb]?)", text.strip(), re.IGNORECASE)
+    steps = float(match[1]) * _UNITS[match[2].lower()] if match else 0.0
+    if not 1.0 <= steps < 1e15:
+        raise ValueError(f"steps is {text!r}; give a number above 0, such as 500k, 10M or 2e7")
+    return math.ceil(steps)
+
+
+def parse_seeds(text: str) -> list[int]:
+    """Return the seeds of "8" (0 to 7), "0-7" or "2,5"."""
+    ranges = [re.fullmatch(r"(\d+)(?:-(\d+))?", part.strip()) for part in text.split(",")]
+    if text.strip().isdigit():
+        seeds = list(range(int(text)))
+    else:
+        seeds = [seed for r in ranges if r for seed in range(int(r[1]), int(r[2] or r[1]) + 1)]
+    if not seeds or not all(ranges) or len(set(seeds)) < len(seeds):
+        raise ValueError(f"seeds is {text!r}; give how many, such as 8, or which, such as 0-7 or 2,5, each once")
+    return seeds
+
+
+def parse_changes(words: Sequence[str]) -> dict[str, Any]:
+    """Return the hyperparameters of words such as "learning_rate=3e-4"."""
+    changes = {}
+    for word in words:
+        name, equals, value = word.partition("=")
+        if not equals or not name:
+            raise ValueError(f"--set is {word!r}; give name=value, such as learning_rate=3e-4")
+        try:
+            changes[name.strip()] = ast.literal_eval(value)
+        except (ValueError, SyntaxError):
+            changes[name.strip()] = {"true": True, "false": False}.get(value.lower(), value)
+    return changes
+
+
+def check_names(task: str, settings: Sequence[str]) -> None:
+    """Check task and disability settings before anything slow is imported."""
+    from assistax_envs import DISABILITY_SETTINGS, TASKS
+
+    if task not in TASKS:
+        raise ValueError(f"task is {task!r}; allowed are {', '.join(TASKS)}")
+    if unknown := [setting for setting in settings if setting not in DISABILITY_SETTINGS]:
+        raise ValueError(f"disability is {unknown[0]!r}; allowed are {', '.join(DISABILITY_SETTINGS)}")
+
+
+class LiveLine:
+    """Shows a run on one line of a terminal, or on a line every ten seconds elsewhere."""
+
+    def __init__(self, config: "TrainConfig", stream: TextIO) -> None:
+        self._name, self._stream = f"{config.task} {config.algorithm}", stream
+        self._live, self._open, self._shown = stream.isatty(), False, -math.inf
+        self._return: str | None = None
+
+    def __call__(self, progress: "Progress") -> None:
+        mean = progress.rows["return"].mean()
+        if mean is not None:
+            self._return = f"return {mean:.1f}"
+        earned = self._return or f"reward {progress.rows['reward'].mean():.2f} a step, no whole episode yet"
+        now, last = time.monotonic(), progress.update == progress.updates
+        if not (self._live or last or now - self._shown >= SECONDS_BETWEEN_LINES):
+            return
+        self._shown = now
+        line = (
+            f"{self._name}: {_count(progress.steps)} of {_count(progress.total_steps)} steps, "
+            f"{progress.steps_per_second:,.0f} steps/s, {earned}, {_duration(progress.seconds_left)} left"
+        )
+        print(f"\r\x1b[2K{line}" if self._live else line, end="" if self._live else "\n", file=self._stream, flush=True)
+        self._open = self._live
+
+    def close(self) -> None:
+        """End the line, so that what follows starts on its own."""
+        if self._open:
+            print(file=self._stream, flush=True)
+
+
+class JsonLines:
+    """Prints each report of a run as one line of JSON."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __call__(self, progress: "Progress") -> None:
+        newest = progress.rows.filter(progress.rows["update"] == progress.update)
+        report = {
+            "update": progress.update,
+            "updates": progress.updates,
+            "steps": progress.steps,
+            "total_steps": progress.total_steps,
+            "steps_per_second": round(progress.steps_per_second, 1),
+            "seconds_left": round(progress.seconds_left, 1),
+            "return": newest["return"].mean(),
+            "nonfinite": int(newest["nonfinite"].sum()),
+            "members": newest.select("disability", "seed", "return", "reward").to_dicts(),
+        }
+        print(jsonlib.dumps(report), file=self._stream, flush=True)
+
+    def close(self) -> None:
+        """Nothing to end: every report is a whole line."""
+
+
+def _run(config: "TrainConfig", backend: str, out: Path, resume: bool, progress: LiveLine | JsonLines) -> None:
+    from assistax_envs import make
+    from population.train import train as train_teams
+
+    try:
+        train_teams(config, make(config.task, backend), out, resume=resume, progress=progress)
+    finally:
+        progress.close()
+
+
+def _report(out: Path, json: bool, json_lines: bool) -> None:
+    """Print the finished teams."""
+    teams = jsonlib.loads((out / "teams.json").read_text())
+    rows = [{**team["team"], "self_play": team["self_play"]} for team in teams]
+    if json_lines:
+        print(jsonlib.dumps({"run": str(out), "teams": rows}), flush=True)
+    elif json:
+        print_json({"run": out, "training": teams[0]["training"], "teams": rows})
+    else:
+        for row in rows:
+            name, figures = f"{row['task']}/{row['algorithm']}-{row['disability']}-s{row['seed']}", row["self_play"]
+            low, high = figures["ci"] if figures else (math.nan, math.nan)
+            measured = (
+                f"self-play return {figures['mean']:.1f} ({low:.1f} to {high:.1f})" if figures else "not evaluated"
+            )
+            print(f"{name}  {measured}")
+        print(f"{len(rows)} teams in {out}; next: assistax-zoo publish {out} --release v0 --registry registry.json")
+
+
+def _count(steps: int) -> str:
+    for size, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if steps >= size:
+            return f"{steps / size:.2f}{unit}"
+    return str(steps)
+
+
+def _duration(seconds: float) -> str:
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min" if minutes >= 2 else f"{60 * minutes + seconds} s"

@@ -1,0 +1,123 @@
+"""What every command shares: JSON on standard output, progress and messages on standard error."""
+
+import ctypes
+import functools
+import json
+import math
+import os
+import sys
+import time
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager, redirect_stdout
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    error_console: Console
+
+SECONDS_BETWEEN_LINES = 10.0
+
+
+def __getattr__(name: str) -> Any:
+    """Build `error_console`, a rich console on standard error, when a command first wants it."""
+    if name != "error_console":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return _error_console()
+
+
+def print_json(value: Any) -> None:
+    """Print one JSON document on standard output; NaN and infinities become null, which JSON has no word for."""
+    print(json.dumps(_plain(value), indent=2, ensure_ascii=False), flush=True)
+
+
+@contextmanager
+def stdout_is_data() -> Generator[None]:
+    """Send what libraries print, C code included, to standard error, so that standard output holds the result alone.
+
+    Work inside the block, print the result after it:
+
+        with stdout_is_data():
+            result = work()
+        print_json(result)
+    """
+    sys.stdout.flush()
+    saved = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        ctypes.CDLL(None).fflush(None)
+        os.dup2(saved, 1)
+        os.close(saved)
+
+
+@contextmanager
+def progress(description: str, total: int) -> Generator[Callable[[int], None]]:
+    """Show progress with the time left on standard error: a bar on a terminal, else a line every ten seconds.
+
+    Args:
+        description: What is being done, such as "evaluate scratch".
+        total: Number of units of work.
+
+    Yields:
+        `advance(n)`, to be called whenever n units are done.
+    """
+    if sys.stderr.isatty():
+        with _bar(description, total) as advance:
+            yield advance
+    else:
+        yield _lines(description, total)
+
+
+@functools.cache
+def _error_console() -> "Console":
+    from rich.console import Console
+
+    return Console(stderr=True)
+
+
+@contextmanager
+def _bar(description: str, total: int) -> Generator[Callable[[int], None]]:
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
+
+    times = (TimeElapsedColumn(), "left", TimeRemainingColumn())
+    with Progress("{task.description}", BarColumn(), MofNCompleteColumn(), *times, console=_error_console()) as bar:
+        task = bar.add_task(description, total=total)
+        yield lambda count: bar.advance(task, count)
+
+
+def _lines(description: str, total: int) -> Callable[[int], None]:
+    start = last = time.monotonic()
+    done = 0
+
+    def advance(count: int) -> None:
+        nonlocal done, last
+        done += count
+        now = time.monotonic()
+        if now - last < SECONDS_BETWEEN_LINES and done < total:
+            return
+        last = now
+        left = (now - start) * (total - done) / max(done, 1)
+        print(f"{description}: {done}/{total}, {now - start:.0f} s, {left:.0f} s left", file=sys.stderr, flush=True)
+
+    return advance
+
+
+def _plain(value: Any) -> Any:
+    """Turn NumPy scalars and arrays, paths, sets and tuples into what JSON knows."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, set | frozenset):
+        return sorted(_plain(item) for item in value)
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,148 @@
+"""The command line: which commands there are, and what happens when one fails.
+
+Commands are registered by import path, so that `assistax-zoo list` never pays for JAX, MuJoCo or matplotlib.
+"""
+
+import inspect
+import os
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from cyclopts import App, CycloptsError, Parameter
+
+DEBUG_VARIABLE = "ASSISTAX_ZOO_DEBUG"
+EXIT_ERROR, EXIT_USAGE, EXIT_INTERRUPT, EXIT_BROKEN_PIPE = 1, 2, 130, 141
+
+COMMANDS = {
+    "list": "assistax_zoo.commands.zoo:list_policies",
+    "show": "assistax_zoo.commands.zoo:show",
+    "verify": "assistax_zoo.commands.zoo:verify",
+    "publish": "assistax_zoo.commands.zoo:publish",
+    "evaluate": "assistax_zoo.commands.evaluate:evaluate",
+    "crossplay": "assistax_zoo.commands.evaluate:crossplay",
+    "train": "assistax_zoo.commands.train:train",
+}
+GROUPS = {
+    "split": (
+        "Train and test halves of the partners.",
+        {
+            "list": "assistax_zoo.commands.zoo:split_list",
+            "show": "assistax_zoo.commands.zoo:split_show",
+            "create": "assistax_zoo.commands.zoo:split_create",
+            "verify": "assistax_zoo.commands.zoo:split_verify",
+        },
+    ),
+    "plot": (
+        "Figures from saved tables.",
+        {
+            "crossplay": "assistax_zoo.commands.plot:crossplay",
+            "zsc": "assistax_zoo.commands.plot:zsc",
+            "disability": "assistax_zoo.commands.plot:disability",
+            "profile": "assistax_zoo.commands.plot:profile",
+            "curves": "assistax_zoo.commands.plot:curves",
+            "population": "assistax_zoo.commands.plot:population",
+        },
+    ),
+    "bench": (
+        "Speed on this machine.",
+        {"env": "assistax_zoo.commands.bench:env", "crossplay": "assistax_zoo.commands.bench:crossplay"},
+    ),
+}
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code: 0 done, 1 error, 2 wrong usage, 130 interrupted.
+
+    An error is one message on standard error; ASSISTAX_ZOO_DEBUG=1 raises it instead, with its traceback.
+
+    Args:
+        arguments: Words of the command line after the program's name; default `sys.argv[1:]`.
+    """
+    _use_compilation_cache()
+    try:
+        app = build_app()
+        arguments = sys.argv[1:] if arguments is None else arguments
+        _complete_help(app, arguments)
+        app(arguments, print_error=False, exit_on_error=False, result_action="return_value")
+        sys.stdout.flush()
+    except CycloptsError as error:
+        return _fail(f"{error}\ntry: {' '.join(('assistax-zoo', *(error.command_chain or ())))} --help", EXIT_USAGE)
+    except KeyboardInterrupt:
+        return _fail("interrupted", EXIT_INTERRUPT)
+    except BrokenPipeError:
+        _silence_stdout()
+        return EXIT_BROKEN_PIPE
+    except Exception as error:
+        if os.environ.get(DEBUG_VARIABLE):
+            raise
+        return _fail(_message(error), EXIT_ERROR)
+    return 0
+
+
+def build_app() -> App:
+    """Return the app with every command registered, none of them imported."""
+    app = App(
+        name="assistax-zoo",
+        help="Pretrained partners for assistive robots, and the evaluation of robot policies against them.",
+        version=_version,
+        default_parameter=Parameter(negative_iterable=()),  # no --empty-policy beside --policy
+        suppress_keyboard_interrupt=False,
+    )
+    for name, path in COMMANDS.items():
+        app.command(path, name=name)
+    for name, (text, commands) in GROUPS.items():
+        group = App(name=name, help=text)
+        for command, path in commands.items():
+            group.command(path, name=command)
+        app.command(group)
+    return app
+
+
+def _complete_help(app: App, arguments: Sequence[str]) -> None:
+    """Load what a group's help lists; end a command's help with its docstring's example, which cyclopts leaves out."""
+    named = app.parse_commands([word for word in arguments if word not in app.help_flags])[1][-1]
+    if named.default_command is None:
+        named.resolved_commands()
+        return
+    docstring = inspect.getdoc(named.default_command) or ""
+    if example := re.search(r"^Examples?:\n(?:(?: {4}.*)?\n?)+", docstring, re.MULTILINE):
+        named.help_epilogue = example.group().strip().replace(":\n", ":\n\n", 1)
+
+
+def _use_compilation_cache() -> None:
+    """Tell JAX, before a command imports it, to keep what it compiles for the next process."""
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(home, "assistax-zoo", "xla")))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("assistax-zoo")
+    except PackageNotFoundError:
+        return "unknown: assistax-zoo is not installed, this is a bare checkout"
+
+
+def _message(error: Exception) -> str:
+    from zoo.errors import ZooError
+
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return f"{error.strerror}: {error.filename}"
+    if isinstance(error, ZooError | ValueError | TypeError | OSError):
+        return str(error)
+    first_line = str(error).partition("\n")[0]
+    return f"{type(error).__name__}: {first_line}\nthis is unexpected: {DEBUG_VARIABLE}=1 shows where it happened"
+
+
+def _fail(message: str, code: int) -> int:
+    print(f"error: {message}", file=sys.stderr)
+    return code
+
+
+def _silence_stdout() -> None:
+    """Point standard output at nothing, so that the interpreter's own flush on exit does not fail again."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

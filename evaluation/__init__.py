@@ -1,0 +1,1 @@
+"""Rollouts of stacked policies, statistics over episodes, and figures."""

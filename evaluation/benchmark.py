@@ -1,0 +1,165 @@
+"""Measure speed: the raw environment open loop, and the evaluator beside it. Compilation is never counted."""
+
+import dataclasses
+import functools
+import os
+import statistics
+import time
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from assistax_envs import DISABILITY_SETTINGS, disability_params
+from evaluation.rollout import Rollout, episode_seeds
+from population.policy import Policy
+from population.spec import PolicySpec
+
+REPEATS = 3  # of each measurement; the median is the figure
+CALL = 10  # steps in one program
+
+
+@dataclasses.dataclass(frozen=True)
+class EnvSpeed:
+    """Random actions in one backend at one batch size."""
+
+    task: str
+    backend: str
+    batch: int
+    env_steps_per_second: float  # median of the repeats
+    repeats: tuple[float, ...]
+    steps: int  # of every simulation, in each repeat
+    compile_seconds: float  # not counted
+    device: str
+
+
+@dataclasses.dataclass(frozen=True)
+class EvaluatorSpeed:
+    """The evaluator beside the raw environment, in turns, at the same number of simulations."""
+
+    task: str
+    backend: str
+    egos: int
+    partners: int
+    episodes: int
+    env_steps_per_second: float  # of the evaluator, median
+    pairs_per_second: float  # of whole episodes, all of a pair's
+    raw_env_steps_per_second: float
+    ratio: float  # median of the ratios of neighbouring runs
+    device: str
+
+
+def measure_env(env: Any, batch: int, seconds: float = 3.0) -> EnvSpeed:
+    """Measure env steps/s with uniform random actions, all disability settings mixed, from fresh episodes."""
+    began = time.perf_counter()
+    run = _open_loop(env, batch)
+    jax.block_until_ready(run(1))
+    compile_seconds = time.perf_counter() - began
+    calls = _calls(run, seconds / REPEATS, env.episode_length // CALL)
+    speeds = [calls * CALL * batch / _timed(run, calls) for _ in range(REPEATS)]
+    return EnvSpeed(
+        task=env.task,
+        backend=env.backend,
+        batch=batch,
+        env_steps_per_second=statistics.median(speeds),
+        repeats=tuple(speeds),
+        steps=calls * CALL,
+        compile_seconds=compile_seconds,
+        device=device_name(env.backend),
+    )
+
+
+def measure_evaluator(env: Any, shape: tuple[int, int, int], seconds: float = 3.0) -> EvaluatorSpeed:
+    """Measure the evaluator with untrained policies in a block [E, P, K] against the raw environment."""
+    egos, partners, episodes = shape
+    simulations = egos * partners * episodes
+    run = _open_loop(env, simulations)
+    jax.block_until_ready(run(1))
+    steps = _calls(run, seconds / REPEATS, env.episode_length // CALL) * CALL
+    specs = {role: PolicySpec(role, env.observation_size[role], env.action_size[role]) for role in ("robot", "human")}
+    params = {
+        role: jax.tree.map(
+            lambda leaf, n=count: jnp.repeat(leaf[None], n, axis=0), Policy(spec).init(jax.random.key(0))
+        )
+        for (role, spec), count in zip(specs.items(), (egos, partners), strict=True)
+    }
+    rollout = Rollout(env, Policy(specs["robot"]), Policy(specs["human"]), length=steps)
+    settings, seeds = disability_params(_settings(partners)), episode_seeds(0, range(episodes))
+
+    def evaluate() -> float:
+        began = time.perf_counter()
+        rollout.run(params["robot"], params["human"], settings, seeds)
+        return time.perf_counter() - began
+
+    evaluate()
+    evaluated, raw = zip(*((evaluate(), _timed(run, steps // CALL)) for _ in range(REPEATS)), strict=True)
+    speed = simulations * steps / statistics.median(evaluated)
+    return EvaluatorSpeed(
+        task=env.task,
+        backend=env.backend,
+        egos=egos,
+        partners=partners,
+        episodes=episodes,
+        env_steps_per_second=speed,
+        pairs_per_second=speed / (env.episode_length * episodes),
+        raw_env_steps_per_second=simulations * steps / statistics.median(raw),
+        ratio=statistics.median(r / e for e, r in zip(evaluated, raw, strict=True)),
+        device=device_name(env.backend),
+    )
+
+
+def device_name(backend: str) -> str:
+    """Return what the backend computes on."""
+    if backend == "native":
+        return f"{len(os.sched_getaffinity(0))} CPU cores"
+    return jax.devices()[0].device_kind
+
+
+def _open_loop(env: Any, batch: int) -> Any:
+    """Return a function that plays `calls` times `CALL` steps of random actions from a fresh reset."""
+
+    @jax.jit
+    def advance(state: Any, key: jax.Array) -> Any:
+        def body(state: Any, key: jax.Array) -> tuple[Any, None]:
+            actions = {
+                role: jax.random.uniform(role_key, (batch, size), minval=-1.0)
+                for (role, size), role_key in zip(env.action_size.items(), jax.random.split(key), strict=True)
+            }
+            return env.step(state, actions), None
+
+        return jax.lax.scan(body, state, jax.random.split(key, CALL))[0]
+
+    start = jax.jit(env.reset)(jax.random.split(jax.random.key(0), batch), disability_params(_settings(batch)))
+
+    @functools.cache
+    def key(call: int) -> jax.Array:
+        return jax.random.key(call)
+
+    def run(calls: int) -> jax.Array:
+        state = start
+        for call in range(calls):
+            state = advance(state, key(call))
+        return jnp.sum(state.reward)
+
+    return run
+
+
+def _calls(run: Any, seconds: float, most: int) -> int:
+    """Return how many calls take about `seconds`."""
+    return int(np.clip(seconds / _timed(run, 1), 1, max(most, 1)))
+
+
+def _timed(run: Any, calls: int) -> float:
+    began = time.perf_counter()
+    jax.block_until_ready(run(calls))
+    return time.perf_counter() - began
+
+
+def _copies(params: Any, count: int) -> Any:
+    return jax.tree.map(lambda leaf: jnp.repeat(leaf[None], count, axis=0), params)
+
+
+def _settings(count: int) -> list[str]:
+    names = list(DISABILITY_SETTINGS)
+    return [names[i % len(names)] for i in range(count)]

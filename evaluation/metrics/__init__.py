@@ -1,0 +1,47 @@
+"""Metrics of zero-shot coordination as functions of scores [S, P], cross-play matrices and returns [S, P, K]."""
+
+from evaluation.metrics.bounds import (
+    Bounds,
+    Coverage,
+    Scaled,
+    best_in_matrix,
+    br_prox,
+    coverage,
+    normalised_return,
+    regret,
+)
+from evaluation.metrics.comparison import Difference, Stability, paired_difference, rank_stability
+from evaluation.metrics.crossplay import CrossPlay, Traits, cross_play, self_play_mask
+from evaluation.metrics.diversity import Diversity, br_diversity, greedy_subset
+from evaluation.metrics.generalisation import Fairness, ZeroShot, fairness, group_draws, zero_shot
+from evaluation.metrics.robustness import WorstPartner, cvar_crossfit, worst_partner
+
+__all__ = [
+    "Bounds",
+    "Coverage",
+    "CrossPlay",
+    "Difference",
+    "Diversity",
+    "Fairness",
+    "Scaled",
+    "Stability",
+    "Traits",
+    "WorstPartner",
+    "ZeroShot",
+    "best_in_matrix",
+    "br_diversity",
+    "br_prox",
+    "coverage",
+    "cross_play",
+    "cvar_crossfit",
+    "fairness",
+    "greedy_subset",
+    "group_draws",
+    "normalised_return",
+    "paired_difference",
+    "rank_stability",
+    "regret",
+    "self_play_mask",
+    "worst_partner",
+    "zero_shot",
+]

@@ -1,0 +1,140 @@
+"""Self-play, cross-play and the gaps between them, from a matrix of robots by humans."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from evaluation.bootstrap import (
+    NOTHING,
+    RESAMPLES,
+    Draws,
+    Estimate,
+    Interval,
+    draw_counts,
+    interval,
+    replicate,
+    replicate_crossed,
+)
+from evaluation.statistics import score_matrix
+
+
+@dataclasses.dataclass(frozen=True)
+class Traits:
+    """What is known of the policies along one axis of the matrix; None where it is unknown."""
+
+    teams: Sequence[str | None]
+    algorithms: Sequence[str | None]
+    disabilities: Sequence[str | None]
+
+
+@dataclasses.dataclass(frozen=True)
+class CrossPlay:
+    """Figures of a cross-play matrix; None where the matrix has no such pair."""
+
+    self_play: Estimate | None
+    cross_play: Estimate | None
+    gap: Estimate | None  # self-play - cross-play
+    relative_gap: Interval | None  # gap of the means / mean self-play; None unless self-play is positive
+    within_algorithm: Estimate | None
+    across_algorithms: Estimate | None
+    within_disability: Estimate | None
+    across_disabilities: Estimate | None
+
+
+def self_play_mask(rows: Traits, columns: Traits) -> np.ndarray:
+    """Return where robot and human were trained together, [R, C]."""
+    return _equal(rows.teams, columns.teams)
+
+
+def cross_play(
+    scores: np.ndarray, rows: Traits, columns: Traits, *, resamples: int = RESAMPLES, seed: int = 0
+) -> CrossPlay:
+    """SP = mean_a X[a, a] and XP = mean_{a != b} X[a, b] of a matrix X [R, C], with intervals over teams.
+
+    A team on both axes is one unit: resampled with its robot and its human. A pair of a team with itself is self-play,
+    however often the team is drawn, and never enters XP.
+    """
+    scores = score_matrix(scores)
+    if scores.shape != (len(rows.teams), len(columns.teams)):
+        raise ValueError(
+            f"scores has shape {scores.shape}; rows and columns name {len(rows.teams)} x {len(columns.teams)}"
+        )
+    counts = _team_counts(rows.teams, columns.teams, resamples, np.random.default_rng(seed))
+    to = _generalises_to(rows.teams, columns.teams)
+    own = self_play_mask(rows, columns)
+    same_algorithm, same_disability = (
+        _equal(getattr(rows, name), getattr(columns, name)) for name in ("algorithms", "disabilities")
+    )
+    known_algorithm, known_disability = (
+        _known(getattr(rows, name), getattr(columns, name)) for name in ("algorithms", "disabilities")
+    )
+
+    def replicate_pairs(mask: np.ndarray) -> Draws | None:
+        return replicate_crossed(scores, *counts, to, mask) if mask.any() else None
+
+    def estimate(mask: np.ndarray) -> Estimate | None:
+        draws = replicate_pairs(mask)
+        return draws.estimate() if draws else None
+
+    sp, xp = _self_play(scores, own, counts[0], to), replicate_pairs(~own)
+    return CrossPlay(
+        self_play=sp.estimate() if sp else None,
+        cross_play=xp.estimate() if xp else None,
+        gap=(sp - xp).estimate() if sp and xp else None,
+        relative_gap=_relative(sp, xp) if sp and xp else None,
+        within_algorithm=estimate(~own & same_algorithm),
+        across_algorithms=estimate(~own & known_algorithm & ~same_algorithm),
+        within_disability=estimate(~own & same_disability),
+        across_disabilities=estimate(~own & known_disability & ~same_disability),
+    )
+
+
+def _self_play(scores: np.ndarray, own: np.ndarray, team_counts: np.ndarray, to: str) -> Draws | None:
+    """Replicate self-play: a team drawn twice counts twice, not with its row's times its column's counts."""
+    rows, columns = np.nonzero(own)
+    return replicate(scores[rows, columns], [team_counts[:, rows]], to) if rows.size else None
+
+
+def _relative(sp: Draws, xp: Draws) -> Interval | None:
+    if sp.mean <= 0:
+        return None
+    ratios = np.divide(sp.means - xp.means, sp.means, out=np.full(len(sp.means), np.nan), where=sp.means > 0)
+    return Interval(1 - xp.mean / sp.mean, interval(ratios, sp.generalises_to), sp.n + xp.n, sp.generalises_to)
+
+
+def _team_counts(
+    rows: Sequence[str | None], columns: Sequence[str | None], resamples: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Counts of rows [B, R] and columns [B, C]: teams on both axes are drawn together, the others on their own axis."""
+    shared = sorted(_shared(rows, columns))
+    shared_counts = draw_counts(len(shared), resamples, rng) if shared else None
+    counts = []
+    for teams in (rows, columns):
+        alone = [i for i, team in enumerate(teams) if team not in shared]
+        axis = np.ones((resamples, len(teams)), np.int64)
+        if alone:
+            axis[:, alone] = draw_counts(len(alone), resamples, rng)
+        for i, team in enumerate(teams):
+            if shared_counts is not None and team in shared:
+                axis[:, i] = shared_counts[:, shared.index(team)]
+        counts.append(axis)
+    return counts[0], counts[1]
+
+
+def _generalises_to(rows: Sequence[str | None], columns: Sequence[str | None]) -> str:
+    if len(_shared(rows, columns)) > 1:
+        return "teams"
+    return " and ".join([*(["egos"] if len(rows) > 1 else []), *(["partners"] if len(columns) > 1 else [])]) or NOTHING
+
+
+def _shared(rows: Sequence[str | None], columns: Sequence[str | None]) -> set[str]:
+    return {team for team in rows if team is not None} & {team for team in columns if team is not None}
+
+
+def _known(rows: Sequence[str | None], columns: Sequence[str | None]) -> np.ndarray:
+    return np.logical_and.outer([value is not None for value in rows], [value is not None for value in columns])
+
+
+def _equal(rows: Sequence[str | None], columns: Sequence[str | None]) -> np.ndarray:
+    return _known(rows, columns) & (np.array(rows, object)[:, None] == np.array(columns, object)[None, :])

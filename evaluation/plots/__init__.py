@@ -1,0 +1,1 @@
+"""Figures: each draws a saved table and computes nothing but its layout."""

@@ -1,0 +1,112 @@
+"""Words beside a cross-play heatmap: legend, headline and caption."""
+
+import dataclasses
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from assistax_envs.disability import DISABILITY_SETTINGS
+from evaluation.plots import style
+from evaluation.plots.matrix import Matrix
+from evaluation.plots.style import counted
+
+LINE, CAPTION_LINE = 0.165, 0.14  # inches
+
+
+@dataclasses.dataclass(frozen=True)
+class Line:
+    """One line of a legend; without text it is a gap."""
+
+    text: str = ""
+    colour: str | None = None  # of the patch before the text
+    heading: bool = False
+
+
+def legend_lines(matrix: Matrix, algorithms: Mapping[str, str], disabilities: Mapping[str, str]) -> list[Line]:
+    """List algorithms and disability settings with their colours, then the clusters."""
+    lines = [Line("algorithm", heading=True)]
+    lines += [Line(name, colour) for name, colour in algorithms.items()]
+    lines += [Line(), Line("disability", heading=True)]
+    lines += [Line(f"{name}{_meaning(name)}", colour) for name, colour in disabilities.items()]
+    if None in (*matrix.rows.algorithms, *matrix.columns.algorithms):
+        lines += [Line("from outside the zoo", style.UNKNOWN)]
+    sides = [("teams", matrix.rows)] if matrix.shared else [("robots", matrix.rows), ("humans", matrix.columns)]
+    for what, side in sides:
+        if side.silhouette is None:
+            continue
+        lines += [Line(), Line(f"clusters of {what} (silhouette {side.silhouette:.2f})", heading=True)]
+        if len(side.clusters) == 1:
+            lines += [Line("none clear, all are one")]
+            continue
+        lines += [
+            Line(f"{cluster.letter}  n = {cluster.stop - cluster.start}, medoid {cluster.medoid}")
+            for cluster in side.clusters
+        ]
+    return lines
+
+
+def draw_legend(axes: Axes, lines: list[Line]) -> None:
+    """Write the lines from the top of the axes."""
+    axes.set_axis_off()
+    box = axes.get_window_extent()
+    height, width = (extent / axes.figure.dpi for extent in (box.height, box.width))
+    axes.set(xlim=(0, width), ylim=(height, 0))  # both in inches
+    for i, line in enumerate(lines):
+        y = (i + 0.5) * LINE
+        if line.colour is not None:
+            axes.add_patch(Rectangle((0, y - 0.05), 0.11, 0.1, facecolor=line.colour, linewidth=0))
+        font = {"fontsize": 8, "weight": "bold"} if line.heading else {"fontsize": 7.5}
+        axes.text(0 if line.colour is None else 0.18, y, line.text, va="center", color=style.INK, fontdict=font)
+
+
+def write_texts(figure: Figure, summary: Mapping[str, Any], below: Sequence[str]) -> None:
+    """Write title and headline above the figure and the caption's lines below."""
+    width, height = figure.get_size_inches()
+    x = 0.2 / width
+    title = f"Cross-play: {summary['task']}"
+    figure.text(x, 1 - 0.14 / height, title, fontsize=12, weight="bold", va="top", color=style.INK)
+    figure.text(x, 1 - 0.42 / height, headline(summary), fontsize=8.5, va="top", color=style.INK)
+    figure.text(x, 0.1 / height, "\n".join(below), fontsize=7, va="bottom", color=style.MUTED, linespacing=1.35)
+
+
+def wrap(text: str, width: float) -> list[str]:
+    """Break a caption into lines for a figure of a width in inches."""
+    return textwrap.wrap(text, int(15.5 * (width - 0.4)))
+
+
+def headline(summary: Mapping[str, Any]) -> str:
+    """Give self-play, cross-play and their gap with intervals."""
+    named = {"self-play": summary["self_play"], "cross-play": summary["cross_play"], "gap": summary["gap"]}
+    return "IQM and 95% interval: " + ",  ".join(f"{name} {_figure(value)}" for name, value in named.items() if value)
+
+
+def caption(matrix: Matrix, summary: Mapping[str, Any], marked: str) -> str:
+    """Say what was played, how much of it, and how it is ordered."""
+    rows, columns = matrix.values.shape
+    split = f", split {summary['split']['id']}" if summary["split"] else ""
+    order = (
+        "one order of teams, self-play on the diagonal" if matrix.shared else "each axis in its own order, self-play"
+    )
+    order = order if marked or matrix.shared else "each axis in its own order"
+    ending = "" if not marked else f" and marked {marked}" if matrix.shared else f" marked {marked}"
+    return (
+        f"n = {counted(rows, 'robot')} × {counted(columns, 'human')}, "
+        f"{counted(summary['episodes_per_pair'], 'episode')} a pair "
+        f"({summary['episodes']:,} episodes, {summary['nonfinite']} non-finite). Release {summary['release']}{split}, "
+        f"environment version {summary['env_version']}, backend {summary['backend']}. Average linkage, Euclidean "
+        f"distance, optimal leaf order; {order}{ending}."
+    )
+
+
+def _figure(value: Mapping[str, Any]) -> str:
+    interval = "" if value["ci"] is None else f" [{value['ci'][0]:.0f}, {value['ci'][1]:.0f}]"
+    return f"{value['iqm']:.0f}{interval}"
+
+
+def _meaning(name: str) -> str:
+    setting = DISABILITY_SETTINGS.get(name)
+    return f"  range {setting.elbow_range:g}, strength {setting.strength:g}" if setting else ""

@@ -1,0 +1,268 @@
+"""Roll out a block of episodes: every ego of a group with every partner of another, [E, P, K] simulations at once.
+
+The environment sees one flat axis N = E * P * K. The robot's network maps over the stacked egos with observations
+[E, P * K, O], the human's over the partners with [P, E * K, O]: no simulation has parameters of its own.
+"""
+
+import dataclasses
+import functools
+import math
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+GAMMA = 0.99  # of the discounted return
+SEGMENT = 100  # most environment steps in one call: between calls there is progress, and a key press is heard
+
+_ACTION_STREAM = 2**31 - 1  # folded into an episode's key for action noise: the environment draws from the key itself
+
+Shape = tuple[int, int, int]  # [E, P, K]
+
+
+class Environment(Protocol):
+    """What a rollout needs of an environment: batch first, never mapped over."""
+
+    @property
+    def episode_length(self) -> int: ...
+    @property
+    def action_size(self) -> dict[str, int]: ...
+    def reset(self, keys: jax.Array, params: Any, /) -> Any: ...
+    def step(self, state: Any, actions: dict[str, Any], /) -> Any: ...
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Tally:
+    """What each episode has earned so far; leaves [N], and [E, P, K] once a block is done."""
+
+    running: jax.Array  # bool, the episode has not ended
+    steps: jax.Array  # int32
+    returns: jax.Array  # sum of rewards
+    discounted: jax.Array  # sum of GAMMA**t * reward
+    terms: dict[str, jax.Array]  # sum of each weighted reward term
+    force_sum: jax.Array  # N, summed over steps
+    force_peak: jax.Array  # N
+    success: jax.Array  # bool, at any step
+    nonfinite: jax.Array  # bool, the physics became non-finite
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Loop:
+    """Carry of a rollout."""
+
+    state: Any  # the environment's, leaves [N, ...]
+    robot: Any  # the robots' recurrent state, leaves [E, P * K, ...]
+    human: Any  # the humans', leaves [P, E * K, ...]
+    tally: Tally
+    time: jax.Array  # step of the episode
+
+
+class Rollout:
+    """Blocks of one pair of specs; compiles once for each shape and keeps the seconds that took."""
+
+    def __init__(
+        self, env: Environment, robot: Any, human: Any, *, stochastic: bool = False, length: int | None = None
+    ) -> None:
+        """Prepare blocks.
+
+        Args:
+            env: the environment.
+            robot: a `population.policy.Policy`, or None for a robot that acts from outside.
+            human: a `population.policy.Policy`.
+            stochastic: whether actions are drawn.
+            length: steps to play, if fewer than the episode's: for measuring speed.
+        """
+        self.env = env
+        self.compile_seconds = 0.0
+        self._length = length or env.episode_length
+        steps = 1 if robot is None else segment_length(self._length)
+        self._start = jax.jit(functools.partial(_start, env, robot, human), static_argnames="shape")
+        self._advance = jax.jit(
+            functools.partial(_advance, env, robot, human, steps, stochastic), static_argnames="shape"
+        )
+        self._steps = steps
+        self._compiled: dict[Any, tuple[Callable[..., Loop], Callable[..., Loop]]] = {}
+
+    def run(
+        self,
+        robot_params: Any,
+        human_params: Any,
+        env_params: Any,
+        seeds: Sequence[int],
+        *,
+        act: Callable[[np.ndarray, int], np.ndarray] | None = None,
+        on_steps: Callable[[int], None] | None = None,
+    ) -> Tally:
+        """Play K episodes of every pair to their end.
+
+        Args:
+            robot_params: stacked, leaves [E, ...]; None where `act` plays the robot (E is 1).
+            human_params: stacked, leaves [P, ...].
+            env_params: the partners' own `EnvParams`, leaves [P].
+            seeds: K integers; `jax.random.key(seeds[k])` starts episode k of every pair (common random numbers).
+            act: (observations [N, O] float32, step) -> actions [N, A], for a robot from outside.
+            on_steps: called with the number of steps just done, of every simulation.
+
+        Returns:
+            The tally with NumPy leaves [E, P, K].
+        """
+        egos = 1 if robot_params is None else jax.tree.leaves(robot_params)[0].shape[0]
+        shape = egos, jax.tree.leaves(human_params)[0].shape[0], len(seeds)
+        keys = jax.vmap(jax.random.key)(np.asarray(seeds, np.uint32))
+        robot_params, human_params, env_params = jax.device_put((robot_params, human_params, env_params))
+        start, advance = self._programs(shape, keys, robot_params, human_params, env_params)
+        loop = start(env_params, keys)
+        for step in range(0, self._length, self._steps):
+            action = None if act is None else act(np.array(loop.state.obs["robot"]), step)
+            loop = jax.block_until_ready(advance(loop, robot_params, human_params, keys, action))
+            if on_steps is not None:
+                on_steps(self._steps)
+        return jax.tree.map(lambda leaf: np.asarray(leaf).reshape(shape), loop.tally)
+
+    def _programs(self, shape: Shape, keys: Any, robot_params: Any, human_params: Any, env_params: Any):
+        """Compile for a shape, or find what was compiled, so that timed runs hold no compilation."""
+        if shape not in self._compiled:
+            began = time.perf_counter()
+            start = self._start.lower(env_params, keys, shape=shape).compile()
+            loop = jax.eval_shape(functools.partial(self._start, shape=shape), env_params, keys)
+            action = None
+            if robot_params is None:
+                action = jax.ShapeDtypeStruct((math.prod(shape), self.env.action_size["robot"]), jnp.float32)
+            advance = self._advance.lower(loop, robot_params, human_params, keys, action, shape=shape).compile()
+            self._compiled[shape] = start, advance
+            self.compile_seconds += time.perf_counter() - began
+        return self._compiled[shape]
+
+
+def segment_length(episode_length: int) -> int:
+    """Return the largest divisor of the episode's length that is at most `SEGMENT`."""
+    return next(steps for steps in range(min(SEGMENT, episode_length), 0, -1) if episode_length % steps == 0)
+
+
+def episode_seeds(seed: int, episodes: Iterable[int]) -> list[int]:
+    """Return the seeds of episodes k; independent of how many there are, so that more episodes extend fewer."""
+    return [int(np.random.SeedSequence([seed, k]).generate_state(1)[0]) for k in episodes]
+
+
+def _start(env: Environment, robot: Any, human: Any, env_params: Any, keys: Any, *, shape: Shape) -> Loop:
+    """Reset a block: episode k of every pair starts from key k, under the partner's own parameters."""
+    e, p, k = shape
+    flat = functools.partial(jnp.reshape, shape=(e * p * k,))
+    params = jax.tree.map(lambda leaf: flat(jnp.broadcast_to(leaf[None, :, None], shape)), env_params)
+    state = env.reset(flat(jnp.broadcast_to(keys, shape)), params)
+    zero = jnp.zeros(e * p * k)
+    false = jnp.zeros(e * p * k, bool)
+    tally = Tally(
+        running=~false,
+        steps=jnp.zeros(e * p * k, jnp.int32),
+        returns=zero,
+        discounted=zero,
+        terms=dict.fromkeys(state.terms, zero),
+        force_sum=zero,
+        force_peak=zero,
+        success=false,
+        nonfinite=false,
+    )
+    return Loop(
+        state=state,
+        robot=() if robot is None else robot.initial_carry((e, _rows(p * k))),
+        human=human.initial_carry((p, _rows(e * k))),
+        tally=tally,
+        time=jnp.zeros((), jnp.int32),
+    )
+
+
+def _advance(
+    env: Environment,
+    robot: Any,
+    human: Any,
+    steps: int,
+    stochastic: bool,
+    loop: Loop,
+    robot_params: Any,
+    human_params: Any,
+    keys: jax.Array,
+    action: jax.Array | None,
+    *,
+    shape: Shape,
+) -> Loop:
+    """Advance a block by `steps`; `action` is the robots' where it comes from outside."""
+    e, p, k = shape
+
+    def body(loop: Loop, _: None) -> tuple[Loop, None]:
+        noise = [None, None]
+        if stochastic:
+            noise = _noise_keys(keys, loop.time)
+        robot_action, robot_carry = action, loop.robot
+        if robot is not None:
+            obs = loop.state.obs["robot"].reshape(e, p * k, -1)
+            robot_carry, acted = _act(robot, robot_params, loop.robot, obs, loop.time, noise[0])
+            robot_action = acted.reshape(e * p * k, -1)
+        obs = loop.state.obs["human"].reshape(e, p, k, -1).swapaxes(0, 1).reshape(p, e * k, -1)
+        human_carry, acted = _act(human, human_params, loop.human, obs, loop.time, noise[1])
+        human_action = acted.reshape(p, e, k, -1).swapaxes(0, 1).reshape(e * p * k, -1)
+        state = env.step(loop.state, {"robot": robot_action, "human": human_action})
+        tally = accumulate(loop.tally, state, loop.time)
+        return Loop(state, robot_carry, human_carry, tally, loop.time + 1), None
+
+    return jax.lax.scan(body, loop, None, length=steps)[0]
+
+
+def accumulate(tally: Tally, state: Any, time: jax.Array) -> Tally:
+    """Add the step that led to `state`, the `time`-th, to the episodes that were still running."""
+    running = tally.running
+    earning = running & ~state.nonfinite
+
+    def gained(value: jax.Array) -> jax.Array:
+        return jnp.where(earning, value, 0.0)
+
+    reward, force = gained(state.reward), gained(state.measures.force)
+    return Tally(
+        running=running & ~(state.terminated | state.truncated),
+        steps=tally.steps + running,
+        returns=tally.returns + reward,
+        discounted=tally.discounted + GAMMA ** time.astype(jnp.float32) * reward,
+        terms={name: tally.terms[name] + gained(value) for name, value in state.terms.items()},
+        force_sum=tally.force_sum + force,
+        force_peak=jnp.maximum(tally.force_peak, force),
+        success=tally.success | (earning & state.measures.success),
+        nonfinite=tally.nonfinite | (running & state.nonfinite),
+    )
+
+
+def _act(
+    policy: Any, params: Any, carry: Any, obs: jax.Array, time: jax.Array, keys: jax.Array | None
+) -> tuple[Any, jax.Array]:
+    """Map a policy over its stacked parameters: obs [G, R, O] -> actions [G, R, A].
+
+    With `keys` [K], row r draws with the key of its episode, r modulo K: every pair sees the same noise.
+    """
+    rows = obs.shape[1]
+    # A product with one row takes another path on the CPU, which rounds differently: values would depend on the block.
+    obs = jnp.broadcast_to(obs, (obs.shape[0], _rows(rows), obs.shape[2]))
+    first = jnp.broadcast_to(time == 0, obs.shape[:2])
+    if keys is None:
+        carry, action = jax.vmap(policy.act)(params, carry, obs, first)
+        return carry, action[:, :rows]
+    carry, gaussian = jax.vmap(policy.step)(params, carry, obs, first)
+    tiled = keys[jnp.arange(obs.shape[1]) % keys.shape[0]]
+    draw = jax.vmap(jax.vmap(lambda gaussian, key: gaussian.sample(key)), in_axes=(0, None))
+    return carry, gaussian.action(draw(gaussian, tiled))[:, :rows]
+
+
+def _noise_keys(keys: jax.Array, time: jax.Array) -> list[jax.Array]:
+    """Return a key for each role and episode [K] at a step, apart from the environment's own stream."""
+
+    def key_of(role: int, key: jax.Array) -> jax.Array:
+        return jax.random.fold_in(jax.random.fold_in(jax.random.fold_in(key, _ACTION_STREAM), role), time)
+
+    return [jax.vmap(functools.partial(key_of, role))(keys) for role in range(2)]
+
+
+def _rows(rows: int) -> int:
+    return max(rows, 2)

@@ -1,0 +1,111 @@
+"""Aggregates of scores [S, P]: seeds of one method by partners, each score a mean over a pair's episodes.
+
+Definitions follow rliable (Agarwal et al., arXiv 2108.13264). The `weighted_` forms take counts [B, n], how often each
+entry stands in each of B resamples, and give one figure for each: exact, and vectorised over resamples.
+"""
+
+import numpy as np
+
+
+def iqm(values: np.ndarray) -> float:
+    """Interquartile mean: the mean after floor(n / 4) entries are cut at either end, as rliable cuts them."""
+    ordered = np.sort(entries(values))
+    cut = ordered.size // 4
+    return float(ordered[cut : ordered.size - cut].mean())
+
+
+def mean(values: np.ndarray) -> float:
+    """Mean of all entries."""
+    return float(entries(values).mean())
+
+
+def median(scores: np.ndarray) -> float:
+    """Median over partners of the mean over seeds, of scores [S, P]."""
+    return float(np.median(score_matrix(scores).mean(axis=0)))
+
+
+def optimality_gap(values: np.ndarray, target: float = 1.0) -> float:
+    """Mean amount by which entries fall short of `target`; what exceeds it earns nothing."""
+    return float(np.maximum(target - entries(values), 0.0).mean())
+
+
+def probability_of_improvement(x: np.ndarray, y: np.ndarray) -> float:
+    """Mean over partners of P(a seed of x beats a seed of y with that partner), ties counting one half.
+
+    Args:
+        x: scores [S, P] of one method.
+        y: scores [S', P] of the other, the same partners in the same order.
+    """
+    x, y = score_matrix(x), score_matrix(y)
+    if x.shape[1] != y.shape[1]:
+        raise ValueError(f"x has {x.shape[1]} partners and y has {y.shape[1]}; give both the same partners")
+    return float(np.mean((x[:, None] > y[None]) + 0.5 * (x[:, None] == y[None])))
+
+
+def performance_profile(values: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
+    """Share of entries above each threshold [T], as [T]."""
+    ordered = np.sort(entries(values))
+    return 1.0 - np.searchsorted(ordered, np.asarray(thresholds, float), side="right") / ordered.size
+
+
+def cvar(values: np.ndarray, alpha: float) -> float:
+    """Mean of the lowest share `alpha` of entries; the entry on the boundary counts with the fraction that is left."""
+    row = entries(values)[None]
+    return float(np.sum(tail_weights(row, np.ones_like(row), alpha) * row))
+
+
+def tail_weights(values: np.ndarray, counts: np.ndarray, alpha: float) -> np.ndarray:
+    """Weights [B, n], each row summing to 1, of the lowest share `alpha` of the entries [B, n] with their counts."""
+    if not 0.0 < alpha <= 1.0:
+        raise ValueError(f"alpha is {alpha}; allowed is a share in (0, 1]")
+    order = np.argsort(values, axis=1, kind="stable")
+    reached = np.cumsum(np.take_along_axis(counts, order, axis=1), axis=1, dtype=float)
+    mass = alpha * reached[:, -1:]
+    weights = np.empty_like(reached)
+    np.put_along_axis(weights, order, np.diff(np.minimum(reached, mass), axis=1, prepend=0.0) / mass, axis=1)
+    return weights
+
+
+def weighted_mean(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Mean [B] of values [n] under counts [B, n]; NaN where a row of counts is empty."""
+    total = counts.sum(axis=1)
+    return np.divide(counts @ values, total, out=np.full(len(total), np.nan), where=total > 0)
+
+
+def weighted_iqm(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Interquartile mean [B] of values [n] under whole-number counts [B, n]; NaN where a row of counts is empty."""
+    if np.any(np.diff(values) < 0):
+        order = np.argsort(values, kind="stable")
+        values, counts = values[order], counts[:, order]
+    centre = values.mean()  # subtracting it keeps the sums by parts below small
+    reached = np.cumsum(counts, axis=1, dtype=float)
+    total = reached[:, -1].copy()
+    low = np.floor(total / 4)
+    high = total - low
+    np.clip(reached, low[:, None], high[:, None], out=reached)
+    # Entry i keeps reached[i] - reached[i - 1] of its counts; summed by parts, this needs no second array.
+    kept = high * (values[-1] - centre) - low * (values[0] - centre) - reached[:, :-1] @ np.diff(values)
+    return np.divide(kept, high - low, out=np.full(len(total), np.nan), where=total > 0) + centre
+
+
+def entries(values: np.ndarray) -> np.ndarray:
+    """Return all entries as a flat float array, refusing none at all and non-finite ones."""
+    flat = np.asarray(values, float).ravel()
+    if not flat.size:
+        raise ValueError("there are no scores; at least one is needed")
+    if not np.isfinite(flat).all():
+        count = np.count_nonzero(~np.isfinite(flat))
+        raise ValueError(f"{count} of {flat.size} scores are not finite; mend or exclude them")
+    return flat
+
+
+def score_matrix(scores: np.ndarray) -> np.ndarray:
+    """Return scores as [S, P]; [S] counts as seeds with one partner, and an axis of episodes is refused."""
+    scores = np.asarray(scores, float)
+    if scores.ndim not in (1, 2):
+        raise ValueError(
+            f"scores has shape {scores.shape}; expected [seeds, partners], each score a mean over episodes, "
+            "because episodes are not seeds"
+        )
+    entries(scores)
+    return scores[:, None] if scores.ndim == 1 else scores

@@ -1,0 +1,208 @@
+"""The two jobs that users run: M_test of a robot, and the cross-play of a population. Each fills a folder."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from assistax_envs.versions import TASKS, VERSIONS
+from evaluation import tables
+from evaluation.evaluator import Evaluation, Progress, check_folder, run_job
+from evaluation.jobs import Ego, Job
+from zoo.errors import RegistryVersionError, SplitError
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry, Split
+
+FIGURE_FILE = "crossplay.png"
+SIDE_WORDS = {"test": ("test",), "train": ("train",), "both": ("train", "test")}
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """What both jobs have in common."""
+
+    task: str
+    episodes: int  # of each pair
+    seed: int = 0  # of the episodes; the same for every pair
+    backend: str = "auto"
+    stochastic: bool = False  # draw actions instead of taking each policy's mode
+    max_envs: int | None = None  # simulations at once; None is the backend's default
+
+    def __post_init__(self) -> None:
+        if self.task not in TASKS:
+            raise ValueError(f"task is {self.task!r}; allowed are {', '.join(TASKS)}")
+        if self.episodes < 1:
+            raise ValueError(f"episodes is {self.episodes}; each pair needs at least 1 (--episodes 8)")
+        if self.seed < 0:
+            raise ValueError(f"seed is {self.seed}; allowed is 0 or more")
+        if self.max_envs is not None and self.max_envs < 1:
+            raise ValueError(f"max_envs is {self.max_envs}; allowed is 1 or more")
+
+
+def evaluate_policies(
+    registry: Registry,
+    policies: Sequence[str],
+    settings: Settings,
+    folder: Path,
+    *,
+    split: str | None = None,
+    partners: str | Sequence[str] | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> dict[str, Any]:
+    """Evaluate robots, seeds of one method, against the partners of a split; return what `evaluate --json` prints.
+
+    Args:
+        registry: The published partners.
+        policies: References to the robots, see `evaluation.egos.read_egos`.
+        settings: Task, episodes and the rest.
+        folder: Filled with the episodes and every table drawn from them; a run that was stopped goes on.
+        split: "test", "train" or "both" sides of the default split, or a split's id, ":train" or ":both" added.
+        partners: Globs over partners to use instead of whole sides.
+        on_progress: Told how far the run is.
+
+    Raises:
+        ValueError: Something asked for does not exist or does not fit the task.
+        ZooError: The registry cannot give what was asked for.
+    """
+    from evaluation.summary import save_evaluation
+
+    if not policies:
+        raise ValueError("no policy given; name at least one, for example --policy zoo:TEAM/robot")
+    check_folder(folder)
+    manifest, sides = _sides(registry, settings.task, split or ("test" if partners is None else "both"))
+    chosen = _partners(registry, settings.task, manifest, sides, partners)
+    egos = _read_egos(registry, policies, settings.task)
+    result, origin = _run(registry, egos, chosen, settings, folder, manifest, on_progress)
+    summary = save_evaluation(folder, result.table, split=manifest, release=manifest.release, **origin)
+    summary["notes"] = [*summary["notes"], *_own_partner_notes(egos, chosen)]
+    tables.write_json(summary, folder / tables.SUMMARY_FILE)
+    return summary
+
+
+def cross_play(
+    registry: Registry,
+    egos: str | Sequence[str],
+    partners: str | Sequence[str],
+    settings: Settings,
+    folder: Path,
+    *,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> dict[str, Any]:
+    """Evaluate the robots of a population with its humans; return what `crossplay --json` prints.
+
+    `egos` and `partners` are globs over policy or team ids; the rest is as in `evaluate_policies`.
+    """
+    from evaluation.egos import registry_groups
+    from evaluation.summary import save_crossplay
+
+    check_folder(folder)
+    try:
+        manifest = registry.split(settings.task)
+    except SplitError:
+        manifest = None  # a population without a split has cross-play all the same
+    robots = registry.select(egos, task=settings.task, role="robot")
+    humans = registry.select(partners, task=settings.task, role="human")
+    check_env_version(registry, robots)
+    groups = registry_groups(registry, robots)
+    result, origin = _run(registry, groups, humans, settings, folder, manifest, on_progress)
+    summary = save_crossplay(folder, result.table, split=manifest, release=registry.release, **origin)
+    _draw(folder, summary)
+    return summary
+
+
+def _draw(folder: Path, summary: dict[str, Any]) -> None:
+    """Draw the matrix as it was saved."""
+    from evaluation.plots.heatmap import crossplay_heatmap
+    from evaluation.plots.matrix import arrange
+    from evaluation.plots.style import save_figure
+
+    matrix = arrange(tables.read_parquet(folder / tables.PAIRS_FILE), tables.read_json(folder / tables.ORDER_FILE))
+    save_figure(crossplay_heatmap(matrix, summary), folder / FIGURE_FILE)
+
+
+def check_env_version(registry: Registry, entries: Sequence[PolicyEntry]) -> None:
+    """Refuse policies of a release whose environment is not the installed version."""
+    for entry in entries:
+        trained = registry.data.releases[entry.release].environments[entry.task]
+        if trained != VERSIONS[entry.task]:
+            raise RegistryVersionError(
+                f"policy {entry.id}",
+                expected=f"version {VERSIONS[entry.task]} of environment {entry.task}, as installed",
+                found=f"release {entry.release}, trained on version {trained}",
+                done="nothing was evaluated",
+                next_step="install the assistax-zoo of that release, or choose a release of this version",
+            )
+
+
+def _run(
+    registry: Registry,
+    egos: tuple[Ego, ...],
+    partners: Sequence[PolicyEntry],
+    settings: Settings,
+    folder: Path,
+    split: Split | None,
+    on_progress: Callable[[Progress], None] | None,
+) -> tuple[Evaluation, dict[str, Any]]:
+    """Run the job, and return with it what a summary says of its origin."""
+    from assistax_envs import make
+    from evaluation.egos import registry_groups
+
+    check_env_version(registry, partners)
+    groups = registry_groups(registry, partners)
+    env = make(settings.task, backend=settings.backend)
+    job = Job(
+        task=settings.task,
+        env_version=env.version,
+        backend=env.backend,
+        egos=egos,
+        partners=groups,
+        episodes=settings.episodes,
+        seed=settings.seed,
+        stochastic=settings.stochastic,
+        sides={entry.id: side for entry in partners if split and (side := split.side(entry.team))},
+    )
+    result = run_job(env, job, folder, max_envs=settings.max_envs, on_progress=on_progress)
+    return result, {
+        "task": settings.task,
+        "env_version": env.version,
+        "backend": env.backend,
+        "env_steps_per_second": result.env_steps_per_second,
+    }
+
+
+def _sides(registry: Registry, task: str, text: str) -> tuple[Split, tuple[str, ...]]:
+    """Return the split and the sides of it that `--split` names."""
+    name, side = (None, text) if text in SIDE_WORDS else (text.partition(":")[0], text.partition(":")[2] or "test")
+    if side not in SIDE_WORDS:
+        raise ValueError(f"split is {text!r}; after the colon {', '.join(SIDE_WORDS)} are allowed")
+    return registry.split(task, name), SIDE_WORDS[side]
+
+
+def _partners(
+    registry: Registry, task: str, split: Split, sides: Sequence[str], patterns: str | Sequence[str] | None
+) -> list[PolicyEntry]:
+    """Return the humans of the sides, or those of them that match."""
+    humans = registry.select(patterns, task=task, role="human")
+    chosen = [entry for entry in humans if split.side(entry.team) in sides]
+    if not chosen:
+        raise ValueError(
+            f"none of the {len(humans)} partners that match is on the {' or '.join(sides)} side of split {split.id}; "
+            "choose others, or --split both"
+        )
+    return chosen
+
+
+def _read_egos(registry: Registry, policies: Sequence[str], task: str) -> tuple[Ego, ...]:
+    from evaluation.egos import read_egos
+
+    egos = read_egos(policies, registry, task)
+    known = {entry.id: entry for entry in registry.policies}
+    check_env_version(registry, [known[m.id] for group in egos for m in group.members if m.id in known])
+    return egos
+
+
+def _own_partner_notes(egos: Sequence[Ego], partners: Sequence[PolicyEntry]) -> list[str]:
+    """Say which partners are not new to the robots: M_test is about partners that a robot never met."""
+    teams = {member.team for group in egos for member in group.members}
+    own = [entry.id for entry in partners if entry.team in teams]
+    return [f"trained with one of the egos, hence not new to it: {', '.join(own)}"] if own else []

@@ -1,0 +1,265 @@
+"""Episode table: one row an episode, and every metric is recomputed from it."""
+
+import contextlib
+import dataclasses
+import json
+import os
+import uuid
+from collections.abc import Generator
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+# Names of the files in the folder that `evaluate --out` or `crossplay --out` fills.
+EPISODES_FILE = "episodes.parquet"  # one row an episode
+PAIRS_FILE = "pairs.parquet"  # one row an (ego, partner) pair: the cross-play matrix in long form
+PARTNERS_FILE = "partners.parquet"  # one row a partner, averaged over the egos
+PROFILE_FILE = "profile.parquet"  # performance profile of an evaluation
+ORDER_FILE = "order.json"  # clustered order of a cross-play matrix
+SUMMARY_FILE = "summary.json"  # the object that --json prints
+
+EGO_COLUMNS = ("ego", "ego_team", "ego_algorithm", "ego_disability", "ego_seed")
+PARTNER_COLUMNS = ("partner", "partner_team", "partner_algorithm", "partner_disability", "partner_seed", "side")
+SIDES = ("train", "test")
+TERM_PREFIX = "term_"
+
+# Columns of the table beside the reward terms (`term_<name>`, Float32), which differ by task.
+SCHEMA: dict[str, pl.DataType] = {
+    "ego": pl.String(),
+    "ego_team": pl.String(),
+    "ego_algorithm": pl.String(),
+    "ego_disability": pl.String(),
+    "ego_seed": pl.Int64(),
+    "partner": pl.String(),
+    "partner_team": pl.String(),
+    "partner_algorithm": pl.String(),
+    "partner_disability": pl.String(),
+    "partner_seed": pl.Int64(),
+    "side": pl.String(),
+    "episode": pl.Int64(),
+    "key": pl.Int64(),
+    "return": pl.Float32(),
+    "discounted_return": pl.Float32(),
+    "success": pl.Boolean(),
+    "force_mean": pl.Float32(),
+    "force_peak": pl.Float32(),
+    "nonfinite": pl.Boolean(),
+    "steps": pl.Int64(),
+}
+_NULLABLE = {
+    *("ego_team", "ego_algorithm", "ego_disability", "ego_seed", "side"),  # an ego from outside the zoo
+    *("partner_team", "partner_algorithm", "partner_disability", "partner_seed"),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Block:
+    """Every ego with every partner for the same episodes, as dense arrays."""
+
+    returns: np.ndarray  # [E, P, K] undiscounted returns
+    nonfinite: np.ndarray  # [E, P, K] whether the physics became non-finite
+    egos: pl.DataFrame  # E rows of EGO_COLUMNS, in the order of the first axis
+    partners: pl.DataFrame  # P rows of PARTNER_COLUMNS, in the order of the second axis
+    episodes: np.ndarray  # [K] episode numbers
+    keys: np.ndarray | None  # [K] seeds of the episode keys; None if pairs had different ones
+
+    @property
+    def scores(self) -> np.ndarray:
+        """Mean return J of each pair over its episodes, [E, P]."""
+        return self.returns.mean(axis=2)
+
+    def select_partners(self, mask: np.ndarray) -> "Block":
+        """Return the block with only the partners where `mask` [P] is true."""
+        return dataclasses.replace(
+            self,
+            returns=self.returns[:, mask],
+            nonfinite=self.nonfinite[:, mask],
+            partners=self.partners.filter(pl.Series(mask)),
+        )
+
+
+def term_columns(table: pl.DataFrame) -> tuple[str, ...]:
+    """Return the names of the reward-term columns, in the table's order."""
+    return tuple(name for name in table.columns if name.startswith(TERM_PREFIX))
+
+
+def validate_episodes(table: pl.DataFrame) -> pl.DataFrame:
+    """Return the table, or raise `ValueError` saying what is wrong with it and where."""
+    missing = [name for name in SCHEMA if name not in table.columns]
+    if missing:
+        raise ValueError(
+            f"the episode table lacks the columns {', '.join(missing)}; it needs all of {', '.join(SCHEMA)}"
+        )
+    unknown = [name for name in table.columns if name not in SCHEMA and not name.startswith(TERM_PREFIX)]
+    if unknown:
+        raise ValueError(f"the episode table has unknown columns {', '.join(unknown)}; reward terms begin with term_")
+    if table.is_empty():
+        raise ValueError("the episode table has no rows; at least one episode is needed")
+    for name in table.columns:
+        _validate_column(table, name)
+    sides = [side for side in table["side"].drop_nulls().unique().sort() if side not in SIDES]
+    if sides:
+        raise ValueError(f"column side holds {', '.join(map(repr, sides))}; allowed are 'train', 'test' and null")
+    return table
+
+
+def dense_block(table: pl.DataFrame) -> Block:
+    """Lay a table out as [E, P, K]: algorithm, disability, seed, then id give the order of egos and partners.
+
+    Raises:
+        ValueError: a pair lacks an episode or has one twice, or one id has two descriptions.
+    """
+    validate_episodes(table)
+    egos = _described(table, EGO_COLUMNS)
+    partners = _described(table, PARTNER_COLUMNS)
+    episodes = table["episode"].unique().sort().to_numpy()
+    shape = (egos.height, partners.height, len(episodes))
+    cells = _cells(table, egos["ego"], partners["partner"], episodes, shape)
+    returns, nonfinite = np.empty(np.prod(shape)), np.empty(np.prod(shape), bool)
+    returns[cells], nonfinite[cells] = table["return"].to_numpy(), table["nonfinite"].to_numpy()
+    return Block(
+        returns=returns.reshape(shape),
+        nonfinite=nonfinite.reshape(shape),
+        egos=egos,
+        partners=partners,
+        episodes=episodes,
+        keys=_common_keys(table),
+    )
+
+
+def pair_table(table: pl.DataFrame) -> pl.DataFrame:
+    """Average the episodes of each pair: one row a pair, in the order of `dense_block`."""
+    block = dense_block(table)
+    measures = ("discounted_return", *term_columns(table), "success", "force_mean", "force_peak")
+    means = table.group_by("ego", "partner").agg(
+        pl.col("return").cast(pl.Float64).mean(),
+        pl.col("return").cast(pl.Float64).std().alias("return_sd"),
+        *(pl.col(name).cast(pl.Float64).mean() for name in measures),
+        pl.len().cast(pl.Int64).alias("episodes"),
+        pl.col("nonfinite").sum().cast(pl.Int64),
+    )
+    pairs = block.egos.join(block.partners, how="cross", maintain_order="left_right")
+    return pairs.join(means, on=["ego", "partner"], how="left", maintain_order="left")
+
+
+def write_episodes(table: pl.DataFrame, path: Path) -> None:
+    """Validate the table, bring it to `SCHEMA`'s types and write it as Parquet, whole or not at all."""
+    validate_episodes(table)
+    types = {**SCHEMA, **{name: pl.Float32() for name in term_columns(table)}}
+    write_parquet(table.select(pl.col(name).cast(types[name]) for name in table.columns), path)
+
+
+def read_episodes(path: Path) -> pl.DataFrame:
+    """Read an episode table and validate it."""
+    return validate_episodes(read_parquet(path))
+
+
+def write_parquet(table: pl.DataFrame, path: Path) -> None:
+    """Write a table as Parquet: the file appears complete or not at all."""
+    with atomic_path(path) as temporary:
+        table.write_parquet(temporary, compression="zstd")
+
+
+def read_parquet(path: Path) -> pl.DataFrame:
+    """Read a Parquet file; a missing or damaged one is reported with its path."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist; run `assistax-zoo evaluate` or `crossplay` with --out first")
+    try:
+        return pl.read_parquet(path)
+    except pl.exceptions.PolarsError as error:
+        reason = str(error).splitlines()[0]
+        raise ValueError(f"{path} is not a readable Parquet file ({reason}); delete it and run again") from error
+
+
+def write_json(content: dict, path: Path) -> None:
+    """Write JSON without NaN or infinity: the file appears complete or not at all."""
+    text = json.dumps(content, indent=2, allow_nan=False)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def read_json(path: Path) -> dict:
+    """Read a JSON object; a missing or damaged file is reported with its path."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist; run `assistax-zoo evaluate` or `crossplay` with --out first")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path} is not readable JSON ({error}); delete it and run again") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} holds a {type(content).__name__}; expected an object")
+    return content
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path) -> Generator[Path]:
+    """Yield a temporary sibling that becomes `path` when the block ends without an error."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.stem}-{uuid.uuid4().hex[:8]}{path.suffix}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _validate_column(table: pl.DataFrame, name: str) -> None:
+    column, expected = table[name], SCHEMA.get(name, pl.Float32())
+    if column.dtype == pl.Null and name in _NULLABLE:
+        return
+    if not _same_family(column.dtype, expected):
+        raise ValueError(f"column {name} is {column.dtype}; expected {expected}")
+    if name not in _NULLABLE and column.null_count():
+        raise ValueError(f"column {name} has {column.null_count()} empty values; every episode needs one")
+    if expected.is_float():
+        bad = table.filter(~column.is_finite())
+        if bad.height:
+            ego, partner, episode, value = bad.select("ego", "partner", "episode", name).row(0)
+            raise ValueError(
+                f"column {name} has {bad.height} values that are not finite, first {value} for ego {ego} with "
+                f"{partner}, episode {episode}; a broken episode must be frozen at reward 0 and marked nonfinite"
+            )
+
+
+def _same_family(dtype: pl.DataType, expected: pl.DataType) -> bool:
+    if expected.is_integer():
+        return dtype.is_integer()
+    if expected.is_float():
+        return dtype.is_float()
+    return dtype == expected
+
+
+def _described(table: pl.DataFrame, columns: tuple[str, ...]) -> pl.DataFrame:
+    identity, _, algorithm, disability, seed = columns[:5]
+    rows = table.select(columns).unique().sort(algorithm, disability, seed, identity, nulls_last=True)
+    twice = rows.filter(pl.col(identity).is_duplicated())
+    if twice.height:
+        name = twice[identity][0]
+        one = twice.filter(twice[identity] == name)
+        differing = [column for column in columns if one[column].n_unique() > 1]
+        raise ValueError(f"{identity} {name} has several values of {', '.join(differing)}; one is allowed")
+    return rows
+
+
+def _cells(
+    table: pl.DataFrame, egos: pl.Series, partners: pl.Series, episodes: np.ndarray, shape: tuple[int, int, int]
+) -> np.ndarray:
+    ego = table["ego"].replace_strict(egos, np.arange(shape[0]), return_dtype=pl.Int64).to_numpy()
+    partner = table["partner"].replace_strict(partners, np.arange(shape[1]), return_dtype=pl.Int64).to_numpy()
+    cells = np.ravel_multi_index((ego, partner, np.searchsorted(episodes, table["episode"].to_numpy())), shape)
+    counts = np.bincount(cells, minlength=int(np.prod(shape)))
+    wrong = np.flatnonzero(counts != 1)
+    if wrong.size:
+        e, p, k = np.unravel_index(wrong[0], shape)
+        raise ValueError(
+            f"{wrong.size} of {counts.size} episodes are missing or doubled, first ego {egos[int(e)]} with "
+            f"{partners[int(p)]}, episode {episodes[k]}: found {counts[wrong[0]]} times, expected once; finish the "
+            "run, or remove the doubled rows"
+        )
+    return cells
+
+
+def _common_keys(table: pl.DataFrame) -> np.ndarray | None:
+    keys = table.select("episode", "key").unique().sort("episode")
+    return keys["key"].to_numpy() if keys["episode"].is_unique().all() else None

@@ -1,0 +1,95 @@
+"""Training state on disk, through Orbax: whole or not at all, and the same bits when read back."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import orbax.checkpoint as ocp
+
+KEEP = 2  # newest checkpoints that stay on disk
+
+
+class Checkpoints:
+    """The checkpoints of a run, by number of updates done."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder.resolve()
+        options = ocp.CheckpointManagerOptions(
+            max_to_keep=KEEP, enable_async_checkpointing=False, cleanup_tmp_directories=True
+        )
+        self._manager = ocp.CheckpointManager(self.folder, options=options)
+
+    def latest(self) -> int | None:
+        """Return the number of updates of the newest complete checkpoint, or None."""
+        return self._manager.latest_step()
+
+    def save(self, update: int, state: Any) -> None:
+        """Write a checkpoint; older ones than the newest two go.
+
+        Raises:
+            OSError: It cannot be written; those that exist are untouched.
+        """
+        last = self.latest()
+        try:
+            self._manager.save(update, args=ocp.args.StandardSave(_to_arrays(state)))
+        except Exception as error:
+            reason = str(error).strip().partition("\n")[0]
+            kept = f"the last good one is of update {last}" if last is not None else "there is no earlier one"
+            raise OSError(
+                f"cannot write the checkpoint of update {update} to {self.folder}: {reason}; {kept}; "
+                "free some space there and run the same command again to go on"
+            ) from error
+
+    def restore(self, update: int, like: Any) -> Any:
+        """Return the state of a checkpoint.
+
+        Args:
+            update: Which checkpoint.
+            like: A state of the same structure.
+
+        Raises:
+            ValueError: The checkpoint holds a state of another structure.
+        """
+        try:
+            saved: Any = self._manager.restore(update, args=ocp.args.StandardRestore(_to_arrays(like)))
+        except Exception as error:
+            reason = str(error).strip().partition("\n")[0]
+            raise ValueError(
+                f"cannot read the checkpoint of update {update} in {self.folder}: {reason}; "
+                "it was written by another version or is damaged: start a new run in another folder"
+            ) from error
+        return _from_arrays(saved, like)
+
+    def close(self) -> None:
+        """Release the folder."""
+        self._manager.close()
+
+
+def _to_arrays(state: Any) -> dict[str, np.ndarray]:
+    """Return the leaves by path; typed keys become their data, and empty leaves, which Orbax refuses, are left out."""
+    return {
+        _name(path): np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
+        for path, leaf in jax.tree_util.tree_leaves_with_path(state)
+        if leaf.size
+    }
+
+
+def _from_arrays(arrays: Mapping[str, np.ndarray], like: Any) -> Any:
+    def leaf(path: Any, like: jax.Array) -> jax.Array:
+        if not like.size:
+            return like
+        value = jnp.asarray(arrays[_name(path)])
+        return jax.random.wrap_key_data(value, impl=jax.random.key_impl(like)) if _is_key(like) else value
+
+    return jax.tree_util.tree_map_with_path(leaf, like)
+
+
+def _name(path: Any) -> str:
+    return jax.tree_util.keystr(path, simple=True, separator=".")
+
+
+def _is_key(leaf: jax.Array) -> bool:
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)

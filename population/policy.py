@@ -1,0 +1,133 @@
+"""Policies: networks from observations to a Gaussian over actions."""
+
+import dataclasses
+import math
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import linen as nn
+
+from population import networks
+from population.networks import Carry, Params
+from population.spec import PolicySpec
+
+INITIAL_LOG_STD = -0.5  # a standard deviation of 0.6: nine of ten draws of an untrained policy lie within the limits
+LOG_STD_RANGE = (-5.0, 1.0)
+MEAN_SCALE = 0.01  # orthogonal gain of the head: an untrained policy acts around zero
+
+_NODES, _WEIGHTS = (x.astype(np.float32) for x in np.polynomial.hermite_e.hermegauss(9))
+
+
+@partial(jax.tree_util.register_dataclass, data_fields=["mean", "log_std"], meta_fields=["squash"])
+@dataclasses.dataclass(frozen=True)
+class Gaussian:
+    """Diagonal Gaussian over raw actions [..., A], and the way a raw action becomes an action in [-1, 1].
+
+    With "clip" the limits belong to the environment: densities are those of the raw action. With "tanh" they are
+    densities of the squashed action.
+    """
+
+    mean: jax.Array  # [..., A]
+    log_std: jax.Array  # [..., A]
+    squash: str = "clip"
+
+    def sample(self, key: jax.Array) -> jax.Array:
+        """Draw a raw action [..., A]."""
+        return self.mean + jnp.exp(self.log_std) * jax.random.normal(key, self.mean.shape)
+
+    def action(self, raw: jax.Array) -> jax.Array:
+        """Return the action in [-1, 1] for a raw action."""
+        return jnp.tanh(raw) if self.squash == "tanh" else jnp.clip(raw, -1.0, 1.0)
+
+    def mode(self) -> jax.Array:
+        """Return the deterministic action in [-1, 1]."""
+        return self.action(self.mean)
+
+    def log_prob(self, raw: jax.Array) -> jax.Array:
+        """Return the log density [...] of a raw action [..., A]; with "tanh", of the action it is squashed to."""
+        score = (raw - self.mean) * jnp.exp(-self.log_std)
+        density = -0.5 * (jnp.square(score) + math.log(2.0 * math.pi)) - self.log_std
+        if self.squash == "tanh":
+            density = density - _log_slope(raw)
+        return density.sum(-1)
+
+    def entropy(self) -> jax.Array:
+        """Return the entropy [...]; for "tanh" the mean log slope is integrated by Gauss-Hermite quadrature."""
+        entropy = self.log_std + 0.5 * (1.0 + math.log(2.0 * math.pi))
+        if self.squash == "tanh":
+            std = jnp.exp(self.log_std)
+            slopes = [float(w) * _log_slope(self.mean + std * float(x)) for x, w in zip(_NODES, _WEIGHTS, strict=True)]
+            entropy = entropy + sum(slopes) / math.sqrt(2.0 * math.pi)
+        return entropy.sum(-1)
+
+
+class Policy:
+    """The network of a `PolicySpec`; parameters are plain nested dicts, and leading axes are free."""
+
+    def __init__(self, spec: PolicySpec) -> None:
+        self.spec = spec
+        self._module = _Actor(spec)
+
+    def init(self, key: jax.Array) -> Params:
+        """Return fresh parameters; with `spec.normalise` they hold an identity "normaliser"."""
+        size = self.spec.observation_size
+        params = self._module.init(key, self.initial_carry(()), jnp.zeros(size), jnp.zeros((), bool))["params"]
+        if self.spec.normalise:
+            params = {**params, "normaliser": {"mean": jnp.zeros(size), "std": jnp.ones(size)}}
+        return params
+
+    def initial_carry(self, batch_shape: tuple[int, ...]) -> Carry:
+        """Return the recurrent state before the first observation."""
+        return networks.initial_carry(self.spec, batch_shape)
+
+    def step(self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array) -> tuple[Carry, Gaussian]:
+        """Return the new carry and the distribution over actions.
+
+        Args:
+            params: Parameters of one policy.
+            carry: Recurrent state; it is set to zero where `first`.
+            obs: Observations [..., O].
+            first: Whether an observation starts an episode [...].
+        """
+        network = {name: value for name, value in params.items() if name != "normaliser"}
+        if self.spec.normalise:
+            obs = networks.normalise(params["normaliser"], obs)
+        output: Any = self._module.apply({"params": network}, carry, obs, first)
+        carry, (mean, log_std) = output
+        return carry, Gaussian(mean, log_std, self.spec.squash)
+
+    def unroll(self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array) -> tuple[Carry, Gaussian]:
+        """Apply `step` along the leading time axis of obs [T, ..., O] and first [T, ...]."""
+        return networks.unroll(self.spec, self.step, params, carry, obs, first)
+
+    def act(
+        self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array, key: jax.Array | None = None
+    ) -> tuple[Carry, jax.Array]:
+        """Return the new carry and an action [..., A] in [-1, 1]: drawn with `key`, deterministic without."""
+        carry, distribution = self.step(params, carry, obs, first)
+        if key is None:
+            return carry, distribution.mode()
+        return carry, distribution.action(distribution.sample(key))
+
+
+class _Actor(nn.Module):
+    spec: PolicySpec
+
+    @nn.compact
+    def __call__(self, carry: Carry, obs: jax.Array, first: jax.Array) -> tuple[Carry, tuple[jax.Array, jax.Array]]:
+        size = self.spec.action_size
+        carry, features = networks.torso(self.spec, carry, obs, first)
+        mean = networks.dense(size, MEAN_SCALE)(features)
+        if self.spec.std == "state":
+            log_std = INITIAL_LOG_STD + networks.dense(size, MEAN_SCALE)(features)
+        else:
+            log_std = self.param("log_std", nn.initializers.constant(INITIAL_LOG_STD), (size,))
+        return carry, (mean, jnp.broadcast_to(jnp.clip(log_std, *LOG_STD_RANGE), mean.shape))
+
+
+def _log_slope(raw: jax.Array) -> jax.Array:
+    """Return log(1 - tanh(raw)^2) without loss of precision in the tails."""
+    return 2.0 * (math.log(2.0) - raw - jax.nn.softplus(-2.0 * raw))

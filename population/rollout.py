@@ -1,0 +1,228 @@
+"""Collecting a chunk of experience from all simulations of all members."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+
+from assistax_envs import select
+from population.networks import Carry, Params
+from population.policy import Policy
+
+EnvState = Any  # the environment's own state; axis N first in every leaf
+
+
+class Environment(Protocol):
+    """What trainers need of an environment; `assistax_envs.Env` is one."""
+
+    task: str
+    backend: str
+    version: int
+    episode_length: int
+    observation_size: dict[str, int]
+    action_size: dict[str, int]
+
+    def reset(self, keys: jax.Array, params: Any) -> EnvState: ...
+    def step(self, state: EnvState, action: dict[str, jax.Array]) -> EnvState: ...
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Episodes:
+    """Episodes in progress; one that did not start at its first step is not `whole`, and is never counted."""
+
+    whole: jax.Array  # [N] bool
+    sums: dict[str, jax.Array]  # "return" and "term_..." so far [N]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Simulations:
+    """All simulations of all members, between two steps."""
+
+    env: EnvState
+    carry: dict[str, Carry]  # of the actors, by role [M, N/M, ...]
+    first: jax.Array  # whether the current observation starts an episode [N]
+    episodes: Episodes
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Batch:
+    """A chunk of T steps of N simulations; for one member, N is its share."""
+
+    carry: dict[str, Carry]  # of the actors at the start of the chunk, by role
+    obs: dict[str, jax.Array]  # [T, N, O] acted on, by role and "global"
+    first: jax.Array  # [T, N]
+    raw: dict[str, jax.Array]  # raw actions [T, N, A], by role
+    log_prob: dict[str, jax.Array]  # of the raw actions [T, N], by role
+    reward: jax.Array  # [T, N]
+    terminated: jax.Array  # [T, N]; a simulation that diverged earns 0 from then on: its value is known to be 0
+    truncated: jax.Array  # [T, N]
+    final_obs: dict[str, jax.Array]  # at a simulation's time limit, before its reset [N, O]
+    last_obs: dict[str, jax.Array]  # after the chunk [N, O]
+    last_first: jax.Array  # [N]
+    finished: jax.Array  # number of whole episodes that ended [N]
+    finished_sums: dict[str, jax.Array]  # their "return" and "term_..." [N]
+    nonfinite: jax.Array  # number of simulations that diverged [N]
+
+
+def member_map(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Map over the leading member axis of all arguments.
+
+    Vectorised on accelerators. On a CPU members are taken in turn: a product of plain matrices is faster there than a
+    batched one.
+    """
+
+    def mapped(*args: Any) -> Any:
+        if jax.default_backend() != "cpu":
+            return jax.vmap(function)(*args)
+        if jax.tree.leaves(args)[0].shape[0] == 1:
+            result = function(*jax.tree.map(lambda leaf: leaf[0], args))
+            return jax.tree.map(lambda leaf: leaf[None], result)
+        return jax.lax.map(lambda args: function(*args), args)
+
+    return mapped
+
+
+def split(tree: Any, members: int) -> Any:
+    """Reshape the simulation axis [N, ...] of every leaf to [M, N/M, ...]."""
+    return jax.tree.map(lambda leaf: leaf.reshape(members, leaf.shape[0] // members, *leaf.shape[1:]), tree)
+
+
+def flatten(tree: Any) -> Any:
+    """Reshape every leaf [M, N/M, ...] to [N, ...]."""
+    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), tree)
+
+
+def begin(env: EnvState, policies: Mapping[str, Policy], members: int, stagger: jax.Array) -> Simulations:
+    """Return simulations at the states of `env`, their step counters set to `stagger` [N].
+
+    Staggered episodes reach their time limits at different steps, so that every batch holds all phases of an episode.
+    """
+    simulations = stagger.shape[0]
+    sums = {"return": env.reward, **{f"term_{name}": value for name, value in env.terms.items()}}
+    return Simulations(
+        env=dataclasses.replace(env, step=stagger.astype(env.step.dtype)),
+        carry={role: policy.initial_carry((members, simulations // members)) for role, policy in policies.items()},
+        first=jnp.ones(simulations, bool),
+        episodes=Episodes(whole=stagger == 0, sums=jax.tree.map(jnp.zeros_like, sums)),
+    )
+
+
+def collect(
+    env: Environment,
+    policies: Mapping[str, Policy],
+    params: Mapping[str, Params],
+    keys: jax.Array,
+    state: Simulations,
+    fresh: EnvState,
+    inputs: tuple[str, ...],
+) -> tuple[Simulations, Batch]:
+    """Act for T steps in all simulations; an episode that ends goes on from its simulation's state in `fresh`.
+
+    Args:
+        env: The environment.
+        policies: Networks by role.
+        params: Their parameters, leaves [M, ...].
+        keys: Keys of the actions [T, M].
+        state: The simulations.
+        fresh: Reset states [N]; T must not exceed the episode length, so that each is needed once.
+        inputs: Names of the observations that the learners read.
+    """
+    members = keys.shape[1]
+    act = member_map(partial(_act, policies))
+    zeros = jax.tree.map(jnp.zeros_like, (state.episodes.sums, {name: state.env.obs[name] for name in inputs}))
+    count = jnp.zeros(state.first.shape, jnp.int32)
+
+    def step(loop: tuple[Simulations, _Tally], keys: jax.Array) -> tuple[tuple[Simulations, _Tally], dict[str, Any]]:
+        state, tally = loop
+        obs = {role: state.env.obs[role] for role in policies}
+        carry, acted = act(params, state.carry, split(obs, members), split(state.first, members), keys)
+        action, raw, log_prob = flatten(acted)
+        after = env.step(state.env, action)
+        terminated = after.terminated | after.nonfinite
+        truncated = after.truncated & ~terminated
+        ended = terminated | truncated
+        episodes, tally = _account(state.episodes, tally, after, ended, truncated)
+        seen = {
+            "obs": {name: state.env.obs[name] for name in inputs},
+            "first": state.first,
+            "raw": raw,
+            "log_prob": log_prob,
+            "reward": after.reward,
+            "terminated": terminated,
+            "truncated": truncated,
+        }
+        return (Simulations(select(ended, fresh, after), carry, ended, episodes), tally), seen
+
+    tally = _Tally(final_obs=zeros[1], finished=count, finished_sums=zeros[0], nonfinite=count)
+    (after, tally), seen = jax.lax.scan(step, (state, tally), keys)
+    last_obs = {name: after.env.obs[name] for name in inputs}
+    return after, Batch(carry=flatten(state.carry), last_obs=last_obs, last_first=after.first, **seen, **_fields(tally))
+
+
+def by_member(batch: Batch, members: int) -> Batch:
+    """Move the member axis of a batch to the front: [T, N, ...] becomes [M, T, N/M, ...]."""
+
+    def over_time(leaf: jax.Array) -> jax.Array:
+        return jnp.moveaxis(leaf.reshape(leaf.shape[0], members, -1, *leaf.shape[2:]), 1, 0)
+
+    timed = ("obs", "first", "raw", "log_prob", "reward", "terminated", "truncated")
+    return Batch(
+        **{
+            name: jax.tree.map(over_time, value) if name in timed else split(value, members)
+            for name, value in _fields(batch).items()
+        }
+    )
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class _Tally:
+    final_obs: dict[str, jax.Array]
+    finished: jax.Array
+    finished_sums: dict[str, jax.Array]
+    nonfinite: jax.Array
+
+
+def _act(
+    policies: Mapping[str, Policy],
+    params: dict[str, Params],
+    carries: dict[str, Carry],
+    obs: dict[str, jax.Array],
+    first: jax.Array,
+    key: jax.Array,
+) -> tuple[dict[str, Carry], tuple[dict[str, jax.Array], dict[str, jax.Array], dict[str, jax.Array]]]:
+    """Let one member's policies act; return carries, and actions, raw actions and log probabilities by role."""
+    carry, action, raw, log_prob = {}, {}, {}, {}
+    for role, role_key in zip(policies, jax.random.split(key, len(policies)), strict=True):
+        carry[role], gaussian = policies[role].step(params[role], carries[role], obs[role], first)
+        raw[role] = gaussian.sample(role_key)
+        action[role], log_prob[role] = gaussian.action(raw[role]), gaussian.log_prob(raw[role])
+    return carry, (action, raw, log_prob)
+
+
+def _account(
+    episodes: Episodes, tally: _Tally, after: EnvState, ended: jax.Array, truncated: jax.Array
+) -> tuple[Episodes, _Tally]:
+    """Add a step to the episodes in progress, and those that ended to the tally."""
+    gains = {"return": after.reward, **{f"term_{name}": value for name, value in after.terms.items()}}
+    sums = {name: episodes.sums[name] + gains[name] for name in gains}
+    counted = ended & episodes.whole
+    tally = _Tally(
+        final_obs=select(truncated, {name: after.obs[name] for name in tally.final_obs}, tally.final_obs),
+        finished=tally.finished + counted,
+        finished_sums={name: tally.finished_sums[name] + jnp.where(counted, sums[name], 0.0) for name in sums},
+        nonfinite=tally.nonfinite + after.nonfinite,
+    )
+    sums = {name: jnp.where(ended, 0.0, value) for name, value in sums.items()}
+    return Episodes(whole=episodes.whole | ended, sums=sums), tally
+
+
+def _fields(instance: Any) -> dict[str, Any]:
+    """Return a dataclass's fields by name, one level deep."""
+    return {field.name: getattr(instance, field.name) for field in dataclasses.fields(instance)}

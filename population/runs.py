@@ -1,0 +1,196 @@
+"""The folder of a run: its configuration, its metrics, and the teams it made.
+
+- `config.json`: what was trained, on what
+- `checkpoints/`: training state by number of updates
+- `metrics.parquet`: one row for each update and member
+- `teams.json`: the teams, once the run is finished
+- `robot.safetensors`, `human.safetensors`: their parameters, stacked: leaves [P, ...] named by '/'-joined path
+"""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import safetensors.numpy
+
+from population.config import Member, TrainConfig
+from population.spec import PolicySpec
+
+METADATA_KEY = "assistax"  # safetensors bytes are stable with one metadata key only
+_MAY_CHANGE = ("checkpoint_every", "self_play_episodes")  # when a run goes on; so may "steps", unless they set the rate
+_SCHEMA = {"update": pl.Int64, "steps": pl.Int64, "seconds": pl.Float64, "member": pl.Int64, "disability": pl.String}
+_SCHEMA |= {"seed": pl.Int64, "episodes": pl.Int64, "nonfinite": pl.Int64}
+
+
+class RunFolder:
+    """Reads and writes a run's folder; every file is seen whole or not at all."""
+
+    def __init__(self, folder: Path | str) -> None:
+        self.folder = Path(folder)
+        self.checkpoints = self.folder / "checkpoints"
+        self.teams = self.folder / "teams.json"
+        self._config = self.folder / "config.json"
+        self._metrics = self.folder / "metrics.parquet"
+
+    def open(self, config: TrainConfig, environment: Mapping[str, Any], resume: bool) -> None:
+        """Make the folder, or check that it holds a run of the same configuration.
+
+        Args:
+            config: What is to be trained.
+            environment: Facts that a resumed run must share: version and backend.
+            resume: Whether to go on with a run that is there.
+
+        Raises:
+            ValueError: It holds another run, or one although `resume` is false.
+            OSError: It cannot be written.
+        """
+        wanted = {"config": config.to_json(), "environment": dict(environment)}
+        if not self._config.exists():
+            if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
+                raise ValueError(f"{self.folder} exists and is not the folder of a run; choose an empty or new folder")
+            self.folder.mkdir(parents=True, exist_ok=True)
+        elif not resume:
+            raise ValueError(f"{self.folder} already holds a run; resume it, or choose a new folder")
+        else:
+            found = self._read_config()
+            may_change = (*_MAY_CHANGE, *(() if config.ppo.anneal_lr else ("steps",)))
+            if differences := _differences(found, wanted, may_change):
+                raise ValueError(
+                    f"{self.folder} holds a run with another configuration: {differences}; "
+                    "repeat that configuration to resume it, or choose a new folder"
+                )
+        write_atomically(self._config, (json.dumps(wanted, indent=2) + "\n").encode())
+
+    def config(self) -> TrainConfig:
+        """Return the configuration of the run in this folder."""
+        return TrainConfig.from_json(self._read_config()["config"])
+
+    def read_metrics(self, until: int) -> pl.DataFrame:
+        """Return the metrics of the first `until` updates."""
+        return pl.read_parquet(self._metrics).filter(pl.col("update") <= until)
+
+    def write_metrics(self, metrics: pl.DataFrame) -> None:
+        """Replace the metrics."""
+        temporary = self._metrics.with_suffix(".tmp")
+        metrics.write_parquet(temporary)
+        os.replace(temporary, self._metrics)
+
+    def write_teams(
+        self,
+        config: TrainConfig,
+        specs: Mapping[str, PolicySpec],
+        params: Mapping[str, Any],
+        training: Mapping[str, Any],
+        self_play: Sequence[Mapping[str, Any] | None],
+    ) -> None:
+        """Write the parameters, leaves [M, ...] by role, then `teams.json`, which marks the run as finished."""
+        rows = [f"{config.task}/{config.algorithm}-{member.label}" for member in config.members]
+        for role, spec in specs.items():
+            metadata = {"spec": spec.to_json(), "rows": rows}
+            text = json.dumps(metadata, sort_keys=True, separators=(",", ":"))
+            leaves = dict(sorted(flatten(params[role]).items()))
+            write_atomically(self.folder / f"{role}.safetensors", safetensors.numpy.save(leaves, {METADATA_KEY: text}))
+        teams = [
+            {
+                "team": {
+                    "task": config.task,
+                    "algorithm": config.algorithm,
+                    "disability": member.disability,
+                    "seed": member.seed,
+                },
+                "roles": {
+                    role: {"spec": spec.to_json(), "file": f"{role}.safetensors", "row": row}
+                    for role, spec in specs.items()
+                },
+                "training": dict(training),
+                "self_play": result,
+            }
+            for row, (member, result) in enumerate(zip(config.members, self_play, strict=True))
+        ]
+        write_atomically(self.teams, (json.dumps(teams, indent=2) + "\n").encode())
+
+    def _read_config(self) -> dict[str, Any]:
+        try:
+            return json.loads(self._config.read_text())
+        except ValueError as error:
+            raise ValueError(f"{self._config} is not JSON ({error}); choose a new folder") from None
+
+
+def metrics_table(
+    metrics: Mapping[str, Any], members: Sequence[Member], done: int, batch_steps: int, seconds: float
+) -> pl.DataFrame:
+    """Return one row for each update and member.
+
+    Args:
+        metrics: Values [U, M] by name, of U updates.
+        members: The M members.
+        done: Updates before these.
+        batch_steps: Environment steps of one member in one update.
+        seconds: Training time at the end of these updates.
+    """
+    columns = {name: np.asarray(value) for name, value in metrics.items()}
+    updates, count = next(iter(columns.values())).shape
+    update = np.repeat(done + 1 + np.arange(updates), count)
+    table = pl.DataFrame(
+        {
+            "update": update,
+            "steps": update * batch_steps,
+            "seconds": np.full(updates * count, seconds),
+            "member": np.tile(np.arange(count), updates),
+            "disability": [member.disability for member in members] * updates,
+            "seed": [member.seed for member in members] * updates,
+            **{name: value.reshape(-1) for name, value in sorted(columns.items())},
+        }
+    )
+    # A mean over no episodes is missing, not a number.
+    means = [name for name in columns if name == "return" or name.startswith("term_")]
+    table = table.with_columns(pl.col(name).fill_nan(None) for name in means)
+    return table.cast({name: dtype for name, dtype in _SCHEMA.items() if name in table.columns})
+
+
+def flatten(params: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
+    """Return the arrays of nested dicts by '/'-joined path."""
+    leaves = {}
+    for name, value in params.items():
+        if isinstance(value, Mapping):
+            leaves |= flatten(value, f"{prefix}{name}/")
+        else:
+            leaves[f"{prefix}{name}"] = np.ascontiguousarray(value)
+    return leaves
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write to a temporary sibling, flush it to disk, and rename it over `path`."""
+    temporary = path.with_name(f".{path.name}.tmp")
+    try:
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def _differences(found: Any, wanted: Any, ignored: Sequence[str], path: str = "") -> str:
+    """Describe the first fields in which two configurations differ."""
+    if isinstance(found, Mapping) and isinstance(wanted, Mapping):
+        parts = [
+            _differences(found.get(name), wanted.get(name), ignored, f"{path}.{name}" if path else name)
+            for name in dict.fromkeys([*found, *wanted])
+            if name not in ignored
+        ]
+        return "; ".join(part for part in parts if part)
+    if json.dumps(found) == json.dumps(wanted):
+        return ""
+    return f"{path.removeprefix('config.')} is {_short(found)} there and {_short(wanted)} here"
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,60 @@
+import json
+from typing import Any
+
+import pytest
+
+from assistax_zoo.commands import bench
+from assistax_zoo.main import run
+
+
+def test_env_prints_steps_per_second_of_each_batch_size(capfd: pytest.CaptureFixture[str]):
+    words = ["--task", "scratch", "--backend", "native", "--batch", "1,3", "--seconds", "0.03"]
+    assert run(["bench", "env", *words, "--json"]) == 0
+    rows = json.loads(capfd.readouterr().out)
+    assert [(row["task"], row["backend"], row["batch"]) for row in rows] == [
+        ("scratch", "native", 1),
+        ("scratch", "native", 3),
+    ]
+    for row in rows:
+        assert min(row["repeats"]) <= row["env_steps_per_second"] <= max(row["repeats"])
+        assert 10 <= row["steps"] <= 1000
+        assert row["compile_seconds"] > 0
+
+
+def test_env_prints_a_line_for_people(capfd: pytest.CaptureFixture[str]):
+    assert run(["bench", "env", "--task", "scratch", "--backend", "native", "--batch", "2", "--seconds", "0.03"]) == 0
+    told = capfd.readouterr().out
+    assert "compilation not counted" in told
+    assert "env steps/s" in told
+
+
+def test_crossplay_compares_the_evaluator_with_the_environment(capfd: pytest.CaptureFixture[str]):
+    bench.crossplay(task="scratch", backend="native", shape="1,2,2", seconds=0.03, json=True)
+    (row,) = json.loads(capfd.readouterr().out)
+    assert row["ratio"] > 0
+    assert (row["egos"], row["partners"], row["episodes"]) == (1, 2, 2)
+    assert row["pairs_per_second"] == pytest.approx(row["env_steps_per_second"] / 2000)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--task", "feeding"], "task is 'feeding'; allowed are all, scratch"),
+        (["--backend", "gpu"], "backend is 'gpu'; allowed are auto, native"),
+        (["--batch", "64,many"], "batch is '64,many'; expected whole numbers"),
+        (["--batch", "0"], "expected whole numbers of at least 1"),
+        (["--batch", ","], "give at least one value"),
+        (["--seconds", "0"], "seconds is 0"),
+    ],
+)
+def test_bad_input_gets_one_clear_line(words: list[str], told: str, capfd: pytest.CaptureFixture[str]):
+    assert run(["bench", "env", *words]) == 1
+    lines = capfd.readouterr()
+    assert told in lines.err
+    assert lines.err.count("\n") == 1
+    assert lines.out == ""
+
+
+def test_a_shape_needs_three_numbers(capfd: Any):
+    with pytest.raises(ValueError, match="three numbers"):
+        bench.crossplay(shape="1,2")

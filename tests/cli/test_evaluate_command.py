@@ -1,0 +1,264 @@
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import polars as pl
+import pytest
+
+from assistax_zoo.main import run
+from population.policy import Policy
+from population.spec import PolicySpec
+from zoo.publish import publish
+from zoo.runs import TrainedTeam
+from zoo.storage import write_policy_file
+
+ROBOT = PolicySpec("robot", observation_size=34, action_size=7, hidden=(8,))
+HUMAN = PolicySpec("human", observation_size=38, action_size=3, hidden=(8,))
+STEPS = 20
+FIGURE = {"mean", "iqm", "ci", "n"}
+
+
+def params_of(spec: PolicySpec, seed: int) -> dict[str, Any]:
+    return jax.tree.map(lambda leaf: np.array(leaf), jax.jit(Policy(spec).init)(jax.random.key(seed)))
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A registry of eight untrained teams: d1 and d9, four seeds each."""
+    training = {"run": "untrained", "steps": 0, "env_version": 1, "backend": "native"}
+    teams = [
+        TrainedTeam(
+            "scratch",
+            "ippo",
+            disability,
+            seed,
+            {"robot": ROBOT, "human": HUMAN},
+            {"robot": params_of(ROBOT, 10 * i + seed), "human": params_of(HUMAN, 100 + 10 * i + seed)},
+            training,
+        )
+        for i, disability in enumerate(("d1", "d9"))
+        for seed in range(4)
+    ]
+    path = tmp_path_factory.mktemp("zoo") / "registry.json"
+    publish(teams, path, "v0", date="2026-01-01")
+    return path
+
+
+@pytest.fixture
+def registry(published: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the registry to spoil, and episodes of few steps."""
+    monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", STEPS)
+    return Path(shutil.copytree(published.parent, tmp_path / "zoo")) / "registry.json"
+
+
+def call(*words: Any) -> int:
+    return run([str(word) for word in words])
+
+
+def evaluate(registry: Path, *words: Any, policy: Any = "zoo:scratch/ippo-d1-s0-v0/robot") -> int:
+    given = {"--task": "scratch", "--episodes": 2, "--backend": "native"}
+    defaults = [word for option in given.items() if option[0] not in words for word in option]
+    return call("evaluate", "--policy", policy, "--registry", registry, *defaults, *words)
+
+
+def failure(capfd: pytest.CaptureFixture[str], code: int) -> str:
+    """Return the one line of an error."""
+    told = capfd.readouterr()
+    assert code == 1
+    assert told.out == ""
+    assert told.err.startswith("error: ")
+    assert told.err.count("\n") == 1
+    return told.err
+
+
+def test_json_is_the_object_of_the_design(registry: Path, capfd: pytest.CaptureFixture[str]):
+    assert evaluate(registry, "--json") == 0
+    summary = json.loads(capfd.readouterr().out)
+    expected = {
+        *("task", "split", "m_test", "m_train", "gap", "by_algorithm", "by_disability", "worst_partner", "episodes"),
+        *("nonfinite", "env_steps_per_second", "release", "env_version", "backend"),
+    }
+    assert expected <= set(summary)
+    assert set(summary["m_test"]) >= FIGURE
+    assert summary["m_test"]["n"] == 4
+    assert summary["m_train"] is None
+    assert summary["episodes"] == 8
+    assert list(summary["by_disability"]) == ["d1", "d9"]
+    assert (summary["release"], summary["env_version"], summary["backend"]) == ("v0", 1, "native")
+
+
+def test_both_sides_give_the_gap_and_keep_the_tables(registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    assert evaluate(registry, "--split", "both", "--out", tmp_path / "out") == 0
+    told = capfd.readouterr().out
+    assert all(word in told for word in ("M_test", "M_train - M_test", "d9", "worst partner", str(tmp_path / "out")))
+    assert "not new to it: scratch/ippo-d1-s0-v0/human" in told.replace("\n", " ")
+    table = pl.read_parquet(tmp_path / "out" / "episodes.parquet")
+    assert table.height == 16
+    assert sorted(table["side"].unique()) == ["test", "train"]
+    assert set(table["steps"]) == {STEPS}
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["gap"]["n"] == 8
+
+
+def test_several_policies_are_seeds_of_one_method(registry: Path, capfd: pytest.CaptureFixture[str]):
+    words = ["--policy", "zoo:scratch/ippo-d1-s1-v0/robot", "--partners", "scratch/ippo-d9-*", "--split", "test"]
+    assert evaluate(registry, *words, "--json") == 0
+    summary = json.loads(capfd.readouterr().out)
+    assert len(summary["egos"]) == 2
+    assert list(summary["by_disability"]) == ["d9"]
+    assert summary["m_test"]["n"] == 2 * summary["partners"]["test"]
+
+
+def test_crossplay_fills_its_folder_with_self_play_on_the_diagonal(
+    registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
+    """Two teams of each setting; self-play is what `evaluate` gives for the robot with its own human."""
+    out, teams = tmp_path / "xp", "scratch/ippo-d?-s[01]-v0"
+    words = ["--task", "scratch", "--episodes", 2, "--backend", "native", "--registry", registry]
+    globs = ["--egos", f"{teams}/robot", "--partners", f"{teams}/human"]
+    assert call("crossplay", *words, *globs, "--out", out, "--json") == 0
+    summary = json.loads(capfd.readouterr().out)
+    assert set(summary["self_play"]) >= FIGURE
+    assert (summary["egos"], summary["partners"], summary["episodes"]) == (4, 4, 32)
+    for name in ("episodes.parquet", "pairs.parquet", "order.json", "summary.json", "crossplay.png"):
+        assert (out / name).stat().st_size > 0
+    pairs = pl.read_parquet(out / "pairs.parquet")
+    own = pairs.filter(pl.col("ego_team") == pl.col("partner_team"))
+    assert own["return"].mean() == pytest.approx(summary["self_play"]["mean"])
+    assert sorted(json.loads((out / "order.json").read_text())["teams"]["order"]) == sorted(own["ego_team"])
+    team = "scratch/ippo-d9-s1-v0"
+    assert evaluate(registry, "--partners", f"{team}/human", "--json", policy=f"zoo:{team}/robot") == 0
+    alone = json.loads(capfd.readouterr().out)["worst_partner"]["mean"]
+    assert own.filter(pl.col("ego_team") == team)["return"].item() == pytest.approx(alone, rel=1e-6)
+
+
+def test_a_finished_crossplay_is_summarised_again_without_running(
+    registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
+    words = [
+        "--task",
+        "scratch",
+        "--episodes",
+        1,
+        "--backend",
+        "native",
+        "--registry",
+        registry,
+        "--out",
+        tmp_path / "x",
+    ]
+    globs = ["--egos", "scratch/ippo-d1-s[01]-*", "--partners", "scratch/ippo-d1-s[01]-*"]
+    assert call("crossplay", *words, *globs) == 0
+    before = (tmp_path / "x" / "episodes.parquet").stat().st_mtime_ns
+    assert call("crossplay", *words, *globs) == 0
+    assert "found finished" in capfd.readouterr().out
+    assert (tmp_path / "x" / "episodes.parquet").stat().st_mtime_ns == before
+    assert call("crossplay", *words[:3], 3, *words[4:], *globs) == 1
+    assert "holds another job (episodes 1 there, 3 here)" in capfd.readouterr().err
+
+
+def test_a_robot_in_plain_numpy(registry: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any):
+    (tmp_path / "numpy_robot_of_a_test.py").write_text(
+        "import numpy as np\n"
+        "def zero():\n    return lambda obs: np.zeros((len(obs), 7))\n"
+        "def wrong():\n    return lambda obs: np.zeros((len(obs), 6))\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    assert evaluate(registry, "--json", policy="python:numpy_robot_of_a_test:zero") == 0
+    assert json.loads(capfd.readouterr().out)["egos"] == ["python:numpy_robot_of_a_test:zero"]
+    code = evaluate(registry, policy="python:numpy_robot_of_a_test:wrong")
+    told = failure(capfd, code)
+    assert "step 0: returned float64 of shape (8, 6); expected floats of shape (8, 7)" in told
+    assert "scratch/ippo-" in told
+
+
+def test_a_policy_file_is_evaluated_and_one_of_another_task_refused(registry: Path, tmp_path: Path, capfd: Any):
+    write_policy_file(tmp_path / "mine.safetensors", ROBOT, params_of(ROBOT, 1))
+    assert evaluate(registry, "--json", policy=tmp_path / "mine.safetensors") == 0
+    capfd.readouterr()
+    other = PolicySpec("robot", observation_size=47, action_size=7, hidden=(8,))
+    write_policy_file(tmp_path / "other.safetensors", other, params_of(other, 1))
+    told = failure(capfd, evaluate(registry, policy=tmp_path / "other.safetensors"))
+    assert "other.safetensors reads observations of 47 numbers; the robot of task scratch has 34" in told
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--episodes", "0"], "episodes is 0; each pair needs at least 1"),
+        (["--task", "scratchitch"], "task is 'scratchitch'; allowed are scratch"),
+        (["--backend", "gpu"], "backend is 'gpu'; allowed are auto, native"),
+        (["--max-envs", "0"], "max_envs is 0; allowed is 1 or more"),
+        (["--seed", "-1"], "seed is -1; allowed is 0 or more"),
+        (["--split", "halves"], "halves"),
+        (["--split", "half:best"], "after the colon test, train, both are allowed"),
+        (["--partners", "scratch/ippo-d1-s77-v0/human"], "nearest: scratch/ippo-d1-"),
+        (["--policy", "zoo:scratch/ippo-d1-s00-v0/robot"], "nearest: scratch/ippo-d1-s0-v0/robot"),
+        (["--policy", "zoo:scratch/ippo-d1-s0-v0/robot"], "is given 2 times"),
+        (["--policy", "robot.onnx"], "unknown form; allowed are zoo:ID"),
+    ],
+)
+def test_bad_input_gets_one_clear_line(registry: Path, words: list[str], told: str, capfd: pytest.CaptureFixture[str]):
+    assert told in failure(capfd, evaluate(registry, *words))
+
+
+def test_a_corrupted_shard_is_told_with_both_hashes(registry: Path, capfd: pytest.CaptureFixture[str]):
+    shard = next((registry.parent / "zoo").rglob("*human*.safetensors"))
+    data = bytearray(shard.read_bytes())
+    expected = json.loads(registry.read_text())["shards"][shard.relative_to(registry.parent).as_posix()]["sha256"]
+    data[-5] ^= 1
+    shard.chmod(0o644)
+    shard.write_bytes(bytes(data))
+    told = failure(capfd, evaluate(registry))
+    assert expected in told
+    assert shard.name in told
+
+
+def test_a_release_of_another_environment_version_is_refused(registry: Path, capfd: pytest.CaptureFixture[str]):
+    text = registry.read_text()
+    changed = text.replace('"environments": {"scratch": 1}', '"environments": {"scratch": 2}')
+    assert changed != text
+    registry.write_text(changed)
+    told = failure(capfd, evaluate(registry))
+    assert "expected version 1 of environment scratch" in told
+    assert "release v0, trained on version 2" in told
+
+
+def test_an_output_folder_that_cannot_be_written_is_found_first(registry: Path, tmp_path: Path, capfd: Any):
+    (tmp_path / "file").write_text("in the way")
+    told = failure(capfd, evaluate(registry, "--out", tmp_path / "file" / "out", policy="python:never_imported:f"))
+    assert "cannot write to" in told
+    assert "--out" in told
+
+
+def test_a_missing_task_is_wrong_usage(capfd: pytest.CaptureFixture[str]):
+    assert call("evaluate", "--policy", "zoo:x") == 2
+    assert "--task" in capfd.readouterr().err
+
+
+def test_standard_output_of_a_process_is_one_json_object(published: Path, tmp_path: Path):
+    """Whatever libraries print, when imported or from C, is not in it."""
+    code = (
+        "import assistax_envs.env, sys\n"
+        f"assistax_envs.env.EPISODE_LENGTH = {STEPS}\n"
+        "from assistax_zoo.main import run\n"
+        "sys.exit(run(sys.argv[1:]))\n"
+    )
+    words = ["evaluate", "--task", "scratch", "--policy", "zoo:scratch/ippo-d9-s2-v0/robot", "--episodes", "1"]
+    words += ["--registry", str(published), "--backend", "native", "--json"]
+    root = Path(__file__).parents[2]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(root)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert json.loads(done.stdout)["episodes"] == 4

@@ -1,0 +1,207 @@
+"""Exit codes and messages of the command line, its help pages, and what commands share."""
+
+import ctypes
+import json
+import os
+import subprocess
+import sys
+import types
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from assistax_zoo import console, main
+from zoo.errors import ZooError
+
+ROOT = Path(__file__).parents[2]
+ALL_COMMANDS = [(name,) for name in main.COMMANDS] + [
+    (group, name) for group, (_, commands) in main.GROUPS.items() for name in commands
+]
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], None]], None]:
+    """Make `assistax-zoo fake` run a function."""
+
+    def install(work: Callable[[], None]) -> None:
+        def fake(*, episodes: int = 1) -> None:
+            """Do as the test says."""
+            work()
+
+        module = types.ModuleType("fake_commands")
+        module.fake = fake  # ty: ignore[missing-attribute]
+        monkeypatch.setitem(sys.modules, "fake_commands", module)
+        monkeypatch.setitem(main.COMMANDS, "fake", "fake_commands:fake")
+
+    return install
+
+
+def raises(error: BaseException) -> Callable[[], None]:
+    def work() -> None:
+        raise error
+
+    return work
+
+
+def test_a_command_that_ends_well_exits_0(fake: Callable, capsys: pytest.CaptureFixture[str]) -> None:
+    fake(lambda: print("done"))
+    assert main.run(["fake"]) == 0
+    assert capsys.readouterr() == ("done\n", "")
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (ValueError("--episodes is 0; 1 or more is needed"), "error: --episodes is 0; 1 or more is needed\n"),
+        (TypeError("a list is needed"), "error: a list is needed\n"),
+        (OSError("the folder is full"), "error: the folder is full\n"),
+        (PermissionError(13, "Permission denied", "/out"), "error: Permission denied: /out\n"),
+    ],
+)
+def test_an_expected_error_is_its_message(
+    fake: Callable, capsys: pytest.CaptureFixture[str], error: Exception, message: str
+) -> None:
+    fake(raises(error))
+    assert main.run(["fake"]) == 1
+    assert capsys.readouterr() == ("", message)
+
+
+def test_an_error_of_the_zoo_is_its_message(fake: Callable, capsys: pytest.CaptureFixture[str]) -> None:
+    error = ZooError("unknown policy", expected="an id", found="x", done="nothing was done", next_step="run list")
+    fake(raises(error))
+    assert main.run(["fake"]) == 1
+    assert capsys.readouterr() == ("", f"error: {error}\n")
+
+
+def test_an_unexpected_error_is_named_without_a_traceback(
+    fake: Callable, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(main.DEBUG_VARIABLE, raising=False)
+    fake(raises(RuntimeError("out of memory\nframes\nof the compiler")))
+    assert main.run(["fake"]) == 1
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == "error: RuntimeError: out of memory"
+    assert "ASSISTAX_ZOO_DEBUG=1" in second
+
+
+def test_debugging_raises_the_error(fake: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(main.DEBUG_VARIABLE, "1")
+    fake(raises(ValueError("bad")))
+    with pytest.raises(ValueError, match="bad"):
+        main.run(["fake"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words", "hint"),
+    [
+        (["fakke"], 'Unknown command "fakke". Did you mean "fake"?', "try: assistax-zoo --help"),
+        (["fake", "--bogus", "1"], "--bogus", "try: assistax-zoo fake --help"),
+        (["fake", "--episodes", "two"], "two", "try: assistax-zoo fake --help"),
+        (["plot", "nothing"], 'Unknown command "nothing"', "try: assistax-zoo plot --help"),
+    ],
+)
+def test_wrong_usage_exits_2(
+    fake: Callable, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str, hint: str
+) -> None:
+    fake(lambda: None)
+    assert main.run(arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("error: ")
+    assert words in err
+    assert err.splitlines()[-1] == hint
+
+
+def test_an_interrupt_exits_130(fake: Callable, capsys: pytest.CaptureFixture[str]) -> None:
+    fake(raises(KeyboardInterrupt()))
+    assert main.run(["fake"]) == 130
+    assert capsys.readouterr() == ("", "error: interrupted\n")
+
+
+def test_a_reader_that_leaves_is_no_error() -> None:
+    script = (
+        "import sys, types; from assistax_zoo import main\n"
+        "module = sys.modules['fakes'] = types.ModuleType('fakes')\n"
+        "exec('def fake():\\n    for i in range(10**6): print(i)', module.__dict__)\n"
+        "main.COMMANDS['fake'] = 'fakes:fake'; sys.exit(main.run(['fake']))"
+    )
+    command = [sys.executable, "-c", script]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline() == "0\n"
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == main.EXIT_BROKEN_PIPE
+
+
+def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.run(["--help"]) == 0
+    lines = [line.strip("│ ").split(maxsplit=1) for line in capsys.readouterr().out.splitlines()]
+    summaries = {words[0]: words[1:] for words in lines if words}
+    assert {*main.COMMANDS, *main.GROUPS} <= summaries.keys()
+    assert all(summaries[name] for name in (*main.COMMANDS, *main.GROUPS))
+
+
+@pytest.mark.parametrize("command", ALL_COMMANDS, ids=" ".join)
+def test_help_of_a_command_ends_with_an_example(command: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.run([*command, "--help"]) == 0
+    usage, _, rest = capsys.readouterr().out.partition("\n")
+    assert usage.startswith(f"Usage: assistax-zoo {' '.join(command)}")
+    assert f"assistax-zoo {' '.join(command)}" in rest
+
+
+def test_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.run(["--version"]) == 0
+    assert capsys.readouterr().out.strip()
+
+
+def test_the_compilation_cache_is_set_but_never_overridden(fake: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake(lambda: None)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "/mine")
+    main.run(["fake"])
+    assert os.environ["JAX_COMPILATION_CACHE_DIR"] == "/mine"
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+    monkeypatch.setenv("XDG_CACHE_HOME", "/caches")
+    main.run(["fake"])
+    assert os.environ["JAX_COMPILATION_CACHE_DIR"] == "/caches/assistax-zoo/xla"
+
+
+def test_print_json_prints_one_document(capsys: pytest.CaptureFixture[str]) -> None:
+    value = {"mean": np.float32(1.5), "ci": np.array([0, 1]), "none": float("nan"), "path": Path("a"), 1: ("é", {2, 1})}
+    console.print_json(value)
+    out = capsys.readouterr().out
+    assert json.loads(out) == {"mean": 1.5, "ci": [0, 1], "none": None, "path": "a", "1": ["é", [1, 2]]}
+    assert "NaN" not in out
+
+
+def test_noise_goes_to_standard_error_while_stdout_is_data(capfd: pytest.CaptureFixture[str]) -> None:
+    with console.stdout_is_data():
+        print("from Python")
+        os.write(1, b"from a descriptor\n")
+        ctypes.CDLL(None).puts(b"from C")
+    print("the result")
+    out, err = capfd.readouterr()
+    assert out == "the result\n"
+    assert {"from Python", "from a descriptor", "from C"} <= set(err.splitlines())
+
+
+def test_standard_output_comes_back_after_an_error(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(ValueError, match="bad"), console.stdout_is_data():
+        raise ValueError("bad")
+    os.write(1, b"back\n")
+    assert capfd.readouterr().out == "back\n"
+
+
+def test_progress_off_a_terminal_is_lines_on_standard_error(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(console, "SECONDS_BETWEEN_LINES", 0.0)
+    with console.progress("evaluate scratch", 4) as advance:
+        advance(1)
+        advance(3)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert [line.split(",")[0] for line in err.splitlines()] == ["evaluate scratch: 1/4", "evaluate scratch: 4/4"]

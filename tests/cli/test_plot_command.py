@@ -1,0 +1,134 @@
+"""`assistax-zoo plot`: figures from saved folders, and one clear line where a folder is not one."""
+
+import inspect
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from assistax_zoo.commands import plot
+from assistax_zoo.main import run
+from evaluation import summary, tables
+from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, teams
+from tests.zoo.conftest import trained_team
+from zoo.publish import publish
+
+
+@pytest.fixture
+def crossplay_folder(tmp_path: Path) -> Path:
+    population = teams(6, ("ippo",), ("d1", "d9"))
+    folder = tmp_path / "xp"
+    summary.save_crossplay(folder, episode_table(clustered_matrix(6, 2)[:, :, None], population, population), **CONTEXT)
+    return folder
+
+
+@pytest.fixture
+def evaluation_folder(tmp_path: Path) -> Path:
+    returns = np.random.default_rng(0).normal(500, 50, (2, 4, 2))
+    table = episode_table(returns, ["a", "b"], teams(4), ["test", "train"] * 2)
+    summary.save_evaluation(tmp_path / "ppo", table, **CONTEXT)
+    return tmp_path / "ppo"
+
+
+def call(*words: object) -> int:
+    return run(["plot", *map(str, words)])
+
+
+@pytest.mark.parametrize("ending", ["png", "pdf"])
+@pytest.mark.parametrize("order", [(), ("--order", "separate")])
+def test_crossplay_draws_the_saved_matrix_and_says_where(
+    crossplay_folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], ending: str, order: tuple[str, ...]
+):
+    out = tmp_path / "figures" / f"matrix.{ending}"
+    assert call("crossplay", crossplay_folder, "--out", out, *order) == 0
+    assert out.stat().st_size > 10_000
+    assert capfd.readouterr().out == f"{out}\n"
+
+
+def test_crossplay_reads_only_the_saved_order_matrix_and_summary(crossplay_folder: Path):
+    assert sorted(path.name for path in crossplay_folder.iterdir()) == sorted(
+        [tables.PAIRS_FILE, tables.ORDER_FILE, tables.SUMMARY_FILE]
+    )
+
+
+def failure(capfd: pytest.CaptureFixture[str], code: int) -> str:
+    captured = capfd.readouterr()
+    assert code == 1
+    assert captured.out == ""
+    assert "Traceback" not in captured.err
+    assert captured.err.count("\n") == 1
+    return captured.err
+
+
+def test_wrong_folders_and_names_get_one_line(
+    crossplay_folder: Path, evaluation_folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
+    out = tmp_path / "x.png"
+    gone = tmp_path / "gone"
+    assert f"{gone} is not a folder; run `assistax-zoo crossplay --out" in failure(
+        capfd, call("crossplay", gone, "--out", out)
+    )
+    assert f"lacks {tables.PAIRS_FILE}, {tables.ORDER_FILE}; run" in failure(
+        capfd, call("crossplay", evaluation_folder, "--out", out)
+    )
+    assert "ends in '.jpg'; figures are written as .png or .pdf" in failure(
+        capfd, call("crossplay", crossplay_folder, "--out", tmp_path / "x.jpg")
+    )
+    (crossplay_folder / tables.ORDER_FILE).write_text("{")
+    assert "order.json is not readable JSON" in failure(capfd, call("crossplay", crossplay_folder, "--out", out))
+    assert not out.exists()
+
+
+def test_a_place_that_cannot_be_written_gets_one_line(crossplay_folder: Path, capfd: pytest.CaptureFixture[str]):
+    out = crossplay_folder / tables.SUMMARY_FILE / "x.png"
+    assert "summary.json" in failure(capfd, call("crossplay", crossplay_folder, "--out", out))
+
+
+def test_wrong_usage_has_code_2(crossplay_folder: Path, capfd: pytest.CaptureFixture[str]):
+    assert call("crossplay", crossplay_folder) == 2
+    assert call("crossplay", crossplay_folder, "--out", "x.png", "--order", "mixed") == 2
+    assert "Traceback" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("draw", [plot.zsc, plot.disability, plot.profile])
+def test_evaluations_are_drawn_by_method(draw, evaluation_folder: Path, tmp_path: Path):
+    out = tmp_path / "figure.png"
+    draw((evaluation_folder,), out=out)
+    assert out.stat().st_size > 5_000
+    with pytest.raises(ValueError, match="two folders are named ppo"):
+        draw((evaluation_folder, evaluation_folder), out=out)
+    with pytest.raises(ValueError, match="no folder given"):
+        draw((), out=out)
+
+
+def test_a_crossplay_is_not_an_evaluation(crossplay_folder: Path, tmp_path: Path):
+    with pytest.raises(ValueError, match="xp holds no evaluation; give a folder that `assistax-zoo evaluate"):
+        plot.zsc((crossplay_folder,), out=tmp_path / "x.png")
+
+
+def test_curves_of_a_run(tmp_path: Path):
+    rows = [
+        {"steps": 100 * u, "disability": "d1", "seed": s, "return": float(u + s)}
+        for u in range(1, 20)
+        for s in range(3)
+    ]
+    pl.DataFrame(rows).write_parquet(tmp_path / "metrics.parquet")
+    tables.write_json({"config": {"task": "scratch"}}, tmp_path / "config.json")
+    plot.curves(tmp_path, out=tmp_path / "curves.png")
+    assert (tmp_path / "curves.png").stat().st_size > 5_000
+
+
+@pytest.mark.parametrize("command", ["crossplay", "zsc", "disability", "profile", "curves", "population"])
+def test_every_command_has_an_example(command: str):
+    docstring = inspect.getdoc(getattr(plot, command)) or ""
+    assert f"Example:\n    assistax-zoo plot {command}" in docstring
+
+
+def test_population_of_a_registry(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    registry = tmp_path / "registry.json"
+    population = [trained_team(disability=disability, seed=seed) for disability in ("d1", "d9") for seed in range(2)]
+    publish(population, registry, "v0", date="2026-01-01")
+    plot.population(out=tmp_path / "population.png", registry=registry)
+    assert (tmp_path / "population.png").stat().st_size > 5_000
+    assert capfd.readouterr().out == f"{tmp_path / 'population.png'}\n"

@@ -1,0 +1,42 @@
+"""What holds for every test: strict JAX on the CPU, a compilation cache of their own, annotations checked in calls.
+
+Rank promotion is an error in tests. MJX itself promotes ranks: whatever calls into it does so under
+`jax.numpy_rank_promotion("allow")`, which also serves users who are strict.
+"""
+
+import os
+import sys
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+from beartype import BeartypeConf, beartype
+from beartype.roar import BeartypeClawDecorWarning
+from jaxtyping import install_import_hook
+
+PACKAGES = ("assistax_envs", "population", "zoo", "evaluation", "assistax_zoo")
+
+# Through the environment, not `jax.config`: tests that never import JAX stay quick, and subprocesses are strict too.
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path("~/.cache/assistax-zoo/xla-tests").expanduser()))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+if tuple(int(part) for part in version("jaxlib").split(".")[:3]) < (0, 11, 1):
+    # Or MJX crawls (see assistax_envs.physics.mjx). From 0.11.1 on it does not, and XLA aborts on the unknown flag.
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+
+# An int is a float here as in PEP 484, and what beartype cannot check, such as a Protocol, stays unchecked.
+CHECK = BeartypeConf(is_pep484_tower=True, warning_cls_on_decorator_exception=BeartypeClawDecorWarning)
+
+
+def check_annotations(function: FunctionType, *_: Any, **__: Any) -> Callable:
+    """Check a function's annotations in calls, but no constructor's: JAX rebuilds states with placeholders in them."""
+    if function.__name__ == "__init__":
+        return function
+    return beartype(conf=CHECK)(function)
+
+
+sys.modules["tests_conftest"] = sys.modules[__name__]  # the hook takes its checker by name
+install_import_hook(PACKAGES, "tests_conftest.check_annotations")

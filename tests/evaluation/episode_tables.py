@@ -1,0 +1,76 @@
+"""Episode tables made of given returns."""
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+Team = tuple[str, str, int]  # algorithm, disability, seed
+CONTEXT: dict[str, Any] = {
+    "task": "scratch",
+    "split": {"id": "scratch-half-v0", "sha256": "0" * 64},
+    "release": "v0",
+    "env_version": 1,
+    "backend": "native",
+    "env_steps_per_second": 40_000.0,
+}
+
+
+def team_id(team: Team) -> str:
+    return f"scratch/{team[0]}-{team[1]}-s{team[2]}-v0"
+
+
+def teams(count: int, algorithms: Sequence[str] = ("ippo",), disabilities: Sequence[str] = ("d1",)) -> list[Team]:
+    """Return teams with every algorithm and disability in turn."""
+    kinds = itertools.cycle(itertools.product(algorithms, disabilities))
+    return [(*next(kinds), seed) for seed in range(count)]
+
+
+def episode_table(
+    returns: np.ndarray,
+    egos: Sequence[Team | str],
+    partners: Sequence[Team],
+    sides: Sequence[str | None] | None = None,
+) -> pl.DataFrame:
+    """Return the table of returns [E, P, K]; an ego given as text is from outside the zoo."""
+    rows = []
+    for (e, ego), (p, partner) in itertools.product(enumerate(egos), enumerate(partners)):
+        robot = dict.fromkeys(("ego_team", "ego_algorithm", "ego_disability", "ego_seed"), None)
+        if not isinstance(ego, str):
+            robot = dict(zip(robot, (team_id(ego), *ego), strict=True))
+        human = (team_id(partner), *partner)
+        for k, value in enumerate(returns[e, p]):
+            rows.append(
+                {
+                    "ego": ego if isinstance(ego, str) else f"{team_id(ego)}/robot",
+                    **robot,
+                    "partner": f"{team_id(partner)}/human",
+                    **{
+                        f"partner_{name}": v
+                        for name, v in zip(("team", "algorithm", "disability", "seed"), human, strict=True)
+                    },
+                    "side": sides[p] if sides else None,
+                    "episode": k,
+                    "key": 100 + k,
+                    "return": float(value),
+                    "discounted_return": 0.5 * float(value),
+                    "term_reach_target": 0.25 * float(value),
+                    "term_scratch": 0.75 * float(value),
+                    "success": bool(value > 0),
+                    "force_mean": 1.0,
+                    "force_peak": 2.0,
+                    "nonfinite": False,
+                    "steps": 1000,
+                }
+            )
+    return pl.DataFrame(rows, infer_schema_length=None)
+
+
+def clustered_matrix(count: int, clusters: int, seed: int = 0) -> np.ndarray:
+    """Return a matrix [T, T] of 900 within a cluster and 300 less across; team t is in cluster t mod clusters."""
+    rng = np.random.default_rng(seed)
+    group = np.arange(count) % clusters
+    matrix = 900.0 - 300.0 * (group[:, None] != group[None, :]) + rng.normal(0, 10, (count, count))
+    return matrix + 40.0 * np.eye(count)

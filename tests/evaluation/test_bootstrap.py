@@ -1,0 +1,198 @@
+"""Intervals against direct resampling, and their coverage on data with a known truth."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from evaluation import bootstrap
+from evaluation.bootstrap import Estimate
+
+
+def crossed(rng: np.random.Generator, seeds: int, partners: int, spread: tuple[float, float, float]) -> np.ndarray:
+    """Scores [S, P] about 0: an effect of the seed, one of the partner, and one of the pair."""
+    seed, partner, pair = spread
+    return (
+        seed * rng.normal(size=(seeds, 1))
+        + partner * rng.normal(size=partners)
+        + pair * rng.normal(size=(seeds, partners))
+    )
+
+
+def coverage(figure: Callable[[np.random.Generator, int], Estimate], repetitions: int) -> dict[str, float]:
+    """Share of the IQM's and of the mean's intervals that hold the truth, 0."""
+    rng = np.random.default_rng(1)
+    figures = [figure(rng, seed) for seed in range(repetitions)]
+    return {name: float(np.mean([holds(getattr(one, name), 0.0) for one in figures])) for name in ("ci", "mean_ci")}
+
+
+def holds(interval: tuple[float, float] | None, truth: float) -> bool:
+    return interval is not None and interval[0] <= truth <= interval[1]
+
+
+def test_the_interval_is_of_the_iqm_and_the_means_has_its_own():
+    scores = np.random.default_rng(0).exponential(size=(12, 20))
+    figure = bootstrap.estimate(scores)
+    assert figure.iqm == pytest.approx(scipy.stats.trim_mean(scores.ravel(), 0.25))
+    assert figure.mean == pytest.approx(scores.mean())
+    assert figure.ci is not None
+    assert figure.mean_ci is not None
+    assert figure.ci[0] < figure.iqm < figure.ci[1] < figure.mean < figure.mean_ci[1]
+    assert figure.n == 240
+    assert set(figure.to_json()) == {"mean", "iqm", "ci", "mean_ci", "n", "generalises_to"}
+
+
+def test_cluster_draws_equal_resampling_whole_seeds_then_partners():
+    scores = np.random.default_rng(0).normal(size=(4, 6))
+    seed_counts, partner_counts = bootstrap.cluster_counts(scores.shape, 50, seed=3)
+    draws = bootstrap.replicate_crossed(scores, seed_counts, partner_counts, "seeds and partners")
+    for b in range(50):
+        rows, columns = np.repeat(np.arange(4), seed_counts[b]), np.repeat(np.arange(6), partner_counts[b])
+        assert (len(rows), len(columns)) == (4, 6)
+        resampled = scores[np.ix_(rows, columns)].ravel()
+        assert draws.means[b] == pytest.approx(resampled.mean())
+        assert draws.iqms[b] == pytest.approx(scipy.stats.trim_mean(resampled, 0.25))
+
+
+def test_stratified_draws_resample_the_seeds_of_each_partner():
+    (counts,) = bootstrap.stratified_counts((5, 7), 40, seed=0)
+    np.testing.assert_array_equal(counts.reshape(40, 5, 7).sum(axis=1), 5)
+    assert np.ptp(counts.reshape(40, 5, 7), axis=2).max() > 0  # not whole seeds
+
+
+def test_stratified_agrees_with_a_plain_loop():
+    rng = np.random.default_rng(0)
+    scores = rng.normal(size=(8, 5)) + np.arange(5)
+    draws = [
+        scipy.stats.trim_mean(np.take_along_axis(scores, rng.integers(0, 8, (8, 5)), axis=0).ravel(), 0.25)
+        for _ in range(4000)
+    ]
+    figure = bootstrap.estimate(scores, method="stratified", resamples=4000)
+    assert figure.ci == pytest.approx(tuple(np.quantile(draws, (0.025, 0.975))), abs=0.03)
+
+
+def test_the_same_seed_gives_the_same_interval_however_draws_are_chunked(monkeypatch: pytest.MonkeyPatch):
+    scores = np.random.default_rng(0).normal(size=(5, 9))
+    whole = {method: bootstrap.estimate(scores, method=method, seed=4).ci for method in bootstrap.METHODS}
+    monkeypatch.setattr(bootstrap, "_ENTRIES_AT_ONCE", 700)
+    for method in bootstrap.METHODS:
+        assert bootstrap.estimate(scores, method=method, seed=4).ci == pytest.approx(whole[method], rel=1e-12)
+        assert bootstrap.estimate(scores, method=method, seed=5).ci != whole[method]
+
+
+@pytest.mark.parametrize(
+    ("shape", "method", "generalises_to"),
+    [
+        ((3, 4), "cluster", "seeds and partners"),
+        ((1, 4), "cluster", "partners"),
+        ((3, 1), "cluster", "seeds"),
+        ((1, 1), "cluster", "nothing"),
+        ((3, 4), "stratified", "seeds"),
+    ],
+)
+def test_every_figure_says_what_it_generalises_to(
+    shape: tuple[int, int], method: bootstrap.Method, generalises_to: str
+):
+    figure = bootstrap.estimate(np.random.default_rng(0).normal(size=shape), method=method)
+    assert figure.generalises_to == generalises_to
+    assert (figure.ci is None) == (figure.mean_ci is None) == (generalises_to == "nothing")
+
+
+def test_of_a_single_seed_only_partners_are_resampled():
+    scores = np.random.default_rng(0).normal(size=(1, 30))
+    figure = bootstrap.estimate(scores, resamples=4000)
+    plain = scipy.stats.bootstrap(scores, np.mean, method="percentile", n_resamples=4000, rng=np.random.default_rng(0))
+    assert figure.mean_ci == pytest.approx(tuple(plain.confidence_interval), abs=0.03)
+
+
+def test_wrong_use_is_refused():
+    with pytest.raises(ValueError, match="resamples seeds and there is only one"):
+        bootstrap.estimate(np.zeros((1, 4)), method="stratified")
+    with pytest.raises(ValueError, match=r"shape \(2, 3, 4\); expected \[seeds, partners\].*episodes are not seeds"):
+        bootstrap.estimate(np.zeros((2, 3, 4)))
+    with pytest.raises(ValueError, match=r"returns has shape \(2, 3\); expected \[episodes\]"):
+        bootstrap.estimate_episodes(np.zeros((2, 3)))
+
+
+def test_episodes_of_one_pair_speak_about_episodes_alone():
+    figure = bootstrap.estimate_episodes(np.random.default_rng(0).normal(size=50))
+    assert figure.generalises_to == "episodes"
+    assert bootstrap.estimate_episodes(np.ones(1)) == Estimate(1.0, 1.0, None, None, 1, "nothing")
+
+
+def test_draws_on_the_same_resamples_subtract_to_a_paired_difference():
+    rng = np.random.default_rng(0)
+    scores = rng.normal(size=(10, 20))
+    counts = bootstrap.cluster_counts(scores.shape, 500, seed=0)
+    base, better = (bootstrap.replicate_crossed(x, *counts, "seeds and partners") for x in (scores, scores + 1.0))
+    figure = (better - base).estimate()
+    assert figure.mean_ci == pytest.approx((1.0, 1.0))
+    assert figure.mean == pytest.approx(1.0)
+
+
+def test_a_band_holds_its_curve():
+    values = np.random.default_rng(0).normal(size=(8, 30)) + np.linspace(0, 100, 30)
+    band = bootstrap.curve_band(values)
+    assert band is not None
+    centre, low, high = band
+    assert np.all((low <= centre) & (centre <= high))
+    assert bootstrap.curve_band(values[:1]) is None
+    scores, thresholds = values / 100, np.linspace(0, 1, 11)
+    profile = bootstrap.profile_band(scores, thresholds)
+    assert profile is not None
+    share = (scores.ravel()[:, None] > thresholds).mean(axis=0)
+    assert np.all((profile[0] <= share) & (share <= profile[1]))
+
+
+@pytest.mark.parametrize(
+    ("seeds", "partners", "spread"), [(1, 64, (0.0, 1.0, 1.0)), (32, 32, (1.0, 1.0, 1.0)), (32, 32, (1.0, 0.3, 0.3))]
+)
+@pytest.mark.parametrize("repetitions", [300, pytest.param(2000, marks=pytest.mark.slow)])
+def test_cluster_intervals_cover(seeds: int, partners: int, spread: tuple[float, float, float], repetitions: int):
+    def figure(rng: np.random.Generator, seed: int) -> Estimate:
+        return bootstrap.estimate(crossed(rng, seeds, partners, spread), resamples=300, seed=seed)
+
+    margin = 0.0 if repetitions == 2000 else 0.02  # 300 repetitions have a standard error of 1.3%
+    for name, covered in coverage(figure, repetitions).items():
+        assert 0.93 - margin <= covered <= 0.97 + margin, name
+
+
+@pytest.mark.parametrize("repetitions", [300, pytest.param(2000, marks=pytest.mark.slow)])
+def test_stratified_intervals_cover_for_fixed_tasks_with_independent_runs(repetitions: int):
+    tasks = np.linspace(-1, 1, 8)
+
+    def figure(rng: np.random.Generator, seed: int) -> Estimate:
+        return bootstrap.estimate(tasks + rng.normal(size=(32, 8)), method="stratified", resamples=300, seed=seed)
+
+    margin = 0.0 if repetitions == 2000 else 0.02
+    for name, covered in coverage(figure, repetitions).items():
+        assert 0.93 - margin <= covered <= 0.97 + margin, name
+
+
+def test_few_seeds_are_covered_too_little_as_documented():
+    def figure(rng: np.random.Generator, seed: int) -> Estimate:
+        return bootstrap.estimate(crossed(rng, 3, 32, (1.0, 0.3, 0.3)), resamples=300, seed=seed)
+
+    assert 0.65 <= coverage(figure, 300)["ci"] <= 0.85
+
+
+def test_planted_defect_episodes_resampled_as_seeds_are_caught():
+    """Eight episodes of each of 8 seeds taken for 64 seeds: intervals then miss the truth more often than not."""
+
+    def wrong(rng: np.random.Generator, seed: int) -> Estimate:
+        scores = crossed(rng, 8, 8, (1.0, 0.3, 0.3))
+        episodes = scores[:, :, None] + 0.5 * rng.normal(size=(8, 8, 8))
+        as_seeds = episodes.transpose(0, 2, 1).reshape(64, 8)
+        return bootstrap.estimate(as_seeds, method="stratified", resamples=200, seed=seed)
+
+    assert max(coverage(wrong, 200).values()) < 0.5
+
+
+def test_planted_defect_stratified_for_one_ego_with_every_partner_is_caught():
+    """A seed's effect is common to its whole row; resampling columns apart averages it away."""
+
+    def wrong(rng: np.random.Generator, seed: int) -> Estimate:
+        return bootstrap.estimate(crossed(rng, 16, 16, (1.0, 0.0, 1.0)), method="stratified", resamples=200, seed=seed)
+
+    assert max(coverage(wrong, 200).values()) < 0.7

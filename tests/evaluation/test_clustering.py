@@ -1,0 +1,85 @@
+import itertools
+
+import numpy as np
+import pytest
+from scipy.cluster import hierarchy
+from scipy.spatial import distance
+
+from evaluation import clustering
+from tests.evaluation.episode_tables import clustered_matrix
+
+
+def test_known_clusters_are_found_and_stand_together():
+    found = clustering.cluster_teams(clustered_matrix(18, 3))
+    truth = np.arange(18) % 3
+    assert found.silhouette is not None
+    assert found.silhouette > 0.8
+    assert len(found.medoids) == 3
+    for label, medoid in enumerate(found.medoids):
+        members = np.flatnonzero(found.labels == label)
+        assert len(set(truth[members])) == 1
+        assert medoid in members
+    assert [label for label, _ in itertools.groupby(found.labels[found.order])] == [0, 1, 2]
+
+
+def test_medoid_is_the_member_nearest_to_all_others():
+    points = np.array([[0.0], [1.0], [1.2], [50.0], [51.0], [51.1]])
+    assert clustering.cluster_profiles(points).medoids.tolist() == [4, 1]
+
+
+def test_outliers_alone_are_no_structure():
+    """One point far from all others, which form two groups: the groups are found, not the outlier alone."""
+    points = np.concatenate([np.linspace(0, 1, 6), np.linspace(5, 6, 6), [100.0]])[:, None]
+    assert [len(np.flatnonzero(clustering.cluster_profiles(points).labels == i)) for i in range(3)] == [1, 6, 6]
+
+
+def test_without_structure_all_are_one_cluster():
+    found = clustering.cluster_profiles(np.random.default_rng(0).normal(size=(40, 40)))
+    assert len(found.medoids) == 1
+    assert found.silhouette is not None
+    assert found.silhouette < clustering.MIN_SILHOUETTE
+
+
+def test_the_order_begins_with_the_higher_returns_and_agrees_with_the_tree():
+    points = np.array([[0.0], [1.0], [1.2], [50.0], [51.0], [51.1]])
+    found = clustering.cluster_profiles(points)
+    assert found.labels.tolist() == [1, 1, 1, 0, 0, 0]
+    assert set(found.order[:3]) == {3, 4, 5}
+    assert found.order.tolist() == hierarchy.leaves_list(found.linkage).tolist()
+
+
+def test_silhouette_is_its_definition():
+    points = np.random.default_rng(0).normal(size=(9, 2))
+    labels = np.array([0, 0, 0, 0, 1, 1, 1, 1, 2])
+    distances = distance.squareform(distance.pdist(points))
+    scores = []
+    for i, label in enumerate(labels):
+        own = [j for j in range(9) if labels[j] == label and j != i]
+        if not own:
+            scores.append(0.0)
+            continue
+        a = distances[i, own].mean()
+        b = min(distances[i, labels == other].mean() for other in set(labels) - {label})
+        scores.append((b - a) / max(a, b))
+    assert clustering.silhouette(labels, distances) == pytest.approx(np.mean(scores))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_small_and_equal_profiles_have_an_order(count: int):
+    found = clustering.cluster_profiles(np.ones((count, 4)))
+    assert sorted(found.order) == list(range(count))
+    assert len(found.medoids) == 1
+
+
+def test_wrong_matrices_are_refused():
+    with pytest.raises(ValueError, match=r"shape \(2, 3\); teams in one order need the same teams"):
+        clustering.cluster_teams(np.zeros((2, 3)))
+    with pytest.raises(ValueError, match="expected finite returns"):
+        clustering.cluster_profiles(np.array([[1.0, np.nan]]))
+
+
+def test_json_names_policies_in_order():
+    found = clustering.cluster_profiles(np.array([[0.0], [10.0], [0.5], [10.5]])).to_json(["a", "b", "c", "d"])
+    assert set(found["order"][:2]) == {"b", "d"}
+    assert [set(cluster["members"]) for cluster in found["clusters"]] == [{"b", "d"}, {"a", "c"}]
+    assert found["leaves"] == ["a", "b", "c", "d"]

@@ -1,0 +1,44 @@
+import numpy as np
+import polars as pl
+import pytest
+import scipy.stats
+
+from evaluation.curves import learning_curves
+
+
+def metrics(seeds: int = 8) -> pl.DataFrame:
+    """Updates of 100 steps; episodes end at every second update; the return is 10 x update + seed."""
+    rows = [
+        {"steps": 100 * u, "disability": d, "seed": s, "return": float(10 * u + s) if u % 2 == 0 else None}
+        for u in range(1, 41)
+        for d in ("d1", "d9")
+        for s in range(seeds)
+    ]
+    return pl.DataFrame(rows)
+
+
+def test_a_point_is_the_iqm_over_seeds_of_the_means_in_its_bin():
+    curves = learning_curves(metrics(), points=10)
+    assert curves["disability"].unique().sort().to_list() == ["d1", "d9"]
+    first = curves.filter(disability="d9").row(0, named=True)
+    expected = [np.mean([20 + s, 40 + s]) for s in range(8)]  # updates 2 and 4 end in the first 400 steps
+    assert first["steps"] == 400.0
+    assert first["iqm"] == pytest.approx(scipy.stats.trim_mean(expected, 0.25))
+    assert first["low"] < first["iqm"] < first["high"]
+    assert first["seeds"] == 8
+
+
+def test_more_bins_than_episodes_leave_the_empty_ones_out():
+    assert learning_curves(metrics(), points=1000).filter(disability="d1").height == 20
+
+
+def test_a_single_seed_has_no_band():
+    curves = learning_curves(metrics(seeds=1))
+    assert curves["low"].null_count() == curves.height
+
+
+def test_runs_without_episodes_are_refused():
+    with pytest.raises(ValueError, match="no episode has ended in this run yet"):
+        learning_curves(metrics().with_columns(pl.lit(None, pl.Float64).alias("return")))
+    with pytest.raises(ValueError, match="the metrics lack seed, return"):
+        learning_curves(metrics().drop("seed", "return"))

@@ -1,0 +1,138 @@
+import sys
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from evaluation.egos import EgoError, call_ego, read_egos
+from evaluation.jobs import Group, HostEgo, Member
+from population.spec import PolicySpec
+from zoo.errors import ZooError
+from zoo.registry import Registry
+from zoo.storage import write_policy_file
+
+SPEC = PolicySpec("robot", observation_size=3, action_size=2, hidden=(4,), normalise=False)
+EMPTY = Registry(data=cast(Any, None), path=Path("registry.json"), policies=[])
+PARTNERS = ("t/a-d1-s0-v0/human", "t/a-d1-s1-v0/human")
+
+
+def params(value: float) -> dict[str, Any]:
+    return {
+        "Dense_0": {"kernel": np.full((3, 4), value, np.float32), "bias": np.zeros(4, np.float32)},
+        "Dense_1": {"kernel": np.full((4, 2), value, np.float32), "bias": np.zeros(2, np.float32)},
+        "log_std": np.zeros(2, np.float32),
+    }
+
+
+def act_of(answer: Any) -> Any:
+    ego = HostEgo(Member("python:m:f", "x"), lambda obs: answer)
+    return call_ego(ego, PARTNERS, episodes=2, action_size=2)
+
+
+def ask(answer: Any, step: int = 7) -> np.ndarray:
+    return act_of(answer)(np.zeros((4, 3), np.float32), step)
+
+
+def test_files_of_one_spec_are_stacked_in_order(tmp_path: Path):
+    paths = [str(tmp_path / f"{i}.safetensors") for i in range(2)]
+    for path, value in zip(paths, (1.0, 2.0), strict=True):
+        write_policy_file(path, SPEC, params(value))
+    (group,) = read_egos(paths, EMPTY, "scratch")
+    assert isinstance(group, Group)
+    assert [member.id for member in group.members] == paths
+    assert group.members[0].digest != group.members[1].digest
+    assert group.params["Dense_1"]["kernel"].shape == (2, 4, 2)
+    assert group.params["Dense_1"]["kernel"][1, 0, 0] == 2.0
+
+
+def test_a_missing_file_is_a_zoo_error(tmp_path: Path):
+    with pytest.raises(ZooError, match="no such file"):
+        read_egos([str(tmp_path / "none.safetensors")], EMPTY, "scratch")
+
+
+@pytest.mark.parametrize("reference", ["robot.pt", "zo:scratch", "scratch/ippo-d1-s0-v0/robot"])
+def test_an_unknown_form_lists_the_known_ones(reference: str):
+    with pytest.raises(ValueError, match=r"unknown form; allowed are zoo:ID, .*safetensors.*, or python:"):
+        read_egos([reference], EMPTY, "scratch")
+
+
+def test_onnx_says_what_to_do_instead():
+    with pytest.raises(ValueError, match="not read yet; wrap it as python:module:factory"):
+        read_egos(["onnx:robot.onnx"], EMPTY, "scratch")
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    (tmp_path / "my_robot_under_test.py").write_text(
+        "import numpy as np\n"
+        "def zero():\n    return lambda obs: np.zeros((len(obs), 7))\n"
+        "def broken():\n    raise KeyError('weights')\n"
+        "def wrong():\n    return 3\n"
+        "number = 5\n"
+    )
+    (tmp_path / "unimportable_robot.py").write_text("import surely_not_installed_anywhere\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.delitem(sys.modules, "my_robot_under_test", raising=False)
+    return "my_robot_under_test"
+
+
+def test_a_python_factory_of_the_working_folder_is_found(module: str):
+    (ego,) = read_egos([f"python:{module}:zero"], EMPTY, "scratch")
+    assert isinstance(ego, HostEgo)
+    assert ego.act(np.zeros((4, 34))).shape == (4, 7)
+    assert ego.member.id == f"python:{module}:zero"
+    assert ego.member.team is None
+
+
+@pytest.mark.parametrize(
+    ("reference", "told"),
+    [
+        ("python:my_robot_under_test", "lacks a part; expected python:package.module:factory"),
+        ("python:no_such_module_here:f", "cannot import no_such_module_here: ModuleNotFoundError"),
+        ("python:unimportable_robot:f", "surely_not_installed_anywhere"),
+        ("python:my_robot_under_test:nothing", "has no function 'nothing'"),
+        ("python:my_robot_under_test:number", "has no function 'number'"),
+        ("python:my_robot_under_test:broken", r"broken\(\) failed: KeyError: 'weights' \(my_robot_under_test.py:5\)"),
+        ("python:my_robot_under_test:wrong", r"wrong\(\) returned int; expected a callable"),
+    ],
+)
+def test_a_bad_factory_gets_one_line(module: str, reference: str, told: str):
+    with pytest.raises(ValueError, match=told) as caught:
+        read_egos([reference], EMPTY, "scratch")
+    assert "\n" not in str(caught.value)
+
+
+def test_answers_of_any_framework_become_float32():
+    class Tensor:
+        def detach(self) -> "Tensor":
+            return self
+
+        def cpu(self) -> np.ndarray:
+            return np.ones((4, 2))
+
+    for answer in (np.ones((4, 2)), [[1, 1]] * 4, Tensor()):
+        assert ask(answer).dtype == np.float32
+        assert ask(answer).tolist() == [[1.0, 1.0]] * 4
+
+
+@pytest.mark.parametrize("answer", [np.zeros((4, 3)), np.zeros(4), np.zeros((2, 4, 2)), [["a", "b"]] * 4, None])
+def test_a_wrong_answer_is_told_with_what_was_expected(answer: Any):
+    with pytest.raises(EgoError, match=r"2 partners from .*s0.* to .*s1.*, step 7: .*shape.*expected .*\(4, 2\)"):
+        ask(answer)
+
+
+def test_a_nan_is_told_with_its_partner_and_episode():
+    answer = np.zeros((4, 2))
+    answer[3, 1] = np.nan
+    with pytest.raises(EgoError, match=rf"with {PARTNERS[1]}, step 7: the action of episode 1 is not finite \(1 of 4"):
+        ask(answer)
+
+
+def test_an_exception_is_told_in_one_line():
+    def act(obs: np.ndarray) -> np.ndarray:
+        raise ZeroDivisionError("two\nlines")
+
+    with pytest.raises(EgoError, match=r"step 0: ZeroDivisionError: two lines \(test_egos.py:\d+\)"):
+        call_ego(HostEgo(Member("m", "x"), act), PARTNERS, 2, 2)(np.zeros((4, 3), np.float32), 0)

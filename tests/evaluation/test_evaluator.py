@@ -1,0 +1,264 @@
+import dataclasses
+import json
+import math
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import polars as pl
+import pytest
+
+from evaluation import tables
+from evaluation.egos import EgoError
+from evaluation.evaluator import MANIFEST_FILE, PARTS_FOLDER, Progress, check_folder, run_job
+from evaluation.jobs import Group, HostEgo, Job, Member, chunk_shape, plan
+from tests.evaluation.matrix_game import HUMAN, PAYOFF, ROBOT, MatrixGame, humans, random_group, robots
+
+
+def make_job(egos: Any = None, partners: Any = None, **changes: Any) -> Job:
+    egos = egos or (robots(-0.5, 0.5),)
+    partners = partners or (humans(-0.5, 0.5, -0.5, disabilities=("d1", "d2", "d3")),)
+    options: dict[str, Any] = {"task": "matrix", "env_version": 1, "backend": "native", "episodes": 3, **changes}
+    return Job(egos=egos, partners=partners, **options)
+
+
+def mixed_job(**changes: Any) -> Job:
+    """Egos of two specs, so that there are two pairs of groups."""
+    deep = _renamed(random_group(dataclasses.replace(ROBOT, hidden=(4, 4)), 2, 2), "deep")
+    return make_job((random_group(ROBOT, 3, 1), deep), (random_group(HUMAN, 5, 3),), **changes)
+
+
+def _renamed(group: Group, prefix: str) -> Group:
+    members = tuple(dataclasses.replace(member, id=f"{prefix}/{member.id}") for member in group.members)
+    return dataclasses.replace(group, members=members)
+
+
+def test_crossplay_of_the_matrix_game_is_its_payoff_matrix(tmp_path: Path):
+    table = run_job(MatrixGame(), make_job(sides={"matrix/hand-d1-s0-v0/human": "train"}), tmp_path).table
+    tables.validate_episodes(table)
+    strength = {"d1": 1.0, "d2": 0.7, "d3": 0.4}
+    for row in table.iter_rows(named=True):
+        payoff = PAYOFF[row["ego_seed"], row["partner_seed"] % 2] * strength[row["partner_disability"]]
+        assert row["term_payoff"] == pytest.approx(4 * payoff)
+        assert row["return"] == pytest.approx(row["term_payoff"] + row["term_luck"])
+        assert row["side"] == ("train" if row["partner_seed"] == 0 else None)
+    assert table.height == 2 * 3 * 3
+    assert table["ego"].to_list() == sorted(table["ego"].to_list())
+    assert table["episode"].to_list() == [0, 1, 2] * 6
+    assert table.group_by("episode").agg(pl.col("key").n_unique())["key"].to_list() == [1, 1, 1]
+
+
+@pytest.mark.parametrize("job", [mixed_job(), make_job(stochastic=True)], ids=["two specs", "stochastic"])
+def test_chunk_size_does_not_change_a_value(tmp_path: Path, job: Job):
+    whole = run_job(MatrixGame(), job, tmp_path / "whole", max_envs=1000).table
+    assert len(set(whole["force_mean"].to_list())) > 2
+    for max_envs in (1, 7):
+        assert run_job(MatrixGame(), job, tmp_path / str(max_envs), max_envs=max_envs).table.equals(whole)
+
+
+def test_padded_chunks_drop_what_was_padded(tmp_path: Path):
+    job = make_job((random_group(ROBOT, 5, 1),), (random_group(HUMAN, 5, 3),), episodes=2)
+    chunks = plan(job, 8)
+    assert any(chunk.rows < np.prod(chunk.shape) for chunk in chunks)
+    assert sum(chunk.rows for chunk in chunks) == job.rows == 50
+    assert run_job(MatrixGame(), job, tmp_path, max_envs=8).table.height == 50
+
+
+@pytest.mark.parametrize("sizes", [(1, 99, 8), (198, 198, 16), (3, 5, 2), (7, 1, 40), (1, 1, 1)])
+@pytest.mark.parametrize("max_envs", [1, 30, 2048])
+def test_a_plan_covers_every_episode_once_within_its_bound(sizes: tuple[int, int, int], max_envs: int):
+    e, p, k = shape = chunk_shape(*sizes, max_envs)
+    assert e * p * k <= max_envs
+    assert all(1 <= width <= size for width, size in zip(shape, sizes, strict=True))
+    if k < sizes[2]:
+        assert e == p == 1
+
+
+def test_a_plan_wastes_little():
+    assert chunk_shape(1, 99, 8, 2048) == (1, 99, 8)
+    assert chunk_shape(32, 32, 2, 2048) == (32, 32, 2)
+    e, p, k = chunk_shape(198, 198, 16, 16384)
+    chunks = math.ceil(198 / e) * math.ceil(198 / p)
+    assert chunks * e * p * k < 1.05 * 198 * 198 * 16
+    assert e * p * k > 0.8 * 16384
+
+
+def test_a_killed_run_resumes_to_the_same_file(tmp_path: Path):
+    """SIGKILL while the third of fourteen chunks is being written."""
+    script = (
+        "import os, signal, sys\n"
+        "from pathlib import Path\n"
+        "from evaluation import tables\n"
+        "from evaluation.evaluator import run_job\n"
+        "from tests.evaluation.matrix_game import MatrixGame\n"
+        "from tests.evaluation.test_evaluator import mixed_job\n"
+        "write, count = tables.write_parquet, 0\n"
+        "def deadly(table, path):\n"
+        "    global count\n"
+        "    count += 1\n"
+        "    if count == 3:\n"
+        "        path.with_name('.' + path.name).write_bytes(b'half')\n"
+        "        os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    write(table, path)\n"
+        "tables.write_parquet = deadly\n"
+        "run_job(MatrixGame(), mixed_job(), Path(sys.argv[1]), max_envs=7)\n"
+    )
+    killed = subprocess.run([sys.executable, "-c", script, str(tmp_path / "killed")], cwd=Path(__file__).parents[2])
+    assert killed.returncode == -signal.SIGKILL
+    assert len(list((tmp_path / "killed" / PARTS_FOLDER).glob("part-*"))) == 2
+    seen: list[Progress] = []
+    resumed = run_job(MatrixGame(), mixed_job(), tmp_path / "killed", max_envs=1000, on_progress=seen.append)
+    whole = run_job(MatrixGame(), mixed_job(), tmp_path / "whole", max_envs=7)
+    assert 0 < seen[-1].total < mixed_job().rows * 4
+    assert seen[-1].done == seen[-1].total
+    assert seen[-1].eta == 0.0
+    assert resumed.table.equals(whole.table)
+    assert [path.read_bytes() for path in (tmp_path / "killed").glob("*.parquet")] == [
+        path.read_bytes() for path in (tmp_path / "whole").glob("*.parquet")
+    ]
+    assert not (tmp_path / "killed" / PARTS_FOLDER).exists()
+
+
+def test_a_damaged_part_is_simulated_again(tmp_path: Path):
+    job, whole = mixed_job(), run_job(MatrixGame(), mixed_job(), tmp_path / "whole", max_envs=7)
+    manifest = (tmp_path / "whole" / MANIFEST_FILE).read_text()
+    (tmp_path / "torn" / PARTS_FOLDER).mkdir(parents=True)
+    (tmp_path / "torn" / MANIFEST_FILE).write_text(manifest)
+    (tmp_path / "torn" / PARTS_FOLDER / "part-00002.parquet").write_bytes(b"PAR1 torn")
+    assert run_job(MatrixGame(), job, tmp_path / "torn").table.equals(whole.table)
+
+
+def test_a_finished_folder_is_read_not_run_again(tmp_path: Path):
+    first = run_job(MatrixGame(), make_job(), tmp_path)
+    again = run_job(MatrixGame(), make_job(), tmp_path)
+    assert again.table.equals(first.table)
+    assert first.env_steps_per_second is not None
+    assert again.env_steps_per_second is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"episodes": 4}, "episodes 3 there, 4 here"),
+        ({"seed": 1}, "seed 0 there, 1 here"),
+        ({"egos": (robots(-0.5, 0.25),)}, "other egos"),
+        ({"partners": (humans(-0.5, 0.5, -0.5, disabilities=("d1", "d2", "d4")),)}, "other partners"),
+    ],
+)
+def test_a_folder_of_another_job_is_refused(tmp_path: Path, changes: dict[str, Any], told: str):
+    run_job(MatrixGame(), make_job(), tmp_path)
+    with pytest.raises(ValueError, match=f"holds another job.*{told}.*--out"):
+        run_job(MatrixGame(), make_job(**changes), tmp_path)
+
+
+def test_a_table_without_its_manifest_is_not_overwritten(tmp_path: Path):
+    run_job(MatrixGame(), make_job(), tmp_path)
+    (tmp_path / MANIFEST_FILE).unlink()
+    with pytest.raises(ValueError, match="without manifest"):
+        run_job(MatrixGame(), make_job(seed=5), tmp_path)
+
+
+def test_a_folder_that_cannot_be_written_is_found_before_the_run(tmp_path: Path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(OSError, match=r"cannot write to .*file/out.*--out"):
+        check_folder(tmp_path / "file" / "out")
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"episodes": 0}, "episodes is 0"),
+        ({"seed": -1}, "seed is -1"),
+        ({"egos": ((robots(0.5), robots(0.5)))}, "given 2 times"),
+        ({"partners": (dataclasses.replace(humans(0.5), members=(Member("x", "y"),)),)}, "no disability setting"),
+    ],
+)
+def test_a_job_that_makes_no_sense_is_refused(changes: dict[str, Any], told: str):
+    with pytest.raises(ValueError, match=told):
+        make_job(**changes)
+
+
+def test_max_envs_below_one_is_refused(tmp_path: Path):
+    with pytest.raises(ValueError, match="max_envs is -3"):
+        run_job(MatrixGame(), make_job(), tmp_path, max_envs=-3)
+
+
+def test_policies_of_another_task_or_seat_are_refused(tmp_path: Path):
+    other = random_group(dataclasses.replace(ROBOT, observation_size=47), 1, 0)
+    with pytest.raises(ValueError, match=r"observations of 47 numbers; the robot of task matrix has 3: .*another task"):
+        run_job(MatrixGame(), make_job((other,)), tmp_path)
+    with pytest.raises(ValueError, match="is a human policy; the ego is the robot"):
+        run_job(MatrixGame(), make_job((humans(0.5),)), tmp_path)
+
+
+class Counting:
+    """A stateful ego: row 0 until it has seen two observations of the episode, then row 1."""
+
+    def __init__(self) -> None:
+        self.batches: list[int] = []
+        self.seen = 0
+
+    def reset(self, batch: int) -> None:
+        self.batches.append(batch)
+        self.seen = 0
+
+    def __call__(self, obs: np.ndarray) -> np.ndarray:
+        assert obs.dtype == np.float32
+        assert obs.flags.writeable
+        self.seen += 1
+        return np.full((len(obs), 2), 0.5 if self.seen > 2 else -0.5)
+
+
+def host(act: Any) -> HostEgo:
+    return HostEgo(Member("python:mine:robot", "source"), act)
+
+
+def test_a_stateful_host_ego_is_reset_at_episode_starts(tmp_path: Path):
+    ego = Counting()
+    table = run_job(MatrixGame(), make_job((host(ego), robots(-0.5))), tmp_path, max_envs=6).table
+    assert ego.batches == [6, 6]
+    mine = table.filter(pl.col("ego") == "python:mine:robot")
+    assert mine["ego_team"].null_count() == mine.height == 9
+    first = mine.filter(pl.col("partner_seed") == 0)
+    assert first["term_payoff"].to_list() == pytest.approx([2 * (PAYOFF[0, 0] + PAYOFF[1, 0])] * 3)
+
+
+def test_errors_of_a_host_ego_name_partner_and_step_and_keep_chunks(tmp_path: Path):
+    calls = 0
+
+    def breaks(obs: np.ndarray) -> np.ndarray:
+        nonlocal calls
+        calls += 1
+        if calls > 4 + 2:  # the second chunk's third step
+            raise RuntimeError("boom")
+        return np.zeros((len(obs), 2))
+
+    with pytest.raises(EgoError, match=r"python:mine:robot with matrix/.*s1-v0/human, step 2: RuntimeError: boom"):
+        run_job(MatrixGame(), make_job((host(breaks),)), tmp_path, max_envs=3)
+    assert len(list((tmp_path / PARTS_FOLDER).glob("part-*"))) == 1
+    finished = run_job(MatrixGame(), make_job((host(lambda obs: np.zeros((len(obs), 2))),)), tmp_path, max_envs=3)
+    assert finished.table.height == 9
+
+
+def test_memory_that_runs_out_is_told_and_smaller_chunks_then_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def exhausted(*args: Any, **options: Any) -> None:
+        raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: out of memory allocating")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("evaluation.rollout.Rollout.run", exhausted)
+        with pytest.raises(ValueError, match="out of memory with 18 simulations; use --max-envs 9 or less"):
+            run_job(MatrixGame(), make_job(), tmp_path)
+    run_job(MatrixGame(), make_job(), tmp_path, max_envs=9)
+    assert json.loads((tmp_path / MANIFEST_FILE).read_text())["max_envs"] == 9
+
+
+def test_the_manifest_tells_what_was_run(tmp_path: Path):
+    run_job(MatrixGame(), make_job(), tmp_path)
+    manifest = json.loads((tmp_path / MANIFEST_FILE).read_text())
+    assert manifest["partners"][1][:2] == ["matrix/hand-d2-s1-v0/human", "d2"]
+    assert manifest["episodes"] == 3
+    assert len(manifest["job"]) == 64

@@ -1,0 +1,241 @@
+import itertools
+import math
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from evaluation import metrics
+from evaluation.metrics import Bounds, Traits
+from evaluation.statistics import iqm
+
+
+def same_traits(teams: list[str], algorithms: list[str] | None = None, disabilities: list[str] | None = None) -> Traits:
+    return Traits(teams, algorithms or ["ippo"] * len(teams), disabilities or ["d1"] * len(teams))
+
+
+def test_zero_shot_separates_the_sides_and_leaves_out_partners_on_neither():
+    scores = np.array([[1.0, 2, 3, 100], [5, 6, 7, 100]])
+    figures = metrics.zero_shot(scores, ["test", "train", "test", None])
+    assert figures.test is not None
+    assert figures.train is not None
+    assert figures.gap is not None
+    assert (figures.test.mean, figures.test.n) == (4.0, 4)
+    assert (figures.train.mean, figures.train.n) == (4.0, 2)
+    assert figures.gap.mean == 0.0
+    only_test = metrics.zero_shot(scores[:, :1], ["test"])
+    assert (only_test.train, only_test.gap) == (None, None)
+    with pytest.raises(ValueError, match="no partner is on the test or the train side"):
+        metrics.zero_shot(scores[:, 3:], [None])
+
+
+def test_the_generalisation_gap_is_paired_by_seed():
+    """Seeds differ by hundreds, the gap of each is 5: the gap's interval does not see the seeds' differences."""
+    seeds = np.array([[0.0], [300.0], [600.0], [900.0]])
+    scores = np.concatenate([seeds + np.zeros((4, 6)), seeds + np.full((4, 6), 5.0)], axis=1)
+    figures = metrics.zero_shot(scores, ["test"] * 6 + ["train"] * 6)
+    assert figures.gap is not None
+    assert figures.gap.mean_ci == pytest.approx((5.0, 5.0))
+    assert figures.test is not None
+    assert figures.test.mean_ci is not None
+    assert np.ptp(figures.test.mean_ci) > 400
+
+
+def test_groups_have_their_own_means_and_fairness_is_their_spread():
+    scores = np.array([[10.0, 20, 30, 40, 7]])
+    draws = metrics.group_draws(scores, ["d1", "d9", "d1", "d9", None])
+    assert {name: draw.mean for name, draw in draws.items()} == {"d1": 20.0, "d9": 30.0}
+    spread = metrics.fairness(draws)
+    assert (spread.worst, spread.best, spread.gap.value) == ("d1", "d9", 10.0)
+    assert spread.gap.ci is not None
+    assert 0 <= spread.gap.ci[0] <= 10 <= spread.gap.ci[1]
+    with pytest.raises(ValueError, match="there are 2 groups for 5 partners"):
+        metrics.group_draws(scores, ["d1", "d9"])
+
+
+def test_cross_play_of_two_teams_by_hand():
+    payoff = np.array([[4.0, 1.0], [0.5, 3.0]])
+    teams = same_traits(["a", "b"], ["ippo", "isac"])
+    figures = metrics.cross_play(payoff, teams, teams)
+    assert figures.self_play is not None
+    assert figures.cross_play is not None
+    assert figures.gap is not None
+    assert figures.relative_gap is not None
+    assert (figures.self_play.mean, figures.cross_play.mean, figures.gap.mean) == (3.5, 0.75, 2.75)
+    assert figures.relative_gap.value == pytest.approx(2.75 / 3.5)
+    assert (figures.self_play.n, figures.cross_play.n) == (2, 2)
+    assert figures.within_algorithm is None
+    assert figures.across_algorithms == figures.within_disability
+    assert figures.cross_play.ci is None  # half of the draws are one team twice, which has no cross-play
+
+
+def test_cross_play_within_and_across_is_the_loop_over_pairs():
+    rng = np.random.default_rng(0)
+    traits = Traits(list("abcdef"), ["ippo", "isac"] * 3, ["d1"] * 3 + ["d9"] * 3)
+    matrix = rng.normal(size=(6, 6))
+    figures = metrics.cross_play(matrix, traits, traits)
+    for name, values, equal in (
+        ("within_algorithm", traits.algorithms, True),
+        ("across_algorithms", traits.algorithms, False),
+        ("within_disability", traits.disabilities, True),
+        ("across_disabilities", traits.disabilities, False),
+    ):
+        pairs = [
+            matrix[a, b]
+            for a, b in itertools.product(range(6), range(6))
+            if a != b and (values[a] == values[b]) == equal
+        ]
+        figure = getattr(figures, name)
+        assert (figure.mean, figure.n) == (pytest.approx(np.mean(pairs)), len(pairs))
+        assert figure.iqm == pytest.approx(scipy.stats.trim_mean(pairs, 0.25))
+
+
+def test_teams_are_found_wherever_they_stand_and_outsiders_have_no_self_play():
+    matrix = np.array([[1.0, 2], [3, 4], [5, 6]])
+    rows = Traits(["b", None, "a"], ["ippo", None, "ippo"], ["d1", None, "d1"])
+    figures = metrics.cross_play(matrix, rows, same_traits(["a", "b"]))
+    assert figures.self_play is not None
+    assert figures.cross_play is not None
+    assert (figures.self_play.mean, figures.cross_play.n) == ((2 + 5) / 2, 4)
+    assert figures.within_algorithm is not None
+    assert figures.within_algorithm.n == 2  # pairs of an outsider are neither within nor across
+    apart = metrics.cross_play(matrix, Traits([None] * 3, [None] * 3, [None] * 3), same_traits(["a", "b"]))
+    assert (apart.self_play, apart.gap) == (None, None)
+    assert apart.cross_play is not None
+    assert apart.cross_play.generalises_to == "egos and partners"
+
+
+def test_relative_gap_needs_positive_self_play():
+    teams = same_traits(["a", "b", "c"])
+    assert metrics.cross_play(-np.eye(3), teams, teams).relative_gap is None
+
+
+@pytest.mark.parametrize("repetitions", [200, pytest.param(2000, marks=pytest.mark.slow)])
+def test_intervals_over_teams_cover(repetitions: int):
+    """Robot, human and pair effects of one size; self-play 2 higher. 24 teams."""
+    names = [f"t{i}" for i in range(24)]
+    teams, rng = same_traits(names), np.random.default_rng(0)
+    hits = {"self_play": 0, "cross_play": 0, "gap": 0}
+    truth = {"self_play": 2.0, "cross_play": 0.0, "gap": 2.0}
+    for i in range(repetitions):
+        matrix = rng.normal(size=(24, 1)) + rng.normal(size=24) + rng.normal(size=(24, 24)) + 2 * np.eye(24)
+        figures = metrics.cross_play(matrix, teams, teams, resamples=200, seed=i)
+        for name in hits:
+            low, high = getattr(figures, name).mean_ci
+            hits[name] += low <= truth[name] <= high
+    for name, count in hits.items():
+        assert 0.89 <= count / repetitions <= 0.98, name
+
+
+def test_normalised_return_is_not_clipped_and_unscorable_partners_are_named():
+    bounds = Bounds(
+        np.array([100.0, 50, 10]), np.array([0.0, 0, 10]), ("self-play", "trained best response", "self-play")
+    )
+    scores = np.array([[50.0, 60, 10], [-10, 25, 10]])
+    np.testing.assert_allclose(metrics.normalised_return(scores, bounds), [[0.5, 1.2, np.nan], [-0.1, 0.5, np.nan]])
+    np.testing.assert_allclose(metrics.regret(scores, bounds), [80.0, 7.5, 0.0])
+    prox = metrics.br_prox(scores, bounds)
+    assert prox.unscorable == (2,)
+    assert prox.estimate is not None
+    assert prox.estimate.iqm == pytest.approx(iqm(np.array([0.5, 1.0, -0.1, 0.5])))
+    covered = metrics.coverage(scores, bounds, epsilon=0.2)
+    assert covered.share is not None
+    assert (covered.share.value, covered.unscorable) == (0.5, (2,))
+
+
+def test_no_scorable_partner_gives_no_figure_rather_than_one():
+    bounds = Bounds(np.array([1.0]), np.array([2.0]), ("self-play",))
+    assert metrics.br_prox(np.ones((2, 1)), bounds).estimate is None
+    assert metrics.coverage(np.ones((2, 1)), bounds).share is None
+
+
+def test_bounds_are_checked_and_taken_from_a_matrix_with_their_source():
+    found = metrics.best_in_matrix(np.array([[4.0, 1], [0.5, 0.7]]), ["a", "b"], ["a", "b"], np.zeros(2))
+    np.testing.assert_allclose(found.best, [4.0, 1.0])
+    assert found.source == ("self-play", "cross-play")
+    with pytest.raises(ValueError, match="2 sources differ"):
+        Bounds(np.array([1.0]), np.array([0.0]), ("a", "b"))
+    with pytest.raises(ValueError, match="a bound is not finite"):
+        Bounds(np.array([np.inf]), np.array([0.0]), ("a",))
+
+
+def test_worst_partner_is_valued_on_episodes_that_did_not_choose_it():
+    returns = np.array([[[10.0, 10], [0, 8], [4, 6]]])
+    worst = metrics.worst_partner(returns)
+    assert (worst.index, worst.mean) == (1, 4.0)
+    assert worst.crossfit == (8 + 4) / 2  # even chooses the second, odd the third
+    assert metrics.worst_partner(returns[:, :, :1]).crossfit is None
+
+
+def test_cvar_crossfit_equals_its_definition():
+    returns = np.random.default_rng(0).normal(size=(3, 25, 4))
+    even, odd = returns[:, :, ::2].mean(axis=(0, 2)), returns[:, :, 1::2].mean(axis=(0, 2))
+
+    def tail(choose: np.ndarray, value: np.ndarray) -> float:
+        order = np.argsort(choose)
+        return (value[order[0]] + value[order[1]] + 0.5 * value[order[2]]) / 2.5
+
+    figure = metrics.cvar_crossfit(returns, 0.1)
+    assert figure.value == pytest.approx((tail(even, odd) + tail(odd, even)) / 2)
+    with pytest.raises(ValueError, match="2 or more episodes a pair"):
+        metrics.cvar_crossfit(returns[:, :, :1])
+
+
+def test_planted_defect_a_tail_valued_on_its_own_choice_is_too_low():
+    """All partners are alike, so the tail's true value is 0: cross-fitting finds it, the naive tail does not."""
+    returns = np.random.default_rng(0).normal(size=(1, 100, 8))
+    naive = np.sort(returns.mean(axis=(0, 2)))[:10].mean()
+    assert naive < -0.5
+    assert abs(metrics.cvar_crossfit(returns, 0.1).value) < 0.15
+
+
+def test_paired_difference_cancels_what_both_share():
+    rng = np.random.default_rng(0)
+    common = 100 * rng.normal(size=(1, 40))
+    a, b = common + rng.normal(size=(1, 40)) + 1.0, common + rng.normal(size=(1, 40))
+    figure = metrics.paired_difference(a, b)
+    assert figure.estimate.mean == pytest.approx((a - b).mean())
+    assert figure.estimate.mean_ci is not None
+    assert np.ptp(figure.estimate.mean_ci) < 1.5  # apart, the means vary by 30
+    assert figure.p_positive is not None
+    assert figure.p_positive > 0.95
+    assert figure.partners_better == pytest.approx(np.mean(a > b))
+    assert figure.estimate.generalises_to == "partners"
+    same = metrics.paired_difference(a[:, :1], a[:, :1])
+    assert (same.estimate.ci, same.p_positive, same.partners_better) == (None, None, 0.5)
+    with pytest.raises(ValueError, match="a has 40 partners and b has 39"):
+        metrics.paired_difference(a, b[:, 1:])
+
+
+def test_rank_stability_of_a_clear_order_is_one_and_of_noise_nothing():
+    rng = np.random.default_rng(0)
+    clear = np.arange(5.0)[:, None] + 0.01 * rng.normal(size=(5, 40))
+    assert metrics.rank_stability(clear).tau == pytest.approx(1.0)
+    assert abs(metrics.rank_stability(rng.normal(size=(30, 400))).tau) < 0.3
+    with pytest.raises(ValueError, match="1 egos and 40 partners"):
+        metrics.rank_stability(clear[:1])
+    with pytest.raises(ValueError, match="all egos have the same scores"):
+        metrics.rank_stability(np.ones((3, 4)))
+
+
+def test_diversity_by_hand():
+    found = metrics.br_diversity(np.array([[0.0, 5.0], [2.0, 3.0]]))  # scaled to the rows (0, 1) and (1, 0)
+    assert (found.log_determinant, found.rank, found.participation_ratio) == (pytest.approx(0.0), 2, pytest.approx(2.0))
+    twice = metrics.br_diversity(np.array([[0.0, 5.0], [2.0, 3.0], [2.0, 3.0]]))
+    assert (twice.log_determinant, twice.rank, twice.to_json()["log_determinant"]) == (-math.inf, 2, None)
+    alike = metrics.br_diversity(np.ones((3, 2)))
+    assert (alike.rank, alike.participation_ratio) == (0, 0.0)
+
+
+def test_greedy_subset_raises_the_log_determinant_the_most_at_every_step():
+    features = np.random.default_rng(0).uniform(size=(12, 5))
+    phi = metrics.diversity.scale_features(features)
+    picked = metrics.greedy_subset(features, 4)
+    for step in range(1, 5):
+        before = picked[: step - 1]
+        gains = [
+            np.linalg.det(phi[[*before, i]] @ phi[[*before, i]].T) if i not in before else -1.0 for i in range(len(phi))
+        ]
+        assert int(np.argmax(gains)) == picked[step - 1]
+    with pytest.raises(ValueError, match="size is 6; the features have rank 5"):
+        metrics.greedy_subset(features, 6)

@@ -1,0 +1,322 @@
+"""Figures: what they show, in which order, and that they leave no state behind."""
+
+import itertools
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from evaluation import summary, tables
+from evaluation.plots import style
+from evaluation.plots.bars import disability_points, zsc_bars
+from evaluation.plots.heatmap import crossplay_heatmap
+from evaluation.plots.lines import learning_curves, performance_profile
+from evaluation.plots.matrix import Matrix, arrange, short_names
+from evaluation.plots.treemap import population_treemap
+from tests.evaluation.episode_tables import CONTEXT, Team, clustered_matrix, episode_table, team_id, teams
+
+# Machado et al. (2009), full severity, on linear RGB.
+COLOUR_VISION = {
+    "normal": np.eye(3),
+    "deuteranopia": np.array([[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]]),
+    "protanopia": np.array([[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]]),
+    "tritanopia": np.array([[1.256, -0.077, -0.179], [-0.078, 0.931, 0.148], [0.005, 0.691, 0.304]]),
+}
+XYZ = np.array([[0.4125, 0.3576, 0.1804], [0.2127, 0.7152, 0.0722], [0.0193, 0.1192, 0.9503]])
+
+
+def saved(population: list[Team], clusters: int = 3) -> tuple[pl.DataFrame, dict[str, Any], dict[str, Any]]:
+    """What crossplay saves: pairs, order and summary."""
+    table = episode_table(clustered_matrix(len(population), clusters)[:, :, None], population, population)
+    pairs, order = summary.crossplay_matrix(table)
+    return pairs, order, summary.summarise_crossplay(table, **CONTEXT)
+
+
+def draw(population: list[Team], how: Any = None, clusters: int = 3) -> tuple[Matrix, Figure]:
+    pairs, order, figures = saved(population, clusters)
+    matrix = arrange(pairs, order, how)
+    return matrix, crossplay_heatmap(matrix, figures)
+
+
+def axes_by_label(figure: Figure) -> dict[str, Any]:
+    return {str(axes.get_label()): axes for axes in figure.axes}
+
+
+def texts(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+
+
+def test_shared_order_keeps_self_play_on_the_diagonal():
+    population = teams(20, ("ippo", "isac"), ("d1", "d9"))
+    matrix, _ = draw(population)
+    assert matrix.shared
+    np.testing.assert_array_equal(matrix.self_play, np.eye(20, dtype=bool))
+    assert matrix.rows.teams == matrix.columns.teams
+    original = clustered_matrix(20, 3)
+    places = [[team_id(team) for team in population].index(str(team)) for team in matrix.rows.teams]
+    np.testing.assert_allclose(matrix.values, original[np.ix_(places, places)], rtol=1e-6)
+
+
+def test_separate_orders_move_rows_and_columns_with_their_values():
+    population = teams(12)
+    matrix, _ = draw(population, "separate")
+    assert not matrix.shared
+    names = [team_id(team) for team in population]
+    rows, columns = ([names.index(str(team)) for team in side.teams] for side in (matrix.rows, matrix.columns))
+    np.testing.assert_allclose(matrix.values, clustered_matrix(12, 3)[np.ix_(rows, columns)], rtol=1e-6)
+    assert matrix.self_play.sum() == 12
+
+
+def test_heatmap_has_its_parts_and_says_what_it_shows():
+    population = teams(32, ("ippo",), ("d1", "d3", "d7", "d9"))
+    matrix, figure = draw(population, clusters=4)
+    parts = axes_by_label(figure)
+    assert set(parts) == {
+        *("matrix", "colourbar", "legend", "tree:ego", "tree:partner", "clusters:ego", "clusters:partner"),
+        *(f"strip:{seat}:{trait}" for seat in ("ego", "partner") for trait in ("algorithm", "disability")),
+    }
+    assert parts["matrix"].get_xlabel() == "human (partner)"
+    assert parts["tree:ego"].get_ylabel() == "robot (ego)"
+    assert parts["colourbar"].get_ylabel() == "mean return"
+    labels = [label.get_text() for label in parts["matrix"].get_yticklabels()]
+    assert labels == list(matrix.rows.names)
+    assert set(labels) == {f"{a}-{d}-s{s}" for a, d, s in population}
+    written = " ".join(texts(figure)).replace("\n", " ")
+    for words in (
+        "Cross-play: scratch",
+        "n = 32 robots × 32 humans, 1 episode a pair (1,024 episodes, 0 non-finite)",
+        "Release v0, split scratch-half-v0",
+        "self-play on the diagonal",
+        "d9  range 0.4, strength 0.4",
+        "n = 8, medoid ippo-d1",
+    ):
+        assert words in written
+
+
+def test_strips_show_each_policys_algorithm_and_disability_in_order():
+    matrix, figure = draw(teams(12, ("ippo", "isac"), ("d1", "d5", "d9")))
+    parts = axes_by_label(figure)
+    for seat, side, axis in (("ego", matrix.rows, 0), ("partner", matrix.columns, 1)):
+        for trait, values, palette in (
+            ("algorithm", side.algorithms, style.algorithm_colours(side.algorithms)),
+            ("disability", side.disabilities, style.disability_colours(side.disabilities)),
+        ):
+            shown = np.asarray(parts[f"strip:{seat}:{trait}"].images[0].get_array())
+            assert shown.shape[axis] == 12
+            expected = [to_rgb(palette[str(value)]) for value in values]
+            np.testing.assert_allclose(shown.reshape(12, 3), expected)
+
+
+def test_strips_and_dendrograms_are_aligned_with_the_matrix():
+    _, figure = draw(teams(12))
+    parts = axes_by_label(figure)
+    heat = parts["matrix"].get_position()
+    for name, axes in parts.items():
+        box = axes.get_position()
+        if ":ego" in name:
+            assert (box.y0, box.y1) == pytest.approx((heat.y0, heat.y1))
+            assert axes.get_ylim() == parts["matrix"].get_ylim()
+            assert box.x1 < heat.x0
+        if ":partner" in name:
+            assert (box.x0, box.x1) == pytest.approx((heat.x0, heat.x1))
+            assert axes.get_xlim() == parts["matrix"].get_xlim()
+            assert box.y0 > heat.y1
+
+
+@pytest.mark.parametrize(
+    ("count", "how"), [(1, None), (2, None), (8, "separate"), (32, None), (80, "separate"), (80, "shared")]
+)
+def test_nothing_is_cut_off_or_written_over_something_else(count: int, how: Any):
+    population = teams(count, ("ippo", "isac", "mappo", "masac"), tuple(f"d{i}" for i in range(1, 10)))
+    _, figure = draw(population, how, clusters=min(4, count))
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    renderer = canvas.get_renderer()
+    bar = axes_by_label(figure)["colourbar"]
+    unseen = [
+        label
+        for label in bar.get_yticklabels()
+        if not bar.get_ylim()[0] <= label.get_position()[1] <= bar.get_ylim()[1]
+    ]
+    found = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible() and text not in unseen]
+    boxes = [(text.get_text(), np.array(text.get_window_extent(renderer).extents)) for text in found]
+    size = figure.get_size_inches() * figure.dpi
+    for words, box in boxes:
+        assert np.all(box[:2] >= -1), words
+        assert np.all(box[2:] <= size + 1), words
+    for (a, (x0, y0, x1, y1)), (b, (u0, v0, u1, v1)) in itertools.combinations(boxes, 2):
+        slack = 0.15 * min(y1 - y0, v1 - v0, x1 - x0, u1 - u0)  # a box is higher than its letters
+        assert min(x1, u1) - max(x0, u0) <= slack or min(y1, v1) - max(y0, v0) <= slack, (a, b)
+
+
+def test_a_large_matrix_names_clusters_instead_of_policies():
+    _, figure = draw(teams(100))
+    parts = axes_by_label(figure)
+    assert list(parts["matrix"].get_xticks()) == []
+    assert parts["matrix"].get_xlabel() == "human (partner), n = 100"
+    assert {text.get_text() for text in parts["clusters:ego"].texts} == {"A", "B", "C"}
+
+
+def test_a_small_matrix_shows_its_numbers_with_self_play_in_bold():
+    matrix, figure = draw(teams(4), clusters=2)
+    shown = axes_by_label(figure)["matrix"].texts
+    assert [text.get_text() for text in shown] == [f"{value:.0f}" for value in matrix.values.ravel()]
+    bold = np.array([text.get_weight() == "bold" for text in shown]).reshape(4, 4)
+    np.testing.assert_array_equal(bold, np.eye(4, dtype=bool))
+
+
+def test_an_outsider_is_drawn_without_self_play():
+    table = episode_table(np.arange(20.0).reshape(1, 20, 1), ["my robot"], teams(20))
+    pairs, order = summary.crossplay_matrix(table)
+    matrix = arrange(pairs, order)
+    figure = crossplay_heatmap(matrix, summary.summarise_crossplay(table, **CONTEXT))
+    assert not matrix.self_play.any()
+    assert "from outside the zoo" in texts(figure)
+    with pytest.raises(ValueError, match="not the same teams, so they share no order; use --order separate"):
+        arrange(pairs, order, "shared")
+
+
+def test_planted_defect_an_order_of_another_table_is_caught():
+    pairs, order, _ = saved(teams(4), 2)
+    _, other, _ = saved(teams(5), 2)
+    with pytest.raises(ValueError, match="table and order name different egos"):
+        arrange(pairs, other)
+    with pytest.raises(ValueError, match="no return for some pairs"):
+        arrange(pairs[:-1], order)
+
+
+@pytest.mark.parametrize("ending", ["png", "pdf"])
+def test_files_are_written_whole_and_equal_for_equal_figures(tmp_path: Path, ending: str):
+    paths = [tmp_path / f"{name}.{ending}" for name in ("a", "b")]
+    for path in paths:
+        style.save_figure(draw(teams(4), clusters=2)[1], path)
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    assert paths[0].read_bytes().startswith(b"\x89PNG" if ending == "png" else b"%PDF")
+    assert len(list(tmp_path.iterdir())) == 2
+    with pytest.raises(ValueError, match=r"x\.svg ends in '\.svg'; figures are written as \.png or \.pdf"):
+        style.save_figure(Figure(), tmp_path / "x.svg")
+
+
+def test_drawing_never_imports_pyplot():
+    code = (
+        "import sys\n"
+        "from evaluation.plots import bars, heatmap, lines, treemap\n"
+        "sys.exit('matplotlib.pyplot' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_names_are_shortened_by_what_they_share_and_stay_apart():
+    same = ["scratch/ippo-d1-s0-v0/robot", "scratch/ippo-d1-s1-v0/robot"]
+    assert short_names(same) == ("ippo-d1-s0", "ippo-d1-s1")
+    releases = ["scratch/ippo-d1-s0-v0/robot", "scratch/ippo-d1-s0-v1/robot"]
+    assert short_names(releases) == ("ippo-d1-s0-v0", "ippo-d1-s0-v1")
+    assert short_names(["a/x/robot", "b/x/robot"]) == ("a/x/robot", "b/x/robot")
+    (long,) = short_names(["python:some.package.of.mine:make_robot"])
+    assert long == "...kage.of.mine:make_robot"
+
+
+@pytest.mark.parametrize("vision", COLOUR_VISION)
+def test_strip_colours_differ_for_every_colour_vision(vision: str):
+    def lab(colour: str) -> np.ndarray:
+        rgb = np.array(to_rgb(colour))
+        linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+        xyz = XYZ @ np.clip(COLOUR_VISION[vision] @ linear, 0, 1) / np.array([0.9505, 1.0, 1.0888])
+        f = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
+        return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+    settings = style.disability_colours([f"d{i}" for i in range(1, 10)])
+    algorithms = style.algorithm_colours(["ippo", "isac", "mappo", "masac", "e", "f", "g", "h"])
+    assert len(set(settings.values())) == 9
+    for colours, least in ((settings, 20), (algorithms, 15)):
+        for (a, x), (b, y) in itertools.combinations(colours.items(), 2):
+            assert np.linalg.norm(lab(x) - lab(y)) > least, (a, b)
+
+
+def test_unknown_settings_get_colours_and_outsiders_grey():
+    colours = style.disability_colours(["d1", "tremor-2", None, "tremor-1"])
+    assert list(colours) == ["d1", "tremor-1", "tremor-2"]
+    assert len(set(colours.values())) == 3
+
+
+def evaluations() -> dict[str, dict[str, Any]]:
+    rng = np.random.default_rng(0)
+    partners = teams(8, ("ippo",), ("d1", "d9"))
+    sides = ["test", "train", "train", "test"] * 2
+    return {
+        name: summary.summarise_evaluation(
+            episode_table(rng.normal(500, 50, (egos, 8, 2)), [f"{name}{i}" for i in range(egos)], partners, sides),
+            **CONTEXT,
+        )
+        for name, egos in (("ppo", 3), ("fcp", 1))
+    }
+
+
+def test_bars_are_as_high_as_the_iqm_and_whiskers_as_long_as_the_interval():
+    found = evaluations()
+    figure = zsc_bars(found)
+    axes = axes_by_label(figure)["returns"]
+    heights = sorted(bar.get_height() for bar in axes.patches)
+    assert heights == pytest.approx(sorted(one[key]["iqm"] for one in found.values() for key in ("m_test", "m_train")))
+    whiskers = sorted(tuple(line.get_ydata()) for line in axes.lines if len(line.get_ydata()) == 2)
+    expected = sorted(tuple(one[key]["ci"]) for one in found.values() for key in ("m_test", "m_train"))
+    np.testing.assert_allclose([pair for pair in whiskers if pair != (0, 0)], expected)
+    written = "\n".join(texts(figure))
+    assert "ppo: 3 seeds × 4 train, 4 test partners × 2 episodes; scratch, release v0" in written
+    assert "new partners; new seeds and partners" in written
+
+
+def test_a_side_that_was_not_evaluated_has_no_bar():
+    found = {name: {**one, "m_train": None, "gap": None} for name, one in evaluations().items()}
+    assert len(axes_by_label(zsc_bars(found))["returns"].patches) == 2
+
+
+def test_disability_points_and_mixed_tasks():
+    found = evaluations()
+    axes = axes_by_label(disability_points(found))["returns"]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["d1", "d9"]
+    found["fcp"]["task"] = "bed_bath"
+    with pytest.raises(ValueError, match="several tasks, bed_bath, scratch"):
+        disability_points(found)
+    with pytest.raises(ValueError, match="nothing to draw"):
+        zsc_bars({})
+
+
+def test_lines_are_the_saved_tables():
+    profile = pl.DataFrame({"threshold": [0.0, 1.0], "share": [1.0, 0.0], "low": [None, None], "high": [None, None]})
+    axes = axes_by_label(performance_profile({"ppo": profile}, task="scratch", caption="n"))["lines"]
+    np.testing.assert_array_equal(axes.lines[0].get_ydata(), [1.0, 0.0])
+    assert not axes.collections  # no band without an interval
+    curves = pl.DataFrame({"disability": ["d1"], "steps": [1e6], "iqm": [5.0], "low": [4.0], "high": [6.0]})
+    axes = axes_by_label(learning_curves(curves, title="t", caption="n"))["lines"]
+    assert len(axes.collections) == 1
+    assert axes.get_legend().get_texts()[0].get_text() == "d1"
+
+
+def test_treemap_areas_are_numbers_of_partners():
+    rows = [("scratch", "ippo", "d1")] * 6 + [("scratch", "ippo", "d9")] * 3 + [("scratch", "isac", "d1")] * 3
+    figure = population_treemap(
+        pl.DataFrame(rows, schema=["task", "algorithm", "disability"], orient="row"), caption="n"
+    )
+    axes = axes_by_label(figure)["treemap:scratch"]
+    areas = [patch.get_width() * patch.get_height() for patch in axes.patches]
+    assert areas[0] == pytest.approx(2 * areas[1])
+    assert {"ippo (9)", "isac (3)"} <= {text.get_text() for text in axes.texts}
+    with pytest.raises(ValueError, match="the population is empty"):
+        population_treemap(pl.DataFrame(schema=["task", "algorithm", "disability"]), caption="n")
+
+
+def test_saved_matrix_survives_its_files(tmp_path: Path):
+    pairs, order, _ = saved(teams(6), 2)
+    tables.write_parquet(pairs, tmp_path / tables.PAIRS_FILE)
+    tables.write_json(order, tmp_path / tables.ORDER_FILE)
+    found = arrange(tables.read_parquet(tmp_path / tables.PAIRS_FILE), tables.read_json(tmp_path / tables.ORDER_FILE))
+    np.testing.assert_array_equal(found.values, arrange(pairs, order).values)

@@ -1,0 +1,175 @@
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from assistax_envs import disability_params
+from evaluation.rollout import GAMMA, Rollout, Tally, _start, episode_seeds, segment_length
+from population.policy import Policy
+from population.spec import PolicySpec
+from tests.evaluation.matrix_game import GRU, HUMAN, PAYOFF, ROBOT, MatrixGame, humans, random_group, robots
+
+SETTINGS = ["d1", "d2", "d3"]
+
+
+def play(robot: Any, human: Any, episodes: int = 3, env: MatrixGame | None = None, **options: Any) -> Tally:
+    rollout = Rollout(env or MatrixGame(), Policy(robot.spec), Policy(human.spec), **options)
+    settings = [member.disability for member in human.members]
+    return rollout.run(robot.params, human.params, disability_params(settings), episode_seeds(7, range(episodes)))
+
+
+def test_returns_of_the_matrix_game_are_its_payoffs():
+    tally = play(robots(-0.5, 0.5), humans(-0.5, 0.5, -0.5))
+    luck = tally.terms["luck"]
+    expected = 4 * PAYOFF[[0, 1]][:, [0, 1, 0]]
+    np.testing.assert_allclose(tally.terms["payoff"], np.repeat(expected[:, :, None], 3, axis=2), rtol=1e-6)
+    np.testing.assert_allclose(tally.returns, tally.terms["payoff"] + luck, rtol=1e-6)
+    assert (tally.steps == 4).all()
+    assert not tally.nonfinite.any()
+
+
+def test_discounting_force_and_success_follow_their_definitions():
+    tally = play(robots(-0.5, 0.5), humans(0.5))
+    step_reward = tally.returns / 4
+    np.testing.assert_allclose(tally.discounted, step_reward * sum(GAMMA**t for t in range(4)), rtol=1e-6)
+    np.testing.assert_allclose(tally.force_sum, 4 * 0.5 + 1 + 2 + 3 + 4)
+    np.testing.assert_allclose(tally.force_peak, 4.5)
+    assert tally.success.tolist() == [[[False] * 3], [[True] * 3]]  # (1, 1) at the second step only
+
+
+def test_all_pairs_play_the_same_episodes():
+    luck = play(robots(-0.5, 0.5), humans(-0.5, 0.5)).terms["luck"]
+    np.testing.assert_array_equal(luck, np.broadcast_to(luck[0, 0], luck.shape))
+    assert len(set(luck[0, 0].tolist())) == 3
+
+
+def test_more_episodes_extend_fewer():
+    assert episode_seeds(3, range(10))[:4] == episode_seeds(3, range(4))
+    assert episode_seeds(3, range(2, 4)) == episode_seeds(3, range(4))[2:]
+    assert episode_seeds(3, range(4)) != episode_seeds(4, range(4))
+
+
+def strengths(state: Any, shape: tuple[int, int, int]) -> np.ndarray:
+    return np.asarray(state.params.strength).reshape(shape)
+
+
+def carries_its_own_setting(started: np.ndarray) -> bool:
+    return np.array_equal(started, np.broadcast_to(np.array([1.0, 0.7, 0.4], np.float32)[None, :, None], started.shape))
+
+
+def test_every_partner_plays_under_its_own_disability():
+    tally = play(robots(-0.5, 0.5), humans(-0.5, -0.5, -0.5, disabilities=tuple(SETTINGS)))
+    expected = 4 * PAYOFF[:, 0, None] * np.array([1.0, 0.7, 0.4])[None, :]
+    np.testing.assert_allclose(tally.terms["payoff"], np.repeat(expected[:, :, None], 3, axis=2), rtol=1e-6)
+
+
+def test_the_disability_check_sees_one_setting_for_all():
+    shape, keys = (2, 3, 2), jax.vmap(jax.random.key)(jnp.arange(2))
+    params = disability_params(SETTINGS)
+    right = _start(MatrixGame(), Policy(ROBOT), Policy(HUMAN), params, keys, shape=shape)
+    planted = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[:1], leaf.shape), params)
+    wrong = _start(MatrixGame(), Policy(ROBOT), Policy(HUMAN), planted, keys, shape=shape)
+    assert carries_its_own_setting(strengths(right.state, shape))
+    assert not carries_its_own_setting(strengths(wrong.state, shape))
+
+
+def test_a_broken_episode_earns_nothing_from_then_on_and_is_marked():
+    tally = play(robots(-0.5), humans(-0.5), env=MatrixGame(broken_from=2))
+    np.testing.assert_allclose(tally.terms["payoff"], 2 * PAYOFF[0, 0])
+    assert tally.nonfinite.all()
+    assert np.isfinite(tally.force_sum).all()
+    np.testing.assert_allclose(tally.force_peak, 2.5)
+
+
+def row_of(group: Any, row: int) -> Any:
+    return jax.tree.map(lambda leaf: leaf[row], group.params)
+
+
+@pytest.mark.parametrize("spec", [ROBOT, GRU], ids=["mlp", "gru"])
+def test_a_block_is_what_each_pair_gives_alone(spec: PolicySpec):
+    """Oracle: a loop over pairs, episodes and steps with one policy at a time."""
+    env, seeds = MatrixGame(), episode_seeds(5, range(2))
+    robot, human = random_group(spec, 2, 1), random_group(HUMAN, 3, 2)
+    rollout = Rollout(env, Policy(spec), Policy(HUMAN))
+    settings = disability_params([str(member.disability) for member in human.members])
+    block = rollout.run(robot.params, human.params, settings, seeds)
+    for e, p, k in np.ndindex(block.returns.shape):
+        mine, theirs = row_of(robot, e), row_of(human, p)
+        state = env.reset(jax.random.key(seeds[k])[None], jax.tree.map(lambda leaf, p=p: leaf[p : p + 1], settings))
+        policies = {"robot": (Policy(spec), mine), "human": (Policy(HUMAN), theirs)}
+        carries = {role: policy.initial_carry((1,)) for role, (policy, _) in policies.items()}
+        total = 0.0
+        for t in range(env.episode_length):
+            actions = {}
+            for role, (policy, params) in policies.items():
+                carries[role], actions[role] = policy.act(params, carries[role], state.obs[role], jnp.array([t == 0]))
+            state = env.step(state, actions)
+            total += float(state.reward[0])
+        assert block.returns[e, p, k] == pytest.approx(total, rel=1e-5)
+
+
+def test_drawn_actions_are_common_to_pairs_and_differ_by_episode_step_and_role():
+    env = MatrixGame(episode_length=1)
+    tally = play(robots(0.0, 0.0), humans(0.0, 0.0), episodes=64, env=env, stochastic=True)
+    force = tally.force_sum - 1  # |the robot's second action|
+    np.testing.assert_array_equal(force, np.broadcast_to(force[0, 0], force.shape))
+    assert len(set(force[0, 0].tolist())) == 64
+    chosen = tally.terms["payoff"][0, 0]  # all four cells come up: the roles draw apart
+    assert {round(float(value), 3) for value in chosen} == {4.0, 1.0, 0.5, 3.0}
+    np.testing.assert_array_equal(
+        play(robots(0.0), humans(0.0), episodes=8, env=env, stochastic=True).returns[0, 0], tally.returns[0, 0, :8]
+    )
+    assert len(set((play(robots(0.0), humans(0.0), episodes=8, stochastic=True).force_sum[0, 0]).tolist())) == 8
+
+
+def test_segments_divide_the_episode():
+    assert [segment_length(steps) for steps in (1000, 4, 150, 997)] == [100, 4, 75, 1]
+
+
+@pytest.mark.parametrize("stochastic", [False, True])
+def test_values_do_not_depend_on_the_block(stochastic: bool):
+    wide = PolicySpec("robot", observation_size=3, action_size=2, hidden=(64, 64), normalise=True)
+    robot, human = random_group(wide, 3, 1), random_group(HUMAN, 5, 2)
+    whole = play(robot, human, episodes=2, stochastic=stochastic)
+    rollout = Rollout(MatrixGame(), Policy(wide), Policy(HUMAN), stochastic=stochastic)
+    for e, p, k in np.ndindex(3, 5, 2):
+        mine, theirs = (
+            jax.tree.map(lambda leaf: leaf[None], row_of(group, row)) for group, row in ((robot, e), (human, p))
+        )
+        alone = rollout.run(mine, theirs, disability_params([f"d{1 + p}"]), episode_seeds(7, range(k, k + 1)))
+        assert alone.returns[0, 0, 0] == whole.returns[e, p, k]
+        assert alone.force_sum[0, 0, 0] == whole.force_sum[e, p, k]
+
+
+def parameters_per_simulation(program: Any, simulations: int, kernel: int) -> list[str]:
+    """Return the equations whose result is as large as one kernel for each simulation, at any depth."""
+    found = []
+    for equation in program.eqns:
+        for value in equation.outvars:
+            if math.prod(getattr(value.aval, "shape", ())) >= simulations * kernel:
+                found.append(str(equation.primitive))
+        for inner in jax.tree.leaves(list(equation.params.values()), is_leaf=lambda x: hasattr(x, "eqns")):
+            inner = getattr(inner, "jaxpr", inner)
+            if hasattr(inner, "eqns"):
+                found += parameters_per_simulation(inner, simulations, kernel)
+    return found
+
+
+def test_no_simulation_has_parameters_of_its_own():
+    wide = PolicySpec("robot", observation_size=3, action_size=2, hidden=(64, 64), normalise=False)
+    robot, human, shape = random_group(wide, 2, 1), random_group(HUMAN, 3, 2), (2, 3, 50)
+    rollout = Rollout(MatrixGame(), Policy(wide), Policy(HUMAN))
+    keys = jax.vmap(jax.random.key)(jnp.arange(50))
+    settings = disability_params(SETTINGS)
+    loop = rollout._start(settings, keys, shape=shape)
+    program = jax.make_jaxpr(lambda *a: rollout._advance(*a, None, shape=shape))(loop, robot.params, human.params, keys)
+    assert parameters_per_simulation(program.jaxpr, 300, 64 * 64) == []
+
+    def gathered(obs: jax.Array, kernels: jax.Array) -> jax.Array:
+        return jnp.einsum("no,noh->nh", obs, kernels[jnp.arange(300) // 150])
+
+    planted = jax.make_jaxpr(gathered)(jnp.zeros((300, 64)), robot.params["Dense_1"]["kernel"])
+    assert parameters_per_simulation(planted.jaxpr, 300, 64 * 64) != []

@@ -1,0 +1,91 @@
+import itertools
+
+import numpy as np
+import pytest
+import scipy.stats
+from hypothesis import given, seed, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from evaluation import statistics
+
+FINITE = st.floats(-1e4, 1e4, width=32)
+
+
+def test_iqm_by_hand():
+    assert statistics.iqm(np.array([1.0, 2, 3, 4])) == 2.5
+    assert statistics.iqm(np.array([0.0, 1, 2, 3, 4, 5, 6, 100])) == 3.5
+    assert statistics.iqm(np.array([5.0, 1.0, 9.0])) == 5.0  # fewer than four: nothing is cut
+    assert statistics.iqm(np.array([0.0, 1, 2, 3, 1000])) == 2.0  # floor(5 / 4) = 1 at either end
+    assert statistics.iqm(np.array([[0.0, 10], [20, 30]])) == 15.0  # over all entries
+
+
+@seed(0)
+@settings(max_examples=100, deadline=None)
+@given(arrays(np.float64, st.integers(1, 40), elements=FINITE))
+def test_iqm_is_scipys_trimmed_mean(values: np.ndarray):
+    assert statistics.iqm(values) == pytest.approx(scipy.stats.trim_mean(values, 0.25), rel=1e-9, abs=1e-6)
+
+
+def test_weighted_forms_equal_the_resampled_lists():
+    rng = np.random.default_rng(3)
+    values = rng.normal(1000, 50, 17)
+    counts = rng.integers(0, 4, (20, 17))
+    lists = [np.repeat(values, row) for row in counts]
+    np.testing.assert_allclose(statistics.weighted_mean(values, counts), [entry.mean() for entry in lists])
+    expected = [scipy.stats.trim_mean(entry, 0.25) for entry in lists]
+    np.testing.assert_allclose(statistics.weighted_iqm(values, counts), expected)
+
+
+def test_a_resample_without_entries_has_no_figure():
+    counts = np.array([[0, 0], [1, 0]])
+    for figure in (statistics.weighted_mean, statistics.weighted_iqm):
+        np.testing.assert_array_equal(figure(np.array([3.0, 4.0]), counts), [np.nan, 3.0])
+
+
+def test_cvar_by_hand():
+    values = np.arange(1.0, 11.0)[::-1]
+    assert statistics.cvar(values, 0.1) == 1.0
+    assert statistics.cvar(values, 0.25) == pytest.approx((1 + 2 + 0.5 * 3) / 2.5)  # half of the third
+    assert statistics.cvar(values, 0.05) == 1.0
+    assert statistics.cvar(values, 1.0) == pytest.approx(values.mean())
+    with pytest.raises(ValueError, match=r"alpha is 0\.0; allowed is a share"):
+        statistics.cvar(values, 0.0)
+
+
+def test_tail_weights_honour_counts():
+    weights = statistics.tail_weights(np.array([[3.0, 1.0, 2.0]]), np.array([[1, 2, 1]]), 0.75)
+    np.testing.assert_allclose(weights, [[0, 2 / 3, 1 / 3]])
+
+
+def test_median_is_over_partners_of_means_over_seeds():
+    assert statistics.median(np.array([[0.0, 10, 50], [2, 20, 70]])) == 15.0
+
+
+def test_optimality_gap_by_hand():
+    assert statistics.optimality_gap(np.array([0.5, 1.5, 0.8])) == pytest.approx((0.5 + 0 + 0.2) / 3)
+    assert statistics.optimality_gap(np.array([900.0, 1200.0]), target=1135.0) == pytest.approx(235 / 2)
+
+
+def test_probability_of_improvement_is_the_loop_over_pairs():
+    rng = np.random.default_rng(0)
+    x, y = rng.integers(0, 4, (3, 5)), rng.integers(0, 4, (4, 5))
+    wins = [
+        np.mean([1.0 if a > b else 0.5 if a == b else 0.0 for a, b in itertools.product(x[:, p], y[:, p])])
+        for p in range(5)
+    ]
+    assert statistics.probability_of_improvement(x, y) == pytest.approx(np.mean(wins))
+    with pytest.raises(ValueError, match="x has 5 partners and y has 4"):
+        statistics.probability_of_improvement(x, y[:, :4])
+
+
+def test_performance_profile_by_hand():
+    shares = statistics.performance_profile(np.array([[1.0, 2], [3, 4]]), np.array([0.0, 1.0, 2.5, 4.0]))
+    np.testing.assert_allclose(shares, [1.0, 0.75, 0.5, 0.0])
+
+
+def test_scores_that_are_no_scores_are_refused():
+    with pytest.raises(ValueError, match="1 of 2 scores are not finite"):
+        statistics.iqm(np.array([1.0, np.nan]))
+    with pytest.raises(ValueError, match="there are no scores"):
+        statistics.mean(np.array([]))

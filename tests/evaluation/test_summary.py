@@ -1,0 +1,159 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from evaluation import summary, tables
+from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, team_id, teams
+
+PARTNERS = teams(12, ("ippo", "isac"), ("d1", "d9"))
+SIDES = ["test", "train", "test"] * 4
+
+
+def evaluation_table(egos: int = 3, k: int = 4) -> pl.DataFrame:
+    returns = np.random.default_rng(0).normal(500, 50, (egos, 12, k))
+    return episode_table(returns, teams(egos), PARTNERS, SIDES)
+
+
+def test_evaluation_has_the_promised_figures_and_is_json():
+    table = evaluation_table()
+    found = summary.summarise_evaluation(table, **CONTEXT)
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    means = table.group_by("side").agg(pl.col("return").mean())
+    by_side = dict(means.iter_rows())
+    assert found["m_test"]["mean"] == pytest.approx(by_side["test"])
+    assert found["m_train"]["mean"] == pytest.approx(by_side["train"])
+    assert found["gap"]["mean"] == pytest.approx(by_side["train"] - by_side["test"])
+    assert (found["m_test"]["n"], found["m_train"]["n"]) == (24, 12)
+    assert found["m_test"]["generalises_to"] == "seeds and partners"
+    assert found["split"] == CONTEXT["split"]
+    assert (found["episodes"], found["episodes_per_pair"], found["nonfinite"]) == (144, 4, 0)
+    for name in ("release", "env_version", "backend", "env_steps_per_second", "task"):
+        assert found[name] == CONTEXT[name]
+
+
+def test_groups_and_the_worst_partner_are_about_the_test_partners():
+    table = evaluation_table()
+    found = summary.summarise_evaluation(table, **CONTEXT)
+    test = table.filter(side="test")
+    for column, key in (("partner_algorithm", "by_algorithm"), ("partner_disability", "by_disability")):
+        expected = dict(test.group_by(column).agg(pl.col("return").mean()).iter_rows())
+        assert {name: figure["mean"] for name, figure in found[key].items()} == pytest.approx(expected)
+    worst = test.group_by("partner").agg(pl.col("return").mean()).sort("return").row(0, named=True)
+    assert found["worst_partner"]["partner"] == worst["partner"]
+    assert found["worst_partner"]["mean"] == pytest.approx(worst["return"])
+    assert found["cvar_10"]["n"] == 24
+    assert found["fairness"]["gap"]["value"] == pytest.approx(
+        abs(found["by_disability"]["d1"]["mean"] - found["by_disability"]["d9"]["mean"])
+    )
+
+
+def test_only_training_partners_leave_m_test_empty():
+    found = summary.summarise_evaluation(evaluation_table().filter(side="train"), **CONTEXT)
+    assert (found["m_test"], found["gap"], found["side"]) == (None, None, "train")
+    assert found["m_train"]["n"] == 12
+
+
+def test_one_ego_and_one_episode_are_said_to_be_so():
+    found = summary.summarise_evaluation(evaluation_table(egos=1, k=1), **CONTEXT)
+    assert found["m_test"]["generalises_to"] == "partners"
+    assert found["cvar_10"] is None
+    assert found["worst_partner"]["crossfit"] is None
+    assert found["notes"][0].startswith("one ego: intervals speak about new partners")
+    assert any("groups of partners have as few as" in note for note in found["notes"])
+
+
+def test_nonfinite_episodes_are_counted_and_never_left_out():
+    table = evaluation_table().with_columns(
+        (pl.col("episode").eq(0) & pl.col("partner_seed").eq(0)).alias("nonfinite"),
+        pl.when(pl.col("episode").eq(0) & pl.col("partner_seed").eq(0)).then(0.0).otherwise("return").alias("return"),
+    )
+    found = summary.summarise_evaluation(table, **CONTEXT)
+    assert found["nonfinite"] == 3
+    assert found["episodes"] == 144
+    assert found["m_test"]["mean"] == pytest.approx(table.filter(side="test")["return"].mean())
+    assert "3 of 144 episodes became non-finite and earn 0 from then on; they count" in found["notes"]
+    assert summary.partner_table(table)["nonfinite"].sum() == 3
+
+
+def test_egos_from_outside_the_zoo_are_seeds_of_one_method():
+    returns = np.random.default_rng(0).normal(500, 50, (2, 12, 2))
+    table = episode_table(returns, ["a.safetensors", "b.safetensors"], PARTNERS, SIDES)
+    found = summary.summarise_evaluation(table, **CONTEXT)
+    assert found["egos"] == ["a.safetensors", "b.safetensors"]
+    assert found["m_test"]["n"] == 16
+
+
+def test_partners_without_a_side_are_refused():
+    table = evaluation_table().with_columns(pl.lit(None, pl.String).alias("side"))
+    with pytest.raises(ValueError, match="evaluate against a split"):
+        summary.summarise_evaluation(table, **CONTEXT)
+
+
+def test_crossplay_of_the_matrix_game():
+    payoff = np.array([[4.0, 1.0], [0.5, 3.0]])
+    pair = teams(2)
+    found = summary.summarise_crossplay(episode_table(payoff[:, :, None], pair, pair), **CONTEXT)
+    figures = [found[key]["mean"] for key in ("self_play", "cross_play", "gap")]
+    assert figures == [3.5, 0.75, 2.75]
+    assert found["relative_gap"]["value"] == pytest.approx(2.75 / 3.5)
+    assert found["best_ego"] == {"ego": f"{team_id(pair[0])}/robot", "mean": 2.5}
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+
+
+def test_crossplay_keeps_self_play_on_the_diagonal_of_the_shared_order():
+    population = teams(12)
+    matrix = clustered_matrix(12, 3)
+    shuffled = np.random.default_rng(0).permutation(12)
+    table = episode_table(matrix[:, shuffled, None], population, [population[i] for i in shuffled])
+    pairs, order = summary.crossplay_matrix(table)
+    by_team = {(row["ego_team"], row["partner_team"]): row["return"] for row in pairs.iter_rows(named=True)}
+    shared = order["teams"]["order"]
+    assert sorted(shared) == sorted(team_id(team) for team in population)
+    diagonal = [by_team[team, team] for team in shared]
+    np.testing.assert_allclose(sorted(diagonal), sorted(np.diag(matrix)), rtol=1e-6)
+    assert [len(cluster["members"]) for cluster in order["teams"]["clusters"]] == [4, 4, 4]
+
+
+def test_other_teams_on_the_axes_share_no_order():
+    table = episode_table(np.zeros((2, 3, 1)), teams(2), teams(3))
+    _, order = summary.crossplay_matrix(table)
+    assert order["teams"] is None
+    assert (len(order["rows"]["order"]), len(order["columns"]["order"])) == (2, 3)
+
+
+def test_comparison_is_paired_and_refuses_other_partners_or_keys():
+    table = evaluation_table()
+    better = table.with_columns(pl.col("return") + 10.0)
+    found = summary.summarise_comparison(better, table)
+    assert found["test"]["mean"] == pytest.approx(10.0)
+    assert (found["test"]["partners_better"], found["train"]["partners_better"]) == (1.0, 1.0)
+    with pytest.raises(ValueError, match="different partners"):
+        summary.summarise_comparison(better.filter(pl.col("partner_seed") > 0), table)
+    with pytest.raises(ValueError, match="different episode keys"):
+        summary.summarise_comparison(better.with_columns(pl.col("key") + 1), table)
+
+
+def test_profile_falls_from_one_to_nothing():
+    profile = summary.profile_table(evaluation_table())
+    assert profile["share"][0] == 1.0
+    assert profile["share"][-1] == 0.0
+    assert (profile["low"] <= profile["share"]).all()
+
+
+def test_saved_folders_hold_what_is_printed(tmp_path: Path):
+    context: dict[str, Any] = CONTEXT
+    found = summary.save_evaluation(tmp_path / "m", evaluation_table(), **context)
+    assert tables.read_json(tmp_path / "m" / tables.SUMMARY_FILE) == found
+    partners = tables.read_parquet(tmp_path / "m" / tables.PARTNERS_FILE)
+    assert partners.height == 12
+    assert (partners["return_low"] < partners["return"]).all()
+    population = teams(6)
+    table = episode_table(clustered_matrix(6, 2)[:, :, None], population, population)
+    found = summary.save_crossplay(tmp_path / "x", table, **context)
+    assert tables.read_json(tmp_path / "x" / tables.SUMMARY_FILE) == found
+    assert tables.read_parquet(tmp_path / "x" / tables.PAIRS_FILE).height == 36
+    assert set(tables.read_json(tmp_path / "x" / tables.ORDER_FILE)) >= {"rows", "columns", "teams"}

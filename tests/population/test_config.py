@@ -1,0 +1,70 @@
+import json
+
+import pytest
+
+from population.config import Member as TeamMember
+from population.config import PPOConfig, TrainConfig, make_members, preset
+
+# The paper's hyperparameters, as its tables print them.
+PAPER = {
+    "ippo": {
+        "rollout_steps": 64, "num_envs": 1024, "epochs": 4, "minibatches": 4, "learning_rate": 1e-3, "anneal_lr": False,
+        "entropy_coef": 1e-4, "clip_eps": 0.31, "gamma": 0.99, "gae_lambda": 0.95, "value_coef": 1.0,
+        "max_grad_norm": 0.5, "adam_eps": 1e-8, "critic": "local", "hidden": (128, 128),
+    },
+    "mappo": {
+        "rollout_steps": 128, "num_envs": 1024, "epochs": 4, "minibatches": 4, "learning_rate": 4.4e-3,
+        "anneal_lr": False, "entropy_coef": 2.7e-4, "clip_eps": 0.11, "gamma": 0.99, "gae_lambda": 0.95,
+        "value_coef": 1.0, "max_grad_norm": 0.5, "adam_eps": 1e-8, "critic": "central", "hidden": (128, 128),
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("algorithm", PAPER)
+def test_presets_are_the_papers(algorithm):
+    config = preset(algorithm)
+    assert {name: getattr(config, name) for name in PAPER[algorithm]} == PAPER[algorithm]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"num_envs": 10, "minibatches": 4}, "multiple of minibatches"),
+        ({"learning_rate": -1.0}, "learning_rate is -1.0; it must be a positive number"),
+        ({"learning_rate": float("nan")}, "it must be a positive number"),
+        ({"gamma": 1.5}, r"gamma is 1.5; it must be a number in \[0, 1\]"),
+        ({"torso": "lstm"}, "torso is 'lstm'; allowed are mlp, gru"),
+        ({"rollout_steps": 0}, "rollout_steps is 0"),
+        ({"learning_rate": "fast"}, "learning_rate is 'fast'; it must be a positive number"),
+        ({"gamma": "x"}, "gamma is 'x'; it must be a number in"),
+        ({"normalise": "no"}, "normalise is 'no'; it must be true or false"),
+        ({"hidden": 64}, "hidden is 64; it must be a tuple of widths"),
+        ({"hidden": ()}, "must be a tuple of widths"),
+        ({"speed": 1}, "unknown hyperparameter speed; allowed are"),
+    ],
+)
+def test_bad_hyperparameters_are_named(changes, message):
+    with pytest.raises(ValueError, match=message):
+        preset("ippo", **changes)
+
+
+def test_unknown_algorithm_lists_the_allowed():
+    with pytest.raises(ValueError, match="algorithm is 'sac'; allowed are ippo, mappo"):
+        preset("sac")
+
+
+def test_train_config_survives_json():
+    config = TrainConfig("scratch", "ippo", (TeamMember(3, "d1", {"gamma": 0.9}),), 1000, preset("ippo", hidden=(8,)))
+    assert TrainConfig.from_json(json.loads(json.dumps(config.to_json()))) == config
+
+
+def test_steps_are_rounded_up_to_whole_updates():
+    config = TrainConfig("scratch", "ippo", make_members([0], ["d1"]), 65_537, PPOConfig())
+    assert config.updates == 2
+
+
+def test_a_member_appears_once_and_overrides_what_is_traced():
+    with pytest.raises(ValueError, match="two members of a run are identical"):
+        TrainConfig("scratch", "ippo", make_members([0, 0], ["d1"]), 1000)
+    with pytest.raises(ValueError, match="a member overrides epochs; members may differ in learning_rate"):
+        TeamMember(0, "d1", {"epochs": 2})

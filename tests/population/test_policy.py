@@ -1,0 +1,115 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from population.policy import Gaussian, Policy
+from population.spec import PolicySpec
+
+SPECS = [
+    PolicySpec("robot", 5, 2, torso=torso, hidden=(16, 8), squash=squash, std=std, normalise=normalise)
+    for torso, squash, std, normalise in [
+        ("mlp", "clip", "parameter", True),
+        ("mlp", "tanh", "state", False),
+        ("gru", "clip", "parameter", True),
+        ("gru", "tanh", "state", True),
+    ]
+]
+
+
+@pytest.mark.parametrize("spec", SPECS, ids=lambda spec: f"{spec.torso}-{spec.squash}")
+def test_shapes_follow_the_leading_axes_and_stacked_parameters(spec):
+    policy = Policy(spec)
+    params = jax.vmap(policy.init)(jax.random.split(jax.random.key(0), 3))
+    obs = jax.random.normal(jax.random.key(1), (3, 4, 5, 5))
+    first = jnp.ones((3, 4, 5), bool)
+    carry, action = jax.vmap(policy.act)(params, policy.initial_carry((3, 4, 5)), obs, first)
+    assert action.shape == (3, 4, 5, 2)
+    assert jnp.abs(action).max() <= 1.0
+    one = jax.tree.map(lambda leaf: leaf[1], params)
+    _, alone = policy.act(one, policy.initial_carry(()), obs[1, 2, 3], first[1, 2, 3])
+    np.testing.assert_allclose(alone, action[1, 2, 3], rtol=1e-5, atol=1e-7)
+    assert isinstance(carry, tuple) == (spec.torso == "mlp")
+
+
+def test_parameters_have_the_names_that_published_files_use():
+    params = Policy(PolicySpec("robot", 5, 2, hidden=(16, 8))).init(jax.random.key(0))
+    assert set(params) == {"Dense_0", "Dense_1", "Dense_2", "log_std", "normaliser"}
+    assert params["Dense_0"]["kernel"].shape == (5, 16)
+    assert params["Dense_2"]["kernel"].shape == (8, 2)
+    assert set(params["normaliser"]) == {"mean", "std"}
+
+
+def test_initial_weights_are_orthogonal_with_their_gains():
+    params = Policy(PolicySpec("robot", 16, 8, hidden=(16, 16))).init(jax.random.key(0))
+    for name, gain in (("Dense_1", np.sqrt(2.0)), ("Dense_2", 0.01)):
+        singular = np.linalg.svd(np.asarray(params[name]["kernel"]), compute_uv=False)
+        np.testing.assert_allclose(singular, gain, rtol=1e-4)
+
+
+def test_an_untrained_policy_acts_around_zero_within_the_limits():
+    policy = Policy(PolicySpec("robot", 5, 2))
+    obs = 3.0 * jax.random.normal(jax.random.key(1), (1000, 5))
+    first = jnp.ones(1000, bool)
+    params = policy.init(jax.random.key(0))
+    _, still = policy.act(params, (), obs, first)
+    _, drawn = policy.act(params, (), obs, first, jax.random.key(2))
+    assert jnp.abs(still).max() < 0.1
+    assert (jnp.abs(drawn) == 1.0).mean() < 0.15
+
+
+def test_normalising_equals_scaled_observations_and_is_clipped():
+    policy = Policy(PolicySpec("robot", 3, 1, hidden=(8,)))
+    plain = Policy(PolicySpec("robot", 3, 1, hidden=(8,), normalise=False))
+    params = policy.init(jax.random.key(0))
+    network = {name: value for name, value in params.items() if name != "normaliser"}
+    params["normaliser"] = {"mean": jnp.array([1.0, 2.0, 3.0]), "std": jnp.array([2.0, 0.5, 0.01])}
+    obs, first = jnp.array([[3.0, 2.5, 4.0]]), jnp.ones(1, bool)
+    np.testing.assert_allclose(
+        policy.act(params, (), obs, first)[1],
+        plain.act(network, (), jnp.array([[1.0, 1.0, 10.0]]), first)[1],
+        rtol=1e-5,
+    )
+
+
+@pytest.mark.parametrize("spec", SPECS[2:], ids=["clip", "tanh"])
+def test_first_resets_the_carry_and_a_misaligned_flag_does_not(spec):
+    policy = Policy(spec)
+    params = policy.init(jax.random.key(0))
+    obs = jax.random.normal(jax.random.key(1), (6, 2, 5))
+    first = jnp.zeros((6, 2), bool).at[0].set(True).at[3].set(True)
+    _, whole = policy.unroll(params, policy.initial_carry((2,)), obs, first)
+    _, second = policy.unroll(params, policy.initial_carry((2,)), obs[3:], first[3:])
+    np.testing.assert_allclose(whole.mean[3:], second.mean, rtol=1e-5, atol=1e-7)
+    _, shifted = policy.unroll(params, policy.initial_carry((2,)), obs, jnp.roll(first, 1, axis=0))
+    assert jnp.abs(shifted.mean[3:] - second.mean).max() > 1e-5
+
+
+@pytest.mark.parametrize("squash", ["clip", "tanh"])
+def test_log_prob_against_scipy(squash):
+    mean, log_std = jnp.array([[0.3, -0.7]]), jnp.array([[-0.5, 0.2]])
+    gaussian = Gaussian(mean, log_std, squash)
+    raw = gaussian.sample(jax.random.key(0))
+    expected = stats.norm.logpdf(np.asarray(raw), np.asarray(mean), np.exp(np.asarray(log_std)))
+    if squash == "tanh":
+        expected = expected - np.log(1.0 - np.tanh(np.asarray(raw, np.float64)) ** 2)
+    np.testing.assert_allclose(gaussian.log_prob(raw), expected.sum(-1), rtol=1e-4)
+
+
+@pytest.mark.parametrize("squash", ["clip", "tanh"])
+def test_entropy_is_the_mean_negative_log_prob(squash):
+    gaussian = Gaussian(jnp.full((200_000, 2), 0.4), jnp.full((200_000, 2), -0.3), squash)
+    drawn = -gaussian.log_prob(gaussian.sample(jax.random.key(0))).mean()
+    np.testing.assert_allclose(gaussian.entropy()[0], drawn, atol=0.01)
+
+
+def test_squashed_density_integrates_to_one():
+    """Without the slope of tanh it would not: the planted defect of an unsquashed log probability."""
+    action = np.linspace(-0.9999, 0.9999, 20_001)
+    raw = jnp.asarray(np.arctanh(action)[:, None], jnp.float32)
+    broad = jnp.zeros_like(raw)
+    for squash, total in (("tanh", 1.0), ("clip", None)):
+        density = np.exp(np.asarray(Gaussian(broad, broad, squash).log_prob(raw), np.float64))
+        integral = np.trapezoid(density, action)
+        assert (abs(integral - 1.0) < 0.01) == (total is not None)

@@ -1,0 +1,186 @@
+import dataclasses
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from assistax_envs import disability_params
+from population.config import Member, PPOConfig, preset
+from population.networks import normalise
+from population.normaliser import to_params
+from population.policy import Policy
+from population.ppo import PPO, hyperparameters
+from population.self_play import self_play
+from population.train import member_key
+from tests.population.toy_env import ToyEnv, constant, match, together
+
+FAST_COMPILE = {"xla_backend_optimization_level": 0}  # programs this small take longer to compile than to run
+SMALL: dict[str, Any] = {"num_envs": 32, "rollout_steps": 10, "hidden": (16, 16), "learning_rate": 1e-2, "gamma": 0.9}
+MEMBER = Member(0, "d1")
+
+
+def start(env, config, members=(MEMBER,), updates=100, kind=PPO):
+    ppo = kind(config, env, updates)
+    keys = jnp.stack([member_key(member) for member in members])
+    settings = [member.disability for member in members for _ in range(config.num_envs)]
+    initial = jax.jit(ppo.initial, compiler_options=FAST_COMPILE)
+    return ppo, initial(keys, disability_params(settings)), hyperparameters(config, members)
+
+
+def run(env, config, members=(MEMBER,), updates=100, kind=PPO):
+    ppo, state, hyper = start(env, config, members, updates, kind)
+    scan = partial(jax.lax.scan, lambda state, _: ppo.update(state, hyper), length=updates)
+    return ppo, *jax.jit(scan, compiler_options=FAST_COMPILE)(state)
+
+
+def assert_same(left, right):
+    assert jax.tree.structure(left) == jax.tree.structure(right)
+    for path, leaf in jax.tree_util.tree_leaves_with_path(left):
+        other = dict(jax.tree_util.tree_leaves_with_path(right))[path]
+        np.testing.assert_array_equal(leaf, other, err_msg=jax.tree_util.keystr(path))
+
+
+def deterministic_return(env, ppo, state, count=1):
+    keys = jax.random.split(jax.random.key(7), count)
+    return self_play(env, ppo.policies, ppo.policy_params(state.members), disability_params(["d1"] * count), keys, 8)
+
+
+@pytest.mark.parametrize("terminates", [False, True], ids=["time-limit", "planted-termination"])
+def test_value_of_a_constant_reward_bootstraps_through_the_time_limit(terminates):
+    """1 / (1 - gamma) = 10 where an episode ends by time; the planted termination must pull it down."""
+    env = ToyEnv(constant, terminates=terminates)
+    ppo, state, metrics = run(env, PPOConfig(**{**SMALL, "gae_lambda": 0.8}))
+    learner = state.members.learners["robot"]
+    stats = jax.tree.map(lambda leaf: leaf[0], to_params(state.members.statistics["robot"]))
+    obs = normalise(stats, state.simulations.env.obs["robot"])
+    critic = jax.tree.map(lambda leaf: leaf[0], learner.networks["critic"])
+    _, value = ppo.critics["robot"].step(critic, (), obs, state.simulations.first)
+    if terminates:
+        assert value.mean() < 8.0
+    else:
+        np.testing.assert_allclose(value, 10.0, atol=0.5)
+    finished = np.asarray(metrics["return"])[np.asarray(metrics["episodes"]) > 0]
+    np.testing.assert_array_equal(finished, float(env.episode_length))  # partial first episodes are not counted
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "reward", "changes"),
+    [
+        ("ippo", match, {}),
+        pytest.param("ippo", match, {"squash": "tanh", "std": "state", "normalise": False}, marks=pytest.mark.slow),
+        ("mappo", together, {"clip_eps": 0.2}),
+    ],
+    ids=["ippo-match", "ippo-match-tanh", "mappo-together"],
+)
+def test_both_roles_learn_to_act_on_what_they_see(algorithm, reward, changes):
+    env = ToyEnv(reward)
+    ppo, state, _ = run(env, preset(algorithm, **{**SMALL, "rollout_steps": 20, **changes}))
+    (figures,) = deterministic_return(env, ppo, state)
+    assert figures["mean"] > 0.95 * env.episode_length
+    assert figures["n"] == 8
+
+
+@pytest.mark.slow
+def test_a_recurrent_team_remembers_what_a_feed_forward_one_cannot():
+    env = ToyEnv(match, episode_length=12, memory=True)
+    ppo, state, _ = run(env, PPOConfig(**{**SMALL, "learning_rate": 3e-3}, torso="gru"), updates=150)
+    (figures,) = deterministic_return(env, ppo, state)
+    assert figures["mean"] > 0.9 * env.episode_length  # without memory the best is half of it
+
+
+@pytest.mark.parametrize("planted", [False, True], ids=["aligned", "planted-shift"])
+def test_learning_replays_the_policy_that_acted(planted, monkeypatch):
+    """The first ratios of an update are 1: carries and `first` flags are those of the rollout."""
+    if planted:
+        unroll = Policy.unroll
+        monkeypatch.setattr(Policy, "unroll", lambda self, p, c, o, first: unroll(self, p, c, o, jnp.roll(first, 1, 0)))
+    config = PPOConfig(**SMALL, torso="gru", epochs=1, minibatches=1)
+    _, _, metrics = run(ToyEnv(match, episode_length=13, memory=True), config, updates=30)
+    largest = np.abs(metrics["approx_kl_robot"]).max()
+    assert (largest > 1e-4) == planted
+
+
+class Coupled(PPO):
+    """A planted defect: the human's clip shrinks with what the robot learns, as one clip over both would make it."""
+
+    def _learn_role(self, role, member, batch, hyper, key):
+        if role == "human":
+            robot = member.learners["robot"].networks["critic"]
+            norm = sum(jnp.abs(leaf).sum() for leaf in jax.tree.leaves(robot))
+            hyper = dataclasses.replace(hyper, max_grad_norm=hyper.max_grad_norm / norm)
+        return super()._learn_role(role, member, batch, hyper, key)
+
+
+@pytest.mark.parametrize("kind", [PPO, Coupled])
+def test_a_role_learns_the_same_whatever_the_others_gradients_are(kind):
+    ppo, state, hyper = start(ToyEnv(match), PPOConfig(**SMALL), kind=kind)
+    robot = state.members.learners["robot"]
+    critic = jax.tree.map(lambda leaf: 1000.0 * leaf, robot.networks["critic"])
+    louder = dataclasses.replace(robot, networks={**robot.networks, "critic": critic})
+    members = dataclasses.replace(state.members, learners={**state.members.learners, "robot": louder})
+    update = jax.jit(ppo.update, compiler_options=FAST_COMPILE)
+    after, _ = update(state, hyper)
+    after_louder, _ = update(dataclasses.replace(state, members=members), hyper)
+    same = [after.members.learners["human"].networks, after_louder.members.learners["human"].networks]
+    if kind is PPO:
+        assert_same(*same)
+    else:
+        with pytest.raises(AssertionError):
+            assert_same(*same)
+
+
+@pytest.mark.parametrize("platform", ["cpu", "gpu"])
+def test_a_member_learns_the_same_whoever_trains_beside_it(platform, monkeypatch):
+    """Taken in turn, as on a CPU, or vectorised, as on an accelerator."""
+    config = PPOConfig(**SMALL)
+    members = (Member(0, "d1"), Member(4, "d9", {"learning_rate": 3e-3, "gamma": 0.8}), Member(4, "d1"))
+    alone_config = dataclasses.replace(config, learning_rate=3e-3, gamma=0.8)
+    _, alone, _ = run(ToyEnv(match), alone_config, (Member(4, "d9"),), updates=3)
+    monkeypatch.setattr(jax, "default_backend", lambda: platform)
+    _, beside, _ = run(ToyEnv(match), config, members, updates=3)
+    networks = [{role: learner.networks for role, learner in x.members.learners.items()} for x in (beside, alone)]
+    assert_close = partial(np.testing.assert_allclose, rtol=1e-3, atol=1e-5)  # two programs round differently
+    jax.tree.map(lambda many, one: assert_close(many[1:2], one), *networks)
+    with pytest.raises(AssertionError):
+        jax.tree.map(lambda many, one: assert_close(many[2:3], one), *networks)
+
+
+class Diverging(ToyEnv):
+    """Physics that diverge in some simulations at their third step: frozen, earning 0, as the environment's are."""
+
+    def step(self, state, action):
+        after = super().step(state, action)
+        nonfinite = state.nonfinite | ((after.step == 3) & (after.cue["robot"] > 0))
+        return dataclasses.replace(after, nonfinite=nonfinite, reward=jnp.where(nonfinite, 0.0, after.reward))
+
+
+def test_simulations_that_diverge_are_counted_and_start_again():
+    env = Diverging(constant)
+    ppo, state, hyper = start(env, PPOConfig(**SMALL))
+    update = jax.jit(ppo.update, compiler_options=FAST_COMPILE)
+    for _ in range(3):
+        state, metrics = update(state, hyper)
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(state.members.learners))
+    assert metrics["nonfinite"][0] > 0
+    assert not state.simulations.env.nonfinite.any()
+
+
+def test_learning_rate_falls_to_nothing_when_annealed():
+    config = PPOConfig(**SMALL, anneal_lr=True)
+    ppo, state, hyper = start(ToyEnv(match), config, updates=4)
+    state = dataclasses.replace(state, update=jnp.asarray(4, jnp.int32))
+    after, _ = jax.jit(ppo.update, compiler_options=FAST_COMPILE)(state, hyper)
+    assert_same(after.members.learners["robot"].networks, state.members.learners["robot"].networks)
+
+
+def test_starts_are_spread_over_the_episode():
+    _, state, _ = start(ToyEnv(match), PPOConfig(**SMALL))
+    assert len(np.unique(state.simulations.env.step)) > 10
+
+
+def test_a_rollout_longer_than_an_episode_is_refused():
+    with pytest.raises(ValueError, match="rollout_steps is 64; an episode of toy has 20 steps"):
+        PPO(PPOConfig(), ToyEnv(match), 1)

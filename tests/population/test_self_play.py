@@ -1,0 +1,45 @@
+import jax
+import numpy as np
+import pytest
+
+from assistax_envs import disability_params
+from population.policy import Policy
+from population.self_play import self_play
+from population.spec import PolicySpec
+from tests.population.toy_env import ToyEnv, constant, match
+
+POLICIES = {
+    "robot": Policy(PolicySpec("robot", 2, 1, hidden=(8,))),
+    "human": Policy(PolicySpec("human", 3, 2, hidden=(8,))),
+}
+TEAMS = 3
+
+
+def play(reward, episodes=16, **changes):
+    keys = jax.random.split(jax.random.key(0), TEAMS)
+    params = {role: jax.vmap(policy.init)(keys) for role, policy in POLICIES.items()}
+    return self_play(ToyEnv(reward, **changes), POLICIES, params, disability_params(["d1"] * TEAMS), keys, episodes)
+
+
+@pytest.mark.parametrize("terminates", [False, True])
+def test_a_constant_reward_gives_the_length_of_the_episode(terminates):
+    figures = {"mean": 20.0, "iqm": 20.0, "ci": [20.0, 20.0], "n": 16, "success": 1.0}
+    assert play(constant, terminates=terminates) == [figures] * TEAMS
+
+
+def test_an_interval_holds_the_mean_and_figures_repeat():
+    results = play(match)
+    for figures in results:
+        assert figures["ci"][0] <= figures["mean"] <= figures["ci"][1]
+    assert results == play(match)
+    assert len({figures["mean"] for figures in results}) == TEAMS
+
+
+def test_teams_are_played_with_their_own_parameters():
+    """A team's figures are those it has when it is played alone, to rounding."""
+    keys = jax.random.split(jax.random.key(0), TEAMS)
+    params = {role: jax.vmap(policy.init)(keys) for role, policy in POLICIES.items()}
+    alone = self_play(
+        ToyEnv(match), POLICIES, jax.tree.map(lambda leaf: leaf[1:2], params), disability_params(["d1"]), keys[1:2], 16
+    )
+    np.testing.assert_allclose(alone[0]["mean"], play(match)[1]["mean"], rtol=1e-5)

@@ -1,0 +1,194 @@
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+
+import jax
+import numpy as np
+import polars as pl
+import pytest
+import safetensors
+import safetensors.numpy
+
+from population.checkpoints import Checkpoints
+from population.config import Member, TrainConfig, make_members, preset
+from population.policy import Policy
+from population.runs import RunFolder
+from population.spec import PolicySpec
+from population.train import DivergedError, train
+from tests.population.toy_env import ToyEnv, match
+
+PPO = preset("ippo", num_envs=8, rollout_steps=10, hidden=(8, 8), minibatches=2, epochs=1)
+CONFIG = TrainConfig(
+    "toy", "ippo", make_members([0, 3], ["d1", "d9"]), 480, PPO, checkpoint_every=2, self_play_episodes=3
+)
+
+
+class Killed(Exception):
+    """Stands for a killed process."""
+
+
+def kill_after(update):
+    def progress(report):
+        if report.update == update:
+            raise Killed
+
+    return progress
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    return train(CONFIG, ToyEnv(match), tmp_path_factory.mktemp("run") / "whole")
+
+
+def test_a_run_holds_teams_and_their_stacked_parameters(finished):
+    teams = json.loads((finished / "teams.json").read_text())
+    assert [team["team"] for team in teams] == [
+        {"task": "toy", "algorithm": "ippo", "disability": disability, "seed": seed}
+        for disability in ("d1", "d9")
+        for seed in (0, 3)
+    ]
+    assert teams[1]["training"] == teams[0]["training"]
+    assert teams[0]["training"]["steps"] == 480
+    assert teams[0]["training"]["hyperparameters"]["learning_rate"] == 1e-3
+    assert teams[0]["self_play"]["n"] == 3
+    for role, row in ((role, team["roles"][role]) for team in teams for role in ("robot", "human")):
+        spec = PolicySpec(**row["spec"])
+        with safetensors.safe_open(finished / row["file"], "np") as file:
+            assert list(file.metadata()) == ["assistax"]
+            metadata = json.loads(file.metadata()["assistax"])
+        assert (spec.role, PolicySpec(**metadata["spec"])) == (role, spec)
+        assert metadata["rows"] == ["toy/ippo-d1-s0", "toy/ippo-d1-s3", "toy/ippo-d9-s0", "toy/ippo-d9-s3"]
+    leaves = safetensors.numpy.load_file(finished / "robot.safetensors")
+    assert leaves["Dense_0/kernel"].shape == (4, 2, 8)
+    assert set(leaves) >= {"log_std", "normaliser/mean", "normaliser/std"}
+
+
+def test_exported_rows_are_distinct_and_act(finished):
+    teams = json.loads((finished / "teams.json").read_text())
+    policy = Policy(PolicySpec(**teams[0]["roles"]["human"]["spec"]))
+    leaves = safetensors.numpy.load_file(finished / "human.safetensors")
+    params = {}
+    for name, value in leaves.items():
+        node = params
+        for part in name.split("/")[:-1]:
+            node = node.setdefault(part, {})
+        node[name.split("/")[-1]] = value
+    act = jax.vmap(policy.act, in_axes=(0, None, None, None))
+    _, action = act(jax.tree.map(jax.numpy.asarray, params), (), jax.numpy.ones((1, 3)), jax.numpy.ones(1, bool))
+    assert len(np.unique(np.asarray(action)[:, 0, 0])) == 4
+
+
+def test_metrics_have_a_row_for_each_update_and_member(finished):
+    metrics = pl.read_parquet(finished / "metrics.parquet")
+    assert metrics.shape[0] == 6 * 4
+    assert metrics["update"].to_list() == [update for update in range(1, 7) for _ in range(4)]
+    assert metrics["steps"].max() == 480
+    complete = metrics.filter(pl.col("episodes") > 0)
+    assert complete.height > 0 and complete["return"].null_count() == 0
+    terms = complete.select(pl.sum_horizontal("term_robot", "term_human")).to_series()
+    np.testing.assert_allclose(terms, complete["return"], rtol=1e-4)
+    assert metrics.filter(pl.col("episodes") == 0)["return"].null_count() > 0
+
+
+@pytest.mark.parametrize("update", [1, 3, 5])
+def test_a_killed_run_goes_on_to_the_same_bits(finished, tmp_path, update):
+    folder = tmp_path / "run"
+    with pytest.raises(Killed):
+        train(CONFIG, ToyEnv(match), folder, progress=kill_after(update))
+    assert not (folder / "teams.json").exists()
+    updates = []
+    train(CONFIG, ToyEnv(match), folder, progress=lambda report: updates.append(report.update))
+    assert updates == list(range(update - update % 2 + 1, 7))
+    for name in ("robot.safetensors", "human.safetensors"):
+        assert (folder / name).read_bytes() == (finished / name).read_bytes()
+    kept, whole = (pl.read_parquet(path / "metrics.parquet").drop("seconds") for path in (folder, finished))
+    assert kept.equals(whole)
+
+
+def test_a_finished_run_is_left_alone_and_can_be_extended(finished, tmp_path):
+    before = (finished / "teams.json").stat().st_mtime_ns
+    train(CONFIG, ToyEnv(match), finished, progress=kill_after(1))
+    assert (finished / "teams.json").stat().st_mtime_ns == before
+    shorter = TrainConfig("toy", "ippo", CONFIG.members, 160, PPO, checkpoint_every=2, self_play_episodes=3)
+    folder = train(shorter, ToyEnv(match), tmp_path / "run")
+    train(CONFIG, ToyEnv(match), folder)
+    assert (folder / "robot.safetensors").read_bytes() == (finished / "robot.safetensors").read_bytes()
+    with pytest.raises(ValueError, match="has already trained 480 steps"):
+        train(shorter, ToyEnv(match), folder)
+
+
+def test_another_configuration_is_refused_by_name(finished):
+    other = TrainConfig("toy", "ippo", CONFIG.members, 480, preset("ippo", **{**vars(PPO), "gamma": 0.5}))
+    with pytest.raises(ValueError, match=r"another configuration: ppo\.gamma is 0\.99 there and 0\.5 here"):
+        train(other, ToyEnv(match), finished)
+    with pytest.raises(ValueError, match="already holds a run; resume it, or choose a new folder"):
+        train(CONFIG, ToyEnv(match), finished, resume=False)
+    assert RunFolder(finished).config() == CONFIG
+
+
+def test_a_folder_with_other_things_is_refused(tmp_path):
+    (tmp_path / "thesis.txt").write_text("mine")
+    with pytest.raises(ValueError, match="exists and is not the folder of a run"):
+        train(CONFIG, ToyEnv(match), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_checkpoint(tmp_path):
+    members = (Member(0, "d1"), Member(1, "d1", {"learning_rate": 1e38}))
+    config = TrainConfig("toy", "ippo", members, 480, PPO, checkpoint_every=1)
+    with pytest.raises(DivergedError, match=r"training diverged: \w+ of member d1-s1 is (nan|inf|-inf) by update") as e:
+        train(config, ToyEnv(match), tmp_path / "run")
+    assert "start a new run with a learning_rate below 1e+38" in str(e.value)
+    last = Checkpoints(tmp_path / "run" / "checkpoints").latest()
+    assert last is None or f"the last good checkpoint is of update {last} in" in str(e.value)
+    assert not (tmp_path / "run" / "teams.json").exists()
+
+
+def test_a_full_disk_stops_with_a_message_and_the_run_goes_on_later(finished, tmp_path, monkeypatch):
+    save = Checkpoints.save
+
+    def full(self, update, state):
+        if update == 4:
+            monkeypatch.setattr(self._manager, "save", no_space)
+        save(self, update, state)
+
+    def no_space(*args, **kwargs):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Checkpoints, "save", full)
+    with pytest.raises(OSError, match=r"cannot write the checkpoint of update 4 .* last good one is of update 2; free"):
+        train(CONFIG, ToyEnv(match), tmp_path / "run")
+    monkeypatch.undo()
+    train(CONFIG, ToyEnv(match), tmp_path / "run")
+    assert (tmp_path / "run" / "human.safetensors").read_bytes() == (finished / "human.safetensors").read_bytes()
+
+
+def test_the_environment_must_be_the_runs(tmp_path):
+    config = TrainConfig("scratch", "ippo", CONFIG.members, 480, PPO)
+    with pytest.raises(ValueError, match="the environment's task is 'toy', the run's is 'scratch'"):
+        train(config, ToyEnv(match), tmp_path / "run")
+
+
+@pytest.mark.slow
+def test_a_process_killed_by_the_system_goes_on_to_the_same_bits(finished, tmp_path):
+    script = textwrap.dedent(
+        f"""
+        from tests.population.test_train import CONFIG, ToyEnv, match, train
+        report = lambda progress: print(progress.update, flush=True)
+        train(CONFIG, ToyEnv(match), {str(tmp_path / "run")!r}, progress=report)
+        """
+    )
+    process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=os.getcwd())
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line.strip() == "3":
+            process.send_signal(signal.SIGKILL)
+            break
+    process.stdout.close()
+    assert process.wait() == -signal.SIGKILL
+    train(CONFIG, ToyEnv(match), tmp_path / "run")
+    assert (tmp_path / "run" / "robot.safetensors").read_bytes() == (finished / "robot.safetensors").read_bytes()

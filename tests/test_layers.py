@@ -1,0 +1,119 @@
+"""Who may import whom, and what the light commands must not import."""
+
+import ast
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from jaxtyping import TypeCheckError
+
+ROOT = Path(__file__).parents[1]
+
+# Each package may import itself and what is listed: a package, or single modules of it.
+LAYERS = {
+    "assistax_envs": (),
+    "population": ("assistax_envs",),
+    "zoo": ("population.spec", "population.policy", "assistax_envs.versions", "assistax_envs.disability"),
+    "evaluation": ("assistax_envs", "population", "zoo"),
+    "assistax_zoo": ("assistax_envs", "population", "zoo", "evaluation"),
+}
+HEAVY = ("jax", "mujoco", "flax", "matplotlib")
+
+
+def test_packages_import_only_the_layers_below() -> None:
+    assert list(violations(ROOT)) == []
+
+
+@pytest.mark.parametrize(
+    ("package", "statement"),
+    [
+        ("assistax_envs", "import zoo"),
+        ("assistax_envs", "def f():\n    from population.spec import PolicySpec"),
+        ("population", "from zoo import registry"),
+        ("population", "import numpy, evaluation.statistics as statistics"),
+        ("zoo", "from population import ppo"),
+        ("zoo", "import assistax_envs"),
+        ("zoo", "from population.specification import PolicySpec"),
+        ("zoo", "import importlib\nimportlib.import_module('evaluation.rollout')"),
+        ("evaluation", "from assistax_zoo.console import print_json"),
+        ("evaluation", "from . import statistics"),
+    ],
+)
+def test_a_planted_violation_is_found(tmp_path: Path, package: str, statement: str) -> None:
+    plant(tmp_path, package, statement)
+    [found] = violations(tmp_path)
+    assert found.startswith(f"{package}/planted.py:")
+
+
+@pytest.mark.parametrize(
+    ("package", "statement"),
+    [
+        ("zoo", "from population import spec"),
+        ("zoo", "from population.spec import PolicySpec"),
+        ("evaluation", "import zoo.registry"),
+        ("population", "import zoology"),
+    ],
+)
+def test_what_is_allowed_is_not_reported(tmp_path: Path, package: str, statement: str) -> None:
+    plant(tmp_path, package, statement)
+    assert list(violations(tmp_path)) == []
+
+
+def test_command_line_and_registry_import_nothing_heavy() -> None:
+    commands = [f"assistax_zoo.commands.{path.stem}" for path in (ROOT / "assistax_zoo/commands").glob("[!_]*.py")]
+    assert heavy_imports("assistax_zoo.main", "assistax_zoo.console", "zoo.registry", *commands) == []
+
+
+def test_a_heavy_import_is_found() -> None:
+    assert heavy_imports("zoo.registry", "matplotlib") == ["matplotlib"]
+
+
+def test_annotations_are_checked_in_tests() -> None:
+    from zoo.ids import parse_policy
+
+    with pytest.raises(TypeCheckError):
+        parse_policy(3)
+
+
+def violations(root: Path) -> Iterator[str]:
+    for package, allowed in LAYERS.items():
+        for path in sorted((root / package).rglob("*.py")):
+            for line, name in imports(ast.parse(path.read_text(encoding="utf-8"), filename=str(path))):
+                if name.split(".")[0] in (*LAYERS, "") and not is_within(name, (package, *allowed)):
+                    yield f"{path.relative_to(root)}:{line} imports {name or 'relatively'}"
+
+
+def imports(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Yield line and full name of what is imported; a relative import has the empty name."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Import(names=aliases):
+                yield from ((node.lineno, alias.name) for alias in aliases)
+            case ast.ImportFrom(level=0, module=str(module), names=aliases):
+                yield from ((node.lineno, f"{module}.{alias.name}") for alias in aliases)
+            case ast.ImportFrom():
+                yield node.lineno, ""
+            case ast.Call(func=ast.Attribute(attr="import_module"), args=[ast.Constant(value=str(name)), *_]):
+                yield node.lineno, name
+
+
+def is_within(name: str, places: tuple[str, ...]) -> bool:
+    return any(name == place or name.startswith(f"{place}.") for place in places)
+
+
+def plant(root: Path, package: str, statement: str) -> None:
+    (root / package).mkdir()
+    (root / package / "planted.py").write_text(f"import os\n{statement}\n", encoding="utf-8")
+
+
+def heavy_imports(*modules: str) -> list[str]:
+    """Names from HEAVY that a fresh interpreter has loaded after importing the modules."""
+    script = "import importlib, json, sys\nfor name in sys.argv[1:]: importlib.import_module(name)\n"
+    script += f"print(json.dumps([name for name in {HEAVY!r} if name in sys.modules]))"
+    result = subprocess.run(
+        [sys.executable, "-c", script, *modules], cwd=ROOT, check=True, capture_output=True, text=True
+    )
+    return json.loads(result.stdout)
