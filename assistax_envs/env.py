@@ -13,7 +13,7 @@ from assistax_envs.disability import DISABILITY_SETTINGS, Disability
 from assistax_envs.models import build_model
 from assistax_envs.physics import SUBSTEPS, PhysicsState, make_physics, resolve_backend
 from assistax_envs.tasks import TASK_CLASSES, Measures, Sensors, Task
-from assistax_envs.tasks.base import HUMAN_ACTUATORS, ROBOT_JOINTS
+from assistax_envs.tasks.base import HUMAN_ACTUATORS, HUMAN_JOINTS, ROBOT_JOINTS
 from assistax_envs.tremor import TremorFilter
 from assistax_envs.versions import TASKS, VERSIONS
 
@@ -55,19 +55,26 @@ class EnvState:
 class Env:
     """A task on a backend. Make it with `make`; never map it: the batch axis is its own."""
 
-    def __init__(self, task: str, backend: str = "auto", weights: dict[str, float] | None = None) -> None:
+    def __init__(
+        self, task: str, backend: str = "auto", weights: dict[str, float] | None = None, **options: Any
+    ) -> None:
         self.task = task
         self.backend = resolve_backend(backend)
         self.version = VERSIONS[task]
         self.episode_length = EPISODE_LENGTH
         self.model: mujoco.MjModel = build_model(task)
-        self._task: Task = TASK_CLASSES[task](self.model, weights)
+        self._task: Task = TASK_CLASSES[task](self.model, weights, **options)
         self._sensors = Sensors(self.model)
         self._physics = make_physics(self.model, self.backend)
+        self._renderers: dict[tuple[int, int], Any] = {}  # by width and height
         self._tremor = TremorFilter(rate=1.0 / (SUBSTEPS * self.model.opt.timestep))
         self._actuators = {
             "robot": np.array([self.model.actuator(name).id for name in ROBOT_JOINTS]),
             "human": np.array([self.model.actuator(name).id for name in HUMAN_ACTUATORS]),
+        }
+        self._joints = {
+            role: np.array([self.model.joint(name).qposadr[0] for name in names])
+            for role, names in (("robot", ROBOT_JOINTS), ("human", HUMAN_JOINTS))
         }
         self._elbow = self.model.joint(ELBOW).id
         # The elbow's rest angle is where its scene starts it.
@@ -145,6 +152,39 @@ class Env:
             tremor=tremor,
         )
 
+    def joint_positions(self, state: EnvState) -> dict[str, jax.Array]:
+        """Return the joint angles of each role, rad: "robot" [N, 7] and "human" [N, 9]."""
+        return {role: state.physics.qpos[:, addresses] for role, addresses in self._joints.items()}
+
+    def render(
+        self,
+        state: EnvState,
+        index: int = 0,
+        camera: str | None = None,
+        width: int = 640,
+        height: int = 480,
+        caption: tuple[str, ...] = (),
+    ) -> np.ndarray:
+        """Draw simulation `index` as uint8 [height, width, 3], on the CPU or a GPU, without a display.
+
+        Args:
+            state: [N] simulations.
+            index: which of them.
+            camera: a camera of the scene, or "close"; the scene's first one if not given.
+            width: pixels.
+            height: pixels.
+            caption: lines to write at the lower left.
+
+        Raises:
+            ValueError: there is no such simulation or camera, or this machine lacks EGL and OSMesa.
+        """
+        from assistax_envs.render import Renderer
+
+        size = width, height
+        if size not in self._renderers:
+            self._renderers[size] = Renderer(self.model, self._task, width, height)
+        return self._renderers[size].frame(state, index, camera, caption)
+
     def _control(self, params: EnvParams, action: dict[str, jax.Array], shake: jax.Array) -> jax.Array:
         """Return the actuators' controls [N, nu]: what is left of the human's strength, and its tremor."""
         human = jnp.clip(action["human"], -1.0, 1.0) * params.strength[:, None] + shake
@@ -173,20 +213,21 @@ class Env:
         return jax.lax.cond(jnp.any(state.params.tremor > 0.0), noise, calm, state)
 
 
-def make(task: str, backend: str = "auto", weights: dict[str, float] | None = None) -> Env:
+def make(task: str, backend: str = "auto", weights: dict[str, float] | None = None, **options: Any) -> Env:
     """Make the environment of `task`.
 
     Args:
         task: one of `TASKS`.
         backend: "native" (CPU threads), "mjx" (XLA), "mjx-warp" (NVIDIA GPU), or "auto": the fastest one here.
         weights: reward weights by term that replace those of Table 5.
+        options: of the task; arm assist has `rotation`, "printed" (default) or "aligned".
 
     Raises:
         ValueError: the task, the backend or a weight's name is unknown, or the backend cannot run here.
     """
     if task not in TASKS:
         raise ValueError(f"task is {task!r}; allowed are {', '.join(TASKS)}")
-    return Env(task, backend, weights)
+    return Env(task, backend, weights, **options)
 
 
 def disability_params(settings: Sequence[str | Disability]) -> EnvParams:

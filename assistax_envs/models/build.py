@@ -8,8 +8,12 @@ scene; bump the task's version in `assistax_envs.versions` when you do.
 from importlib import resources
 
 import mujoco
+import numpy as np
 
-TOOLS: dict[str, str] = {"scratch": "stick"}  # tool file of each task
+TOOLS: dict[str, str] = {"scratch": "stick", "bed_bath": "pad", "arm_assist": "hook"}  # tool file of each task
+LYING_LEFT_ARM = {"left_shoulder2": 0.84, "left_elbow": -1.571}  # rad: rests beside the body, as its springs hold it
+REST: dict[str, dict[str, float]] = {"bed_bath": LYING_LEFT_ARM, "arm_assist": LYING_LEFT_ARM}
+WEAKNESS: dict[str, float] = {"arm_assist": 0.07}  # share of the right arm's torque limits: too weak to lift itself
 
 
 def build_model(task: str) -> mujoco.MjModel:
@@ -18,4 +22,9 @@ def build_model(task: str) -> mujoco.MjModel:
         scene = mujoco.MjSpec.from_file(str(folder / f"{task}.xml"))
         tool = mujoco.MjSpec.from_file(str(folder / f"{TOOLS[task]}.xml"))
         scene.body("robot_hand").add_frame().attach_body(tool.body("tool"), "robot_", "")
+        for joint, angle in REST.get(task, {}).items():
+            scene.joint(f"human_{joint}").springref = angle
+        for actuator in scene.actuators:
+            if actuator.name.startswith("human_"):
+                actuator.gear = np.array(actuator.gear) * WEAKNESS.get(task, 1.0)
         return scene.compile()

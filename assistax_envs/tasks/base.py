@@ -1,7 +1,7 @@
 """What tasks share: named sensor readings, observations by role, and the protocol of a task."""
 
 import dataclasses
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +22,17 @@ HUMAN_JOINTS = (
 )
 HUMAN_ACTUATORS = ("human_right_shoulder1", "human_right_shoulder2", "human_right_elbow")
 ARM_SEGMENTS = ("right_upper_arm", "right_lower_arm")
+ROBOT_READY = {  # joint -> (angle, lowest offset, highest offset), rad: the tool points down in front of the base
+    "robot_joint1": (0.0, -0.1, 0.1),
+    "robot_joint2": (-0.785, -0.1, 0.1),
+    "robot_joint3": (0.0, -0.1, 0.1),
+    "robot_joint4": (-2.356, -0.1, 0.1),
+    "robot_joint5": (0.0, -0.1, 0.1),
+    "robot_joint6": (1.571, -0.1, 0.1),
+    "robot_joint7": (0.785, -0.1, 0.1),
+}
+SIGMA = 0.1  # Table 5's sigma: m^2 in the reaching term, m in the waist term
+REACH = 0.1  # m, how near the tool must be to its target to scratch or wipe
 TOUCHABLE = (*ARM_SEGMENTS, "right_hand")  # what the tool's contact force counts
 
 
@@ -94,13 +105,14 @@ class Task(Protocol):
     name: str
     weights: dict[str, float]  # of the reward terms
     pose: "Pose"  # where joints start
+    target_colours: ClassVar[dict[str, tuple[float, ...]]]  # of `targets`, RGBA
 
     def reset(self, key: jax.Array) -> tuple[jax.Array, Any]:
         """Draw joint positions [nq] and the task state of one simulation from one key."""
         ...
 
-    def observe(self, task_state: Any, readings: Readings) -> dict[str, jax.Array]:
-        """Return the observations of "robot", "human" and "global", [N, O] each."""
+    def targets(self, task_state: Any, readings: Readings) -> dict[str, jax.Array]:
+        """Return where the targets are, by name, for pictures: [N, K, 3] in m; NaN where one is not to be shown."""
         ...
 
     def transition(
@@ -137,6 +149,24 @@ def segment_points(readings: Readings, segment: jax.Array, offset: jax.Array) ->
     """
     row = jnp.arange(segment.shape[0])
     return readings.arm_position[row, segment] + rotate(readings.arm_orientation[row, segment], offset)
+
+
+def to_target(target: jax.Array, readings: Readings) -> tuple[jax.Array, jax.Array]:
+    """Return the vector [N, 3] from the tool to `target` [N, 3] and its length [N], m."""
+    towards = target - readings.tool_position
+    return towards, jnp.linalg.norm(towards, axis=-1)
+
+
+def reach_term(distance: jax.Array) -> jax.Array:
+    """Return Table 5's `exp(-d^2 / sigma)`; at most 1."""
+    return jnp.exp(-jnp.square(distance) / SIGMA)
+
+
+def rotation_matrix(quaternion: jax.Array) -> jax.Array:
+    """Return the matrix [..., 3, 3] of a unit `quaternion` [..., 4] (w, x, y, z)."""
+    axes = jnp.broadcast_to(jnp.eye(3, dtype=quaternion.dtype), (*quaternion.shape[:-1], 3, 3))
+    columns = rotate(jnp.broadcast_to(quaternion[..., None, :], (*quaternion.shape[:-1], 3, 4)), axes)
+    return jnp.swapaxes(columns, -1, -2)
 
 
 def rotate(quaternion: jax.Array, vector: jax.Array) -> jax.Array:

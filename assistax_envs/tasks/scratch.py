@@ -1,28 +1,31 @@
 """Scratch: the robot moves its stick to a point on the human's right arm and scratches it (paper, 3.1 and A)."""
 
 import dataclasses
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax_envs.tasks.base import ARM_SEGMENTS, Measures, Pose, Readings, observations, segment_points
+from assistax_envs.tasks.base import (
+    ARM_SEGMENTS,
+    REACH,
+    ROBOT_READY,
+    Measures,
+    Pose,
+    Readings,
+    observations,
+    reach_term,
+    segment_points,
+    to_target,
+)
 
-START = {  # joint -> (angle, lowest offset, highest offset), rad: stick beside the arm, forearm over its trough
-    "robot_joint1": (0.0, -0.1, 0.1),
-    "robot_joint2": (-0.785, -0.1, 0.1),
-    "robot_joint3": (0.0, -0.1, 0.1),
-    "robot_joint4": (-2.356, -0.1, 0.1),
-    "robot_joint5": (0.0, -0.1, 0.1),
-    "robot_joint6": (1.571, -0.1, 0.1),
-    "robot_joint7": (0.785, -0.1, 0.1),
+START = ROBOT_READY | {  # joint -> (angle, lowest offset, highest offset), rad: forearm over its trough
     "human_right_shoulder1": (0.0, -0.02, 0.02),
     "human_right_shoulder2": (-0.6, -0.02, 0.02),
     "human_right_elbow": (-0.36, 0.0, 0.1),
 }
-SIGMA = 0.1  # m^2, width of the reaching term
-REACH = 0.1  # m, how near the tool must be to scratch
 BEST_SPEED = 0.1  # m/s, v* of Table 5
 BEST_FORCE = 3.0  # N, f* of Table 5
 
@@ -40,6 +43,7 @@ class Scratch:
     """Reach the target, then press and move: `exp(-d^2/sigma) + [d < 0.1] (v/v* e^(-v/v*)) (f/f* e^(-f/f*))`."""
 
     name = "scratch"
+    target_colours: ClassVar = {"itch": (0.95, 0.05, 0.55, 1.0)}  # of `targets`, RGBA
 
     def __init__(self, model: mujoco.MjModel, weights: dict[str, float] | None = None) -> None:
         self.weights = {"reach_target": 1.0, "scratch": 1.0} | (weights or {})
@@ -58,16 +62,15 @@ class Scratch:
         around = jnp.asarray(self._radius)[segment] * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
         return self.pose.draw(pose_key), ScratchState(segment, jnp.append(around, along))
 
-    def observe(self, task_state: ScratchState, readings: Readings) -> dict[str, jax.Array]:
-        """See `Task.observe`: robot [N, 34], human [N, 38], global [N, 52]."""
-        return observations(readings, *_to_target(task_state, readings))
+    def targets(self, task_state: ScratchState, readings: Readings) -> dict[str, jax.Array]:
+        """Return where the targets are, by name, for pictures: [N, K, 3] in m; NaN where one is not to be shown."""
+        return {"itch": segment_points(readings, task_state.segment, task_state.offset)[:, None]}
 
     def transition(
         self, task_state: ScratchState, readings: Readings
     ) -> tuple[ScratchState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
         """See `Task.transition`; the goal holds while the tool touches the arm within reach of the target."""
-        towards, distance = _to_target(task_state, readings)
-        distance = distance[:, 0]
+        towards, distance = to_target(segment_points(readings, task_state.segment, task_state.offset), readings)
         force = jnp.linalg.norm(readings.tool_force, axis=-1)
         terms = scratch_terms(distance, jnp.linalg.norm(readings.tool_velocity, axis=-1), force)
         measures = Measures(force, distance, (distance < REACH) & (force > 0.0))
@@ -78,12 +81,6 @@ def scratch_terms(distance: jax.Array, speed: jax.Array, force: jax.Array) -> di
     """Evaluate Table 5 for scratch; m, m/s and N in, unweighted terms out, at most 1 and e^-2."""
     v, f = speed / BEST_SPEED, force / BEST_FORCE
     return {
-        "reach_target": jnp.exp(-jnp.square(distance) / SIGMA),
+        "reach_target": reach_term(distance),
         "scratch": (distance < REACH) * (v * jnp.exp(-v)) * (f * jnp.exp(-f)),
     }
-
-
-def _to_target(task_state: ScratchState, readings: Readings) -> tuple[jax.Array, jax.Array]:
-    """Return the vector [N, 3] from tool to target and its length [N, 1]."""
-    towards = segment_points(readings, task_state.segment, task_state.offset) - readings.tool_position
-    return towards, jnp.linalg.norm(towards, axis=-1, keepdims=True)

@@ -12,7 +12,11 @@ from assistax_envs import TASKS, select
 from tests.envs.conftest import BACKENDS, constant_actions, environment, play, random_actions, start
 
 SETTINGS = ["d1", "d9", "d3", "d7"]  # four simulations: one compile a backend for the whole folder
-WIDTHS = {"scratch": {"robot": 34, "human": 38, "global": 52}}
+WIDTHS = {
+    "scratch": {"robot": 34, "human": 38, "global": 52},
+    "bed_bath": {"robot": 34, "human": 38, "global": 52},
+    "arm_assist": {"robot": 47, "human": 51, "global": 65},
+}
 FIRST_STEPS_TOLERANCE = 2e-4  # float32 against float64 over 10 control steps, before contacts amplify it
 TWENTY_STEPS_TOLERANCE = 2e-2  # rad, over 20 control steps, contacts with the trough included
 
@@ -109,9 +113,13 @@ def test_select_takes_whole_simulations() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: assistax_envs.make("scrath"), "task is 'scrath'; allowed are scratch"),
+        (lambda: assistax_envs.make("scrath"), "task is 'scrath'; allowed are scratch, bed_bath, arm_assist"),
         (lambda: assistax_envs.make("scratch", "cuda"), "backend is 'cuda'; allowed are auto, native"),
         (lambda: assistax_envs.make("scratch", "native", {"wipe": 2.0}), r"unknown terms \['wipe'\]; scratch has"),
+        (
+            lambda: assistax_envs.make("arm_assist", "native", rotation="up"),
+            "rotation is 'up'; allowed are printed, al",
+        ),
         (lambda: assistax_envs.disability_params(["d10"]), "disability setting is 'd10'; allowed are d1, d2"),
         (lambda: assistax_envs.make("scratch", "mjx-warp"), "backend 'mjx-warp' needs"),
     ],

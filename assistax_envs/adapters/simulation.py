@@ -1,0 +1,86 @@
+"""One simulation with NumPy in and out: what the PettingZoo and the Gymnasium adapter share."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import numpy as np
+
+from assistax_envs.disability import Disability
+from assistax_envs.env import EnvState, disability_params, make
+
+INSTALL = "install it with: pip install 'assistax-zoo[adapters]'"
+
+
+class Simulation:
+    """A batch of one, stepped from outside JAX."""
+
+    def __init__(
+        self,
+        task: str,
+        disability: str | Disability = "d1",
+        backend: str = "native",
+        weights: dict[str, float] | None = None,
+    ) -> None:
+        """See `assistax_envs.make`; `disability` is the human's, "d1".."d9" or a `Disability`."""
+        self.env = make(task, backend, weights)
+        self._params = disability_params([disability])
+        self._reset, self._step = jax.jit(self.env.reset), jax.jit(self.env.step)
+        self._state: EnvState | None = None
+
+    @property
+    def state(self) -> EnvState:
+        """The current state, every leaf [1, ...].
+
+        Raises:
+            ValueError: nothing was reset yet.
+        """
+        if self._state is None:
+            raise ValueError("no episode runs yet; call reset() first")
+        return self._state
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Start an episode from a key drawn from `rng`."""
+        key = jax.random.key(rng.integers(2**32, dtype=np.uint32))
+        self._state = self._reset(key[None], self._params)
+
+    def step(self, actions: Mapping[str, Any]) -> None:
+        """Advance by one control step.
+
+        Raises:
+            ValueError: no episode runs, it has ended, or an action is missing or of the wrong shape.
+        """
+        if bool(self.state.truncated[0]):
+            raise ValueError(f"the episode ended at step {int(self.state.step[0])}; call reset() first")
+        batch = {role: self._action(role, actions) for role in self.env.action_size}
+        self._state = self._step(self.state, batch)
+
+    def observation(self, name: str) -> np.ndarray:
+        """Return a copy of the observation [O] of "robot", "human" or "global"."""
+        return np.array(self.state.obs[name][0])
+
+    def info(self) -> dict[str, Any]:
+        """Return what the last step says beside its reward, as new plain numbers."""
+        state = self.state
+        return {
+            "terms": {name: float(value[0]) for name, value in state.terms.items()},
+            "force": float(state.measures.force[0]),
+            "distance": float(state.measures.distance[0]),
+            "success": bool(state.measures.success[0]),
+            "nonfinite": bool(state.nonfinite[0]),
+        }
+
+    def _action(self, role: str, actions: Mapping[str, Any]) -> np.ndarray:
+        size = self.env.action_size[role]
+        if role not in actions:
+            raise ValueError(f"no action for {role!r}; each step needs one for {' and '.join(self.env.action_size)}")
+        action = np.asarray(actions[role], np.float32)
+        if action.shape != (size,):
+            raise ValueError(f"the action of {role!r} has shape {action.shape}; expected ({size},), values in [-1, 1]")
+        return action[None]
+
+
+def check_render_mode(mode: str | None) -> None:
+    """Refuse what cannot be drawn without a window."""
+    if mode not in (None, "rgb_array"):
+        raise ValueError(f"render_mode is {mode!r}; allowed are None and 'rgb_array'")

@@ -1,0 +1,82 @@
+"""Arm assist: Table 5, and a human who cannot do it alone beside a robot that can."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from assistax_envs import disability_params
+from assistax_envs.tasks import ArmAssist
+from assistax_envs.tasks.arm_assist import ARRIVED, LARGEST_NORM, arm_assist_terms
+from population.policy import Policy
+from tests.envs.conftest import compiled, environment, start
+from zoo import load_group, load_registry
+
+WEIGHTS = {"reach_target": 1.0, "reach_waist": 10.0, "rotation": 0.1}
+
+
+@pytest.mark.parametrize(("rotation", "norm"), [("aligned", 0.0), ("printed", LARGEST_NORM)])
+def test_a_perfect_episode_earns_the_papers_bound(rotation: str, norm: float) -> None:
+    terms = arm_assist_terms(jnp.zeros(1), jnp.zeros(1), jnp.full(1, norm), rotation)
+    assert round(1000 * sum(WEIGHTS[name] * float(term[0]) for name, term in terms.items())) == 11346
+
+
+def test_the_rotation_term_as_printed_grows_with_misalignment_and_the_aligned_one_falls() -> None:
+    norms = jnp.array([0.0, 1.0, 2.0])
+    zero = jnp.zeros(3)
+    assert np.all(np.diff(arm_assist_terms(zero, zero, norms, "printed")["rotation"]) > 0)
+    assert np.all(np.diff(arm_assist_terms(zero, zero, norms, "aligned")["rotation"]) < 0)
+
+
+def test_the_hooks_target_orientation_is_a_rotation_and_near_the_start() -> None:
+    env = environment("arm_assist", "native")
+    hook = ArmAssist(env.model)._hook
+    np.testing.assert_allclose(hook.T @ hook, np.eye(3), atol=1e-5)
+    assert np.linalg.det(hook) == pytest.approx(1.0, abs=1e-5)
+    state = start("arm_assist", "native", ["d1"] * 8)
+    turn = np.asarray(state.obs["robot"][:, 34:43])
+    assert np.all(np.linalg.norm(turn, axis=-1) < 2.0 * np.sqrt(2.0))
+
+
+def _distances(policy) -> np.ndarray:
+    """Return the distance [T, N] from forearm to waist target over an episode of `policy(key, state) -> actions`."""
+    env = environment("arm_assist", "native")
+    size = 16
+    state = compiled("arm_assist", "native")[0](
+        jax.random.split(jax.random.key(3), size), disability_params(["d1"] * size)
+    )
+
+    def body(state, key):
+        state = env.step(state, policy(key, state))
+        return state, state.obs["global"][:, -1]
+
+    return np.asarray(
+        jax.jit(lambda state: jax.lax.scan(body, state, jax.random.split(jax.random.key(4), 1000))[1])(state)
+    )
+
+
+def test_a_human_at_full_torque_cannot_do_it_alone() -> None:
+    signs = jnp.array([[a, b, c] for a in (-1.0, 1.0) for b in (-1.0, 1.0) for c in (-1.0, 1.0)])
+
+    def push(key, state):
+        still = jnp.zeros((16, 7))
+        hold = jnp.broadcast_to(signs, (8, 3))
+        phase = jax.random.fold_in(jax.random.key(5), state.step[0] // 25)
+        return {"robot": still, "human": jnp.concatenate([hold, jax.random.rademacher(phase, (8, 3), jnp.float32)])}
+
+    assert _distances(push).min() > 2.0 * ARRIVED
+
+
+def test_a_trained_robot_lifts_the_arm_to_the_waist() -> None:
+    registry = load_registry()
+    team = "arm_assist/ippo-d1-s1-v0"
+    policies = {}
+    for role in ("robot", "human"):
+        (group,) = load_group(registry, registry.select(f"{team}/{role}"))
+        policies[role] = (Policy(group.spec), jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), group.params))
+
+    def act(key, state):
+        first = jnp.zeros(16, bool)
+        return {role: p.act(params, (), state.obs[role], first)[1] for role, (p, params) in policies.items()}
+
+    assert (_distances(act)[-1] < 1.5 * ARRIVED).mean() > 0.8
