@@ -5,9 +5,10 @@ import functools
 import json
 import math
 import os
+import shlex
 import sys
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     error_console: Console
 
 SECONDS_BETWEEN_LINES = 10.0
+_COMMAND: list[str] = []
 
 
 def __getattr__(name: str) -> Any:
@@ -25,6 +27,21 @@ def __getattr__(name: str) -> Any:
     if name != "error_console":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return _error_console()
+
+
+def remember_command(words: Sequence[str]) -> None:
+    """Keep the words after the program's name, for `command_line`."""
+    _COMMAND[:] = words
+
+
+def command_line() -> str:
+    """Return the command that runs, as it would be typed."""
+    return shlex.join(["assistax-zoo", *_COMMAND])
+
+
+def cache_folder(name: str) -> Path:
+    """Return the user's folder for what can be computed again."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "assistax-zoo", name)
 
 
 def print_json(value: Any) -> None:
@@ -55,21 +72,22 @@ def stdout_is_data() -> Generator[None]:
 
 
 @contextmanager
-def progress(description: str, total: int) -> Generator[Callable[[int], None]]:
+def progress(description: str, total: int, *, is_bytes: bool = False) -> Generator[Callable[[int], None]]:
     """Show progress with the time left on standard error: a bar on a terminal, else a line every ten seconds.
 
     Args:
         description: What is being done, such as "evaluate scratch".
         total: Number of units of work.
+        is_bytes: Show the units as bytes, and their speed.
 
     Yields:
         `advance(n)`, to be called whenever n units are done.
     """
     if sys.stderr.isatty():
-        with _bar(description, total) as advance:
+        with _bar(description, total, is_bytes) as advance:
             yield advance
     else:
-        yield _lines(description, total)
+        yield _lines(description, total, is_bytes)
 
 
 @functools.cache
@@ -80,16 +98,25 @@ def _error_console() -> "Console":
 
 
 @contextmanager
-def _bar(description: str, total: int) -> Generator[Callable[[int], None]]:
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
+def _bar(description: str, total: int, is_bytes: bool) -> Generator[Callable[[int], None]]:
+    from rich.progress import (
+        BarColumn,
+        DownloadColumn,
+        MofNCompleteColumn,
+        Progress,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+        TransferSpeedColumn,
+    )
 
+    done = (DownloadColumn(), TransferSpeedColumn()) if is_bytes else (MofNCompleteColumn(),)
     times = (TimeElapsedColumn(), "left", TimeRemainingColumn())
-    with Progress("{task.description}", BarColumn(), MofNCompleteColumn(), *times, console=_error_console()) as bar:
+    with Progress("{task.description}", BarColumn(), *done, *times, console=_error_console()) as bar:
         task = bar.add_task(description, total=total)
         yield lambda count: bar.advance(task, count)
 
 
-def _lines(description: str, total: int) -> Callable[[int], None]:
+def _lines(description: str, total: int, is_bytes: bool) -> Callable[[int], None]:
     start = last = time.monotonic()
     done = 0
 
@@ -101,7 +128,8 @@ def _lines(description: str, total: int) -> Callable[[int], None]:
             return
         last = now
         left = (now - start) * (total - done) / max(done, 1)
-        print(f"{description}: {done}/{total}, {now - start:.0f} s, {left:.0f} s left", file=sys.stderr, flush=True)
+        figures = f"{done / 1e6:.1f}/{total / 1e6:.1f} MB" if is_bytes else f"{done}/{total}"
+        print(f"{description}: {figures}, {now - start:.0f} s, {left:.0f} s left", file=sys.stderr, flush=True)
 
     return advance
 

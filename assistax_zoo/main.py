@@ -12,6 +12,8 @@ from pathlib import Path
 
 from cyclopts import App, CycloptsError, Parameter
 
+from assistax_zoo.console import remember_command
+
 DEBUG_VARIABLE = "ASSISTAX_ZOO_DEBUG"
 EXIT_ERROR, EXIT_USAGE, EXIT_INTERRUPT, EXIT_BROKEN_PIPE = 1, 2, 130, 141
 
@@ -19,19 +21,29 @@ COMMANDS = {
     "list": "assistax_zoo.commands.zoo:list_policies",
     "show": "assistax_zoo.commands.zoo:show",
     "verify": "assistax_zoo.commands.zoo:verify",
-    "publish": "assistax_zoo.commands.zoo:publish",
+    "fetch": "assistax_zoo.commands.remote:fetch",
+    "publish": "assistax_zoo.commands.remote:publish",
+    "lock": "assistax_zoo.commands.remote:lock",
+    "import": "assistax_zoo.commands.exchange:import_zoo",
+    "export": "assistax_zoo.commands.exchange:export",
     "evaluate": "assistax_zoo.commands.evaluate:evaluate",
     "crossplay": "assistax_zoo.commands.evaluate:crossplay",
+    "compare": "assistax_zoo.commands.report:compare",
+    "strategies": "assistax_zoo.commands.report:strategies",
+    "report": "assistax_zoo.commands.report:report",
     "train": "assistax_zoo.commands.train:train",
+    "train-ego": "assistax_zoo.commands.train_ego:train_ego",
+    "sweep": "assistax_zoo.commands.sweep:sweep",
+    "render": "assistax_zoo.commands.render:render",
 }
 GROUPS = {
     "split": (
         "Train and test halves of the partners.",
         {
-            "list": "assistax_zoo.commands.zoo:split_list",
-            "show": "assistax_zoo.commands.zoo:split_show",
-            "create": "assistax_zoo.commands.zoo:split_create",
-            "verify": "assistax_zoo.commands.zoo:split_verify",
+            "list": "assistax_zoo.commands.split:list_splits",
+            "show": "assistax_zoo.commands.split:show",
+            "create": "assistax_zoo.commands.split:create",
+            "verify": "assistax_zoo.commands.split:verify",
         },
     ),
     "plot": (
@@ -42,12 +54,19 @@ GROUPS = {
             "disability": "assistax_zoo.commands.plot:disability",
             "profile": "assistax_zoo.commands.plot:profile",
             "curves": "assistax_zoo.commands.plot:curves",
+            "speed": "assistax_zoo.commands.plot:speed",
+            "sweep": "assistax_zoo.commands.plot:sweep",
             "population": "assistax_zoo.commands.plot:population",
         },
     ),
     "bench": (
         "Speed on this machine.",
-        {"env": "assistax_zoo.commands.bench:env", "crossplay": "assistax_zoo.commands.bench:crossplay"},
+        {
+            "env": "assistax_zoo.commands.bench:env",
+            "crossplay": "assistax_zoo.commands.bench:crossplay",
+            "train": "assistax_zoo.commands.bench:train",
+            "zoo": "assistax_zoo.commands.bench:zoo",
+        },
     ),
 }
 
@@ -65,6 +84,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         app = build_app()
         arguments = sys.argv[1:] if arguments is None else arguments
         _complete_help(app, arguments)
+        remember_command(arguments)
         app(arguments, print_error=False, exit_on_error=False, result_action="return_value")
         sys.stdout.flush()
     except CycloptsError as error:

@@ -18,7 +18,7 @@ from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 from zoo.storage import load_group, read_policy_file
 
-FORMS = "zoo:ID, a path to a .safetensors file, or python:package.module:factory"
+FORMS = "zoo:ID, a path to a .safetensors file, onnx:FILE, or python:package.module:factory"
 
 
 class EgoError(ValueError):
@@ -43,7 +43,7 @@ def read_egos(references: Sequence[str], registry: Registry, task: str) -> tuple
             for group in registry_groups(registry, registry.select(rest, task=task, role="robot")):
                 single += [(group.spec, member, _row(group.params, row)) for row, member in enumerate(group.members)]
         elif scheme == "onnx":
-            raise ValueError(f"policy {reference!r}: ONNX files are not read yet; wrap it as python:module:factory")
+            host.append(_from_onnx(reference, rest))
         elif reference.endswith(".safetensors"):
             single.append(_from_file(reference))
         else:
@@ -114,6 +114,13 @@ def _from_python(reference: str, rest: str) -> HostEgo:
     if not callable(act):
         raise EgoError(f"policy {reference!r}: {factory_name}() returned {type(act).__name__}; expected a callable")
     return HostEgo(Member(reference, _source_digest(module, reference)), act)
+
+
+def _from_onnx(reference: str, rest: str) -> HostEgo:
+    from evaluation.onnx_ego import OnnxEgo
+
+    act = OnnxEgo(Path(rest), reference)
+    return HostEgo(Member(reference, act.digest), act)
 
 
 def _from_file(reference: str) -> tuple[PolicySpec, Member, Any]:

@@ -19,9 +19,12 @@ import polars as pl
 from assistax_envs import disability_params
 from evaluation import tables
 from evaluation.egos import call_ego
-from evaluation.jobs import Chunk, Group, HostEgo, Job, Member, plan
+from evaluation.jobs import Chunk, Ego, Group, HostEgo, Job, Member, ReferenceSpec, plan
+from evaluation.locks import LOCK_FILE, locked
+from evaluation.reference_egos import ReferencePolicy
 from evaluation.rollout import Rollout, Tally, episode_seeds
 from population.policy import Policy
+from population.spec import PolicySpec
 
 MANIFEST_FILE = "manifest.json"
 PARTS_FOLDER = "parts"
@@ -35,6 +38,7 @@ class Progress:
     done: int
     total: int
     seconds: float  # spent in the environment and the networks, compilation not counted
+    what: str = "policies"  # whose episodes these are
 
     @property
     def eta(self) -> float | None:
@@ -51,37 +55,93 @@ class Evaluation:
     compile_seconds: float
 
 
+@dataclasses.dataclass(frozen=True)
+class BlockDone:
+    """A finished block of a job."""
+
+    chunks: int  # of this block
+    episodes: int
+    all_chunks: int  # of the whole job
+    missing: int  # chunks of the whole job that the folder still lacks
+
+
 def run_job(
     env: Any,
     job: Job,
     folder: Path,
     *,
     max_envs: int | None = None,
+    wait: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Evaluation:
     """Evaluate every ego with every partner and write `episodes.parquet`.
 
     A folder of the same job is continued where it stopped, cut as it was begun; its table is that of a single run.
-    Without `max_envs`, the bound of a chunk is that of `MAX_ENVS`.
+    Without `max_envs`, the bound of a chunk is that of `MAX_ENVS`. Where another process writes to the folder, `wait`
+    for it or refuse.
 
     Raises:
         ValueError: the folder holds another job, or a policy reads other observations than the task gives.
         EgoError: a robot from outside failed; finished chunks are kept.
     """
     check_sizes(env, job)
-    max_envs = _open_folder(folder, job, max_envs or MAX_ENVS[job.backend])
+    check_folder(folder)
+    with locked(folder, wait=wait):
+        return _run_and_merge(env, job, folder, max_envs, on_progress)
+
+
+def run_block(
+    env: Any,
+    job: Job,
+    folder: Path,
+    block: tuple[int, int],
+    *,
+    max_envs: int | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> BlockDone:
+    """Simulate the chunks of block (i, n), i from 1, and leave their parts in the folder.
+
+    Blocks may share a folder or have one each, also on other machines; they must be cut alike, by the same `max_envs`.
+    With the parts of all blocks in one folder, `run_job` merges them without simulating anything.
+    """
+    number, count = block
+    if not 1 <= number <= count:
+        raise ValueError(f"block is {number}/{count}; allowed are 1/{count} to {count}/{count}")
+    check_sizes(env, job)
+    check_folder(folder)
+    own_lock = f"{LOCK_FILE}-{number}-of-{count}"
+    with locked(folder, shared=True), locked(folder / PARTS_FOLDER, own_lock):
+        chunks = plan(job, _open_folder(folder, job, max_envs or MAX_ENVS[job.backend]))
+        mine = chunks[number - 1 :: count]
+        if not (folder / tables.EPISODES_FILE).is_file():
+            _simulate(env, job, folder, [chunk for chunk in mine if not _is_done(folder, chunk)], on_progress)
+        missing = sum(not _is_done(folder, chunk) for chunk in chunks)
+    return BlockDone(len(mine), sum(chunk.rows for chunk in mine), len(chunks), missing)
+
+
+def _run_and_merge(
+    env: Any, job: Job, folder: Path, max_envs: int | None, on_progress: Callable[[Progress], None] | None
+) -> Evaluation:
+    chunks = plan(job, _open_folder(folder, job, max_envs or MAX_ENVS[job.backend]))
     target = folder / tables.EPISODES_FILE
-    chunks = plan(job, max_envs)
     missing = [] if target.is_file() else [chunk for chunk in chunks if not _is_done(folder, chunk)]
-    runner = _Runner(env, job, on_progress, sum(chunk.rows for chunk in missing) * env.episode_length)
-    runner.report()
-    for chunk in missing:
-        tables.write_parquet(runner.run(chunk), _part(folder, chunk))
+    runner = _simulate(env, job, folder, missing, on_progress)
     if not target.is_file():
         parts = pl.concat([pl.read_parquet(_part(folder, chunk)) for chunk in chunks])
         tables.write_episodes(_in_order(parts, job), target)
     shutil.rmtree(folder / PARTS_FOLDER, ignore_errors=True)
     return Evaluation(tables.read_episodes(target), runner.speed, runner.compile_seconds)
+
+
+def _simulate(
+    env: Any, job: Job, folder: Path, chunks: list[Chunk], on_progress: Callable[[Progress], None] | None
+) -> "_Runner":
+    """Run chunks, leaving each one's part in the folder; return what ran them."""
+    runner = _Runner(env, job, on_progress, sum(chunk.rows for chunk in chunks) * env.episode_length)
+    runner.report()
+    for chunk in chunks:
+        tables.write_parquet(runner.run(chunk), _part(folder, chunk))
+    return runner
 
 
 def check_sizes(env: Any, job: Job) -> None:
@@ -116,7 +176,6 @@ def check_folder(folder: Path) -> None:
 
 def _open_folder(folder: Path, job: Job, max_envs: int) -> int:
     """Begin or continue the folder's job; return the size its plan was begun with."""
-    check_folder(folder)
     path = folder / MANIFEST_FILE
     found = tables.read_json(path) if path.is_file() else None
     if found is None:
@@ -188,7 +247,7 @@ class _Runner:
         tally = self._run(
             rollout,
             chunk,
-            None if host else _take(ego.params, chunk.egos, e),
+            None if host else _take(ego.params, chunk.egos, p if chunk.paired else e),
             _take(partner.params, chunk.partners, p),
             disability_params([str(member.disability) for member in partners]),
             episode_seeds(job.seed, _padded(chunk.episodes, k)),
@@ -209,13 +268,19 @@ class _Runner:
                 f"out of memory with {simulations} simulations; use --max-envs {max(simulations // 2, 1)} or less"
             ) from error
 
-    def _rollout(self, ego: Group | HostEgo, partner: Group) -> Rollout:
+    def _rollout(self, ego: Ego, partner: Group) -> Rollout:
         robot = None if isinstance(ego, HostEgo) else ego.spec
         key = robot, partner.spec
         if key not in self._rollouts:
-            policy = None if robot is None else Policy(robot)
-            self._rollouts[key] = Rollout(self._env, policy, Policy(partner.spec), stochastic=self._job.stochastic)
+            options = {"stochastic": self._job.stochastic, "paired": self._job.paired}
+            self._rollouts[key] = Rollout(self._env, _policy(robot), _policy(partner.spec), **options)
         return self._rollouts[key]
+
+
+def _policy(spec: PolicySpec | ReferenceSpec | None) -> Any:
+    if isinstance(spec, ReferenceSpec):
+        return ReferencePolicy(spec)
+    return None if spec is None else Policy(spec)
 
 
 def _padded(rows: range, width: int) -> list[int]:
@@ -229,14 +294,17 @@ def _take(params: Any, rows: range, width: int) -> Any:
 
 def _rows(job: Job, chunk: Chunk, tally: Tally) -> pl.DataFrame:
     """Return the real episodes of a chunk, ego by ego, partner by partner."""
-    e, p, k = len(chunk.egos), len(chunk.partners), len(chunk.episodes)
+    e, p, k = 1 if chunk.paired else len(chunk.egos), len(chunk.partners), len(chunk.episodes)
     tally = jax.tree.map(lambda leaf: leaf[:e, :p, :k].reshape(-1), tally)
     egos = _described("ego", [job.egos[chunk.ego_group].members[row] for row in chunk.egos])
     partners = _described("partner", [job.partners[chunk.partner_group].members[row] for row in chunk.partners])
     sides = [job.sides.get(name) for name in partners["partner"]]
     partners = partners.with_columns(pl.Series("side", sides, pl.String))
     episodes = pl.DataFrame({"episode": list(chunk.episodes), "key": episode_seeds(job.seed, chunk.episodes)})
-    rows = egos.join(partners, how="cross", maintain_order="left_right")
+    if chunk.paired:
+        rows = pl.concat([egos, partners], how="horizontal")
+    else:
+        rows = egos.join(partners, how="cross", maintain_order="left_right")
     rows = rows.join(episodes, how="cross", maintain_order="left_right")
     measured = {
         "return": tally.returns,
@@ -245,6 +313,9 @@ def _rows(job: Job, chunk: Chunk, tally: Tally) -> pl.DataFrame:
         "success": tally.success,
         "force_mean": tally.force_sum / np.maximum(tally.steps, 1),
         "force_peak": tally.force_peak,
+        "first_contact": np.where(tally.first_contact > 0, tally.first_contact, tally.steps),
+        "distance_mean": tally.distance_sum / np.maximum(tally.steps, 1),
+        **{f"{role}_travel": value for role, value in tally.travel.items()},
         "nonfinite": tally.nonfinite,
         "steps": tally.steps,
     }

@@ -10,7 +10,7 @@ from typing import Any
 
 from population.spec import PolicySpec
 
-MANIFEST_FORMAT = 1
+MANIFEST_FORMAT = 2  # 2: the table has columns of behaviour
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,6 +25,15 @@ class Member:
     seed: int | None = None
 
 
+@dataclasses.dataclass(frozen=True)
+class ReferenceSpec:
+    """Sizes of egos that look at nothing: see `evaluation.reference_egos.ReferencePolicy`."""
+
+    observation_size: int
+    action_size: int
+    role: str = "robot"
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Group:
     """Policies of one spec, their parameters stacked."""
@@ -32,6 +41,15 @@ class Group:
     spec: PolicySpec
     members: tuple[Member, ...]
     params: Mapping[str, Any]  # nested, leaves [G, ...] in the order of `members`
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ReferenceGroup:
+    """Egos that look at nothing."""
+
+    spec: ReferenceSpec
+    members: tuple[Member, ...]
+    params: Mapping[str, Any]  # leaves [G]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -47,7 +65,7 @@ class HostEgo:
         return (self.member,)
 
 
-Ego = Group | HostEgo
+Ego = Group | HostEgo | ReferenceGroup
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -63,6 +81,7 @@ class Job:
     seed: int = 0  # of the episode seeds
     stochastic: bool = False  # whether actions are drawn; else each policy's mode
     sides: Mapping[str, str] = dataclasses.field(default_factory=dict)  # partner id -> "train" or "test"
+    paired: bool = False  # ego i of group g with partner i of group g, and no other
 
     def __post_init__(self) -> None:
         if self.episodes < 1:
@@ -75,6 +94,9 @@ class Job:
                 raise ValueError(f"no {seat} to evaluate; give at least one")
             if twice := sorted({name for name in ids if ids.count(name) > 1}):
                 raise ValueError(f"{seat} {twice[0]} is given {ids.count(twice[0])} times; give each {seat} once")
+        sizes = [[len(group.members) for group in groups] for groups in (self.egos, self.partners)]
+        if self.paired and sizes[0] != sizes[1]:
+            raise ValueError(f"paired egos {sizes[0]} and partners {sizes[1]} differ in number; give them one to one")
         for group in self.partners:
             for member in group.members:
                 if member.disability is None:
@@ -83,7 +105,8 @@ class Job:
     @property
     def rows(self) -> int:
         """Number of episodes in the whole job."""
-        return count_members(self.egos) * count_members(self.partners) * self.episodes
+        egos = 1 if self.paired else count_members(self.egos)
+        return egos * count_members(self.partners) * self.episodes
 
     def identity(self) -> dict[str, Any]:
         """Return what decides the values of the episode table, JSON-ready."""
@@ -95,6 +118,7 @@ class Job:
             "episodes": self.episodes,
             "seed": self.seed,
             "stochastic": self.stochastic,
+            **({"paired": True} if self.paired else {}),
             "egos": [[member.id, member.digest] for group in self.egos for member in group.members],
             "partners": [
                 [member.id, member.disability, self.sides.get(member.id), member.digest]
@@ -120,10 +144,13 @@ class Chunk:
     partners: range
     episodes: range
     shape: tuple[int, int, int]  # [E, P, K] with padding: equal for all chunks of a pair of groups
+    paired: bool = False  # the egos are the partners' own, one each, and E is 1
 
     @property
     def rows(self) -> int:
         """Number of episodes, padding not counted."""
+        if self.paired:
+            return len(self.partners) * len(self.episodes)
         return len(self.egos) * len(self.partners) * len(self.episodes)
 
 
@@ -155,6 +182,8 @@ def chunk_shape(egos: int, partners: int, episodes: int, max_envs: int, *, host:
 
 def plan(job: Job, max_envs: int) -> list[Chunk]:
     """Cut a job into chunks of at most `max_envs` simulations, one shape for each pair of groups."""
+    if job.paired:
+        return _plan_pairs(job, max_envs)
     chunks: list[Chunk] = []
     for i, ego in enumerate(job.egos):
         for j, partner in enumerate(job.partners):
@@ -167,6 +196,18 @@ def plan(job: Job, max_envs: int) -> list[Chunk]:
                 for partners in slices[1]
                 for episodes in slices[2]
             ]
+    return [dataclasses.replace(chunk, index=index) for index, chunk in enumerate(chunks)]
+
+
+def _plan_pairs(job: Job, max_envs: int) -> list[Chunk]:
+    chunks: list[Chunk] = []
+    for i, partner in enumerate(job.partners):
+        _, p, k = shape = chunk_shape(1, len(partner.members), job.episodes, max_envs)
+        chunks += [
+            Chunk(0, i, i, rows, rows, episodes, shape, paired=True)
+            for rows in _cut(len(partner.members), p)
+            for episodes in _cut(job.episodes, k)
+        ]
     return [dataclasses.replace(chunk, index=index) for index, chunk in enumerate(chunks)]
 
 

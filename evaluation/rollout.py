@@ -32,6 +32,7 @@ class Environment(Protocol):
     def action_size(self) -> dict[str, int]: ...
     def reset(self, keys: jax.Array, params: Any, /) -> Any: ...
     def step(self, state: Any, actions: dict[str, Any], /) -> Any: ...
+    def joint_positions(self, state: Any, /) -> dict[str, jax.Array]: ...
 
 
 @jax.tree_util.register_dataclass
@@ -46,6 +47,9 @@ class Tally:
     terms: dict[str, jax.Array]  # sum of each weighted reward term
     force_sum: jax.Array  # N, summed over steps
     force_peak: jax.Array  # N
+    first_contact: jax.Array  # int32, the first step with a force; 0 before it
+    distance_sum: jax.Array  # m, summed over steps
+    travel: dict[str, jax.Array]  # rad by role: angles that all joints went through together
     success: jax.Array  # bool, at any step
     nonfinite: jax.Array  # bool, the physics became non-finite
 
@@ -66,7 +70,14 @@ class Rollout:
     """Blocks of one pair of specs; compiles once for each shape and keeps the seconds that took."""
 
     def __init__(
-        self, env: Environment, robot: Any, human: Any, *, stochastic: bool = False, length: int | None = None
+        self,
+        env: Environment,
+        robot: Any,
+        human: Any,
+        *,
+        stochastic: bool = False,
+        paired: bool = False,
+        length: int | None = None,
     ) -> None:
         """Prepare blocks.
 
@@ -75,15 +86,17 @@ class Rollout:
             robot: a `population.policy.Policy`, or None for a robot that acts from outside.
             human: a `population.policy.Policy`.
             stochastic: whether actions are drawn.
+            paired: robot i plays with human i only: robot parameters have leaves [P, ...], and E is 1.
             length: steps to play, if fewer than the episode's: for measuring speed.
         """
         self.env = env
         self.compile_seconds = 0.0
+        self._paired = paired
         self._length = length or env.episode_length
         steps = 1 if robot is None else segment_length(self._length)
-        self._start = jax.jit(functools.partial(_start, env, robot, human), static_argnames="shape")
+        self._start = jax.jit(functools.partial(_start, env, robot, human, paired=paired), static_argnames="shape")
         self._advance = jax.jit(
-            functools.partial(_advance, env, robot, human, steps, stochastic), static_argnames="shape"
+            functools.partial(_advance, env, robot, human, steps, stochastic, paired=paired), static_argnames="shape"
         )
         self._steps = steps
         self._compiled: dict[Any, tuple[Callable[..., Loop], Callable[..., Loop]]] = {}
@@ -111,7 +124,7 @@ class Rollout:
         Returns:
             The tally with NumPy leaves [E, P, K].
         """
-        egos = 1 if robot_params is None else jax.tree.leaves(robot_params)[0].shape[0]
+        egos = 1 if robot_params is None or self._paired else jax.tree.leaves(robot_params)[0].shape[0]
         shape = egos, jax.tree.leaves(human_params)[0].shape[0], len(seeds)
         keys = jax.vmap(jax.random.key)(np.asarray(seeds, np.uint32))
         robot_params, human_params, env_params = jax.device_put((robot_params, human_params, env_params))
@@ -149,7 +162,9 @@ def episode_seeds(seed: int, episodes: Iterable[int]) -> list[int]:
     return [int(np.random.SeedSequence([seed, k]).generate_state(1)[0]) for k in episodes]
 
 
-def _start(env: Environment, robot: Any, human: Any, env_params: Any, keys: Any, *, shape: Shape) -> Loop:
+def _start(
+    env: Environment, robot: Any, human: Any, env_params: Any, keys: Any, *, shape: Shape, paired: bool = False
+) -> Loop:
     """Reset a block: episode k of every pair starts from key k, under the partner's own parameters."""
     e, p, k = shape
     flat = functools.partial(jnp.reshape, shape=(e * p * k,))
@@ -165,12 +180,15 @@ def _start(env: Environment, robot: Any, human: Any, env_params: Any, keys: Any,
         terms=dict.fromkeys(state.terms, zero),
         force_sum=zero,
         force_peak=zero,
+        first_contact=jnp.zeros(e * p * k, jnp.int32),
+        distance_sum=zero,
+        travel=dict.fromkeys(env.joint_positions(state), zero),
         success=false,
         nonfinite=false,
     )
     return Loop(
         state=state,
-        robot=() if robot is None else robot.initial_carry((e, _rows(p * k))),
+        robot=() if robot is None else robot.initial_carry((p, _rows(k)) if paired else (e, _rows(p * k))),
         human=human.initial_carry((p, _rows(e * k))),
         tally=tally,
         time=jnp.zeros((), jnp.int32),
@@ -190,6 +208,7 @@ def _advance(
     action: jax.Array | None,
     *,
     shape: Shape,
+    paired: bool = False,
 ) -> Loop:
     """Advance a block by `steps`; `action` is the robots' where it comes from outside."""
     e, p, k = shape
@@ -200,20 +219,21 @@ def _advance(
             noise = _noise_keys(keys, loop.time)
         robot_action, robot_carry = action, loop.robot
         if robot is not None:
-            obs = loop.state.obs["robot"].reshape(e, p * k, -1)
+            obs = loop.state.obs["robot"].reshape(*((p, k) if paired else (e, p * k)), -1)
             robot_carry, acted = _act(robot, robot_params, loop.robot, obs, loop.time, noise[0])
             robot_action = acted.reshape(e * p * k, -1)
         obs = loop.state.obs["human"].reshape(e, p, k, -1).swapaxes(0, 1).reshape(p, e * k, -1)
         human_carry, acted = _act(human, human_params, loop.human, obs, loop.time, noise[1])
         human_action = acted.reshape(p, e, k, -1).swapaxes(0, 1).reshape(e * p * k, -1)
         state = env.step(loop.state, {"robot": robot_action, "human": human_action})
-        tally = accumulate(loop.tally, state, loop.time)
+        travel = _travel(env.joint_positions(loop.state), env.joint_positions(state))
+        tally = accumulate(loop.tally, state, travel, loop.time)
         return Loop(state, robot_carry, human_carry, tally, loop.time + 1), None
 
     return jax.lax.scan(body, loop, None, length=steps)[0]
 
 
-def accumulate(tally: Tally, state: Any, time: jax.Array) -> Tally:
+def accumulate(tally: Tally, state: Any, travel: dict[str, jax.Array], time: jax.Array) -> Tally:
     """Add the step that led to `state`, the `time`-th, to the episodes that were still running."""
     running = tally.running
     earning = running & ~state.nonfinite
@@ -230,9 +250,16 @@ def accumulate(tally: Tally, state: Any, time: jax.Array) -> Tally:
         terms={name: tally.terms[name] + gained(value) for name, value in state.terms.items()},
         force_sum=tally.force_sum + force,
         force_peak=jnp.maximum(tally.force_peak, force),
+        first_contact=jnp.where((tally.first_contact == 0) & (force > 0), time + 1, tally.first_contact),
+        distance_sum=tally.distance_sum + gained(state.measures.distance),
+        travel={role: tally.travel[role] + gained(value) for role, value in travel.items()},
         success=tally.success | (earning & state.measures.success),
         nonfinite=tally.nonfinite | (running & state.nonfinite),
     )
+
+
+def _travel(before: dict[str, jax.Array], after: dict[str, jax.Array]) -> dict[str, jax.Array]:
+    return {role: jnp.sum(jnp.abs(after[role] - before[role]), axis=-1) for role in after}
 
 
 def _act(

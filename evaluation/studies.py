@@ -3,15 +3,20 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
 
 from assistax_envs.versions import TASKS, VERSIONS
 from evaluation import tables
-from evaluation.evaluator import Evaluation, Progress, check_folder, run_job
-from evaluation.jobs import Ego, Job
+from evaluation.evaluator import Evaluation, Progress, check_folder, run_block, run_job
+from evaluation.jobs import Ego, Group, Job
 from zoo.errors import RegistryVersionError, SplitError
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
+
+if TYPE_CHECKING:
+    from assistax_envs import Env
 
 FIGURE_FILE = "crossplay.png"
 SIDE_WORDS = {"test": ("test",), "train": ("train",), "both": ("train", "test")}
@@ -47,6 +52,8 @@ def evaluate_policies(
     *,
     split: str | None = None,
     partners: str | Sequence[str] | None = None,
+    references: Path | None = None,
+    crossplay: Path | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> dict[str, Any]:
     """Evaluate robots, seeds of one method, against the partners of a split; return what `evaluate --json` prints.
@@ -58,6 +65,8 @@ def evaluate_policies(
         folder: Filled with the episodes and every table drawn from them; a run that was stopped goes on.
         split: "test", "train" or "both" sides of the default split, or a split's id, ":train" or ":both" added.
         partners: Globs over partners to use instead of whole sides.
+        references: Folder that keeps the episodes of reference egos, see `evaluation.references`; None plays none.
+        crossplay: Folder of a finished cross-play, whose best robot with a partner may be its best response.
         on_progress: Told how far the run is.
 
     Raises:
@@ -69,12 +78,17 @@ def evaluate_policies(
     if not policies:
         raise ValueError("no policy given; name at least one, for example --policy zoo:TEAM/robot")
     check_folder(folder)
+    pairs = None if crossplay is None else _crossplay_pairs(crossplay, settings.task)
     manifest, sides = _sides(registry, settings.task, split or ("test" if partners is None else "both"))
     chosen = _partners(registry, settings.task, manifest, sides, partners)
     egos = _read_egos(registry, policies, settings.task)
-    result, origin = _run(registry, egos, chosen, settings, folder, manifest, on_progress)
+    env, job = _make_job(registry, egos, chosen, settings, manifest)
+    result, origin = _run(env, job, settings, folder, on_progress)
     summary = save_evaluation(folder, result.table, split=manifest, release=manifest.release, **origin)
     summary["notes"] = [*summary["notes"], *_own_partner_notes(egos, chosen)]
+    summary |= {"lock": registry.lock, "references": None, "relative": None}
+    if references is not None:
+        summary |= _with_references(registry, env, job, chosen, settings, references, folder, pairs, on_progress)
     tables.write_json(summary, folder / tables.SUMMARY_FILE)
     return summary
 
@@ -86,11 +100,13 @@ def cross_play(
     settings: Settings,
     folder: Path,
     *,
+    block: tuple[int, int] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> dict[str, Any]:
     """Evaluate the robots of a population with its humans; return what `crossplay --json` prints.
 
-    `egos` and `partners` are globs over policy or team ids; the rest is as in `evaluate_policies`.
+    `egos` and `partners` are globs over policy or team ids; the rest is as in `evaluate_policies`. With `block` only
+    that share of the chunks is simulated, and how many are missing is returned: see `evaluation.evaluator.run_block`.
     """
     from evaluation.egos import registry_groups
     from evaluation.summary import save_crossplay
@@ -104,8 +120,14 @@ def cross_play(
     humans = registry.select(partners, task=settings.task, role="human")
     check_env_version(registry, robots)
     groups = registry_groups(registry, robots)
-    result, origin = _run(registry, groups, humans, settings, folder, manifest, on_progress)
+    env, job = _make_job(registry, groups, humans, settings, manifest)
+    if block is not None:
+        done = run_block(env, job, folder, block, max_envs=settings.max_envs, on_progress=on_progress)
+        return {"block": f"{block[0]}/{block[1]}", **dataclasses.asdict(done)}
+    result, origin = _run(env, job, settings, folder, on_progress)
     summary = save_crossplay(folder, result.table, split=manifest, release=registry.release, **origin)
+    summary["lock"] = registry.lock
+    tables.write_json(summary, folder / tables.SUMMARY_FILE)
     _draw(folder, summary)
     return summary
 
@@ -134,16 +156,63 @@ def check_env_version(registry: Registry, entries: Sequence[PolicyEntry]) -> Non
             )
 
 
-def _run(
+def _with_references(
+    registry: Registry,
+    env: "Env",
+    job: Job,
+    partners: Sequence[PolicyEntry],
+    settings: Settings,
+    kept: Path,
+    folder: Path,
+    pairs: pl.DataFrame | None,
+    on_progress: Callable[[Progress], None] | None,
+) -> dict[str, Any]:
+    """Play the reference egos, keep their episodes and bounds beside the evaluation, and return the figures."""
+    from evaluation.references import bounds_table, play_references, summarise_references
+
+    own = _own_robots(registry, partners)
+    played = play_references(env, job, own, kept, max_envs=settings.max_envs, on_progress=on_progress)
+    bounds = bounds_table(played, pairs)
+    tables.write_parquet(played, folder / tables.REFERENCES_FILE)
+    tables.write_parquet(bounds, folder / tables.BOUNDS_FILE)
+    return summarise_references(tables.read_episodes(folder / tables.EPISODES_FILE), played, bounds)
+
+
+def _own_robots(registry: Registry, partners: Sequence[PolicyEntry]) -> list[tuple[Group, Group]]:
+    """Return robots beside the humans they were trained with, as groups of one spec each, row by row."""
+    from evaluation.egos import registry_groups
+
+    robots = {entry.team: entry for entry in registry.policies if entry.role == "robot"}
+    pairs = [(robots[human.team], human) for human in partners if human.team in robots]
+    specs = dict.fromkeys((robot.spec, human.spec) for robot, human in pairs)
+    own = []
+    for spec in specs:
+        alike = [pair for pair in pairs if (pair[0].spec, pair[1].spec) == spec]
+        (robot,), (human,) = (registry_groups(registry, [pair[seat] for pair in alike]) for seat in (0, 1))
+        own.append((robot, human))
+    return own
+
+
+def _crossplay_pairs(folder: Path, task: str) -> pl.DataFrame:
+    """Read the pairs of a finished cross-play of this task and environment version."""
+    summary = tables.read_json(folder / tables.SUMMARY_FILE)
+    found = summary.get("task"), summary.get("env_version")
+    if found != (task, VERSIONS[task]):
+        raise ValueError(
+            f"{folder} is of task {found[0]}, environment version {found[1]}; --crossplay needs a cross-play of "
+            f"{task}, version {VERSIONS[task]}"
+        )
+    return tables.read_parquet(folder / tables.PAIRS_FILE)
+
+
+def _make_job(
     registry: Registry,
     egos: tuple[Ego, ...],
     partners: Sequence[PolicyEntry],
     settings: Settings,
-    folder: Path,
     split: Split | None,
-    on_progress: Callable[[Progress], None] | None,
-) -> tuple[Evaluation, dict[str, Any]]:
-    """Run the job, and return with it what a summary says of its origin."""
+) -> "tuple[Env, Job]":
+    """Return the environment and the job of egos with partners."""
     from assistax_envs import make
     from evaluation.egos import registry_groups
 
@@ -161,6 +230,17 @@ def _run(
         stochastic=settings.stochastic,
         sides={entry.id: side for entry in partners if split and (side := split.side(entry.team))},
     )
+    return env, job
+
+
+def _run(
+    env: "Env",
+    job: Job,
+    settings: Settings,
+    folder: Path,
+    on_progress: Callable[[Progress], None] | None,
+) -> tuple[Evaluation, dict[str, Any]]:
+    """Run the job, and return with it what a summary says of its origin."""
     result = run_job(env, job, folder, max_envs=settings.max_envs, on_progress=on_progress)
     return result, {
         "task": settings.task,

@@ -23,6 +23,7 @@ from evaluation.metrics import (
     zero_shot,
 )
 from evaluation.statistics import performance_profile
+from evaluation.strategies import summarise_strategies
 from evaluation.tables import Block, dense_block
 
 ENOUGH = 16  # seeds, partners or teams; with fewer, intervals cover too little (see `evaluation.bootstrap.estimate`)
@@ -208,10 +209,12 @@ def save_evaluation(folder: Path, table: pl.DataFrame, **context: Any) -> dict[s
 
 
 def save_crossplay(folder: Path, table: pl.DataFrame, **context: Any) -> dict[str, Any]:
-    """Write summary, matrix and clustered order beside the episodes; `context` as `summarise_crossplay`."""
+    """Write summary, matrix, clustered order and strategies beside the episodes; `context` as `summarise_crossplay`."""
     summary = summarise_crossplay(table, **context)
     pairs, order = crossplay_matrix(table)
     tables.write_parquet(pairs, folder / tables.PAIRS_FILE)
+    if set(tables.BEHAVIOUR) <= set(pairs.columns):
+        tables.write_json(summarise_strategies(pairs), folder / tables.STRATEGIES_FILE)
     tables.write_json(order, folder / tables.ORDER_FILE)
     tables.write_json(summary, folder / tables.SUMMARY_FILE)
     return summary

@@ -14,9 +14,13 @@ import polars as pl
 # Names of the files in the folder that `evaluate --out` or `crossplay --out` fills.
 EPISODES_FILE = "episodes.parquet"  # one row an episode
 PAIRS_FILE = "pairs.parquet"  # one row an (ego, partner) pair: the cross-play matrix in long form
+REFERENCES_FILE = "references.parquet"  # episodes of the reference egos
+BOUNDS_FILE = "bounds.parquet"  # low and best return of each partner, with their sources
 PARTNERS_FILE = "partners.parquet"  # one row a partner, averaged over the egos
 PROFILE_FILE = "profile.parquet"  # performance profile of an evaluation
 ORDER_FILE = "order.json"  # clustered order of a cross-play matrix
+STRATEGIES_FILE = "strategies.json"  # partners of a cross-play by behaviour
+RUN_FILE = "run.json"  # command, machine and versions
 SUMMARY_FILE = "summary.json"  # the object that --json prints
 
 EGO_COLUMNS = ("ego", "ego_team", "ego_algorithm", "ego_disability", "ego_seed")
@@ -44,9 +48,14 @@ SCHEMA: dict[str, pl.DataType] = {
     "success": pl.Boolean(),
     "force_mean": pl.Float32(),
     "force_peak": pl.Float32(),
+    "first_contact": pl.Int64(),  # steps until the first contact; all of them if there was none
+    "distance_mean": pl.Float32(),
+    "robot_travel": pl.Float32(),  # rad, summed over joints and steps
+    "human_travel": pl.Float32(),
     "nonfinite": pl.Boolean(),
     "steps": pl.Int64(),
 }
+BEHAVIOUR = ("first_contact", "distance_mean", "robot_travel", "human_travel")  # tables of manifest format 1 lack them
 _NULLABLE = {
     *("ego_team", "ego_algorithm", "ego_disability", "ego_seed", "side"),  # an ego from outside the zoo
     *("partner_team", "partner_algorithm", "partner_disability", "partner_seed"),
@@ -86,10 +95,11 @@ def term_columns(table: pl.DataFrame) -> tuple[str, ...]:
 
 def validate_episodes(table: pl.DataFrame) -> pl.DataFrame:
     """Return the table, or raise `ValueError` saying what is wrong with it and where."""
-    missing = [name for name in SCHEMA if name not in table.columns]
+    needed = [name for name in SCHEMA if name not in BEHAVIOUR]
+    missing = [name for name in needed if name not in table.columns]
     if missing:
         raise ValueError(
-            f"the episode table lacks the columns {', '.join(missing)}; it needs all of {', '.join(SCHEMA)}"
+            f"the episode table lacks the columns {', '.join(missing)}; it needs all of {', '.join(needed)}"
         )
     unknown = [name for name in table.columns if name not in SCHEMA and not name.startswith(TERM_PREFIX)]
     if unknown:
@@ -131,7 +141,8 @@ def dense_block(table: pl.DataFrame) -> Block:
 def pair_table(table: pl.DataFrame) -> pl.DataFrame:
     """Average the episodes of each pair: one row a pair, in the order of `dense_block`."""
     block = dense_block(table)
-    measures = ("discounted_return", *term_columns(table), "success", "force_mean", "force_peak")
+    behaviour = [name for name in BEHAVIOUR if name in table.columns]
+    measures = ("discounted_return", *term_columns(table), "success", "force_mean", "force_peak", *behaviour)
     means = table.group_by("ego", "partner").agg(
         pl.col("return").cast(pl.Float64).mean(),
         pl.col("return").cast(pl.Float64).std().alias("return_sd"),

@@ -1,7 +1,8 @@
 """Proximal policy optimisation (Schulman et al., 2017) of teams: IPPO and MAPPO for many members at once.
 
-Robot and human are trained by their own networks, optimisers and gradient clips. Everything after the rollout is
-written for one member and mapped over members; the environment sees one flat axis of simulations.
+Robot and human are trained by their own networks, optimisers and gradient clips, or share one of each; with frozen
+partners in one seat, only the other learns. Everything after the rollout is written for one member and mapped over
+members; the environment sees one flat axis of simulations.
 """
 
 import dataclasses
@@ -12,11 +13,13 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from population import gae, normaliser, rollout
-from population.config import TRACED, Member, PPOConfig
+from population import gae, normaliser, rollout, sharing
+from population.config import Member, PPOConfig, traced_values
 from population.critic import Critic, CriticSpec
+from population.mapping import member_map
 from population.networks import Carry, Params, normalise
 from population.normaliser import Statistics
+from population.partners import Partners
 from population.policy import Policy
 from population.rollout import Batch, Environment, Simulations
 from population.spec import ROLES, PolicySpec
@@ -41,11 +44,11 @@ class Hyper:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Learner:
-    """Networks of one role, each with its optimiser state."""
+    """Networks of one role, or of both that share them, each with its optimiser state."""
 
     networks: dict[str, Params]  # "actor" and "critic"
     optimisers: dict[str, Any]  # by the same names
-    critic_carry: Carry  # [N, ...]
+    critic_carry: dict[str, Carry]  # by role [N, ...]
 
 
 @jax.tree_util.register_dataclass
@@ -53,7 +56,7 @@ class Learner:
 class MemberState:
     """What a member learns; leaves [M, ...] for all members."""
 
-    learners: dict[str, Learner]  # by role
+    learners: dict[str, Learner]  # by role, or one that is "shared"
     statistics: dict[str, Statistics]  # of the observations, by role and "global"
     key: jax.Array
 
@@ -69,29 +72,38 @@ class TrainState:
 
 
 class PPO:
-    """Trains teams in an environment; `initial` and `update` may be jitted.
+    """Trains teams, or egos with partners, in an environment; `initial` and `update` may be jitted.
 
     Raises:
-        ValueError: If the rollout is longer than an episode.
+        ValueError: If the rollout is longer than an episode, or partners do not fit.
     """
 
-    def __init__(self, config: PPOConfig, env: Environment, updates: int) -> None:
-        if config.rollout_steps > env.episode_length:
-            raise ValueError(
-                f"rollout_steps is {config.rollout_steps}; an episode of {env.task} has {env.episode_length} steps, "
-                "so choose at most that many"
-            )
+    def __init__(self, config: PPOConfig, env: Environment, updates: int, partners: Partners | None = None) -> None:
+        rollout.check(env, config, partners)
+        if config.shared and partners:
+            raise ValueError("shared is true, but partners are frozen and one role learns: leave shared out")
         self.config = config
         self.env = env
         self.updates = updates
-        self.specs: dict[str, PolicySpec] = policy_specs(config, env)
+        self.partners = partners
+        self.roles = rollout.learning_roles(partners)
+        self.learners: dict[str, tuple[str, ...]] = (
+            {sharing.SHARED: self.roles} if config.shared else {role: (role,) for role in self.roles}
+        )
+        self.specs: dict[str, PolicySpec] = rollout.policy_specs(config, env, self.roles)
         self.policies = {role: Policy(spec) for role, spec in self.specs.items()}
-        self.critic_input: dict[str, str] = {role: "global" if config.critic == "central" else role for role in ROLES}
-        self.inputs = tuple(dict.fromkeys([*ROLES, *self.critic_input.values()]))
-        self.critics: dict[str, Critic] = {
-            role: Critic(CriticSpec(env.observation_size[name], config.torso, config.hidden, config.activation))
-            for role, name in self.critic_input.items()
+        self.critic_input: dict[str, str] = {
+            role: "global" if config.critic == "central" else role for role in self.roles
         }
+        self.inputs = tuple(dict.fromkeys([*self.roles, *self.critic_input.values()]))
+        self.critics: dict[str, Critic] = {
+            role: self._critic(env.observation_size[name]) for role, name in self.critic_input.items()
+        }
+
+    def hyper(self, members: Sequence[Member]) -> Hyper:
+        """Return the traced hyperparameters of every member: the config's, or its own."""
+        values = traced_values(self.config, members)
+        return Hyper(**{name: jnp.asarray(row, jnp.float32) for name, row in values.items()})
 
     def initial(self, keys: jax.Array, env_params: Any) -> TrainState:
         """Return the state before the first update.
@@ -101,48 +113,67 @@ class PPO:
             env_params: Parameters of the environment for each simulation [N], member by member.
         """
         split = jax.vmap(lambda key: jax.random.split(key, 4))(keys)
-        env_state = self.env.reset(self._simulation_keys(split[:, 0]), env_params)
+        env_state = self.env.reset(rollout.simulation_keys(split[:, 0], self.config.num_envs), env_params)
         stagger = jax.vmap(lambda key: jax.random.randint(key, (self.config.num_envs,), 0, self.env.episode_length))
         return TrainState(
-            members=rollout.member_map(self._initial_member)(split[:, 2], split[:, 3]),
-            simulations=rollout.begin(env_state, self.policies, len(keys), stagger(split[:, 1]).reshape(-1)),
+            members=member_map(self._initial_member)(split[:, 2], split[:, 3]),
+            simulations=rollout.begin(
+                env_state, self.policies, len(keys), stagger(split[:, 1]).reshape(-1), self.partners
+            ),
             update=jnp.zeros((), jnp.int32),
         )
 
-    def update(self, state: TrainState, hyper: Hyper) -> tuple[TrainState, Metrics]:
-        """Collect one rollout and learn from it; metrics are [M]."""
+    def update(self, state: TrainState, hyper: Hyper, partners: Any = ()) -> tuple[TrainState, Metrics]:
+        """Collect one rollout and learn from it; metrics are [M], `partners` the parameters of frozen partners."""
+        state, batch, keys = self.collect(state, partners)
         count = state.update.astype(jnp.float32)
         if self.config.anneal_lr:
             rate = hyper.learning_rate * (1.0 - count / self.updates)
             hyper = dataclasses.replace(hyper, learning_rate=rate)
+        batch = rollout.by_member(batch, len(keys))
+        members, metrics = member_map(self._learn)(state.members, batch, hyper, keys)
+        return TrainState(members, state.simulations, state.update + 1), metrics
+
+    def collect(self, state: TrainState, partners: Any = ()) -> tuple[TrainState, Batch, jax.Array]:
+        """Return the state after a rollout, the rollout, and the keys [M] to learn from it with."""
         keys = jax.vmap(lambda key: jax.random.split(key, 4))(state.members.key)
-        fresh = self.env.reset(self._simulation_keys(keys[:, 0]), state.simulations.env.params)
+        fresh = self.env.reset(rollout.simulation_keys(keys[:, 0], self.config.num_envs), state.simulations.env.params)
         act_keys = jax.vmap(lambda key: jax.random.split(key, self.config.rollout_steps), out_axes=1)(keys[:, 1])
         simulations, batch = rollout.collect(
-            self.env, self.policies, self.policy_params(state.members), act_keys, state.simulations, fresh, self.inputs
+            self.env,
+            self.policies,
+            self.policy_params(state.members),
+            act_keys,
+            state.simulations,
+            fresh,
+            self.inputs,
+            self.partners,
+            partners,
         )
         members = dataclasses.replace(state.members, key=keys[:, 3])
-        batch = rollout.by_member(batch, len(keys))
-        members, metrics = rollout.member_map(self._learn)(members, batch, hyper, keys[:, 2])
-        return TrainState(members, simulations, state.update + 1), metrics
+        return dataclasses.replace(state, members=members, simulations=simulations), batch, keys[:, 2]
 
     def policy_params(self, members: MemberState) -> dict[str, Params]:
         """Return parameters as `Policy` reads them, by role; leaves [M, ...]."""
-        return {
-            role: self._with_normaliser(role, members, learner.networks["actor"])
-            for role, learner in members.learners.items()
-        }
+        params = {}
+        for name, roles in self.learners.items():
+            for role in roles:
+                actor = self._actor(role, members.learners[name].networks["actor"])
+                params[role] = self._with_normaliser(role, members, actor)
+        return params
 
     def _initial_member(self, key: jax.Array, carried: jax.Array) -> MemberState:
         learners = {}
-        for role, role_key in zip(ROLES, jax.random.split(key, len(ROLES)), strict=True):
-            actor, critic = jax.random.split(role_key)
-            networks = {"actor": self.policies[role].init(actor), "critic": self.critics[role].init(critic)}
+        # As many keys as there are roles, whoever learns: a robot starts the same with partners as in a team.
+        keys: dict[str, jax.Array] = dict(zip(ROLES, jax.random.split(key, len(ROLES)), strict=True))
+        for name, roles in self.learners.items():
+            actor, critic = jax.random.split(keys[roles[0]])
+            networks = {"actor": self._network(roles).init(actor), "critic": self._value_network(roles).init(critic)}
             networks["actor"].pop("normaliser", None)
-            learners[role] = Learner(
+            learners[name] = Learner(
                 networks=networks,
-                optimisers={name: _optimiser(self.config, 1.0).init(params) for name, params in networks.items()},
-                critic_carry=self.critics[role].initial_carry((self.config.num_envs,)),
+                optimisers={part: _optimiser(self.config, 1.0).init(params) for part, params in networks.items()},
+                critic_carry={role: self.critics[role].initial_carry((self.config.num_envs,)) for role in roles},
             )
         statistics = {name: normaliser.empty(self.env.observation_size[name]) for name in self.inputs}
         return MemberState(learners, statistics, carried)
@@ -153,27 +184,43 @@ class PPO:
         The statistics change only after learning: within an update, probability ratios compare policies that read
         the same normalised observations, and start at exactly 1.
         """
-        learners, metrics = {}, _episode_metrics(batch)
-        for role, role_key in zip(ROLES, jax.random.split(key, len(ROLES)), strict=True):
-            learners[role], losses = self._learn_role(role, member, batch, hyper, role_key)
-            metrics |= {f"{name}_{role}": value for name, value in losses.items()}
+        learners, metrics = {}, rollout.episode_metrics(batch)
+        keys: dict[str, jax.Array] = dict(zip(ROLES, jax.random.split(key, len(ROLES)), strict=True))
+        for name, roles in self.learners.items():
+            learners[name], losses = self._learn_role(name, member, batch, hyper, keys[roles[0]])
+            metrics |= losses
         statistics = member.statistics
         if self.config.normalise:
             statistics = {name: normaliser.update(statistics[name], batch.obs[name]) for name in self.inputs}
         return MemberState(learners, statistics, member.key), metrics
 
     def _learn_role(
-        self, role: str, member: MemberState, batch: Batch, hyper: Hyper, key: jax.Array
+        self, name: str, member: MemberState, batch: Batch, hyper: Hyper, key: jax.Array
     ) -> tuple[Learner, Metrics]:
-        learner, name = member.learners[role], self.critic_input[role]
+        """Improve a role's networks, or those that both share; return them and what to log."""
+        learner = member.learners[name]
+        samples, carries, critic_carry, explained = {}, {}, {}, {}
+        for role in self.learners[name]:
+            critic_carry[role], samples[role] = self._samples(role, member, learner, batch, hyper)
+            carries[role] = (batch.carry[role], learner.critic_carry[role])
+            advantage, target = samples[role].advantage, samples[role].target
+            explained[f"explained_variance_{role}"] = 1.0 - jnp.var(advantage) / (jnp.var(target) + 1e-8)
+        networks, optimisers, losses = self._descend(name, member, samples, carries, hyper, key)
+        return Learner(networks, optimisers, critic_carry), losses | explained
+
+    def _samples(
+        self, role: str, member: MemberState, learner: Learner, batch: Batch, hyper: Hyper
+    ) -> tuple[Carry, "_Samples"]:
+        """Return the critic's carry after the batch, and what the role learns from."""
+        name = self.critic_input[role]
         stats = normaliser.to_params(member.statistics[name])
         obs, final_obs, last_obs = (x[name] for x in (batch.obs, batch.final_obs, batch.last_obs))
         if self.config.normalise:
             obs, final_obs, last_obs = (normalise(stats, x) for x in (obs, final_obs, last_obs))
         carry, value, next_value = gae.values(
             self.critics[role],
-            learner.networks["critic"],
-            learner.critic_carry,
+            self._critic_params(role, learner.networks["critic"]),
+            learner.critic_carry[role],
             obs,
             batch.first,
             batch.truncated,
@@ -184,7 +231,7 @@ class PPO:
         advantage = gae.advantages(
             batch.reward, value, next_value, batch.terminated, batch.truncated, hyper.gamma, hyper.gae_lambda
         )
-        samples = _Samples(
+        return carry, _Samples(
             obs=batch.obs[role],
             critic_obs=obs,
             first=batch.first,
@@ -193,29 +240,30 @@ class PPO:
             advantage=advantage,
             target=advantage + value,
         )
-        carries = (batch.carry[role], learner.critic_carry)
-        networks, optimisers, losses = self._descend(role, member, samples, carries, hyper, key)
-        losses["explained_variance"] = 1.0 - jnp.var(advantage) / (jnp.var(samples.target) + 1e-8)
-        return Learner(networks, optimisers, carry), losses
 
     def _descend(
-        self, role: str, member: MemberState, samples: "_Samples", carries: Any, hyper: Hyper, key: jax.Array
+        self,
+        name: str,
+        member: MemberState,
+        samples: "dict[str, _Samples]",
+        carries: dict[str, tuple[Carry, Carry]],
+        hyper: Hyper,
+        key: jax.Array,
     ) -> tuple[dict[str, Params], dict[str, Any], Metrics]:
         """Take a step for each minibatch of each epoch; a minibatch is a random set of whole simulations."""
-        config, learner = self.config, member.learners[role]
+        config, learner = self.config, member.learners[name]
 
         def descend(state: tuple[Any, Any], rows: jax.Array) -> tuple[tuple[Any, Any], Metrics]:
             networks, optimisers = state
             part = jax.tree.map(lambda leaf: jnp.take(leaf, rows, axis=1, mode="clip"), samples)
             part_carries = jax.tree.map(lambda leaf: jnp.take(leaf, rows, axis=0, mode="clip"), carries)
-            gradients, losses = jax.grad(self._loss, argnums=1, has_aux=True)(
-                role, networks, member, part, part_carries, hyper
-            )
-            for name in networks:
-                losses[f"{name}_grad_norm"] = optax.tree.norm(gradients[name])
-                steps, optimiser = _optimiser(config, hyper.max_grad_norm).update(gradients[name], optimisers[name])
-                networks = {**networks, name: _descended(networks[name], steps, hyper.learning_rate)}
-                optimisers = {**optimisers, name: optimiser}
+            gradients, losses = jax.grad(self._loss, has_aux=True)(networks, member, part, part_carries, hyper)
+            for part_name in networks:
+                gradient = gradients[part_name]
+                losses[f"{part_name}_grad_norm_{name}"] = optax.tree.norm(gradient)
+                steps, optimiser = _optimiser(config, hyper.max_grad_norm).update(gradient, optimisers[part_name])
+                networks = {**networks, part_name: _descended(networks[part_name], steps, hyper.learning_rate)}
+                optimisers = {**optimisers, part_name: optimiser}
             return (networks, optimisers), losses
 
         keys = jax.random.split(key, config.epochs)
@@ -226,6 +274,22 @@ class PPO:
 
     def _loss(
         self,
+        networks: dict[str, Params],
+        member: MemberState,
+        samples: "dict[str, _Samples]",
+        carries: dict[str, tuple[Carry, Carry]],
+        hyper: Hyper,
+    ) -> tuple[jax.Array, Metrics]:
+        """Return the loss, its mean over roles where they share networks, and what to log."""
+        loss, metrics = jnp.zeros(()), {}
+        for role, part in samples.items():
+            role_loss, logged = self._role_loss(role, networks, member, part, carries[role], hyper)
+            loss = loss + role_loss / len(samples)
+            metrics |= {f"{name}_{role}": value for name, value in logged.items()}
+        return loss, metrics
+
+    def _role_loss(
+        self,
         role: str,
         networks: dict[str, Params],
         member: MemberState,
@@ -234,9 +298,10 @@ class PPO:
         hyper: Hyper,
     ) -> tuple[jax.Array, Metrics]:
         """Return the clipped surrogate loss with value loss and entropy bonus, and what to log."""
-        actor = self._with_normaliser(role, member, networks["actor"])
+        actor = self._with_normaliser(role, member, self._actor(role, networks["actor"]))
+        critic = self._critic_params(role, networks["critic"])
         _, gaussian = self.policies[role].unroll(actor, carries[0], samples.obs, samples.first)
-        _, value = self.critics[role].unroll(networks["critic"], carries[1], samples.critic_obs, samples.first)
+        _, value = self.critics[role].unroll(critic, carries[1], samples.critic_obs, samples.first)
         log_ratio = gaussian.log_prob(samples.raw) - samples.log_prob
         ratio = jnp.exp(log_ratio)
         advantage = (samples.advantage - samples.advantage.mean()) / (samples.advantage.std() + 1e-8)
@@ -253,27 +318,37 @@ class PPO:
             "clip_fraction": (jnp.abs(ratio - 1.0) > hyper.clip_eps).mean(),
         }
 
+    def _network(self, roles: tuple[str, ...]) -> Policy:
+        """Return the network that is initialised: a role's own, or the one that roles share."""
+        if len(roles) == 1:
+            return self.policies[roles[0]]
+        sizes = {role: self.specs[role] for role in roles}
+        width = sharing.padded_size({role: spec.observation_size for role, spec in sizes.items()})
+        actions = max(spec.action_size for spec in sizes.values())
+        return Policy(dataclasses.replace(sizes[roles[0]], observation_size=width, action_size=actions))
+
+    def _value_network(self, roles: tuple[str, ...]) -> Critic:
+        if len(roles) == 1:
+            return self.critics[roles[0]]
+        return self._critic(sharing.padded_size({role: self.critics[role].spec.observation_size for role in roles}))
+
+    def _critic(self, observation_size: int) -> Critic:
+        config = self.config
+        return Critic(CriticSpec(observation_size, config.torso, config.hidden, config.activation))
+
+    def _actor(self, role: str, params: Params) -> Params:
+        """Return a role's ordinary parameters; leading axes of the leaves are free."""
+        if not self.config.shared:
+            return params
+        return sharing.fold(params, role, self.specs[role].observation_size, self.specs[role].action_size)
+
+    def _critic_params(self, role: str, params: Params) -> Params:
+        return sharing.fold(params, role, self.critics[role].spec.observation_size) if self.config.shared else params
+
     def _with_normaliser(self, role: str, member: MemberState, actor: Params) -> Params:
         if not self.config.normalise:
             return actor
         return {**actor, "normaliser": normaliser.to_params(member.statistics[role])}
-
-    def _simulation_keys(self, keys: jax.Array) -> jax.Array:
-        """Return one key for each simulation [N] from one for each member [M]."""
-        return jax.vmap(lambda key: jax.random.split(key, self.config.num_envs))(keys).reshape(-1)
-
-
-def policy_specs(config: PPOConfig, env: Environment) -> dict[str, PolicySpec]:
-    """Return the network shapes of both roles."""
-    names = ("torso", "hidden", "activation", "squash", "std", "normalise")
-    shared = {name: getattr(config, name) for name in names}
-    return {role: PolicySpec(role, env.observation_size[role], env.action_size[role], **shared) for role in ROLES}
-
-
-def hyperparameters(config: PPOConfig, members: Sequence[Member]) -> Hyper:
-    """Return the traced hyperparameters of every member: the config's, or its own."""
-    rows = {name: [member.overrides.get(name, getattr(config, name)) for member in members] for name in TRACED}
-    return Hyper(**{name: jnp.asarray(values, jnp.float32) for name, values in rows.items()})
 
 
 @jax.tree_util.register_dataclass
@@ -300,15 +375,3 @@ def _optimiser(config: PPOConfig, max_grad_norm: jax.Array | float) -> optax.Gra
 
 def _descended(params: Params, steps: Any, learning_rate: jax.Array) -> Params:
     return jax.tree.map(lambda leaf, step: leaf - learning_rate * step, params, steps)
-
-
-def _episode_metrics(batch: Batch) -> Metrics:
-    """Return the mean sums of the whole episodes that ended (NaN without any), and counts."""
-    finished = batch.finished.sum()
-    means = {name: value.sum() / finished for name, value in batch.finished_sums.items()}
-    return {
-        **means,
-        "episodes": finished,
-        "reward": batch.reward.mean(),
-        "nonfinite": batch.nonfinite.sum(),
-    }

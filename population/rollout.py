@@ -1,7 +1,7 @@
 """Collecting a chunk of experience from all simulations of all members."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Protocol
 
@@ -9,10 +9,15 @@ import jax
 import jax.numpy as jnp
 
 from assistax_envs import select
+from population.config import TrainerConfig
+from population.mapping import member_map
 from population.networks import Carry, Params
-from population.policy import Policy
+from population.partners import Partners
+from population.policy import Gaussian, Policy
+from population.spec import ROLES, PolicySpec, Role
 
 EnvState = Any  # the environment's own state; axis N first in every leaf
+Sampler = Callable[[Gaussian, jax.Array], jax.Array]  # draws raw actions with a key
 
 
 class Environment(Protocol):
@@ -45,6 +50,7 @@ class Simulations:
 
     env: EnvState
     carry: dict[str, Carry]  # of the actors, by role [M, N/M, ...]
+    partners: Carry  # carries of frozen partners; () without any
     first: jax.Array  # whether the current observation starts an episode [N]
     episodes: Episodes
 
@@ -70,24 +76,6 @@ class Batch:
     nonfinite: jax.Array  # number of simulations that diverged [N]
 
 
-def member_map(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Map over the leading member axis of all arguments.
-
-    Vectorised on accelerators. On a CPU members are taken in turn: a product of plain matrices is faster there than a
-    batched one.
-    """
-
-    def mapped(*args: Any) -> Any:
-        if jax.default_backend() != "cpu":
-            return jax.vmap(function)(*args)
-        if jax.tree.leaves(args)[0].shape[0] == 1:
-            result = function(*jax.tree.map(lambda leaf: leaf[0], args))
-            return jax.tree.map(lambda leaf: leaf[None], result)
-        return jax.lax.map(lambda args: function(*args), args)
-
-    return mapped
-
-
 def split(tree: Any, members: int) -> Any:
     """Reshape the simulation axis [N, ...] of every leaf to [M, N/M, ...]."""
     return jax.tree.map(lambda leaf: leaf.reshape(members, leaf.shape[0] // members, *leaf.shape[1:]), tree)
@@ -98,7 +86,9 @@ def flatten(tree: Any) -> Any:
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), tree)
 
 
-def begin(env: EnvState, policies: Mapping[str, Policy], members: int, stagger: jax.Array) -> Simulations:
+def begin(
+    env: EnvState, policies: Mapping[str, Policy], members: int, stagger: jax.Array, partners: Partners | None = None
+) -> Simulations:
     """Return simulations at the states of `env`, their step counters set to `stagger` [N].
 
     Staggered episodes reach their time limits at different steps, so that every batch holds all phases of an episode.
@@ -108,6 +98,7 @@ def begin(env: EnvState, policies: Mapping[str, Policy], members: int, stagger: 
     return Simulations(
         env=dataclasses.replace(env, step=stagger.astype(env.step.dtype)),
         carry={role: policy.initial_carry((members, simulations // members)) for role, policy in policies.items()},
+        partners=partners.initial_carry(simulations) if partners else (),
         first=jnp.ones(simulations, bool),
         episodes=Episodes(whole=stagger == 0, sums=jax.tree.map(jnp.zeros_like, sums)),
     )
@@ -121,6 +112,9 @@ def collect(
     state: Simulations,
     fresh: EnvState,
     inputs: tuple[str, ...],
+    partners: Partners | None = None,
+    partner_params: Any = (),
+    sample: Sampler = Gaussian.sample,
 ) -> tuple[Simulations, Batch]:
     """Act for T steps in all simulations; an episode that ends goes on from its simulation's state in `fresh`.
 
@@ -132,9 +126,12 @@ def collect(
         state: The simulations.
         fresh: Reset states [N]; T must not exceed the episode length, so that each is needed once.
         inputs: Names of the observations that the learners read.
+        partners: Who acts in the role that has no policy here.
+        partner_params: Their parameters.
+        sample: How raw actions are drawn.
     """
     members = keys.shape[1]
-    act = member_map(partial(_act, policies))
+    act = member_map(partial(_act, policies, sample))
     zeros = jax.tree.map(jnp.zeros_like, (state.episodes.sums, {name: state.env.obs[name] for name in inputs}))
     count = jnp.zeros(state.first.shape, jnp.int32)
 
@@ -143,6 +140,12 @@ def collect(
         obs = {role: state.env.obs[role] for role in policies}
         carry, acted = act(params, state.carry, split(obs, members), split(state.first, members), keys)
         action, raw, log_prob = flatten(acted)
+        partner_carry = state.partners
+        if partners:
+            role = partners.role
+            partner_carry, action[role] = partners.act(
+                partner_params, partner_carry, state.env.obs[role], state.first, members
+            )
         after = env.step(state.env, action)
         terminated = after.terminated | after.nonfinite
         truncated = after.truncated & ~terminated
@@ -157,7 +160,7 @@ def collect(
             "terminated": terminated,
             "truncated": truncated,
         }
-        return (Simulations(select(ended, fresh, after), carry, ended, episodes), tally), seen
+        return (Simulations(select(ended, fresh, after), carry, partner_carry, ended, episodes), tally), seen
 
     tally = _Tally(final_obs=zeros[1], finished=count, finished_sums=zeros[0], nonfinite=count)
     (after, tally), seen = jax.lax.scan(step, (state, tally), keys)
@@ -180,6 +183,50 @@ def by_member(batch: Batch, members: int) -> Batch:
     )
 
 
+def episode_metrics(batch: Batch) -> dict[str, jax.Array]:
+    """Return the mean sums of the whole episodes that ended (NaN without any), and counts."""
+    finished = batch.finished.sum()
+    means = {name: value.sum() / finished for name, value in batch.finished_sums.items()}
+    return {
+        **means,
+        "episodes": finished,
+        "reward": batch.reward.mean(),
+        "nonfinite": batch.nonfinite.sum(),
+    }
+
+
+def learning_roles(partners: Partners | None) -> tuple[Role, ...]:
+    """Return the roles that learn: both, or the one that frozen partners leave."""
+    return tuple(role for role in ROLES if not partners or role != partners.role)
+
+
+def policy_specs(config: TrainerConfig, env: Environment, roles: Sequence[Role]) -> dict[str, PolicySpec]:
+    """Return the network shapes of the roles."""
+    names = ("torso", "hidden", "activation", "squash", "std", "normalise")
+    same: dict[str, Any] = {name: getattr(config, name) for name in names}
+    return {role: PolicySpec(role, env.observation_size[role], env.action_size[role], **same) for role in roles}
+
+
+def simulation_keys(keys: jax.Array, num_envs: int) -> jax.Array:
+    """Return one key for each simulation [N] from one for each member [M]."""
+    return jax.vmap(lambda key: jax.random.split(key, num_envs))(keys).reshape(-1)
+
+
+def check(env: Environment, config: TrainerConfig, partners: Partners | None) -> None:
+    """Check that an environment, the trainer's configuration and the partners fit.
+
+    Raises:
+        ValueError: They do not.
+    """
+    if config.rollout_steps > env.episode_length:
+        raise ValueError(
+            f"rollout_steps is {config.rollout_steps}; an episode of {env.task} has {env.episode_length} steps, "
+            "so choose at most that many"
+        )
+    if partners:
+        partners.check(env, config.num_envs)
+
+
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class _Tally:
@@ -191,6 +238,7 @@ class _Tally:
 
 def _act(
     policies: Mapping[str, Policy],
+    sample: Sampler,
     params: dict[str, Params],
     carries: dict[str, Carry],
     obs: dict[str, jax.Array],
@@ -201,7 +249,7 @@ def _act(
     carry, action, raw, log_prob = {}, {}, {}, {}
     for role, role_key in zip(policies, jax.random.split(key, len(policies)), strict=True):
         carry[role], gaussian = policies[role].step(params[role], carries[role], obs[role], first)
-        raw[role] = gaussian.sample(role_key)
+        raw[role] = sample(gaussian, role_key)
         action[role], log_prob[role] = gaussian.action(raw[role]), gaussian.log_prob(raw[role])
     return carry, (action, raw, log_prob)
 

@@ -17,11 +17,11 @@ import numpy as np
 import polars as pl
 import safetensors.numpy
 
-from population.config import Member, TrainConfig
+from population.config import Member, PPOConfig, TrainConfig, TrainerConfig
 from population.spec import PolicySpec
 
 METADATA_KEY = "assistax"  # safetensors bytes are stable with one metadata key only
-_MAY_CHANGE = ("checkpoint_every", "self_play_episodes")  # when a run goes on; so may "steps", unless they set the rate
+_MAY_CHANGE = ("checkpoint_every", "self_play_episodes")  # when a run goes on; so may "steps", with `_extends`
 _SCHEMA = {"update": pl.Int64, "steps": pl.Int64, "seconds": pl.Float64, "member": pl.Int64, "disability": pl.String}
 _SCHEMA |= {"seed": pl.Int64, "episodes": pl.Int64, "nonfinite": pl.Int64}
 
@@ -57,7 +57,7 @@ class RunFolder:
             raise ValueError(f"{self.folder} already holds a run; resume it, or choose a new folder")
         else:
             found = self._read_config()
-            may_change = (*_MAY_CHANGE, *(() if config.ppo.anneal_lr else ("steps",)))
+            may_change = (*_MAY_CHANGE, *(("steps",) if _extends(config.trainer) else ()))
             if differences := _differences(found, wanted, may_change):
                 raise ValueError(
                     f"{self.folder} holds a run with another configuration: {differences}; "
@@ -189,6 +189,11 @@ def _differences(found: Any, wanted: Any, ignored: Sequence[str], path: str = ""
     if json.dumps(found) == json.dumps(wanted):
         return ""
     return f"{path.removeprefix('config.')} is {_short(found)} there and {_short(wanted)} here"
+
+
+def _extends(trainer: TrainerConfig) -> bool:
+    """Return whether a run may be made longer: its length sets neither learning rate nor the size of a replay."""
+    return isinstance(trainer, PPOConfig) and not trainer.anneal_lr
 
 
 def _short(value: Any) -> str:

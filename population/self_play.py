@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
+from population.mapping import member_map
 from population.networks import Params
 from population.policy import Policy
-from population.rollout import Environment, flatten, member_map, split
+from population.rollout import Environment, flatten, split
 
 _RESAMPLES = 2000
 _LEVEL = 95.0

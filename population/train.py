@@ -5,10 +5,10 @@ import datetime
 import importlib.metadata
 import time
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -17,15 +17,61 @@ import polars as pl
 
 from assistax_envs import disability_params
 from population.checkpoints import Checkpoints
-from population.config import Member, TrainConfig
-from population.ppo import PPO, Hyper, Metrics, TrainState, hyperparameters
+from population.config import MIXED, Member, PPOConfig, TrainConfig
+from population.networks import Params
+from population.partners import Partners
+from population.policy import Policy
+from population.ppo import PPO
 from population.rollout import Environment
 from population.runs import RunFolder, metrics_table
+from population.sac import SAC
 from population.self_play import self_play
+from population.spec import PolicySpec
 
 _SELF_PLAY = 1  # folded into a member's key: episodes of the final evaluation
-_LOSSES = ("policy_loss", "value_loss", "entropy", "actor_grad_norm", "critic_grad_norm")
+_LOSSES = ("policy_loss", "value_loss", "q_loss", "entropy", "alpha", "actor_grad_norm", "critic_grad_norm")
 _LIBRARIES = ("jax", "flax", "optax", "mujoco")
+
+
+Metrics = dict[str, jax.Array]
+
+
+class State(Protocol):
+    """Training state: a pytree that holds at least these."""
+
+    @property
+    def members(self) -> Any: ...
+    @property
+    def update(self) -> jax.Array: ...
+
+
+class Trainer(Protocol):
+    """An algorithm for many members at once; `PPO` and `SAC` are two."""
+
+    env: Environment
+    specs: dict[str, PolicySpec]  # of the roles that learn
+    policies: dict[str, Policy]
+    partners: Partners | None
+
+    def initial(self, keys: jax.Array, env_params: Any) -> Any:
+        """Return the state before the first update, for member keys [M] and simulations [N]."""
+        ...
+
+    def update(self, state: Any, hyper: Any, partners: Any = ()) -> tuple[Any, Metrics]:
+        """Collect and learn once; metrics are [M]."""
+        ...
+
+    def collect(self, state: Any, partners: Any = ()) -> tuple[Any, Any, jax.Array]:
+        """Return the state after a rollout, the rollout, and the keys [M] to learn from it with."""
+        ...
+
+    def hyper(self, members: Sequence[Member]) -> Any:
+        """Return the traced hyperparameters [M]."""
+        ...
+
+    def policy_params(self, members: Any) -> dict[str, Params]:
+        """Return parameters as `Policy` reads them, leaves [M, ...], by role."""
+        ...
 
 
 class DivergedError(ValueError):
@@ -50,16 +96,23 @@ def train(
     env: Environment,
     folder: Path | str,
     *,
+    partners: Partners | None = None,
     resume: bool = True,
+    stop_on_divergence: bool = True,
     progress: Callable[[Progress], None] | None = None,
 ) -> Path:
     """Train the members of a run and return its folder; a run that was interrupted goes on to the same result.
+
+    With partners, who are frozen, a member is an ego in the other seat.
 
     Args:
         config: What to train.
         env: The environment of `config.task`.
         folder: Where the run is kept: configuration, checkpoints, metrics, and at the end the teams.
+        partners: Those that `config.partners` names.
+        partners: Who sits in the other seat, the same as `config.partners` names.
         resume: Whether to go on with a run that the folder holds.
+        stop_on_divergence: Whether a loss that is not finite ends the run; if not, that member goes on to no good.
         progress: Called after every dispatch to the device.
 
     Raises:
@@ -69,19 +122,46 @@ def train(
     """
     if env.task != config.task:
         raise ValueError(f"the environment's task is {env.task!r}, the run's is {config.task!r}; give the same task")
-    ppo = PPO(config.ppo, env, config.updates)
-    env_params = disability_params([member.disability for member in config.members])
+    if config.partners != (partners.names if partners else ()):
+        raise ValueError("the partners given are not those that the configuration names; give the same, in its order")
+    for member in config.members:
+        if (member.disability == MIXED) != bool(partners):
+            raise ValueError(
+                f"member {member.label} has disability {member.disability!r}; an ego with partners has {MIXED!r}, "
+                "because each partner brings its own, and a team has one of d1 to d9"
+            )
+    trainer = make_trainer(config, env, partners)
     run = RunFolder(folder)
     run.open(config, {"version": env.version, "backend": env.backend}, resume)
     checkpoints = Checkpoints(run.checkpoints)
     try:
-        state, metrics = _load(config, ppo, env_params, run, checkpoints)
-        state, metrics = _loop(config, ppo, state, metrics, run, checkpoints, progress)
+        state, metrics = _load(config, trainer, run, checkpoints)
+        state, metrics = _loop(config, trainer, state, metrics, run, checkpoints, progress, stop_on_divergence)
     finally:
         checkpoints.close()
     if not run.teams.exists():
-        _finish(config, ppo, env_params, state, metrics, run)
+        _finish(config, trainer, state, metrics, run)
     return run.folder
+
+
+def make_trainer(config: TrainConfig, env: Environment, partners: Partners | None = None) -> Trainer:
+    """Return the trainer of a run."""
+    if isinstance(config.trainer, PPOConfig):
+        return PPO(config.trainer, env, config.updates, partners)
+    return SAC(config.trainer, env, config.updates, partners)
+
+
+def initial_state(config: TrainConfig, trainer: Trainer) -> Any:
+    """Return the state of a run before its first update."""
+    keys = jnp.stack([member_key(member) for member in config.members])
+    simulations, partners = config.trainer.num_envs, trainer.partners
+    settings = [
+        setting
+        for member in config.members
+        for setting in (partners.settings(simulations) if partners else [member.disability] * simulations)
+    ]
+    # Copied, so that no two leaves share a buffer: each is donated to the first update.
+    return jax.tree.map(jnp.copy, jax.jit(trainer.initial)(keys, disability_params(settings)))
 
 
 def member_key(member: Member) -> jax.Array:
@@ -90,47 +170,46 @@ def member_key(member: Member) -> jax.Array:
 
 
 def _load(
-    config: TrainConfig, ppo: PPO, env_params: Any, run: RunFolder, checkpoints: Checkpoints
-) -> tuple[TrainState, list[pl.DataFrame]]:
+    config: TrainConfig, trainer: Trainer, run: RunFolder, checkpoints: Checkpoints
+) -> tuple[State, list[pl.DataFrame]]:
     """Return the state and metrics of the newest checkpoint, or of the beginning."""
-    keys = jnp.stack([member_key(member) for member in config.members])
-    simulations = jax.tree.map(lambda leaf: jnp.repeat(leaf, config.ppo.num_envs, axis=0), env_params)
-    # Copied, so that no two leaves share a buffer: each is donated to the first update.
-    state = jax.tree.map(jnp.copy, jax.jit(ppo.initial)(keys, simulations))
+    state = initial_state(config, trainer)
     done = checkpoints.latest()
     if done is None:
         return state, []
     if done > config.updates:
-        steps = done * config.ppo.batch_steps
+        steps = done * config.trainer.batch_steps
         raise ValueError(f"{run.folder} has already trained {steps} steps; ask for at least that many")
     return checkpoints.restore(done, state), [run.read_metrics(done)]
 
 
 def _loop(
     config: TrainConfig,
-    ppo: PPO,
-    state: TrainState,
+    trainer: Trainer,
+    state: State,
     metrics: list[pl.DataFrame],
     run: RunFolder,
     checkpoints: Checkpoints,
     progress: Callable[[Progress], None] | None,
-) -> tuple[TrainState, pl.DataFrame]:
+    stop_on_divergence: bool,
+) -> tuple[State, pl.DataFrame]:
     """Update until the run is done, saving metrics and then the state every `checkpoint_every` updates."""
-    advance = jax.jit(partial(_advance, ppo), static_argnames="updates", donate_argnames="state")
-    hyper = hyperparameters(config.ppo, config.members)
+    advance = jax.jit(partial(_advance, trainer), static_argnames="updates", donate_argnames="state")
+    hyper = trainer.hyper(config.members)
+    partners = trainer.partners.params if trainer.partners else ()
     done = int(state.update)
     if done < config.updates:
         run.teams.unlink(missing_ok=True)
     clock = _Clock(float(metrics[-1]["seconds"][-1]) if metrics else 0.0, done)
     while done < config.updates:
         updates = min(config.updates_per_call, config.updates - done)
-        state, values = advance(state, hyper, updates=updates)
+        state, values = advance(state, hyper, partners, updates=updates)
         values = jax.device_get(values)
-        rows = metrics_table(values, config.members, done, config.ppo.batch_steps, clock.seconds())
+        rows = metrics_table(values, config.members, done, config.trainer.batch_steps, clock.seconds())
         metrics.append(rows)
         done += updates
         saving = done // config.checkpoint_every > (done - updates) // config.checkpoint_every or done == config.updates
-        if bad := _diverged(values, config):
+        if stop_on_divergence and (bad := _diverged(values)):
             run.write_metrics(pl.concat(metrics))
             raise DivergedError(_divergence(bad, rows, config, checkpoints))
         if saving:
@@ -142,8 +221,8 @@ def _loop(
     return state, pl.concat(metrics)
 
 
-def _advance(ppo: PPO, state: TrainState, hyper: Hyper, *, updates: int) -> tuple[TrainState, Metrics]:
-    return jax.lax.scan(lambda state, _: ppo.update(state, hyper), state, length=updates)
+def _advance(trainer: Trainer, state: State, hyper: Any, partners: Any, *, updates: int) -> tuple[State, Metrics]:
+    return jax.lax.scan(lambda state, _: trainer.update(state, hyper, partners), state, length=updates)
 
 
 class _Clock:
@@ -161,13 +240,13 @@ class _Clock:
         now = time.perf_counter()
         since, start = self._first or (self._start, self._done)
         self._first = self._first or (now, done)
-        batch = config.ppo.batch_steps * len(config.members)
+        batch = config.trainer.batch_steps * len(config.members)
         speed = (done - start) * batch / (now - since)
         total = config.updates * batch
         return Progress(done, config.updates, done * batch, total, speed, (total - done * batch) / speed, rows)
 
 
-def _diverged(values: Mapping[str, np.ndarray], config: TrainConfig) -> tuple[str, int] | None:
+def _diverged(values: Mapping[str, np.ndarray]) -> tuple[str, int] | None:
     """Return the first metric that is not finite and the member it belongs to."""
     for name, value in values.items():
         if name.startswith(_LOSSES) and not np.isfinite(value).all():
@@ -179,36 +258,36 @@ def _divergence(bad: tuple[str, int], rows: pl.DataFrame, config: TrainConfig, c
     name, index = bad
     member, last = config.members[index], checkpoints.latest()
     kept = f"the last good checkpoint is of update {last}" if last else "no checkpoint was written yet"
-    rate = member.overrides.get("learning_rate", config.ppo.learning_rate)
+    rates = {name: member.overrides.get(name, getattr(config.trainer, name)) for name in config.trainer.rates}
+    lower = ", ".join(f"{name} below {rate:g}" for name, rate in rates.items())
     return (
         f"training diverged: {name} of member {member.label} is {rows[name][index]} "
         f"by update {rows['update'].max()}; {kept} in {checkpoints.folder}; "
-        f"start a new run with a learning_rate below {rate:g} or a max_grad_norm below {config.ppo.max_grad_norm:g}"
+        f"start a new run with a {lower} or a max_grad_norm below {config.trainer.max_grad_norm:g}"
     )
 
 
-def _finish(
-    config: TrainConfig, ppo: PPO, env_params: Any, state: TrainState, metrics: pl.DataFrame, run: RunFolder
-) -> None:
-    """Evaluate the final policies in self-play and write the teams."""
-    params = jax.jit(ppo.policy_params)(state.members)
+def _finish(config: TrainConfig, trainer: Trainer, state: State, metrics: pl.DataFrame, run: RunFolder) -> None:
+    """Evaluate the final policies in self-play, unless they are egos, and write them."""
+    params = jax.jit(trainer.policy_params)(state.members)
     results: list[dict[str, Any] | None] = [None] * len(config.members)
-    if config.self_play_episodes:
+    if config.self_play_episodes and not trainer.partners:
         keys = jnp.stack([jax.random.fold_in(member_key(member), _SELF_PLAY) for member in config.members])
-        results[:] = self_play(ppo.env, ppo.policies, params, env_params, keys, config.self_play_episodes)
-    training = _provenance(config, ppo.env, float(metrics["seconds"][-1]))
-    run.write_teams(config, ppo.specs, jax.device_get(params), training, results)
+        env_params = disability_params([member.disability for member in config.members])
+        results[:] = self_play(trainer.env, trainer.policies, params, env_params, keys, config.self_play_episodes)
+    training = _provenance(config, trainer.env, float(metrics["seconds"][-1]))
+    run.write_teams(config, trainer.specs, jax.device_get(params), training, results)
 
 
 def _provenance(config: TrainConfig, env: Environment, seconds: float) -> Mapping[str, Any]:
     """Return what a registry says about a run."""
     return {
-        "steps": config.updates * config.ppo.batch_steps,
+        "steps": config.updates * config.trainer.batch_steps,
         "env_version": env.version,
         "backend": env.backend,
         "date": datetime.date.today().isoformat(),
         "device": jax.devices()[0].device_kind,
         "seconds": round(seconds, 1),
         "versions": {name: importlib.metadata.version(name) for name in _LIBRARIES},
-        "hyperparameters": {**dataclasses.asdict(config.ppo), "hidden": list(config.ppo.hidden)},
+        "hyperparameters": {**dataclasses.asdict(config.trainer), "hidden": list(config.trainer.hidden)},
     }

@@ -53,6 +53,26 @@ class ImmutableError(PublishError):
     """A publication that would change what is already published."""
 
 
+class ForeignError(ZooError):
+    """A foreign policy that was asked for as if it were one of ours, or an import that was refused."""
+
+
+class RemoteError(ZooError):
+    """A remote that cannot be reached, or does not hold what was asked of it."""
+
+
+class OfflineError(RemoteError):
+    """Something that only a remote has, asked for in offline mode."""
+
+
+class CacheError(ZooError):
+    """A cache that cannot be written."""
+
+
+class LockError(ZooError):
+    """A lock file that is malformed, or something else than what it pins."""
+
+
 def nearest(wanted: str, known: Iterable[str], count: int = 3) -> list[str]:
     """Return up to `count` known names that look most like the wanted one, best first."""
     return difflib.get_close_matches(wanted, sorted(known), n=count, cutoff=0.5)

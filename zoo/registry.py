@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from zoo.cache import cached_shard
 from zoo.errors import RegistryError, RegistryVersionError, SplitError, listing, nearest, shorten
 from zoo.files import atomic_write, read_registry_text, registry_path, shard_root
 from zoo.ids import parse_team
@@ -22,6 +23,7 @@ class Registry:
     data: RegistryFile
     path: Path
     policies: list[PolicyEntry] = dataclasses.field(repr=False)  # by task, algorithm, disability, seed, release, role
+    lock: str | None = None  # sha256 of the lock file that it was narrowed down to, see `zoo.lock`
 
     @property
     def release(self) -> str:
@@ -34,8 +36,12 @@ class Registry:
         return self.data.splits
 
     def shard_path(self, shard: str) -> Path:
-        """Return where a shard lies on this machine."""
-        return shard_root(self.path) / shard
+        """Return where a shard lies on this machine: beside the registry, else in the cache if it was fetched."""
+        beside = shard_root(self.path) / shard
+        if beside.is_file() or shard not in self.data.shards:
+            return beside
+        fetched = cached_shard(self.data.shards[shard].sha256)
+        return fetched if fetched.is_file() else beside
 
     def policy(self, policy_id: str) -> PolicyEntry:
         """Return one policy by its id.

@@ -25,11 +25,14 @@ def create_split(
 
     Raises:
         SplitError: The rule cannot be applied to the partners of the release.
-        LeakageError: A team, or the same parameters, would stand on both sides.
+        LeakageError: A team, the same parameters, or humans that act nearly alike would stand on both sides.
     """
+    from zoo.behaviour import similar_leak, similar_pairs  # storage, which it reads, stands above this module
+
     path = Path(registry_path)
     with exclusive(path.parent):
-        data = load_registry(path).data
+        registry = load_registry(path)
+        data = registry.data
         release = release or data.release
         partners = [team for team in partner_teams(data, release) if parse_team(team).task == task]
         if not partners:
@@ -38,6 +41,9 @@ def create_split(
         pairs = shared_parameters(split.train, split.test, data.teams)
         if pairs:
             refuse_leak(split.id, pairs)
+        alike = similar_pairs(registry, split)
+        if alike:
+            raise similar_leak(split.id, alike)
         if split not in data.splits:
             save_registry(data.model_copy(update={"splits": (*data.splits, split)}), path)
         return split

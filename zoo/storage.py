@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from population.spec import PolicySpec
+from zoo.cache import cached_row
 from zoo.errors import FormatError, IntegrityError, shorten
 from zoo.files import atomic_write, sha256
 from zoo.registry import Registry
@@ -46,18 +47,41 @@ def load_group(registry: Registry, entries: Iterable[PolicyEntry]) -> list[Polic
     """Return the parameters of the entries, one group for each spec, in the order requested.
 
     Groups come in the order in which their specs first occur. Every shard's sha256 and every returned row's sha256
-    is held against the registry.
+    is held against the registry. Of a shard that is not on this machine, policies that were fetched on their own do.
 
     Raises:
         IntegrityError: A shard is missing or its bytes are not those of the registry.
         FormatError: A shard's content contradicts the registry.
     """
     entries = list(entries)
-    shards = {path: read_shard(registry, path) for path in dict.fromkeys(entry.shard for entry in entries)}
+    places = _read_places(registry, entries)
     groups: dict[PolicySpec, list[PolicyEntry]] = {}
     for entry in entries:
         groups.setdefault(entry.spec, []).append(entry)
-    return [_merge(spec, members, shards) for spec, members in groups.items()]
+    return [_merge(spec, members, places) for spec, members in groups.items()]
+
+
+def _read_places(registry: Registry, entries: Sequence[PolicyEntry]) -> dict[str, tuple[StackedFile, int]]:
+    """Return the file and the row in it that hold each policy."""
+    places: dict[str, tuple[StackedFile, int]] = {}
+    for shard in dict.fromkeys(entry.shard for entry in entries):
+        members = [entry for entry in entries if entry.shard == shard]
+        if not registry.shard_path(shard).is_file() and all(cached_row(entry.sha256).is_file() for entry in members):
+            places |= {entry.id: (read_row(entry), 0) for entry in members}
+        else:
+            stacked = read_shard(registry, shard)
+            places |= {entry.id: (stacked, entry.row) for entry in members}
+    return places
+
+
+def read_row(entry: PolicyEntry) -> StackedFile:
+    """Return a policy that was fetched on its own, as a file of one row; the row is verified when it is taken."""
+    path = cached_row(entry.sha256)
+    stacked = parse_stacked(read_bytes(path, f"policy {entry.id} in {path}"), f"policy {entry.id} in {path}")
+    if stacked.spec != entry.spec or len(stacked.rows) != 1:
+        found = f"{len(stacked.rows)} rows of spec {stacked.spec.digest}"
+        raise _format_error(f"policy {entry.id} in {path}", f"one row of spec {entry.spec.digest}", found)
+    return stacked
 
 
 def read_shard(registry: Registry, path: str) -> StackedFile:
@@ -175,8 +199,10 @@ def _expected_shapes(spec: PolicySpec) -> dict[str, tuple[int, ...]]:
     return {"/".join(key.key for key in path): tuple(leaf.shape) for path, leaf in paths}
 
 
-def _merge(spec: PolicySpec, members: Sequence[PolicyEntry], shards: Mapping[str, StackedFile]) -> PolicyGroup:
-    rows = [_verified_row(shards[entry.shard], entry) for entry in members]
+def _merge(
+    spec: PolicySpec, members: Sequence[PolicyEntry], places: Mapping[str, tuple[StackedFile, int]]
+) -> PolicyGroup:
+    rows = [_verified_row(*places[entry.id], entry) for entry in members]
     forms = [{name: value.shape for name, value in row.items()} for row in rows]
     for entry, form in zip(members, forms, strict=True):
         if form != forms[0]:
@@ -185,8 +211,8 @@ def _merge(spec: PolicySpec, members: Sequence[PolicyEntry], shards: Mapping[str
     return PolicyGroup(spec, tuple(entry.id for entry in members), unflatten(stacked))
 
 
-def _verified_row(stacked: StackedFile, entry: PolicyEntry) -> Leaves:
-    leaves = take_row(stacked, entry.row)
+def _verified_row(stacked: StackedFile, row: int, entry: PolicyEntry) -> Leaves:
+    leaves = take_row(stacked, row)
     found = row_sha256(leaves)
     if found != entry.sha256:
         raise damaged_row(entry.id, entry.sha256, found)

@@ -17,7 +17,7 @@ from zoo.files import sha256
 METADATA_KEY = "assistax"  # the only metadata key: bytes are stable with at most one
 MAX_HEADER_BYTES = 4 * 1024 * 1024
 MAX_FILE_BYTES = 4 * 1024 * 1024 * 1024
-_DTYPES = {"F32": np.dtype("<f4"), "F16": np.dtype("<f2")}
+DTYPES = {"F32": np.dtype("<f4"), "F16": np.dtype("<f2")}
 _LEAF = re.compile(r"[A-Za-z0-9_]{1,64}(/[A-Za-z0-9_]{1,64}){0,7}")
 
 Leaves = dict[str, np.ndarray]
@@ -80,26 +80,50 @@ def decode(data: bytes, source: str) -> tuple[Leaves, dict[str, Any]]:
     Raises:
         FormatError: The bytes are truncated, malformed, of another dtype, not finite, or lack the metadata.
     """
-    length = int.from_bytes(data[:8], "little")
-    if len(data) < 8 or length > min(MAX_HEADER_BYTES, len(data) - 8):
-        raise _error(source, "a safetensors file", f"{len(data)} bytes whose header claims {length}")
+    header, tensors = _deserialize(data, source)
     try:
-        tensors = safetensors.deserialize(data)
-        header = json.loads(data[8 : 8 + length], object_pairs_hook=_unique)
         metadata = json.loads(header["__metadata__"][METADATA_KEY], object_pairs_hook=_unique)
         if not isinstance(metadata, dict):
             raise ValueError(f"metadata {METADATA_KEY!r} is no JSON object")
     except KeyError as error:
         raise _error(source, f"metadata {METADATA_KEY!r} with spec and rows", f"no {error}") from None
+    except (ValueError, TypeError, RecursionError) as error:
+        raise _error(source, "a safetensors file", f"{shorten(str(error))}") from None
+    return _leaves(tensors, source), metadata
+
+
+def decode_foreign(data: bytes, source: str) -> Leaves:
+    """Return the leaves of safetensors bytes that another program wrote: any metadata, paths joined by '/' or ','.
+
+    Raises:
+        FormatError: The bytes are truncated, malformed, of another dtype, or not finite.
+    """
+    _, tensors = _deserialize(data, source)
+    renamed = [(name.replace(",", "/"), tensor) for name, tensor in tensors]
+    if len(dict(renamed)) != len(renamed):
+        raise _error(source, "one leaf of each name", "two that differ in '/' and ',' alone")
+    return _leaves(renamed, source)
+
+
+def _deserialize(data: bytes, source: str) -> tuple[dict[str, Any], list[tuple[str, Any]]]:
+    length = int.from_bytes(data[:8], "little")
+    if len(data) < 8 or length > min(MAX_HEADER_BYTES, len(data) - 8):
+        raise _error(source, "a safetensors file", f"{len(data)} bytes whose header claims {length}")
+    try:
+        tensors = safetensors.deserialize(data)
+        return json.loads(data[8 : 8 + length], object_pairs_hook=_unique), tensors
     except (safetensors.SafetensorError, ValueError, TypeError, RecursionError) as error:
         raise _error(source, "a safetensors file", f"{shorten(str(error))}") from None
+
+
+def _leaves(tensors: list[tuple[str, Any]], source: str) -> Leaves:
     leaves = {}
     for name, tensor in tensors:
-        if tensor["dtype"] not in _DTYPES:
-            raise _error(source, f"leaves of {' or '.join(_DTYPES)}", f"{shorten(name)} of {tensor['dtype']}")
-        leaves[name] = np.frombuffer(tensor["data"], _DTYPES[tensor["dtype"]]).reshape(tensor["shape"])
+        if tensor["dtype"] not in DTYPES:
+            raise _error(source, f"leaves of {' or '.join(DTYPES)}", f"{shorten(name)} of {tensor['dtype']}")
+        leaves[name] = np.frombuffer(tensor["data"], DTYPES[tensor["dtype"]]).reshape(tensor["shape"])
     _check_leaves(leaves, source)
-    return dict(sorted(leaves.items())), metadata
+    return dict(sorted(leaves.items()))
 
 
 def read_bytes(path: Path, source: str, *, size: int | None = None, digest: str | None = None) -> bytes:
@@ -130,7 +154,7 @@ def _check_leaves(leaves: Mapping[str, np.ndarray], source: str) -> None:
     for name, value in leaves.items():
         if not _LEAF.fullmatch(name):
             raise _error(source, "leaf names like Dense_0/kernel", shorten(name))
-        if value.dtype not in _DTYPES.values():
+        if value.dtype not in DTYPES.values():
             raise _error(source, "float32 or float16 leaves", f"{name} of {value.dtype}")
         if not np.isfinite(value).all():
             raise _error(source, "finite parameters", f"NaN or infinity in {name}")
@@ -163,5 +187,5 @@ def _damage(source: str, expected: str, found: str) -> IntegrityError:
         expected=expected,
         found=found,
         done="nothing was loaded",
-        next_step="restore the file from the repository (`git checkout -- FILE`), then run `assistax-zoo verify`",
+        next_step="`assistax-zoo fetch` it, or `git checkout -- FILE` in a checkout, then run `assistax-zoo verify`",
     )

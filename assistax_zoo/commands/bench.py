@@ -1,6 +1,9 @@
-"""Speed on this machine: the raw environment, and the evaluator beside it."""
+"""Speed on this machine: the raw environment, the evaluator beside it, and the zoo's commands."""
 
 import dataclasses
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from assistax_zoo.console import print_json, stdout_is_data
 
@@ -80,6 +83,91 @@ def crossplay(
         print(f"  evaluator    {row['env_steps_per_second']:12,.0f} env steps/s, {row['pairs_per_second']:.2f} pairs/s")
         print(f"  environment  {row['raw_env_steps_per_second']:12,.0f} env steps/s with random actions")
         print(f"  ratio        {row['ratio']:12.2f}")
+
+
+def train(
+    *,
+    task: str = "scratch",
+    algorithm: str = "ippo",
+    backend: str = "auto",
+    seeds: int = 1,
+    num_envs: int | None = None,
+    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    seconds: float = 20.0,
+    json: bool = False,
+) -> None:
+    """Measure environment steps per second of training, and the shares of physics, networks and updates.
+
+    Whole updates, rollouts alone and physics alone are timed in turns; medians of three, compilation not counted.
+
+    Args:
+        task: Task.
+        algorithm: ippo, mappo, isac or masac.
+        backend: native, mjx, mjx-warp or auto.
+        seeds: Teams trained side by side.
+        num_envs: Simulations of each team; default the preset's.
+        set_: Another hyperparameter, such as rollout_steps=32; repeat it for more.
+        seconds: Measuring time, about.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo bench train --task scratch --algorithm ippo --seeds 8
+    """
+    from assistax_zoo.commands.train import check_names, parse_changes
+
+    check_names(task, ())
+    _check_seconds(seconds)
+    if not 1 <= seeds <= 4096:
+        raise ValueError(f"seeds is {seeds}; allowed is 1 to 4096")
+    changes = parse_changes(set_) | ({} if num_envs is None else {"num_envs": num_envs})
+    with stdout_is_data():
+        from assistax_envs import make
+        from population.benchmark import measure_training
+        from population.config import preset
+
+        config = preset(algorithm, **changes)
+        row = dataclasses.asdict(measure_training(make(task, backend), algorithm, config, seeds, seconds))
+    if json:
+        print_json(row)
+        return
+    print(
+        f"{row['task']} {row['algorithm']} on {row['backend']} ({row['device']}), "
+        f"{row['members']} teams x {row['num_envs']} simulations x {row['rollout_steps']} steps"
+    )
+    spread = f"{min(row['repeats']):,.0f} to {max(row['repeats']):,.0f}"
+    print(f"  training  {row['env_steps_per_second']:12,.0f} env steps/s ({spread})")
+    for name in ("physics", "networks", "updates"):
+        print(f"  {name:9} {row[f'{name}_share']:12.0%} of the time")
+
+
+def zoo(*, policies: int = 1000, json: bool = False) -> None:
+    """Measure list, verify and fetch on a synthetic registry, the latter from a web server on loopback.
+
+    Args:
+        policies: Policies of the registry, which is made in a temporary folder: some 90 kB each, and as much in caches.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo bench zoo --policies 1000
+    """
+    import sys
+    import tempfile
+    from pathlib import Path
+
+    if not 2 <= policies <= 20_000:
+        raise ValueError(f"policies is {policies}; allowed is 2 to 20000")
+    with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as folder:
+        from zoo.benchmark import measure_zoo
+
+        row = dataclasses.asdict(measure_zoo(Path(folder), policies, [sys.executable, "-m", "assistax_zoo"]))
+    if json:
+        print_json(row)
+        return
+    print(f"{row['policies']} policies in {row['shards']} shards, {row['bytes'] / 1e6:.0f} MB; whole commands, medians")
+    print(f"  python     {row['python_seconds']:8.2f} s, doing nothing")
+    print(f"  list       {row['list_seconds']:8.2f} s, on a terminal {row['list_terminal_seconds']:.2f} s")
+    print(f"  verify     {row['verify_seconds']:8.2f} s")
+    print(f"  fetch      {row['fetch_seconds']:8.2f} s for all shards; {row['fetch_mb_per_second']:.0f} MB/s at best")
 
 
 def _tasks(task: str) -> tuple[str, ...]:

@@ -6,12 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from assistax_zoo.console import print_json, progress, stdout_is_data
+from assistax_zoo.console import cache_folder, command_line, print_json, progress, stdout_is_data
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from evaluation.evaluator import Progress
+    from zoo.registry import Registry
 
 
 def evaluate(
@@ -25,8 +26,11 @@ def evaluate(
     backend: str = "auto",
     stochastic: bool = False,
     max_envs: int | None = None,
+    references: bool = True,
+    crossplay: Path | None = None,
     out: Path | None = None,
     registry: Path | None = None,
+    lock: Path | None = None,
     json: bool = False,
 ) -> None:
     """Compute M_test: the return of robot policies with partners of the zoo that they never met.
@@ -44,8 +48,11 @@ def evaluate(
         backend: native, mjx, mjx-warp, or auto for the fastest here.
         stochastic: Draw actions instead of taking each policy's most likely one.
         max_envs: Most simulations at once; lower it if memory runs out.
+        references: Compare with zero and random actions and with each partner's own robot; kept for the next time.
+        crossplay: Folder of a finished cross-play, whose best robots may be the partners' best responses.
         out: Folder for the tables.
         registry: Registry to read instead of the installed one.
+        lock: Lock file of a paper; partners, bytes and splits other than those it pins are refused.
         json: Print JSON.
 
     Example:
@@ -53,19 +60,22 @@ def evaluate(
     """
     with stdout_is_data(), contextlib.ExitStack() as stack:
         folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="assistax-zoo-")))
+        from evaluation.provenance import write_run
         from evaluation.studies import Settings, evaluate_policies
-        from zoo.registry import load_registry
 
         settings = Settings(task, episodes, seed, backend, stochastic, max_envs)
         summary = evaluate_policies(
-            load_registry(registry),
+            _registry(registry, lock, task, split),
             policy,
             settings,
             folder,
             split=split,
             partners=partners or None,
+            references=cache_folder("references") if references else None,
+            crossplay=crossplay,
             on_progress=_shown(stack, f"evaluate {task}"),
         )
+        write_run(folder, command_line(), summary)
     if json:
         print_json(summary)
         return
@@ -85,7 +95,9 @@ def crossplay(
     backend: str = "auto",
     stochastic: bool = False,
     max_envs: int | None = None,
+    block: str | None = None,
     registry: Path | None = None,
+    lock: Path | None = None,
     json: bool = False,
 ) -> None:
     """Play every robot of a population with every human, and draw the clustered matrix.
@@ -102,41 +114,81 @@ def crossplay(
         backend: native, mjx, mjx-warp, or auto for the fastest here.
         stochastic: Draw actions instead of taking each policy's most likely one.
         max_envs: Most simulations at once; lower it if memory runs out.
+        block: Simulate only a share, such as 2/4; with the parts of all, the command without --block merges them.
         registry: Registry to read instead of the installed one.
+        lock: Lock file of a paper; partners, bytes and splits other than those it pins are refused.
         json: Print JSON.
 
     Example:
         assistax-zoo crossplay --task scratch --egos 'scratch/ippo-*/robot' --partners 'scratch/ippo-*/human' --out xp
     """
     with stdout_is_data(), contextlib.ExitStack() as stack:
+        from evaluation.provenance import write_run
         from evaluation.studies import Settings, cross_play
-        from zoo.registry import load_registry
 
         settings = Settings(task, episodes, seed, backend, stochastic, max_envs)
         summary = cross_play(
-            load_registry(registry),
+            _registry(registry, lock, task),
             egos or f"{task}/*",
             partners or f"{task}/*",
             settings,
             out,
+            block=_block(block),
             on_progress=_shown(stack, f"crossplay {task}"),
         )
+        if not block:
+            write_run(out, command_line(), summary)
     if json:
         print_json(summary)
+        return
+    if block:
+        _print_block(summary, out)
         return
     _print_crossplay(summary)
     print(f"tables and crossplay.png in {out}")
 
 
+def _block(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    number, _, count = text.partition("/")
+    if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+        raise ValueError(f"block is {text!r}; expected i/n with i from 1 to n, such as 2/4")
+    return int(number), int(count)
+
+
+def _print_block(summary: dict[str, Any], out: Path) -> None:
+    print(f"block {summary['block']}: {summary['episodes']} episodes in {summary['chunks']} parts of {out}/parts")
+    if summary["missing"]:
+        print(f"{summary['missing']} of {summary['all_chunks']} parts are not here; gather those of all blocks")
+    else:
+        print("all parts are here: the same command without --block merges them")
+
+
+def _registry(path: Path | None, lock: Path | None, task: str, split: str | None = None) -> "Registry":
+    """Return the registry, narrowed down to what the lock file pins if there is one."""
+    from zoo.registry import load_registry
+
+    loaded = load_registry(path)
+    if lock is None:
+        return loaded
+    from zoo.lock import apply_lock, read_lock
+
+    return apply_lock(loaded, read_lock(lock), task=task, split=split)
+
+
 def _shown(stack: contextlib.ExitStack, description: str) -> Callable[["Progress"], None]:
     """Return a callback that shows progress from its first call on, while the stack is open."""
     advance: Callable[[int], None] | None = None
-    done = 0
+    shown, done = ("", 0), 0
 
     def show(state: "Progress") -> None:
-        nonlocal advance, done
-        if advance is None:
-            advance = stack.enter_context(progress(f"{description}, environment steps", state.total))
+        nonlocal advance, shown, done
+        if not state.total:
+            return
+        if advance is None or shown != (state.what, state.total):
+            advance = stack.enter_context(progress(f"{description}, {state.what}, environment steps", state.total))
+            shown, done = (state.what, state.total), 0
         advance(state.done - done)
         done = state.done
 
@@ -151,9 +203,29 @@ def _print_evaluation(summary: dict[str, Any]) -> None:
         for name, figure in summary[key].items():
             _add(table, f"  {name}", figure)
     _print(table)
+    _print_references(summary)
     worst = summary["worst_partner"]
     print(f"worst partner: {worst['partner']}, mean return {worst['mean']:.1f}")
     _print_origin(summary)
+
+
+def _print_references(summary: dict[str, Any]) -> None:
+    if summary["references"] is None:
+        return
+    table = _table("to compare with: the same partners and episodes")
+    for name, figure in summary["references"].items():
+        _add(table, name.replace("_", " "), figure)
+    _print(table)
+    relative = summary["relative"]
+    table = _table("relative to zero action (0) and the best response known (1)", "share of that range")
+    for name in ("normalised_return", "br_prox"):
+        _add(table, {"br_prox": "BR-Prox"}.get(name, name.replace("_", " ")), relative[name], digits=2)
+    _print(table)
+    if relative["coverage"]:
+        share, regret = relative["coverage"]["value"], relative["regret"]["mean"]
+        print(f"regret {regret:.1f}; within {relative['coverage']['epsilon']:.0%} of the best response: {share:.0%}")
+    if relative["unscorable"]:
+        print(f"without a scale, best response at or below zero action: {', '.join(relative['unscorable'])}")
 
 
 def _print_crossplay(summary: dict[str, Any]) -> None:
@@ -184,22 +256,23 @@ def _print_origin(summary: dict[str, Any]) -> None:
         print(f"note: {note}")
 
 
-def _table(title: str) -> "Table":
+def _table(title: str, what: str = "return of an episode") -> "Table":
     from rich import box
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
-    table.add_column("return of an episode", no_wrap=True)
+    table.add_column(what, no_wrap=True)
     for name in ("mean", "IQM", "95% interval of the IQM", "pairs"):
         table.add_column(name, justify="right", no_wrap=True)
     return table
 
 
-def _add(table: "Table", name: str, figure: dict[str, Any] | None) -> None:
+def _add(table: "Table", name: str, figure: dict[str, Any] | None, digits: int = 1) -> None:
     if figure is None:
         return
-    interval = "-" if figure["ci"] is None else "{:.1f} to {:.1f}".format(*figure["ci"])
-    table.add_row(name, f"{figure['mean']:.1f}", f"{figure['iqm']:.1f}", interval, str(figure["n"]))
+    mean, iqm = (f"{figure[key]:.{digits}f}" for key in ("mean", "iqm"))
+    interval = "-" if figure["ci"] is None else " to ".join(f"{end:.{digits}f}" for end in figure["ci"])
+    table.add_row(name, mean, iqm, interval, str(figure["n"]))
 
 
 def _print(table: "Table") -> None:

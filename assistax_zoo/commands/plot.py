@@ -1,5 +1,6 @@
 """Figures from saved tables: a plot evaluates nothing."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -115,6 +116,59 @@ def curves(run: Path, /, *, out: Path) -> None:
     caption = f"IQM of the return over seeds and its pointwise 95% bootstrap band. Seeds: {seeds}."
     title = f"Training: {config['task']}, {config.get('algorithm', 'ippo')}"
     _save(lines.learning_curves(table, title=title, caption=caption), out)
+
+
+def speed(measured: tuple[Path, ...], /, *, out: Path) -> None:
+    """Draw environment steps per second against the batch size.
+
+    Args:
+        measured: Files with what `assistax-zoo bench env --json` printed.
+        out: Figure to write, .png or .pdf.
+
+    Example:
+        assistax-zoo plot speed native.json warp.json --out speed.png
+    """
+    import polars as pl
+
+    from evaluation.plots import lines
+    from evaluation.plots.style import check_path
+
+    check_path(out)
+    if not measured:
+        raise ValueError("no file was given; give one or more that `assistax-zoo bench env --json` printed")
+    names = ("task", "backend", "device", "batch", "env_steps_per_second")
+    rows = [row for path in measured for row in json.loads(path.read_text(encoding="utf-8"))]
+    if bad := [row for row in rows if not isinstance(row, dict) or set(names) - set(row)]:
+        raise ValueError(f"{bad[0]!r} is not a row of `assistax-zoo bench env --json`; it needs {', '.join(names)}")
+    table = pl.DataFrame([{name: row[name] for name in names} for row in rows])
+    _save(lines.speed(table, caption="Random actions; the median of three repeats, compilation not counted."), out)
+
+
+def sweep(folder: Path, /, *, out: Path) -> None:
+    """Draw a sweep: the final return over each hyperparameter, the best configuration marked.
+
+    Args:
+        folder: Folder that `assistax-zoo sweep --out` filled.
+        out: Figure to write, .png or .pdf.
+
+    Example:
+        assistax-zoo plot sweep sweeps/ippo --out sweep.pdf
+    """
+    from evaluation.plots.style import check_path
+    from evaluation.tables import read_json, read_parquet
+
+    check_path(out)
+    _require(folder, "sweep.parquet", "preset.json", command="sweep")
+    from evaluation.plots.sweep import sweep_panels
+
+    results = read_parquet(folder / "sweep.parquet")
+    diverged = results.filter(results["diverged"]).height
+    caption = (
+        f"{results['configuration'].n_unique()} configurations x {results['seed'].n_unique()} seeds, "
+        f"{diverged} runs diverged and are not drawn. Circles: the configuration with the best mean."
+    )
+    title = f"Sweep: {read_json(folder / 'preset.json')['algorithm']}"
+    _save(sweep_panels(results, title=title, caption=caption), out)
 
 
 def population(*, out: Path, task: str | None = None, release: str | None = None, registry: Path | None = None) -> None:

@@ -17,6 +17,7 @@ from assistax_zoo.console import SECONDS_BETWEEN_LINES, print_json, stdout_is_da
 
 if TYPE_CHECKING:
     from population.config import TrainConfig
+    from population.partners import Partners
     from population.train import Progress
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "b": 10**9}
@@ -26,7 +27,8 @@ def train(
     *,
     task: str,
     out: Path,
-    algorithm: str = "ippo",
+    algorithm: str | None = None,
+    preset: Path | None = None,
     disability: str = "d1",
     seeds: str = "1",
     steps: str = "10M",
@@ -34,8 +36,8 @@ def train(
     num_envs: int | None = None,
     set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
     self_play_episodes: int = 16,
-    checkpoint_every: int = 20,
-    updates_per_call: int = 1,
+    checkpoint_every: int | None = None,
+    updates_per_call: int | None = None,
     resume: bool = True,
     json: bool = False,
     json_lines: bool = False,
@@ -47,16 +49,17 @@ def train(
     Args:
         task: Task, such as scratch.
         out: Folder of the run: checkpoints, metrics.parquet, and at the end the teams for `assistax-zoo publish`.
-        algorithm: Preset of hyperparameters: ippo or mappo.
+        algorithm: Preset of hyperparameters: ippo (default), mappo, isac or masac.
+        preset: JSON file of hyperparameters in place of a built-in preset, as `assistax-zoo sweep` writes it.
         disability: Settings of the human, comma-separated, such as d1,d3.
         seeds: How many, numbered from 0, or which: 8, 0-7 or 2,5.
         steps: Environment steps of each team, such as 500k, 10M or 2e7; rounded up to whole updates.
         backend: Physics: native, mjx, mjx-warp, or auto for the fastest one here.
         num_envs: Simulations of each team; default the preset's.
-        set_: Another hyperparameter, such as learning_rate=3e-4 or torso=gru; repeat the option for more.
+        set_: Another hyperparameter, such as learning_rate=3e-4, torso=gru or shared=true; repeat it for more.
         self_play_episodes: Episodes of each team's final evaluation; 0 leaves it out.
-        checkpoint_every: Updates between checkpoints.
-        updates_per_call: Updates dispatched to the device at once.
+        checkpoint_every: Updates between checkpoints; default 20 for PPO, 2000 for SAC, whose updates are short.
+        updates_per_call: Updates dispatched to the device at once; default 1 for PPO, 20 for SAC.
         resume: Go on with a run that the folder holds.
         json: Print the teams as JSON at the end.
         json_lines: Print a JSON object for each report on standard output instead of the live line.
@@ -64,25 +67,63 @@ def train(
     Example:
         assistax-zoo train --task scratch --disability d1,d3 --seeds 8 --steps 10M --out runs/scratch-ippo
     """
-    from population.config import TrainConfig, make_members, preset
+    from population.config import TrainConfig, make_members
+    from population.config import preset as make_preset
 
     check_names(task, settings := disability.split(","))
-    changes = parse_changes(set_) | ({} if num_envs is None else {"num_envs": num_envs})
+    algorithm, changes = read_preset(preset, algorithm)
+    changes |= parse_changes(set_) | ({} if num_envs is None else {"num_envs": num_envs})
+    trainer = make_preset(algorithm, **changes)
     config = TrainConfig(
         task=task,
         algorithm=algorithm,
         members=make_members(parse_seeds(seeds), settings),
         steps=parse_steps(steps),
-        ppo=preset(algorithm, **changes),
-        checkpoint_every=checkpoint_every,
-        updates_per_call=updates_per_call,
+        trainer=trainer,
+        checkpoint_every=trainer.checkpoint_every if checkpoint_every is None else checkpoint_every,
+        updates_per_call=trainer.updates_per_call if updates_per_call is None else updates_per_call,
         self_play_episodes=self_play_episodes,
     )
+    run_training(config, backend, out, resume, json_lines)
+    _report(out, json, json_lines)
+
+
+def run_training(
+    config: "TrainConfig",
+    backend: str,
+    out: Path,
+    resume: bool,
+    json_lines: bool,
+    partners: "Partners | None" = None,
+) -> None:
+    """Train, showing progress on standard error, or on standard output as JSON lines."""
     sys.stdout.flush()
     with os.fdopen(os.dup(1), "w") as stdout, stdout_is_data():
         progress = JsonLines(stdout) if json_lines else LiveLine(config, sys.stderr)
-        _run(config, backend, out, resume, progress)
-    _report(out, json, json_lines)
+        from assistax_envs import make
+        from population.train import train as train_members
+
+        try:
+            train_members(config, make(config.task, backend), out, partners=partners, resume=resume, progress=progress)
+        finally:
+            progress.close()
+
+
+def read_preset(path: Path | None, algorithm: str | None) -> tuple[str, dict[str, Any]]:
+    """Return the algorithm and the changed hyperparameters of a preset file; without a file, no changes."""
+    if path is None:
+        return algorithm or "ippo", {}
+    try:
+        content = jsonlib.loads(path.read_text(encoding="utf-8"))
+        found, changes = content["algorithm"], dict(content["hyperparameters"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(
+            f"{path} is no preset ({type(error).__name__}: {error}); give a JSON object with algorithm and "
+            "hyperparameters, such as the preset.json of `assistax-zoo sweep`"
+        ) from None
+    if algorithm not in (None, found):
+        raise ValueError(f"algorithm is {algorithm!r}, but {path} is a preset of {found}; leave --algorithm out")
+    return found, changes
 
 
 def parse_steps(text: str) -> int:
@@ -183,16 +224,6 @@ class JsonLines:
 
     def close(self) -> None:
         """Nothing to end: every report is a whole line."""
-
-
-def _run(config: "TrainConfig", backend: str, out: Path, resume: bool, progress: LiveLine | JsonLines) -> None:
-    from assistax_envs import make
-    from population.train import train as train_teams
-
-    try:
-        train_teams(config, make(config.task, backend), out, resume=resume, progress=progress)
-    finally:
-        progress.close()
 
 
 def _report(out: Path, json: bool, json_lines: bool) -> None:

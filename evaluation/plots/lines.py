@@ -1,4 +1,4 @@
-"""Figures with lines and bands: performance profile and learning curves."""
+"""Figures with lines and bands: performance profile, learning curves and speed."""
 
 from collections.abc import Mapping
 
@@ -45,6 +45,30 @@ def learning_curves(curves: pl.DataFrame, *, title: str, caption: str) -> Figure
     axes.set_ylabel("return of an episode", fontsize=9)
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     axes.legend(fontsize=8, frameon=False, loc="lower right")
+    return figure
+
+
+def speed(measured: pl.DataFrame, *, caption: str) -> Figure:
+    """Draw environment steps per second against the batch size, both axes logarithmic.
+
+    Args:
+        measured: columns task, backend, device, batch and env_steps_per_second, as `bench env --json` prints them.
+        caption: written below.
+    """
+    figure, axes = _canvas("Open loop: environment steps per second", caption)
+    groups = sorted(measured.select("task", "backend", "device").unique().rows())
+    for i, (task, backend, device) in enumerate(groups):
+        rows = measured.filter(task=task, backend=backend, device=device).sort("batch")
+        colour = style.OKABE_ITO[i % len(style.OKABE_ITO)]
+        label = f"{task}, {backend}, {device}"
+        axes.plot(rows["batch"], rows["env_steps_per_second"], color=colour, marker="o", markersize=4, label=label)
+    axes.set_xscale("log", base=2)
+    axes.set_yscale("log")
+    axes.set_xlabel("simulations in the batch", fontsize=9)
+    axes.set_ylabel("environment steps / s", fontsize=9)
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    axes.yaxis.set_major_formatter(EngFormatter(sep=""))
+    axes.legend(fontsize=7, frameon=False, loc="lower right")
     return figure
 
 

@@ -64,6 +64,7 @@ def call(*words: Any) -> int:
 def evaluate(registry: Path, *words: Any, policy: Any = "zoo:scratch/ippo-d1-s0-v0/robot") -> int:
     given = {"--task": "scratch", "--episodes": 2, "--backend": "native"}
     defaults = [word for option in given.items() if option[0] not in words for word in option]
+    defaults += [] if "--references" in words else ["--no-references"]
     return call("evaluate", "--policy", policy, "--registry", registry, *defaults, *words)
 
 
@@ -103,6 +104,40 @@ def test_both_sides_give_the_gap_and_keep_the_tables(registry: Path, tmp_path: P
     assert sorted(table["side"].unique()) == ["test", "train"]
     assert set(table["steps"]) == {STEPS}
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["gap"]["n"] == 8
+
+
+@pytest.mark.slow
+def test_references_and_a_crossplay_put_returns_on_a_scale(
+    registry: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    words = ["--task", "scratch", "--episodes", 1, "--backend", "native", "--registry", registry]
+    for i in (2, 1, 2):
+        assert call("crossplay", *words, "--out", tmp_path / "xp", *(["--block", f"{i}/2"] if i else [])) == 0
+    assert call("crossplay", *words, "--out", tmp_path / "xp", "--json") == 0
+    capfd.readouterr()
+    given = ["--references", "--crossplay", tmp_path / "xp", "--out", tmp_path / "out"]
+    assert evaluate(registry, *given, "--json") == 0
+    found = json.loads(capfd.readouterr().out)
+    assert set(found["references"]) == {"zero_action", "uniform_random", "self_play", "best_response"}
+    assert all(figure["n"] == 4 for figure in found["references"].values())
+    assert found["references"]["best_response"]["mean"] >= found["references"]["self_play"]["mean"]
+    assert sum(found["relative"]["bounds"]["best"].values()) == 4
+    bounds = pl.read_parquet(tmp_path / "out" / "bounds.parquet")
+    assert bounds.height == 4
+    assert pl.read_parquet(tmp_path / "out" / "references.parquet").height == 3 * 4 * 2
+    assert len(list((tmp_path / "cache" / "assistax-zoo" / "references").iterdir())) == 2
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["command"].startswith("assistax-zoo evaluate")
+    assert evaluate(registry, *given[:3], policy="zoo:scratch/ippo-d9-s0-v0/robot") == 0
+    told = capfd.readouterr()
+    assert "zero action" in told.out
+    assert "reference egos" not in told.err  # played once for all policies
+
+
+@pytest.mark.parametrize("block", ["0/2", "3/2", "1", "a/b"])
+def test_a_block_is_one_of_n(registry: Path, tmp_path: Path, block: str, capfd: pytest.CaptureFixture[str]):
+    code = call("crossplay", "--task", "scratch", "--registry", registry, "--out", tmp_path / "x", "--block", block)
+    assert "expected i/n with i from 1 to n" in failure(capfd, code)
 
 
 def test_several_policies_are_seeds_of_one_method(registry: Path, capfd: pytest.CaptureFixture[str]):

@@ -132,3 +132,23 @@ def test_population_of_a_registry(tmp_path: Path, capfd: pytest.CaptureFixture[s
     plot.population(out=tmp_path / "population.png", registry=registry)
     assert (tmp_path / "population.png").stat().st_size > 5_000
     assert capfd.readouterr().out == f"{tmp_path / 'population.png'}\n"
+
+
+def test_a_sweep_is_drawn_with_ranges_and_values(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    rng = np.random.default_rng(0)
+    table = pl.DataFrame(
+        {
+            "configuration": np.repeat(np.arange(6), 2),
+            "seed": [0, 1] * 6,
+            "learning_rate": np.repeat(10.0 ** rng.uniform(-4, -2, 6), 2),
+            "rollout_steps": np.repeat([64, 128] * 3, 2),
+            "final_return": [None, *rng.uniform(0, 900, 11)],
+            "auc": rng.uniform(0, 900, 12),
+            "diverged": [True, *[False] * 11],
+        }
+    )
+    table.write_parquet(tmp_path / "sweep.parquet")
+    assert "preset.json" in failure(capfd, call("sweep", tmp_path, "--out", tmp_path / "sweep.png"))
+    (tmp_path / "preset.json").write_text('{"algorithm": "ippo", "hyperparameters": {}}')
+    assert call("sweep", tmp_path, "--out", tmp_path / "sweep.png") == 0
+    assert (tmp_path / "sweep.png").stat().st_size > 5000

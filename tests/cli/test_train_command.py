@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from assistax_zoo.commands.train import LiveLine, parse_changes, parse_seeds, parse_steps
+from assistax_zoo.commands.train import LiveLine, parse_changes, parse_seeds, parse_steps, read_preset
 from assistax_zoo.main import run
 
 TINY = ["--num-envs", "4", "--set", "rollout_steps=8", "--set", "minibatches=2", "--set", "hidden=(8, 8)"]
@@ -42,15 +42,27 @@ def test_hyperparameters_are_read_as_values():
         parse_changes(["gru"])
 
 
+def test_a_preset_file_stands_for_algorithm_and_hyperparameters(tmp_path):
+    path = tmp_path / "preset.json"
+    path.write_text('{"algorithm": "mappo", "hyperparameters": {"gamma": 0.95}}')
+    assert read_preset(path, None) == read_preset(path, "mappo") == ("mappo", {"gamma": 0.95})
+    assert read_preset(None, None) == ("ippo", {})
+    with pytest.raises(ValueError, match="is a preset of mappo; leave --algorithm out"):
+        read_preset(path, "ippo")
+    path.write_text("[1]")
+    with pytest.raises(ValueError, match=r"preset\.json is no preset .* give a JSON object with algorithm"):
+        read_preset(path, None)
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["--task", "swim"], "task is 'swim'; allowed are scratch"),
-        (["--task", "scratch", "--algorithm", "sac"], "algorithm is 'sac'; allowed are ippo, mappo"),
+        (["--task", "scratch", "--algorithm", "sac"], "algorithm is 'sac'; allowed are ippo, mappo, isac, masac"),
         (["--task", "scratch", "--disability", "d1,d10"], "disability is 'd10'; allowed are d1, d2"),
         (["--task", "scratch", "--steps", "0"], "steps is '0'"),
         (["--task", "scratch", "--num-envs", "7"], "choose num_envs as a multiple of minibatches"),
-        (["--task", "scratch", "--set", "speed=9"], "unknown hyperparameter speed; allowed are"),
+        (["--task", "scratch", "--set", "speed=9"], "unknown hyperparameter speed of ippo; allowed are"),
     ],
 )
 def test_wrong_values_get_one_line(words, message, tmp_path, capsys):

@@ -12,7 +12,18 @@ from zoo.tensors import encode
 
 ROOT = Path(__file__).parents[2]
 SPECS = {"robot": PolicySpec("robot", 5, 2, hidden=(4,)), "human": PolicySpec("human", 6, 3, hidden=(4,))}
-COMMANDS = ("list", "show", "verify", "publish", "split list", "split show", "split create", "split verify")
+COMMANDS = (
+    "list",
+    "show",
+    "verify",
+    "fetch",
+    "publish",
+    "lock",
+    "split list",
+    "split show",
+    "split create",
+    "split verify",
+)
 FIRST = "scratch/ippo-d1-s0-v0"
 
 

@@ -61,6 +61,10 @@ def episode_table(
                     "success": bool(value > 0),
                     "force_mean": 1.0,
                     "force_peak": 2.0,
+                    "first_contact": 100,
+                    "distance_mean": 0.1,
+                    "robot_travel": 50.0,
+                    "human_travel": 20.0,
                     "nonfinite": False,
                     "steps": 1000,
                 }

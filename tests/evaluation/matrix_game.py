@@ -82,6 +82,12 @@ class MatrixGame:
         )
 
     @staticmethod
+    def joint_positions(state: State) -> dict[str, jax.Array]:
+        """Two joints of the robot that turn by 0.5 a step each, the human's by 0.25."""
+        time = state.step.astype(jnp.float32)[:, None]
+        return {"robot": jnp.concatenate([0.5 * time, -0.5 * time], axis=1), "human": 0.25 * time}
+
+    @staticmethod
     def _obs(luck: jax.Array, step: jax.Array) -> dict[str, jax.Array]:
         time = step.astype(jnp.float32)
         robot = jnp.stack([luck, time, jnp.ones_like(luck)], -1)

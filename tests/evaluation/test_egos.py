@@ -53,13 +53,13 @@ def test_a_missing_file_is_a_zoo_error(tmp_path: Path):
 
 @pytest.mark.parametrize("reference", ["robot.pt", "zo:scratch", "scratch/ippo-d1-s0-v0/robot"])
 def test_an_unknown_form_lists_the_known_ones(reference: str):
-    with pytest.raises(ValueError, match=r"unknown form; allowed are zoo:ID, .*safetensors.*, or python:"):
+    with pytest.raises(ValueError, match=r"unknown form; allowed are zoo:ID, .*safetensors.*, onnx:FILE, or python:"):
         read_egos([reference], EMPTY, "scratch")
 
 
-def test_onnx_says_what_to_do_instead():
-    with pytest.raises(ValueError, match="not read yet; wrap it as python:module:factory"):
-        read_egos(["onnx:robot.onnx"], EMPTY, "scratch")
+def test_an_onnx_file_that_is_not_there_is_told(tmp_path: Path):
+    with pytest.raises(ValueError, match=r"none.onnx.*no file"):
+        read_egos([f"onnx:{tmp_path / 'none.onnx'}"], EMPTY, "scratch")
 
 
 @pytest.fixture

@@ -40,6 +40,16 @@ def test_discounting_force_and_success_follow_their_definitions():
     assert tally.success.tolist() == [[[False] * 3], [[True] * 3]]  # (1, 1) at the second step only
 
 
+def test_behaviour_is_summed_over_the_joints_and_steps_of_each_role():
+    tally = play(robots(-0.5), humans(0.5))
+    np.testing.assert_allclose(tally.travel["robot"], 4 * (0.5 + 0.5))
+    np.testing.assert_allclose(tally.travel["human"], 4 * 0.25)
+    assert (tally.first_contact == 1).all()
+    broken = play(robots(-0.5), humans(0.5), env=MatrixGame(broken_from=0))
+    assert not broken.first_contact.any()
+    assert not broken.travel["robot"].any()
+
+
 def test_all_pairs_play_the_same_episodes():
     luck = play(robots(-0.5, 0.5), humans(-0.5, 0.5)).terms["luck"]
     np.testing.assert_array_equal(luck, np.broadcast_to(luck[0, 0], luck.shape))

@@ -87,6 +87,12 @@ def test_parquet_gives_the_table_back(tmp_path: Path):
     assert [file.name for file in path.parent.iterdir()] == [tables.EPISODES_FILE]
 
 
+def test_a_table_without_columns_of_behaviour_is_still_read(tmp_path: Path):
+    old = small().drop(tables.BEHAVIOUR)
+    tables.write_episodes(old, tmp_path / tables.EPISODES_FILE)
+    assert tables.pair_table(tables.read_episodes(tmp_path / tables.EPISODES_FILE)).height > 0
+
+
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path):
     path = tmp_path / "file.json"
     tables.write_json({"a": 1}, path)

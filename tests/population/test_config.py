@@ -40,7 +40,7 @@ def test_presets_are_the_papers(algorithm):
         ({"normalise": "no"}, "normalise is 'no'; it must be true or false"),
         ({"hidden": 64}, "hidden is 64; it must be a tuple of widths"),
         ({"hidden": ()}, "must be a tuple of widths"),
-        ({"speed": 1}, "unknown hyperparameter speed; allowed are"),
+        ({"speed": 1}, "unknown hyperparameter speed of ippo; allowed are"),
     ],
 )
 def test_bad_hyperparameters_are_named(changes, message):
@@ -49,7 +49,7 @@ def test_bad_hyperparameters_are_named(changes, message):
 
 
 def test_unknown_algorithm_lists_the_allowed():
-    with pytest.raises(ValueError, match="algorithm is 'sac'; allowed are ippo, mappo"):
+    with pytest.raises(ValueError, match="algorithm is 'sac'; allowed are ippo, mappo, isac, masac"):
         preset("sac")
 
 
@@ -67,4 +67,4 @@ def test_a_member_appears_once_and_overrides_what_is_traced():
     with pytest.raises(ValueError, match="two members of a run are identical"):
         TrainConfig("scratch", "ippo", make_members([0, 0], ["d1"]), 1000)
     with pytest.raises(ValueError, match="a member overrides epochs; members may differ in learning_rate"):
-        TeamMember(0, "d1", {"epochs": 2})
+        TrainConfig("scratch", "ippo", (TeamMember(0, "d1", {"epochs": 2}),), 1000)

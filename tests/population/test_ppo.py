@@ -12,7 +12,7 @@ from population.config import Member, PPOConfig, preset
 from population.networks import normalise
 from population.normaliser import to_params
 from population.policy import Policy
-from population.ppo import PPO, hyperparameters
+from population.ppo import PPO
 from population.self_play import self_play
 from population.train import member_key
 from tests.population.toy_env import ToyEnv, constant, match, together
@@ -27,7 +27,7 @@ def start(env, config, members=(MEMBER,), updates=100, kind=PPO):
     keys = jnp.stack([member_key(member) for member in members])
     settings = [member.disability for member in members for _ in range(config.num_envs)]
     initial = jax.jit(ppo.initial, compiler_options=FAST_COMPILE)
-    return ppo, initial(keys, disability_params(settings)), hyperparameters(config, members)
+    return ppo, initial(keys, disability_params(settings)), ppo.hyper(members)
 
 
 def run(env, config, members=(MEMBER,), updates=100, kind=PPO):
@@ -106,12 +106,12 @@ def test_learning_replays_the_policy_that_acted(planted, monkeypatch):
 class Coupled(PPO):
     """A planted defect: the human's clip shrinks with what the robot learns, as one clip over both would make it."""
 
-    def _learn_role(self, role, member, batch, hyper, key):
-        if role == "human":
+    def _learn_role(self, name, member, batch, hyper, key):
+        if name == "human":
             robot = member.learners["robot"].networks["critic"]
             norm = sum(jnp.abs(leaf).sum() for leaf in jax.tree.leaves(robot))
             hyper = dataclasses.replace(hyper, max_grad_norm=hyper.max_grad_norm / norm)
-        return super()._learn_role(role, member, batch, hyper, key)
+        return super()._learn_role(name, member, batch, hyper, key)
 
 
 @pytest.mark.parametrize("kind", [PPO, Coupled])

@@ -109,6 +109,28 @@ def test_a_killed_run_goes_on_to_the_same_bits(finished, tmp_path, update):
     assert kept.equals(whole)
 
 
+@pytest.mark.slow
+def test_a_killed_run_of_sac_goes_on_to_the_same_bits(tmp_path):
+    """The replay is part of the checkpoint: what is drawn after resuming is what would have been drawn."""
+    trainer = preset(
+        "masac", num_envs=4, rollout_steps=5, replay_size=60, exploration_steps=30, batch_size=8, updates=2,
+        policy_delay=1, hidden=(8, 8),
+    )  # fmt: skip
+    members = make_members([0, 3], ["d1"])
+    config = TrainConfig("toy", "masac", members, 160, trainer, checkpoint_every=2, self_play_episodes=0)
+    whole = train(config, ToyEnv(match), tmp_path / "whole")
+    with pytest.raises(Killed):
+        train(config, ToyEnv(match), tmp_path / "killed", progress=kill_after(5))
+    updates = []
+    train(config, ToyEnv(match), tmp_path / "killed", progress=lambda report: updates.append(report.update))
+    assert updates == [5, 6, 7, 8]
+    for name in ("robot.safetensors", "human.safetensors"):
+        assert (whole / name).read_bytes() == (tmp_path / "killed" / name).read_bytes()
+    last = [Checkpoints(folder / "checkpoints") for folder in (whole, tmp_path / "killed")]
+    assert [checkpoints.latest() for checkpoints in last] == [8, 8]
+    assert RunFolder(whole).config() == config
+
+
 def test_a_finished_run_is_left_alone_and_can_be_extended(finished, tmp_path):
     before = (finished / "teams.json").stat().st_mtime_ns
     train(CONFIG, ToyEnv(match), finished, progress=kill_after(1))
@@ -123,7 +145,7 @@ def test_a_finished_run_is_left_alone_and_can_be_extended(finished, tmp_path):
 
 def test_another_configuration_is_refused_by_name(finished):
     other = TrainConfig("toy", "ippo", CONFIG.members, 480, preset("ippo", **{**vars(PPO), "gamma": 0.5}))
-    with pytest.raises(ValueError, match=r"another configuration: ppo\.gamma is 0\.99 there and 0\.5 here"):
+    with pytest.raises(ValueError, match=r"another configuration: trainer\.gamma is 0\.99 there and 0\.5 here"):
         train(other, ToyEnv(match), finished)
     with pytest.raises(ValueError, match="already holds a run; resume it, or choose a new folder"):
         train(CONFIG, ToyEnv(match), finished, resume=False)

@@ -1,8 +1,9 @@
 """A small population of random teams, and a registry that holds it."""
 
+import dataclasses
 import itertools
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 
 from population.spec import PolicySpec
+from tests.zoo.hub_server import Hub
+from zoo import remotes
 from zoo.publish import publish
 from zoo.registry import Registry
 from zoo.runs import TrainedTeam
@@ -101,3 +104,36 @@ def specs() -> dict[str, PolicySpec]:
 @pytest.fixture
 def params() -> Callable[..., dict[str, Any]]:
     return random_params
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache folder, and no remote but those that a test names."""
+    path = tmp_path / "cache"
+    monkeypatch.setenv("ASSISTAX_ZOO_CACHE", str(path))
+    monkeypatch.delenv("ASSISTAX_ZOO_REMOTE", raising=False)
+    return path
+
+
+@pytest.fixture
+def hub(monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
+    """A hub on loopback that the real client talks to; pauses between attempts are short."""
+    from huggingface_hub import constants
+    from huggingface_hub.utils import close_session
+
+    monkeypatch.setattr(remotes, "RETRY", remotes.Retry(attempts=3, pause=0.01))
+    monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
+    with Hub().running() as server:
+        monkeypatch.setattr(constants, "ENDPOINT", server.url)
+        template = f"{server.url}/{{repo_id}}/resolve/{{revision}}/{{filename}}"
+        monkeypatch.setattr(constants, "HUGGINGFACE_CO_URL_TEMPLATE", template)
+        yield server
+        close_session()
+
+
+@pytest.fixture
+def large(tmp_path: Path) -> Registry:
+    """A registry whose two shards have half a megabyte each."""
+    specs = {role: dataclasses.replace(spec, hidden=(128, 128)) for role, spec in SPECS.items()}
+    teams = [trained_team(seed=seed, specs=specs) for seed in range(8)]
+    return put(teams, tmp_path / "large" / "registry.json")

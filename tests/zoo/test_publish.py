@@ -244,10 +244,11 @@ def test_a_run_folder_is_read_as_it_was_written(tmp_path: Path, teams, publish_t
 
 
 def test_what_the_trainer_writes_can_be_published(tmp_path: Path, specs, params) -> None:
-    config = TrainConfig("scratch", "ippo", make_members((0, 1), ("d1", "d9")), steps=100, ppo=PPOConfig(hidden=(4,)))
+    members = make_members((0, 1), ("d1", "d9"))
+    config = TrainConfig("scratch", "ippo", members, steps=100, trainer=PPOConfig(hidden=(4,)))
     rows = {role: [params(spec, 10 * n + len(role)) for n in range(4)] for role, spec in specs.items()}
     stacked = {role: jax.tree.map(lambda *leaves: np.stack(leaves), *trees) for role, trees in rows.items()}
-    training = {"steps": 100, "env_version": 1, "backend": "native", "hyperparameters": config.to_json()["ppo"]}
+    training = {"steps": 100, "env_version": 1, "backend": "native", "hyperparameters": config.to_json()["trainer"]}
     run = RunFolder(tmp_path / "run")
     run.open(config, {"env_version": 1}, resume=False)
     run.write_teams(config, specs, stacked, training, [SELF_PLAY, SELF_PLAY, SELF_PLAY, None])

@@ -1,0 +1,170 @@
+"""Commands that bring policies in and out: import, export; and what `show --card` and `verify --deep` do."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from assistax_zoo.console import print_json, progress, stdout_is_data
+
+if TYPE_CHECKING:
+    from evaluation.deep import DeepReport
+    from zoo.foreign import ForeignEntry
+    from zoo.registry import Registry
+
+FormatName = Literal["safetensors", "onnx", "torch"]
+
+
+def import_zoo(
+    path: Path, *, name: str | None = None, partial: bool = False, registry: Path | None = None, json: bool = False
+) -> None:
+    """Import a public Assistax zoo, version 1 or 2, as foreign policies: listed, shown and verified, never played.
+
+    Args:
+        path: The zoo's folder (with index.csv, config/, params/) or its .tar.gz.
+        name: Name of the zoo in its policies' ids, foreign/NAME/UUID; default the file's own name.
+        partial: Leave out policies whose files are missing or damaged, instead of refusing the zoo.
+        registry: Registry that the zoo is to lie beside instead of the installed one.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo import zoo.tar.gz --name public-v1
+    """
+    from zoo.foreign_import import import_zoo as import_into
+
+    name = name or path.resolve().name.removesuffix(".tar.gz").removesuffix(".tgz").lower()
+    done = import_into(path, name, registry, partial=partial)
+    if json:
+        print_json(done.to_json())
+        return
+    for problem in done.left_out:
+        print(f"left out: {problem}", file=sys.stderr)
+    count, noted = len(done.zoo.policies), sum(bool(policy.notes) for policy in done.zoo.policies)
+    print(
+        f"{'imported' if done.fresh else 'nothing new:'} {count} foreign policies ({done.zoo.format}) in "
+        f"{done.folder}; {noted} with notes, {len(done.left_out)} left out; next: assistax-zoo list 'foreign/{name}/*'"
+    )
+
+
+def export(
+    id: str, *, format: FormatName, out: Path, registry: Path | None = None, force: bool = False, json: bool = False
+) -> None:
+    """Write one policy to a file that needs nothing of this project: safetensors, ONNX, or a PyTorch state dict.
+
+    The file holds the deterministic policy, its observation normaliser included. See docs/export.md.
+
+    Args:
+        id: A policy's id, or a .safetensors file that was exported before.
+        format: Format of the file.
+        out: File to write.
+        registry: Registry to read instead of the installed one.
+        force: Replace the file if it exists.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo export scratch/ippo-d3-s5-v0/robot --format onnx --out robot.onnx
+    """
+    from zoo.files import atomic_write, sha256
+
+    if out.exists() and not force:
+        raise ValueError(f"{out} exists; nothing was written: choose another --out, or give --force to replace it")
+    with stdout_is_data():
+        spec, params, metadata = _read_policy(id, registry)
+        if format == "onnx":
+            from population.onnx_export import to_onnx
+
+            atomic_write(out, to_onnx(spec, params, metadata))
+        elif format == "torch":
+            from population.torch_export import to_torch
+
+            atomic_write(out, to_torch(spec, params, metadata))
+        else:
+            from zoo.storage import write_policy_file
+
+            write_policy_file(out, spec, params, metadata)
+    data = out.read_bytes()
+    if json:
+        print_json({"id": id, "format": format, "file": out, "bytes": len(data), "sha256": sha256(data)})
+    else:
+        print(f"wrote {id} as {format} to {out} ({len(data)} bytes)")
+
+
+def write_card(cards: Sequence[dict[str, Any]], path: Path, image: Path | None) -> None:
+    """Write a card as Markdown; a picture stands in it relative to the card."""
+    import os
+
+    from zoo.card import markdown_card
+    from zoo.files import atomic_write
+
+    if image is not None and not image.is_file():
+        raise ValueError(f"no picture at {image}; render one with `assistax-zoo render`, or leave --image out")
+    place = None if image is None else Path(os.path.relpath(image.resolve(), path.resolve().parent)).as_posix()
+    atomic_write(path, markdown_card(cards, place).encode())
+
+
+def replay_teams(
+    registry: "Registry", pattern: str | None, release: str | None, episodes: int, backend: str
+) -> "DeepReport":
+    """Run `verify --deep`: progress on standard error, nothing on standard output."""
+    from evaluation.deep import verify_deep
+
+    entries = registry.select(pattern, release=release)
+    with stdout_is_data(), progress("replay teams", len({entry.team for entry in entries})) as advance:
+        return verify_deep(registry, entries, episodes=episodes, backend=backend, on_progress=advance)
+
+
+def print_replay(result: "DeepReport") -> None:
+    """Print expected and found returns of each team, the versions, and a verdict."""
+    print(", ".join(f"{name} {version}" for name, version in result.versions.items()))
+    for team in result.teams:
+        expected = "not recorded" if team.expected is None else f"{team.expected:.1f} within {team.tolerance:.1f}"
+        print(f"{'ok     ' if team.ok else 'differs'} {team.team:28} expected {expected}, found {team.found:.1f}")
+    for problem in result.problems:
+        print(f"problem: {problem}")
+    for drift in result.drifts:
+        print(f"{drift.task}: mean difference {drift.found:+.2%}, allowed {drift.tolerance:.2%}")
+    print(
+        f"{'replayed' if result.ok else f'{len(result.problems)} problems in'} {len(result.teams)} teams of "
+        f"{result.episodes} episodes on {result.backend}, {result.policies} policies stepped"
+    )
+
+
+def foreign_entries(pattern: str | None, registry: Path | None, fields: dict[str, Any]) -> "list[ForeignEntry]":
+    """Return the foreign policies that match, as `zoo.selection.select` does."""
+    from zoo.errors import ForeignError
+    from zoo.foreign import foreign_root, read_foreign
+    from zoo.selection import select
+
+    entries = read_foreign(registry)
+    if not entries:
+        raise ValueError(
+            f"no foreign policies in {foreign_root(registry)}; import some with `assistax-zoo import PATH`"
+        )
+    try:
+        return select(entries, pattern, **fields)
+    except ForeignError:
+        raise ValueError(f"no foreign policy matches {pattern!r}; `assistax-zoo list --foreign` prints all") from None
+
+
+def _read_policy(id: str, registry: Path | None) -> tuple[Any, Any, dict[str, Any]]:
+    """Return spec, parameters and metadata of a policy of the registry or of a file."""
+    from zoo.registry import load_registry
+    from zoo.storage import load_group, read_policy_file
+
+    if id.endswith(".safetensors"):
+        return read_policy_file(id)
+    loaded = load_registry(registry)
+    entry = loaded.policy(id)
+    (group,) = load_group(loaded, [entry])
+    metadata = {
+        "id": entry.id,
+        "sha256": entry.sha256,
+        "disability": entry.disability,
+        "env_version": loaded.data.releases[entry.release].environments[entry.task],
+        "self_play": entry.self_play.model_dump(mode="json") if entry.self_play else None,
+    }
+    return group.spec, _first_row(group.params), metadata
+
+
+def _first_row(params: Any) -> Any:
+    return {name: _first_row(value) for name, value in params.items()} if isinstance(params, dict) else params[0]

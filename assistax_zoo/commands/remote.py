@@ -1,0 +1,173 @@
+"""Commands between this machine and others: fetch, publish, lock."""
+
+import contextlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from assistax_zoo.console import print_json, progress
+
+if TYPE_CHECKING:
+    from zoo.fetch import Report
+    from zoo.remotes import Remote
+
+
+def fetch(
+    pattern: str | None = None,
+    *,
+    from_: Annotated[str | None, Parameter(name="--from")] = None,
+    task: str | None = None,
+    algorithm: str | None = None,
+    disability: str | None = None,
+    role: Literal["robot", "human"] | None = None,
+    release: str | None = None,
+    lock: Path | None = None,
+    registry: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Fetch partners from a remote into the cache, verified; what is on this machine already is only verified.
+
+    The cache is ~/.cache/assistax-zoo, or $ASSISTAX_ZOO_CACHE. An interrupted fetch goes on where it was.
+
+    Args:
+        pattern: Glob over policy ids, such as 'scratch/ippo-*/human'; everything if not given.
+        from_: Folder, https://..., hf://org/name or hf://org/name@revision; default $ASSISTAX_ZOO_REMOTE.
+        task: Only this task.
+        algorithm: Only this algorithm.
+        disability: Only this disability setting, such as d3.
+        role: Only this role.
+        release: Only this release, such as v0.
+        lock: Only what this lock file pins.
+        registry: Registry that says which bytes; default the remote's with --from, else the installed one.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo fetch 'scratch/ippo-*/human' --from hf://org/name@v0
+    """
+    from zoo.fetch import REMOTE_VARIABLE, remote_registry
+    from zoo.fetch import fetch as fetch_entries
+    from zoo.lock import locked_entries, read_lock
+    from zoo.registry import load_registry
+    from zoo.remotes import open_remote
+
+    text = from_ or os.environ.get(REMOTE_VARIABLE)
+    remote = open_remote(text) if text else None
+    loaded = remote_registry(remote) if remote and from_ and not registry else load_registry(registry)
+    fields = {"algorithm": algorithm, "disability": disability, "role": role, "release": release}
+    entries = loaded.select(pattern, task=task, **fields)
+    if lock:
+        pinned = {entry.id for entry in locked_entries(loaded, read_lock(lock))}
+        entries = [entry for entry in entries if entry.id in pinned]
+    with contextlib.ExitStack() as stack:
+        report = fetch_entries(loaded, entries, remote, on_total=_byte_progress(stack, remote))
+    if json:
+        print_json(report.to_json())
+        return
+    _print_report(report)
+    if remote and from_ and not registry:
+        print(f"its registry is {report.registry}: give it to other commands with --registry")
+
+
+def publish(
+    *runs: Path,
+    release: str,
+    to: str | None = None,
+    registry: Path | None = None,
+    date: str | None = None,
+    description: str = "",
+    json: bool = False,
+) -> None:
+    """Publish the teams of run folders in a release: shards, registry, default split and card.
+
+    What is published never changes; the same run again is a no-op. A hub gets one commit, then a tag.
+
+    Args:
+        runs: Run folders that `assistax-zoo train` wrote.
+        release: Release that the teams join, such as v0; it is made if it does not exist.
+        to: Folder, or hf://org/name, to publish to; it is made if it does not exist.
+        registry: Registry to publish to instead, without a card; default the installed one.
+        date: ISO date of a new release; default today.
+        description: One sentence on a new release.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo publish runs/scratch-ippo-d1 runs/scratch-ippo-d9 --release v0 --to zoos/mine
+    """
+    from zoo.files import registry_path
+    from zoo.hub_publish import publish_to, publish_to_registry
+    from zoo.runs import read_run
+
+    if not runs:
+        raise ValueError("no run folder given; name at least one, for example runs/scratch-ippo-d1")
+    if to and registry:
+        raise ValueError("both --to and --registry given; --to takes a folder or hf://org/name, and is enough")
+    teams = [team for run in runs for team in read_run(run)]
+    details = {"date": date, "description": description}
+    if to:
+        done = publish_to(teams, to, release, **details)
+    else:
+        done = publish_to_registry(teams, registry_path(registry), release, **details)
+    if json:
+        print_json(done.to_json())
+        return
+    print(f"published {len(done.added)} new policies in release {release} of {done.registry}; it holds {done.policies}")
+
+
+def lock(
+    pattern: str | None = None,
+    *,
+    task: str | None = None,
+    release: str | None = None,
+    split: tuple[str, ...] = (),
+    out: Path = Path("assistax-zoo.lock"),
+    registry: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Write a lock file for a paper: release, split, and the sha256 of every policy, so that others use the same.
+
+    `evaluate --lock`, `crossplay --lock` and `fetch --lock` then refuse or leave out everything else.
+
+    Args:
+        pattern: Glob over policy ids to pin; all of the release if not given.
+        task: Only this task.
+        release: Release to pin; default the newest.
+        split: Id of a split to pin instead of a task's default one; repeat it for more tasks.
+        out: File to write.
+        registry: Registry to read instead of the installed one.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo lock 'scratch/*' --release v0 --out assistax-zoo.lock
+    """
+    from zoo.lock import make_lock, write_lock
+    from zoo.registry import load_registry
+
+    loaded = load_registry(registry)
+    entries = loaded.select(pattern, task=task, release=release or loaded.release)
+    made = make_lock(loaded, entries, {name.partition("/")[0]: name for name in split})
+    write_lock(made, out)
+    if json:
+        print_json({"lock": out, **made.model_dump(mode="json")})
+        return
+    print(f"locked {len(made.policies)} policies of release {made.release} in {out}")
+    for name in made.environments:
+        pinned = f"split {made.splits[name].id}" if name in made.splits else "no split: not all its partners are locked"
+        print(f"  {name}: {pinned}")
+
+
+def _byte_progress(stack: contextlib.ExitStack, remote: "Remote | None") -> Callable[[int], Callable[[int], None]]:
+    name = remote.name if remote else ""
+    return lambda total: stack.enter_context(progress(f"fetch {name}", total, is_bytes=True))
+
+
+def _print_report(report: "Report") -> None:
+    found: dict[str, Any] = {"already here": report.present, "cut to the policies asked for": report.sliced}
+    told = "".join(f", {count} {what}" for what, count in found.items() if count)
+    print(f"verified {report.policies} policies in {report.shards} shards{told}")
+    if report.bytes:
+        speed = report.bytes / 1e6 / max(report.seconds, 1e-3)
+        origin = f"{report.remote}{f' at commit {report.revision}' if report.revision else ''}"
+        print(f"fetched {report.bytes / 1e6:.1f} MB from {origin} in {report.seconds:.1f} s ({speed:.0f} MB/s)")

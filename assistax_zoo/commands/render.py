@@ -1,0 +1,69 @@
+"""Pictures and films of an episode."""
+
+from pathlib import Path
+
+from assistax_zoo.console import progress, stdout_is_data
+
+
+def render(
+    *,
+    task: str,
+    robot: str,
+    human: str,
+    out: Path,
+    steps: int | None = None,
+    seed: int = 0,
+    camera: str | None = None,
+    fps: int = 25,
+    width: int = 640,
+    height: int = 480,
+    disability: str | None = None,
+    registry: Path | None = None,
+) -> None:
+    """Film an episode of a robot and a human, with targets, contact force and reward drawn on; no display is needed.
+
+    The human plays under its own disability setting. An .mp4 or .gif runs in real time, a .png shows four moments.
+
+    Args:
+        task: Task, such as scratch.
+        robot: zoo:ID, a .safetensors file, zero, random, python:package.module:factory, or onnx:FILE.
+        human: zoo:ID, a .safetensors file, zero, or random.
+        out: File to write: .mp4, .gif or .png.
+        steps: Steps of 20 ms to show; the whole episode of 1000 if not given.
+        seed: Seed of the episode: where it starts.
+        camera: A camera of the scene, such as side, or close to follow the tool.
+        fps: Frames a second.
+        width: Pixels of a frame.
+        height: Pixels of a frame.
+        disability: The human's setting, d1 to d9, instead of its own.
+        registry: Registry to read instead of the installed one.
+
+    Example:
+        assistax-zoo render --task scratch --robot zoo:scratch/ippo-d1-s7-v0/robot --human random --out scratch.mp4
+    """
+    with stdout_is_data():
+        import functools
+
+        from assistax_envs import make
+        from evaluation.partners import seat_policy
+        from evaluation.replay import check_film, film, play
+        from zoo.registry import load_registry
+
+        check_film(out, fps, width, height)
+        env = make(task, "native")
+        length = env.episode_length if steps is None else steps
+        if not 1 <= length <= env.episode_length:
+            raise ValueError(f"steps is {steps}; allowed are 1 to {env.episode_length}, an episode")
+        zoo = functools.partial(load_registry, registry)
+        players = {
+            role: seat_policy(reference, role, env, zoo, task, seed)
+            for role, reference in (("robot", robot), ("human", human))
+        }
+        setting = disability or getattr(players["human"], "disability", None) or "d1"
+        draw = functools.partial(
+            env.render, camera=camera, width=width, height=height, caption=(f"robot {robot}", f"human {human}")
+        )
+        with progress(f"render {task}", length) as advance:
+            states = play(env, players["robot"], players["human"], setting, seed, length, on_step=lambda: advance(1))
+            film(states, draw, out, length, fps)
+    print(out)

@@ -1,0 +1,131 @@
+"""What finished folders tell: differences of two methods, strategies of partners, and a page for people."""
+
+from pathlib import Path
+from typing import Any
+
+from assistax_zoo.console import print_json
+
+
+def compare(a: Path, b: Path, /, *, seed: int = 0, json: bool = False) -> None:
+    """Compare method A with method B: paired differences A - B over the same partners and episodes.
+
+    Args:
+        a: Folder that `assistax-zoo evaluate --out` filled.
+        b: Another, of the same task, split, episodes and seed.
+        seed: Seed of the bootstrap.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo compare results/mine results/baseline
+    """
+    summaries = [_summary(folder) for folder in (a, b)]
+    from evaluation import tables
+    from evaluation.summary import summarise_comparison
+
+    for name in ("task", "env_version", "backend"):
+        first, second = (summary[name] for summary in summaries)
+        if first != second:
+            raise ValueError(f"{name} is {first} in {a} and {second} in {b}; evaluate both methods alike")
+    first, second = (tables.read_episodes(folder / tables.EPISODES_FILE) for folder in (a, b))
+    found: dict[str, Any] = {
+        "a": str(a),
+        "b": str(b),
+        "task": summaries[0]["task"],
+        **summarise_comparison(first, second, seed=seed),
+    }
+    if json:
+        print_json(found)
+        return
+    print(f"{found['task']}: return of {a} minus return of {b}")
+    for side in tables.SIDES:
+        if side in found:
+            _print_difference(side, found[side])
+    for note in found["notes"]:
+        print(f"note: {note}")
+
+
+def strategies(folder: Path, /, *, json: bool = False) -> None:
+    """Group partners by behaviour: forces, distance, joint travel, time to first contact and success.
+
+    A partner's behaviour is that of the pair with its best robot in the cross-play.
+
+    Args:
+        folder: Folder that `assistax-zoo crossplay --out` filled.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo strategies xp
+    """
+    from evaluation import tables
+    from evaluation.strategies import summarise_strategies
+
+    found = summarise_strategies(tables.read_parquet(folder / tables.PAIRS_FILE))
+    if json:
+        print_json(found)
+        return
+    _print_strategies(found)
+
+
+def report(folder: Path, /, *, out: Path) -> None:
+    """Write one page about a finished evaluation or cross-play: figures, tables, command, versions and hashes.
+
+    The page needs nothing but a browser; a cross-play can be zoomed and searched in it.
+
+    Args:
+        folder: Folder that `assistax-zoo evaluate --out` or `crossplay --out` filled.
+        out: Page to write, .html.
+
+    Example:
+        assistax-zoo report xp --out report.html
+    """
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"{out.name} ends in {out.suffix or 'nothing'!r}; a report is written as .html")
+    from evaluation.report import write_report
+
+    write_report(folder, out)
+    print(out)
+
+
+def _summary(folder: Path) -> dict[str, Any]:
+    from evaluation import tables
+
+    summary = tables.read_json(folder / tables.SUMMARY_FILE)
+    if "m_test" not in summary:
+        raise ValueError(f"{folder} holds no evaluation; give a folder that `assistax-zoo evaluate --out` filled")
+    return summary
+
+
+def _print_difference(side: str, figure: dict[str, Any]) -> None:
+    interval = "" if figure["mean_ci"] is None else " [{:+.1f}, {:+.1f}]".format(*figure["mean_ci"])
+    chance = "" if figure["p_positive"] is None else f", P(A > B) {figure['p_positive']:.3f}"
+    print(
+        f"  {side:5} partners: mean {figure['mean']:+.1f}{interval}, 95% for new {figure['generalises_to']}{chance}; "
+        f"better with {figure['partners_better']:.0%} of partners"
+    )
+
+
+def _print_strategies(found: dict[str, Any]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title="partners by behaviour with their best robot", title_justify="left", box=box.SIMPLE_HEAD)
+    for name in ("cluster", "medoid"):
+        table.add_column(name, no_wrap=True)
+    table.add_column("partners", justify="right")
+    for name, unit in found["features"].items():
+        table.add_column(f"{name.replace('_', ' ')}\n{unit}", justify="right")
+    for i, cluster in enumerate(found["clusters"]):
+        figures = [f"{cluster['mean'][name]:.3g}" for name in found["features"]]
+        table.add_row(chr(ord("A") + i), cluster["medoid"], str(len(cluster["members"])), *figures)
+    console = Console()
+    (console if console.is_terminal else Console(width=140)).print(table)
+    if len(found["clusters"]) == 1:
+        print("no clear clusters: all partners are one")
+    diversity = found["br_div"]
+    print(f"BR-Div: rank {diversity['rank']} of {diversity['n']}, participation {diversity['participation_ratio']:.2f}")
+    print(f"a diverse subset: {', '.join(found['diverse_subset'])}")
+    if pair := found["incompatible"]:
+        exchanged = " and ".join(f"{value:.0f}" for value in pair["returns_exchanged"])
+        own = " and ".join(f"{value:.0f}" for value in pair["returns"])
+        print(f"most incompatible: {' and '.join(pair['partners'])}: {own} with their robots, {exchanged} exchanged")

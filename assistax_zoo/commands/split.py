@@ -1,0 +1,149 @@
+"""Commands over splits: list, show, create, verify."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from assistax_zoo.commands.zoo import print_table
+from assistax_zoo.console import print_json
+
+if TYPE_CHECKING:
+    from zoo.registry import Registry
+    from zoo.schema import Split
+
+RuleName = Literal["half", "leave-one-algorithm-out", "leave-one-disability-out", "small-train", "custom"]
+
+
+def list_splits(*, task: str | None = None, registry: Path | None = None, json: bool = False) -> None:
+    """List the splits; a release's default is marked.
+
+    Args:
+        task: Only this task.
+        registry: Registry to read instead of the installed one.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo split list --task scratch
+    """
+    from zoo.registry import load_registry
+
+    loaded = load_registry(registry)
+    splits = [split for split in loaded.splits if task in (None, split.task)]
+    defaults = {split for release in loaded.data.releases.values() for split in release.splits.values()}
+    if json:
+        print_json([{**_brief(split), "default": split.id in defaults} for split in splits])
+        return
+    rows = [
+        (split.id, split.rule, str(len(split.train)), str(len(split.test)), "yes" if split.id in defaults else "")
+        for split in splits
+    ]
+    print_table(("split", "rule", "train", "test", "default"), rows, f"{len(splits)} splits")
+
+
+def show(id: str, *, registry: Path | None = None, json: bool = False) -> None:
+    """Show a split: rule, sha256, and the teams of both sides.
+
+    Args:
+        id: A split's id, or a task for its default split.
+        registry: Registry to read instead of the installed one.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo split show scratch
+    """
+    from zoo.registry import load_registry
+
+    task, _, rest = id.partition("/")
+    split = load_registry(registry).split(task, id if rest else None)
+    if json:
+        print_json(split.model_dump(mode="json"))
+        return
+    for name, value in _brief(split).items():
+        print(f"{name:8} {value}")
+    for side in ("train", "test"):
+        print(f"\n{side}\n" + "\n".join(f"  {team}" for team in getattr(split, side)))
+
+
+def create(
+    *,
+    task: str,
+    rule: RuleName = "half",
+    release: str | None = None,
+    seed: int = 0,
+    held_out: str | None = None,
+    n: int = 5,
+    train: tuple[str, ...] = (),
+    test: tuple[str, ...] = (),
+    registry: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Make a split of a release's partners and write it to the registry.
+
+    Args:
+        task: Task of the split.
+        rule: How the partners are divided.
+        release: Release of the partners; default the newest.
+        seed: Seed of the rules half and small-train.
+        held_out: Algorithm or disability setting that a leave-one-out rule tests on.
+        n: Training partners of small-train.
+        train: Team ids or globs of a custom split's train side; repeat the option for more.
+        test: Team ids or globs of a custom split's test side.
+        registry: Registry to write to instead of the installed one.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo split create --task scratch --rule leave-one-disability-out --held-out d9
+    """
+    from zoo.registry import load_registry
+    from zoo.release import create_split
+
+    loaded = load_registry(registry)
+    sides = {"train": _teams(loaded, train), "test": _teams(loaded, test)}
+    split = create_split(loaded.path, task=task, release=release, rule=rule, seed=seed, held_out=held_out, n=n, **sides)
+    if json:
+        print_json(split.model_dump(mode="json"))
+    else:
+        print(f"split {split.id}: {len(split.train)} train, {len(split.test)} test, in {loaded.path}")
+
+
+def verify(id: str | None = None, *, registry: Path | None = None, json: bool = False) -> None:
+    """Check splits: content against sha256, known teams, nothing on both sides; exit code 1 if anything is wrong.
+
+    On both sides are also two humans that act nearly alike, which no hash shows; `zoo/behaviour.py` says how nearly.
+
+    Args:
+        id: A split's id; all splits if not given.
+        registry: Registry to read instead of the installed one.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo split verify
+    """
+    from zoo.behaviour import similar_leak, similar_pairs
+    from zoo.errors import ZooError
+    from zoo.registry import load_registry
+
+    loaded = load_registry(registry)
+    names = [loaded.split(id.partition("/")[0], id).id] if id else [split.id for split in loaded.splits]
+    problems: dict[str, str] = {}
+    for name in names:
+        try:
+            alike = similar_pairs(loaded, loaded.split(name.partition("/")[0], name))
+            if alike:
+                problems[name] = str(similar_leak(name, alike))
+        except ZooError as error:
+            problems[name] = str(error)
+    if json:
+        print_json({"ok": not problems, "splits": names, "problems": problems})
+    else:
+        print("\n".join([*problems.values(), f"{len(names) - len(problems)} of {len(names)} splits verified"]))
+    if problems:
+        raise SystemExit(1)
+
+
+def _teams(registry: "Registry", patterns: tuple[str, ...]) -> list[str]:
+    return sorted({entry.team for entry in registry.select(patterns, role="human")}) if patterns else []
+
+
+def _brief(split: "Split") -> dict[str, Any]:
+    content = split.model_dump(mode="json", exclude={"train", "test"}, exclude_none=True)
+    return {**content, "n_train": len(split.train), "n_test": len(split.test)}

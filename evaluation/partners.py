@@ -1,0 +1,149 @@
+"""One frozen policy in one seat of one simulation: NumPy observations in, NumPy actions out."""
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from assistax_envs.disability import DISABILITY_SETTINGS, Disability
+from evaluation.egos import call_ego, read_egos
+from evaluation.jobs import HostEgo
+from population.policy import Policy
+from population.spec import PolicySpec
+from zoo.errors import UnknownIdError
+from zoo.registry import Registry
+from zoo.storage import load_group, read_policy_file
+
+FORMS = "zoo:ID, a path to a .safetensors file, zero, or random; for the robot also python:... and onnx:FILE"
+
+
+class Seats(Protocol):
+    """What is asked of an environment to put a policy into it."""
+
+    @property
+    def observation_size(self) -> dict[str, int]: ...
+    @property
+    def action_size(self) -> dict[str, int]: ...
+
+
+class FrozenPolicy:
+    """A callable from an observation [O], or several [..., O], to actions [..., A]; deterministic.
+
+    Call `reset` at episode starts. Fits the human's seat of the Gymnasium adapter, which does so, and takes the
+    partner's `disability` from here.
+    """
+
+    def __init__(
+        self, name: str, spec: PolicySpec, params: dict[str, Any], disability: Disability | None = None
+    ) -> None:
+        self.name = name
+        self.spec = spec
+        self.disability = disability
+        self._params = jax.device_put(params)
+        self._carry: Any = None
+
+    def reset(self, rows: int | None = None) -> None:
+        """Forget the episode; `rows` is what evaluators say of the batch to come, and is not needed."""
+        del rows
+        self._carry = None
+
+    def __call__(self, obs: np.ndarray) -> np.ndarray:
+        """Act on `obs`; its leading axes must stay the same within an episode."""
+        obs = np.asarray(obs, np.float32)
+        if obs.shape[-1:] != (self.spec.observation_size,):
+            raise ValueError(f"{self.name} got observations {obs.shape}; expected [..., {self.spec.observation_size}]")
+        # Two rows at least, as in the evaluator: a product with one row is rounded differently on the CPU.
+        batch = np.broadcast_to(obs, (2, *obs.shape)) if obs.ndim == 1 else obs
+        first = np.full(batch.shape[:-1], self._carry is None)
+        carry = Policy(self.spec).initial_carry(first.shape) if self._carry is None else self._carry
+        self._carry, action = _acting(self.spec)(self._params, carry, batch, first)
+        return np.array(action[0] if obs.ndim == 1 else action)
+
+
+def zoo_partner(registry: Registry, policy: str, role: str = "human") -> FrozenPolicy:
+    """Return one policy of the registry by its id or its team's id, hashes checked, with its disability setting.
+
+    Raises:
+        ZooError: no policy of that role has the id, or its bytes are not those of the registry.
+    """
+    entries = registry.select(policy, role=role)
+    if len(entries) != 1:
+        raise UnknownIdError(
+            f"{policy!r} is not one policy",
+            expected="the id of one policy",
+            found=f"{len(entries)} that match, such as {entries[0].id}",
+            done="nothing was loaded",
+            next_step="name one; `assistax-zoo list` prints every id",
+        )
+    [group], [entry] = load_group(registry, entries), entries
+    params = jax.tree.map(lambda leaf: leaf[0], group.params)
+    return FrozenPolicy(entry.id, group.spec, params, DISABILITY_SETTINGS.get(entry.disability))
+
+
+def seat_policy(
+    reference: str, role: str, env: Seats, registry: Callable[[], Registry], task: str, seed: int = 0
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Return who plays `role`: a callable from an observation [O] to an action [A], checked to fit the seat.
+
+    Args:
+        reference: zoo:ID, a path to a .safetensors file, "zero", or "random"; for the robot also python: and onnx:.
+        role: "robot" or "human".
+        env: the environment.
+        registry: read when it is needed.
+        task: the environment's.
+        seed: of random actions.
+
+    Raises:
+        ValueError: the reference has none of the known forms, or does not fit.
+        ZooError: an id or a file that is not there or not what it says.
+    """
+    size, scheme = env.action_size[role], reference.partition(":")[0]
+    if reference == "zero":
+        return lambda obs: np.zeros(size, np.float32)
+    if reference == "random":
+        rng = np.random.default_rng([seed, list(env.action_size).index(role)])
+        return lambda obs: rng.uniform(-1.0, 1.0, size).astype(np.float32)
+    if role == "robot" and scheme in ("python", "onnx"):
+        [ego] = read_egos([reference], registry(), task)
+        return _single(ego, size) if isinstance(ego, HostEgo) else _unfit(reference, role, FORMS)
+    if scheme == "zoo":
+        policy = zoo_partner(registry(), reference.removeprefix("zoo:"), role)
+    elif reference.endswith(".safetensors"):
+        spec, params, metadata = read_policy_file(Path(reference))
+        policy = FrozenPolicy(reference, spec, params, DISABILITY_SETTINGS.get(str(metadata.get("disability"))))
+    else:
+        raise ValueError(f"policy {reference!r} has an unknown form; allowed are {FORMS}")
+    _check_seat(policy, role, env)
+    return policy
+
+
+def _check_seat(policy: FrozenPolicy, role: str, env: Seats) -> None:
+    spec = policy.spec
+    if spec.role != role:
+        raise ValueError(f"{policy.name} plays the {spec.role}, not the {role}; give it with --{spec.role}")
+    expected, found = (env.observation_size[role], env.action_size[role]), (spec.observation_size, spec.action_size)
+    if found != expected:
+        raise ValueError(
+            f"{policy.name} takes {found[0]} observations to {found[1]} actions; the {role} of this task has "
+            f"{expected[0]} and {expected[1]}: give a policy that was trained on this task"
+        )
+
+
+def _unfit(reference: str, role: str, allowed: str) -> Any:
+    raise ValueError(f"policy {reference!r} cannot play the {role}; allowed are {allowed}")
+
+
+def _single(ego: HostEgo, size: int) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a robot from outside, which takes batches, as a callable on one observation."""
+    act, steps = call_ego(ego, ["its partner"], 1, size), iter(range(2**31))
+    return lambda obs: act(obs[None], next(steps))[0]
+
+
+@functools.cache
+def _acting(spec: PolicySpec) -> Callable[..., tuple[Any, jax.Array]]:
+    policy = Policy(spec)
+    return jax.jit(lambda params, carry, obs, first: policy.act(params, carry, jnp.asarray(obs), first))

@@ -1,0 +1,81 @@
+"""Figure of a hyperparameter sweep: the final return over each hyperparameter."""
+
+import math
+from collections.abc import Sequence
+
+import polars as pl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from evaluation.plots import style
+
+NOT_HYPERPARAMETERS = ("configuration", "seed", "final_return", "auc", "diverged")
+_SIDE, _COLUMNS = 2.6, 3
+_DECADES = 1.5  # values that span more than this many powers of ten are drawn on a logarithmic axis
+
+
+def sweep_panels(results: pl.DataFrame, *, title: str, caption: str) -> Figure:
+    """Draw one panel for each hyperparameter (paper, Figures 9 to 13): a point for each configuration and seed.
+
+    The configuration with the best mean final return is marked in every panel.
+
+    Args:
+        results: columns configuration, seed, final_return, diverged, and one for each hyperparameter.
+        title: written above.
+        caption: written below.
+
+    Raises:
+        ValueError: there is nothing to draw.
+    """
+    names = [name for name in results.columns if name not in NOT_HYPERPARAMETERS]
+    shown = results.filter(pl.col("final_return").is_not_null())
+    if not names or shown.is_empty():
+        raise ValueError("the sweep has no hyperparameter or no final return; run `assistax-zoo sweep` with more steps")
+    means = shown.group_by("configuration").agg(pl.col("final_return").mean()).sort("final_return", "configuration")
+    best = shown.filter(pl.col("configuration") == means["configuration"][-1])
+    rows = math.ceil(len(names) / _COLUMNS)
+    width, height = _SIDE * min(len(names), _COLUMNS) + 0.6, _SIDE * rows + 0.9
+    figure = style.new_figure(width, height)
+    grid = figure.add_gridspec(
+        rows,
+        min(len(names), _COLUMNS),
+        left=0.65 / width,
+        right=1 - 0.15 / width,
+        top=1 - 0.5 / height,
+        bottom=0.75 / height,
+        wspace=0.3,
+        hspace=0.5,
+    )
+    for index, name in enumerate(names):
+        axes = figure.add_subplot(grid[index // _COLUMNS, index % _COLUMNS])
+        _panel(axes, name, shown, best)
+        if index % _COLUMNS == 0:
+            axes.set_ylabel("final return", fontsize=8)
+    figure.text(0.2 / width, 1 - 0.12 / height, title, fontsize=11, weight="bold", va="top", color=style.INK)
+    figure.text(0.2 / width, 0.1 / height, caption, fontsize=7, va="bottom", color=style.MUTED)
+    return figure
+
+
+def _panel(axes: Axes, name: str, shown: pl.DataFrame, best: pl.DataFrame) -> None:
+    style.bare(axes, ("left", "bottom"))
+    axes.tick_params(labelsize=7)
+    values = shown[name].to_list()
+    if shown[name].dtype.is_float():
+        if min(values) > 0 and math.log10(max(values) / min(values)) > _DECADES:
+            axes.set_xscale("log")
+        else:
+            axes.xaxis.set_major_locator(MaxNLocator(3))
+        places, marked = values, best[name].to_list()
+    else:
+        levels = sorted(set(map(str, values)), key=lambda level: (len(level), level))
+        places, marked = _places(values, levels), _places(best[name].to_list(), levels)
+        axes.set_xticks(range(len(levels)), levels)
+        axes.set_xlim(-0.6, len(levels) - 0.4)
+    axes.scatter(places, shown["final_return"], s=9, color=style.OKABE_ITO[5], alpha=0.6, linewidths=0)
+    axes.scatter(marked, best["final_return"], s=26, facecolors="none", edgecolors=style.OKABE_ITO[3], linewidths=1.2)
+    axes.set_xlabel(name, fontsize=8)
+
+
+def _places(values: Sequence[object], levels: Sequence[str]) -> list[float]:
+    return [float(levels.index(str(value))) for value in values]

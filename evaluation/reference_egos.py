@@ -1,0 +1,43 @@
+"""Two egos that look at nothing, to read returns beside: zero action and uniformly random actions."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from evaluation.jobs import Member, ReferenceGroup, ReferenceSpec
+
+ZERO, RANDOM = "zero-action", "uniform-random"  # ids in the episode table
+_VERSION = "1"  # of what they do; part of their digests
+
+
+class ReferencePolicy:
+    """Actions drawn uniformly from [-amplitude, amplitude], in the interface of `population.policy.Policy`.
+
+    The draw is a hash of the observation's bits: random to look at, and the same however a job is cut into chunks.
+    """
+
+    def __init__(self, spec: ReferenceSpec) -> None:
+        self.spec = spec
+        rng = np.random.default_rng(0)
+        self._weights = rng.integers(1, 2**32, (2, spec.observation_size), np.uint32) | np.uint32(1)
+
+    def initial_carry(self, batch_shape: tuple[int, ...]) -> tuple[()]:
+        """Return the empty carry."""
+        return ()
+
+    def act(self, params: Any, carry: tuple[()], obs: jax.Array, first: jax.Array) -> tuple[tuple[()], jax.Array]:
+        """Return actions [..., A] for observations [..., O]; `params` holds a scalar "amplitude"."""
+        rows = jax.lax.bitcast_convert_type(obs, jnp.uint32).reshape(-1, self.spec.observation_size)
+        words = jnp.sum(rows[:, None, :] * self._weights[None], axis=-1, dtype=jnp.uint32)  # modulo 2**32: exact
+        keys = jax.vmap(jax.random.wrap_key_data)(words)
+        draw = jax.vmap(lambda key: jax.random.uniform(key, (self.spec.action_size,), minval=-1.0))(keys)
+        return carry, params["amplitude"] * draw.reshape(*obs.shape[:-1], self.spec.action_size)
+
+
+def reference_group(observation_size: int, action_size: int) -> ReferenceGroup:
+    """Return the two egos for a robot of these sizes."""
+    members = tuple(Member(name, f"{name}-{_VERSION}") for name in (ZERO, RANDOM))
+    amplitude = np.array([0, 1], np.float32)
+    return ReferenceGroup(ReferenceSpec(observation_size, action_size), members, {"amplitude": amplitude})

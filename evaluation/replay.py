@@ -1,0 +1,152 @@
+"""Play one episode to look at, and film it: an .mp4 or .gif of its course, or a .png strip of moments."""
+
+import contextlib
+import errno
+import importlib
+import itertools
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from PIL import Image
+
+from assistax_envs import Disability, Env, EnvState, disability_params
+from evaluation.rollout import episode_seeds
+from evaluation.tables import atomic_path
+
+RATE = 50  # control steps a second
+ENDINGS = (".mp4", ".gif", ".png")
+MOMENTS = 4  # pictures in a strip
+VIDEO_HELP = (
+    "an .mp4 needs the package imageio-ffmpeg; install it with: pip install 'assistax-zoo[video]', or write .gif"
+)
+
+Act = Callable[[np.ndarray], np.ndarray]
+
+
+def play(
+    env: Env,
+    robot: Act,
+    human: Act,
+    disability: str | Disability = "d1",
+    seed: int = 0,
+    steps: int | None = None,
+    on_step: Callable[[], None] | None = None,
+) -> Iterator[EnvState]:
+    """Yield the states of one episode, each [1], from its start on.
+
+    Args:
+        env: the environment.
+        robot: from the robot's observation [O] to its action [A].
+        human: the same for the human.
+        disability: the human's setting.
+        seed: the episode is number 0 of an evaluation with this seed.
+        steps: how many; the whole episode if not given.
+        on_step: called after each step.
+    """
+    key = jax.random.key(np.uint32(episode_seeds(seed, [0])[0]))
+    state = jax.jit(env.reset)(key[None], disability_params([disability]))
+    step = jax.jit(env.step)
+    yield state
+    for _ in range(env.episode_length if steps is None else steps):
+        seats = {"robot": robot, "human": human}
+        actions = {role: np.asarray(act(np.asarray(state.obs[role][0])), np.float32) for role, act in seats.items()}
+        state = step(state, {role: action[None] for role, action in actions.items()})
+        if on_step is not None:
+            on_step()
+        yield state
+
+
+def check_film(path: Path, fps: int, width: int, height: int) -> None:
+    """Check, before any work is done, that a film can be written under this name.
+
+    Raises:
+        ValueError: the ending is unknown, the size or the rate is not possible, an .mp4 lacks its package, or the place
+            cannot be written to.
+    """
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
+        raise ValueError(
+            f"{path.name} ends in {path.suffix or 'nothing'!r}; pictures are written as .mp4, .gif or .png"
+        )
+    rates = [rate for rate in range(1, RATE + 1) if RATE % rate == 0]
+    if fps not in rates:
+        raise ValueError(f"fps is {fps}; allowed are {', '.join(map(str, rates))}, which divide {RATE} steps a second")
+    if ending == ".mp4":
+        if width % 2 or height % 2:
+            raise ValueError(f"the size is {width}x{height}; an .mp4 needs an even width and height")
+        _ffmpeg()
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "it is a folder")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:
+        raise ValueError(
+            f"{path} cannot be written ({error.strerror or error}); name a file in another folder"
+        ) from error
+
+
+def film(
+    states: Iterator[EnvState], draw: Callable[[EnvState], np.ndarray], path: Path, steps: int, fps: int = 25
+) -> int:
+    """Draw an episode and write it, in real time; return the number of frames.
+
+    Args:
+        states: of the episode, `steps` + 1 of them.
+        draw: from a state to uint8 [H, W, 3].
+        path: ends in .mp4, .gif or .png; a .png holds four moments side by side, the last one the end.
+        steps: of the episode.
+        fps: frames a second; a divisor of 50.
+    """
+    ending = path.suffix.lower()
+    wanted = moments(steps) if ending == ".png" else range(0, steps + 1, RATE // fps)
+    frames = (draw(state) for step, state in enumerate(states) if step in wanted)
+    with atomic_path(path) as temporary:
+        {".mp4": _write_mp4, ".gif": _write_gif, ".png": _write_strip}[ending](frames, temporary, fps)
+    return len(wanted)
+
+
+def moments(steps: int) -> Sequence[int]:
+    """Return the steps of a strip: the last is the end, and the first lie closer together, where most happens."""
+    return sorted({round(steps * ((i + 1) / MOMENTS) ** 2) for i in range(MOMENTS)})
+
+
+def _write_mp4(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
+    first = next(frames)
+    height, width = first.shape[:2]
+    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(fps), "-i", "-"]
+    target = ["-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-f", "mp4", str(path)]
+    command = [_ffmpeg().get_ffmpeg_exe(), "-y", "-loglevel", "error", *source, *target]
+    with tempfile.TemporaryFile() as told:
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=told, stderr=told) as process:
+            assert process.stdin is not None
+            with contextlib.suppress(BrokenPipeError):  # its exit code and its message say more
+                for frame in itertools.chain([first], frames):
+                    process.stdin.write(np.ascontiguousarray(frame).data)
+                process.stdin.close()
+        if process.returncode:
+            told.seek(0)
+            message = " ".join(told.read().decode(errors="replace").split())
+            raise ValueError(f"ffmpeg could not write the film ({message[:200]}); write a .gif instead")
+
+
+def _write_gif(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
+    pictures = (Image.fromarray(frame).quantize(method=Image.Quantize.FASTOCTREE) for frame in frames)
+    next(pictures).save(path, "GIF", save_all=True, append_images=pictures, duration=1000 // fps, loop=0)
+
+
+def _write_strip(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
+    Image.fromarray(np.concatenate(list(frames), axis=1)).save(path, "PNG", optimize=True)
+
+
+def _ffmpeg() -> Any:
+    try:
+        return importlib.import_module("imageio_ffmpeg")
+    except ImportError as error:
+        raise ValueError(VIDEO_HELP) from error

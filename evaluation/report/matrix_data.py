@@ -1,0 +1,108 @@
+"""What the page's interactive matrix draws: saved pairs, their orders, and colours, as JSON."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+import polars as pl
+from matplotlib.colors import to_hex
+
+from evaluation.plots import style
+from evaluation.plots.matrix import short_names
+
+MEASURES = {  # column of the pairs -> label, unit
+    "return": ("mean return", ""),
+    "success": ("success", "of episodes"),
+    "force_mean": ("mean force", "N"),
+    "force_peak": ("peak force", "N"),
+    "first_contact": ("first contact after", "steps"),
+    "distance_mean": ("mean distance", "m"),
+    "robot_travel": ("joint travel, robot", "rad"),
+    "human_travel": ("joint travel, human", "rad"),
+}
+_DIGITS = 4  # significant, of what is only looked at
+
+
+def matrix_data(
+    pairs: pl.DataFrame, order: Mapping[str, Any], strategies: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Return axes, measures, orders and palettes; the values of a measure are [robots][humans] in the table's order."""
+    rows, columns = (_axis(pairs, seat) for seat in ("ego", "partner"))
+    shape = len(rows), len(columns)
+    measures = {
+        name: {"label": label, "unit": unit, "values": _rounded(pairs[name].cast(pl.Float64).to_numpy().reshape(shape))}
+        for name, (label, unit) in MEASURES.items()
+        if name in pairs.columns
+    }
+    both = [*rows, *columns]
+    return {
+        "rows": rows,
+        "columns": columns,
+        "measures": measures,
+        "orders": _orders(rows, columns, pairs["return"].to_numpy().reshape(shape), order, strategies),
+        "colours": [to_hex(colour) for colour in matplotlib.colormaps[style.COLOUR_MAP](np.linspace(0, 1, 256))],
+        "palettes": {
+            "algorithm": style.algorithm_colours(one["algorithm"] for one in both),
+            "disability": style.disability_colours(one["disability"] for one in both),
+        },
+    }
+
+
+def _axis(pairs: pl.DataFrame, seat: str) -> list[dict[str, Any]]:
+    traits = ("team", "algorithm", "disability")
+    found = pairs.select(seat, *(f"{seat}_{trait}" for trait in traits)).unique(seat, maintain_order=True)
+    shorts = short_names(found[seat].to_list())
+    return [
+        {"name": row[seat], "short": short, **{trait: row[f"{seat}_{trait}"] for trait in traits}}
+        for row, short in zip(found.iter_rows(named=True), shorts, strict=True)
+    ]
+
+
+def _orders(
+    rows: list[dict[str, Any]],
+    columns: list[dict[str, Any]],
+    returns: np.ndarray,
+    order: Mapping[str, Any],
+    strategies: Mapping[str, Any] | None,
+) -> dict[str, dict[str, Any]]:
+    orders: dict[str, dict[str, Any]] = {}
+    if teams := order["teams"]:
+        orders["teams"] = {
+            "label": "clustered, one order of teams",
+            **_places("row", rows, "team", teams["order"], teams["clusters"]),
+            **_places("column", columns, "team", teams["order"], teams["clusters"]),
+        }
+    by_row = _places("row", rows, "name", order["rows"]["order"], order["rows"]["clusters"])
+    orders["separate"] = {
+        "label": "clustered, each axis by itself",
+        **by_row,
+        **_places("column", columns, "name", order["columns"]["order"], order["columns"]["clusters"]),
+    }
+    if strategies:
+        members = [name for cluster in strategies["clusters"] for name in cluster["members"]]
+        by_column = _places("column", columns, "name", members, strategies["clusters"])
+        orders["strategies"] = {"label": "humans by behaviour", **by_row, **by_column}
+    orders["traits"] = {
+        "label": "algorithm, disability, seed",
+        "rows": list(range(len(rows))),
+        "columns": list(range(len(columns))),
+    }
+    orders["mean"] = {
+        "label": "mean return",
+        "rows": np.argsort(-returns.mean(axis=1), kind="stable").tolist(),
+        "columns": np.argsort(-returns.mean(axis=0), kind="stable").tolist(),
+    }
+    return orders
+
+
+def _places(
+    axis: str, policies: list[dict[str, Any]], key: str, order: Sequence[str], clusters: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    place = {one[key]: i for i, one in enumerate(policies)}
+    breaks = np.cumsum([len(cluster["members"]) for cluster in clusters])[:-1].tolist()
+    return {f"{axis}s": [place[name] for name in order], f"{axis}Breaks": breaks}
+
+
+def _rounded(values: np.ndarray) -> list[list[float]]:
+    return [[float(f"{value:.{_DIGITS}g}") for value in row] for row in values]

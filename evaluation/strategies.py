@@ -1,0 +1,116 @@
+"""Strategies of partners: how the best robot of a cross-play behaves with each of them, and who behaves alike.
+
+A partner's features are means over the episodes of the robot with the highest mean return with it, each scaled to
+[0, 1] over the partners (theta and phi of BR-Div, ZSC-Eval, arXiv 2310.05208).
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from evaluation.clustering import Clustering, cluster_profiles
+from evaluation.metrics import br_diversity, greedy_subset
+from evaluation.metrics.diversity import scale_features
+from evaluation.tables import BEHAVIOUR
+
+FEATURES: Mapping[str, str] = {
+    "success": "of episodes",
+    "first_contact": "steps",
+    "force_mean": "N",
+    "force_peak": "N",
+    "distance_mean": "m",
+    "robot_travel": "rad",
+    "human_travel": "rad",
+}
+MOST_PICKED = 8  # partners of the diverse subset
+
+
+@dataclasses.dataclass(frozen=True)
+class Responses:
+    """The best robot with each partner of a cross-play, and what happens then."""
+
+    partners: list[str]  # P ids
+    robots: list[str]  # id of each partner's best robot
+    returns: np.ndarray  # [P, P]: with partner a (column) the best robot of partner b (row)
+    features: np.ndarray  # [P, F] of each partner with its best robot, in the order of FEATURES
+
+
+def best_responses(pairs: pl.DataFrame) -> Responses:
+    """Find the best robot with each partner in a table of pairs.
+
+    Raises:
+        ValueError: The table was written before behaviour was recorded.
+    """
+    if missing := [name for name in BEHAVIOUR if name not in pairs.columns]:
+        raise ValueError(
+            f"the table of pairs lacks {', '.join(missing)}: it was written before behaviour was recorded; run "
+            "crossplay again with another --out"
+        )
+    partners = pairs["partner"].unique(maintain_order=True).to_list()
+    best = pairs.sort("return", descending=True, maintain_order=True).unique("partner", keep="first")
+    best = pl.DataFrame({"partner": partners}).join(best, on="partner", how="left", maintain_order="left")
+    wide = pairs.pivot("partner", index="ego", values="return")
+    rows = best.select("ego").join(wide, on="ego", how="left", maintain_order="left").select(partners)
+    return Responses(
+        partners, best["ego"].to_list(), rows.to_numpy(), best.select(list(FEATURES)).to_numpy().astype(float)
+    )
+
+
+def summarise_strategies(pairs: pl.DataFrame) -> dict[str, Any]:
+    """Return clusters of partners with medoids, BR-Div, a diverse subset and the most incompatible two, JSON-ready."""
+    found = best_responses(pairs)
+    scaled = scale_features(found.features)
+    clustering = cluster_profiles(scaled)
+    diversity = br_diversity(found.features)
+    picked = greedy_subset(found.features, min(diversity.rank, MOST_PICKED)) if diversity.rank else []
+    return {
+        "features": dict(FEATURES),
+        "partners": [
+            {"partner": name, "robot": robot, "cluster": int(label), **_named(row)}
+            for name, robot, label, row in zip(
+                found.partners, found.robots, clustering.labels, found.features, strict=True
+            )
+        ],
+        "clusters": _clusters(found, clustering),
+        "silhouette": clustering.silhouette,
+        "br_div": diversity.to_json(),
+        "diverse_subset": [found.partners[i] for i in picked],
+        "incompatible": _incompatible(found),
+    }
+
+
+def _clusters(found: Responses, clustering: Clustering) -> list[dict[str, Any]]:
+    clusters = []
+    for label, medoid in enumerate(clustering.medoids):
+        members = [i for i in clustering.order if clustering.labels[i] == label]
+        clusters.append(
+            {
+                "medoid": found.partners[int(medoid)],
+                "members": [found.partners[i] for i in members],
+                "mean": _named(found.features[members].mean(axis=0)),
+            }
+        )
+    return clusters
+
+
+def _incompatible(found: Responses) -> dict[str, Any] | None:
+    """Two partners whose best robots lose the most with each other: the lesser of the two losses is the greatest."""
+    own = np.diag(found.returns)
+    loss = own[None, :] - found.returns  # [robot's partner b, played partner a]
+    mutual = np.minimum(loss, loss.T)
+    first, second = np.unravel_index(int(np.argmax(mutual)), mutual.shape)
+    if mutual[first, second] <= 0:
+        return None
+    return {
+        "partners": [found.partners[first], found.partners[second]],
+        "robots": [found.robots[first], found.robots[second]],
+        "returns": [float(own[first]), float(own[second])],
+        "returns_exchanged": [float(found.returns[second, first]), float(found.returns[first, second])],
+    }
+
+
+def _named(row: np.ndarray) -> dict[str, float]:
+    return {name: float(value) for name, value in zip(FEATURES, row, strict=True)}

@@ -1,0 +1,228 @@
+"""Hyperparameter sweeps: many configurations side by side, as members of a few vmapped programs.
+
+Continuous hyperparameters are traced: configurations that differ in them alone share one compiled program. Discrete
+ones change the program, so each combination of them is a block of its own, or several.
+"""
+
+import dataclasses
+import itertools
+import json
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from population.config import Member, TrainConfig, preset
+from population.rollout import Environment
+from population.runs import write_atomically
+from population.train import Progress, train
+
+RESULTS, BEST = "sweep.parquet", "preset.json"
+FINAL_SHARE = 0.1  # of a run: the final return is the mean over its last tenth
+
+
+@dataclasses.dataclass(frozen=True)
+class Range:
+    """Values of a continuous hyperparameter."""
+
+    low: float
+    high: float
+    log: bool = True  # whether values are uniform in their logarithm
+
+    def __post_init__(self) -> None:
+        if not self.low < self.high or not math.isfinite(self.high - self.low) or (self.log and self.low <= 0):
+            positive = "0 < " if self.log else ""
+            raise ValueError(
+                f"a range is from {self.low} to {self.high}; it must have {positive}low < high, both finite"
+            )
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """Draw a value, rounded to four digits."""
+        if self.log:
+            value = math.exp(rng.uniform(math.log(self.low), math.log(self.high)))
+        else:
+            value = rng.uniform(self.low, self.high)
+        return float(f"{value:.4g}")
+
+
+Space = Mapping[str, Range | tuple[Any, ...]]  # a tuple holds the values of a discrete hyperparameter
+
+SPACES: Mapping[str, Space] = {
+    "ppo": {
+        "learning_rate": Range(1e-4, 1e-2),
+        "clip_eps": Range(0.05, 0.4, log=False),
+        "entropy_coef": Range(1e-5, 1e-2),
+        "rollout_steps": (64, 128),
+    },
+    "sac": {
+        "policy_lr": Range(1e-4, 3e-3),
+        "q_lr": Range(1e-4, 3e-3),
+        "tau": Range(1e-3, 2e-2),
+        "target_entropy_scale": Range(0.5, 5.0, log=False),
+        "updates": (16, 32),
+    },
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """What to try."""
+
+    task: str  # environment task
+    algorithm: str  # preset that is varied
+    space: Space  # hyperparameters by name
+    configurations: int = 168  # number of points
+    seeds: int = 3  # seeds of each point
+    disability: str = "d1"  # the human's setting
+    steps: int = 2_000_000  # environment steps of each member
+    block: int = 64  # most members in one program
+    seed: int = 0  # draws the points
+    fixed: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # other changes of the preset
+
+    def __post_init__(self) -> None:
+        for name in ("configurations", "seeds", "steps", "block"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be at least 1")
+        if self.block < self.seeds:
+            raise ValueError(f"block is {self.block}; it must hold the {self.seeds} seeds of a configuration")
+        traced = preset(self.algorithm, **self.fixed).traced
+        for name, values in self.space.items():
+            if isinstance(values, Range) and name not in traced:
+                raise ValueError(f"{name} has a range; ranges are for {', '.join(traced)}: give a list of values")
+        for point in itertools.product(*self._discrete().values()):
+            preset(self.algorithm, **{**self.fixed, **dict(zip(self._discrete(), point, strict=True))})
+
+    def points(self) -> list[dict[str, Any]]:
+        """Return the configurations: the grid over discrete values in turn, random draws of the others."""
+        rng = np.random.default_rng(self.seed)
+        grid = list(itertools.product(*self._discrete().values()))
+        return [
+            dict(zip(self._discrete(), grid[index % len(grid)], strict=True))
+            | {name: values.draw(rng) for name, values in self.space.items() if isinstance(values, Range)}
+            for index in range(self.configurations)
+        ]
+
+    def blocks(self) -> list[tuple[list[int], TrainConfig]]:
+        """Return the runs of the sweep, each with the numbers of its configurations."""
+        points, discrete = self.points(), self._discrete()
+        groups: dict[tuple[Any, ...], list[int]] = {}
+        for index, point in enumerate(points):
+            groups.setdefault(tuple(point[name] for name in discrete), []).append(index)
+        size = self.block // self.seeds
+        return [
+            (part, self._run(dict(zip(discrete, values, strict=True)), [points[index] for index in part]))
+            for values, indices in groups.items()
+            for part in (indices[start : start + size] for start in range(0, len(indices), size))
+        ]
+
+    def _run(self, discrete: dict[str, Any], points: list[dict[str, Any]]) -> TrainConfig:
+        members = tuple(
+            Member(seed, self.disability, {name: value for name, value in point.items() if name not in discrete})
+            for point in points
+            for seed in range(self.seeds)
+        )
+        trainer = preset(self.algorithm, **{**self.fixed, **discrete})
+        return TrainConfig(
+            task=self.task,
+            algorithm=self.algorithm,
+            members=members,
+            steps=self.steps,
+            trainer=trainer,
+            checkpoint_every=trainer.checkpoint_every,
+            updates_per_call=trainer.updates_per_call,
+            self_play_episodes=0,
+        )
+
+    def _discrete(self) -> dict[str, tuple[Any, ...]]:
+        return {name: values for name, values in self.space.items() if not isinstance(values, Range)}
+
+
+def run_sweep(
+    sweep: Sweep, env: Environment, folder: Path, progress: Callable[[int, int, Progress], None] | None = None
+) -> pl.DataFrame:
+    """Train every configuration, block by block, and return one row for each configuration and seed.
+
+    The folder holds a run for each block, `sweep.parquet`, and the best configuration as `preset.json`. A sweep that
+    was interrupted goes on. A configuration that diverges has no final return; the others of its block are untouched.
+
+    Args:
+        sweep: What to try.
+        env: The environment of the task.
+        folder: Where results are kept.
+        progress: Called with the block's number, the number of blocks, and the block's progress.
+    """
+    points, blocks, tables = sweep.points(), sweep.blocks(), []
+    for number, (indices, config) in enumerate(blocks):
+        report = None if progress is None else _numbered(progress, number, len(blocks))
+        run = train(config, env, folder / f"block-{number:03d}", stop_on_divergence=False, progress=report)
+        scores = score(pl.read_parquet(run / "metrics.parquet"))
+        rows = [
+            {"configuration": index, "seed": seed, **points[index]} for index in indices for seed in range(sweep.seeds)
+        ]
+        tables.append(pl.DataFrame(rows).with_columns(scores["final_return"], scores["auc"], scores["diverged"]))
+    results = pl.concat(tables).sort("configuration", "seed")
+    results.write_parquet(folder / RESULTS)
+    content = {"algorithm": sweep.algorithm, "hyperparameters": {**sweep.fixed, **best(results, points)}}
+    write_atomically(folder / BEST, (json.dumps(content, indent=2) + "\n").encode())
+    return results
+
+
+def score(metrics: pl.DataFrame) -> pl.DataFrame:
+    """Return final_return, auc and diverged of each member, in order, of a run's metrics.
+
+    The final return is the mean of the episodes that ended in the last tenth of the steps; `auc` is the mean over all
+    updates, so that the area under the curve is in units of return. A member with a loss that is not finite has none.
+    """
+    losses = [name for name in metrics.columns if "loss" in name]
+    last = pl.col("steps") > (1.0 - FINAL_SHARE) * pl.col("steps").max()
+    episodes, returns = pl.col("episodes"), pl.col("return")
+    table = metrics.group_by("member", maintain_order=True).agg(
+        ((returns * episodes).filter(last).sum() / episodes.filter(last).sum()).alias("final_return"),
+        returns.mean().alias("auc"),
+        pl.any_horizontal(~pl.col(name).is_finite().all() for name in losses).alias("diverged"),
+    )
+    gone = pl.col("diverged")
+    return table.sort("member").with_columns(
+        pl.when(gone).then(None).otherwise(pl.col(name)).fill_nan(None).alias(name) for name in ("final_return", "auc")
+    )
+
+
+def best(results: pl.DataFrame, points: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the configuration with the highest mean final return over seeds; one with a diverged seed is never it.
+
+    Raises:
+        ValueError: No configuration has a final return for every seed.
+    """
+    means = results.group_by("configuration").agg(
+        pl.col("final_return").mean().alias("mean"), pl.col("final_return").null_count().alias("missing")
+    )
+    whole = means.filter(pl.col("missing") == 0).sort("mean", "configuration", descending=[True, False])
+    if whole.is_empty():
+        raise ValueError("no configuration finished an episode with every seed; give more steps or a narrower space")
+    return points[whole["configuration"][0]]
+
+
+def read_space(data: Mapping[str, Any]) -> Space:
+    """Return the space of JSON values: {"low", "high", "log"} for a range, a list for discrete values.
+
+    Raises:
+        ValueError: A value is neither.
+    """
+    space: dict[str, Range | tuple[Any, ...]] = {}
+    for name, value in data.items():
+        if isinstance(value, Mapping) and set(value) <= {"low", "high", "log"} and {"low", "high"} <= set(value):
+            space[name] = Range(**value)
+        elif isinstance(value, list) and value:
+            space[name] = tuple(tuple(item) if isinstance(item, list) else item for item in value)
+        else:
+            raise ValueError(
+                f'{name} is {value!r}; give {{"low": 1e-4, "high": 1e-2, "log": true}} or a list such as [64, 128]'
+            )
+    return space
+
+
+def _numbered(progress: Callable[[int, int, Progress], None], number: int, count: int) -> Callable[[Progress], None]:
+    return lambda report: progress(number, count, report)

@@ -1,0 +1,138 @@
+"""`assistax-zoo render`: films and strips of an episode, and one clear line where there can be none."""
+
+import itertools
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from PIL import Image
+
+from assistax_zoo.main import run
+from evaluation import replay
+from population.policy import Policy
+from population.spec import PolicySpec
+from zoo.storage import write_policy_file
+
+ROBOT = PolicySpec("robot", observation_size=34, action_size=7, hidden=(8,))
+SMALL = ("--width", "160", "--height", "120")
+
+
+def call(*words: object, robot: object = "random", human: object = "zero", task: str = "scratch") -> int:
+    return run(["render", "--task", task, "--robot", str(robot), "--human", str(human), *map(str, words)])
+
+
+def failure(capfd: pytest.CaptureFixture[str], code: int) -> str:
+    told = capfd.readouterr()
+    assert code == 1
+    assert told.out == ""
+    assert told.err.startswith("error: ") and told.err.count("\n") == 1
+    return told.err
+
+
+def test_a_png_is_a_strip_of_four_moments(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    out = tmp_path / "new" / "strip.png"
+    assert call("--out", out, "--steps", 20, *SMALL) == 0
+    assert capfd.readouterr().out == f"{out}\n"
+    strip = np.asarray(Image.open(out))
+    assert strip.shape == (120, 4 * 160, 3)
+    moments = np.split(strip, 4, axis=1)
+    assert all((one != other).any() for one, other in itertools.pairwise(moments))
+    assert replay.moments(20) == [1, 5, 11, 20] and replay.moments(1) == [0, 1]
+    assert [path.name for path in out.parent.iterdir()] == ["strip.png"]
+
+
+def test_a_gif_runs_in_real_time_with_a_policy_from_a_file(tmp_path: Path):
+    path = tmp_path / "robot.safetensors"
+    params = jax.tree.map(lambda leaf: np.array(leaf), jax.jit(Policy(ROBOT).init)(jax.random.key(0)))
+    write_policy_file(path, ROBOT, params)
+    out = tmp_path / "film.gif"
+    assert call("--out", out, "--steps", 20, "--fps", 10, "--camera", "close", *SMALL, robot=path) == 0
+    with Image.open(out) as film:
+        assert (getattr(film, "n_frames", 1), film.info["duration"], film.size) == (5, 100, (160, 120))
+
+
+def test_an_mp4_holds_every_frame(tmp_path: Path):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    out = tmp_path / "film.mp4"
+    assert call("--out", out, "--steps", 20, "--fps", 50, *SMALL) == 0
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", out, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    raw = subprocess.run(command, check=True, capture_output=True)
+    assert "50 fps" in raw.stderr.decode()
+    frames = np.frombuffer(raw.stdout, np.uint8).reshape(-1, 120, 160, 3)
+    assert len(frames) == 21 and frames.std() > 20.0
+
+
+def test_the_same_seed_gives_the_same_picture(tmp_path: Path):
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        assert call("--out", tmp_path / f"{name}.png", "--steps", 4, "--seed", seed, *SMALL) == 0
+    contents = {name: (tmp_path / f"{name}.png").read_bytes() for name in "abc"}
+    assert contents["a"] == contents["b"] != contents["c"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--out", "x.avi"), "x.avi ends in '.avi'; pictures are written as .mp4, .gif or .png"),
+        (("--out", "x"), "x ends in 'nothing'"),
+        (("--out", "x.gif", "--fps", 30), "fps is 30; allowed are 1, 2, 5, 10, 25, 50"),
+        (("--out", "x.png", "--steps", 0), "steps is 0; allowed are 1 to 1000"),
+        (("--out", "x.png", "--steps", 1001), "steps is 1001; allowed are 1 to 1000"),
+        (("--out", "x.png", "--camera", "up"), "camera is 'up'; allowed are"),
+        (("--out", "x.png", "--width", 3), "width is 3; allowed are 16 to 4096"),
+        (("--out", "x.png", "--disability", "d10"), "disability setting is 'd10'; allowed are d1"),
+    ],
+)
+def test_wrong_values_get_one_line(
+    words: tuple, message: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    assert message in failure(capfd, call(*words))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unknown_policies_and_tasks_get_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    out = ("--out", tmp_path / "x.png")
+    assert "policy 'best' has an unknown form; allowed are zoo:ID" in failure(capfd, call(*out, robot="best"))
+    assert "unknown policy 'scratch/ippo-d1-s0-v99'" in failure(capfd, call(*out, human="zoo:scratch/ippo-d1-s0-v99"))
+    assert "task is 'swim'; allowed are scratch" in failure(capfd, call(*out, task="swim"))
+
+
+def test_a_place_that_cannot_be_written_is_refused_before_any_work(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("assistax_envs.make", lambda *_: pytest.fail("work was done"))
+    (tmp_path / "file").touch()
+    assert "x.png cannot be written" in failure(capfd, call("--out", tmp_path / "file" / "x.png"))
+    (tmp_path / "folder.gif").mkdir()
+    assert "folder.gif cannot be written (it is a folder)" in failure(capfd, call("--out", tmp_path / "folder.gif"))
+
+
+def test_an_mp4_without_its_package_names_the_extra(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    assert "pip install 'assistax-zoo[video]', or write .gif" in failure(capfd, call("--out", tmp_path / "x.mp4"))
+
+
+def test_an_mp4_of_odd_size_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    assert "the size is 161x120; an .mp4 needs an even width" in failure(
+        capfd, call("--out", tmp_path / "x.mp4", "--width", 161, "--height", 120)
+    )
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_machine_without_opengl_gets_one_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    from assistax_envs import gl
+
+    def broken(width: int, height: int):
+        raise gl.RenderError(f"this machine cannot draw; apt-get install {gl.PACKAGES}")
+
+    monkeypatch.setattr("assistax_envs.render.open_context", broken)
+    assert "apt-get install libegl1" in failure(capfd, call("--out", tmp_path / "x.png", "--steps", 2))
+    assert os.listdir(tmp_path) == []

@@ -1,0 +1,77 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from assistax_zoo.main import run
+from evaluation import tables
+from evaluation.summary import save_crossplay, save_evaluation
+from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, teams
+
+
+def call(*words: Any) -> int:
+    return run([str(word) for word in words])
+
+
+def evaluated(folder: Path, shift: float = 0.0, **changes: Any) -> Path:
+    """An evaluation of one robot with 8 partners, `shift` above that of shift 0."""
+    returns = np.random.default_rng(0).normal(500, 50, (1, 8, 2)) + shift
+    table = episode_table(returns, ["mine"], teams(8), ["test", "train"] * 4)
+    context: dict[str, Any] = {**CONTEXT, **changes}
+    tables.write_episodes(table, folder / tables.EPISODES_FILE)
+    save_evaluation(folder, table, **context)
+    return folder
+
+
+@pytest.fixture
+def crossplay(tmp_path: Path) -> Path:
+    table = episode_table(clustered_matrix(6, 2)[:, :, None], teams(6), teams(6))
+    table = table.with_columns((10.0 * (pl.col("partner_seed") % 2)).alias("force_mean"))
+    context: dict[str, Any] = CONTEXT
+    save_crossplay(tmp_path / "xp", table, **context)
+    return tmp_path / "xp"
+
+
+def test_compare_prints_the_paired_difference(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    a, b = evaluated(tmp_path / "a", 10.0), evaluated(tmp_path / "b")
+    assert call("compare", a, b, "--json") == 0
+    found = json.loads(capfd.readouterr().out)
+    assert (found["a"], found["b"], found["task"]) == (str(a), str(b), "scratch")
+    for side in ("test", "train"):
+        assert found[side]["mean"] == pytest.approx(10.0, abs=1e-3)
+        assert (found[side]["p_positive"], found[side]["partners_better"]) == (1.0, 1.0)
+    assert call("compare", b, a) == 0
+    assert "test  partners: mean -10.0" in capfd.readouterr().out
+
+
+def test_methods_evaluated_unlike_are_not_compared(tmp_path: Path, crossplay: Path, capfd: Any):
+    a, b = evaluated(tmp_path / "a"), evaluated(tmp_path / "b", backend="mjx")
+    for other, told in ((b, "backend is native in"), (crossplay, "holds no evaluation"), (tmp_path / "c", "not exist")):
+        assert call("compare", a, other) == 1
+        error = capfd.readouterr().err
+        assert told in error
+        assert error.count("\n") == 1
+
+
+def test_strategies_of_a_crossplay(crossplay: Path, capfd: pytest.CaptureFixture[str]):
+    assert call("strategies", crossplay, "--json") == 0
+    printed = json.loads(capfd.readouterr().out)
+    assert printed == tables.read_json(crossplay / tables.STRATEGIES_FILE)
+    assert len(printed["clusters"]) == 2
+    assert call("strategies", crossplay) == 0
+    told = capfd.readouterr().out
+    assert all(word in told for word in ("BR-Div: rank 1 of 6", "most incompatible", "medoid"))
+    assert call("strategies", crossplay / "none") == 1
+    assert "does not exist" in capfd.readouterr().err
+
+
+def test_report_writes_a_page_and_says_where(crossplay: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    assert call("report", crossplay, "--out", tmp_path / "r.html") == 0
+    assert capfd.readouterr().out == f"{tmp_path / 'r.html'}\n"
+    assert (tmp_path / "r.html").read_text().startswith("<!doctype html>")
+    assert call("report", crossplay, "--out", tmp_path / "r.pdf") == 1
+    assert "a report is written as .html" in capfd.readouterr().err
+    assert call("report", crossplay) == 2

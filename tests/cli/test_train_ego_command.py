@@ -1,0 +1,67 @@
+import json
+
+import pytest
+
+from assistax_zoo.commands.train_ego import load_partners
+from assistax_zoo.main import run
+from zoo import storage
+from zoo.registry import load_registry
+
+TINY = ["--num-envs", "16", "--set", "rollout_steps=4", "--set", "minibatches=2", "--set", "hidden=(8, 8)"]
+
+
+def unreadable(test, loaded):
+    """Return a `_verified_row` that notes what is taken from shards and cannot take a row of the test half."""
+    take = storage._verified_row
+
+    def row(*place):
+        entry = place[-1]
+        if entry.id.rpartition("/")[0] in test:
+            raise OSError(f"the row of {entry.id} is unreadable")
+        loaded.append(entry.id)
+        return take(*place)
+
+    return row
+
+
+def test_only_the_training_half_is_loaded(monkeypatch):
+    registry = load_registry()
+    split, loaded = registry.split("scratch", "half"), []
+    monkeypatch.setattr(storage, "_verified_row", unreadable(split.test, loaded))
+    partners = load_partners(registry, split)
+    assert sorted(partners.names) == sorted(loaded) == [f"{team}/human" for team in split.train]
+    assert list(partners.disabilities) == [name.split("/")[1].split("-")[1] for name in partners.names]
+    with pytest.raises(OSError, match="is unreadable"):  # the guard bites: other halves would be seen
+        load_partners(registry, split.model_copy(update={"train": split.test}))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--algorithm", "ippo"], "algorithm is 'ippo'; allowed are ppo, sac"),
+        (["--num-envs", "20", "--set", "minibatches=4"], "num_envs is 20 with 16 partners"),
+        (["--split", "halves"], "expected one split"),
+        (["--set", "shared=true"], "leave shared out"),
+        (["--algorithm", "sac", "--set", "critic=central"], "choose local"),
+    ],
+)
+def test_wrong_values_get_one_line(words, message, tmp_path, capsys):
+    assert run(["train-ego", "--task", "scratch", *words, "--out", str(tmp_path / "run")]) == 1
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.slow
+def test_trained_robots_are_policy_files_that_can_be_evaluated(tmp_path, capfd):
+    from evaluation.egos import read_egos
+
+    words = ["train-ego", "--task", "scratch", "--split", "half", "--seeds", "2", "--steps", "128", *TINY]
+    assert run([*words, "--out", str(tmp_path / "ego"), "--backend", "native", "--json"]) == 0
+    result = json.loads(capfd.readouterr().out)
+    assert result["partners"] == 16
+    assert [path.rpartition("/")[2] for path in result["policies"]] == ["ppo-s0.safetensors", "ppo-s1.safetensors"]
+    (group,) = read_egos(result["policies"], load_registry(), "scratch")
+    assert len(group.members) == 2
+    spec, _, metadata = storage.read_policy_file(result["policies"][1])
+    assert (spec.role, metadata["seed"], metadata["training"]["steps"]) == ("robot", 1, 128)
+    assert metadata["split"].startswith("scratch/half-s0-v0")

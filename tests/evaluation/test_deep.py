@@ -1,0 +1,137 @@
+"""Replaying self-play against what a registry records."""
+
+import dataclasses
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evaluation.deep import DeepReport, tolerance, verify_deep, versions
+from population.spec import PolicySpec
+from tests.population.toy_env import ToyEnv, constant
+from zoo.publish import publish
+from zoo.registry import Registry, load_registry
+from zoo.runs import TrainedTeam
+from zoo.schema import SelfPlay
+
+ROOT = Path(__file__).parents[2]
+RETURN = 20.0  # of the toy environment: 20 steps at reward 1
+RECORDED = {"mean": RETURN, "iqm": RETURN, "ci": [19.5, 20.5], "n": 16}
+SPECS = {"robot": PolicySpec("robot", 2, 1, hidden=(4,)), "human": PolicySpec("human", 3, 2, hidden=(4,))}
+
+
+def random_params(spec: PolicySpec, seed: int) -> dict[str, Any]:
+    rng = np.random.default_rng(seed)
+    params: dict[str, Any] = {
+        f"Dense_{i}": {"kernel": rng.random((a, b), np.float32), "bias": rng.random(b, np.float32)}
+        for i, (a, b) in enumerate(itertools.pairwise((spec.observation_size, *spec.hidden, spec.action_size)))
+    }
+    size = spec.observation_size
+    params["log_std"] = np.zeros(spec.action_size, np.float32)
+    return {**params, "normaliser": {"mean": np.zeros(size, np.float32), "std": np.ones(size, np.float32)}}
+
+
+def trained(seed: int, disability: str = "d1", specs: Any = SPECS, self_play: Any = RECORDED) -> TrainedTeam:
+    params = {role: random_params(spec, 10 * seed + len(role)) for role, spec in specs.items()}
+    training = {"run": "r", "steps": 1, "env_version": 1, "backend": "jax"}
+    return TrainedTeam("scratch", "ippo", disability, seed, specs, params, training, self_play)
+
+
+@pytest.fixture
+def registry(tmp_path: Path) -> Registry:
+    lone = {"robot": SPECS["robot"]}
+    wide = {**SPECS, "robot": PolicySpec("robot", 2, 1, hidden=(6,))}
+    teams = [trained(0), trained(1, "d9"), trained(2, self_play=None), trained(3, specs=lone), trained(4, specs=wide)]
+    return publish(teams, tmp_path / "registry.json", "v0", environments={"scratch": 1}, date="2027-01-31")
+
+
+def check(registry: Registry, pattern: str | None = None, env: Any = None, **arguments: Any) -> DeepReport:
+    made = env or ToyEnv(constant)
+    return verify_deep(registry, registry.select(pattern), episodes=2, make_env=lambda task, backend: made, **arguments)
+
+
+def test_whole_teams_are_replayed_and_every_policy_is_stepped(registry: Registry) -> None:
+    told: list[int] = []
+    report = check(registry, on_progress=told.append)
+    assert report.ok and report.policies == 9 and sum(told) == 4 and report.backend == "jax"
+    found = {team.team: team for team in report.teams}
+    assert set(found) == {f"scratch/ippo-{name}-v0" for name in ("d1-s0", "d9-s1", "d1-s2", "d1-s4")}
+    assert all(team.found == RETURN for team in report.teams)
+    assert found["scratch/ippo-d1-s2-v0"].expected is None and found["scratch/ippo-d1-s0-v0"].expected == RETURN
+    assert [drift.found for drift in report.drifts] == [0.0] and json.loads(json.dumps(report.to_json()))["ok"] is True
+    assert len(check(registry, "*-s0-*").teams) == 1 and check(registry, "*/robot").teams == ()
+
+
+def test_another_return_is_a_problem_of_its_team(registry: Registry) -> None:
+    data = json.loads(registry.path.read_text())
+    data["teams"]["scratch/ippo-d9-s1-v0"]["self_play"].update(mean=26.0, ci=[25.9, 26.1])
+    registry.path.write_text(json.dumps(data))
+    report = check(load_registry(registry.path))
+    assert [team.team for team in report.teams if not team.ok] == ["scratch/ippo-d9-s1-v0"]
+    assert "expected a self-play return of 26.0 within" in report.problems[0] and "found 20.0" in report.problems[0]
+
+
+def test_a_drift_of_all_teams_is_found_where_each_alone_would_pass(registry: Registry) -> None:
+    """Physics that gives 3.8 % less to everyone."""
+    data = json.loads(registry.path.read_text())
+    for team in data["teams"].values():
+        if "self_play" in team:
+            team["self_play"].update(mean=20.8, ci=[20.799, 20.801])
+    registry.path.write_text(json.dumps(data))
+    report = check(load_registry(registry.path))
+    assert all(team.ok for team in report.teams) and not report.ok
+    assert "-3.8%" in report.problems[0] and "mujoco 3." in report.problems[0]
+
+
+def test_every_team_plays_under_its_own_disability(registry: Registry) -> None:
+    seen: list[Any] = []
+
+    class Watched(ToyEnv):
+        def reset(self, keys: Any, params: Any) -> Any:
+            import jax
+
+            jax.debug.callback(lambda value: seen.append(np.asarray(value)), params.strength)
+            return super().reset(keys, params)
+
+    check(registry, "scratch/ippo-d?-s[01]-v0", Watched(constant))
+    np.testing.assert_allclose(seen[0], [1.0, 1.0, 0.4, 0.4], rtol=1e-6)
+
+
+def test_damage_and_misfits_are_problems_and_the_others_are_replayed(registry: Registry) -> None:
+    lone = registry.policy("scratch/ippo-d1-s4-v0/robot")
+    path = registry.shard_path(lone.shard)
+    path.write_bytes(path.read_bytes()[:-1])
+    report = check(registry)
+    assert not report.ok and "bytes, found" in report.problems[0] and len(report.teams) == 3
+    other = check(registry, "*-s[01]-*", ToyEnv(constant, observation_size=(5, 3, 4)))
+    assert not other.teams and "expected observation and action sizes (5, 1) of toy, found (2, 1)" in other.problems[0]
+
+
+def test_parameters_that_are_not_of_their_spec_are_a_problem(tmp_path: Path) -> None:
+    team = trained(0)
+    human = {name: value for name, value in team.params["human"].items() if name != "Dense_1"}
+    team = dataclasses.replace(team, params={**team.params, "human": human})
+    registry = publish([team], tmp_path / "registry.json", "v0", check=lambda spec, leaves, source: None)
+    report = check(registry)
+    assert "cannot be stepped" in report.problems[0] and report.teams == ()
+
+
+def test_the_tolerance_is_the_documented_one() -> None:
+    recorded = SelfPlay(mean=1000.0, iqm=1000.0, ci=(990.2, 1009.8), n=16)  # standard error 5, deviation 20
+    assert tolerance(recorded, 4) == pytest.approx(50.0 + 4.0 * 20.0 * np.sqrt(1 / 16 + 1 / 4))
+    with pytest.raises(ValueError, match="episodes is 0"):
+        verify_deep(Registry(None, Path(), []), [], episodes=0)
+    assert versions()["mujoco"].startswith("3.") and "jax" in versions()
+
+
+@pytest.mark.slow
+def test_a_team_of_release_v0_gives_its_recorded_return() -> None:
+    registry = load_registry(ROOT / "registry.json")
+    entries = registry.select("scratch/ippo-d1-s0-v0")
+    report = verify_deep(registry, entries, episodes=2)
+    assert report.ok and report.policies == 2 and report.backend == "native"
+    halved = dataclasses.replace(report.teams[0], found=report.teams[0].found / 2)
+    assert halved.tolerance is not None and abs(halved.found - (halved.expected or 0)) > halved.tolerance

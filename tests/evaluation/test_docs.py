@@ -1,0 +1,55 @@
+"""The newcomer's path of docs/evaluation.md, as it is printed there."""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from assistax_zoo.main import run
+
+GUIDE = Path(__file__).parents[2] / "docs" / "evaluation.md"
+
+
+def printed(name: str) -> str:
+    """Return the code block that follows the file's name."""
+    found = re.search(rf"`{name}\.py`:\n\n```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
+    assert found is not None
+    return found.group(1)
+
+
+@pytest.mark.parametrize("name", ["numpy_robot", "torch_robot"])
+def test_my_robot_against_the_zoo_in_ten_lines(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+):
+    if name == "torch_robot":
+        pytest.importorskip("torch", reason="the same with PyTorch, where it is installed")
+    lines = [line for line in printed(name).splitlines() if line.strip() and not line.strip().startswith("#")]
+    assert len(lines) <= 10
+    (tmp_path / f"{name}.py").write_text(printed(name))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 10)
+    words = ["--task", "scratch", "--policy", f"python:{name}:make", "--episodes", "1", "--backend", "native"]
+    words += ["--partners", "scratch/ippo-d1-s[01]-v0/human", "--split", "both", "--no-references", "--json"]
+    assert run(["evaluate", *words]) == 0
+    summary = json.loads(capfd.readouterr().out)
+    assert summary["egos"] == [f"python:{name}:make"]
+    assert summary["episodes"] == 2
+
+
+def test_a_torch_module_is_called_with_what_torch_takes():
+    """Observations are float32 arrays that own their memory: `torch.as_tensor` takes them as they are."""
+    from evaluation.egos import call_ego
+    from evaluation.jobs import HostEgo, Member
+
+    seen: list[np.ndarray] = []
+
+    def act(obs: np.ndarray) -> np.ndarray:
+        seen.append(obs)
+        return np.zeros((len(obs), 7))
+
+    call_ego(HostEgo(Member("m", "x"), act), ["p"], 2, 7)(np.zeros((2, 34), np.float32), 0)
+    assert (seen[0].dtype, seen[0].shape, seen[0].flags.writeable) == (np.float32, (2, 34), True)

@@ -1,0 +1,125 @@
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import polars as pl
+import pytest
+
+from evaluation import references
+from evaluation.evaluator import run_job
+from evaluation.jobs import Group, Job, ReferenceSpec
+from evaluation.reference_egos import RANDOM, ZERO, ReferencePolicy
+from evaluation.references import CROSS_PLAY, NONE, SELF_PLAY, bounds_table, play_references, summarise_references
+from tests.evaluation.episode_tables import Team, episode_table, team_id, teams
+from tests.evaluation.matrix_game import HUMAN, ROBOT, MatrixGame, humans, random_group, robots
+
+
+def job_of(egos: Group, partners: Group, **options: Any) -> Job:
+    return Job("matrix", 1, "native", (egos,), (partners,), episodes=3, **options)
+
+
+@pytest.mark.parametrize("stochastic", [False, True])
+def test_own_robots_earn_what_the_diagonal_of_the_matrix_has(tmp_path: Path, stochastic: bool):
+    egos, partners = random_group(ROBOT, 5, 1), random_group(HUMAN, 5, 2)
+    whole = run_job(MatrixGame(), job_of(egos, partners, stochastic=stochastic), tmp_path / "all").table
+    diagonal = whole.filter(pl.col("ego_seed") == pl.col("partner_seed"))
+    for max_envs in (1000, 4):
+        paired = job_of(egos, partners, paired=True, stochastic=stochastic)
+        assert run_job(MatrixGame(), paired, tmp_path / str(max_envs), max_envs=max_envs).table.equals(diagonal)
+    assert whole.height == 5 * diagonal.height == 75
+
+
+def test_pairs_need_as_many_robots_as_humans():
+    with pytest.raises(ValueError, match=r"paired egos \[2\] and partners \[3\] differ in number"):
+        job_of(robots(-0.5, 0.5), humans(0.1, 0.2, 0.3), paired=True)
+
+
+def test_random_actions_are_uniform_and_depend_on_nothing_but_the_observation():
+    policy = ReferencePolicy(ReferenceSpec(observation_size=5, action_size=3))
+    obs = jnp.asarray(np.random.default_rng(0).normal(size=(4000, 5)).astype(np.float32))
+    first = jnp.zeros(len(obs), bool)
+    _, actions = policy.act({"amplitude": jnp.float32(1.0)}, (), obs, first)
+    assert actions.shape == (4000, 3)
+    np.testing.assert_allclose(np.quantile(actions, [0.0, 0.25, 0.5, 0.75, 1.0]), [-1, -0.5, 0, 0.5, 1], atol=0.03)
+    assert np.abs(np.corrcoef(np.asarray(actions).T) - np.eye(3)).max() < 0.06
+    _, some = policy.act({"amplitude": jnp.float32(1.0)}, (), obs[7:9], first[:2])
+    np.testing.assert_array_equal(some, actions[7:9])
+    _, none = policy.act({"amplitude": jnp.float32(0.0)}, (), obs, first)
+    assert not none.any()
+
+
+def test_references_are_played_once_for_all_policies(tmp_path: Path):
+    own = [(robots(-0.5, 0.5), humans(-0.5, 0.5))]
+    seen: list[str] = []
+    options: dict[str, Any] = {"on_progress": lambda state: seen.append(f"{state.what} {state.total}")}
+    one = play_references(MatrixGame(), job_of(robots(0.3), humans(-0.5, 0.5)), own, tmp_path, **options)
+    assert one.group_by(references.COLUMN).len().sort(references.COLUMN).rows() == [
+        (SELF_PLAY, 6),
+        (RANDOM, 6),
+        (ZERO, 6),
+    ]
+    assert set(seen) == {"reference egos 48", "reference egos 24"}
+    seen.clear()
+    again = play_references(MatrixGame(), job_of(robots(-0.9), humans(-0.5, 0.5)), own, tmp_path, **options)
+    assert again.equals(one)
+    assert set(seen) == {"reference egos 0"}
+
+
+PARTNERS: list[Team] = teams(4)
+
+
+def played(low: list[float], own: list[float | None]) -> pl.DataFrame:
+    """Two episodes of each reference ego with each partner."""
+    zero = episode_table(np.array(low)[None, :, None] + np.array([-1.0, 1.0]), [ZERO], PARTNERS, ["test"] * 4)
+    parts = [zero.with_columns(pl.lit(ZERO).alias("reference"))]
+    for i, value in enumerate(own):
+        if value is not None:
+            one = episode_table(np.full((1, 1, 2), value), [PARTNERS[i]], [PARTNERS[i]], ["test"])
+            parts.append(one.with_columns(pl.lit(SELF_PLAY).alias("reference")))
+    return pl.concat(parts, how="vertical_relaxed")
+
+
+def crossplay_pairs() -> pl.DataFrame:
+    rows: list[dict[str, Any]] = [
+        {"ego": "best", "ego_team": None, "partner": f"{team_id(PARTNERS[1])}/human", "return": 90.0},
+        {"ego": "weak", "ego_team": None, "partner": f"{team_id(PARTNERS[0])}/human", "return": 20.0},
+    ]
+    partners = [row["partner"].rpartition("/")[0] for row in rows]
+    return pl.DataFrame(rows).with_columns(
+        pl.Series("partner_team", partners), pl.col("ego_team").cast(pl.String), pl.lit(8, pl.Int64).alias("episodes")
+    )
+
+
+def test_bounds_take_the_best_robot_known_and_say_where_it_is_from():
+    bounds = bounds_table(played([0, 0, 10, 10], [50, 50, 5, None]), crossplay_pairs())
+    assert bounds["low"].to_list() == [0, 0, 10, 10]
+    assert bounds["best"].to_list() == [50, 90, 5, None]
+    assert bounds["source"].to_list() == [SELF_PLAY, CROSS_PLAY, SELF_PLAY, NONE]
+    assert bounds["best_ego"].to_list()[1] == "best"
+    assert bounds["best_episodes"].to_list() == [2, 8, 2, None]
+    assert bounds["low_episodes"].to_list() == [2] * 4
+
+
+def test_relative_figures_leave_out_and_name_the_unscorable():
+    table = episode_table(np.array([[25.0, 90.0, 7.0, 7.0]])[..., None], ["mine"], PARTNERS, ["test"] * 4)
+    reference = played([0, 0, 10, 10], [50, 50, 5, None])
+    found = summarise_references(table, reference, bounds_table(reference, crossplay_pairs()))
+    relative = found["relative"]
+    assert relative["normalised_return"]["mean"] == pytest.approx((25 / 50 + 90 / 90) / 2)
+    assert relative["br_prox"]["n"] == 2
+    assert relative["regret"]["mean"] == pytest.approx(12.5)
+    assert relative["worst_regret"] == {"partner": f"{team_id(PARTNERS[0])}/human", "regret": 25.0}
+    assert relative["coverage"]["value"] == 0.5
+    assert relative["unscorable"] == [f"{team_id(team)}/human" for team in PARTNERS[2:]]
+    assert relative["bounds"] == {"low": ZERO, "best": {CROSS_PLAY: 1, NONE: 1, SELF_PLAY: 2}, "episodes": 2}
+    assert found["references"]["zero_action"]["mean"] == 5.0
+    assert found["references"]["uniform_random"] is None
+
+
+def test_without_any_scorable_partner_there_is_no_figure():
+    table = episode_table(np.ones((1, 4, 1)), ["mine"], PARTNERS, ["test"] * 4)
+    reference = played([10] * 4, [None] * 4)
+    relative = summarise_references(table, reference, bounds_table(reference))["relative"]
+    assert relative["br_prox"] is relative["coverage"] is relative["regret"] is relative["worst_regret"] is None
+    assert len(relative["unscorable"]) == 4

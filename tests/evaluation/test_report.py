@@ -1,0 +1,170 @@
+"""The page: self-contained, safe against what ids hold, and alive in a browser."""
+
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlencode
+
+import numpy as np
+import pytest
+
+from evaluation import references, summary, tables
+from evaluation.provenance import write_run
+from evaluation.report import write_report
+from evaluation.report.html import embedded
+from evaluation.report.matrix_data import matrix_data
+from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, team_id, teams
+
+CHROMIUM = next(
+    (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
+)
+HOSTILE = "python:my</script><script>alert(1)</script>&amp;:f"
+COMMAND = "assistax-zoo crossplay --task scratch --out 'x & <y>'"
+
+
+@pytest.fixture(scope="module")
+def crossplay(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("xp")
+    population = teams(12, ("ippo", "isac"), ("d1", "d9"))
+    table = episode_table(clustered_matrix(12, 3)[:, :, None] + np.array([-1.0, 1.0]), population, population)
+    context: dict[str, Any] = CONTEXT
+    tables.write_episodes(table, folder / tables.EPISODES_FILE)
+    write_run(folder, COMMAND, summary.save_crossplay(folder, table, **context))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("mine")
+    partners = teams(6, ("ippo",), ("d1", "d9"))
+    sides = ["test", "train"] * 3
+    table = episode_table(np.random.default_rng(0).normal(500, 50, (2, 6, 2)), [HOSTILE, "b"], partners, sides)
+    tables.write_episodes(table, folder / tables.EPISODES_FILE)
+    context: dict[str, Any] = CONTEXT
+    found = summary.save_evaluation(folder, table, **context)
+    low = episode_table(np.full((1, 6, 2), 10.0), ["zero-action"], partners, sides)
+    bounds = references.bounds_table(played := low.with_columns(reference=low["ego"]))
+    tables.write_parquet(bounds, folder / tables.BOUNDS_FILE)
+    found |= references.summarise_references(table, played, bounds)
+    tables.write_json(found, folder / tables.SUMMARY_FILE)
+    write_run(folder, COMMAND, found)
+    return folder
+
+
+def page_of(folder: Path, tmp_path: Path) -> str:
+    write_report(folder, tmp_path / "report.html")
+    return (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+class Links(HTMLParser):
+    """Collects what a page would load, and its elements."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.loaded: list[str] = []
+        self.tags: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.loaded += [str(value) for name, value in attrs if name in ("src", "href", "action", "data", "srcset")]
+
+
+def loads_from_elsewhere(text: str) -> list[str]:
+    css = re.findall(r"url\(([^)]*)\)|@import\s+(\S+)", text)
+    calls = re.findall(r"\b(fetch|XMLHttpRequest|WebSocket|import)\s*\(", text)
+    return [link for link in Links(text).loaded if not link.startswith(("data:", "#"))] + [*css, *calls]
+
+
+def test_a_report_loads_nothing_from_elsewhere(crossplay: Path, evaluation: Path, tmp_path: Path):
+    for folder in (crossplay, evaluation):
+        assert loads_from_elsewhere(page_of(folder, tmp_path)) == []
+    assert loads_from_elsewhere('<img src="https://example.org/x.png"><script>fetch("/x")</script>') != []
+
+
+def test_a_crossplay_is_told_with_command_versions_and_hashes(crossplay: Path, tmp_path: Path):
+    text = page_of(crossplay, tmp_path)
+    assert "assistax-zoo crossplay --task scratch --out &#x27;x &amp; &lt;y&gt;&#x27;" in text
+    for told in ("Cross-play: scratch", "scratch-half-v0", "release v0", "jax", "sha256", "Strategies of the humans"):
+        assert told in text
+    assert text.count("<tr>") > 20
+    assert page_of(crossplay, tmp_path) == text
+
+
+def test_an_evaluation_is_told_with_its_references(evaluation: Path, tmp_path: Path):
+    text = page_of(evaluation, tmp_path)
+    for told in ("M_test", "zero action", "Unscorable", "source of B", "data:image/svg+xml"):
+        assert told in text
+
+
+def test_ids_cannot_break_out_of_the_page(evaluation: Path, tmp_path: Path):
+    text = page_of(evaluation, tmp_path)
+    assert "<script>alert" not in text
+    assert Links(text).tags.count("script") == 1
+    assert "</script" not in embedded("x", {"id": HOSTILE}).removesuffix("</script>")
+    body = embedded("x", {"id": HOSTILE}).partition(">")[2].removesuffix("</script>")
+    assert json.loads(body) == {"id": HOSTILE}
+
+
+def test_the_matrix_holds_the_saved_pairs_in_every_order(crossplay: Path):
+    pairs, order = tables.read_parquet(crossplay / tables.PAIRS_FILE), tables.read_json(crossplay / tables.ORDER_FILE)
+    data = matrix_data(pairs, order, tables.read_json(crossplay / tables.STRATEGIES_FILE))
+    expected = {(row["ego"], row["partner"]): row["return"] for row in pairs.iter_rows(named=True)}
+    for r, row in enumerate(data["rows"]):
+        for c, column in enumerate(data["columns"]):
+            value = data["measures"]["return"]["values"][r][c]
+            assert value == pytest.approx(expected[row["name"], column["name"]], rel=1e-3)
+    for one in data["orders"].values():
+        assert sorted(one["rows"]) == sorted(one["columns"]) == list(range(12))
+    shared = data["orders"]["teams"]
+    assert [data["rows"][i]["team"] for i in shared["rows"]] == [data["columns"][i]["team"] for i in shared["columns"]]
+
+
+def test_a_folder_of_neither_kind_is_refused(tmp_path: Path):
+    with pytest.raises(FileNotFoundError, match=r"summary\.json does not exist"):
+        write_report(tmp_path, tmp_path / "x.html")
+    tables.write_json({"task": "scratch"}, tmp_path / tables.SUMMARY_FILE)
+    with pytest.raises(ValueError, match="neither an evaluation nor a cross-play"):
+        write_report(tmp_path, tmp_path / "x.html")
+    assert not (tmp_path / "x.html").exists()
+
+
+def browse(page: str, home: Path, *options: str) -> str:
+    assert CHROMIUM is not None
+    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run"]
+    flags += [f"--user-data-dir={home}", "--virtual-time-budget=4000", "--window-size=1280,1400", *options]
+    return subprocess.run([CHROMIUM, *flags, page], capture_output=True, text=True, timeout=120, check=True).stdout
+
+
+def coloured(address: str, folder: Path) -> float:
+    """Return the share of the first screen that is neither grey nor pale: the matrix."""
+    from matplotlib.image import imread
+
+    browse(address, folder / "home", f"--screenshot={folder / 'page.png'}")
+    picture = imread(folder / "page.png")[..., :3]
+    return float(np.mean(np.ptp(picture, axis=2) > 0.3))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium (Debian: apt-get install chromium)")
+def test_a_browser_draws_the_matrix_and_finds_a_pair(crossplay: Path, tmp_path: Path):
+    page_of(crossplay, tmp_path)
+    robot, human = (f"{team_id(teams(12, ('ippo', 'isac'), ('d1', 'd9'))[i])}" for i in (3, 7))
+    pair = urlencode({"robot": f"{robot}/robot", "human": f"{human}/human"})
+    address = f"{(tmp_path / 'report.html').as_uri()}#{pair}"
+    seen = browse(address, tmp_path / "home", "--dump-dom")
+    assert 'data-matrix="12x12"' in seen
+    tip = re.search(r'<div id="tip".*?</div></div>', seen, re.DOTALL)
+    assert tip is not None
+    pairs = tables.read_parquet(crossplay / tables.PAIRS_FILE)
+    value = pairs.filter((pairs["ego"] == f"{robot}/robot") & (pairs["partner"] == f"{human}/human"))["return"].item()
+    assert f"cross-play: {value:.0f}" in tip.group()
+    assert f"robot {robot}/robot" in tip.group()
+    assert coloured(address, tmp_path) > 0.1
+    broken = tmp_path / "broken.html"
+    broken.write_text((tmp_path / "report.html").read_text().replace("const data =", "throw 1; const data ="))
+    assert coloured(broken.as_uri(), tmp_path) < 0.05

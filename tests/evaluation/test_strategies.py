@@ -1,0 +1,64 @@
+import json
+
+import numpy as np
+import polars as pl
+import pytest
+
+from evaluation import tables
+from evaluation.strategies import best_responses, summarise_strategies
+from tests.evaluation.episode_tables import clustered_matrix, episode_table, team_id, teams
+
+TEAMS = teams(12)
+
+
+def planted() -> pl.DataFrame:
+    """Three groups of partners, t mod 3, that differ in force and in the robot's travel with it."""
+    table = episode_table(clustered_matrix(12, 3)[:, :, None], TEAMS, TEAMS)
+    group = pl.col("partner_seed") % 3
+    noise = pl.Series(np.random.default_rng(0).normal(0, 0.3, table.height))
+    return tables.pair_table(
+        table.with_columns(
+            (5.0 * group + noise).alias("force_mean"),
+            (40.0 - 10.0 * group + noise).alias("robot_travel"),
+        )
+    )
+
+
+def test_planted_groups_of_behaviour_are_found_with_a_member_as_medoid():
+    found = summarise_strategies(planted())
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    groups = [{int(name.split("-s")[1].split("-")[0]) % 3 for name in one["members"]} for one in found["clusters"]]
+    assert sorted(groups, key=min) == [{0}, {1}, {2}]
+    assert all(one["medoid"] in one["members"] for one in found["clusters"])
+    assert [len(one["members"]) for one in found["clusters"]] == [4, 4, 4]
+
+
+def test_a_partner_is_described_with_its_best_robot():
+    pairs = planted()
+    found = best_responses(pairs)
+    assert found.robots == [f"{team_id(team)}/robot" for team in TEAMS]  # self-play is planted highest
+    own = pairs.filter(pl.col("ego_team") == pl.col("partner_team"))
+    np.testing.assert_allclose(found.features[:, 2], own["force_mean"])
+    matrix = clustered_matrix(12, 3)
+    np.testing.assert_allclose(found.returns, matrix, rtol=1e-6)
+
+
+def test_the_incompatible_two_lose_when_robots_are_exchanged():
+    found = summarise_strategies(planted())
+    seeds = [int(name.split("-s")[1].split("-")[0]) % 3 for name in found["incompatible"]["partners"]]
+    assert seeds[0] != seeds[1]
+    own, exchanged = found["incompatible"]["returns"], found["incompatible"]["returns_exchanged"]
+    assert min(own) - 200 > max(exchanged)
+
+
+def test_one_robot_for_all_has_no_incompatible_two():
+    table = episode_table(np.ones((1, 12, 1)), teams(1), TEAMS)
+    found = summarise_strategies(tables.pair_table(table))
+    assert found["incompatible"] is None
+    assert len(found["clusters"]) == 1
+    assert found["diverse_subset"] == []
+
+
+def test_a_table_without_behaviour_says_what_to_do():
+    with pytest.raises(ValueError, match=r"lacks first_contact.*run crossplay again"):
+        summarise_strategies(planted().drop(tables.BEHAVIOUR))

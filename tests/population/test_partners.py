@@ -1,0 +1,135 @@
+"""Egos: one role learns, frozen partners sit in the other seat."""
+
+import dataclasses
+import json
+from functools import partial
+from operator import itemgetter
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from assistax_envs import disability_params
+from population.config import MIXED, Member, PPOConfig, SACConfig, TrainConfig
+from population.partners import PartnerGroup, Partners
+from population.policy import Policy
+from population.ppo import PPO
+from population.sac import SAC
+from population.spec import PolicySpec
+from population.train import initial_state, train
+from tests.population import test_sac
+from tests.population.test_ppo import FAST_COMPILE, SMALL
+from tests.population.toy_env import ToyEnv, match
+
+PLAIN = PolicySpec("human", 3, 2, hidden=(8,))
+SQUASHED = PolicySpec("human", 3, 2, hidden=(4, 4), squash="tanh", std="state", normalise=False)
+
+
+def group(spec, names, disabilities, seed=0):
+    keys = jax.random.split(jax.random.key(seed), len(names))
+    trees = [Policy(spec).init(key) for key in keys]
+    params = jax.tree.map(lambda *leaves: 3.0 * np.stack(leaves) + 0.1, *trees)
+    return PartnerGroup(spec, tuple(names), tuple(disabilities), params)
+
+
+def population():
+    return Partners([group(PLAIN, ("a", "b"), ("d1", "d3")), group(SQUASHED, ("c",), ("d9",), seed=1)])
+
+
+def config(kind, members=2, **changes):
+    trainer = (
+        PPOConfig(**{**SMALL, "num_envs": 12, "minibatches": 2, **changes})
+        if kind is PPO
+        else SACConfig(**{**test_sac.SMALL, "num_envs": 12, "replay_size": 3000, **changes})
+    )
+    team = tuple(Member(seed, MIXED) for seed in range(members))
+    return TrainConfig("toy", "ego", team, trainer.batch_steps * 100, trainer, partners=("a", "b", "c"))
+
+
+@pytest.mark.parametrize("platform", ["cpu", "gpu"])
+def test_every_partner_acts_in_its_share_and_nowhere_else(platform, monkeypatch):
+    """Simulations are [member, partner, simulation]; the oracle asks each partner simulation by simulation."""
+    partners, members, share = population(), 2, 2
+    monkeypatch.setattr(jax, "default_backend", lambda: platform)
+    obs = jax.random.normal(jax.random.key(5), (members * 3 * share, 3))
+    first = jnp.zeros(len(obs), bool)
+    carry = partners.initial_carry(len(obs))
+    _, action = partners.act(partners.params, carry, obs, first, members)
+    assert action.shape == (12, 2)
+    for row in range(len(obs)):
+        name = partners.names[row // share % 3]
+        [(spec, params)] = [
+            (g.spec, jax.tree.map(itemgetter(g.names.index(name)), g.params))
+            for g in partners.groups
+            if name in g.names
+        ]
+        _, wanted = Policy(spec).act(params, (), obs[row], first[row])
+        np.testing.assert_allclose(action[row], wanted, rtol=1e-5, atol=1e-6)
+
+
+def test_every_partner_plays_under_its_own_disability():
+    run = config(PPO)
+    env = ToyEnv(match)
+    state = initial_state(run, PPO(run.trainer, env, 1, population()))
+    wanted = disability_params([s for _ in range(2) for s in ("d1", "d3", "d9") for _ in range(4)])
+    for name in ("strength", "elbow_range"):
+        np.testing.assert_array_equal(getattr(state.simulations.env.params, name), getattr(wanted, name))
+
+
+@pytest.mark.parametrize("kind", [PPO, pytest.param(SAC, marks=pytest.mark.slow)])
+def test_an_ego_learns_its_role_and_partners_stay_as_they_are(kind):
+    run, env, partners = config(kind, members=1), ToyEnv(match), population()
+    updates = 100 if kind is PPO else 250
+    trainer = kind(run.trainer, env, updates, partners)
+    assert list(trainer.specs) == ["robot"]
+    state, hyper = initial_state(run, trainer), trainer.hyper(run.members)
+    step = lambda state, _: trainer.update(state, hyper, partners.params)  # noqa: E731
+    state, metrics = jax.jit(partial(jax.lax.scan, step, length=updates), compiler_options=FAST_COMPILE)(state)
+    assert list(state.members.learners) == ["robot"]
+    earned = np.asarray(metrics["term_robot"])[np.asarray(metrics["episodes"]) > 0]
+    assert earned[-10:].mean() > 0.8 * 0.5 * env.episode_length > earned[0] + 1.0  # with the policy's own noise
+
+
+@pytest.mark.slow
+def test_a_run_of_egos_is_written_without_self_play(tmp_path):
+    run = dataclasses.replace(config(PPO), steps=240, checkpoint_every=1)
+    folder = train(run, ToyEnv(match), tmp_path / "run", partners=population())
+    egos = json.loads((folder / "teams.json").read_text())
+    assert [(ego["team"]["seed"], ego["team"]["disability"]) for ego in egos] == [(0, MIXED), (1, MIXED)]
+    assert list(egos[0]["roles"]) == ["robot"] and egos[0]["self_play"] is None
+    with pytest.raises(ValueError, match="another configuration: partners"):
+        other = Partners([group(PLAIN, ("x", "b"), ("d1", "d3")), group(SQUASHED, ("c",), ("d9",), seed=1)])
+        train(dataclasses.replace(run, partners=other.names), ToyEnv(match), folder, partners=other)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda run: dataclasses.replace(run, partners=()), "are not those that the configuration names"),
+        (lambda run: dataclasses.replace(run, members=(Member(0, "d1"),)), "an ego with partners has 'mixed'"),
+        (
+            lambda run: dataclasses.replace(run, trainer=dataclasses.replace(run.trainer, num_envs=32)),
+            "num_envs is 32 with 3 partners; .* choose a multiple of 3, such as 33",
+        ),
+        (
+            lambda run: dataclasses.replace(run, trainer=dataclasses.replace(run.trainer, shared=True)),
+            "partners are frozen and one role learns",
+        ),
+        (
+            lambda run: dataclasses.replace(
+                run, trainer=SACConfig(**{**test_sac.SMALL, "num_envs": 12, "critic": "central"})
+            ),
+            "choose local",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_refused(change, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        train(change(config(PPO)), ToyEnv(match), tmp_path / "run", partners=population())
+    assert not (tmp_path / "run").exists()
+
+
+def test_partners_of_another_task_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"partner a has observation and action size \(3, 2\)"):
+        train(config(PPO), ToyEnv(match, observation_size=(2, 4, 4)), tmp_path / "run", partners=population())

@@ -1,0 +1,188 @@
+import dataclasses
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from assistax_envs import disability_params
+from population import policy, replay
+from population.config import Member, SACConfig, preset
+from population.sac import SAC, soft_target
+from population.self_play import self_play
+from population.train import member_key
+from tests.population.toy_env import ToyEnv, constant, match, together
+
+FAST_COMPILE = {"xla_backend_optimization_level": 0}  # programs this small take longer to compile than to run
+SMALL: dict[str, Any] = {
+    "num_envs": 8,
+    "rollout_steps": 5,
+    "replay_size": 2000,
+    "exploration_steps": 200,
+    "batch_size": 32,
+    "updates": 8,
+    "policy_delay": 2,
+    "hidden": (16, 16),
+    "policy_lr": 3e-3,
+    "q_lr": 1e-2,
+    "alpha_lr": 1e-2,
+    "gamma": 0.9,
+    "tau": 0.05,
+}
+MEMBER = Member(0, "d1")
+
+
+def start(env, config, members=(MEMBER,), updates=200, kind=SAC):
+    sac = kind(config, env, updates)
+    keys = jnp.stack([member_key(member) for member in members])
+    settings = [member.disability for member in members for _ in range(config.num_envs)]
+    initial = jax.jit(sac.initial, compiler_options=FAST_COMPILE)
+    return sac, initial(keys, disability_params(settings)), sac.hyper(members)
+
+
+def run(env, config, members=(MEMBER,), updates=200, kind=SAC):
+    sac, state, hyper = start(env, config, members, updates, kind)
+    scan = partial(jax.lax.scan, lambda state, _: sac.update(state, hyper), length=updates)
+    return sac, *jax.jit(scan, compiler_options=FAST_COMPILE)(state)
+
+
+def values(sac, state, role, action):
+    """Return what the first member's critics say of its simulations' observations under an action [N, A]."""
+    member = jax.tree.map(lambda leaf: leaf[0], state.members)
+    return sac._values(role, member.learners[role].networks["critic"], member, state.simulations.env.obs, action)
+
+
+@pytest.mark.parametrize(
+    "terminates",
+    [False, pytest.param(True, marks=pytest.mark.slow)],
+    ids=["time-limit", "planted-termination"],
+)
+def test_value_of_a_constant_reward_bootstraps_through_the_time_limit(terminates):
+    """1 / (1 - gamma) = 10 where an episode ends by time; the planted termination must pull it down."""
+    config = SACConfig(**SMALL, autotune=False, initial_alpha=1e-6)
+    sac, state, metrics = run(ToyEnv(constant, terminates=terminates), config, updates=150)
+    q = values(sac, state, "robot", {"robot": jnp.zeros((8, 1))})
+    if terminates:
+        assert q.mean() < 8.5
+    else:
+        np.testing.assert_allclose(q, 10.0, atol=0.7)
+    assert not np.asarray(metrics["q_loss_robot"])[:4].any()  # exploring: nothing is learnt yet
+
+
+def unsquashed(raw):
+    """Stand for the log slope of tanh where it was forgotten."""
+    return jnp.zeros_like(raw)
+
+
+@pytest.mark.parametrize(
+    "planted", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["squashed", "planted-unsquashed"]
+)
+def test_without_a_task_the_policy_becomes_uniform_over_its_actions(planted, monkeypatch):
+    """Largest entropy in [-1, 1] is that of the uniform density: mean |a| is 1/2, and log 2 a dimension."""
+    if planted:
+        monkeypatch.setattr(policy, "_log_slope", unsquashed)
+    config = SACConfig(**SMALL, autotune=False, initial_alpha=0.5, critic="local")
+    sac, state, _ = run(ToyEnv(constant), config, updates=150)
+    member = jax.tree.map(lambda leaf: leaf[0], state.members)
+    keys = jax.random.split(jax.random.key(3), 500)
+    obs = state.simulations.env.obs
+    action, _ = jax.vmap(lambda key: sac._act(member.learners, member, obs, key))(keys)
+    size = float(jnp.abs(action["human"]).mean())
+    assert (abs(size - 0.5) < 0.06) != planted
+
+
+@pytest.mark.slow
+def test_the_temperature_drives_the_entropy_to_its_target():
+    config = SACConfig(**{**SMALL, "alpha_lr": 3e-2}, target_entropy_scale=0.5)
+    _, _, metrics = run(ToyEnv(match), config, updates=250)
+    for role, size in (("robot", 1), ("human", 2)):
+        assert np.asarray(metrics[f"entropy_{role}"])[-50:].mean() == pytest.approx(-0.5 * size, abs=0.25)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "reward"),
+    [("isac", match), pytest.param("masac", together, marks=pytest.mark.slow)],
+    ids=["isac-match", "masac-together"],
+)
+def test_both_roles_learn_to_act_on_what_they_see(algorithm, reward):
+    env = ToyEnv(reward)
+    sac, state, _ = run(env, preset(algorithm, **{**SMALL, "target_entropy_scale": 2.0}), updates=250)
+    keys = jax.random.split(jax.random.key(7), 1)
+    params = sac.policy_params(state.members)
+    (figures,) = self_play(env, sac.policies, params, disability_params(["d1"]), keys, 8)
+    assert figures["mean"] > 0.9 * env.episode_length
+
+
+def test_soft_targets_are_those_of_the_formula():
+    rng = np.random.default_rng(0)
+    reward, log_prob, q = rng.normal(size=6), rng.normal(size=6), rng.normal(size=(2, 6))
+    terminated = np.array([False, True, False, False, True, False])
+    expected = []
+    for b in range(6):
+        value = min(q[0, b], q[1, b]) - 0.3 * log_prob[b]
+        expected.append(reward[b] + (0.0 if terminated[b] else 0.9 * value))
+    found = soft_target(*(jnp.asarray(x) for x in (reward, terminated, q, log_prob)), 0.3, 0.9)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+
+
+def test_log_density_of_a_squashed_action_is_that_of_the_change_of_variables():
+    mean, std, raw = np.array([0.3, -1.2]), np.array([0.4, 0.9]), np.array([0.8, -2.0])
+    normal = np.exp(-0.5 * ((raw - mean) / std) ** 2) / (std * np.sqrt(2 * np.pi))
+    expected = np.log(normal / (1.0 - np.tanh(raw) ** 2)).sum()
+    gaussian = policy.Gaussian(jnp.asarray(mean), jnp.log(jnp.asarray(std)), "tanh")
+    np.testing.assert_allclose(gaussian.log_prob(jnp.asarray(raw)), expected, rtol=1e-5)
+
+
+class Misplaced(SAC):
+    """A planted defect: a time limit's successor is the next episode's first observation."""
+
+    def collect(self, state, partners=()):
+        state, batch, keys = super().collect(state, partners)
+        return state, dataclasses.replace(batch, truncated=jnp.zeros_like(batch.truncated)), keys
+
+
+@pytest.mark.parametrize("kind", [SAC, pytest.param(Misplaced, marks=pytest.mark.slow)])
+def test_a_replayed_successor_is_the_observation_that_was_reached(kind):
+    """The toy's noise is the sine of the step, so each pair of neighbours is known; the ring is written over twice."""
+    env = ToyEnv(match)
+    config = SACConfig(**{**SMALL, "replay_size": 160, "exploration_steps": 10**6})
+    _, state, _ = run(env, config, updates=9, kind=kind)
+    drawn = replay.draw(state.replay, jax.random.split(jax.random.key(1), 1), (2, 1000))
+    assert drawn.obs["human"].shape == (1, 2, 1000, 3)
+    here, there = (np.asarray(x["robot"])[..., 1].reshape(-1) for x in (drawn.obs, drawn.next_obs))
+    known = np.sin(np.arange(env.episode_length + 1))
+    step = np.abs(here[:, None] - known[None, :-1]).argmin(1)
+    assert set(step) == set(range(env.episode_length))
+    right = np.allclose(there, known[step + 1], atol=1e-5)
+    assert right == (kind is SAC)
+    assert np.abs(drawn.action["robot"]).max() <= 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("platform", ["cpu", "gpu"])
+def test_a_member_learns_the_same_whoever_trains_beside_it(platform, monkeypatch):
+    """Taken in turn, as on a CPU, or vectorised, as on an accelerator."""
+    config = SACConfig(**SMALL)
+    _, alone, _ = run(ToyEnv(match), dataclasses.replace(config, q_lr=3e-3), (Member(4, "d9"),), updates=7)
+    monkeypatch.setattr(jax, "default_backend", lambda: platform)
+    members = (Member(0, "d1"), Member(4, "d9", {"q_lr": 3e-3}))
+    _, beside, _ = run(ToyEnv(match), config, members, updates=7)
+    networks = [{role: learner.networks for role, learner in x.members.learners.items()} for x in (beside, alone)]
+    jax.tree.map(lambda many, one: np.testing.assert_allclose(many[1:2], one, rtol=1e-3, atol=1e-5), *networks)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"torso": "gru"}, "SAC is feed-forward only"),
+        ({"updates": 6, "policy_delay": 4}, "choose updates as a multiple of it"),
+        ({"replay_size": 10}, "a rollout has 512 transitions"),
+        ({"tau": 2.0}, r"tau is 2.0; it must be a number in \[0, 1\]"),
+        ({"shared": True}, "unknown hyperparameter shared of isac"),
+    ],
+)
+def test_bad_hyperparameters_are_named(changes, message):
+    with pytest.raises(ValueError, match=message):
+        preset("isac", **changes)

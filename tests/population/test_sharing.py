@@ -1,0 +1,83 @@
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from assistax_envs import disability_params
+from population import sharing
+from population.config import Member, PPOConfig, preset
+from population.policy import Policy
+from population.ppo import PPO
+from population.spec import PolicySpec
+from tests.population.test_ppo import SMALL, deterministic_return, run
+from tests.population.toy_env import ToyEnv, match, together
+
+SIZES = {"robot": (5, 2), "human": (7, 3)}
+VARIANTS: dict[str, dict[str, Any]] = {
+    "mlp": {},
+    "state-std": {"std": "state", "squash": "tanh"},
+    "gru": {"torso": "gru"},
+}
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("role", ["robot", "human"])
+def test_an_exported_policy_acts_as_the_shared_network_does(role, variant):
+    """The shared network reads [obs, 0, one-hot]; the role's ordinary policy reads obs."""
+    observation, action = SIZES[role]
+    width = sharing.padded_size({role: sizes[0] for role, sizes in SIZES.items()})
+    assert width == 9
+    shared = Policy(PolicySpec("robot", width, 3, hidden=(8, 6), normalise=False, **VARIANTS[variant]))
+    own = Policy(PolicySpec(role, observation, action, hidden=(8, 6), normalise=False, **VARIANTS[variant]))
+    keys = jax.random.split(jax.random.key(2), 3)
+    template = jax.eval_shape(shared.init, keys[0])
+    leaves, tree = jax.tree.flatten(template)
+    draws = [jax.random.normal(k, leaf.shape) for k, leaf in zip(jax.random.split(keys[1], 99), leaves, strict=False)]
+    params = jax.tree.unflatten(tree, draws)
+    folded = sharing.fold(params, role, observation, action)
+    assert jax.tree.map(jnp.shape, folded) == jax.tree.map(lambda leaf: leaf.shape, jax.eval_shape(own.init, keys[0]))
+    obs, first = jax.random.normal(keys[2], (4, observation)), jnp.zeros(4, bool)
+    _, wanted = shared.step(params, shared.initial_carry((4,)), sharing.pad(obs, role, width), first)
+    _, found = own.step(folded, own.initial_carry((4,)), obs, first)
+    np.testing.assert_allclose(found.mean, wanted.mean[:, :action], rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(found.log_std, wanted.log_std[:, :action], rtol=1e-4, atol=1e-5)
+    other = "human" if role == "robot" else "robot"
+    _, different = shared.step(params, shared.initial_carry((4,)), sharing.pad(obs, other, width), first)
+    assert not np.allclose(found.mean, different.mean[:, :action], atol=1e-3)
+
+
+def test_roles_share_one_network_and_keep_their_specs():
+    config = PPOConfig(**SMALL, shared=True)
+    ppo = PPO(config, ToyEnv(match), 1)
+    settings = disability_params(["d1"] * config.num_envs)
+    state = jax.eval_shape(ppo.initial, jax.random.split(jax.random.key(0), 1), settings)
+    after, metrics = jax.eval_shape(ppo.update, state, ppo.hyper([Member(0, "d1")]))
+    assert list(after.members.learners) == ["shared"]
+    params = jax.eval_shape(ppo.policy_params, after.members)
+    assert params["robot"]["Dense_0"]["kernel"].shape == (1, 2, 16)
+    assert params["human"]["Dense_2"]["bias"].shape == (1, 2)
+    assert {"policy_loss_robot", "policy_loss_human", "actor_grad_norm_shared"} <= set(metrics)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "reward", "changes"),
+    [
+        ("ippo", match, {}),
+        pytest.param("mappo", together, {"clip_eps": 0.2}, marks=pytest.mark.slow),
+        pytest.param("ippo", match, {"torso": "gru", "learning_rate": 3e-3}, marks=pytest.mark.slow),
+    ],
+    ids=["ippo-match", "mappo-together", "ippo-gru-match"],
+)
+def test_a_shared_network_learns_both_roles(algorithm, reward, changes):
+    env = ToyEnv(reward)
+    config = preset(algorithm, **{**SMALL, "rollout_steps": 20, "shared": True, **changes})
+    ppo, state, _ = run(env, config, updates=150 if changes.get("torso") else 100)
+    (figures,) = deterministic_return(env, ppo, state)
+    assert figures["mean"] > 0.92 * env.episode_length
+
+
+def test_a_shared_recurrent_network_needs_an_embedding():
+    with pytest.raises(ValueError, match="give two widths at least"):
+        PPOConfig(shared=True, torso="gru", hidden=(8,))

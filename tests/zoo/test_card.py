@@ -1,0 +1,40 @@
+from typing import Any
+
+from zoo.card import markdown_card
+
+CARD: dict[str, Any] = {
+    "id": "scratch/ippo-d3-s5-v0/robot",
+    "team": "scratch/ippo-d3-s5-v0",
+    "release": "v0",
+    "disability": {"setting": "d3", "strength": 0.4, "elbow_range": 1.0, "tremor": 0.0},
+    "spec": {
+        "role": "robot", "observation_size": 34, "action_size": 7, "torso": "mlp", "hidden": [128, 128],
+        "activation": "tanh", "squash": "clip", "std": "parameter", "normalise": True,
+    },
+    "self_play": {"mean": 999.11, "iqm": 996.7, "ci": [994.6, 1003.6], "n": 64, "success": 1.0},
+    "training": {"run": "r", "seed": 5, "steps": 1000, "device": None, "versions": {"jax": "0.10.2"}},
+    "splits": {"scratch/half-s0-v0-f4c7b97d": "train"},
+    "sha256": "a" * 64,
+}  # fmt: skip
+HUMAN = {**CARD, "id": "scratch/ippo-d3-s5-v0/human", "spec": {**CARD["spec"], "role": "human"}, "sha256": "b" * 64}
+
+
+def test_a_team_s_card_has_all_that_is_known() -> None:
+    text = markdown_card([CARD, HUMAN], "pictures/robot at work.png")
+    assert text.startswith("# scratch/ippo-d3-s5-v0\n\n![scratch/ippo-d3-s5-v0](<pictures/robot at work.png>)\n")
+    facts = ("strength 0.4", "999.1, 95% interval 994.6 to 1003.6 over 64", "| versions.jax | 0.10.2 |", "128, 128")
+    use = "evaluate --task scratch --policy zoo:scratch/ippo-d3-s5-v0/robot"
+    for words in (*facts, "f4c7b97d | train", "a" * 64, "b" * 64, use):
+        assert words in text
+    assert "None" not in text
+
+
+def test_a_policy_s_card_stands_alone_and_unmeasured() -> None:
+    text = markdown_card([{**CARD, "self_play": None, "splits": {}}])
+    assert text.startswith("# scratch/ippo-d3-s5-v0/robot\n\n|") and "not measured" in text and "human" not in text
+
+
+def test_text_from_elsewhere_stays_in_its_cell() -> None:
+    training = {"run": "a | b\n# heading <script>", "seed": 1}
+    text = markdown_card([{**CARD, "training": training}], "x>)<img>\n.png")
+    assert "| run | a \\| b # heading &lt;script> |" in text and "(<x)img.png>)" in text

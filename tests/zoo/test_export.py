@@ -1,0 +1,196 @@
+"""Exported files give the policy's actions in other runtimes."""
+
+import itertools
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import safetensors.numpy
+
+from population.onnx_export import to_onnx
+from population.policy import Policy
+from population.spec import PolicySpec
+from population.torch_export import to_torch
+from tests.zoo import numpy_torch
+from zoo.storage import read_policy_file, write_policy_file
+
+onnx = pytest.importorskip("onnx")
+onnxruntime = pytest.importorskip("onnxruntime")
+
+ROOT = Path(__file__).parents[2]
+ROWS, STEPS, TOLERANCE = 16, 5, 1e-5
+SPECS = [
+    PolicySpec("robot", 9, 4, torso, hidden, activation, squash, std, normalise)
+    for (torso, hidden), activation, squash, std, normalise in itertools.product(
+        (("mlp", (16, 8)), ("mlp", (12,)), ("gru", (16, 8)), ("gru", (8,))),
+        ("tanh", "relu"),
+        ("clip", "tanh"),
+        ("parameter", "state"),
+        (True, False),
+    )
+]
+V0 = PolicySpec("robot", 34, 7)
+NAMES = [f"{s.torso}{len(s.hidden)}-{s.activation}-{s.squash}-{s.std}-{s.normalise}" for s in SPECS]
+
+
+def trained(spec: PolicySpec, seed: int = 0) -> dict[str, Any]:
+    """Return parameters with nothing at its initial value, so that no part can be left out unseen."""
+    rng = np.random.default_rng(seed)
+    params = jax.tree.map(lambda leaf: np.asarray(leaf), Policy(spec).init(jax.random.key(seed)))
+    params = jax.tree.map(lambda leaf: (leaf + 0.4 * rng.normal(size=leaf.shape)).astype(np.float32), params)
+    if spec.normalise:
+        params["normaliser"]["std"] = rng.uniform(0.1, 2.0, spec.observation_size).astype(np.float32)
+    return params
+
+
+def episode(spec: PolicySpec, params: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return observations [T, N, O], first [T, N] and actions [T, N, A]; some rows begin anew at step 3."""
+    rng = np.random.default_rng(1)
+    obs = rng.normal(0.0, 2.0, (STEPS, ROWS, spec.observation_size)).astype(np.float32)
+    obs[0, 0] = 1e4  # far beyond the normaliser's limit
+    first = np.zeros((STEPS, ROWS), bool)
+    first[0], first[3, ::2] = True, True
+    policy = Policy(spec)
+    carry, actions = policy.initial_carry((ROWS,)), []
+    for step in range(STEPS):
+        carry, action = policy.act(params, carry, jnp.asarray(obs[step]), jnp.asarray(first[step]))
+        actions.append(np.asarray(action))
+    return obs, first, np.stack(actions)
+
+
+def play_onnx(data: bytes, obs: np.ndarray, first: np.ndarray) -> np.ndarray:
+    session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
+    names = [value.name for value in session.get_inputs()]
+    carry, actions = None, []
+    for step in range(len(obs)):
+        fed: dict[str, Any] = {"obs": obs[step]}
+        if len(names) == 3:
+            if carry is None:
+                carry = np.full((ROWS, session.get_inputs()[1].shape[1]), np.float32(7.0))  # `first` clears it
+            fed |= {"carry": carry, "first": first[step]}
+        action, *rest = session.run(None, fed)
+        carry = rest[0] if rest else None
+        actions.append(action)
+    return np.stack(actions)
+
+
+@pytest.mark.parametrize("spec", [*SPECS, V0], ids=[*NAMES, "v0"])
+def test_onnx_gives_the_same_actions(spec: PolicySpec) -> None:
+    params = trained(spec)
+    obs, first, expected = episode(spec, params)
+    found = play_onnx(to_onnx(spec, params), obs, first)
+    assert found.dtype == np.float32 and found.shape == expected.shape
+    assert np.abs(found - expected).max() < TOLERANCE
+    assert np.ptp(expected) > 0.5  # there was something to tell apart
+
+
+@pytest.mark.parametrize(
+    "leaf", ["normaliser/mean", "Dense_0/bias", "GRUCell_0/hn/bias", "GRUCell_0/iz/bias", "Dense_1/kernel"]
+)
+def test_a_changed_parameter_would_be_seen(leaf: str) -> None:
+    """The comparison can fail, for every part of the network."""
+    spec = PolicySpec("robot", 9, 4, "gru", (16, 8))
+    params = trained(spec)
+    obs, first, expected = episode(spec, params)
+    *path, name = leaf.split("/")
+    node = params
+    for part in path:
+        node = node[part]
+    node[name] = node[name] + np.float32(0.01)
+    assert np.abs(play_onnx(to_onnx(spec, params), obs, first) - expected).max() > TOLERANCE
+
+
+def test_a_parameter_that_is_missing_is_named() -> None:
+    params = trained(V0)
+    del params["Dense_2"]
+    for export in (to_onnx, to_torch):
+        with pytest.raises(ValueError, match="Dense_2"):
+            export(V0, params)
+
+
+def test_onnx_files_say_what_they_are_and_are_stable() -> None:
+    params = trained(V0)
+    data = to_onnx(V0, params, {"id": "scratch/ippo-d1-s0-v0/robot"})
+    assert data == to_onnx(V0, params, {"id": "scratch/ippo-d1-s0-v0/robot"})
+    model = onnx.load_from_string(data)
+    (kept,) = model.metadata_props
+    assert json.loads(kept.value) == {"spec": V0.to_json(), "id": "scratch/ippo-d1-s0-v0/robot"}
+    assert {node.domain for node in model.graph.node} == {""} and {o.domain for o in model.opset_import} == {""}
+
+
+def documented_policy(path: Path) -> Any:
+    """Return the module of docs/export.md, loaded: with torch where it is installed, else with its stand-in."""
+    (code,) = re.findall(r"## PyTorch\n\n```python\n(.*?)```", (ROOT / "docs/export.md").read_text(), re.DOTALL)
+    assert len(code.splitlines()) < 40
+    code = code.replace("import json, torch\nfrom safetensors import safe_open\n", "import json\n")
+    names: dict[str, Any] = {"torch": numpy_torch.torch, "safe_open": numpy_torch.safe_open}
+    exec(code, names)
+    return names["Policy"](str(path))
+
+
+@pytest.mark.parametrize("spec", SPECS, ids=NAMES)
+def test_the_documented_torch_module_gives_the_same_actions(tmp_path: Path, spec: PolicySpec) -> None:
+    params = trained(spec)
+    path = tmp_path / "robot.safetensors"
+    path.write_bytes(to_torch(spec, params))
+    obs, _, _ = episode(spec, params)
+    policy, module = Policy(spec), documented_policy(path)
+    ours, theirs = policy.initial_carry((ROWS,)), None
+    for step in range(STEPS):
+        ours, expected = policy.act(params, ours, jnp.asarray(obs[step]), jnp.zeros(ROWS, bool))
+        found, theirs = module(numpy_torch.Tensor(obs[step]), theirs)
+        np.testing.assert_allclose(found.value, expected, atol=TOLERANCE)
+
+
+def test_the_documented_torch_module_with_torch_itself(tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch")
+    (code,) = re.findall(r"## PyTorch\n\n```python\n(.*?)```", (ROOT / "docs/export.md").read_text(), re.DOTALL)
+    names: dict[str, Any] = {}
+    exec(code, names)
+    for spec in SPECS:
+        params = trained(spec)
+        (tmp_path / "robot.safetensors").write_bytes(to_torch(spec, params))
+        obs, _, _ = episode(spec, params)
+        module, policy = names["Policy"](str(tmp_path / "robot.safetensors")), Policy(spec)
+        ours, theirs = policy.initial_carry((ROWS,)), None
+        for step in range(STEPS):
+            ours, expected = policy.act(params, ours, jnp.asarray(obs[step]), jnp.zeros(ROWS, bool))
+            with torch.no_grad():
+                found, theirs = module(torch.from_numpy(obs[step]), theirs)
+            np.testing.assert_allclose(found.numpy(), expected, atol=TOLERANCE)
+
+
+def test_torch_files_keep_the_standard_deviation(tmp_path: Path) -> None:
+    for std, names in (("parameter", {"log_std"}), ("state", {"log_std.weight", "log_std.bias"})):
+        spec = PolicySpec("robot", 9, 4, std=std)
+        state = safetensors.numpy.load(to_torch(spec, trained(spec)))
+        assert {name for name in state if name.startswith("log_std")} == names
+        assert state["layers.0.weight"].shape == (128, 9)
+
+
+def test_safetensors_files_are_read_back(tmp_path: Path) -> None:
+    spec, params = SPECS[0], trained(SPECS[0])
+    write_policy_file(tmp_path / "robot.safetensors", spec, params, {"id": "x"})
+    found = read_policy_file(tmp_path / "robot.safetensors")
+    assert found.spec == spec and found.metadata == {"id": "x"}
+    jax.tree.map(np.testing.assert_array_equal, found.params, params)
+
+
+def test_exported_files_run_without_this_project(tmp_path: Path) -> None:
+    spec, params = V0, trained(V0)
+    (tmp_path / "robot.onnx").write_bytes(to_onnx(spec, params))
+    code = (
+        "import sys, numpy, onnxruntime\n"
+        "session = onnxruntime.InferenceSession('robot.onnx', providers=['CPUExecutionProvider'])\n"
+        "print(session.run(['action'], {'obs': numpy.zeros((3, 34), numpy.float32)})[0].shape)\n"
+        "print(sorted({'zoo', 'population', 'evaluation', 'assistax_envs', 'jax', 'flax'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-I", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n")[:2] == ["(3, 7)", "[]"]

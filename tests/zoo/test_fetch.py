@@ -1,0 +1,242 @@
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from assistax_zoo.main import run
+from tests.zoo.hub_server import Fault, Hub
+from zoo import remotes, slices
+from zoo.cache import cached_registry, cached_row, cached_shard
+from zoo.errors import IntegrityError, OfflineError, RegistryError, RemoteError
+from zoo.fetch import Report, fetch, remote_registry
+from zoo.registry import Registry, load_registry
+from zoo.remotes import open_remote
+from zoo.storage import load_group
+from zoo.verify import verify
+
+FILES = "GET /org/zoo/resolve/.*safetensors"
+
+
+def get(name: str | Path, pattern: str | None = None, **arguments: Any) -> tuple[Registry, Report]:
+    """Fetch as the command does, and return the registry in the cache as well."""
+    remote = open_remote(name)
+    registry = remote_registry(remote)
+    return registry, fetch(registry, registry.select(pattern), remote, **arguments)
+
+
+def visible(folder: Path) -> set[str]:
+    return {path.name for path in folder.rglob("*.safetensors") if not path.name.startswith(".")}
+
+
+def same_parameters(one: Registry, other: Registry, pattern: str = "*") -> bool:
+    groups = [load_group(registry, registry.select(pattern)) for registry in (one, other)]
+    for a, b in zip(*groups, strict=True):
+        assert a.ids == b.ids
+        assert np.array_equal(a.params["Dense_0"]["kernel"], b.params["Dense_0"]["kernel"])
+    return True
+
+
+@pytest.mark.parametrize("kind", ["folder", "file", "hub", "tag", "web"])
+def test_everything_comes_from_every_kind_of_remote(kind: str, registry: Registry, cache: Path, hub: Hub) -> None:
+    commit = hub.put("org/zoo", registry.path.parent, tag="v0")
+    name = {
+        "folder": registry.path.parent,
+        "file": registry.path.parent.as_uri(),
+        "hub": "hf://org/zoo",
+        "tag": "hf://org/zoo@v0",
+        "web": f"{hub.url}/org/zoo/resolve/main",
+    }[kind]
+    fetched, report = get(name)
+    assert (report.policies, report.shards, report.present) == (16, 2, 0)
+    assert report.bytes == sum(shard.bytes for shard in registry.data.shards.values())
+    assert report.revision == (commit if kind in ("hub", "tag") else None)
+    assert fetched.path == load_registry(cached_registry(str(name))).path and fetched.path.is_relative_to(cache)
+    assert verify(fetched).ok and same_parameters(registry, fetched)
+    assert get(name)[1].bytes == 0
+    assert not list(cache.rglob(".*"))
+
+
+def test_a_registry_without_shards_finds_them_in_the_cache(registry: Registry, cache: Path, tmp_path: Path) -> None:
+    alone = tmp_path / "wheel" / "registry.json"
+    alone.parent.mkdir()
+    alone.write_bytes(registry.path.read_bytes())
+    bare = load_registry(alone)
+    with pytest.raises(RemoteError, match=r"2 missing .*--from"):
+        fetch(bare, bare.policies, None)
+    with pytest.raises(IntegrityError, match="assistax-zoo fetch"):
+        load_group(bare, bare.policies)
+    fetch(bare, bare.policies, open_remote(registry.path.parent))
+    assert same_parameters(registry, bare)
+    assert fetch(bare, bare.policies, None).present == 2
+
+
+def test_one_policy_is_cut_out_of_its_shard(large: Registry, cache: Path, hub: Hub, monkeypatch) -> None:
+    monkeypatch.setattr(slices, "REQUEST_BYTES", 0)
+    monkeypatch.setattr(slices, "FIRST_BYTES", 100)  # so that the rest of the header takes another request
+    hub.put("org/zoo", large.path.parent)
+    fetched, report = get("hf://org/zoo", "scratch/ippo-d1-s[35]-v0/human")
+    shard = large.data.shards[fetched.policies[1].shard]
+    assert report.sliced == 1 and shard.bytes / 8 < report.bytes < shard.bytes / 3
+    assert not cached_shard(shard.sha256).exists()
+    assert same_parameters(large, fetched, "scratch/ippo-d1-s[35]-v0/human")
+    assert get("hf://org/zoo", "scratch/ippo-d1-s[35]-v0/human")[1].bytes == 0
+    row = cached_row(large.policy("scratch/ippo-d1-s3-v0/human").sha256)
+    row.write_bytes(row.read_bytes()[:-1] + b"\0")
+    with pytest.raises(IntegrityError, match="found sha256"):
+        load_group(fetched, fetched.select("*-s3-v0/human"))
+    assert get("hf://org/zoo", "scratch/ippo-d1-s[35]-v0/human")[1].bytes > 0
+    assert same_parameters(large, fetched, "scratch/ippo-d1-s[35]-v0/human")
+    with pytest.raises(IntegrityError, match="no file at"):
+        load_group(fetched, fetched.select("*/human"))
+
+
+def test_without_ranges_the_whole_shard_comes(large: Registry, cache: Path, hub: Hub, monkeypatch) -> None:
+    monkeypatch.setattr(slices, "REQUEST_BYTES", 0)
+    hub.put("org/zoo", large.path.parent)
+    hub.faults = [Fault(FILES, whole=True)]
+    fetched, report = get("hf://org/zoo", "scratch/ippo-d1-s3-v0/human")
+    assert report.sliced == 0 and same_parameters(large, fetched, "scratch/ippo-d1-s*-v0/human")
+
+
+@pytest.mark.parametrize("offset", [3, 20, 500_000])
+def test_a_tampered_slice_is_refused(offset: int, large: Registry, cache: Path, hub: Hub, monkeypatch) -> None:
+    monkeypatch.setattr(slices, "REQUEST_BYTES", 0)
+    hub.put("org/zoo", large.path.parent)
+    hub.faults = [Fault(FILES, flip=offset)]
+    with pytest.raises(IntegrityError, match="thrown away"):
+        get("hf://org/zoo", "scratch/ippo-d1-s*-v0/human" if offset > 100 else "scratch/ippo-d1-s1-v0/human")
+    assert visible(cache) == set()
+
+
+def test_a_damaged_file_of_the_cache_is_fetched_again(registry: Registry, cache: Path) -> None:
+    fetched, _ = get(registry.path.parent)
+    path = next((cache / "shards").iterdir())
+    path.write_bytes(path.read_bytes()[:-1])
+    assert not verify(fetched).ok
+    assert get(registry.path.parent)[1].present == 1
+    assert verify(fetched).ok
+
+
+def test_a_damaged_file_of_a_checkout_is_left_to_its_owner(registry: Registry, cache: Path) -> None:
+    path = registry.shard_path(registry.policies[0].shard)
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(IntegrityError, match="git checkout"):
+        fetch(registry, registry.policies, open_remote(registry.path.parent))
+
+
+def test_offline_uses_what_is_there(registry: Registry, cache: Path, hub: Hub, monkeypatch) -> None:
+    from huggingface_hub import constants
+
+    hub.put("org/zoo", registry.path.parent)
+    get("hf://org/zoo", "*/human")
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
+    asked = len(hub.log)
+    assert get("hf://org/zoo", "*/human")[1].present == 1
+    with pytest.raises(OfflineError, match="HF_HUB_OFFLINE"):
+        get("hf://org/zoo", "*/robot")
+    with pytest.raises(OfflineError, match="fetch once while online"):
+        get("hf://org/other")
+    assert len(hub.log) == asked
+
+
+def test_a_remote_may_not_change_what_it_published(
+    registry: Registry, cache: Path, hub: Hub, teams, publish_to, tmp_path
+) -> None:
+    hub.put("org/zoo", registry.path.parent)
+    get("hf://org/zoo", "*/human")
+    changed = [team for team in teams(seeds=range(1))]
+    log_std = {**changed[0].params["human"], "log_std": np.ones(3, np.float32)}
+    changed[0].params["human"] = log_std
+    hub.put("org/zoo", publish_to(changed, tmp_path / "changed" / "registry.json").path.parent)
+    with pytest.raises(IntegrityError, match=r"published bytes never change.*scratch/ippo-d1-s0-v0/human"):
+        get("hf://org/zoo")
+    assert len(load_registry(cached_registry("hf://org/zoo")).policies) == 16
+
+
+def test_a_growing_remote_is_followed(registry: Registry, cache: Path, hub: Hub, teams, publish_to) -> None:
+    hub.put("org/zoo", registry.path.parent)
+    get("hf://org/zoo")
+    publish_to(teams(seeds=range(6)), registry.path)
+    hub.put("org/zoo", registry.path.parent)
+    fetched, report = get("hf://org/zoo")
+    assert (report.present, report.shards, report.policies) == (2, 4, 24) and verify(fetched).ok
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("hf://zoo", "hf://org/name"),
+        ("hf://org/zoo/more", "hf://org/name"),
+        ("nothing://zoo", "Protocol not known"),
+        ("/nowhere/at/all", "no such file"),
+        ("hf://org/absent", "no such repository"),
+        ("hf://org/data", "expected a model repository, found a dataset"),
+        ("hf://org/zoo@v9", r"expected a branch, tag or commit \(v0\), found no revision 'v9'"),
+    ],
+)
+def test_a_wrong_remote_is_named(name: str, told: str, registry: Registry, cache: Path, hub: Hub) -> None:
+    hub.put("org/zoo", registry.path.parent, tag="v0")
+    hub.put("org/data", registry.path.parent, kind="dataset")
+    with pytest.raises(RemoteError, match=told) as caught:
+        get(name)
+    assert all(word in str(caught.value) for word in ("expected", "found", "nothing was fetched", "next: "))
+    assert not cache.exists()
+
+
+def test_a_remote_without_a_registry_is_refused(registry: Registry, cache: Path, hub: Hub, tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "config.json").write_text("{}")
+    hub.put("org/other", tmp_path / "other")
+    with pytest.raises(RemoteError, match=r"expected a zoo with registry\.json in it"):
+        get("hf://org/other")
+    (tmp_path / "other" / "registry.json").write_bytes(b"\xff\xfe")
+    with pytest.raises(RegistryError, match="not a registry"):
+        get(tmp_path / "other")
+    (tmp_path / "other" / "registry.json").write_text(registry.path.read_text().replace('"seed"', '"sead"'))
+    with pytest.raises(RegistryError, match=r"unknown field|required"):
+        get(tmp_path / "other")
+    assert not cache.exists()
+
+
+def test_shards_come_in_parallel(registry: Registry, cache: Path, hub: Hub, teams, publish_to, monkeypatch) -> None:
+    publish_to(teams(("mappo",)), registry.path)
+    hub.put("org/zoo", registry.path.parent)
+    together, now = threading.Barrier(4), remotes.HttpRemote.open
+
+    def wait(self, path, start=0, stop=None):
+        if path.endswith(".safetensors"):
+            together.wait(timeout=20)
+        return now(self, path, start, stop)
+
+    monkeypatch.setattr(remotes.HttpRemote, "open", wait)
+    assert get("hf://org/zoo", workers=4)[1].shards == 4
+
+
+def test_progress_counts_every_byte_once(large: Registry, cache: Path, hub: Hub) -> None:
+    hub.put("org/zoo", large.path.parent)
+    hub.faults = [Fault(FILES, cut=200_000, times=3)]
+    seen: list[int] = []
+    totals: list[int] = []
+
+    def on_total(total: int):
+        totals.append(total)
+        return seen.append
+
+    _, report = get("hf://org/zoo", on_total=on_total)
+    assert sum(seen) == totals[0] == report.bytes
+
+
+def test_command(registry: Registry, cache: Path, hub: Hub, capsys, monkeypatch) -> None:
+    hub.put("org/zoo", registry.path.parent, tag="v0")
+    assert run(["fetch", "scratch/*/human", "--from", "hf://org/zoo@v0"]) == 0
+    told = capsys.readouterr()
+    assert "verified 8 policies in 1 shards" in told.out and "commit" in told.out and "--registry" in told.out
+    assert "MB" in told.err
+    assert run(["fetch", "--from", "hf://org/zoo@v9"]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+    monkeypatch.setenv("ASSISTAX_ZOO_REMOTE", "hf://org/zoo")
+    bare = cached_registry("hf://org/zoo@v0")
+    assert run(["fetch", "--role", "robot", "--registry", str(bare)]) == 0
+    assert run(["verify", "--registry", str(bare)]) == 0

@@ -1,0 +1,206 @@
+"""Ten thousand damaged registries and shards: one line for the user, and never a byte that was not published.
+
+What may be loaded is decided here, apart from the code under test: a policy's parameters must have the sha256 that the
+undamaged registry records for some policy, under an id whose damaged registry still names that sha256.
+"""
+
+import json
+import random
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from zoo.errors import ZooError
+from zoo.files import sha256
+from zoo.registry import Registry, build_registry, load_registry, parse_registry
+from zoo.storage import load_group, parse_stacked
+from zoo.tensors import flatten, row_sha256
+from zoo.verify import verify
+
+CASES = 10_000
+Damage = Callable[[random.Random, bytes], bytes]
+
+
+def flip(rng: random.Random, data: bytes) -> bytes:
+    position = rng.randrange(len(data))
+    return data[:position] + bytes([data[position] ^ (1 << rng.randrange(8))]) + data[position + 1 :]
+
+
+def cut(rng: random.Random, data: bytes) -> bytes:
+    return data[: rng.randrange(len(data))]
+
+
+def grow(rng: random.Random, data: bytes) -> bytes:
+    return data + rng.randbytes(rng.randrange(1, 40))
+
+
+def splice(rng: random.Random, data: bytes) -> bytes:
+    """Replace a stretch by random bytes, or by another stretch of the same file."""
+    start, length = rng.randrange(len(data)), rng.randrange(1, 60)
+    other = rng.randrange(len(data))
+    patch = rng.randbytes(rng.randrange(9)) if rng.random() < 0.5 else data[other : other + length]
+    return data[:start] + patch + data[start + length :]
+
+
+def zero(rng: random.Random, data: bytes) -> bytes:
+    start = rng.randrange(len(data))
+    length = rng.randrange(1, 4096)
+    return data[:start] + bytes(len(data[start : start + length])) + data[start + length :]
+
+
+def number(rng: random.Random, data: bytes) -> bytes:
+    """Change a digit, which leaves JSON whole."""
+    places = [index for index, byte in enumerate(data) if chr(byte).isdigit()]
+    place = rng.choice(places)
+    return data[:place] + str(rng.randrange(10)).encode() + data[place + 1 :]
+
+
+def token(rng: random.Random, data: bytes) -> bytes:
+    """Replace one value of the JSON by another kind of value."""
+    content = json.loads(data)
+    node, key = content, rng.choice(list(content))
+    while isinstance(node[key], dict | list) and node[key] and rng.random() < 0.8:
+        node = node[key]
+        key = rng.choice(list(node)) if isinstance(node, dict) else rng.randrange(len(node))
+    values = (None, True, -1, 2**70, 1.5, "", "x", "../../etc/passwd", [], {}, [[]], {"a": {}}, "\x00\n", 1e308)
+    if isinstance(node, dict) and rng.random() < 0.3:
+        node[rng.choice(["x", "", "scratch/ippo-d1-s0-v1", "../a"])] = node.pop(key)
+    else:
+        node[key] = rng.choice(values)
+    return json.dumps(content).encode()
+
+
+BYTES: tuple[Damage, ...] = (flip, cut, grow, splice, zero)
+
+
+@pytest.fixture
+def genuine(registry: Registry) -> dict[str, str]:
+    """Row hashes of the undamaged release, recomputed from its bytes."""
+    found: dict[str, str] = {}
+    for group in load_group(registry, registry.policies):
+        leaves = flatten(group.params)
+        for row, name in enumerate(group.ids):
+            found[name] = row_sha256({leaf: value[row] for leaf, value in leaves.items()})
+    return found
+
+
+def one_line(error: ZooError) -> None:
+    text = str(error)
+    assert text.isprintable() and len(text) < 2000, text
+    assert "expected" in text and "found" in text and "next:" in text
+
+
+def loads_only_what_was_published(registry: Registry, genuine: dict[str, str]) -> int:
+    """Load policy by policy; return how many came through."""
+    loaded = 0
+    for entry in registry.policies:
+        try:
+            (group,) = load_group(registry, [entry])
+        except ZooError as error:
+            one_line(error)
+            continue
+        leaves = {name: value[0] for name, value in flatten(group.params).items()}
+        assert row_sha256(leaves) == entry.sha256 and entry.sha256 in genuine.values(), entry.id
+        assert all(np.isfinite(value).all() for value in leaves.values())
+        loaded += 1
+    return loaded
+
+
+def damaged_registries(registry: Registry, genuine: dict[str, str], cases: int) -> tuple[int, int]:
+    """Return how many were refused, and how many still loaded."""
+    text, refused = registry.path.read_bytes(), 0
+    rng = random.Random(7)
+    for _ in range(cases):
+        data = rng.choice((*BYTES, number, token))(rng, text)
+        try:
+            damaged = build_registry(parse_registry(data.decode("utf-8", errors="replace"), "test"), registry.path)
+        except ZooError as error:
+            one_line(error)
+            refused += 1
+            continue
+        loads_only_what_was_published(damaged, genuine)
+    return refused, cases - refused
+
+
+def damaged_shards(registry: Registry, genuine: dict[str, str], cases: int) -> int:
+    """Return how many were refused: all that differ from what was published."""
+    entry = registry.policies[0]
+    path, rng, refused = registry.shard_path(entry.shard), random.Random(8), 0
+    whole = path.read_bytes()
+    for _ in range(cases):
+        data = rng.choice(BYTES)(rng, whole)
+        path.write_bytes(data)
+        try:
+            load_group(registry, [entry])
+        except ZooError as error:
+            one_line(error)
+            refused += 1
+        else:
+            assert data == whole
+    path.write_bytes(whole)
+    return refused
+
+
+def forged_shards(registry: Registry, genuine: dict[str, str], cases: int) -> int:
+    """Damage shards, and correct size and sha256 in the registry: rows still tell. Return how many rows passed."""
+    shard = registry.policies[0].shard
+    path, rng, passed = registry.shard_path(shard), random.Random(9), 0
+    whole = path.read_bytes()
+    for _ in range(cases):
+        data = rng.choice(BYTES)(rng, whole)
+        path.write_bytes(data)
+        record = registry.data.shards[shard].model_copy(update={"sha256": sha256(data), "bytes": len(data)})
+        shards = {**registry.data.shards, shard: record}
+        forged = build_registry(registry.data.model_copy(update={"shards": shards}), registry.path)
+        passed += loads_only_what_was_published(forged, genuine)
+        try:
+            parse_stacked(data, "shard")
+        except ZooError as error:
+            one_line(error)
+    path.write_bytes(whole)
+    return passed
+
+
+def check(registry: Registry, genuine: dict[str, str], cases: int) -> None:
+    refused, loaded = damaged_registries(registry, genuine, cases // 2)
+    assert refused > cases // 4 and loaded > 0  # both ways were taken
+    assert damaged_shards(registry, genuine, cases // 4) > cases // 5
+    humans = sum(entry.role == "human" for entry in registry.policies) * (cases // 4)
+    assert forged_shards(registry, genuine, cases // 4) >= humans  # the other shard is whole
+    assert verify(load_registry(registry.path)).ok
+
+
+def test_some_damage_is_refused(registry: Registry, genuine: dict[str, str]) -> None:
+    assert genuine == {entry.id: entry.sha256 for entry in registry.policies}
+    check(registry, genuine, 120)
+
+
+@pytest.mark.slow
+def test_ten_thousand_damages_are_refused(registry: Registry, genuine: dict[str, str]) -> None:
+    check(registry, genuine, CASES)
+
+
+def test_a_loader_that_trusts_the_registry_would_be_caught(
+    registry: Registry, genuine: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without row hashes the forged shards come through."""
+    monkeypatch.setattr("zoo.storage.row_sha256", lambda leaves: registry.policies[0].sha256)
+    with pytest.raises(AssertionError):
+        forged_shards(registry, genuine, 60)
+
+
+@pytest.mark.slow
+def test_verify_survives_damage(registry: Registry, tmp_path: Path) -> None:
+    """`verify` reports, whatever lies there."""
+    shard = registry.shard_path(registry.policies[0].shard)
+    whole, rng = shard.read_bytes(), random.Random(10)
+    copy = shutil.copy(shard, tmp_path / "whole")
+    for _ in range(200):
+        shard.write_bytes(rng.choice(BYTES)(rng, whole))
+        report = verify(registry)
+        assert report.ok == (shard.read_bytes() == whole)
+    shard.write_bytes(Path(copy).read_bytes())
+    assert verify(registry).ok

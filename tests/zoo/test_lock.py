@@ -1,0 +1,162 @@
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from assistax_zoo.main import run
+from zoo.errors import LockError, SplitError, UnknownIdError
+from zoo.fetch import remote_registry
+from zoo.lock import Lock, apply_lock, locked_entries, make_lock, read_lock, write_lock
+from zoo.registry import Registry, load_registry, save_registry
+from zoo.release import create_split
+from zoo.remotes import open_remote
+from zoo.storage import load_group
+
+
+@pytest.fixture
+def lock(registry: Registry, tmp_path: Path) -> Lock:
+    path = tmp_path / "assistax-zoo.lock"
+    write_lock(make_lock(registry, registry.policies), path)
+    return read_lock(path)
+
+
+def changed(registry: Registry, table: str, edit: Callable[[dict[str, Any]], Any]) -> Registry:
+    """Return the registry with an edit in one table of its file."""
+    data = json.loads(registry.path.read_text())
+    edit(data[table])
+    registry.path.write_text(json.dumps(data))
+    return load_registry(registry.path)
+
+
+def test_a_lock_pins_bytes_and_split(registry: Registry, lock: Lock) -> None:
+    assert lock.release == "v0" and lock.environments == {"scratch": 1}
+    assert lock.policies == {entry.id: entry.sha256 for entry in registry.policies}
+    assert lock.splits["scratch"].sha256 == registry.split("scratch").sha256
+    narrowed = apply_lock(registry, lock, task="scratch")
+    assert narrowed.lock == lock.sha256
+    assert narrowed.policies == registry.policies and narrowed.split("scratch") == registry.split("scratch")
+    assert [group.ids for group in load_group(narrowed, narrowed.policies)]
+
+
+def test_a_registry_that_grew_is_as_good(registry: Registry, lock: Lock, teams, publish_to) -> None:
+    split = registry.split("scratch")
+    publish_to(teams(("ippo", "mappo"), seeds=range(6)), registry.path)
+    publish_to(teams(("isac",)), registry.path, "v1")
+    grown = load_registry(registry.path)
+    assert grown.release == "v1" and grown.split("scratch", release="v0") != split
+    narrowed = apply_lock(grown, lock, task="scratch")
+    assert narrowed.release == "v0" and narrowed.policies == registry.policies
+    assert narrowed.split("scratch") == split
+    with pytest.raises(UnknownIdError):
+        narrowed.select("scratch/mappo-*")
+
+
+def test_the_same_lock_loads_the_same_bytes_elsewhere(registry: Registry, lock: Lock, cache: Path) -> None:
+    remote = remote_registry(open_remote(registry.path.parent))
+    assert locked_entries(remote, lock) == locked_entries(registry, lock)
+
+
+def test_anything_else_is_refused(registry: Registry, lock: Lock) -> None:
+    other = create_split(registry.path, task="scratch", seed=1)
+    registry = load_registry(registry.path)
+    with pytest.raises(LockError, match="expected a task of the lock"):
+        apply_lock(registry, lock, task="bed_bath")
+    with pytest.raises(LockError, match="expected the locked one"):
+        apply_lock(registry, lock, task="scratch", split=other.id)
+    with pytest.raises(LockError, match="expected the locked one"):
+        apply_lock(registry, lock, task="scratch", split="half-s1:both")
+    for side in (None, "test", "both", lock.splits["scratch"].id, "half-s0:train"):
+        apply_lock(registry, lock, task="scratch", split=side)
+    with pytest.raises(SplitError):
+        apply_lock(registry, lock, task="scratch").split("scratch", other.id)
+
+
+def test_a_registry_that_differs_is_refused(registry: Registry, lock: Lock, teams, publish_to, tmp_path) -> None:
+    team = next(iter(registry.data.teams))
+    original = registry.path.read_text()
+
+    def other_row(table: dict[str, Any]) -> None:
+        table[team]["policies"]["human"]["sha256"] = "0" * 64
+
+    def other_shard(table: dict[str, Any]) -> None:
+        next(iter(table.values()))["sha256"] = "0" * 64
+
+    def other_settings(table: dict[str, Any]) -> None:
+        table["d9"]["tremor"] = 0.1
+
+    def other_version(table: dict[str, Any]) -> None:
+        table["v0"]["environments"]["scratch"] = 2
+
+    for table, edit, told in (
+        ("teams", other_row, f"policy {team}/human"),
+        ("shards", other_shard, "shard zoo/shards/v0/"),
+        ("disability_settings", other_settings, "disability settings"),
+        ("releases", other_version, "environment version of scratch 1"),
+    ):
+        registry.path.write_text(original)
+        with pytest.raises(LockError, match=f"expected {told}.*as locked, found .*; nothing was done; next: fetch"):
+            apply_lock(changed(registry, table, edit), lock, task="scratch")
+    smaller = publish_to(teams(seeds=range(2)), tmp_path / "smaller" / "registry.json")
+    with pytest.raises(LockError, match="as locked"):
+        locked_entries(smaller, lock)
+    without = publish_to(teams(), tmp_path / "without" / "registry.json", "v1")
+    with pytest.raises(LockError, match="expected release v0"):
+        locked_entries(without, lock)
+
+
+def test_a_split_that_leaves_out_partners(registry: Registry) -> None:
+    few = registry.select("scratch/ippo-d1-*")
+    assert make_lock(registry, few).splits == {}
+    with pytest.raises(LockError, match="left out"):
+        make_lock(registry, few, {"scratch": registry.split("scratch").id})
+
+
+def test_one_release_at_a_time(registry: Registry, teams, publish_to) -> None:
+    both = publish_to(teams(("mappo",)), registry.path, "v1")
+    with pytest.raises(LockError, match="releases v0, v1"):
+        make_lock(both, both.policies)
+
+
+def test_a_lock_that_was_edited_or_damaged(registry: Registry, lock: Lock, tmp_path: Path) -> None:
+    path = tmp_path / "assistax-zoo.lock"
+    text = path.read_text()
+    digest = lock.policies["scratch/ippo-d1-s0-v0/human"]
+    for damage, told in (
+        (text.replace(digest, "0" * 64), "it was edited"),
+        (text.replace('"lock_version": 1', '"lock_version": 2'), "version 2"),
+        (text.replace('"release"', '"relaese"'), "relaese|release"),
+        (text[:-20], "JSONDecodeError"),
+        ("[1]", "TypeError"),
+        ("{}", "KeyError"),
+    ):
+        path.write_text(damage)
+        with pytest.raises(LockError, match=told):
+            read_lock(path)
+    path.unlink()
+    with pytest.raises(LockError, match="No such file"):
+        read_lock(path)
+
+
+def test_commands(registry: Registry, cache: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+    monkeypatch.setenv("ASSISTAX_ZOO_REGISTRY", str(registry.path))
+    out = tmp_path / "paper.lock"
+    assert run(["lock", "--out", str(out)]) == 0
+    assert "locked 16 policies of release v0" in capsys.readouterr().out
+    assert run(["lock", "scratch/ippo-d1-*", "--out", str(tmp_path / "few.lock"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["splits"] == {}
+    source = str(registry.path.parent)
+    assert run(["fetch", "--from", source, "--lock", str(tmp_path / "few.lock"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["policies"] == 8
+    words = ["--task", "scratch", "--policy", "zoo:scratch/ippo-d1-s0-v0/robot", "--lock", str(out)]
+    assert run(["evaluate", *words, "--split", "scratch/small-5"]) == 1
+    assert "expected the locked one" in capsys.readouterr().err
+    data = registry.data.model_copy(
+        update={"splits": (), "releases": {"v0": registry.data.releases["v0"].model_copy(update={"splits": {}})}}
+    )
+    save_registry(data, registry.path)
+    assert run(["evaluate", *words]) == 1
+    assert "as locked, found none" in capsys.readouterr().err
+    assert run(["crossplay", "--task", "scratch", "--out", str(tmp_path / "xp"), "--lock", str(out)]) == 1
+    assert "as locked" in capsys.readouterr().err

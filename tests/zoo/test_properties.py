@@ -1,0 +1,158 @@
+"""Selection, registries, splits and foreign zoos, over populations drawn at random and against plain re-statements."""
+
+import fnmatch
+import json
+import random
+from pathlib import Path
+
+import pytest
+from hypothesis import given, seed, settings
+from hypothesis import strategies as st
+
+from population.spec import PolicySpec
+from zoo.errors import UnknownIdError, ZooError
+from zoo.foreign import ForeignDisability, ForeignPolicy, ForeignZoo
+from zoo.ids import TeamId, parse_team
+from zoo.registry import Registry, build_registry, parse_registry
+from zoo.schema import SCHEMA_VERSION, RegistryFile, dump_registry
+from zoo.selection import FIELDS, select
+from zoo.splits import check_split, make_split
+
+SPEC = PolicySpec("human", 6, 3, hidden=(4,))
+TEAMS = st.builds(
+    TeamId,
+    task=st.sampled_from(["scratch", "bed_bath"]),
+    algorithm=st.sampled_from(["ippo", "masac", "mappo"]),
+    disability=st.sampled_from(["d1", "d2", "d9"]),
+    seed=st.integers(0, 12),
+    release=st.sampled_from(["v0", "v1"]),
+)
+POPULATIONS = st.lists(TEAMS, min_size=1, max_size=30, unique=True)
+GLOBS = st.lists(
+    st.sampled_from(["*", "?", "scratch/", "ippo-", "d[19]", "-s1", "-v0", "/human", "/robot", "x"]), max_size=5
+)
+VALUES = st.sampled_from(["d1", "ippo", "v0", "scratch", "human"])
+FILTERS = st.dictionaries(st.sampled_from(FIELDS), VALUES, max_size=2)
+SETTINGS = settings(deadline=None, max_examples=150, derandomize=True)
+
+
+def registry_of(teams: list[TeamId]) -> Registry:
+    """Return a registry of human-only teams, one shard for each task, algorithm and release."""
+    shards: dict = {}
+    entries: dict = {}
+    for number, team in enumerate(teams):
+        path = f"zoo/shards/{team.release}/{team.task}-{team.algorithm}.safetensors"
+        shard = shards.setdefault(path, {
+            "sha256": "a" * 64, "bytes": 9, "task": team.task, "algorithm": team.algorithm, "role": "human",
+            "release": team.release, "rows": 0, "spec": SPEC.to_json(),
+        })  # fmt: skip
+        row = {"shard": path, "row": shard["rows"], "sha256": f"{number:064x}"}
+        shard["rows"] += 1
+        entries[str(team)] = {"run": "r", "policies": {"human": row}}
+    released = {team.release for team in teams}
+    data = {
+        "schema_version": SCHEMA_VERSION,
+        "release": max(released),
+        "releases": {name: {"date": "2027-01-31", "environments": {"scratch": 1, "bed_bath": 1}} for name in released},
+        "disability_settings": {d: {"strength": 1.0, "elbow_range": 1.0, "tremor": 0.0} for d in ("d1", "d2", "d9")},
+        "runs": {"r": {"steps": 1, "env_version": 1, "backend": "native"}},
+        "shards": shards,
+        "teams": entries,
+    }
+    return build_registry(RegistryFile.model_validate_json(json.dumps(data)), Path("registry.json"))
+
+
+@SETTINGS
+@seed(1)
+@given(POPULATIONS, GLOBS.map("".join), FILTERS)
+def test_selection_is_the_plain_filter(teams: list[TeamId], pattern: str, fields: dict[str, str]) -> None:
+    entries = registry_of(teams).policies
+    expected = [
+        entry
+        for entry in entries
+        if any(fnmatch.fnmatchcase(text, pattern) for text in (entry.id, entry.team))
+        and all(getattr(entry, field) == value for field, value in fields.items())
+    ]
+    if expected:
+        assert select(entries, pattern, **fields) == expected
+    else:
+        with pytest.raises(UnknownIdError) as caught:
+            select(entries, pattern, **fields)
+        assert str(caught.value).isprintable()
+
+
+@SETTINGS
+@seed(2)
+@given(POPULATIONS, st.lists(GLOBS.map("".join), min_size=1, max_size=3))
+def test_several_patterns_are_their_union(teams: list[TeamId], patterns: list[str]) -> None:
+    entries = registry_of(teams).policies
+    try:
+        found = select(entries, patterns)
+    except UnknownIdError:
+        return
+    assert {entry.id for entry in found} == {entry.id for one in patterns for entry in select(entries, one)}
+
+
+@SETTINGS
+@seed(3)
+@given(POPULATIONS, st.randoms(use_true_random=False))
+def test_registries_round_trip_whatever_their_order(teams: list[TeamId], rng: random.Random) -> None:
+    registry = registry_of(teams)
+    text = dump_registry(registry.data)
+    again = parse_registry(text, "test")
+    assert again == registry.data and dump_registry(again) == text
+    data = json.loads(text)
+    for table in ("teams", "shards", "releases"):
+        items = list(data[table].items())
+        rng.shuffle(items)
+        data[table] = dict(items)
+    shuffled = parse_registry(json.dumps(data), "test")
+    assert dump_registry(shuffled) == text
+    assert build_registry(shuffled, registry.path).policies == registry.policies
+
+
+@SETTINGS
+@seed(4)
+@given(
+    POPULATIONS,
+    st.sampled_from(["half", "leave-one-algorithm-out", "leave-one-disability-out", "small-train"]),
+    st.integers(0, 5),
+    st.randoms(use_true_random=False),
+)
+def test_every_rule_covers_ignores_order_and_other_releases(teams, rule: str, number: int, rng: random.Random) -> None:
+    held_out = {"leave-one-algorithm-out": "ippo", "leave-one-disability-out": "d9"}.get(rule)
+    ids = [str(team) for team in teams]
+    arguments = {"task": "scratch", "release": "v0", "rule": rule, "seed": number, "held_out": held_out, "n": 1}
+    try:
+        split = make_split(ids, **arguments)
+    except ZooError as error:
+        assert str(error).isprintable()
+        return
+    check_split(split)
+    own = {text for text in ids if parse_team(text).task == "scratch" and parse_team(text).release == "v0"}
+    assert not set(split.train) & set(split.test) and {*split.train, *split.test} <= own
+    assert rule == "small-train" or {*split.train, *split.test} == own
+    shuffled = [text for text in ids if text in own]
+    rng.shuffle(shuffled)
+    assert make_split(shuffled, **arguments) == split
+
+
+NAMES = st.from_regex(r"[0-9A-Za-z][0-9A-Za-z_-]{0,20}", fullmatch=True)
+NUMBERS = st.none() | st.floats(allow_nan=False, allow_infinity=False) | st.integers(-5, 5).map(float)
+FOREIGN = st.tuples(NAMES, NUMBERS, st.lists(st.integers(0, 40), max_size=3), st.text(max_size=8))
+
+
+@SETTINGS
+@seed(5)
+@given(st.lists(FOREIGN, unique_by=lambda item: item[0], max_size=5))
+def test_foreign_indices_round_trip(items: list) -> None:
+    policies = tuple(
+        ForeignPolicy(
+            uuid=uuid, scenario="scratchitch", task="scratch", role="human", algorithm="ippo", recurrent=False,
+            disability=ForeignDisability(joint_idx=tuple(joints), joint_strength=strength),
+            network={"activation": text}, bytes=1, sha256="a" * 64, leaves={"a": tuple(joints)}, notes=(text,),
+        )
+        for uuid, strength, joints, text in items
+    )  # fmt: skip
+    zoo = ForeignZoo(schema_version=1, name="public", format="v1", policies=policies)
+    assert ForeignZoo.model_validate_json(zoo.model_dump_json(exclude_defaults=True)) == zoo

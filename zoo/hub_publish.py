@@ -1,0 +1,215 @@
+"""Publishing to a hub: one commit on top of the one that was read, then a tag. A reader sees all of it or nothing."""
+
+import contextlib
+import dataclasses
+import tempfile
+from collections.abc import Generator, Sequence
+from pathlib import Path
+from typing import Any
+
+from zoo import remotes
+from zoo.errors import PublishError, RemoteError, ZooError, shorten
+from zoo.files import MAX_REGISTRY_BYTES, atomic_write
+from zoo.hub import HubRemote, hub_errors
+from zoo.model_card import MARK, model_card
+from zoo.publish import publish
+from zoo.registry import Registry, load_registry
+from zoo.remotes import TransientError, open_remote, pause_before, read_file, with_retries
+from zoo.runs import TrainedTeam
+
+MAX_CARD_BYTES = 1024 * 1024
+
+
+@dataclasses.dataclass(frozen=True)
+class Publication:
+    """What was published where."""
+
+    registry: str
+    release: str
+    added: tuple[str, ...]  # policy ids
+    policies: int
+    commit: str | None = None  # of a hub
+    tag: str | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the publication as JSON-ready values."""
+        return dataclasses.asdict(self)
+
+
+def publish_to(teams: Sequence[TrainedTeam], to: str, release: str, **arguments: Any) -> Publication:
+    """Publish teams to a folder or a hub repository.
+
+    Args:
+        teams: Trained teams.
+        to: A folder, or `hf://org/name`, which is made if it does not exist.
+        release: Release that they join.
+        **arguments: `date`, `description` and the others of `zoo.publish.publish`.
+
+    Raises:
+        PublishError: The teams are refused, or somebody else published meanwhile.
+        RemoteError: The hub cannot be reached, or does not let this user write.
+    """
+    if not to.startswith("hf://"):
+        if "://" in to:
+            raise _refusal(
+                f"remote {shorten(to)}", "a folder or hf://org/name", "a remote that can only be read", "use one"
+            )
+        return publish_to_folder(teams, Path(to), release, **arguments)
+    remote = open_remote(to)
+    assert isinstance(remote, HubRemote)
+    if remote.ref != "main":
+        raise _refusal(to, "hf://org/name, whose newest state is extended", f"revision {remote.ref}", "leave it out")
+    return _publish_to_hub(teams, remote, release, **arguments)
+
+
+def publish_to_folder(teams: Sequence[TrainedTeam], folder: Path, release: str, **arguments: Any) -> Publication:
+    """Publish teams to a folder with the layout of a remote; its card is written last."""
+    done = publish_to_registry(teams, folder / "registry.json", release, **arguments)
+    card = folder / "README.md"
+    if not card.exists() or MARK in card.read_text(encoding="utf-8", errors="replace"):
+        atomic_write(card, model_card(load_registry(folder / "registry.json"), folder.resolve().name).encode())
+    return done
+
+
+def publish_to_registry(teams: Sequence[TrainedTeam], path: Path, release: str, **arguments: Any) -> Publication:
+    """Publish teams to a registry, and say what is new."""
+    before = _ids(path)
+    registry = publish(teams, path, release, **arguments)
+    added = tuple(entry.id for entry in registry.policies if entry.id not in before)
+    return Publication(str(path), release, added, len(registry.policies))
+
+
+def _publish_to_hub(teams: Sequence[TrainedTeam], remote: HubRemote, release: str, **arguments: Any) -> Publication:
+    from huggingface_hub import HfApi, constants
+
+    api = HfApi(endpoint=constants.ENDPOINT, library_name="assistax-zoo")
+    with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as temporary:
+        path = Path(temporary) / "registry.json"
+        _create(api, remote)
+        published = _read_optional(remote, "registry.json", MAX_REGISTRY_BYTES)
+        if published is not None:
+            path.write_bytes(published)
+        before = _ids(path)
+        registry = publish(teams, path, release, **arguments)
+        added = tuple(entry.id for entry in registry.policies if entry.id not in before)
+        commit = remote.revision
+        if path.read_bytes() != published:
+            commit = _commit(api, remote, _files(remote, registry), release, len(added))
+        tag = _tag(api, remote, release, commit)
+    return Publication(f"{remote.name}@{tag}", release, added, len(registry.policies), commit, tag)
+
+
+def _create(api: Any, remote: HubRemote) -> None:
+    """Make the repository if it does not exist; after this, `remote.revision` is what the publication builds on."""
+    try:
+        remote.revision  # noqa: B018  asks the hub
+    except RemoteError as error:
+        if error.found != "no such repository":
+            raise
+
+        def create() -> None:
+            with _hub(remote, "make the repository"):
+                api.create_repo(remote.repo, exist_ok=True)
+
+        with_retries(create, remote.name)
+
+
+def _read_optional(remote: HubRemote, path: str, limit: int) -> bytes | None:
+    try:
+        return read_file(remote, path, limit)
+    except RemoteError as error:
+        if error.found == "no such file":
+            return None
+        raise
+
+
+def _files(remote: HubRemote, registry: Registry) -> dict[str, bytes]:
+    """Return what the commit adds: the new shards, the registry, and the card unless it is somebody's own."""
+    root = registry.path.parent
+    files = {shard: (root / shard).read_bytes() for shard in registry.data.shards if (root / shard).is_file()}
+    files["registry.json"] = registry.path.read_bytes()
+    card = _read_optional(remote, "README.md", MAX_CARD_BYTES)
+    if card is None or MARK.encode() in card:
+        files["README.md"] = model_card(registry, remote.repo).encode()
+    return files
+
+
+def _commit(api: Any, remote: HubRemote, files: dict[str, bytes], release: str, added: int) -> str:
+    """Make the commit and return its id; an answer that got lost is looked up, so that nothing is committed twice."""
+    from huggingface_hub import CommitOperationAdd
+
+    for attempt in range(1, remotes.RETRY.attempts + 1):
+        try:
+            with _hub(remote, "commit"):
+                info = api.create_commit(
+                    remote.repo,
+                    [CommitOperationAdd(path, data) for path, data in files.items()],
+                    commit_message=f"Release {release}: {added} policies",
+                    parent_commit=remote.revision,
+                )
+                return info.oid
+        except (TransientError, _ConflictError) as error:
+            head = HubRemote(remote.name, remote.repo, remote.ref)
+            if _read_optional(head, "registry.json", MAX_REGISTRY_BYTES) == files["registry.json"]:
+                return head.revision
+            if isinstance(error, _ConflictError) or head.revision != remote.revision:
+                found = f"{head.revision}: somebody published meanwhile"
+                raise _refusal(remote.name, f"commit {remote.revision} as its newest", found, "publish again") from None
+            if attempt == remotes.RETRY.attempts:
+                what = f"{error}, {attempt} times"
+                raise _refusal(remote.name, "a commit", what, "publish again; what was sent is not visible") from None
+            pause_before(attempt, error, remotes.RETRY)
+    raise AssertionError("unreachable")
+
+
+def _tag(api: Any, remote: HubRemote, release: str, commit: str) -> str:
+    """Tag the commit with the release's name, `v1`, and a later state of the same release with `v1.1`, `v1.2`, ..."""
+
+    def tag() -> str:
+        with _hub(remote, "tag"):
+            tags = {ref.name: ref.target_commit for ref in api.list_repo_refs(remote.repo).tags}
+            mine = [name for name in tags if tags[name] == commit and name.partition(".")[0] == release]
+            if mine:
+                return mine[0]
+            names = [release, *(f"{release}.{number}" for number in range(1, len(tags) + 2))]
+            name = next(name for name in names if name not in tags)
+            api.create_tag(remote.repo, tag=name, revision=commit)
+            return name
+
+    return with_retries(tag, f"tag of {remote.name}; commit {commit} is published, publishing again adds the tag")
+
+
+class _ConflictError(Exception):
+    """The repository has another newest commit than the one that the publication builds on."""
+
+
+@contextlib.contextmanager
+def _hub(remote: HubRemote, deed: str) -> Generator[None]:
+    """Turn what a writing call raises into `PublishError`, `TransientError` or a conflict."""
+    from huggingface_hub.errors import HfHubHTTPError
+
+    try:
+        with hub_errors(remote):
+            try:
+                yield
+            except HfHubHTTPError as error:
+                if error.response.status_code in (409, 412):
+                    raise _ConflictError from None
+                raise
+            except RuntimeError as error:  # how the client reports a failed upload
+                cause = error.__cause__
+                raise (cause if isinstance(cause, Exception) else error) from None
+    except (ZooError, TransientError, _ConflictError):
+        raise
+    except ValueError as error:  # what the client or the hub refuses
+        raise _refusal(remote.name, f"to {deed}", shorten(str(error)), "correct what it names") from None
+
+
+def _ids(path: Path) -> set[str]:
+    from zoo.index import read_index
+
+    return {entry.id for entry in read_index(path)} if path.exists() else set()
+
+
+def _refusal(problem: str, expected: str, found: str, next_step: str) -> PublishError:
+    return PublishError(problem, expected=expected, found=found, done="nothing was published", next_step=next_step)

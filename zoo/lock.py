@@ -1,0 +1,237 @@
+"""The lock file of a paper: which release, partners, bytes and splits its figures were made with.
+
+It holds, each by sha256, the splits, shards and policies that were pinned, the environment versions, and a digest of
+itself. A registry that has grown since is as good as the one that the lock was made of; one in which anything pinned
+differs is refused.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, NoReturn
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from zoo.errors import LockError, ZooError, listing, shorten
+from zoo.files import atomic_write, sha256
+from zoo.registry import Registry, build_registry
+from zoo.schema import Name, PolicyEntry, ReleaseName, Sha256, ShardPath, first_problem
+
+LOCK_FILE = "assistax-zoo.lock"
+LOCK_VERSION = 1
+MAX_LOCK_BYTES = 64 * 1024 * 1024
+
+
+class PinnedSplit(BaseModel):
+    """A split by its id and the sha256 of its content."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    id: str
+    sha256: Sha256
+
+
+class Lock(BaseModel):
+    """What a lock file holds."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    lock_version: Literal[1]
+    sha256: Sha256  # of all the rest
+    release: ReleaseName
+    registry: Sha256  # of the registry.json that it was made of, to tell it from a grown one
+    disability_settings: Sha256
+    environments: dict[Name, Annotated[int, Field(ge=1)]]
+    splits: dict[Name, PinnedSplit]  # by task
+    shards: dict[ShardPath, Sha256]
+    policies: Annotated[dict[str, Sha256], Field(min_length=1)]
+
+
+def make_lock(registry: Registry, entries: Sequence[PolicyEntry], splits: Mapping[str, str] | None = None) -> Lock:
+    """Return the lock of policies of one release.
+
+    Args:
+        registry: A loaded registry.
+        entries: Policies of it.
+        splits: Split id to pin for a task; if none is given, the release's default if all its partners are pinned.
+
+    Raises:
+        LockError: The policies are of several releases, or lack teams of a split.
+        SplitError: A split does not exist, or cannot be trusted.
+    """
+    releases = sorted({entry.release for entry in entries})
+    if len(releases) != 1:
+        _refuse("selection", "policies of one release", f"releases {listing(releases)}", "choose one with --release")
+    (release,) = releases
+    pinned = _splits(registry, entries, release, splits or {})
+    content: dict[str, Any] = {
+        "release": release,
+        "registry": sha256(registry.path.read_bytes()),
+        "disability_settings": _settings_digest(registry),
+        "environments": {task: registry.data.releases[release].environments[task] for task in _tasks(entries)},
+        "splits": pinned,
+        "shards": {shard: registry.data.shards[shard].sha256 for shard in sorted({entry.shard for entry in entries})},
+        "policies": {entry.id: entry.sha256 for entry in entries},
+    }
+    return Lock.model_validate({"lock_version": LOCK_VERSION, "sha256": _digest(content), **content})
+
+
+def write_lock(lock: Lock, path: Path) -> None:
+    """Write the lock, atomically."""
+    atomic_write(path, (json.dumps(lock.model_dump(mode="json"), indent=1) + "\n").encode())
+
+
+def read_lock(path: Path) -> Lock:
+    """Return the lock of a file.
+
+    Raises:
+        LockError: It is missing, malformed, of a newer version, or was edited.
+    """
+    source, remedy = f"lock file {path}", "restore it, or make it again with `assistax-zoo lock`"
+    try:
+        if path.stat().st_size > MAX_LOCK_BYTES:
+            raise ValueError(f"more than {MAX_LOCK_BYTES} bytes")
+        text = path.read_text(encoding="utf-8")
+        version = json.loads(text)["lock_version"]
+    except OSError as error:
+        _refuse(source, f"the file that `assistax-zoo lock` writes ({LOCK_FILE})", str(error.strerror), remedy)
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        _refuse(source, "a lock file", f"{type(error).__name__}: {shorten(str(error))}", remedy)
+    if version != LOCK_VERSION:
+        _refuse(source, f"lock version {LOCK_VERSION}", f"version {shorten(version)}", "upgrade assistax-zoo")
+    try:
+        lock = Lock.model_validate_json(text)
+    except ValidationError as error:
+        _refuse(source, "a lock file", first_problem(error), remedy)
+    found = _digest(lock.model_dump(mode="json", exclude={"lock_version", "sha256"}))
+    if found != lock.sha256:
+        _refuse(source, f"content of sha256 {lock.sha256}", f"sha256 {found}: it was edited", remedy)
+    return lock
+
+
+def apply_lock(registry: Registry, lock: Lock, *, task: str, split: str | None = None) -> Registry:
+    """Return the registry narrowed down to what the lock pins, so that nothing else can be loaded.
+
+    Args:
+        registry: The registry of this machine.
+        lock: What is allowed.
+        task: Task that is about to be evaluated.
+        split: `--split` of the user, if any: only the pinned one is allowed, or a side of it.
+
+    Raises:
+        LockError: The registry differs in something pinned, or another task or split is asked for.
+    """
+    _check(registry, lock)
+    if task not in lock.environments:
+        _refuse(
+            f"task {shorten(task)}",
+            f"a task of the lock ({listing(lock.environments)})",
+            "another",
+            "make a lock of it",
+        )
+    _check_split(registry, lock, task, split)
+    release = registry.data.releases[lock.release]
+    defaults = {task: pinned.id for task, pinned in lock.splits.items()}
+    keep = {policy.rpartition("/")[0] for policy in lock.policies}
+    teams = {
+        name: team.model_copy(
+            update={"policies": {r: row for r, row in team.policies.items() if f"{name}/{r}" in lock.policies}}
+        )
+        for name, team in registry.data.teams.items()
+        if name in keep
+    }
+    data = registry.data.model_copy(
+        update={
+            "release": lock.release,
+            "releases": {lock.release: release.model_copy(update={"splits": defaults})},
+            "shards": {shard: registry.data.shards[shard] for shard in lock.shards},
+            "teams": teams,
+            "splits": tuple(one for one in registry.splits if one.id in defaults.values()),
+        }
+    )
+    narrowed = build_registry(data, registry.path)
+    return Registry(narrowed.data, narrowed.path, narrowed.policies, lock.sha256)
+
+
+def locked_entries(registry: Registry, lock: Lock) -> list[PolicyEntry]:
+    """Return the policies that the lock pins.
+
+    Raises:
+        LockError: The registry differs in something pinned.
+    """
+    _check(registry, lock)
+    return [entry for entry in registry.policies if entry.id in lock.policies]
+
+
+def _check(registry: Registry, lock: Lock) -> None:
+    """Hold everything that the lock pins against the registry."""
+    if lock.release not in registry.data.releases:
+        _differs(registry, f"release {lock.release}", f"releases {listing(registry.data.releases)}")
+    known = {entry.id: entry.sha256 for entry in registry.policies}
+    shards = {path: shard.sha256 for path, shard in registry.data.shards.items()}
+    splits = {split.id: split.sha256 for split in registry.splits}
+    _compare(registry, "environment version of", lock.environments, registry.data.releases[lock.release].environments)
+    _compare(registry, "disability settings", {"": lock.disability_settings}, {"": _settings_digest(registry)})
+    _compare(registry, "split", {pinned.id: pinned.sha256 for pinned in lock.splits.values()}, splits)
+    _compare(registry, "shard", lock.shards, shards)
+    _compare(registry, "policy", lock.policies, known)
+
+
+def _compare(registry: Registry, what: str, pinned: Mapping[str, Any], found: Mapping[str, Any]) -> None:
+    for name, value in pinned.items():
+        if found.get(name) != value:
+            _differs(registry, f"{what} {name} {value}".replace("  ", " "), str(found.get(name, "none")))
+
+
+def _differs(registry: Registry, expected: str, found: str) -> NoReturn:
+    advice = "fetch the release that was locked (`assistax-zoo fetch --lock FILE --from REMOTE`), or make a new lock"
+    _refuse(f"registry {registry.path}", f"{expected}, as locked", found, advice)
+
+
+def _check_split(registry: Registry, lock: Lock, task: str, split: str | None) -> None:
+    name = (split or "").partition(":")[0]
+    if not split or name in ("test", "train", "both"):
+        return
+    pinned = lock.splits.get(task)
+    try:
+        asked = registry.split(task, name).id
+    except ZooError:
+        asked = name
+    if pinned is None or asked != pinned.id:
+        expected = f"the locked one ({pinned.id if pinned else 'none'})"
+        _refuse(
+            f"split {shorten(name)}", expected, asked, "leave --split out, or name only a side: test, train or both"
+        )
+
+
+def _splits(
+    registry: Registry, entries: Sequence[PolicyEntry], release: str, chosen: Mapping[str, str]
+) -> dict[str, dict[str, str]]:
+    """Return the splits to pin: those chosen, and the defaults of which every partner is pinned as well."""
+    teams = {entry.team for entry in entries if entry.role == "human"}
+    pinned = {}
+    for task in _tasks(entries):
+        if task not in chosen and task not in registry.data.releases[release].splits:
+            continue  # a release of one half has no default split
+        split = registry.split(task, chosen.get(task), release=release)
+        absent = [team for team in (*split.train, *split.test) if team not in teams]
+        if absent and task in chosen:
+            found, advice = f"{listing(absent)} left out", "lock all partners of the task"
+            _refuse(f"lock of {split.id}", "every partner of the split in the selection", found, advice)
+        if not absent:
+            pinned[task] = {"id": split.id, "sha256": split.sha256}
+    return pinned
+
+
+def _tasks(entries: Sequence[PolicyEntry]) -> list[str]:
+    return sorted({entry.task for entry in entries})
+
+
+def _settings_digest(registry: Registry) -> str:
+    return _digest({name: setting.model_dump() for name, setting in registry.data.disability_settings.items()})
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    return sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode())
+
+
+def _refuse(problem: str, expected: str, found: str, next_step: str) -> NoReturn:
+    raise LockError(problem, expected=expected, found=found, done="nothing was done", next_step=next_step)
