@@ -47,7 +47,7 @@ def test_a_perfect_bath_earns_the_papers_bound() -> None:
 
     def wipe(state: BedBathState, _: None) -> tuple[BedBathState, tuple[jax.Array, jax.Array]]:
         point = task.targets(state, readings)["next"][:, 0]
-        state, _, terms, measures = task.transition(state, _touching(readings, point, 1.0))
+        state, _obs, terms, measures = task.transition(state, _touching(readings, point, 1.0))
         return state, (terms["reach_target"] + terms["wipe"], measures.success)
 
     first = BedBathState(jnp.zeros(1, jnp.int32))

@@ -42,8 +42,8 @@ def test_behaviour_changes_only_with_the_version(task: str, backend: str) -> Non
     now = trajectory(task, backend)
     for name, tolerance in TOLERANCES[backend].items():
         np.testing.assert_allclose(np.array(now[name]), np.array(golden[name]), atol=tolerance)
-    angles = [np.array(each["global"])[:2, :, ANGLES] for each in (now, golden)]
-    np.testing.assert_allclose(*angles, atol=FIRST_ANGLES)
+    seen, pinned = (np.array(each["global"])[:2, :, ANGLES] for each in (now, golden))
+    np.testing.assert_allclose(seen, pinned, atol=FIRST_ANGLES)
 
 
 if __name__ == "__main__":
