@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter
+from matplotlib.ticker import EngFormatter, StrMethodFormatter
 
 from evaluation.plots import style
 
@@ -66,7 +66,7 @@ def speed(measured: pl.DataFrame, *, caption: str) -> Figure:
     axes.set_yscale("log")
     axes.set_xlabel("simulations in the batch", fontsize=9)
     axes.set_ylabel("environment steps / s", fontsize=9)
-    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     axes.yaxis.set_major_formatter(EngFormatter(sep=""))
     axes.legend(fontsize=7, frameon=False, loc="lower right")
     return figure
