@@ -17,8 +17,9 @@ WIDTHS = {
     "bed_bath": {"robot": 34, "human": 38, "global": 52},
     "arm_assist": {"robot": 47, "human": 51, "global": 65},
 }
-FIRST_STEPS_TOLERANCE = 2e-4  # float32 against float64 over 10 control steps, before contacts amplify it
-TWENTY_STEPS_TOLERANCE = 2e-2  # rad, over 20 control steps, contacts with the trough included
+# Over 20 control steps of random torques, float32 against float64: rad, and reward. The largest differences are of an
+# elbow that strikes its stop; the mean tells apart what the largest lets pass.
+LARGEST_DIFFERENCE, MEAN_DIFFERENCE = 3e-2, 1e-3
 
 each_task_and_backend = pytest.mark.parametrize(
     ("task", "backend"), [(task, backend) for task in TASKS for backend in BACKENDS]
@@ -73,13 +74,9 @@ def test_resets_are_the_same_bits_on_every_backend(task: str) -> None:
 def test_backends_agree_over_the_first_steps(task: str) -> None:
     actions = random_actions(4, 20, seed=2)
     native, mjx = (play(task, backend, start(task, backend, SETTINGS, seed=3), actions) for backend in BACKENDS)
-    for a, b in zip(native[:10], mjx[:10], strict=True):
-        np.testing.assert_allclose(a.physics.qpos, b.physics.qpos, atol=FIRST_STEPS_TOLERANCE)
-        np.testing.assert_allclose(a.reward, b.reward, atol=FIRST_STEPS_TOLERANCE)
-    np.testing.assert_allclose(native[-1].physics.qpos, mjx[-1].physics.qpos, atol=TWENTY_STEPS_TOLERANCE)
     other = play(task, "native", start(task, "native", SETTINGS, seed=4), actions)
-    with pytest.raises(AssertionError):  # the tolerance tells another start apart
-        np.testing.assert_allclose(other[-1].physics.qpos, native[-1].physics.qpos, atol=TWENTY_STEPS_TOLERANCE)
+    assert _agree(native, mjx)
+    assert not _agree(native, other)  # the bounds tell another start apart
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -127,6 +124,13 @@ def test_select_takes_whole_simulations() -> None:
 def test_bad_arguments_are_named(call, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def _agree(a: list[assistax_envs.EnvState], b: list[assistax_envs.EnvState]) -> bool:
+    rows = [np.concatenate([each.physics.qpos, each.reward[:, None]], axis=-1) for each in a]
+    others = [np.concatenate([each.physics.qpos, each.reward[:, None]], axis=-1) for each in b]
+    difference = np.abs(np.stack(rows) - np.stack(others))
+    return bool(difference.max() < LARGEST_DIFFERENCE and difference.mean() < MEAN_DIFFERENCE)
 
 
 def _raw(state: assistax_envs.EnvState) -> assistax_envs.EnvState:
