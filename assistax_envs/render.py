@@ -48,9 +48,7 @@ class Renderer:
         """
         self._context: Any = None
         self._gl: Any = None
-        for name, pixels in (("width", width), ("height", height)):
-            if not 16 <= pixels <= LARGEST:
-                raise ValueError(f"{name} is {pixels}; allowed are 16 to {LARGEST} pixels")
+        check_size(width, height)
         platform, self._context = open_context(width, height)
         atexit.register(_close, weakref.ref(self))  # before the platform's own exit, which closes the display
         self._context.make_current()
@@ -190,6 +188,13 @@ class Renderer:
         geom.emission = 0.4  # seen in shadow too
         self._scene.ngeom += 1
         return geom
+
+
+def check_size(width: int, height: int) -> None:
+    """Check that a picture of this size can be drawn."""
+    for name, pixels in (("width", width), ("height", height)):
+        if not 16 <= pixels <= LARGEST:
+            raise ValueError(f"{name} is {pixels}; allowed are 16 to {LARGEST} pixels")
 
 
 def _locate(task: Task, sensors: Sensors, task_state: Any, values: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:

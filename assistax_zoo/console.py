@@ -1,6 +1,5 @@
 """What every command shares: JSON on standard output, progress and messages on standard error."""
 
-import ctypes
 import functools
 import json
 import math
@@ -9,9 +8,11 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from assistax_envs.stdout import stdout_is_data as stdout_is_data
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -47,28 +48,6 @@ def cache_folder(name: str) -> Path:
 def print_json(value: Any) -> None:
     """Print one JSON document on standard output; NaN and infinities become null, which JSON has no word for."""
     print(json.dumps(_plain(value), indent=2, ensure_ascii=False), flush=True)
-
-
-@contextmanager
-def stdout_is_data() -> Generator[None]:
-    """Send what libraries print, C code included, to standard error, so that standard output holds the result alone.
-
-    Work inside the block, print the result after it:
-
-        with stdout_is_data():
-            result = work()
-        print_json(result)
-    """
-    sys.stdout.flush()
-    saved = os.dup(1)
-    os.dup2(2, 1)
-    try:
-        with redirect_stdout(sys.stderr):
-            yield
-    finally:
-        ctypes.CDLL(None).fflush(None)
-        os.dup2(saved, 1)
-        os.close(saved)
 
 
 @contextmanager

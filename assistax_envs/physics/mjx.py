@@ -1,29 +1,29 @@
 """MuJoCo's JAX engine, in its XLA and its Warp implementation."""
 
-import contextlib
+import copy
 import os
-import sys
 import warnings
-from collections.abc import Generator
 
 import jax
 import jax.numpy as jnp
 import mujoco
 
 from assistax_envs.physics.base import SUBSTEPS, PhysicsState
+from assistax_envs.stdout import stdout_is_data
 
 # Measured with JAX 0.10.2 on 2 cores: one control step of 4 simulations takes 10 s without the flag, 2 ms with it.
 # XLA of JAX 0.11.1 needs no flag, and aborts on this one.
 CPU_FLAG = "--xla_cpu_use_fusion_emitters=false"
 CONTACTS_PER_SIMULATION = 12  # Warp's contact buffer; a scene's geoms rarely touch in more places at once
 CONSTRAINTS_PER_SIMULATION = 72  # Warp's constraint rows: contacts take 4 each, joint limits 1
+CONTACTS_PER_SENSOR = 4  # Warp's buffer of each contact sensor: a pair of our geoms touches in 2 places at most
 
 
 class MjxPhysics:
     """`mjx.step` mapped over the batch; `implementation` is "jax" (XLA) or "warp" (NVIDIA GPUs only)."""
 
     def __init__(self, model: mujoco.MjModel, implementation: str = "jax") -> None:
-        with _stdout_to_stderr():  # mjx and warp print when imported
+        with stdout_is_data():  # mjx and warp print when imported
             from mujoco import mjx
 
         if implementation == "warp":
@@ -38,9 +38,10 @@ class MjxPhysics:
         self.model = model
         self._mjx = mjx
         self._implementation = implementation
-        self._mjx_model = mjx.put_model(model, impl=implementation)
-        if implementation == "warp":
-            self._mjx_model = _without_iteration_warnings(self._mjx_model)
+        self._mjx_model = self._put(model)
+        # Only the last substep's sensor values are read. Warp skips the others' kernels; XLA, which would compile the
+        # step twice for it, computes them.
+        self._blind_model = self._put(_without_sensors(model)) if implementation == "warp" else None
 
     def forward(self, state: PhysicsState, joint_range: jax.Array) -> jax.Array:
         """See `Physics.forward`."""
@@ -48,7 +49,7 @@ class MjxPhysics:
 
         def one(state: PhysicsState, joint_range: jax.Array) -> jax.Array:
             data = template.replace(qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.warmstart)
-            return self._mjx.forward(self._limited(joint_range), data).sensordata
+            return self._mjx.forward(_limited(self._mjx_model, joint_range), data).sensordata
 
         with jax.numpy_rank_promotion("allow"):  # MJX promotes ranks; callers may be strict
             return jax.vmap(one)(state, joint_range)
@@ -58,16 +59,24 @@ class MjxPhysics:
         template = self._template(state.qpos.shape[0])
 
         def one(state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> tuple[PhysicsState, jax.Array]:
-            model = self._limited(joint_range)
             data = template.replace(qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.warmstart, ctrl=control)
-            data, _ = jax.lax.scan(lambda data, _: (self._mjx.step(model, data), None), data, length=SUBSTEPS)
+            if self._blind_model is None:
+                data = self._advance(self._mjx_model, data, joint_range, SUBSTEPS)
+            else:
+                data = self._advance(self._blind_model, data, joint_range, SUBSTEPS - 1)
+                data = self._advance(self._mjx_model, data, joint_range, 1)
             return PhysicsState(data.qpos, data.qvel, data.qacc_warmstart), data.sensordata
 
         with jax.numpy_rank_promotion("allow"):
             return jax.vmap(one)(state, control, joint_range)
 
-    def _limited(self, joint_range: jax.Array):
-        return self._mjx_model.tree_replace({"jnt_range": joint_range})
+    def _put(self, model: mujoco.MjModel):
+        mjx_model = self._mjx.put_model(model, impl=self._implementation)
+        return _tuned(mjx_model) if self._implementation == "warp" else mjx_model
+
+    def _advance(self, mjx_model, data, joint_range: jax.Array, substeps: int):
+        limited = _limited(mjx_model, joint_range)
+        return jax.lax.scan(lambda data, _: (self._mjx.step(limited, data), None), data, length=substeps)[0]
 
     def _template(self, size: int):
         """Return data that every simulation starts a control step from; Warp's buffers are for the whole batch."""
@@ -87,7 +96,7 @@ def _crawls() -> bool:
 def _check_warp() -> None:
     """Raise a clear error where Warp is missing or has no NVIDIA GPU to run on."""
     try:
-        with _stdout_to_stderr():
+        with stdout_is_data():
             import warp
 
             warp.config.quiet = True
@@ -104,25 +113,26 @@ def _check_warp() -> None:
         )
 
 
-def _without_iteration_warnings(model):
-    """Silence Warp's lines about a bounded solver, which is meant; overflowing buffers still speak."""
+def _limited(mjx_model, joint_range: jax.Array):
+    return mjx_model.tree_replace({"jnt_range": joint_range})
+
+
+def _without_sensors(model: mujoco.MjModel) -> mujoco.MjModel:
+    blind = copy.copy(model)
+    blind.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
+    return blind
+
+
+def _tuned(mjx_model):
+    """Silence Warp's lines about a bounded solver, which is meant, and shrink a buffer that is cleared every step.
+
+    Overflowing buffers still speak.
+    """
     from mujoco.mjx.third_party import mujoco_warp
 
-    private = model.opt._impl
+    private = mjx_model.opt._impl
     bounded = mujoco_warp.OverflowType.ITERATIONS | mujoco_warp.OverflowType.LS_ITERATIONS
-    quiet = private.warn_overflow & ~int(bounded)
-    return model.replace(opt=model.opt.replace(_impl=private.replace(warn_overflow=quiet)))
-
-
-@contextlib.contextmanager
-def _stdout_to_stderr() -> Generator[None]:
-    """Keep what libraries print, also from C, out of standard output: it may carry a command's JSON."""
-    sys.stdout.flush()
-    saved = os.dup(1)
-    try:
-        os.dup2(2, 1)
-        yield
-    finally:
-        sys.stdout.flush()
-        os.dup2(saved, 1)
-        os.close(saved)
+    private = private.replace(
+        warn_overflow=private.warn_overflow & ~int(bounded), contact_sensor_maxmatch=CONTACTS_PER_SENSOR
+    )
+    return mjx_model.replace(opt=mjx_model.opt.replace(_impl=private))

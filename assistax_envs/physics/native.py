@@ -11,7 +11,8 @@ import numpy as np
 
 from assistax_envs.physics.base import SUBSTEPS, PhysicsState
 
-_LOCK = threading.Lock()  # a Batch must not be entered by two threads
+# A Batch must not be entered by two threads, and uses all cores: programs on several devices take turns.
+_LOCK = threading.Lock()
 
 
 class NativePhysics:
@@ -38,31 +39,45 @@ class NativePhysics:
         return PhysicsState(*after), values
 
     def _forward(self, state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> np.ndarray:
+        values = _values(state, control, joint_range)
         with _LOCK:
-            batch = self._load(state, control, joint_range)
+            batch = self._load(values)
             batch.forward()
             return np.asarray(batch.bind("sensordata"), np.float32)
 
     def _step(
         self, state: PhysicsState, control: jax.Array, joint_range: jax.Array
     ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+        values = _values(state, control, joint_range)
         with _LOCK:
-            batch = self._load(state, control, joint_range)
+            batch = self._load(values)
             batch.step(nstep=SUBSTEPS)
             names = ("qpos", "qvel", "qacc_warmstart", "sensordata")
             qpos, qvel, warmstart, sensors = (np.asarray(batch.bind(name), np.float32) for name in names)
             return (qpos, qvel, warmstart), sensors
 
-    def _load(self, state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> mujoco.batch.Batch:
-        """Write the arguments into the batch of this size, made on first use."""
-        size = state.qpos.shape[0]
+    def _load(self, values: dict[str, np.ndarray]) -> mujoco.batch.Batch:
+        """Write values into the batch of their size, made on first use."""
+        size = len(values["qpos"])
         if size not in self._batches:
             self._batches[size] = mujoco.batch.Batch(self.model, size)
             self._batches[size].bind("sensordata")  # outputs are copied out only by calls after their first bind
         batch = self._batches[size]
-        batch.expand("jnt_range")[:] = np.asarray(joint_range)
-        for name, value in (
-            ("qpos", state.qpos), ("qvel", state.qvel), ("qacc_warmstart", state.warmstart), ("ctrl", control),
-        ):  # fmt: skip
-            batch.bind(name)[:] = np.asarray(value)
+        for name, value in values.items():
+            field = batch.expand(name) if name == "jnt_range" else batch.bind(name)
+            field[:] = value
         return batch
+
+
+def _values(state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> dict[str, np.ndarray]:
+    """Return what a batch is given, by MuJoCo's names.
+
+    Called outside the lock: arrays of another device may be waited for here, and no other thread must wait meanwhile.
+    """
+    return {
+        "jnt_range": np.asarray(joint_range),
+        "qpos": np.asarray(state.qpos),
+        "qvel": np.asarray(state.qvel),
+        "qacc_warmstart": np.asarray(state.warmstart),
+        "ctrl": np.asarray(control),
+    }

@@ -1,0 +1,142 @@
+"""The picture of what can touch what: each scene beside the geoms of its contact pairs, coloured by owner."""
+
+import copy
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from assistax_envs.gl import functions_from, open_context
+from assistax_envs.models import build_model
+from assistax_envs.render import check_size
+from assistax_envs.tasks import TASK_CLASSES
+from assistax_envs.tasks.base import TOUCHABLE
+
+COLOURS = {  # shares of red, green, blue
+    "robot": (0.90, 0.45, 0.05),
+    "human": (0.10, 0.40, 0.75),
+    "furniture": (0.10, 0.55, 0.35),
+}
+LEGS = ("right_thigh", "left_thigh")  # of the human, though welded to what it sits or lies on
+PLANE_SIZE = (1.0, 0.55, 0.1)  # m: what is drawn of an infinite plane, from its middle
+PLANE_OPACITY = 0.45
+INK, PAPER = (25, 30, 38), (255, 255, 255)
+
+
+def pair_geoms(model: mujoco.MjModel) -> dict[str, str]:
+    """Return the owner ("robot", "human" or "furniture") of each geom that is in a contact pair, by the geom's name."""
+    ids = sorted({int(geom) for geom in (*model.pair_geom1, *model.pair_geom2)})
+    return {model.geom(geom).name: _owner(model.geom(geom).name) for geom in ids}
+
+
+def touches(model: mujoco.MjModel) -> dict[str, list[str]]:
+    """Return what each geom can touch, every contact pair once: the robot's geoms first, then the human's arm."""
+    found: dict[str, list[str]] = {}
+    for pair in zip(model.pair_geom1, model.pair_geom2, strict=True):
+        first, second = sorted((model.geom(int(geom)).name for geom in pair), key=_rank)
+        found.setdefault(first, []).append(second)
+    return {name: found[name] for name in sorted(found, key=_rank)}
+
+
+def collision_model(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return a copy in which the geoms of contact pairs have their owner's colour and all others are not drawn."""
+    shown, owners = copy.copy(model), pair_geoms(model)
+    shown.geom_matid[:] = -1
+    for index in range(model.ngeom):
+        owner = owners.get(model.geom(index).name)
+        opacity = PLANE_OPACITY if model.geom_type[index] == mujoco.mjtGeom.mjGEOM_PLANE else 1.0
+        shown.geom_rgba[index] = (*COLOURS[owner], opacity) if owner else 0.0
+        if owner and opacity < 1.0:
+            shown.geom_size[index] = PLANE_SIZE
+    return shown
+
+
+def picture(tasks: Sequence[str], width: int = 480, height: int = 360) -> np.ndarray:
+    """Draw a row for each task: its scene, the geoms of its contact pairs alone, and the pairs in words.
+
+    Returns:
+        uint8 [rows, 2 * width, 3].
+
+    Raises:
+        ValueError: the size is not one that can be drawn, or this machine lacks EGL and OSMesa.
+    """
+    check_size(width, height)
+    rows = []
+    for task in tasks:
+        model = build_model(task)
+        qpos = TASK_CLASSES[task](model).pose.angle
+        panes = [_draw(each, qpos, width, height) for each in (model, collision_model(model))]
+        rows += [np.concatenate(panes, axis=1), _caption(task, model, 2 * width)]
+    return np.concatenate(rows)
+
+
+def _rank(geom: str) -> int:
+    """Order geoms for reading: tool, robot's hand, human's arm, the rest of the human, furniture."""
+    groups = (
+        geom == "robot_tool",
+        _owner(geom) == "robot" and geom != "robot_hand",
+        geom == "robot_hand",
+        geom.removeprefix("human_") in TOUCHABLE,
+        _owner(geom) == "human",
+    )
+    return groups.index(True) if any(groups) else len(groups)
+
+
+def _owner(geom: str) -> str:
+    if geom.startswith("robot_"):
+        return "robot"
+    return "human" if geom.startswith("human_") or geom in LEGS else "furniture"
+
+
+def _draw(model: mujoco.MjModel, qpos: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Draw one pose from the scene's first camera, in a context of its own."""
+    model = copy.copy(model)
+    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    camera = mujoco.MjvCamera()
+    camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
+    scene = mujoco.MjvScene(model, maxgeom=1000)
+    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene)
+    platform, context = open_context(width, height)
+    context.make_current()
+    with functions_from(platform):
+        gl = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, gl)
+    viewport = mujoco.MjrRect(0, 0, width, height)
+    pixels = np.empty((height, width, 3), np.uint8)
+    mujoco.mjr_render(viewport, scene, gl)
+    mujoco.mjr_readPixels(pixels, None, viewport, gl)
+    gl.free()
+    context.free()
+    return pixels[::-1]
+
+
+def _caption(task: str, model: mujoco.MjModel, width: int) -> np.ndarray:
+    """Write the owners' colours and every contact pair, uint8 [lines, width, 3]."""
+    size = max(10, width // 64)
+    font, step = ImageFont.load_default(size), round(1.45 * size)
+    lines = [[(f"{task}, {model.npair} contact pairs:", INK), *((owner, _ink(owner)) for owner in COLOURS)]]
+    for first, others in touches(model).items():
+        words = [(f"{_words(other)}{',' * (other != others[-1])}", _ink(_owner(other))) for other in others]
+        lines.append([(_words(first), _ink(_owner(first))), ("-", INK), *words])
+    image = Image.new("RGB", (width, len(lines) * step + size), PAPER)
+    draw = ImageDraw.Draw(image)
+    for i, line in enumerate(lines):
+        x = size / 2
+        for text, colour in line:
+            draw.text((x, size // 2 + i * step), text, font=font, fill=colour)
+            x += draw.textlength(f"{text} ", font=font)
+    return np.array(image)
+
+
+def _words(geom: str) -> str:
+    return (
+        "robot's hand" if geom == "robot_hand" else geom.removeprefix("human_").removeprefix("robot_").replace("_", " ")
+    )
+
+
+def _ink(owner: str) -> tuple[int, ...]:
+    return tuple(round(255 * channel) for channel in COLOURS[owner])

@@ -1,0 +1,69 @@
+"""The collision picture shows exactly what can touch, in its owner's colour."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from assistax_envs import TASKS
+from assistax_envs.collisions import COLOURS, collision_model, pair_geoms, picture, touches
+from assistax_envs.models import build_model
+
+
+def shown(model: mujoco.MjModel) -> set[str]:
+    """Return the geoms that a renderer is given to draw, by name."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    scene = mujoco.MjvScene(model, maxgeom=1000)
+    everything = mujoco.mjtCatBit.mjCAT_ALL
+    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
+    drawn = [geom for geom in scene.geoms[: scene.ngeom] if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM]
+    return {model.geom(geom.objid).name for geom in drawn if geom.rgba[3] > 0}
+
+
+def paired(model: mujoco.MjModel) -> set[frozenset[str]]:
+    ends = zip(model.pair_geom1, model.pair_geom2, strict=True)
+    return {frozenset(model.geom(int(geom)).name for geom in pair) for pair in ends}
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_it_shows_exactly_the_geoms_of_the_contact_pairs(task: str) -> None:
+    model = build_model(task)
+    expected = set().union(*paired(model))
+    assert shown(collision_model(model)) == expected == set(pair_geoms(model))
+    assert len(shown(model) - expected) > 5  # the scene itself has more to look at
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_caption_has_every_pair_once(task: str) -> None:
+    model = build_model(task)
+    told = [frozenset((first, other)) for first, others in touches(model).items() for other in others]
+    assert len(told) == model.npair
+    assert set(told) == paired(model)
+
+
+def test_a_pair_that_is_added_is_shown() -> None:
+    """What is drawn follows the model: a geom outside every pair appears with its first one."""
+    spec = mujoco.MjSpec.from_string(
+        "<mujoco><worldbody><geom name='a' size='.1'/><geom name='b' size='.1'/><geom name='c' size='.1'/></worldbody>"
+        "<contact><pair geom1='a' geom2='b'/></contact></mujoco>"
+    )
+    assert shown(collision_model(spec.compile())) == {"a", "b"}
+    spec.add_pair(geomname1="a", geomname2="c")
+    assert shown(collision_model(spec.compile())) == {"a", "b", "c"}
+
+
+def test_owners_have_their_colours() -> None:
+    owners = pair_geoms(build_model("scratch"))
+    assert {owner: sum(each == owner for each in owners.values()) for owner in COLOURS} == {
+        "robot": 2, "human": 7, "furniture": 2,
+    }  # fmt: skip
+    assert (owners["robot_tool"], owners["right_thigh"], owners["right_rail_inner"]) == ("robot", "human", "furniture")
+
+
+def test_the_picture_puts_the_scene_beside_its_collisions() -> None:
+    rows = picture(["scratch"], width=320, height=240)
+    assert rows.shape[1:] == (640, 3) and rows.shape[0] > 240
+    scene, collisions = rows[:240, :320].astype(int), rows[:240, 320:].astype(int)
+    blue = [((pane[..., 2] - pane[..., 0]) > 80).sum() for pane in (scene, collisions)]  # the human's colour
+    assert blue[1] > 500 > blue[0]
+    assert np.unique(rows[240:].reshape(-1, 3), axis=0).shape[0] > 20  # words, in several colours

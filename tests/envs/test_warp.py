@@ -1,0 +1,57 @@
+"""The Warp backend without a GPU: Warp's kernels also compile for the CPU, slowly, and do the same there.
+
+Runs where the extra `warp` is installed.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from assistax_envs import TASKS
+from assistax_envs.physics import PhysicsState
+from assistax_envs.physics import mjx as backend
+from tests.envs.conftest import environment, start
+
+warp = pytest.importorskip("warp")
+
+pytestmark = pytest.mark.slow
+SIZE = 4
+
+
+@pytest.fixture(autouse=True)
+def without_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(backend, "_check_warp", lambda: None)
+
+
+def advance(physics, task: str, steps: int = 12) -> tuple[PhysicsState, jax.Array]:
+    """Return the state and the sensor values after constant torques, the arm's included."""
+    env = environment(task, "native")
+    state = start(task, "native", ["d1", "d9", "d3", "d7"])
+    control = jnp.asarray(np.random.default_rng(0).uniform(-0.7, 0.7, (SIZE, env.model.nu)), jnp.float32)
+    limits = env._joint_range(state.params)
+    step = jax.jit(physics.step)
+    physics_state, values = step(state.physics, control, limits)
+    for _ in range(steps - 1):
+        physics_state, values = step(physics_state, control, limits)
+    return physics_state, values
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_substeps_without_sensors_change_no_bit(task: str) -> None:
+    physics = backend.MjxPhysics(environment(task, "native").model, "warp")
+    lean = advance(physics, task)
+    blind, physics._blind_model = physics._blind_model, None
+    jax.tree.map(np.testing.assert_array_equal, lean, advance(physics, task))
+    physics._mjx_model = blind  # planted: no substep has sensors
+    state, values = advance(physics, task)
+    np.testing.assert_array_equal(state.qpos, lean[0].qpos)
+    assert not np.array_equal(values, lean[1])
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_it_agrees_with_mujoco(task: str) -> None:
+    ours, _ = advance(backend.MjxPhysics(environment(task, "native").model, "warp"), task)
+    theirs, _ = advance(environment(task, "native")._physics, task)
+    np.testing.assert_allclose(ours.qpos, theirs.qpos, atol=3e-2)
+    assert float(np.abs(ours.qpos - theirs.qpos).mean()) < 1e-3
