@@ -95,6 +95,11 @@ def parse_policy(text: str) -> PolicyId:
     return PolicyId(parse_team(match["team"]), match["role"])  # ty: ignore[invalid-argument-type]
 
 
+def same_team(one: str, other: str) -> bool:
+    """Return whether two team ids differ in their release at most: a release may adopt a team of an earlier one."""
+    return one.rpartition("-")[0] == other.rpartition("-")[0]
+
+
 def check_release(text: str) -> str:
     """Return the release's name unchanged if the grammar accepts it."""
     if not isinstance(text, str) or not _PATTERNS["release"].fullmatch(text):

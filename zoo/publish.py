@@ -18,9 +18,9 @@ from assistax_envs.versions import VERSIONS
 from population.spec import PolicySpec, Role
 from zoo.errors import ImmutableError, PublishError, listing
 from zoo.files import atomic_write, exclusive, sha256, shard_root
-from zoo.ids import TeamId, check_release
+from zoo.ids import TeamId, check_release, same_team
 from zoo.registry import Registry, load_registry, save_registry
-from zoo.release import with_default_splits
+from zoo.release import completed
 from zoo.runs import TrainedTeam
 from zoo.schema import (
     SCHEMA_VERSION,
@@ -62,11 +62,14 @@ def publish(
     environments: Mapping[str, int] | None = None,
     date: str | None = None,
     description: str = "",
+    complete: bool = True,
     check: Check = check_params,
 ) -> Registry:
     """Add teams to a release, with their shards and the default split, and return the new registry.
 
-    Publishing the same bytes again changes nothing.
+    Publishing the same bytes again changes nothing. A release that grows over days is published with `complete` false:
+    its teams can be listed, fetched and played, but the default release and its splits stay until
+    `zoo.release.complete_release`.
 
     Args:
         teams: Trained teams; `zoo.runs.read_run` reads them from a run folder.
@@ -75,6 +78,7 @@ def publish(
         environments: Environment version of each task; those of the installed `assistax_envs` if not given.
         date: ISO date of a new release; today if not given.
         description: What a new release is, in one sentence.
+        complete: Whether the release is whole with these teams.
         check: Called with spec, leaves and policy id; raises if the parameters are not those of the spec.
 
     Raises:
@@ -93,7 +97,7 @@ def publish(
             return old
         data = _with_release(base, release, created, fresh, environments or VERSIONS)
         data, files = _with_teams(data, release, fresh)
-        data = with_default_splits(data, release)
+        data = completed(data, release) if complete else data
         return _write(data, files, path)
 
 
@@ -177,7 +181,7 @@ def _fresh(data: RegistryFile, candidates: Sequence[_Candidate]) -> list[_Candid
             raise _refusal(f"team {name}", "each team once", "it is given twice")
         for role, digest in candidate.hashes.items():
             other = owners.setdefault((role, digest), name)
-            if other != name:
+            if not same_team(other, name):
                 raise _refusal(f"parameters of {name}/{role}", "parameters of its own", f"those of {other}/{role}")
         fresh[name] = candidate
     return list(fresh.values())
@@ -214,8 +218,7 @@ def _with_release(
         if trained != versions[task]:
             raise _refusal(f"team {candidate.team}", f"training on {task} version {versions[task]}", f"on {trained}")
     releases = {**data.releases, release: entry.model_copy(update={"environments": dict(sorted(versions.items()))})}
-    newest = max(releases, key=lambda name: int(name[1:]))
-    return data.model_copy(update={"releases": releases, "release": newest})
+    return data.model_copy(update={"releases": releases})
 
 
 def _with_teams(data: RegistryFile, release: str, fresh: Sequence[_Candidate]) -> tuple[RegistryFile, dict[str, bytes]]:

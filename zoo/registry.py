@@ -27,7 +27,7 @@ class Registry:
 
     @property
     def release(self) -> str:
-        """Name of the newest release, whose splits are the default."""
+        """Name of the newest whole release, whose splits are the default."""
         return self.data.release
 
     @property

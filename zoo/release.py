@@ -6,7 +6,7 @@ from typing import Any
 from zoo.errors import SplitError, listing, shorten
 from zoo.files import exclusive
 from zoo.ids import parse_team
-from zoo.registry import load_registry, save_registry
+from zoo.registry import Registry, load_registry, save_registry
 from zoo.schema import RegistryFile, Split
 from zoo.splits import half_side, make_split, refuse_leak, shared_parameters
 
@@ -49,7 +49,27 @@ def create_split(
         return split
 
 
-def with_default_splits(data: RegistryFile, release: str) -> RegistryFile:
+def complete_release(registry_path: Path | str, release: str) -> Registry:
+    """Make a release that was published in parts the default one, with its default splits, and return the registry."""
+    path = Path(registry_path)
+    with exclusive(path.parent):
+        registry = load_registry(path)
+        data = completed(registry.data, release)
+        return registry if data == registry.data else save_registry(data, path)
+
+
+def completed(data: RegistryFile, release: str) -> RegistryFile:
+    """Return the registry with the release's default splits, and the release as the default if none is newer."""
+    newest = max(data.release, release, key=lambda name: int(name[1:]))
+    return _with_default_splits(data.model_copy(update={"release": newest}), release)
+
+
+def partner_teams(data: RegistryFile, release: str) -> list[str]:
+    """Return the teams of a release that have a human, and so can be partners."""
+    return [team for team, entry in data.teams.items() if "human" in entry.policies and team.endswith(f"-{release}")]
+
+
+def _with_default_splits(data: RegistryFile, release: str) -> RegistryFile:
     """Return the registry with a `half` split, seed 0, as default for every task of the release that has both halves.
 
     A split that no longer covers the release stays in the registry; the default moves on to the new one.
@@ -62,11 +82,6 @@ def with_default_splits(data: RegistryFile, release: str) -> RegistryFile:
             splits[split.id], defaults[task] = split, split.id
     releases = {**data.releases, release: data.releases[release].model_copy(update={"splits": defaults})}
     return data.model_copy(update={"splits": tuple(splits.values()), "releases": releases})
-
-
-def partner_teams(data: RegistryFile, release: str) -> list[str]:
-    """Return the teams of a release that have a human, and so can be partners."""
-    return [team for team, entry in data.teams.items() if "human" in entry.policies and team.endswith(f"-{release}")]
 
 
 def _no_partners(data: RegistryFile, task: str, release: str) -> SplitError:

@@ -153,7 +153,7 @@ class RegistryFile(_Model):
     """The whole of `registry.json`."""
 
     schema_version: int
-    release: ReleaseName  # the newest: its splits are the default
+    release: ReleaseName  # the newest whole one: its splits are the default
     releases: dict[ReleaseName, Release]
     disability_settings: dict[str, DisabilitySetting]
     runs: dict[str, Training]

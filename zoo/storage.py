@@ -61,6 +61,13 @@ def load_group(registry: Registry, entries: Iterable[PolicyEntry]) -> list[Polic
     return [_merge(spec, members, places) for spec, members in groups.items()]
 
 
+def load_leaves(registry: Registry, entries: Iterable[PolicyEntry]) -> dict[str, Leaves]:
+    """Return the leaves of each entry by its id, in the dtype that is stored; verified as `load_group` does."""
+    entries = list(entries)
+    places = _read_places(registry, entries)
+    return {entry.id: _verified_row(*places[entry.id], entry) for entry in entries}
+
+
 def _read_places(registry: Registry, entries: Sequence[PolicyEntry]) -> dict[str, tuple[StackedFile, int]]:
     """Return the file and the row in it that hold each policy."""
     places: dict[str, tuple[StackedFile, int]] = {}

@@ -8,7 +8,7 @@ from assistax_envs.versions import VERSIONS
 from zoo.errors import ZooError, listing, shorten
 from zoo.files import shard_root
 from zoo.foreign import foreign_problems
-from zoo.ids import parse_team
+from zoo.ids import parse_team, same_team
 from zoo.publish import installed_settings
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
@@ -92,11 +92,11 @@ def _row_problems(stacked: StackedFile, entry: PolicyEntry) -> Iterator[str]:
 
 
 def _duplicates(registry: Registry) -> Iterator[str]:
-    first: dict[tuple[str, str], str] = {}
+    first: dict[tuple[str, str], PolicyEntry] = {}
     for entry in registry.policies:
-        other = first.setdefault((entry.role, entry.sha256), entry.id)
-        if other != entry.id:
-            yield f"{entry.id} has the same parameters as {other}"
+        other = first.setdefault((entry.role, entry.sha256), entry)
+        if not same_team(other.team, entry.team):
+            yield f"{entry.id} has the same parameters as {other.id}"
 
 
 def _split_problems(registry: Registry) -> Iterator[str]:
@@ -115,7 +115,9 @@ def _notes(registry: Registry) -> Iterator[str]:
                 yield f"release {name} was trained on {task} version {version}; installed is {installed}"
             teams = [team for team in registry.data.teams if parse_team(team).release == name]
             if task not in release.splits and any(team.startswith(f"{task}/") for team in teams):
-                yield f"release {name} has no default split for {task}: one of its halves would be empty"
+                newer = int(name[1:]) > int(registry.release[1:])
+                reason = "it is not whole yet" if newer else "one of its halves would be empty"
+                yield f"release {name} has no default split for {task}: {reason}"
     root = shard_root(registry.path)
     stored = {path.relative_to(root).as_posix() for path in root.glob("zoo/shards/*/*.safetensors")}
     stray = sorted(stored - set(registry.data.shards))

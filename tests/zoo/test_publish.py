@@ -15,6 +15,7 @@ from population.runs import RunFolder
 from zoo.errors import FormatError, ImmutableError, PublishError, RegistryError
 from zoo.publish import publish
 from zoo.registry import Registry, load_registry
+from zoo.release import complete_release
 from zoo.runs import TrainedTeam, read_run
 from zoo.storage import load_group
 from zoo.tensors import encode, flatten
@@ -71,6 +72,20 @@ def test_a_growing_release_leaves_what_is_published(registry: Registry, teams, t
     entry = grown.policy("scratch/ippo-d9-s5-v0/human")
     expected = team("ippo", "d9", 5).params["human"]["log_std"]
     assert np.array_equal(load_group(grown, [entry])[0].params["log_std"][0], expected)
+
+
+def test_a_release_in_the_making_is_not_the_default(registry: Registry, teams, team, publish_to) -> None:
+    nine = [team(seed=seed, params=with_log_std(team(), 0.25 + seed, ("robot", "human"))) for seed in range(2)]
+    for part in nine:
+        opened = publish_to([part], registry.path, "v1", complete=False)
+    assert opened.release == "v0" and opened.splits == registry.splits and not opened.data.releases["v1"].splits
+    assert len(opened.select(release="v1", role="human")) == 2 and verify(opened).ok
+    whole = complete_release(registry.path, "v1")
+    assert whole.release == "v1" and len(whole.split("scratch").train) == 1
+    before = contents(registry.path.parent)
+    assert complete_release(registry.path, "v1") == load_registry(registry.path)
+    complete_release(registry.path, "v0")  # an older one never becomes the default again
+    assert contents(registry.path.parent) == before
 
 
 def test_another_release_stands_beside_the_first(registry: Registry, team, publish_to) -> None:

@@ -1,0 +1,295 @@
+"""How far a plan is: what its registry and its run folders hold, what it cost, and the file that says so."""
+
+import dataclasses
+import datetime
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from population.plan import Block, Group, Key, Plan
+    from zoo.ids import TeamId
+    from zoo.registry import Registry
+
+_KINDS = {"ippo": "ppo", "mappo": "ppo", "isac": "sac", "masac": "sac"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Status:
+    """One group of a plan."""
+
+    group: "Group"
+    published: frozenset["Key"]  # teams that the release has
+    adoptable: frozenset["Key"]  # teams that another release has, and this one not yet
+    blocks: tuple["Block", ...]  # runs that hold, or are to hold, the others
+    runs: Mapping[str, Mapping[str, Any]]  # published and finished runs: what progress.json says of them
+    estimate: float | None  # device minutes of what is missing; None if nothing like it was measured
+    estimated_from: str | None  # algorithm whose speed the estimate takes
+
+    @property
+    def done(self) -> frozenset["Key"]:
+        """Teams that need no run."""
+        return self.published | self.adoptable
+
+    @property
+    def trained(self) -> int:
+        """Number of teams that are trained, but not published."""
+        return sum(len(self.waiting(block)) for block in self.blocks if block.state == "finished")
+
+    @property
+    def missing(self) -> int:
+        """Number of teams that are not trained."""
+        return sum(len(self.waiting(block)) for block in self.blocks if block.state != "finished")
+
+    def waiting(self, block: "Block") -> set["Key"]:
+        """Return the teams of a block that the group wants and the release does not have."""
+        return {(member.disability, member.seed) for member in self.group.members} & block.keys - self.done
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the row of a table."""
+        return {
+            "group": self.group.name,
+            "teams": len(self.group.members),
+            "published": len(self.published),
+            "adoptable": len(self.adoptable),
+            "trained": self.trained,
+            "missing": self.missing,
+            "steps_to_train": steps_to_train(self.blocks),
+            "device_minutes": round(_device_seconds(self.runs.values()) / 60, 1),
+            "device_minutes_to_go": None if self.estimate is None else round(self.estimate, 1),
+            "estimated_from": self.estimated_from,
+        }
+
+
+class Measured(NamedTuple):
+    """What one training measured."""
+
+    steps: int  # of each team
+    seconds: float | None
+    device: str | None
+    devices: int
+    date: str | None
+
+    @property
+    def device_seconds(self) -> float | None:
+        """Time on all devices together."""
+        return None if self.seconds is None else self.seconds * self.devices
+
+
+def survey(groups: Sequence["Group"], release: str, out: Path, registry: "Registry | None") -> list[Status]:
+    """Return how far each group is.
+
+    Raises:
+        ValueError: A group adopts a release that the registry does not have.
+    """
+    speeds = _speeds(registry, out, groups)
+    return [_status(group, release, out, registry, speeds) for group in groups]
+
+
+def team_id(group: "Group", key: "Key", release: str) -> "TeamId":
+    """Return the id that a member has in a release."""
+    from zoo.ids import TeamId
+
+    return TeamId(group.task, group.algorithm, key[0], key[1], release)
+
+
+def steps_to_train(blocks: Sequence["Block"]) -> int:
+    """Return the environment steps that all members of unfinished runs take; a begun run counts whole."""
+    configs = [block.config() for block in blocks if block.state != "finished"]
+    return sum(config.updates * config.trainer.batch_steps * len(config.members) for config in configs)
+
+
+def _status(
+    group: "Group", release: str, out: Path, registry: "Registry | None", speeds: Mapping[tuple[str, str], float]
+) -> Status:
+    from population.plan import find_blocks
+
+    teams = {(member.disability, member.seed) for member in group.members}
+    published = frozenset(key for key in teams if registry and str(team_id(group, key, release)) in registry.data.teams)
+    adopted = _adoptable(group, teams - published, release, registry) if group.adopt else frozenset()
+    blocks = tuple(find_blocks(group, out, published | adopted))
+    runs = _published_runs(group, published, release, registry) | _finished_runs(blocks)
+    steps = steps_to_train(blocks)
+    source = _like(group, speeds)
+    estimate = 0.0 if not steps else steps / speeds[group.task, source] / 60 if source else None
+    return Status(group, published, adopted, blocks, runs, estimate, source if steps else None)
+
+
+def _adoptable(group: "Group", keys: set["Key"], release: str, registry: "Registry | None") -> frozenset["Key"]:
+    from zoo.adoption import adoptable
+
+    assert group.adopt is not None
+    if registry is None or group.adopt not in registry.data.releases:
+        where = f"the registry {registry.path} has none" if registry else "there is no registry"
+        raise ValueError(
+            f"group {group.name} adopts teams of release {group.adopt}, but {where}; "
+            "name the registry that has it with --registry"
+        )
+    ids = [team_id(group, key, release) for key in sorted(keys)]
+    return frozenset((team.disability, team.seed) for team in adoptable(registry, ids, group.adopt, group.steps))
+
+
+def _published_runs(
+    group: "Group", published: frozenset["Key"], release: str, registry: "Registry | None"
+) -> dict[str, dict[str, Any]]:
+    """Return the runs of the published teams; an adopted run counts all teams that it trained."""
+    runs: dict[str, dict[str, Any]] = {}
+    for key in sorted(published):
+        assert registry is not None
+        name = registry.team(str(team_id(group, key, release))).run
+        measured = _of_registry(registry, name)
+        origin = _origin(group, key, release, registry)
+        state = {"state": "published"} if origin is None else {"state": "adopted", "from": origin}
+        count = runs.get(name, {"teams": 0})["teams"] + 1
+        runs[name] = state | _cost(measured, count, _teams_of(registry, name) if origin else count)
+    return runs
+
+
+def _origin(group: "Group", key: "Key", release: str, registry: "Registry") -> str | None:
+    """Return the release that a team was adopted from: the one whose team has the same parameters."""
+    earlier = registry.data.teams.get(str(team_id(group, key, group.adopt))) if group.adopt else None
+    own = registry.team(str(team_id(group, key, release)))
+    if earlier is None:
+        return None
+    same = all(own.policies[role].sha256 == place.sha256 for role, place in earlier.policies.items())
+    return group.adopt if same else None
+
+
+def _finished_runs(blocks: Sequence["Block"]) -> dict[str, dict[str, Any]]:
+    return {
+        block.name: {"state": "trained"} | _cost(_of_folder(block.folder), len(block.members), len(block.members))
+        for block in blocks
+        if block.state == "finished"
+    }
+
+
+def _of_folder(folder: Path) -> Measured:
+    """Return what a finished run folder says of its training."""
+    training = json.loads((folder / "teams.json").read_text(encoding="utf-8"))[0]["training"]
+    fields = {name: training.get(name) for name in ("seconds", "device", "date")}
+    return Measured(steps=training["steps"], devices=training.get("devices", 1), **fields)
+
+
+def _of_registry(registry: "Registry", run: str) -> Measured:
+    training = registry.data.runs[run]
+    devices = training.notes.get("devices")
+    count = devices if isinstance(devices, int) else 1
+    return Measured(training.steps, training.seconds, training.device, count, training.date)
+
+
+def _cost(run: Measured, teams: int, together: int) -> dict[str, Any]:
+    """Return what a run cost; its speed is that of all the teams which it trained together, on one device."""
+    spent = run.device_seconds
+    return {
+        "teams": teams,
+        "steps": run.steps,
+        "device": run.device,
+        "devices": run.devices,
+        "seconds": run.seconds,
+        "steps_per_second": round(run.steps * together / spent) if spent else None,
+        "trained": run.date,
+    }
+
+
+def _device_seconds(runs: Iterable[Mapping[str, Any]]) -> float:
+    """Return the time that runs took on all their devices; what another release paid for is left out."""
+    return sum((run.get("seconds") or 0.0) * run.get("devices", 1) for run in runs if run["state"] != "adopted")
+
+
+def _teams_of(registry: "Registry", run: str) -> int:
+    """Return how many different teams a published run trained."""
+    return len({name.rpartition("-")[0] for name, team in registry.data.teams.items() if team.run == run})
+
+
+def _speeds(registry: "Registry | None", out: Path, groups: Sequence["Group"]) -> dict[tuple[str, str], float]:
+    """Return measured training steps a second and device by task and algorithm, of the largest run of each."""
+    from population.plan import find_blocks
+
+    largest: dict[tuple[str, str], tuple[float, float]] = {}
+
+    def add(task: str, algorithm: str, run: Measured, teams: int) -> None:
+        if seconds := run.device_seconds:
+            steps = float(run.steps * teams)
+            largest[task, algorithm] = max(largest.get((task, algorithm), (0.0, 0.0)), (steps, steps / seconds))
+
+    if registry:
+        for run, kind in {entry.run: (entry.task, entry.algorithm) for entry in registry.policies}.items():
+            add(*kind, _of_registry(registry, run), _teams_of(registry, run))
+    for group in groups:
+        for block in find_blocks(group, out):
+            if block.state == "finished":
+                add(group.task, group.algorithm, _of_folder(block.folder), len(block.members))
+    return {kind: speed for kind, (_, speed) in largest.items()}
+
+
+def _like(group: "Group", speeds: Mapping[tuple[str, str], float]) -> str | None:
+    """Return the algorithm of the same task whose measured speed fits best: the same, else one of the same trainer."""
+    near = [name for name in _KINDS if _KINDS[name] == _KINDS[group.algorithm]]
+    return next((name for name in (group.algorithm, *near) if (group.task, name) in speeds), None)
+
+
+def write_progress(path: Path, plan: "Plan", statuses: Sequence[Status], errors: Mapping[str, str]) -> dict[str, Any]:
+    """Write what is known of a plan's progress to its file, beside what other processes wrote, and return it.
+
+    What the registry and the run folders say replaces what the file said of the same run; runs that only another
+    process can see stay until their teams are published.
+
+    Args:
+        path: The file.
+        plan: The whole plan.
+        statuses: Groups as this process sees them.
+        errors: Message of each run that failed; "" for one that is tried, so that an earlier message goes.
+    """
+    from zoo.files import atomic_write, exclusive
+
+    with exclusive(path.parent):
+        old = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        groups = dict(old.get("groups", {}))
+        for status in statuses:
+            groups[status.group.name] = _entry(status, groups.get(status.group.name, {}), errors)
+        groups = {group.name: groups[group.name] for group in plan.groups if group.name in groups}
+        content = {
+            "release": plan.release,
+            "teams": sum(len(group.members) for group in plan.groups),
+            "published": sum(entry["published"] for entry in groups.values()),
+            "device_minutes": round(sum(entry["device_minutes"] for entry in groups.values()), 1),
+            "groups": groups,
+        }
+        text = json.dumps(content, indent=2) + "\n"
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            atomic_write(path, text.encode())
+    return content
+
+
+def _entry(status: Status, old: Mapping[str, Any], errors: Mapping[str, str]) -> dict[str, Any]:
+    """Return a group's entry: its runs as seen now, and those of the file that nothing has replaced."""
+    before = old.get("runs", {})
+    runs = {name: _dated(run, before.get(name, {})) for name, run in status.runs.items()}
+    complete = len(status.published) == len(status.group.members)
+    for block in status.blocks:
+        error = errors.get(block.name, before.get(block.name, {}).get("error"))
+        if block.state != "finished" and error:
+            runs[block.name] = {"state": "failed", "teams": len(block.members), "error": error}
+        elif block.state == "begun" or (block.state == "new" and block.name in errors):
+            runs[block.name] = {"state": "training", "teams": len(block.members)}
+    if not complete:
+        runs = {name: run for name, run in before.items() if run["state"] != "published"} | runs
+    state = "published" if complete else "missing"
+    if not complete and (states := {run["state"] for run in runs.values()}):
+        state = next((name for name in ("failed", "training", "trained") if name in states), "missing")
+    return {
+        "state": state,
+        "teams": len(status.group.members),
+        "published": len(status.published),
+        "device_minutes": round(_device_seconds(runs.values()) / 60, 2),
+        "runs": dict(sorted(runs.items())),
+    }
+
+
+def _dated(run: Mapping[str, Any], before: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a run with the day on which it was first seen as published."""
+    if run["state"] != "published":
+        return dict(run)
+    today = datetime.date.today().isoformat()
+    return {**run, "published": before.get("published") or today}
