@@ -1,4 +1,4 @@
-"""Training state on disk, through Orbax: whole or not at all, and the same bits when read back."""
+"""Training state on disk, through Orbax: whole or not at all, and the same bits when read back on any devices."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -48,7 +48,7 @@ class Checkpoints:
 
         Args:
             update: Which checkpoint.
-            like: A state of the same structure.
+            like: A state of the same structure, on the devices that the result is to lie on.
 
         Raises:
             ValueError: The checkpoint holds a state of another structure.
@@ -81,7 +81,7 @@ def _from_arrays(arrays: Mapping[str, np.ndarray], like: Any) -> Any:
     def leaf(path: Any, like: jax.Array) -> jax.Array:
         if not like.size:
             return like
-        value = jnp.asarray(arrays[_name(path)])
+        value = jax.device_put(arrays[_name(path)], like.sharding)
         return jax.random.wrap_key_data(value, impl=jax.random.key_impl(like)) if _is_key(like) else value
 
     return jax.tree_util.tree_map_with_path(leaf, like)

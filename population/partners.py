@@ -1,6 +1,7 @@
 """Frozen partners of an ego's training: who acts in the other seat."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any, Protocol
 
@@ -77,7 +78,7 @@ class Partners:
                     f"{self.role} in {env.task} are {wanted}: give partners of this task and environment version"
                 )
         if num_envs % len(self):
-            fitting = max(1, round(num_envs / len(self))) * len(self)
+            fitting = fitting_envs(num_envs, len(self))
             raise ValueError(
                 f"num_envs is {num_envs} with {len(self)} partners; every partner gets the same share, "
                 f"so choose a multiple of {len(self)}, such as {fitting}"
@@ -109,6 +110,15 @@ class Partners:
 
     def _pairs(self) -> list[tuple[Policy, PartnerGroup]]:
         return list(zip(self._policies, self.groups, strict=True))
+
+
+def fitting_envs(num_envs: int, partners: int, minibatches: int = 1) -> int:
+    """Return the number of simulations, nearest to one, of which partners and minibatches have equal shares.
+
+    With more partners than simulations this is one for each partner, or a few where minibatches ask for it.
+    """
+    unit = math.lcm(partners, minibatches)
+    return max(1, round(num_envs / unit)) * unit
 
 
 def _by_partner(leaf: jax.Array, members: int, partners: int) -> jax.Array:

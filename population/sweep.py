@@ -16,6 +16,7 @@ import numpy as np
 import polars as pl
 
 from population.config import Member, TrainConfig, preset
+from population.engines import NOT_SHARED, RayCluster, run_blocks
 from population.rollout import Environment
 from population.runs import write_atomically
 from population.train import Progress, train
@@ -154,11 +155,60 @@ def run_sweep(
         folder: Where results are kept.
         progress: Called with the block's number, the number of blocks, and the block's progress.
     """
-    points, blocks, tables = sweep.points(), sweep.blocks(), []
-    for number, (indices, config) in enumerate(blocks):
-        report = None if progress is None else _numbered(progress, number, len(blocks))
-        run = train(config, env, folder / f"block-{number:03d}", stop_on_divergence=False, progress=report)
-        scores = score(pl.read_parquet(run / "metrics.parquet"))
+    count = len(sweep.blocks())
+    for number in range(count):
+        _train_block(sweep, number, env, folder, None if progress is None else _numbered(progress, number, count))
+    return _collect(sweep, folder)
+
+
+def run_sweep_on_ray(
+    sweep: Sweep,
+    make_env: Callable[[], Environment],
+    folder: Path,
+    cluster: RayCluster,
+    on_done: Callable[[int], None] | None = None,
+) -> pl.DataFrame:
+    """Do what `run_sweep` does with the blocks spread over a Ray cluster; the table is the same.
+
+    Args:
+        sweep: What to try.
+        make_env: Makes the environment of the task, on each worker.
+        folder: Where results are kept: shared by all machines, under the same path.
+        cluster: Where blocks run.
+        on_done: Called with the number of each block that is done.
+
+    Raises:
+        BlocksFailedError: Blocks failed; the others' runs are kept.
+    """
+    names = [_block(number) for number in range(len(sweep.blocks()))]
+    folder = folder.absolute()
+    folder.mkdir(parents=True, exist_ok=True)
+    run_blocks(cluster, lambda _: names, _train_remotely, (sweep, make_env, folder), on_done)
+    if missing := [name for name in names if not (folder / name).exists()]:
+        raise ValueError(f"the workers are done, but {folder} lacks {', '.join(missing)} here; {NOT_SHARED}")
+    return _collect(sweep, folder)
+
+
+def _train_remotely(number: int, _: int, sweep: Sweep, make_env: Callable[[], Environment], folder: Path) -> None:
+    _train_block(sweep, number, make_env(), folder)
+
+
+def _train_block(
+    sweep: Sweep,
+    number: int,
+    env: Environment,
+    folder: Path,
+    progress: Callable[[Progress], None] | None = None,
+) -> None:
+    _, config = sweep.blocks()[number]
+    train(config, env, folder / _block(number), stop_on_divergence=False, progress=progress)
+
+
+def _collect(sweep: Sweep, folder: Path) -> pl.DataFrame:
+    """Write and return the results of blocks that are all done."""
+    points, tables = sweep.points(), []
+    for number, (indices, _) in enumerate(sweep.blocks()):
+        scores = score(pl.read_parquet(folder / _block(number) / "metrics.parquet"))
         rows = [
             {"configuration": index, "seed": seed, **points[index]} for index in indices for seed in range(sweep.seeds)
         ]
@@ -226,3 +276,8 @@ def read_space(data: Mapping[str, Any]) -> Space:
 
 def _numbered(progress: Callable[[int, int, Progress], None], number: int, count: int) -> Callable[[Progress], None]:
     return lambda report: progress(number, count, report)
+
+
+def _block(number: int) -> str:
+    """Return the name of a block, which is its folder's."""
+    return f"block-{number:03d}"

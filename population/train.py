@@ -26,6 +26,7 @@ from population.rollout import Environment
 from population.runs import RunFolder, metrics_table
 from population.sac import SAC
 from population.self_play import self_play
+from population.sharding import FIRST_AXIS, SECOND_AXIS, WHOLE, Shares, state_specs
 from population.spec import PolicySpec
 
 _SELF_PLAY = 1  # folded into a member's key: episodes of the final evaluation
@@ -100,20 +101,22 @@ def train(
     resume: bool = True,
     stop_on_divergence: bool = True,
     progress: Callable[[Progress], None] | None = None,
+    devices: Sequence[jax.Device] | None = None,
 ) -> Path:
     """Train the members of a run and return its folder; a run that was interrupted goes on to the same result.
 
-    With partners, who are frozen, a member is an ego in the other seat.
+    With partners, who are frozen, a member is an ego in the other seat. Several devices share the members: as many as
+    divide their number. A run may go on on other devices than it began on.
 
     Args:
         config: What to train.
         env: The environment of `config.task`.
         folder: Where the run is kept: configuration, checkpoints, metrics, and at the end the teams.
-        partners: Those that `config.partners` names.
         partners: Who sits in the other seat, the same as `config.partners` names.
         resume: Whether to go on with a run that the folder holds.
         stop_on_divergence: Whether a loss that is not finite ends the run; if not, that member goes on to no good.
-        progress: Called after every dispatch to the device.
+        progress: Called after every dispatch to the devices.
+        devices: Those that may be used; all of this process if not given.
 
     Raises:
         ValueError: Environment and configuration do not fit, or the folder holds another run.
@@ -130,17 +133,17 @@ def train(
                 f"member {member.label} has disability {member.disability!r}; an ego with partners has {MIXED!r}, "
                 "because each partner brings its own, and a team has one of d1 to d9"
             )
-    trainer = make_trainer(config, env, partners)
+    trainer, shares = make_trainer(config, env, partners), Shares(len(config.members), devices)
     run = RunFolder(folder)
     run.open(config, {"version": env.version, "backend": env.backend}, resume)
     checkpoints = Checkpoints(run.checkpoints)
     try:
-        state, metrics = _load(config, trainer, run, checkpoints)
-        state, metrics = _loop(config, trainer, state, metrics, run, checkpoints, progress, stop_on_divergence)
+        state, metrics = _load(config, trainer, shares, run, checkpoints)
+        state, metrics = _loop(config, trainer, shares, state, metrics, run, checkpoints, progress, stop_on_divergence)
     finally:
         checkpoints.close()
     if not run.teams.exists():
-        _finish(config, trainer, state, metrics, run)
+        _finish(config, trainer, shares, state, metrics, run)
     return run.folder
 
 
@@ -151,8 +154,9 @@ def make_trainer(config: TrainConfig, env: Environment, partners: Partners | Non
     return SAC(config.trainer, env, config.updates, partners)
 
 
-def initial_state(config: TrainConfig, trainer: Trainer) -> Any:
-    """Return the state of a run before its first update."""
+def initial_state(config: TrainConfig, trainer: Trainer, shares: Shares | None = None) -> Any:
+    """Return the state of a run before its first update, on one device if there are no shares."""
+    shares = shares or Shares(len(config.members), jax.local_devices()[:1])
     keys = jnp.stack([member_key(member) for member in config.members])
     simulations, partners = config.trainer.num_envs, trainer.partners
     settings = [
@@ -160,8 +164,11 @@ def initial_state(config: TrainConfig, trainer: Trainer) -> Any:
         for member in config.members
         for setting in (partners.settings(simulations) if partners else [member.disability] * simulations)
     ]
+    start = shares.put((keys, disability_params(settings)))
+    specs = state_specs(jax.eval_shape(trainer.initial, *start)) if len(shares) > 1 else None
+    initial = jax.jit(shares.split(trainer.initial, FIRST_AXIS, specs))
     # Copied, so that no two leaves share a buffer: each is donated to the first update.
-    return jax.tree.map(jnp.copy, jax.jit(trainer.initial)(keys, disability_params(settings)))
+    return jax.tree.map(jnp.copy, initial(*start))
 
 
 def member_key(member: Member) -> jax.Array:
@@ -170,10 +177,10 @@ def member_key(member: Member) -> jax.Array:
 
 
 def _load(
-    config: TrainConfig, trainer: Trainer, run: RunFolder, checkpoints: Checkpoints
+    config: TrainConfig, trainer: Trainer, shares: Shares, run: RunFolder, checkpoints: Checkpoints
 ) -> tuple[State, list[pl.DataFrame]]:
     """Return the state and metrics of the newest checkpoint, or of the beginning."""
-    state = initial_state(config, trainer)
+    state = initial_state(config, trainer, shares)
     done = checkpoints.latest()
     if done is None:
         return state, []
@@ -186,6 +193,7 @@ def _load(
 def _loop(
     config: TrainConfig,
     trainer: Trainer,
+    shares: Shares,
     state: State,
     metrics: list[pl.DataFrame],
     run: RunFolder,
@@ -194,9 +202,9 @@ def _loop(
     stop_on_divergence: bool,
 ) -> tuple[State, pl.DataFrame]:
     """Update until the run is done, saving metrics and then the state every `checkpoint_every` updates."""
-    advance = jax.jit(partial(_advance, trainer), static_argnames="updates", donate_argnames="state")
-    hyper = trainer.hyper(config.members)
-    partners = trainer.partners.params if trainer.partners else ()
+    advance = jax.jit(partial(_advance, trainer, shares), static_argnames="updates", donate_argnames="state")
+    hyper = shares.put(trainer.hyper(config.members))
+    partners = shares.put(trainer.partners.params if trainer.partners else (), WHOLE)
     done = int(state.update)
     if done < config.updates:
         run.teams.unlink(missing_ok=True)
@@ -221,8 +229,16 @@ def _loop(
     return state, pl.concat(metrics)
 
 
-def _advance(trainer: Trainer, state: State, hyper: Any, partners: Any, *, updates: int) -> tuple[State, Metrics]:
-    return jax.lax.scan(lambda state, _: trainer.update(state, hyper, partners), state, length=updates)
+def _advance(
+    trainer: Trainer, shares: Shares, state: State, hyper: Any, partners: Any, *, updates: int
+) -> tuple[State, Metrics]:
+    """Return the state after some updates, and their metrics [updates, M]."""
+
+    def advance(state: Any, hyper: Any, partners: Any) -> tuple[Any, Metrics]:
+        return jax.lax.scan(lambda state, _: trainer.update(state, hyper, partners), state, length=updates)
+
+    specs = state_specs(state)
+    return shares.split(advance, (specs, FIRST_AXIS, WHOLE), (specs, SECOND_AXIS))(state, hyper, partners)
 
 
 class _Clock:
@@ -267,26 +283,30 @@ def _divergence(bad: tuple[str, int], rows: pl.DataFrame, config: TrainConfig, c
     )
 
 
-def _finish(config: TrainConfig, trainer: Trainer, state: State, metrics: pl.DataFrame, run: RunFolder) -> None:
+def _finish(
+    config: TrainConfig, trainer: Trainer, shares: Shares, state: State, metrics: pl.DataFrame, run: RunFolder
+) -> None:
     """Evaluate the final policies in self-play, unless they are egos, and write them."""
-    params = jax.jit(trainer.policy_params)(state.members)
+    # On one device: a few episodes of each team are less than an update was.
+    params = jax.jit(trainer.policy_params)(shares.gather(state.members))
     results: list[dict[str, Any] | None] = [None] * len(config.members)
     if config.self_play_episodes and not trainer.partners:
         keys = jnp.stack([jax.random.fold_in(member_key(member), _SELF_PLAY) for member in config.members])
         env_params = disability_params([member.disability for member in config.members])
         results[:] = self_play(trainer.env, trainer.policies, params, env_params, keys, config.self_play_episodes)
-    training = _provenance(config, trainer.env, float(metrics["seconds"][-1]))
+    training = _provenance(config, trainer.env, shares, float(metrics["seconds"][-1]))
     run.write_teams(config, trainer.specs, jax.device_get(params), training, results)
 
 
-def _provenance(config: TrainConfig, env: Environment, seconds: float) -> Mapping[str, Any]:
+def _provenance(config: TrainConfig, env: Environment, shares: Shares, seconds: float) -> Mapping[str, Any]:
     """Return what a registry says about a run."""
     return {
         "steps": config.updates * config.trainer.batch_steps,
         "env_version": env.version,
         "backend": env.backend,
         "date": datetime.date.today().isoformat(),
-        "device": jax.devices()[0].device_kind,
+        "device": shares.devices[0].device_kind,
+        "devices": len(shares),
         "seconds": round(seconds, 1),
         "versions": {name: importlib.metadata.version(name) for name in _LIBRARIES},
         "hyperparameters": {**dataclasses.asdict(config.trainer), "hidden": list(config.trainer.hidden)},

@@ -2,11 +2,13 @@
 
 import json as jsonlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from assistax_zoo.commands.options import Engine
 from assistax_zoo.commands.train import check_names, parse_changes, parse_steps
 from assistax_zoo.console import print_json, progress, stdout_is_data
 
@@ -28,6 +30,7 @@ def sweep(
     seed: int = 0,
     backend: str = "auto",
     set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    engine: Engine = Engine(),
     json: bool = False,
 ) -> None:
     """Try hyperparameters: random over continuous ones, a grid over discrete ones, many at once in one program.
@@ -48,22 +51,29 @@ def sweep(
         seed: Seed of the random draws.
         backend: Physics: native, mjx, mjx-warp, or auto for the fastest one here.
         set_: A hyperparameter that all configurations share, such as num_envs=512; repeat it for more.
+        engine: What runs the blocks.
         json: Print the results as JSON.
 
     Example:
         assistax-zoo sweep --task scratch --algorithm ippo --configurations 168 --seeds 3 --out sweeps/ippo
     """
     check_names(task, [disability])
-    total, fixed = parse_steps(steps), parse_changes(set_)
+    total, fixed, cluster = parse_steps(steps), parse_changes(set_), engine.cluster()
     work = configurations * seeds * total
     with stdout_is_data(), progress(f"sweep {task} {algorithm}, environment steps", work) as advance:
         from assistax_envs import make
         from population.config import preset
-        from population.sweep import BEST, RESULTS, SPACES, Sweep, read_space, run_sweep
+        from population.sweep import BEST, RESULTS, SPACES, Sweep, read_space, run_sweep, run_sweep_on_ray
 
         chosen = SPACES[preset(algorithm, **fixed).kind] if space is None else read_space(_read_object(space))
         plan = Sweep(task, algorithm, chosen, configurations, seeds, disability, total, block, seed, fixed)
-        results = run_sweep(plan, make(task, backend), out, _Shown(advance, work))
+        if cluster is None:
+            results = run_sweep(plan, make(task, backend), out, _Shown(advance, work))
+        else:
+            sizes = [len(members) * seeds * total for members, _ in plan.blocks()]
+            results = run_sweep_on_ray(
+                plan, partial(make, task, backend), out, cluster, lambda number: advance(sizes[number])
+            )
     best = jsonlib.loads((out / BEST).read_text())
     if json:
         print_json({"best": best, "results": results.to_dicts()})

@@ -1,6 +1,7 @@
 """The command that trains teams."""
 
 import ast
+import contextlib
 import json as jsonlib
 import math
 import os
@@ -39,6 +40,7 @@ def train(
     checkpoint_every: int | None = None,
     updates_per_call: int | None = None,
     resume: bool = True,
+    tensorboard: Path | None = None,
     json: bool = False,
     json_lines: bool = False,
 ) -> None:
@@ -61,6 +63,7 @@ def train(
         checkpoint_every: Updates between checkpoints; default 20 for PPO, 2000 for SAC, whose updates are short.
         updates_per_call: Updates dispatched to the device at once; default 1 for PPO, 20 for SAC.
         resume: Go on with a run that the folder holds.
+        tensorboard: Folder for TensorBoard event files, which several runs may share; needs assistax-zoo[tensorboard].
         json: Print the teams as JSON at the end.
         json_lines: Print a JSON object for each report on standard output instead of the live line.
 
@@ -84,7 +87,7 @@ def train(
         updates_per_call=trainer.updates_per_call if updates_per_call is None else updates_per_call,
         self_play_episodes=self_play_episodes,
     )
-    run_training(config, backend, out, resume, json_lines)
+    run_training(config, backend, out, resume, json_lines, tensorboard=tensorboard)
     _report(out, json, json_lines)
 
 
@@ -95,18 +98,29 @@ def run_training(
     resume: bool,
     json_lines: bool,
     partners: "Partners | None" = None,
+    tensorboard: Path | None = None,
 ) -> None:
-    """Train, showing progress on standard error, or on standard output as JSON lines."""
+    """Train, showing progress on standard error, or on standard output as JSON lines, and in event files if wanted."""
     sys.stdout.flush()
-    with os.fdopen(os.dup(1), "w") as stdout, stdout_is_data():
-        progress = JsonLines(stdout) if json_lines else LiveLine(config, sys.stderr)
+    with os.fdopen(os.dup(1), "w") as stdout, stdout_is_data(), contextlib.ExitStack() as stack:
+        shown = JsonLines(stdout) if json_lines else LiveLine(config, sys.stderr)
+        stack.callback(shown.close)
         from assistax_envs import make
         from population.train import train as train_members
 
-        try:
-            train_members(config, make(config.task, backend), out, partners=partners, resume=resume, progress=progress)
-        finally:
-            progress.close()
+        if tensorboard is None:
+            train_members(config, make(config.task, backend), out, partners=partners, resume=resume, progress=shown)
+            return
+        from population.tensorboard import EventFiles
+
+        files = stack.enter_context(contextlib.closing(EventFiles(config, out, tensorboard)))
+
+        def progress(report: "Progress") -> None:
+            files(report)
+            shown(report)
+
+        train_members(config, make(config.task, backend), out, partners=partners, resume=resume, progress=progress)
+        files.catch_up()
 
 
 def read_preset(path: Path | None, algorithm: str | None) -> tuple[str, dict[str, Any]]:

@@ -1,7 +1,7 @@
 """The command that trains robots with frozen partners of the zoo, for zero-shot coordination."""
 
+import dataclasses
 import json as jsonlib
-import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,6 +12,7 @@ from assistax_zoo.commands.train import check_names, parse_changes, parse_seeds,
 from assistax_zoo.console import print_json
 
 if TYPE_CHECKING:
+    from population.config import TrainerConfig
     from population.partners import Partners
     from zoo.registry import Registry
     from zoo.schema import Split
@@ -34,6 +35,7 @@ def train_ego(
     checkpoint_every: int | None = None,
     updates_per_call: int | None = None,
     resume: bool = True,
+    tensorboard: Path | None = None,
     registry: Path | None = None,
     json: bool = False,
     json_lines: bool = False,
@@ -51,11 +53,12 @@ def train_ego(
         seeds: How many, numbered from 0, or which: 16, 0-7 or 2,5.
         steps: Environment steps of each robot, such as 500k, 20M or 2e7; rounded up to whole updates.
         backend: Physics: native, mjx, mjx-warp, or auto for the fastest one here.
-        num_envs: Simulations of each robot, a multiple of the number of partners; default about the preset's.
+        num_envs: Simulations of each robot, a multiple of the number of partners; default the nearest to the preset's.
         set_: Another hyperparameter, such as learning_rate=3e-4 or torso=gru; repeat it for more.
         checkpoint_every: Updates between checkpoints; default 20 for PPO, 2000 for SAC, whose updates are short.
         updates_per_call: Updates dispatched to the device at once; default 1 for PPO, 20 for SAC.
         resume: Go on with a run that the folder holds.
+        tensorboard: Folder for TensorBoard event files, which several runs may share; needs assistax-zoo[tensorboard].
         registry: Registry to read instead of the installed one.
         json: Print the policy files as JSON at the end.
         json_lines: Print a JSON object for each report on standard output instead of the live line.
@@ -74,9 +77,7 @@ def train_ego(
     trainer = preset(ALGORITHMS[algorithm], **changes)
     opened = load_registry(registry)
     chosen = opened.split(task, split)
-    if "num_envs" not in changes:
-        fitting = _fitting(trainer.num_envs, len(chosen.train), getattr(trainer, "minibatches", 1))
-        trainer = preset(ALGORITHMS[algorithm], **changes, num_envs=fitting)
+    trainer = shared_out(trainer, len(chosen.train), chosen.id, keep="num_envs" in changes)
     partners = load_partners(opened, chosen)
     config = TrainConfig(
         task=task,
@@ -89,10 +90,7 @@ def train_ego(
         self_play_episodes=0,
         partners=partners.names,
     )
-    if trainer.num_envs % len(partners) == 0:
-        share = trainer.num_envs // len(partners)
-        print(f"{len(partners)} partners of {chosen.id}, {share} simulations each", file=sys.stderr)
-    run_training(config, backend, out, resume, json_lines, partners)
+    run_training(config, backend, out, resume, json_lines, partners, tensorboard)
     files = _write_policies(out, chosen)
     if json or json_lines:
         result = {"run": str(out), "split": chosen.id, "partners": len(partners), "policies": [str(p) for p in files]}
@@ -101,6 +99,27 @@ def train_ego(
     words = " ".join(f"--policy {path}" for path in files)
     print(f"{len(files)} robots in {out / POLICIES}; next:")
     print(f"assistax-zoo evaluate --task {task} --split both {words}")
+
+
+def shared_out(trainer: "TrainerConfig", partners: int, split: str, keep: bool) -> "TrainerConfig":
+    """Return hyperparameters with simulations that every partner gets the same share of, and say how many these are.
+
+    Raises:
+        ValueError: The number of simulations was asked for, to be kept, and has no such share.
+    """
+    from population.partners import fitting_envs
+
+    fitting = fitting_envs(trainer.num_envs, partners, getattr(trainer, "minibatches", 1))
+    if keep and trainer.num_envs % partners:
+        raise ValueError(
+            f"num_envs is {trainer.num_envs} with {partners} partners; every partner gets the same share, "
+            f"so choose {fitting}, or leave --num-envs out"
+        )
+    chosen = trainer.num_envs if keep else fitting
+    share = chosen // partners
+    near = "" if chosen == trainer.num_envs else f", {chosen} in place of the preset's {trainer.num_envs}"
+    print(f"{partners} partners of {split}, {share} simulation{'s' * (share > 1)} each{near}", file=sys.stderr)
+    return dataclasses.replace(trainer, num_envs=chosen)
 
 
 def load_partners(registry: "Registry", split: "Split") -> "Partners":
@@ -116,12 +135,6 @@ def load_partners(registry: "Registry", split: "Split") -> "Partners":
             for group in load_group(registry, entries)
         ]
     )
-
-
-def _fitting(simulations: int, partners: int, minibatches: int) -> int:
-    """Return the multiple of partners and minibatches that is nearest to a number of simulations."""
-    unit = math.lcm(partners, minibatches)
-    return max(1, round(simulations / unit)) * unit
 
 
 def _write_policies(out: Path, split: "Split") -> list[Path]:

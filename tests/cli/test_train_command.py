@@ -102,5 +102,11 @@ def test_a_tiny_run_on_the_real_task_can_be_published(tmp_path, capfd):
     teams = read_run(tmp_path / "run")
     assert [(team.disability, team.seed) for team in teams] == [("d1", 0), ("d1", 4), ("d9", 0), ("d9", 4)]
     assert teams[0].specs["robot"].observation_size == 34
-    assert run([*words, "--out", str(tmp_path / "run"), "--json"]) == 0
+    events = tmp_path / "events"
+    assert run([*words, "--out", str(tmp_path / "run"), "--json", "--tensorboard", str(events)]) == 0
     assert len(json.loads(capfd.readouterr().out)["teams"]) == 4
+    wanted = [f"scratch-ippo-{setting}-s{seed}" for setting in ("d1", "d9") for seed in (0, 4)]
+    assert sorted(path.name for path in events.iterdir() if any(path.iterdir())) == wanted
+    assert run([*words, "--out", str(tmp_path / "other"), "--tensorboard", str(events)]) == 1
+    assert "holds event files of another run" in capfd.readouterr().err
+    assert not (tmp_path / "other").exists()

@@ -1,9 +1,11 @@
 import json
+import re
 
 import pytest
 
-from assistax_zoo.commands.train_ego import load_partners
+from assistax_zoo.commands.train_ego import load_partners, shared_out
 from assistax_zoo.main import run
+from population.config import preset
 from zoo import storage
 from zoo.registry import load_registry
 
@@ -39,7 +41,7 @@ def test_only_the_training_half_is_loaded(monkeypatch):
     ("words", "message"),
     [
         (["--algorithm", "ippo"], "algorithm is 'ippo'; allowed are ppo, sac"),
-        (["--num-envs", "20", "--set", "minibatches=4"], "num_envs is 20 with 16 partners"),
+        (["--num-envs", "20", "--set", "minibatches=4"], "num_envs is 20 with 16 partners; .* choose 16, or leave"),
         (["--split", "halves"], "expected one split"),
         (["--set", "shared=true"], "leave shared out"),
         (["--algorithm", "sac", "--set", "critic=central"], "choose local"),
@@ -47,8 +49,23 @@ def test_only_the_training_half_is_loaded(monkeypatch):
 )
 def test_wrong_values_get_one_line(words, message, tmp_path, capsys):
     assert run(["train-ego", "--task", "scratch", *words, "--out", str(tmp_path / "run")]) == 1
-    assert message in capsys.readouterr().err
+    assert re.search(message, capsys.readouterr().err)
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "partners", "told"),
+    [
+        ("ippo", 99, "99 partners of half, 12 simulations each, 1188 in place of the preset's 1024\n"),
+        ("isac", 99, "99 partners of half, 1 simulation each, 99 in place of the preset's 64\n"),
+        ("isac", 59, "59 partners of half, 1 simulation each, 59 in place of the preset's 64\n"),
+        ("ippo", 16, "16 partners of half, 64 simulations each\n"),
+    ],
+)
+def test_the_preset_is_fitted_to_the_partners_and_says_so(algorithm, partners, told, capsys):
+    trainer = shared_out(preset(algorithm), partners, "half", keep=False)
+    assert trainer.num_envs % partners == 0 == trainer.num_envs % getattr(trainer, "minibatches", 1)
+    assert capsys.readouterr().err == told
 
 
 @pytest.mark.slow

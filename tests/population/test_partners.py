@@ -12,7 +12,7 @@ import pytest
 
 from assistax_envs import disability_params
 from population.config import MIXED, Member, PPOConfig, SACConfig, TrainConfig
-from population.partners import PartnerGroup, Partners
+from population.partners import PartnerGroup, Partners, fitting_envs
 from population.policy import Policy
 from population.ppo import PPO
 from population.sac import SAC
@@ -89,6 +89,33 @@ def test_an_ego_learns_its_role_and_partners_stay_as_they_are(kind):
     assert list(state.members.learners) == ["robot"]
     earned = np.asarray(metrics["term_robot"])[np.asarray(metrics["episodes"]) > 0]
     assert earned[-10:].mean() > 0.8 * 0.5 * env.episode_length > earned[0] + 1.0  # with the policy's own noise
+
+
+@pytest.mark.parametrize(
+    ("preset", "partners", "minibatches", "fitting"),
+    [(1024, 16, 4, 1024), (1024, 99, 4, 1188), (1024, 59, 4, 944), (64, 99, 1, 99), (64, 59, 1, 59), (8, 99, 4, 396)],
+)
+def test_simulations_are_as_near_to_the_preset_as_equal_shares_allow(preset, partners, minibatches, fitting):
+    assert fitting_envs(preset, partners, minibatches) == fitting
+
+
+def test_with_more_partners_than_simulations_each_has_one():
+    """99 partners of three specs, as egos of a zoo of several algorithms meet them."""
+    specs = PLAIN, SQUASHED, dataclasses.replace(PLAIN, hidden=(5, 4))
+    groups = [
+        group(spec, [f"{index}-{row}" for row in range(33)], ["d1"] * 33, seed=index)
+        for index, spec in enumerate(specs)
+    ]
+    partners = Partners(groups)
+    count = fitting_envs(64, len(partners))
+    partners.check(ToyEnv(match), count)
+    obs = jax.random.normal(jax.random.key(2), (2 * count, 3))
+    carry = partners.initial_carry(len(obs))
+    _, action = partners.act(partners.params, carry, obs, jnp.zeros(len(obs), bool), 2)
+    for row in (0, 32, 33, 98, 99, 197):
+        spec, params = specs[row % 99 // 33], groups[row % 99 // 33].params
+        _, wanted = Policy(spec).act(jax.tree.map(itemgetter(row % 33), params), (), obs[row], jnp.zeros((), bool))
+        np.testing.assert_allclose(action[row], wanted, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.slow

@@ -1,0 +1,192 @@
+"""Several devices share the members of a run. A CPU is made several devices in processes of their own."""
+
+import contextlib
+import dataclasses
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+import safetensors.numpy
+
+from population import train as training
+from population.checkpoints import Checkpoints
+from population.config import MIXED, Member, TrainConfig, preset
+from population.partners import PartnerGroup, Partners
+from population.policy import Policy
+from population.sharding import Shares
+from population.spec import PolicySpec
+from population.train import initial_state, make_trainer, train
+from tests.population.toy_env import ToyEnv, match
+
+HOST_DEVICES = 4
+ROUNDING = 1e-5  # shares of another size are another program to XLA, which may add in another order: about 1e-7 here
+TRAINERS = {
+    "ippo": preset("ippo", num_envs=8, rollout_steps=10, hidden=(8, 8), minibatches=2, epochs=1),
+    "ego": preset("ippo", num_envs=8, rollout_steps=10, torso="gru", hidden=(8,), minibatches=2, epochs=1),
+    "isac": preset(
+        "isac", num_envs=8, rollout_steps=10, replay_size=240, exploration_steps=80, batch_size=8, updates=2,
+        policy_delay=1, hidden=(8,),
+    ),
+}  # fmt: skip
+
+
+class Killed(Exception):
+    """Stands for a killed process."""
+
+
+def population():
+    """Return two recurrent partners and one that is not: carries of [partner, member x simulation], and none."""
+    specs = [PolicySpec("human", 3, 2, torso="gru", hidden=(8,)), PolicySpec("human", 3, 2, hidden=(4,))]
+    names = [("a", "b"), ("c", "d")]
+    groups = []
+    for seed, (spec, pair) in enumerate(zip(specs, names, strict=True)):
+        trees = [Policy(spec).init(key) for key in jax.random.split(jax.random.key(seed), len(pair))]
+        groups.append(PartnerGroup(spec, pair, ("d1", "d3"), jax.tree.map(lambda *leaves: np.stack(leaves), *trees)))
+    return Partners(groups)
+
+
+def arguments(case, members=4):
+    """Return the configuration and the partners of a case."""
+    partners = population() if case == "ego" else None
+    team = tuple(Member(seed, MIXED if partners else f"d{1 + seed % 9}") for seed in range(members))
+    names = partners.names if partners else ()
+    config = TrainConfig(
+        "toy", case, team, 480, TRAINERS[case], checkpoint_every=2, self_play_episodes=0, partners=names
+    )
+    return config, partners
+
+
+def in_another_order(config, trainer, shares=None):
+    """Return the initial state with a planted defect: simulations lie with another member, and so on another device."""
+    state = initial_state(config, trainer, shares)
+    moved = jax.tree.map(lambda leaf: jax.numpy.roll(leaf, trainer.config.num_envs, axis=0), state.simulations.env)
+    return dataclasses.replace(state, simulations=dataclasses.replace(state.simulations, env=moved))
+
+
+def train_each(case, runs):
+    """Train one run after another: see `run` in the test for what is said of each."""
+    config, partners = arguments(case)
+    for given in runs:
+
+        def progress(report, until=given["until"]):
+            if report.update == until:
+                raise Killed
+
+        if given["copy_of"]:
+            shutil.copytree(given["copy_of"], given["folder"])
+        devices = jax.devices()[: given["devices"]]
+        with contextlib.suppress(Killed), pytest.MonkeyPatch.context() as patch:
+            if given["planted"]:
+                patch.setattr(training, "initial_state", in_another_order)
+            train(config, ToyEnv(match), given["folder"], partners=partners, progress=progress, devices=devices)
+
+
+def save_and_restore(case, folder):
+    """Save a state that lies on two devices and restore it for 1, 2 and 4; print each one's simulations."""
+    config, partners = arguments(case)
+    trainer = make_trainer(config, ToyEnv(match), partners)
+    states = {
+        count: initial_state(config, trainer, Shares(len(config.members), jax.devices()[:count])) for count in (1, 2, 4)
+    }
+    checkpoints = Checkpoints(Path(folder))
+    checkpoints.save(1, states[2])
+    rows = {}
+    for count, like in states.items():
+        restored = checkpoints.restore(1, like)
+        for path, leaf, begun, saved in zip(*leaves(restored), leaves(like)[1], leaves(states[2])[1], strict=True):
+            assert len(leaf.sharding.device_set) == count, path
+            np.testing.assert_array_equal(leaf, saved, err_msg=path)
+            np.testing.assert_allclose(begun, saved, rtol=ROUNDING, atol=ROUNDING, err_msg=path)
+        rows[count] = [shard.data.shape[0] for shard in restored.simulations.first.addressable_shards]
+    checkpoints.close()
+    print(json.dumps(rows))
+
+
+def leaves(state):
+    """Return paths and leaves, keys as their data."""
+    paths, values = zip(*jax.tree_util.tree_leaves_with_path(state), strict=True)
+    keys = [jax.numpy.issubdtype(value.dtype, jax.dtypes.prng_key) for value in values]
+    return [jax.tree_util.keystr(path) for path in paths], [
+        jax.random.key_data(value) if key else value for key, value in zip(keys, values, strict=True)
+    ]
+
+
+def count_shares(cases):
+    print(json.dumps([len(Shares(members, jax.devices()[:devices])) for members, devices in cases]))
+
+
+def on_several_devices(function, *given):
+    """Call a function of this module where the CPU is several devices; return what it printed."""
+    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={HOST_DEVICES}"
+    flags += " --xla_backend_optimization_level=0"  # programs this small take longer to compile than to run
+    code = "import json, sys; from tests.population import test_sharding as tests; "
+    code += f"tests.{function.__name__}(*json.loads(sys.argv[1]))"
+    process = subprocess.run(
+        [sys.executable, "-c", code, json.dumps(given)],
+        env={**os.environ, "XLA_FLAGS": flags.strip()}, capture_output=True, text=True, timeout=900,
+    )  # fmt: skip
+    assert process.returncode == 0, process.stderr[-4000:]
+    return json.loads(process.stdout) if process.stdout else None
+
+
+def parameters(folder):
+    return {
+        f"{file.stem}/{name}": leaf
+        for file in sorted(folder.glob("*.safetensors"))
+        for name, leaf in safetensors.numpy.load_file(file).items()
+    }
+
+
+def difference(left, right):
+    """Return the largest difference of two runs' parameters."""
+    left, right = parameters(left), parameters(right)
+    assert left.keys() == right.keys() and left
+    return max(float(np.abs(left[name] - right[name]).max()) for name in left)
+
+
+def devices_of(folder):
+    return json.loads((folder / "teams.json").read_text())[0]["training"]["devices"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", TRAINERS)
+def test_members_end_on_several_devices_as_on_one(case, tmp_path):
+    """On as many devices a resumed run ends with the same bits, on another number with the same but for rounding."""
+
+    def run(name, devices, *, until=None, copy_of=None, planted=False):
+        source = str(tmp_path / copy_of) if copy_of else None
+        given = {"folder": str(tmp_path / name), "devices": devices, "until": until, "copy_of": source}
+        return {**given, "planted": planted}
+
+    runs = [run("one", 1), run("two", 2), run("four", 4), run("planted", 2, planted=True)]
+    runs += [run("killed", 2, until=3), run("resumed", 2, copy_of="killed"), run("moved", 1, copy_of="killed")]
+    on_several_devices(train_each, case, runs)
+    found = {name: devices_of(tmp_path / name) for name in ("one", "two", "four", "resumed", "moved")}
+    assert found == {"one": 1, "two": 2, "four": 4, "resumed": 2, "moved": 1}
+    one, two = (tmp_path / name for name in ("one", "two"))
+    assert difference(tmp_path / "resumed", two) == 0.0
+    assert max(difference(tmp_path / name, one) for name in ("two", "four", "moved")) < ROUNDING
+    assert difference(tmp_path / "planted", one) > 100 * ROUNDING
+
+
+@pytest.mark.parametrize("case", ["ippo", *(pytest.param(case, marks=pytest.mark.slow) for case in ("ego", "isac"))])
+def test_a_checkpoint_of_two_devices_is_read_on_any_number(case, tmp_path):
+    found = on_several_devices(save_and_restore, case, str(tmp_path / "state"))
+    assert found == {"1": [32], "2": [16, 16], "4": [8, 8, 8, 8]}
+
+
+def test_as_many_devices_are_used_as_divide_the_members():
+    cases = {(8, 4): 4, (6, 4): 3, (7, 4): 1, (5, 3): 1, (2, 4): 2, (1, 4): 1, (4, 1): 1}
+    assert on_several_devices(count_shares, list(cases)) == list(cases.values())
+
+
+@pytest.mark.parametrize("devices", [[], jax.devices()[:1] * 2])
+def test_devices_are_given_once_each(devices):
+    with pytest.raises(ValueError, match="give at least one, and each once"):
+        Shares(4, devices)

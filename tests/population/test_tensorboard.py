@@ -1,0 +1,115 @@
+"""Event files of a run, read back by TensorBoard's own reader."""
+
+import contextlib
+import math
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from population import tensorboard
+from population.tensorboard import EventFiles, tag
+from population.train import train
+from tests.population.test_train import CONFIG, Killed, kill_after
+from tests.population.toy_env import ToyEnv, match
+
+MEMBERS = ("toy-ippo-d1-s0", "toy-ippo-d1-s3", "toy-ippo-d9-s0", "toy-ippo-d9-s3")
+
+
+def scalars(folder: Path) -> dict[str, list[tuple[int, float]]]:
+    """Return every (step, value) of a member's files by tag; what was written twice is there twice."""
+    reader = EventAccumulator(str(folder), size_guidance={"scalars": 0}, purge_orphaned_data=False).Reload()
+    return {name: [(event.step, event.value) for event in reader.Scalars(name)] for name in reader.Tags()["scalars"]}
+
+
+def run(folder, events, killed_at=None):
+    """Train with event files, until the run is killed if it is."""
+    with contextlib.closing(EventFiles(CONFIG, folder, events)) as files:
+
+        def progress(report):
+            files(report)
+            if killed_at is not None:
+                kill_after(killed_at)(report)
+
+        train(CONFIG, ToyEnv(match), folder, progress=progress)
+        files.catch_up()
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("events")
+    run(folder / "run", folder / "tb")
+    return folder
+
+
+def check(events, metrics, speeds):
+    """Hold all files against the metrics of the run: every step once, in order, with the same values."""
+    table = pl.read_parquet(metrics)
+    assert sorted(path.name for path in events.iterdir()) == sorted(MEMBERS)
+    for member, name in enumerate(MEMBERS):
+        found, rows = scalars(events / name), table.filter(pl.col("member") == member)
+        assert [step for step, _ in found["episode/reward"]] == rows["steps"].to_list()
+        assert len(found.pop("speed/steps_per_second")) == speeds
+        logged = [column for column in rows.columns if tag(column) in found]
+        assert set(map(tag, logged)) == set(found)
+        assert {"return", "term_robot", "term_human", "policy_loss_robot", "value_loss_human"} <= set(logged)
+        for column in logged:
+            wanted = rows.select("steps", column).drop_nulls().to_numpy()
+            np.testing.assert_allclose(found[tag(column)], wanted, rtol=1e-6, err_msg=column)
+
+
+def test_event_files_hold_what_the_metrics_hold(whole):
+    check(whole / "tb", whole / "run" / "metrics.parquet", speeds=6)
+
+
+@pytest.mark.parametrize(("update", "speeds"), [(1, 6), (2, 5), (3, 6)])  # the first checkpoint is of update 2
+def test_a_run_that_goes_on_writes_no_step_twice_and_leaves_none_out(tmp_path, update, speeds):
+    with pytest.raises(Killed):
+        run(tmp_path / "run", tmp_path / "tb", killed_at=update)
+    for path in (tmp_path / "tb").rglob("events.*"):
+        path.write_bytes(path.read_bytes()[:-5])  # killed in the middle of the last record
+    run(tmp_path / "run", tmp_path / "tb")
+    check(tmp_path / "tb", tmp_path / "run" / "metrics.parquet", speeds)  # of update 2 the metrics know no speed
+
+
+def test_the_reader_sees_what_is_written_twice(tmp_path, monkeypatch):
+    with pytest.raises(Killed):
+        run(tmp_path / "run", tmp_path / "tb", killed_at=3)
+    monkeypatch.setattr(tensorboard, "_last_step", lambda *_: -1)
+    run(tmp_path / "run", tmp_path / "tb")
+    steps = [step for step, _ in scalars(tmp_path / "tb" / MEMBERS[0])["episode/reward"]]
+    assert len(steps) > len(set(steps)) == 6
+
+
+def test_a_run_without_files_gets_its_past_written(whole, tmp_path):
+    run(whole / "run", tmp_path / "late")  # finished: nothing is trained
+    check_past = partial(scalars, tmp_path / "late" / MEMBERS[2])
+    assert check_past()["episode/return"] == scalars(whole / "tb" / MEMBERS[2])["episode/return"]
+
+
+def test_files_of_another_run_are_refused(whole, tmp_path):
+    with pytest.raises(ValueError, match="holds event files of another run of toy-ippo-d1-s0; choose another --tensor"):
+        EventFiles(CONFIG, tmp_path / "new", whole / "tb")
+    EventFiles(CONFIG, whole / "run", whole / "tb").close()  # the run itself
+
+
+def test_a_loss_that_is_not_finite_is_written_as_it_is(tmp_path):
+    from population.train import Progress
+
+    files = EventFiles(CONFIG, tmp_path / "run", tmp_path / "tb")
+    row = {"update": 1, "steps": 80, "seconds": 1.0, "member": 0, "return": None, "policy_loss_robot": math.nan}
+    files(Progress(1, 6, 320, 1920, 100.0, 16.0, pl.DataFrame([row])))
+    files.close()
+    found = scalars(tmp_path / "tb" / MEMBERS[0])
+    assert math.isnan(found["learning/policy_loss_robot"][0][1]) and "episode/return" not in found
+    assert found["speed/steps_per_second"] == [(80, 25.0)]
+
+
+def test_without_the_library_it_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "tensorboardX.event_file_writer", None)
+    with pytest.raises(ValueError, match=r"install it with: pip install 'assistax-zoo\[tensorboard\]'"):
+        EventFiles(CONFIG, tmp_path / "run", tmp_path / "tb")
