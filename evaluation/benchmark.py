@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs import DISABILITY_SETTINGS, disability_params
-from evaluation.rollout import Rollout, episode_seeds
+from evaluation.jobs import Group, Job, Member, plan
+from evaluation.runner import Runner
 from population.policy import Policy
 from population.spec import PolicySpec
 
@@ -71,25 +72,21 @@ def measure_env(env: Any, batch: int, seconds: float = 3.0) -> EnvSpeed:
 
 
 def measure_evaluator(env: Any, shape: tuple[int, int, int], seconds: float = 3.0) -> EvaluatorSpeed:
-    """Measure the evaluator with untrained policies in a block [E, P, K] against the raw environment."""
+    """Measure the evaluator with untrained policies, E x P pairs and K episodes, against the raw environment.
+
+    The evaluator cuts the job as it would any other; the environment steps all simulations at once.
+    """
     egos, partners, episodes = shape
     simulations = egos * partners * episodes
     run = _open_loop(env, simulations)
     jax.block_until_ready(run(1))
     steps = _calls(run, seconds / REPEATS, env.episode_length // CALL) * CALL
-    specs = {role: PolicySpec(role, env.observation_size[role], env.action_size[role]) for role in ("robot", "human")}
-    params = {
-        role: jax.tree.map(
-            lambda leaf, n=count: jnp.repeat(leaf[None], n, axis=0), Policy(spec).init(jax.random.key(0))
-        )
-        for (role, spec), count in zip(specs.items(), (egos, partners), strict=True)
-    }
-    rollout = Rollout(env, Policy(specs["robot"]), Policy(specs["human"]), length=steps)
-    settings, seeds = disability_params(_settings(partners)), episode_seeds(0, range(episodes))
+    job = _untrained_job(env, shape)
+    runner, chunks = Runner(env, job, jax.local_devices()[:1], length=steps), plan(job, simulations)
 
     def evaluate() -> float:
         began = time.perf_counter()
-        rollout.run(params["robot"], params["human"], settings, seeds)
+        runner.run(chunks, lambda chunk, rows: None)
         return time.perf_counter() - began
 
     evaluate()
@@ -156,8 +153,15 @@ def _timed(run: Any, calls: int) -> float:
     return time.perf_counter() - began
 
 
-def _copies(params: Any, count: int) -> Any:
-    return jax.tree.map(lambda leaf: jnp.repeat(leaf[None], count, axis=0), params)
+def _untrained_job(env: Any, shape: tuple[int, int, int]) -> Job:
+    """Return a job of E robots with P humans for K episodes, whose networks are untrained."""
+    groups = []
+    for role, count in zip(("robot", "human"), shape, strict=False):
+        spec = PolicySpec(role, env.observation_size[role], env.action_size[role])
+        params = jax.tree.map(lambda leaf, n=count: np.repeat(leaf[None], n, 0), Policy(spec).init(jax.random.key(0)))
+        members = tuple(Member(f"{role}-{i}", "", disability=one) for i, one in enumerate(_settings(count)))
+        groups.append(Group(spec, members, params))
+    return Job(env.task, env.version, env.backend, (groups[0],), (groups[1],), shape[2])
 
 
 def _settings(count: int) -> list[str]:

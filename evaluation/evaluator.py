@@ -7,43 +7,21 @@ and at the end `episodes.parquet` in their place.
 import dataclasses
 import math
 import shutil
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
-import numpy as np
 import polars as pl
 
-from assistax_envs import disability_params
 from evaluation import tables
-from evaluation.egos import call_ego
-from evaluation.jobs import Chunk, Ego, Group, HostEgo, Job, Member, ReferenceSpec, plan
+from evaluation.jobs import Chunk, HostEgo, Job, plan
 from evaluation.locks import LOCK_FILE, locked
-from evaluation.reference_egos import ReferencePolicy
-from evaluation.rollout import Rollout, Tally, episode_seeds
-from population.policy import Policy
-from population.spec import PolicySpec
+from evaluation.runner import Meter, Progress, Runner
 
 MANIFEST_FILE = "manifest.json"
 PARTS_FOLDER = "parts"
-MAX_ENVS = {"native": 2048, "mjx": 16384, "mjx-warp": 32768}  # default bound of a chunk
-
-
-@dataclasses.dataclass(frozen=True)
-class Progress:
-    """How far a run is, in environment steps of this process."""
-
-    done: int
-    total: int
-    seconds: float  # spent in the environment and the networks, compilation not counted
-    what: str = "policies"  # whose episodes these are
-
-    @property
-    def eta(self) -> float | None:
-        """Seconds left at the speed so far; None before the first step."""
-        return None if self.done == 0 else self.seconds * (self.total - self.done) / self.done
+MAX_ENVS = {"native": 2048, "mjx": 16384, "mjx-warp": 32768}  # default bound of a chunk's simulations
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,13 +50,21 @@ def run_job(
     *,
     max_envs: int | None = None,
     wait: bool = False,
+    devices: Sequence[jax.Device] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Evaluation:
     """Evaluate every ego with every partner and write `episodes.parquet`.
 
     A folder of the same job is continued where it stopped, cut as it was begun; its table is that of a single run.
-    Without `max_envs`, the bound of a chunk is that of `MAX_ENVS`. Where another process writes to the folder, `wait`
-    for it or refuse.
+
+    Args:
+        env: The environment.
+        job: What is evaluated.
+        folder: For the table.
+        max_envs: Most simulations in a chunk; if not given, that of `MAX_ENVS`, or fewer to have one for each device.
+        wait: Wait for another process that writes to the folder; else refuse.
+        devices: Where to simulate; all of this process if not given.
+        on_progress: Told how far the run is.
 
     Raises:
         ValueError: the folder holds another job, or a policy reads other observations than the task gives.
@@ -86,8 +72,11 @@ def run_job(
     """
     check_sizes(env, job)
     check_folder(folder)
+    if max_envs is None:
+        share = math.ceil(job.rows / len(devices or jax.local_devices()))
+        max_envs = min(share, MAX_ENVS[job.backend])
     with locked(folder, wait=wait):
-        return _run_and_merge(env, job, folder, max_envs, on_progress)
+        return _run_and_merge(env, job, folder, max_envs, devices, on_progress)
 
 
 def run_block(
@@ -114,34 +103,44 @@ def run_block(
         chunks = plan(job, _open_folder(folder, job, max_envs or MAX_ENVS[job.backend]))
         mine = chunks[number - 1 :: count]
         if not (folder / tables.EPISODES_FILE).is_file():
-            _simulate(env, job, folder, [chunk for chunk in mine if not _is_done(folder, chunk)], on_progress)
+            _simulate(env, job, folder, [chunk for chunk in mine if not _is_done(folder, chunk)], None, on_progress)
         missing = sum(not _is_done(folder, chunk) for chunk in chunks)
     return BlockDone(len(mine), sum(chunk.rows for chunk in mine), len(chunks), missing)
 
 
 def _run_and_merge(
-    env: Any, job: Job, folder: Path, max_envs: int | None, on_progress: Callable[[Progress], None] | None
+    env: Any,
+    job: Job,
+    folder: Path,
+    max_envs: int,
+    devices: Sequence[jax.Device] | None,
+    on_progress: Callable[[Progress], None] | None,
 ) -> Evaluation:
-    chunks = plan(job, _open_folder(folder, job, max_envs or MAX_ENVS[job.backend]))
+    chunks = plan(job, _open_folder(folder, job, max_envs))
     target = folder / tables.EPISODES_FILE
     missing = [] if target.is_file() else [chunk for chunk in chunks if not _is_done(folder, chunk)]
-    runner = _simulate(env, job, folder, missing, on_progress)
+    speed, compile_seconds = _simulate(env, job, folder, missing, devices, on_progress)
     if not target.is_file():
         parts = pl.concat([pl.read_parquet(_part(folder, chunk)) for chunk in chunks])
         tables.write_episodes(_in_order(parts, job), target)
     shutil.rmtree(folder / PARTS_FOLDER, ignore_errors=True)
-    return Evaluation(tables.read_episodes(target), runner.speed, runner.compile_seconds)
+    return Evaluation(tables.read_episodes(target), speed, compile_seconds)
 
 
 def _simulate(
-    env: Any, job: Job, folder: Path, chunks: list[Chunk], on_progress: Callable[[Progress], None] | None
-) -> "_Runner":
-    """Run chunks, leaving each one's part in the folder; return what ran them."""
-    runner = _Runner(env, job, on_progress, sum(chunk.rows for chunk in chunks) * env.episode_length)
-    runner.report()
-    for chunk in chunks:
-        tables.write_parquet(runner.run(chunk), _part(folder, chunk))
-    return runner
+    env: Any,
+    job: Job,
+    folder: Path,
+    chunks: list[Chunk],
+    devices: Sequence[jax.Device] | None,
+    on_progress: Callable[[Progress], None] | None,
+) -> tuple[float | None, float]:
+    """Run chunks, leaving each one's part in the folder; return env steps per second and the compilation's seconds."""
+    meter = Meter(sum(chunk.rows for chunk in chunks) * env.episode_length, on_progress)
+    meter.report()
+    runner = Runner(env, job, devices)
+    runner.run(chunks, lambda chunk, rows: tables.write_parquet(rows, _part(folder, chunk)), meter)
+    return meter.speed, runner.compile_seconds
 
 
 def check_sizes(env: Any, job: Job) -> None:
@@ -169,7 +168,7 @@ def check_folder(folder: Path) -> None:
     try:
         with tables.atomic_path(folder / "writable.tmp") as probe:
             probe.write_bytes(b"")
-        (folder / "writable.tmp").unlink()
+        (folder / "writable.tmp").unlink(missing_ok=True)  # another block may have been quicker
     except OSError as error:
         raise OSError(f"cannot write to {folder} ({error.strerror or error}); choose another --out") from error
 
@@ -204,130 +203,6 @@ def _difference(found: dict[str, Any], expected: dict[str, Any], names: list[str
         here, there = expected[name], found.get(name)
         told.append(f"other {name}" if isinstance(here, (list, dict)) else f"{name} {there} there, {here} here")
     return ", ".join(told) or "a different hash"
-
-
-class _Runner:
-    """Runs chunks one after another, keeping what was compiled and where the parameters are."""
-
-    def __init__(self, env: Any, job: Job, on_progress: Callable[[Progress], None] | None, total: int) -> None:
-        self._env, self._job, self._on_progress = env, job, on_progress
-        self._rollouts: dict[Any, Rollout] = {}
-        self._done, self._total, self._seconds = 0, total, 0.0
-
-    @property
-    def speed(self) -> float | None:
-        return self._done / self._seconds if self._done else None
-
-    @property
-    def compile_seconds(self) -> float:
-        return sum((rollout.compile_seconds for rollout in self._rollouts.values()), start=0.0)
-
-    def report(self) -> None:
-        """Tell the caller how far the run is."""
-        if self._on_progress is not None:
-            self._on_progress(Progress(self._done, self._total, self._seconds))
-
-    def run(self, chunk: Chunk) -> pl.DataFrame:
-        """Simulate one chunk and return its rows, padding dropped."""
-        job, (e, p, k) = self._job, chunk.shape
-        ego, partner = job.egos[chunk.ego_group], job.partners[chunk.partner_group]
-        partners = [partner.members[row] for row in _padded(chunk.partners, p)]
-        rollout = self._rollout(ego, partner)
-        host = isinstance(ego, HostEgo)
-        before, began = rollout.compile_seconds, time.perf_counter()
-        spent = 0.0
-
-        def on_steps(steps: int) -> None:
-            nonlocal spent
-            now = time.perf_counter() - began - (rollout.compile_seconds - before)
-            self._seconds, spent = self._seconds + now - spent, now
-            self._done += steps * chunk.rows
-            self.report()
-
-        tally = self._run(
-            rollout,
-            chunk,
-            None if host else _take(ego.params, chunk.egos, p if chunk.paired else e),
-            _take(partner.params, chunk.partners, p),
-            disability_params([str(member.disability) for member in partners]),
-            episode_seeds(job.seed, _padded(chunk.episodes, k)),
-            act=call_ego(ego, [member.id for member in partners], k, self._env.action_size["robot"]) if host else None,
-            on_steps=on_steps,
-        )
-        return _rows(job, chunk, tally)
-
-    def _run(self, rollout: Rollout, chunk: Chunk, *args: Any, **options: Any) -> Tally:
-        """Run a rollout; where memory runs out, say what to do."""
-        try:
-            return rollout.run(*args, **options)
-        except jax.errors.JaxRuntimeError as error:
-            if "RESOURCE_EXHAUSTED" not in str(error):
-                raise
-            simulations = math.prod(chunk.shape)
-            raise ValueError(
-                f"out of memory with {simulations} simulations; use --max-envs {max(simulations // 2, 1)} or less"
-            ) from error
-
-    def _rollout(self, ego: Ego, partner: Group) -> Rollout:
-        robot = None if isinstance(ego, HostEgo) else ego.spec
-        key = robot, partner.spec
-        if key not in self._rollouts:
-            options = {"stochastic": self._job.stochastic, "paired": self._job.paired}
-            self._rollouts[key] = Rollout(self._env, _policy(robot), _policy(partner.spec), **options)
-        return self._rollouts[key]
-
-
-def _policy(spec: PolicySpec | ReferenceSpec | None) -> Any:
-    if isinstance(spec, ReferenceSpec):
-        return ReferencePolicy(spec)
-    return None if spec is None else Policy(spec)
-
-
-def _padded(rows: range, width: int) -> list[int]:
-    """Return the rows, the last repeated up to `width`."""
-    return [rows[min(i, len(rows) - 1)] for i in range(width)]
-
-
-def _take(params: Any, rows: range, width: int) -> Any:
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[_padded(rows, width)], params)
-
-
-def _rows(job: Job, chunk: Chunk, tally: Tally) -> pl.DataFrame:
-    """Return the real episodes of a chunk, ego by ego, partner by partner."""
-    e, p, k = 1 if chunk.paired else len(chunk.egos), len(chunk.partners), len(chunk.episodes)
-    tally = jax.tree.map(lambda leaf: leaf[:e, :p, :k].reshape(-1), tally)
-    egos = _described("ego", [job.egos[chunk.ego_group].members[row] for row in chunk.egos])
-    partners = _described("partner", [job.partners[chunk.partner_group].members[row] for row in chunk.partners])
-    sides = [job.sides.get(name) for name in partners["partner"]]
-    partners = partners.with_columns(pl.Series("side", sides, pl.String))
-    episodes = pl.DataFrame({"episode": list(chunk.episodes), "key": episode_seeds(job.seed, chunk.episodes)})
-    if chunk.paired:
-        rows = pl.concat([egos, partners], how="horizontal")
-    else:
-        rows = egos.join(partners, how="cross", maintain_order="left_right")
-    rows = rows.join(episodes, how="cross", maintain_order="left_right")
-    measured = {
-        "return": tally.returns,
-        "discounted_return": tally.discounted,
-        **{tables.TERM_PREFIX + name: value for name, value in tally.terms.items()},
-        "success": tally.success,
-        "force_mean": tally.force_sum / np.maximum(tally.steps, 1),
-        "force_peak": tally.force_peak,
-        "first_contact": np.where(tally.first_contact > 0, tally.first_contact, tally.steps),
-        "distance_mean": tally.distance_sum / np.maximum(tally.steps, 1),
-        **{f"{role}_travel": value for role, value in tally.travel.items()},
-        "nonfinite": tally.nonfinite,
-        "steps": tally.steps,
-    }
-    types = {name: tables.SCHEMA.get(name, pl.Float32()) for name in measured}
-    return rows.with_columns(pl.Series(name, value).cast(types[name]) for name, value in measured.items())
-
-
-def _described(seat: str, members: list[Member]) -> pl.DataFrame:
-    """Return the columns of a seat, one row a member."""
-    names = {seat: "id", **{f"{seat}_{name}": name for name in ("team", "algorithm", "disability", "seed")}}
-    schema = {column: tables.SCHEMA[column] for column in names}
-    return pl.DataFrame([[getattr(m, name) for name in names.values()] for m in members], schema=schema, orient="row")
 
 
 def _in_order(table: pl.DataFrame, job: Job) -> pl.DataFrame:

@@ -1,4 +1,7 @@
-"""What is evaluated, as data: policies in groups of one spec, the job, and its plan of equal chunks."""
+"""What is evaluated, as data: policies in groups of one spec, the job, and its plan.
+
+A plan has tiles, which are simulated together, in chunks, which are saved.
+"""
 
 import dataclasses
 import hashlib
@@ -10,7 +13,8 @@ from typing import Any
 
 from population.spec import PolicySpec
 
-MANIFEST_FORMAT = 2  # 2: the table has columns of behaviour
+MANIFEST_FORMAT = 3  # 2: the table has columns of behaviour. 3: tiles, by which values differ in the last bit
+TILE_ENVS = 256  # most simulations at once on `native`: twice as many are hardly faster on two cores
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,16 +138,15 @@ class Job:
 
 
 @dataclasses.dataclass(frozen=True)
-class Chunk:
+class Tile:
     """A rectangle of a job: [E egos, P partners, K episodes] simulated together, padded at the job's edge."""
 
-    index: int  # place in the plan; names the chunk's part
     ego_group: int
     partner_group: int
     egos: range  # real members of the ego group
     partners: range
     episodes: range
-    shape: tuple[int, int, int]  # [E, P, K] with padding: equal for all chunks of a pair of groups
+    shape: tuple[int, int, int]  # [E, P, K] with padding: equal for all tiles of a pair of groups
     paired: bool = False  # the egos are the partners' own, one each, and E is 1
 
     @property
@@ -154,26 +157,37 @@ class Chunk:
         return len(self.egos) * len(self.partners) * len(self.episodes)
 
 
+@dataclasses.dataclass(frozen=True)
+class Chunk:
+    """Tiles whose episodes are saved together."""
+
+    index: int  # place in the plan; names the chunk's part
+    tiles: tuple[Tile, ...]
+
+    @property
+    def rows(self) -> int:
+        """Number of episodes, padding not counted."""
+        return sum(tile.rows for tile in self.tiles)
+
+
 def count_members(groups: tuple[Ego, ...] | tuple[Group, ...]) -> int:
     """Return the number of policies in all groups."""
     return sum(len(group.members) for group in groups)
 
 
-def chunk_shape(egos: int, partners: int, episodes: int, max_envs: int, *, host: bool = False) -> tuple[int, int, int]:
-    """Choose [E, P, K] with E * P * K <= max_envs.
+def tile_shape(egos: int, partners: int, episodes: int, most: int, *, host: bool = False) -> tuple[int, int, int]:
+    """Choose [E, P, K] with E * P * K <= most.
 
-    Least work first, counting padded simulations and a fixed cost for each chunk; then the squarest, which reads the
+    Least work first, counting padded simulations and a fixed cost for each tile; then the squarest, which reads the
     fewest parameters for each simulation. Episodes are only split where one pair's do not fit.
     """
-    if max_envs < 1:
-        raise ValueError(f"max_envs is {max_envs}; allowed is 1 or more")
-    k = _balanced(episodes, max_envs)
-    pairs = max(1, max_envs // k)
+    k = _balanced(episodes, most)
+    pairs = max(1, most // k)
 
     def cost(shape: tuple[int, int]) -> tuple[int, int]:
         e, p = shape
-        chunks = math.ceil(egos / e) * math.ceil(partners / p)
-        return chunks * (e * p * k + max_envs // 4), e + p
+        tiles = math.ceil(egos / e) * math.ceil(partners / p)
+        return tiles * (e * p * k + most // 4), e + p
 
     widths = {_balanced(egos, width) for width in range(1, (1 if host else min(egos, pairs)) + 1)}
     e, p = min(((e, _balanced(partners, pairs // e)) for e in sorted(widths)), key=cost)
@@ -181,34 +195,44 @@ def chunk_shape(egos: int, partners: int, episodes: int, max_envs: int, *, host:
 
 
 def plan(job: Job, max_envs: int) -> list[Chunk]:
-    """Cut a job into chunks of at most `max_envs` simulations, one shape for each pair of groups."""
-    if job.paired:
-        return _plan_pairs(job, max_envs)
-    chunks: list[Chunk] = []
+    """Cut a job into tiles, and its tiles into chunks of at most `max_envs` simulations, but a tile at least.
+
+    On `native` the tiles are the job's own, whatever `max_envs` is: an episode is played in the same row of the same
+    program however the job is cut, and its values are the same. On other backends a chunk is one large tile.
+    """
+    if max_envs < 1:
+        raise ValueError(f"max_envs is {max_envs}; allowed is 1 or more")
+    tiles = cut_tiles(job, TILE_ENVS if job.backend == "native" else max_envs)
+    chunks: list[list[Tile]] = []
+    room = 0
+    for tile in tiles:
+        if math.prod(tile.shape) > room:
+            chunks.append([])
+            room = max_envs
+        chunks[-1].append(tile)
+        room -= math.prod(tile.shape)
+    return [Chunk(index, tuple(tiles)) for index, tiles in enumerate(chunks)]
+
+
+def cut_tiles(job: Job, most: int) -> list[Tile]:
+    """Cut a job into tiles of at most `most` simulations, one shape for each pair of groups."""
+    tiles: list[Tile] = []
     for i, ego in enumerate(job.egos):
         for j, partner in enumerate(job.partners):
-            sizes = len(ego.members), len(partner.members), job.episodes
-            shape = chunk_shape(*sizes, max_envs, host=isinstance(ego, HostEgo))
-            slices = [_cut(size, width) for size, width in zip(sizes, shape, strict=True)]
-            chunks += [
-                Chunk(0, i, j, egos, partners, episodes, shape)
-                for egos in slices[0]
-                for partners in slices[1]
-                for episodes in slices[2]
+            if job.paired and i != j:
+                continue
+            sizes = 1 if job.paired else len(ego.members), len(partner.members), job.episodes
+            shape = tile_shape(*sizes, most, host=isinstance(ego, HostEgo))
+            egos, partners, episodes = (_cut(size, width) for size, width in zip(sizes, shape, strict=True))
+            if shape == (1, 1, 1) and most > 1:
+                shape = (1, 1, 2)  # a batch of one takes other paths, and would round differently
+            tiles += [
+                Tile(i, j, p if job.paired else e, p, k, shape, job.paired)
+                for e in egos
+                for p in partners
+                for k in episodes
             ]
-    return [dataclasses.replace(chunk, index=index) for index, chunk in enumerate(chunks)]
-
-
-def _plan_pairs(job: Job, max_envs: int) -> list[Chunk]:
-    chunks: list[Chunk] = []
-    for i, partner in enumerate(job.partners):
-        _, p, k = shape = chunk_shape(1, len(partner.members), job.episodes, max_envs)
-        chunks += [
-            Chunk(0, i, i, rows, rows, episodes, shape, paired=True)
-            for rows in _cut(len(partner.members), p)
-            for episodes in _cut(job.episodes, k)
-        ]
-    return [dataclasses.replace(chunk, index=index) for index, chunk in enumerate(chunks)]
+    return tiles
 
 
 def _balanced(size: int, most: int) -> int:

@@ -2,11 +2,18 @@
 
 The environment sees one flat axis N = E * P * K. The robot's network maps over the stacked egos with observations
 [E, P * K, O], the human's over the partners with [P, E * K, O]: no simulation has parameters of its own.
+
+Values are those of the compiled program. Which simulation stands in which row of it changes nothing, but XLA's CPU
+compiler rounds the arithmetic of another program, for a block of another shape, differently in the last bit where it
+fuses it differently; contacts amplify that. So the networks and the environment stand in loops of their own there, into
+which nothing is fused: a block's shape then hardly shows. Where it must not show at all, callers keep to one shape.
 """
 
+import collections
 import dataclasses
 import functools
 import math
+import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Protocol
@@ -14,6 +21,8 @@ from typing import Any, Protocol
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from population.mapping import member_map
 
 GAMMA = 0.99  # of the discounted return
 SEGMENT = 100  # most environment steps in one call: between calls there is progress, and a key press is heard
@@ -67,7 +76,10 @@ class Loop:
 
 
 class Rollout:
-    """Blocks of one pair of specs; compiles once for each shape and keeps the seconds that took."""
+    """Blocks of one pair of specs; compiles once for each shape and device, and keeps the seconds that took.
+
+    Threads may run blocks on a device each.
+    """
 
     def __init__(
         self,
@@ -90,7 +102,7 @@ class Rollout:
             length: steps to play, if fewer than the episode's: for measuring speed.
         """
         self.env = env
-        self.compile_seconds = 0.0
+        self.compile_seconds: dict[jax.Device, float] = collections.defaultdict(float)
         self._paired = paired
         self._length = length or env.episode_length
         steps = 1 if robot is None else segment_length(self._length)
@@ -100,6 +112,7 @@ class Rollout:
         )
         self._steps = steps
         self._compiled: dict[Any, tuple[Callable[..., Loop], Callable[..., Loop]]] = {}
+        self._tracing = threading.Lock()  # the second device then finds the program traced
 
     def run(
         self,
@@ -110,6 +123,7 @@ class Rollout:
         *,
         act: Callable[[np.ndarray, int], np.ndarray] | None = None,
         on_steps: Callable[[int], None] | None = None,
+        device: jax.Device | None = None,
     ) -> Tally:
         """Play K episodes of every pair to their end.
 
@@ -120,36 +134,50 @@ class Rollout:
             seeds: K integers; `jax.random.key(seeds[k])` starts episode k of every pair (common random numbers).
             act: (observations [N, O] float32, step) -> actions [N, A], for a robot from outside.
             on_steps: called with the number of steps just done, of every simulation.
+            device: where to run; the first one if not given.
 
         Returns:
             The tally with NumPy leaves [E, P, K].
         """
         egos = 1 if robot_params is None or self._paired else jax.tree.leaves(robot_params)[0].shape[0]
         shape = egos, jax.tree.leaves(human_params)[0].shape[0], len(seeds)
+        device = device or jax.local_devices()[0]
         keys = jax.vmap(jax.random.key)(np.asarray(seeds, np.uint32))
-        robot_params, human_params, env_params = jax.device_put((robot_params, human_params, env_params))
-        start, advance = self._programs(shape, keys, robot_params, human_params, env_params)
+        robot_params, human_params, env_params, keys, once = jax.device_put(
+            (robot_params, human_params, env_params, keys, _once()), device
+        )
+        start, advance = self._programs(device, shape, keys, robot_params, human_params, env_params, once)
         loop = start(env_params, keys)
         for step in range(0, self._length, self._steps):
             action = None if act is None else act(np.array(loop.state.obs["robot"]), step)
-            loop = jax.block_until_ready(advance(loop, robot_params, human_params, keys, action))
+            loop = jax.block_until_ready(advance(loop, robot_params, human_params, keys, action, once))
             if on_steps is not None:
                 on_steps(self._steps)
         return jax.tree.map(lambda leaf: np.asarray(leaf).reshape(shape), loop.tally)
 
-    def _programs(self, shape: Shape, keys: Any, robot_params: Any, human_params: Any, env_params: Any):
-        """Compile for a shape, or find what was compiled, so that timed runs hold no compilation."""
-        if shape not in self._compiled:
+    def _programs(
+        self,
+        device: jax.Device,
+        shape: Shape,
+        keys: Any,
+        robot_params: Any,
+        human_params: Any,
+        env_params: Any,
+        once: Any,
+    ) -> tuple[Callable[..., Loop], Callable[..., Loop]]:
+        """Compile for a shape and device, or find what was compiled, so that timed runs hold no compilation."""
+        if (shape, device) not in self._compiled:
             began = time.perf_counter()
-            start = self._start.lower(env_params, keys, shape=shape).compile()
-            loop = jax.eval_shape(functools.partial(self._start, shape=shape), env_params, keys)
-            action = None
-            if robot_params is None:
-                action = jax.ShapeDtypeStruct((math.prod(shape), self.env.action_size["robot"]), jnp.float32)
-            advance = self._advance.lower(loop, robot_params, human_params, keys, action, shape=shape).compile()
-            self._compiled[shape] = start, advance
-            self.compile_seconds += time.perf_counter() - began
-        return self._compiled[shape]
+            with self._tracing:
+                start = self._start.lower(env_params, keys, shape=shape)
+                loop = jax.eval_shape(functools.partial(self._start, shape=shape), env_params, keys)
+                action = None
+                if robot_params is None:
+                    action = jax.ShapeDtypeStruct((math.prod(shape), self.env.action_size["robot"]), jnp.float32)
+                advance = self._advance.lower(loop, robot_params, human_params, keys, action, once, shape=shape)
+            self._compiled[shape, device] = start.compile(), advance.compile()
+            self.compile_seconds[device] += time.perf_counter() - began
+        return self._compiled[shape, device]
 
 
 def segment_length(episode_length: int) -> int:
@@ -206,11 +234,12 @@ def _advance(
     human_params: Any,
     keys: jax.Array,
     action: jax.Array | None,
+    once: jax.Array | None,
     *,
     shape: Shape,
     paired: bool = False,
 ) -> Loop:
-    """Advance a block by `steps`; `action` is the robots' where it comes from outside."""
+    """Advance a block by `steps`; `action` is the robots' where it comes from outside; for `once` see `_once`."""
     e, p, k = shape
 
     def body(loop: Loop, _: None) -> tuple[Loop, None]:
@@ -225,7 +254,7 @@ def _advance(
         obs = loop.state.obs["human"].reshape(e, p, k, -1).swapaxes(0, 1).reshape(p, e * k, -1)
         human_carry, acted = _act(human, human_params, loop.human, obs, loop.time, noise[1])
         human_action = acted.reshape(p, e, k, -1).swapaxes(0, 1).reshape(e * p * k, -1)
-        state = env.step(loop.state, {"robot": robot_action, "human": human_action})
+        state = _step_alone(env, loop.state, {"robot": robot_action, "human": human_action}, once)
         travel = _travel(env.joint_positions(loop.state), env.joint_positions(state))
         tally = accumulate(loop.tally, state, travel, loop.time)
         return Loop(state, robot_carry, human_carry, tally, loop.time + 1), None
@@ -258,6 +287,21 @@ def accumulate(tally: Tally, state: Any, travel: dict[str, jax.Array], time: jax
     )
 
 
+def _once() -> np.ndarray | None:
+    """Return the number of environment steps in one step of a block: 1, as an argument that XLA does not know.
+
+    None where no loop is wanted: on an accelerator the host would wait for it at every step.
+    """
+    return np.asarray(1, np.int32) if jax.default_backend() == "cpu" else None
+
+
+def _step_alone(env: Environment, state: Any, actions: dict[str, Any], once: jax.Array | None) -> Any:
+    """Step the environment in a loop of its own, into which the compiler fuses nothing of what stands around it."""
+    if once is None:
+        return env.step(state, actions)
+    return jax.lax.fori_loop(0, once, lambda _, state: env.step(state, actions), state)
+
+
 def _travel(before: dict[str, jax.Array], after: dict[str, jax.Array]) -> dict[str, jax.Array]:
     return {role: jnp.sum(jnp.abs(after[role] - before[role]), axis=-1) for role in after}
 
@@ -274,9 +318,9 @@ def _act(
     obs = jnp.broadcast_to(obs, (obs.shape[0], _rows(rows), obs.shape[2]))
     first = jnp.broadcast_to(time == 0, obs.shape[:2])
     if keys is None:
-        carry, action = jax.vmap(policy.act)(params, carry, obs, first)
+        carry, action = member_map(policy.act)(params, carry, obs, first)
         return carry, action[:, :rows]
-    carry, gaussian = jax.vmap(policy.step)(params, carry, obs, first)
+    carry, gaussian = member_map(policy.step)(params, carry, obs, first)
     tiled = keys[jnp.arange(obs.shape[1]) % keys.shape[0]]
     draw = jax.vmap(jax.vmap(lambda gaussian, key: gaussian.sample(key)), in_axes=(0, None))
     return carry, gaussian.action(draw(gaussian, tiled))[:, :rows]

@@ -1,7 +1,9 @@
 """The two jobs that users run: M_test of a robot, and the cross-play of a population. Each fills a folder."""
 
 import dataclasses
+import re
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +13,8 @@ from assistax_envs.versions import TASKS, VERSIONS
 from evaluation import tables
 from evaluation.evaluator import Evaluation, Progress, check_folder, run_block, run_job
 from evaluation.jobs import Ego, Group, Job
+from evaluation.spread import run_blocks_on_ray
+from population.engines import RayCluster
 from zoo.errors import RegistryVersionError, SplitError
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
@@ -100,32 +104,41 @@ def cross_play(
     settings: Settings,
     folder: Path,
     *,
+    release: str | None = None,
     block: tuple[int, int] | None = None,
+    cluster: RayCluster | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> dict[str, Any]:
     """Evaluate the robots of a population with its humans; return what `crossplay --json` prints.
 
-    `egos` and `partners` are globs over policy or team ids; the rest is as in `evaluate_policies`. With `block` only
-    that share of the chunks is simulated, and how many are missing is returned: see `evaluation.evaluator.run_block`.
+    `egos` and `partners` are globs over policy or team ids of a release, the registry's default if not given; a glob
+    that names a release is taken at its word. The rest is as in `evaluate_policies`. With `block` only that share of
+    the chunks is simulated, and how many are missing is returned: see `evaluation.evaluator.run_block`. With a
+    `cluster` the chunks are spread over it, in as many blocks as it runs at once.
     """
     from evaluation.egos import registry_groups
     from evaluation.summary import save_crossplay
 
     check_folder(folder)
+    release = release or registry.release
     try:
-        manifest = registry.split(settings.task)
+        manifest = registry.split(settings.task, release=release)
     except SplitError:
         manifest = None  # a population without a split has cross-play all the same
-    robots = registry.select(egos, task=settings.task, role="robot")
-    humans = registry.select(partners, task=settings.task, role="human")
+    robots = in_release(registry, egos, release, task=settings.task, role="robot")
+    humans = in_release(registry, partners, release, task=settings.task, role="human")
     check_env_version(registry, robots)
     groups = registry_groups(registry, robots)
     env, job = _make_job(registry, groups, humans, settings, manifest)
     if block is not None:
         done = run_block(env, job, folder, block, max_envs=settings.max_envs, on_progress=on_progress)
         return {"block": f"{block[0]}/{block[1]}", **dataclasses.asdict(done)}
+    if cluster is not None:
+        make_env = partial(type(env), settings.task, env.backend)
+        run_blocks_on_ray(make_env, job, folder, cluster, max_envs=settings.max_envs, on_progress=on_progress)
     result, origin = _run(env, job, settings, folder, on_progress)
-    summary = save_crossplay(folder, result.table, split=manifest, release=registry.release, **origin)
+    releases = ", ".join(sorted({entry.release for entry in (*robots, *humans)}))
+    summary = save_crossplay(folder, result.table, split=manifest, release=releases, **origin)
     summary["lock"] = registry.lock
     tables.write_json(summary, folder / tables.SUMMARY_FILE)
     _draw(folder, summary)
@@ -140,6 +153,18 @@ def _draw(folder: Path, summary: dict[str, Any]) -> None:
 
     matrix = arrange(tables.read_parquet(folder / tables.PAIRS_FILE), tables.read_json(folder / tables.ORDER_FILE))
     save_figure(crossplay_heatmap(matrix, summary), folder / FIGURE_FILE)
+
+
+def in_release(
+    registry: Registry, patterns: str | Sequence[str], release: str, *, task: str, role: str
+) -> list[PolicyEntry]:
+    """Return the policies of a release that match; a pattern that names a release is looked up in all."""
+    found: dict[str, PolicyEntry] = {}
+    for pattern in [patterns] if isinstance(patterns, str) else patterns:
+        named = re.search(r"-v\d+(/|$)", pattern)
+        chosen = registry.select(pattern, task=task, role=role, release=None if named else release)
+        found |= {entry.id: entry for entry in chosen}
+    return [entry for entry in registry.policies if entry.id in found]
 
 
 def check_env_version(registry: Registry, entries: Sequence[PolicyEntry]) -> None:

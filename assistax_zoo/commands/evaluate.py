@@ -6,13 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from assistax_zoo.commands.options import Engine, Playing, Source
 from assistax_zoo.console import cache_folder, command_line, print_json, progress, stdout_is_data
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from evaluation.evaluator import Progress
-    from zoo.registry import Registry
 
 
 def evaluate(
@@ -21,16 +21,11 @@ def evaluate(
     policy: tuple[str, ...],
     split: str | None = None,
     partners: tuple[str, ...] = (),
-    episodes: int = 8,
-    seed: int = 0,
-    backend: str = "auto",
-    stochastic: bool = False,
-    max_envs: int | None = None,
+    playing: Playing = Playing(),
     references: bool = True,
     crossplay: Path | None = None,
     out: Path | None = None,
-    registry: Path | None = None,
-    lock: Path | None = None,
+    source: Source = Source(),
     json: bool = False,
 ) -> None:
     """Compute M_test: the return of robot policies with partners of the zoo that they never met.
@@ -43,16 +38,11 @@ def evaluate(
         policy: Robot: zoo:ID, a .safetensors file, or python:package.module:factory; repeat it for more seeds.
         split: Partners: test (default), train or both sides of the default split, or another split's id (ID:both).
         partners: Glob over partners to use only some, such as 'scratch/ippo-d9-*'; repeat it for more.
-        episodes: Episodes with each partner.
-        seed: Seed of the episodes.
-        backend: native, mjx, mjx-warp, or auto for the fastest here.
-        stochastic: Draw actions instead of taking each policy's most likely one.
-        max_envs: Most simulations at once; lower it if memory runs out.
+        playing: How they play.
         references: Compare with zero and random actions and with each partner's own robot; kept for the next time.
         crossplay: Folder of a finished cross-play, whose best robots may be the partners' best responses.
         out: Folder for the tables.
-        registry: Registry to read instead of the installed one.
-        lock: Lock file of a paper; partners, bytes and splits other than those it pins are refused.
+        source: Where policies come from.
         json: Print JSON.
 
     Example:
@@ -61,13 +51,12 @@ def evaluate(
     with stdout_is_data(), contextlib.ExitStack() as stack:
         folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="assistax-zoo-")))
         from evaluation.provenance import write_run
-        from evaluation.studies import Settings, evaluate_policies
+        from evaluation.studies import evaluate_policies
 
-        settings = Settings(task, episodes, seed, backend, stochastic, max_envs)
         summary = evaluate_policies(
-            _registry(registry, lock, task, split),
+            source.load(task, split),
             policy,
-            settings,
+            playing.settings(task),
             folder,
             split=split,
             partners=partners or None,
@@ -90,14 +79,11 @@ def crossplay(
     out: Path,
     egos: tuple[str, ...] = (),
     partners: tuple[str, ...] = (),
-    episodes: int = 8,
-    seed: int = 0,
-    backend: str = "auto",
-    stochastic: bool = False,
-    max_envs: int | None = None,
+    release: str | None = None,
+    playing: Playing = Playing(),
     block: str | None = None,
-    registry: Path | None = None,
-    lock: Path | None = None,
+    engine: Engine = Engine(),
+    source: Source = Source(),
     json: bool = False,
 ) -> None:
     """Play every robot of a population with every human, and draw the clustered matrix.
@@ -109,31 +95,32 @@ def crossplay(
         out: Folder for the tables and the figure.
         egos: Glob over robots, such as 'scratch/ippo-*/robot'; repeat it for more; all if not given.
         partners: Glob over humans; repeat it for more; all if not given.
-        episodes: Episodes of each pair.
-        seed: Seed of the episodes, the same for every pair.
-        backend: native, mjx, mjx-warp, or auto for the fastest here.
-        stochastic: Draw actions instead of taking each policy's most likely one.
-        max_envs: Most simulations at once; lower it if memory runs out.
+        release: Release of both, where a glob names none; default the newest whole one.
+        playing: How they play.
         block: Simulate only a share, such as 2/4; with the parts of all, the command without --block merges them.
-        registry: Registry to read instead of the installed one.
-        lock: Lock file of a paper; partners, bytes and splits other than those it pins are refused.
+        engine: What runs the blocks.
+        source: Where policies come from.
         json: Print JSON.
 
     Example:
         assistax-zoo crossplay --task scratch --egos 'scratch/ippo-*/robot' --partners 'scratch/ippo-*/human' --out xp
     """
+    cluster = engine.cluster()
+    if block and cluster:
+        raise ValueError("--block is one share of a run by hand, --engine ray spreads all of them; leave one out")
     with stdout_is_data(), contextlib.ExitStack() as stack:
         from evaluation.provenance import write_run
-        from evaluation.studies import Settings, cross_play
+        from evaluation.studies import cross_play
 
-        settings = Settings(task, episodes, seed, backend, stochastic, max_envs)
         summary = cross_play(
-            _registry(registry, lock, task),
+            source.load(task),
             egos or f"{task}/*",
             partners or f"{task}/*",
-            settings,
+            playing.settings(task),
             out,
+            release=release,
             block=_block(block),
+            cluster=cluster,
             on_progress=_shown(stack, f"crossplay {task}"),
         )
         if not block:
@@ -163,18 +150,6 @@ def _print_block(summary: dict[str, Any], out: Path) -> None:
         print(f"{summary['missing']} of {summary['all_chunks']} parts are not here; gather those of all blocks")
     else:
         print("all parts are here: the same command without --block merges them")
-
-
-def _registry(path: Path | None, lock: Path | None, task: str, split: str | None = None) -> "Registry":
-    """Return the registry, narrowed down to what the lock file pins if there is one."""
-    from zoo.registry import load_registry
-
-    loaded = load_registry(path)
-    if lock is None:
-        return loaded
-    from zoo.lock import apply_lock, read_lock
-
-    return apply_lock(loaded, read_lock(lock), task=task, split=split)
 
 
 def _shown(stack: contextlib.ExitStack, description: str) -> Callable[["Progress"], None]:

@@ -15,14 +15,15 @@ import pytest
 from evaluation import tables
 from evaluation.egos import EgoError
 from evaluation.evaluator import MANIFEST_FILE, PARTS_FOLDER, Progress, check_folder, run_job
-from evaluation.jobs import Group, HostEgo, Job, Member, chunk_shape, plan
+from evaluation.jobs import Group, HostEgo, Job, Member, plan, tile_shape
 from tests.evaluation.matrix_game import HUMAN, PAYOFF, ROBOT, MatrixGame, humans, random_group, robots
 
 
 def make_job(egos: Any = None, partners: Any = None, **changes: Any) -> Job:
     egos = egos or (robots(-0.5, 0.5),)
     partners = partners or (humans(-0.5, 0.5, -0.5, disabilities=("d1", "d2", "d3")),)
-    options: dict[str, Any] = {"task": "matrix", "env_version": 1, "backend": "native", "episodes": 3, **changes}
+    # Not "native", so that `max_envs` cuts even jobs as small as these: see test_invariance.py for that backend.
+    options: dict[str, Any] = {"task": "matrix", "env_version": 1, "backend": "mjx", "episodes": 3, **changes}
     return Job(egos=egos, partners=partners, **options)
 
 
@@ -63,7 +64,7 @@ def test_chunk_size_does_not_change_a_value(tmp_path: Path, job: Job):
 def test_padded_chunks_drop_what_was_padded(tmp_path: Path):
     job = make_job((random_group(ROBOT, 5, 1),), (random_group(HUMAN, 5, 3),), episodes=2)
     chunks = plan(job, 8)
-    assert any(chunk.rows < np.prod(chunk.shape) for chunk in chunks)
+    assert any(tile.rows < np.prod(tile.shape) for chunk in chunks for tile in chunk.tiles)
     assert sum(chunk.rows for chunk in chunks) == job.rows == 50
     assert run_job(MatrixGame(), job, tmp_path, max_envs=8).table.height == 50
 
@@ -71,7 +72,7 @@ def test_padded_chunks_drop_what_was_padded(tmp_path: Path):
 @pytest.mark.parametrize("sizes", [(1, 99, 8), (198, 198, 16), (3, 5, 2), (7, 1, 40), (1, 1, 1)])
 @pytest.mark.parametrize("max_envs", [1, 30, 2048])
 def test_a_plan_covers_every_episode_once_within_its_bound(sizes: tuple[int, int, int], max_envs: int):
-    e, p, k = shape = chunk_shape(*sizes, max_envs)
+    e, p, k = shape = tile_shape(*sizes, max_envs)
     assert e * p * k <= max_envs
     assert all(1 <= width <= size for width, size in zip(shape, sizes, strict=True))
     if k < sizes[2]:
@@ -79,9 +80,9 @@ def test_a_plan_covers_every_episode_once_within_its_bound(sizes: tuple[int, int
 
 
 def test_a_plan_wastes_little():
-    assert chunk_shape(1, 99, 8, 2048) == (1, 99, 8)
-    assert chunk_shape(32, 32, 2, 2048) == (32, 32, 2)
-    e, p, k = chunk_shape(198, 198, 16, 16384)
+    assert tile_shape(1, 99, 8, 2048) == (1, 99, 8)
+    assert tile_shape(32, 32, 2, 2048) == (32, 32, 2)
+    e, p, k = tile_shape(198, 198, 16, 16384)
     chunks = math.ceil(198 / e) * math.ceil(198 / p)
     assert chunks * e * p * k < 1.05 * 198 * 198 * 16
     assert e * p * k > 0.8 * 16384

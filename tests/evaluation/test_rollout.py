@@ -175,7 +175,9 @@ def test_no_simulation_has_parameters_of_its_own():
     keys = jax.vmap(jax.random.key)(jnp.arange(50))
     settings = disability_params(SETTINGS)
     loop = rollout._start(settings, keys, shape=shape)
-    program = jax.make_jaxpr(lambda *a: rollout._advance(*a, None, shape=shape))(loop, robot.params, human.params, keys)
+    program = jax.make_jaxpr(lambda *a: rollout._advance(*a, None, np.int32(1), shape=shape))(
+        loop, robot.params, human.params, keys
+    )
     assert parameters_per_simulation(program.jaxpr, 300, 64 * 64) == []
 
     def gathered(obs: jax.Array, kernels: jax.Array) -> jax.Array:

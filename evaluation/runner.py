@@ -1,0 +1,239 @@
+"""Simulate chunks on the devices of this host, and lay what they gave out as rows.
+
+Each device has a thread that takes the next chunk when it is done with one. Which device a chunk runs on does not show
+in its values: all run the same program.
+"""
+
+import concurrent.futures
+import dataclasses
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+import polars as pl
+
+from assistax_envs import disability_params
+from evaluation import tables
+from evaluation.egos import call_ego
+from evaluation.jobs import Chunk, Ego, Group, HostEgo, Job, Member, ReferenceSpec, Tile
+from evaluation.reference_egos import ReferencePolicy
+from evaluation.rollout import Rollout, Tally, episode_seeds
+from population.policy import Policy
+from population.spec import PolicySpec
+
+
+@dataclasses.dataclass(frozen=True)
+class Progress:
+    """How far a run is, in environment steps of this process."""
+
+    done: int
+    total: int
+    seconds: float  # spent in the environment and the networks, compilation not counted
+    what: str = "policies"  # whose episodes these are
+
+    @property
+    def eta(self) -> float | None:
+        """Seconds left at the speed so far; None before the first step."""
+        return None if self.done == 0 else self.seconds * (self.total - self.done) / self.done
+
+
+class Meter:
+    """Counts what all devices have done, and tells the caller."""
+
+    def __init__(self, total: int, on_progress: Callable[[Progress], None] | None = None) -> None:
+        self._total, self._on_progress = total, on_progress
+        self._done, self._seconds = 0, {}
+        self._lock = threading.Lock()
+        self._stopped = False
+
+    @property
+    def speed(self) -> float | None:
+        """Environment steps per second of all devices together; None before the first step."""
+        return self._done / self._longest() if self._done else None
+
+    def report(self) -> None:
+        """Tell the caller how far the run is."""
+        if self._on_progress is not None:
+            self._on_progress(Progress(self._done, self._total, self._longest()))
+
+    def add(self, device: jax.Device, steps: int, seconds: float) -> None:
+        """Count steps that a device has just done."""
+        with self._lock:
+            if self._stopped:
+                raise _StoppedError
+            self._done += steps
+            self._seconds[device] = self._seconds.get(device, 0.0) + seconds
+            self.report()
+
+    def stop(self) -> None:
+        """Make every device stop when it next has something to count."""
+        self._stopped = True
+
+    def _longest(self) -> float:
+        return max(self._seconds.values(), default=0.0)
+
+
+class _StoppedError(Exception):
+    """Another device failed, or the run was interrupted."""
+
+
+class Runner:
+    """Runs the chunks of one job, keeping what was compiled."""
+
+    def __init__(
+        self, env: Any, job: Job, devices: Sequence[jax.Device] | None = None, length: int | None = None
+    ) -> None:
+        """Prepare to run.
+
+        Args:
+            env: the environment.
+            job: what is evaluated.
+            devices: where to run; all of this process if not given. A robot from outside is called by one only.
+            length: steps to play, if fewer than an episode's: for measuring speed.
+        """
+        self._env, self._job, self._length = env, job, length
+        self._devices = tuple(devices or jax.local_devices())
+        if any(isinstance(ego, HostEgo) for ego in job.egos):
+            self._devices = self._devices[:1]
+        self._rollouts: dict[Any, Rollout] = {}
+        self._lock = threading.Lock()
+
+    @property
+    def compile_seconds(self) -> float:
+        """Seconds that compilation took, on the device where it took longest."""
+        return max((sum(r.compile_seconds[d] for r in self._rollouts.values()) for d in self._devices), default=0.0)
+
+    def run(
+        self, chunks: Sequence[Chunk], save: Callable[[Chunk, pl.DataFrame], None], meter: Meter | None = None
+    ) -> None:
+        """Simulate chunks and `save` the rows of each, padding dropped, when it is done."""
+        queue, meter = iter(chunks), meter or Meter(0)
+        if len(self._devices) == 1:
+            self._work(self._devices[0], queue, save, meter)
+            return
+        with concurrent.futures.ThreadPoolExecutor(len(self._devices)) as pool:
+            works = [pool.submit(self._work, device, queue, save, meter) for device in self._devices]
+            try:
+                for work in concurrent.futures.as_completed(works):
+                    work.result()
+            except BaseException:
+                meter.stop()
+                raise
+
+    def _work(
+        self, device: jax.Device, queue: Iterator[Chunk], save: Callable[[Chunk, pl.DataFrame], None], meter: Meter
+    ) -> None:
+        """Run what is left in the queue, chunk by chunk, on one device."""
+        while True:
+            with self._lock:
+                chunk = next(queue, None)
+            if chunk is None:
+                return
+            save(chunk, pl.concat([self._run_tile(device, tile, meter) for tile in chunk.tiles]))
+
+    def _run_tile(self, device: jax.Device, tile: Tile, meter: Meter) -> pl.DataFrame:
+        job, (e, p, k) = self._job, tile.shape
+        ego, partner = job.egos[tile.ego_group], job.partners[tile.partner_group]
+        partners = [partner.members[row] for row in _padded(tile.partners, p)]
+        rollout = self._rollout(ego, partner)
+        host = isinstance(ego, HostEgo)
+        before, counted = rollout.compile_seconds[device], 0.0
+        began = time.perf_counter()
+
+        def on_steps(steps: int) -> None:
+            nonlocal counted
+            spent = time.perf_counter() - began - (rollout.compile_seconds[device] - before)
+            counted, seconds = spent, spent - counted
+            meter.add(device, steps * tile.rows, seconds)
+
+        tally = _run(
+            rollout,
+            tile,
+            None if host else _take(ego.params, tile.egos, p if tile.paired else e),
+            _take(partner.params, tile.partners, p),
+            disability_params([str(member.disability) for member in partners]),
+            episode_seeds(job.seed, _padded(tile.episodes, k)),
+            act=call_ego(ego, [member.id for member in partners], k, self._env.action_size["robot"]) if host else None,
+            on_steps=on_steps,
+            device=device,
+        )
+        return _rows(job, tile, tally)
+
+    def _rollout(self, ego: Ego, partner: Group) -> Rollout:
+        robot = None if isinstance(ego, HostEgo) else ego.spec
+        key = robot, partner.spec
+        with self._lock:
+            if key not in self._rollouts:
+                options = {"stochastic": self._job.stochastic, "paired": self._job.paired, "length": self._length}
+                self._rollouts[key] = Rollout(self._env, _policy(robot), _policy(partner.spec), **options)
+            return self._rollouts[key]
+
+
+def _run(rollout: Rollout, tile: Tile, *args: Any, **options: Any) -> Tally:
+    """Run a rollout; where memory runs out, say what to do."""
+    try:
+        return rollout.run(*args, **options)
+    except jax.errors.JaxRuntimeError as error:
+        if "RESOURCE_EXHAUSTED" not in str(error):
+            raise
+        simulations = math.prod(tile.shape)
+        raise ValueError(
+            f"out of memory with {simulations} simulations; use --max-envs {max(simulations // 2, 1)} or less"
+        ) from error
+
+
+def _policy(spec: PolicySpec | ReferenceSpec | None) -> Any:
+    if isinstance(spec, ReferenceSpec):
+        return ReferencePolicy(spec)
+    return None if spec is None else Policy(spec)
+
+
+def _padded(rows: range, width: int) -> list[int]:
+    """Return the rows, the last repeated up to `width`."""
+    return [rows[min(i, len(rows) - 1)] for i in range(width)]
+
+
+def _take(params: Any, rows: range, width: int) -> Any:
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[_padded(rows, width)], params)
+
+
+def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
+    """Return the real episodes of a tile, ego by ego, partner by partner."""
+    e, p, k = 1 if tile.paired else len(tile.egos), len(tile.partners), len(tile.episodes)
+    tally = jax.tree.map(lambda leaf: leaf[:e, :p, :k].reshape(-1), tally)
+    egos = _described("ego", [job.egos[tile.ego_group].members[row] for row in tile.egos])
+    partners = _described("partner", [job.partners[tile.partner_group].members[row] for row in tile.partners])
+    sides = [job.sides.get(name) for name in partners["partner"]]
+    partners = partners.with_columns(pl.Series("side", sides, pl.String))
+    episodes = pl.DataFrame({"episode": list(tile.episodes), "key": episode_seeds(job.seed, tile.episodes)})
+    if tile.paired:
+        rows = pl.concat([egos, partners], how="horizontal")
+    else:
+        rows = egos.join(partners, how="cross", maintain_order="left_right")
+    rows = rows.join(episodes, how="cross", maintain_order="left_right")
+    measured = {
+        "return": tally.returns,
+        "discounted_return": tally.discounted,
+        **{tables.TERM_PREFIX + name: value for name, value in tally.terms.items()},
+        "success": tally.success,
+        "force_mean": tally.force_sum / np.maximum(tally.steps, 1),
+        "force_peak": tally.force_peak,
+        "first_contact": np.where(tally.first_contact > 0, tally.first_contact, tally.steps),
+        "distance_mean": tally.distance_sum / np.maximum(tally.steps, 1),
+        **{f"{role}_travel": value for role, value in tally.travel.items()},
+        "nonfinite": tally.nonfinite,
+        "steps": tally.steps,
+    }
+    types = {name: tables.SCHEMA.get(name, pl.Float32()) for name in measured}
+    return rows.with_columns(pl.Series(name, value).cast(types[name]) for name, value in measured.items())
+
+
+def _described(seat: str, members: list[Member]) -> pl.DataFrame:
+    """Return the columns of a seat, one row a member."""
+    names = {seat: "id", **{f"{seat}_{name}": name for name in ("team", "algorithm", "disability", "seed")}}
+    schema = {column: tables.SCHEMA[column] for column in names}
+    return pl.DataFrame([[getattr(m, name) for name in names.values()] for m in members], schema=schema, orient="row")

@@ -1,0 +1,161 @@
+"""On `native`, and on the real scene, no value depends on how a job is cut, ordered, killed or spread over devices."""
+
+import functools
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import polars as pl
+import pytest
+
+from assistax_envs import Env, make
+from evaluation import jobs, rollout, tables
+from evaluation.egos import registry_groups
+from evaluation.evaluator import _in_order, run_block, run_job  # noqa: F401 (scripts of subprocesses use them)
+from evaluation.jobs import HostEgo, Job, Member, plan
+from evaluation.runner import Runner
+from zoo.registry import load_registry
+
+ROOT = Path(__file__).parents[2]
+TILE = 64  # smaller than a user's: three tiles are then quick to play
+SIZES = (5, 5, 5)  # egos, partners, episodes: [2, 5, 5] three times, the last one padded
+
+
+@pytest.fixture(autouse=True)
+def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jobs, "TILE_ENVS", TILE)
+
+
+@functools.cache
+def scratch(length: int) -> Env:
+    env = make("scratch", "native")
+    env.episode_length = length
+    return env
+
+
+def real_job(sizes: tuple[int, int, int] = SIZES, **changes: Any) -> Job:
+    registry = load_registry()
+    egos, partners = (
+        registry_groups(registry, registry.select("scratch/ippo-*", task="scratch", role=role)[:count])
+        for role, count in zip(("robot", "human"), sizes, strict=False)
+    )
+    options: dict[str, Any] = {"egos": egos, "partners": partners, "backend": "native", **changes}
+    return Job("scratch", 1, episodes=sizes[2], **options)
+
+
+def played(runner: Runner, job: Job, max_envs: int, order: Callable[[list], Sequence] = list) -> pl.DataFrame:
+    """Return the episode table of a job in memory; compiles nothing that `runner` has compiled."""
+    parts: list[pl.DataFrame] = []
+    runner.run(order(plan(job, max_envs)), lambda chunk, rows: parts.append(rows))
+    return _in_order(pl.concat(parts), job)
+
+
+def differing(one: pl.DataFrame, other: pl.DataFrame) -> int:
+    """Return how many episodes differ in any value, of those that both tables have."""
+    keys = ["ego", "partner", "episode"]
+    shared = one.join(other, on=keys, how="semi").sort(keys), other.join(one, on=keys, how="semi").sort(keys)
+    assert shared[0].height == shared[1].height > 0
+    same = [(shared[0][name].eq_missing(shared[1][name])).to_numpy() for name in one.columns]
+    return int((~np.all(same, axis=0)).sum())
+
+
+def test_the_tiles_of_native_are_the_jobs_own():
+    job = real_job()
+    cuts = {max_envs: plan(job, max_envs) for max_envs in (1, 130, 2048)}
+    tiles = [[tile for chunk in chunks for tile in chunk.tiles] for chunks in cuts.values()]
+    assert tiles[0] == tiles[1] == tiles[2]
+    assert [len(chunks) for chunks in cuts.values()] == [3, 2, 1]
+    assert any(tile.rows < np.prod(tile.shape) for tile in tiles[0])
+    assert max(int(np.prod(tile.shape)) for tile in tiles[0]) <= TILE
+    assert sum(tile.rows for tile in tiles[0]) == job.rows
+    elsewhere = plan(real_job(backend="mjx"), 2048)
+    assert [len(chunk.tiles) for chunk in elsewhere] == [1]  # an accelerator wants one large batch
+
+
+def test_neither_chunks_nor_their_order_change_a_value():
+    job = real_job()
+    runner = Runner(scratch(60), job)
+    whole = played(runner, job, 2048)
+    assert whole.height == job.rows
+    assert whole["return"].n_unique() > 0.9 * job.rows
+    assert differing(played(runner, job, 1, lambda chunks: chunks[::-1]), whole) == 0
+    assert differing(played(runner, job, 130), whole) == 0
+
+
+@pytest.mark.slow
+def test_other_policies_in_the_job_do_not_change_a_value():
+    whole = played(Runner(scratch(200), real_job()), real_job(), 2048)
+    for sizes in ((1, 1, 1), (1, 5, 4), (3, 1, 5)):
+        job = real_job(sizes)
+        assert differing(played(Runner(scratch(200), job), job, 2048), whole) == 0
+
+
+@pytest.mark.slow
+def test_the_check_sees_a_plan_whose_tiles_follow_max_envs(monkeypatch: pytest.MonkeyPatch):
+    """Planted: tiles by `max_envs`, and a program in which XLA fuses networks and environment as it likes."""
+    monkeypatch.setattr(rollout, "_once", lambda: None)
+    monkeypatch.setattr(rollout, "member_map", jax.vmap)
+    job = real_job(backend="mjx")
+    runner = Runner(scratch(60), job)
+    assert differing(played(runner, job, 25), played(runner, job, 2048)) > 0
+
+
+@pytest.mark.slow
+def test_batches_of_a_robot_from_outside_are_the_jobs_own():
+    sizes: list[int] = []
+
+    def act(obs: np.ndarray) -> np.ndarray:
+        sizes.append(len(obs))
+        return np.tanh(obs[:, :7])
+
+    job = real_job((1, 30, 5), egos=(HostEgo(Member("python:mine:robot", "source"), act),))
+    runner = Runner(scratch(10), job)
+    whole = played(runner, job, 2048)
+    assert differing(played(runner, job, 1, lambda chunks: chunks[::-1]), whole) == 0
+    assert len(set(sizes)) == 1
+
+
+def run_in_process(script: str, *arguments: object, devices: int = 1) -> subprocess.CompletedProcess:
+    """Run a script as a user would: with XLA's own defaults, not those of tests."""
+    flags = f"--xla_force_host_platform_device_count={devices}"
+    head = "from tests.evaluation.test_invariance import *\njobs.TILE_ENVS = TILE\n"
+    command = [sys.executable, "-c", head + script, *map(str, arguments)]
+    environment = {**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(command, cwd=ROOT, env=environment, timeout=900)
+
+
+WHOLE = "run_job(scratch(int(sys.argv[2])), real_job(), Path(sys.argv[1]), max_envs=int(sys.argv[3]))\n"
+BLOCKS = (
+    "for i in (3, 2, 1):\n"
+    "    run_block(scratch(int(sys.argv[2])), real_job(), Path(sys.argv[1]), (i, 3), max_envs=int(sys.argv[3]))\n"
+) + WHOLE
+KILLED = (
+    "import os, signal\n"
+    "write = tables.write_parquet\n"
+    "def deadly(table, path):\n"
+    "    write(table, path)\n"
+    "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    "tables.write_parquet = deadly\n"
+) + WHOLE
+DEVICES = "assert len(jax.local_devices()) == 2\n" + WHOLE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("length", [100, 1000])
+def test_blocks_kills_and_devices_leave_the_same_bytes(tmp_path: Path, length: int):
+    def contents(folder: str) -> bytes:
+        return (tmp_path / folder / tables.EPISODES_FILE).read_bytes()
+
+    assert run_in_process(WHOLE, tmp_path / "whole", length, 2048).returncode == 0
+    assert run_in_process(BLOCKS, tmp_path / "blocks", length, 1).returncode == 0
+    assert run_in_process(KILLED, tmp_path / "killed", length, 130).returncode == -signal.SIGKILL
+    assert run_in_process(WHOLE, tmp_path / "killed", length, 130).returncode == 0
+    assert run_in_process(DEVICES, tmp_path / "devices", length, 1, devices=2).returncode == 0
+    for folder in ("blocks", "killed", "devices"):
+        assert contents(folder) == contents("whole")

@@ -1,0 +1,20 @@
+"""Which policies a cross-play takes, on the published registry."""
+
+import pytest
+
+from evaluation.studies import in_release
+from zoo.errors import UnknownIdError
+from zoo.registry import load_registry
+
+
+def humans(pattern, release):
+    return {entry.release for entry in in_release(load_registry(), pattern, release, task="scratch", role="human")}
+
+
+def test_a_glob_is_looked_up_in_one_release_unless_it_names_its_own() -> None:
+    assert humans("scratch/*", "v0") == {"v0"}
+    assert humans("scratch/*", "v1") == {"v1"}
+    assert humans("scratch/mappo-d1-s0-v1", "v0") == {"v1"}
+    assert humans(["scratch/ippo-*/human", "scratch/mappo-*-v1/human"], "v0") == {"v0", "v1"}
+    with pytest.raises(UnknownIdError):
+        humans("scratch/mappo-*", "v0")
