@@ -4,11 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo test test-slow lint types install lock clean
+.PHONY: help demo results test test-slow lint types install lock clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo 'make demo       evaluate a robot on partners it never saw, and plot a cross-play matrix'
+	@echo 'make results    write docs/results.md and its figures from the tables in docs/data/v1'
 	@echo 'make test       lint, types, tests'
 	@echo 'make test-slow  the tests marked slow'
 	@echo 'make lint       ruff, rules and format'
@@ -24,6 +25,9 @@ demo: $(STAMP)
 	@echo 'M_test of the robot, one row an episode:   demo/evaluate'
 	@echo 'cross-play of all teams, one row an episode: demo/crossplay'
 	@echo 'the cross-play matrix, clustered:          demo/crossplay.png'
+
+results: $(STAMP)
+	$(BIN)/assistax-zoo results page --release v1 --data docs/data/v1 --out docs/results.md
 
 test: lint types
 	$(BIN)/python -m pytest -n 2 -m "not slow"

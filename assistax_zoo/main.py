@@ -59,6 +59,13 @@ GROUPS = {
             "population": "assistax_zoo.commands.plot:population",
         },
     ),
+    "results": (
+        "The page of a release's results beside the paper's.",
+        {
+            "page": "assistax_zoo.commands.results:page",
+            "collect": "assistax_zoo.commands.results:collect",
+        },
+    ),
     "bench": (
         "Speed on this machine.",
         {
@@ -69,6 +76,7 @@ GROUPS = {
         },
     ),
 }
+SUBCOMMANDS = {"train": {"population": "assistax_zoo.commands.population:population"}}  # of commands of their own
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -83,6 +91,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     try:
         app = build_app()
         arguments = sys.argv[1:] if arguments is None else arguments
+        _add_subcommands(app, arguments)
         _complete_help(app, arguments)
         remember_command(arguments)
         app(arguments, print_error=False, exit_on_error=False, result_action="return_value")
@@ -120,11 +129,18 @@ def build_app() -> App:
     return app
 
 
+def _add_subcommands(app: App, arguments: Sequence[str]) -> None:
+    """Register the commands under one that also runs alone; that one is loaded, so only if it is named."""
+    for name in SUBCOMMANDS.keys() & {*arguments[:1]}:
+        for command, path in SUBCOMMANDS[name].items():
+            app[name].command(path, name=command)
+
+
 def _complete_help(app: App, arguments: Sequence[str]) -> None:
     """Load what a group's help lists; end a command's help with its docstring's example, which cyclopts leaves out."""
     named = app.parse_commands([word for word in arguments if word not in app.help_flags])[1][-1]
+    named.resolved_commands()
     if named.default_command is None:
-        named.resolved_commands()
         return
     docstring = inspect.getdoc(named.default_command) or ""
     if example := re.search(r"^Examples?:\n(?:(?: {4}.*)?\n?)+", docstring, re.MULTILINE):

@@ -73,6 +73,12 @@ def cluster_teams(matrix: np.ndarray) -> Clustering:
     return cluster_profiles(np.concatenate([matrix, matrix.T], axis=1))
 
 
+def best_silhouette(profiles: np.ndarray) -> float | None:
+    """Return the highest silhouette of the cuts that `cluster_profiles` compares; quicker, for it orders no leaves."""
+    condensed = distance.pdist(profiles)
+    return _best_cut(hierarchy.average(condensed), distance.squareform(condensed))[1]
+
+
 def silhouette(labels: np.ndarray, distances: np.ndarray) -> float:
     """Mean silhouette (b - a) / max(a, b) of labels [n] under distances [n, n]; a member alone scores 0."""
     members = labels[None, :] == np.unique(labels)[:, None]

@@ -1,0 +1,63 @@
+"""Figures with a panel for each task: learning curves of several algorithms (paper, Figure 3)."""
+
+from collections.abc import Mapping
+
+import polars as pl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter, MaxNLocator
+
+from evaluation.plots import style
+
+_WIDTH, _HEIGHT, _GAP = 3.1, 2.5, 0.55  # inches of a panel
+_LEFT, _TOP, _BOTTOM = 0.65, 0.85, 0.95
+
+
+def training_panels(curves: pl.DataFrame, bounds: Mapping[str, Mapping[str, float]], *, caption: str) -> Figure:
+    """Draw the IQM over seeds with its 95% band: a panel for each task, a line for each algorithm.
+
+    Args:
+        curves: columns task, algorithm, steps, iqm, low and high.
+        bounds: another source's final return of each algorithm of each task, drawn as a dotted line of its colour.
+        caption: written below.
+    """
+    tasks = curves["task"].unique(maintain_order=True).to_list()
+    if not tasks:
+        raise ValueError("there are no curves to draw; give those of at least one task")
+    names = sorted(set(curves["algorithm"]))
+    colours = {name: style.OKABE_ITO[(i + 5) % len(style.OKABE_ITO)] for i, name in enumerate(names)}  # dark on white
+    width = _LEFT + len(tasks) * (_WIDTH + _GAP)
+    height = _TOP + _HEIGHT + _BOTTOM
+    figure = style.new_figure(width, height)
+    for i, task in enumerate(tasks):
+        corner = (_LEFT + i * (_WIDTH + _GAP)) / width, _BOTTOM / height
+        axes = figure.add_axes((*corner, _WIDTH / width, _HEIGHT / height), label=f"curves:{task}")
+        _draw_task(axes, curves.filter(task=task), bounds.get(task, {}), colours)
+        axes.set_title(task, fontsize=10, color=style.INK, loc="left")
+    figure.axes[0].set_ylabel("return of an episode", fontsize=9)
+    handles = {line.get_label(): line for axes in figure.axes for line in axes.get_lines()}
+    shown = [handles[name] for name in colours]
+    place = {"loc": "lower left", "bbox_to_anchor": (_LEFT / width, 1 - 0.62 / height), "ncols": len(shown)}
+    figure.legend(handles=shown, fontsize=8, frameon=False, borderaxespad=0, **place)
+    x = 0.2 / width
+    figure.text(x, 1 - 0.12 / height, "Training", fontsize=12, weight="bold", va="top", color=style.INK)
+    figure.text(x, 0.1 / height, caption, fontsize=7, va="bottom", color=style.MUTED, linespacing=1.35)
+    return figure
+
+
+def _draw_task(axes: Axes, curves: pl.DataFrame, bounds: Mapping[str, float], colours: Mapping[str, str]) -> None:
+    style.bare(axes, ("left", "bottom"))
+    axes.tick_params(labelsize=8)
+    axes.grid(color="#e5e5e5", linewidth=0.6)
+    axes.set_axisbelow(True)
+    for name in curves["algorithm"].unique(maintain_order=True):
+        table = curves.filter(algorithm=name)
+        axes.plot(table["steps"], table["iqm"], color=colours[name], linewidth=1.6, label=name)
+        if not table["low"].null_count():
+            band = (table["steps"], table["low"], table["high"])
+            axes.fill_between(*band, color=colours[name], alpha=0.18, linewidth=0)
+        if name in bounds:
+            axes.axhline(bounds[name], color=colours[name], linewidth=0.9, linestyle=":")
+    axes.set_xlabel("environment steps of one member", fontsize=9)
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))

@@ -1,0 +1,121 @@
+"""Condense what GPU runs wrote into small tables that a repository can hold.
+
+| folder of | becomes |
+|---|---|
+| `assistax-zoo crossplay --out` | `crossplay/TASK/`: a row a pair, order, strategies, summary, run |
+| `assistax-zoo evaluate --split both --out` | `egos/TASK-METHOD/`: a row a pair, summary, run |
+| `assistax-zoo train-ego --out` | `egos/TASK-METHOD/training.json`: steps, device and seconds of the egos |
+"""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path, PurePath
+from typing import Any
+
+import polars as pl
+import polars.selectors as cs
+
+from evaluation import tables
+from evaluation.tables import EGO_COLUMNS, PARTNER_COLUMNS
+
+PAIRS_FILE, ORDER_FILE, STRATEGIES_FILE = tables.PAIRS_FILE, tables.ORDER_FILE, tables.STRATEGIES_FILE
+SUMMARY_FILE, RUN_FILE = tables.SUMMARY_FILE, tables.RUN_FILE
+TRAINING_FILE = "training.json"
+CROSSPLAY, EGOS = "crossplay", "egos"  # folders of the data
+_EGO_FILE = re.compile(r"(?P<method>[a-z][a-z0-9_]*)-s(?P<seed>\d+)\.safetensors")
+_ABSOLUTE = re.compile(r"(?<![^\s'\"=])/[^\s'\"]+")  # a path from the root, as a word of a command
+_EGO_MEASURES = ("return", "return_sd", "success", "episodes", "nonfinite")
+_TOLD_OF_TRAINING = ("steps", "device", "seconds", "backend", "date", "commit")
+
+
+def collect(folder: Path, data: Path) -> Path:
+    """Condense one finished folder into the data of a release; return the folder that was written.
+
+    Raises:
+        ValueError: the folder is none that can be condensed, or its run is unfinished.
+    """
+    if (folder / "policies").is_dir():
+        return _collect_training(folder, data)
+    if not (folder / SUMMARY_FILE).is_file():
+        raise ValueError(
+            f"{folder} holds no {SUMMARY_FILE} and no policies; give a finished folder of crossplay, of evaluate "
+            "--split both, or of train-ego"
+        )
+    summary = tables.read_json(folder / SUMMARY_FILE)
+    if "self_play" in summary:
+        return _collect_crossplay(folder, summary, data)
+    if "m_test" in summary:
+        return _collect_evaluation(folder, summary, data)
+    raise ValueError(f"{folder / SUMMARY_FILE} is of neither crossplay nor evaluate; give a finished folder of one")
+
+
+def _collect_crossplay(folder: Path, summary: dict[str, Any], data: Path) -> Path:
+    out = data / CROSSPLAY / summary["task"]
+    pairs = tables.read_parquet(folder / PAIRS_FILE)
+    if pairs["ego_team"].null_count() or pairs["partner_team"].null_count():
+        raise ValueError(f"{folder} has policies from outside the zoo; give a cross-play of published teams")
+    tables.write_parquet(_small(pairs), out / PAIRS_FILE)
+    for name in (ORDER_FILE, STRATEGIES_FILE):
+        tables.write_json(tables.read_json(folder / name), out / name)
+    tables.write_json(summary, out / SUMMARY_FILE)
+    tables.write_json(_run(folder, summary), out / RUN_FILE)
+    return out
+
+
+def _collect_evaluation(folder: Path, summary: dict[str, Any], data: Path) -> Path:
+    if not summary["m_test"] or not summary["m_train"]:
+        raise ValueError(f"{folder} has only one side of the split; run evaluate with --split both")
+    method, names = _egos(summary["egos"], folder)
+    out = data / EGOS / f"{summary['task']}-{method}"
+    pairs = tables.pair_table(tables.read_episodes(folder / tables.EPISODES_FILE))
+    pairs = pairs.select(*EGO_COLUMNS, *PARTNER_COLUMNS, *_EGO_MEASURES).with_columns(
+        pl.col("ego").replace_strict({ego: name for ego, (name, _) in names.items()}),
+        pl.lit(method).alias("ego_algorithm"),
+        pl.col("ego").replace_strict({ego: seed for ego, (_, seed) in names.items()}).alias("ego_seed"),
+    )
+    tables.write_parquet(_small(pairs.sort("ego_seed", maintain_order=True)), out / PAIRS_FILE)
+    egos = [names[ego][0] for ego in summary["egos"]]
+    tables.write_json({**summary, "egos": egos}, out / SUMMARY_FILE)
+    tables.write_json(_run(folder, summary), out / RUN_FILE)
+    return out
+
+
+def _collect_training(folder: Path, data: Path) -> Path:
+    from zoo.storage import read_policy_file
+
+    files = sorted((folder / "policies").glob("*.safetensors"))
+    told = [read_policy_file(path).metadata for path in files]
+    if not told or any({"task", "algorithm", "training"} - set(one) for one in told):
+        raise ValueError(f"{folder}/policies holds no finished egos; let train-ego run to its end")
+    first = told[0]
+    out = data / EGOS / f"{first['task']}-{first['algorithm']}"
+    training = {name: first["training"][name] for name in _TOLD_OF_TRAINING if name in first["training"]}
+    content = {"egos": len(told), "split": first.get("split"), **training}
+    tables.write_json(content, out / TRAINING_FILE)
+    return out
+
+
+def _egos(references: list[str], folder: Path) -> tuple[str, dict[str, tuple[str, int]]]:
+    """Return the one method of the egos, and each one's file name and seed."""
+    found = {reference: _EGO_FILE.fullmatch(PurePath(reference).name) for reference in references}
+    methods = {match["method"] for match in found.values() if match}
+    if None in found.values() or len(methods) != 1:
+        raise ValueError(
+            f"{folder} evaluated {', '.join(references[:3])}; expected the policies of one train-ego run, such as "
+            "runs/scratch-ppo/policies/ppo-s0.safetensors"
+        )
+    return methods.pop(), {name: (match[0], int(match["seed"])) for name, match in found.items() if match}
+
+
+def _run(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Return how the folder came about, without this machine's paths, and with the seconds of simulation."""
+    path = folder / RUN_FILE
+    run = tables.read_json(path) if path.is_file() else {}
+    steps = pl.scan_parquet(folder / tables.EPISODES_FILE).select(pl.col("steps").sum()).collect().item()
+    rate = summary["env_steps_per_second"]
+    command = _ABSOLUTE.sub(lambda found: PurePath(found[0]).name, run.get("command", ""))
+    return {**run, "command": command, "env_steps": int(steps), "seconds": steps / rate if rate else None}
+
+
+def _small(pairs: pl.DataFrame) -> pl.DataFrame:
+    return pairs.with_columns(cs.float().cast(pl.Float32), cs.integer().cast(pl.Int32))

@@ -1,0 +1,219 @@
+"""What the page is made from: the release's registry entries, committed tables, the paper's figures and notes."""
+
+import dataclasses
+import functools
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import polars.selectors as cs
+
+from assistax_envs.versions import TASKS
+from evaluation import tables
+from evaluation.results import collect
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry
+
+METHODS = ("ppo", "sac")  # of the egos
+CURVES = "curves"  # folder of the learning curves
+NOTES_FILE = "notes.md"
+NOTES = ("summary", "population", "self-play", "curves", "cross-play", "zsc", "claims", "made")  # sections with a place
+_CURVE_COLUMNS = {
+    **dict.fromkeys(("task", "algorithm", "disability"), pl.String),
+    **{"seed": pl.Int64, "steps": pl.Int64, "return": pl.Float64},
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class CrossPlayed:
+    """The condensed cross-play of a task."""
+
+    pairs: pl.DataFrame
+    order: Mapping[str, Any]
+    strategies: Mapping[str, Any]
+    summary: Mapping[str, Any]
+    run: Mapping[str, Any]
+
+    @functools.cached_property
+    def matrix(self) -> np.ndarray:
+        """Mean returns [T, T], the teams of `teams` on both axes."""
+        wide = self.pairs.pivot("partner_team", index="ego_team", values="return")
+        rows = pl.DataFrame({"ego_team": self.teams}).join(wide, on="ego_team", how="left", maintain_order="left")
+        return rows.select(self.teams).to_numpy().astype(float)
+
+    @property
+    def teams(self) -> list[str]:
+        """Teams in the order of the figure."""
+        return self.order["teams"]["order"]
+
+    @property
+    def clusters(self) -> list[list[int]]:
+        """Members of each cluster, as rows of `matrix`."""
+        places = {team: place for place, team in enumerate(self.teams)}
+        return [[places[team] for team in cluster["members"]] for cluster in self.order["teams"]["clusters"]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Egos:
+    """The condensed evaluation of one method's egos on a task."""
+
+    pairs: pl.DataFrame
+    summary: Mapping[str, Any]
+    run: Mapping[str, Any]
+    training: Mapping[str, Any] | None  # None where nothing was collected of it
+
+    @functools.cached_property
+    def partners(self) -> pl.DataFrame:
+        """Partner and side, in the order of the scores' columns."""
+        return self.pairs.select("partner", "side").unique().sort("partner")
+
+    @functools.cached_property
+    def scores(self) -> np.ndarray:
+        """Mean returns [S, P], a row a seed."""
+        wide = self.pairs.sort("ego_seed").pivot("partner", index="ego_seed", values="return")
+        return wide.select(self.partners["partner"].to_list()).to_numpy().astype(float)
+
+
+@dataclasses.dataclass(frozen=True)
+class Results:
+    """Everything that the page shows; what is absent is not measured yet."""
+
+    release: str
+    humans: list[PolicyEntry]  # one for each team of the release
+    curves: pl.DataFrame | None
+    crossplay: Mapping[str, CrossPlayed]  # by task
+    egos: Mapping[tuple[str, str], Egos]  # by task and method
+    paper: Mapping[str, Any]
+    notes: Mapping[str, str]  # hand-written Markdown by section
+
+    def self_play(self, task: str, algorithm: str, disability: str = "d1") -> np.ndarray:
+        """Return the mean self-play returns [S] of a setting's teams, in order of seeds."""
+        found = [human for human in self.humans if (human.task, human.algorithm) == (task, algorithm)]
+        found = sorted((human.seed, human) for human in found if human.disability == disability and human.self_play)
+        return np.array([human.self_play.mean for _, human in found if human.self_play])
+
+    @property
+    def has_curves(self) -> bool:
+        """Whether any curve is of the unimpaired setting, which is drawn."""
+        return self.curves is not None and not self.curves.filter(disability="d1").is_empty()
+
+    @property
+    def missing(self) -> list[str]:
+        """Name what is not measured yet."""
+        wanted = sum(planned(kinds) for kinds in self.paper["population"].values())
+        lacks = [] if len(self.humans) >= wanted else [f"{wanted - len(self.humans)} of {wanted} teams of Table 6"]
+        unimpaired = None if self.curves is None else self.curves.filter(disability="d1")
+        drawn = set() if unimpaired is None else set(unimpaired.select("task", "algorithm").unique().rows())
+        kinds = [(task, algorithm) for task in TASKS for algorithm in self.paper["population"][task]]
+        lacks += [f"learning curves of {name} on {task}" for task, name in kinds if (task, name) not in drawn]
+        lacks += [f"cross-play of {self._unplayed(task)}" for task in TASKS if self._unplayed(task)]
+        pairs = [(task, method) for task in TASKS for method in METHODS]
+        return [*lacks, *(f"{method} egos on {task}" for task, method in pairs if (task, method) not in self.egos)]
+
+    def _unplayed(self, task: str) -> str:
+        """Say what of a task's cross-play is missing; nothing if it holds every team."""
+        if task not in self.crossplay:
+            return task
+        teams = {human.team for human in self.humans if human.task == task}
+        absent = teams - set(self.crossplay[task].teams)
+        return f"{task} for {len(absent)} of its {len(teams)} teams" if absent else ""
+
+
+def planned(kinds: Mapping[str, Mapping[str, int]]) -> int:
+    """Return the number of teams that the paper has of these algorithms of a task."""
+    return sum(kind["settings"] * kind["seeds"] for kind in kinds.values())
+
+
+def read_results(registry: Registry, release: str, data: Path) -> Results:
+    """Read what there is of a release.
+
+    Raises:
+        ValueError: a table is malformed, or is of another release.
+    """
+    humans = [entry for entry in registry.policies if entry.role == "human" and entry.release == release]
+    crossplay = {
+        task: _read_crossplay(folder) for task in TASKS if (folder := data / collect.CROSSPLAY / task).is_dir()
+    }
+    keys = [(task, method) for task in TASKS for method in METHODS]
+    egos = {key: _read_egos(path) for key in keys if _evaluated(path := data / collect.EGOS / "-".join(key))}
+    for found in (*crossplay.values(), *egos.values()):
+        _check_release(found, release, {human.team for human in humans}, data)
+    return Results(
+        release, humans, _read_curves(data / CURVES), crossplay, egos, read_paper(), read_notes(data / NOTES_FILE)
+    )
+
+
+def read_paper() -> dict[str, Any]:
+    """Return the paper's figures."""
+    return json.loads(Path(__file__).with_name("paper.json").read_text(encoding="utf-8"))
+
+
+def read_notes(path: Path) -> dict[str, str]:
+    """Return the hand-written reasons: in a Markdown file, what follows each heading `## SECTION`."""
+    if not path.is_file():
+        return {}
+    parts = re.split(r"^## +(.+?) *$", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    found = dict(zip(parts[1::2], (text.strip() for text in parts[2::2]), strict=True))
+    if unknown := [name for name in found if name not in NOTES]:
+        raise ValueError(f"{path} has a section {unknown[0]!r}; allowed are {', '.join(NOTES)}")
+    return {name: text for name, text in found.items() if text}
+
+
+def _check_release(found: CrossPlayed | Egos, release: str, teams: set[str], data: Path) -> None:
+    told = found.summary
+    if told["release"] != release:
+        raise ValueError(
+            f"{data} holds {told['task']} of release {told['release']}, and the page is of {release}; give the data "
+            f"of {release}"
+        )
+    others = sorted(set(found.pairs["partner_team"]) - teams)
+    if others:
+        raise ValueError(
+            f"{data} has {len(others)} partners on {told['task']} that are not in release {release}, first "
+            f"{others[0]}; play the teams of one release, such as --partners '{told['task']}/*-{release}'"
+        )
+
+
+def _read_crossplay(folder: Path) -> CrossPlayed:
+    order, strategies, summary, run = (
+        tables.read_json(folder / name)
+        for name in (collect.ORDER_FILE, collect.STRATEGIES_FILE, collect.SUMMARY_FILE, collect.RUN_FILE)
+    )
+    if order["teams"] is None:
+        raise ValueError(f"{folder} has other teams on its rows than on its columns; collect a whole cross-play")
+    return CrossPlayed(_read_pairs(folder), order, strategies, summary, run)
+
+
+def _evaluated(folder: Path) -> bool:
+    return (folder / collect.PAIRS_FILE).is_file()
+
+
+def _read_egos(folder: Path) -> Egos:
+    training = folder / collect.TRAINING_FILE
+    return Egos(
+        _read_pairs(folder),
+        tables.read_json(folder / collect.SUMMARY_FILE),
+        tables.read_json(folder / collect.RUN_FILE),
+        tables.read_json(training) if training.is_file() else None,
+    )
+
+
+def _read_pairs(folder: Path) -> pl.DataFrame:
+    return tables.read_parquet(folder / collect.PAIRS_FILE).with_columns(cs.float().cast(pl.Float64))
+
+
+def _read_curves(folder: Path) -> pl.DataFrame | None:
+    files = sorted(folder.glob("*.parquet"))
+    found = [tables.read_parquet(path) for path in files]
+    for path, table in zip(files, found, strict=True):
+        if lacking := [name for name in _CURVE_COLUMNS if name not in table.columns]:
+            raise ValueError(f"{path} lacks {', '.join(lacking)}; a curve has {', '.join(_CURVE_COLUMNS)}")
+    return (
+        pl.concat([table.select(pl.col(name).cast(kind) for name, kind in _CURVE_COLUMNS.items()) for table in found])
+        if found
+        else None
+    )

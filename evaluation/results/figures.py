@@ -1,0 +1,63 @@
+"""Figures of the page, each drawn from a saved table by `evaluation.plots`."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import polars as pl
+from matplotlib.figure import Figure
+
+from assistax_envs.versions import TASKS
+from evaluation.plots.bars import zsc_bars
+from evaluation.plots.heatmap import crossplay_heatmap
+from evaluation.plots.matrix import arrange
+from evaluation.plots.panels import training_panels
+from evaluation.plots.style import save_figure
+from evaluation.plots.treemap import population_treemap
+from evaluation.results.data import METHODS, Results
+from evaluation.results.pictures import picture_names
+from evaluation.results.training import training_curves
+
+DPI = 130  # a 198 x 198 matrix keeps more than three points a cell
+
+
+def draw_figures(results: Results, folder: Path) -> list[Path]:
+    """Draw every figure that the data allow; return the files, those of `picture_names`."""
+    draw: dict[str, Callable[[], Figure]] = {"population.png": lambda: _treemap(results)}
+    draw["curves.png"] = lambda: _curves(results)
+    for task in TASKS:
+        draw[f"crossplay_{task}.png"] = lambda task=task: _heatmap(results, task)
+        draw[f"zsc_{task}.png"] = lambda task=task: _bars(results, task)
+    written = []
+    for name in picture_names(results):
+        save_figure(draw[name](), folder / name, DPI)
+        written.append(folder / name)
+    return written
+
+
+def _treemap(results: Results) -> Figure:
+    rows = [{"task": e.task, "algorithm": e.algorithm, "disability": e.disability} for e in results.humans]
+    caption = f"n = {len(rows)} human partners of release {results.release}. Areas are numbers of partners."
+    return population_treemap(pl.DataFrame(rows), caption=caption)
+
+
+def _curves(results: Results) -> Figure:
+    curves = training_curves(results)
+    final = {
+        task: {name: figure["iqm"] for name, figure in found.items()}
+        for task, found in results.paper["self_play"].items()
+    }
+    caption = (
+        f"Release {results.release}, setting d1. IQM of the training return over seeds and its pointwise 95% bootstrap "
+        "band; a single seed has none. Dotted: the paper's final IQM of that algorithm (its Table 2)."
+    )
+    return training_panels(curves, final, caption=caption)
+
+
+def _heatmap(results: Results, task: str) -> Figure:
+    played = results.crossplay[task]
+    return crossplay_heatmap(arrange(played.pairs, played.order), played.summary)
+
+
+def _bars(results: Results, task: str) -> Figure:
+    found = {method.upper(): results.egos.get((task, method)) for method in METHODS}
+    return zsc_bars({name: egos.summary for name, egos in found.items() if egos})

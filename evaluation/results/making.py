@@ -1,0 +1,82 @@
+"""The page's last section: which commands made the tables, on what device, and in how many minutes."""
+
+import re
+from collections.abc import Sequence
+
+from assistax_envs.versions import TASKS
+from evaluation.results.data import CrossPlayed, Egos, Results
+from evaluation.results.markdown import MISSING, code, spoken, table
+from zoo.schema import Training
+
+_POLICY = re.compile(r"--policy[ =](\S+)")
+
+
+def made(results: Results, command: str) -> str:
+    """Return device minutes of every part, then the commands; `command` makes the page."""
+    rows = [*_trained(results), *_played(results)]
+    if not rows:
+        return f"{MISSING.capitalize()}.\n\n{code(command)}"
+    headings = ["what", "how much", "device", "backend", "device minutes"]
+    commands = [found.run["command"] for found in (*results.crossplay.values(), *results.egos.values())]
+    lines = [_shortened(one) for one in commands if one]
+    return f"{table(headings, rows, (4,))}\n\n{code(chr(10).join([*lines, command]))}"
+
+
+def _trained(results: Results) -> list[list[object]]:
+    """Return a row for each task and algorithm of the registry, and for the egos."""
+    rows: list[list[object]] = []
+    kinds = sorted({(h.task, h.algorithm) for h in results.humans}, key=lambda kind: (TASKS.index(kind[0]), kind[1]))
+    for task, algorithm in kinds:
+        humans = [human for human in results.humans if (human.task, human.algorithm) == (task, algorithm)]
+        runs = {human.run: human.training for human in humans}
+        what = f"training {spoken(task)} {algorithm.upper()}"
+        much = f"{len(humans)} teams, {_steps(list(runs.values()))} steps each"
+        rows.append([what, much, *_where(list(runs.values())), _minutes([run.seconds for run in runs.values()])])
+    for (task, method), egos in results.egos.items():
+        if told := egos.training:
+            much = f"{told['egos']} egos, {told['steps'] / 1e6:.3g} M steps each"
+            place = [told.get("device") or "–", told.get("backend") or "–"]
+            rows.append(
+                [f"training {spoken(task)} {method.upper()} egos", much, *place, _minutes([told.get("seconds")])]
+            )
+    return rows
+
+
+def _played(results: Results) -> list[list[object]]:
+    named: dict[str, CrossPlayed | Egos] = {
+        f"cross-play of {spoken(task)}": played for task, played in results.crossplay.items()
+    }
+    named |= {f"evaluation of {m.upper()} egos, {spoken(t)}": egos for (t, m), egos in results.egos.items()}
+    rows: list[list[object]] = []
+    for what, found in named.items():
+        run, told = found.run, found.summary
+        much = f"{told['episodes']:,} episodes, {told['episodes_per_pair']} a pair, {told['nonfinite']} non-finite"
+        devices = ", ".join(sorted(set(run.get("devices", [])))) or "–"
+        rows.append([what, much, devices, told["backend"], _minutes([run["seconds"]])])
+    return rows
+
+
+def _steps(runs: Sequence[Training]) -> str:
+    counts = sorted({round(run.steps / 1e6, 1) for run in runs})
+    return f"{counts[0]:g} M" if len(counts) == 1 else f"{counts[0]:g} to {counts[-1]:g} M"
+
+
+def _where(runs: Sequence[Training]) -> list[str]:
+    devices, backends = {run.device for run in runs if run.device}, {run.backend for run in runs}
+    return [", ".join(sorted(devices)) or "–", ", ".join(sorted(backends))]
+
+
+def _minutes(seconds: Sequence[float | None]) -> str:
+    known = [value for value in seconds if value is not None]
+    if not known:
+        return "–"
+    return f"{sum(known) / 60:.1f}" + ("" if len(known) == len(seconds) else f", {len(seconds) - len(known)} unknown")
+
+
+def _shortened(command: str) -> str:
+    """Write the policies of many seeds as their first one and a number."""
+    policies = _POLICY.findall(command)
+    if len(policies) < 3:
+        return command
+    rest = re.sub(r" {2,}", " ", _POLICY.sub("", command)).strip()
+    return f"{rest} --policy {policies[0]}  # and {len(policies) - 1} more --policy"

@@ -1,0 +1,37 @@
+"""Pieces of the Markdown page."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+MISSING = "not measured yet"
+
+
+def table(headings: Sequence[str], rows: Sequence[Sequence[object]], numbers: Sequence[int] = ()) -> str:
+    """Return a table; the columns `numbers` are aligned to the right."""
+    rule = ["---:" if i in numbers else "---" for i in range(len(headings))]
+    lines = [headings, rule, *([str(cell) for cell in row] for row in rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def figure(value: Mapping[str, Any] | None, digits: int = 1, key: str = "iqm", ci: str = "ci") -> str:
+    """Return a point with its 95% interval, such as `939.5 [934.0, 958.0]`."""
+    if value is None:
+        return MISSING
+    interval = value.get(ci)
+    ends = "" if interval is None else f" [{interval[0]:,.{digits}f}, {interval[1]:,.{digits}f}]"
+    return f"{value[key]:,.{digits}f}{ends}"
+
+
+def spoken(name: str) -> str:
+    """Return a task or setting as it is read: "bed bath"."""
+    return name.replace("_", " ")
+
+
+def image(path: str, text: str, width: str = "100%") -> str:
+    """Return a picture."""
+    return f'<img src="{path}" alt="{text}" width="{width}">'
+
+
+def code(text: str) -> str:
+    """Return a block of commands."""
+    return f"```console\n{text}\n```"

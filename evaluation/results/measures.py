@@ -1,0 +1,196 @@
+"""What the paper's claims are checked by: of a square matrix of returns [robots, humans], and of scores [S, P].
+
+In a matrix the same team stands in row i and column i, so that self-play is the diagonal.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from evaluation.bootstrap import Interval, draw_counts, interval, replicate_crossed
+from evaluation.clustering import best_silhouette
+from evaluation.statistics import probability_of_improvement, score_matrix
+
+PERMUTATIONS = 99
+RESAMPLES = 2000
+_RESAMPLED_MATRICES = 400
+_SETTLED = 30  # rounds after which the filled diagonal no longer moves
+
+
+@dataclasses.dataclass(frozen=True)
+class Structure:
+    """Whether teams fall into groups by who fits whom, beyond chance."""
+
+    silhouette: float  # of the best cut of the interactions
+    null: float  # 95th percentile of the silhouettes under permutation
+    p: float  # share of permutations that reach the silhouette
+
+
+@dataclasses.dataclass(frozen=True)
+class VarianceShares:
+    """Shares of the variance of cross-play returns over pairs; they sum to 1."""
+
+    robot: Interval  # of the robots' means
+    human: Interval  # of the humans' means
+    rest: Interval  # who fits whom, and the noise of the episodes
+
+
+def incompatible_share(matrix: np.ndarray, fraction: float = 0.5) -> float:
+    """Share of robots with other teams' humans, [T, T] without self-play, that earn less than a fraction of self-play.
+
+    The yardstick is the lesser of the two teams' self-play returns: a poor team is no evidence of incompatibility.
+    Where it is not positive, a pair is counted as compatible.
+    """
+    own = np.diag(matrix)
+    lesser = np.minimum(own[:, None], own[None])
+    apart = ~np.eye(len(matrix), dtype=bool)
+    return float(np.mean(((lesser > 0) & (matrix < fraction * lesser))[apart]))
+
+
+def exchange_loss(matrix: np.ndarray, clusters: Sequence[Sequence[int]]) -> float:
+    """Return the largest share of return that two clusters lose when they exchange humans; 0 if none lose.
+
+    `1 - max(A's robots with B's humans, B's with A's) / min(within A, within B)`, of mean cross-play returns: both
+    lose against the poorer of the two, which clusters of merely better and poorer teams do not.
+
+    Args:
+        matrix: returns [T, T].
+        clusters: members of each, as rows of the matrix; those with fewer than two members are left out.
+    """
+    large = [np.array(members) for members in clusters if len(members) > 1]
+    inside = [_mean_apart(matrix[np.ix_(members, members)]) for members in large]
+    losses = [0.0]
+    for i, a in enumerate(large):
+        for j, b in enumerate(large[:i]):
+            across = max(matrix[np.ix_(a, b)].mean(), matrix[np.ix_(b, a)].mean())
+            within = min(inside[i], inside[j])
+            losses += [float(1 - across / within)] if within > 0 else []
+    return max(losses)
+
+
+def interaction_structure(matrix: np.ndarray, *, permutations: int = PERMUTATIONS, seed: int = 0) -> Structure:
+    """Test whether teams cluster by who fits whom, against permutations of the interactions among each human's robots.
+
+    Interactions are what remains of cross-play returns without the robots' and the humans' means, so that good and
+    poor teams form no clusters; self-play is left out. Every permutation is clustered anew, as the matrix was.
+    """
+    rest = _interactions(matrix)
+    found = _silhouette(rest)
+    rng = np.random.default_rng(seed)
+    apart = ~np.eye(len(rest), dtype=bool)
+    null = np.array([_silhouette(_shuffled(rest, apart, rng)) for _ in range(permutations)])
+    p = (1 + np.count_nonzero(null >= found)) / (1 + permutations)
+    return Structure(found, float(np.quantile(null, 0.95)), float(p))
+
+
+def variance_shares(matrix: np.ndarray, *, resamples: int = _RESAMPLED_MATRICES, seed: int = 0) -> VarianceShares:
+    """Split the variance of cross-play returns into robots, humans and the rest, with intervals over teams.
+
+    Two-way analysis of variance of [T, T]; the diagonal, self-play, is replaced by what the means predict. Resampling
+    adds about 1 / T of the rest to either mean's share, so that one near 0 may lie below its interval.
+    """
+    filled = _fill_diagonal(matrix)
+    rng = np.random.default_rng(seed)
+    teams = len(filled)
+    draws = np.array([_shares(filled[np.ix_(i, i)]) for i in rng.integers(0, teams, (resamples, teams))])
+    n = teams * (teams - 1)
+    found = [
+        Interval(value, interval(column, "teams"), n, "teams")
+        for value, column in zip(_shares(filled), draws.T, strict=True)
+    ]
+    return VarianceShares(*found)
+
+
+def improvement(
+    x: np.ndarray, y: np.ndarray, *, stratified: bool = False, resamples: int = RESAMPLES, seed: int = 0
+) -> Interval:
+    """Probability that a seed of x beats a seed of y with the same partner, with its 95% interval.
+
+    Args:
+        x: scores [S, P].
+        y: scores [S', P] with the same partners.
+        stratified: columns are independent runs, and only the seeds within each are resampled; else a seed is one
+            policy that meets every partner: whole seeds, then partners are resampled.
+        resamples: number of bootstrap draws.
+        seed: seed of the draws.
+    """
+    x, y = score_matrix(x), score_matrix(y)
+    point = probability_of_improvement(x, y)
+    wins = (x[:, None] > y[None]) + 0.5 * (x[:, None] == y[None])  # [S, S', P]
+    rng = np.random.default_rng(seed)
+    partners = x.shape[1]
+    if stratified:
+        a, b = (_counts_by_column(len(scores), partners, resamples, rng) for scores in (x, y))
+        columns = np.ones((resamples, partners))
+        to = "seeds"
+    else:
+        a, b = (draw_counts(len(scores), resamples, rng)[:, :, None] for scores in (x, y))
+        columns = draw_counts(partners, resamples, rng)
+        to = "seeds and partners"
+    sums = np.zeros((resamples, partners))
+    for s, row in enumerate(wins):
+        sums += a[:, s] * np.einsum("btp,tp->bp", np.broadcast_to(b, (resamples, len(y), partners)), row)
+    draws = (sums * columns).sum(axis=1) / wins.size
+    return Interval(point, interval(draws, to), wins.size, to)
+
+
+def relative_gap(
+    scores: np.ndarray, sides: Sequence[str | None], *, resamples: int = RESAMPLES, seed: int = 0
+) -> Interval:
+    """(M_train - M_test) / M_train of scores [S, P], with an interval over new seeds and the same partners."""
+    scores, labels = score_matrix(scores), np.array(sides, object)
+    counts = draw_counts(len(scores), resamples, np.random.default_rng(seed))
+    train, test = (
+        replicate_crossed(part, counts, np.ones((resamples, part.shape[1]), np.int64), "seeds")
+        for part in (scores[:, labels == "train"], scores[:, labels == "test"])
+    )
+    value = 1 - test.mean / train.mean
+    ci = interval(1 - test.means / train.means, "seeds" if len(scores) > 1 else "nothing")
+    return Interval(float(value), ci, scores.size, "seeds")
+
+
+def _mean_apart(block: np.ndarray) -> float:
+    return float(block[~np.eye(len(block), dtype=bool)].mean())
+
+
+def _fill_diagonal(matrix: np.ndarray) -> np.ndarray:
+    """Replace self-play by robot's mean + human's mean - mean of all."""
+    filled = np.array(matrix, float)
+    own = np.arange(len(filled))
+    filled[own, own] = _mean_apart(filled)
+    for _ in range(_SETTLED):
+        filled[own, own] = filled.mean(axis=1) + filled.mean(axis=0) - filled.mean()
+    return filled
+
+
+def _interactions(matrix: np.ndarray) -> np.ndarray:
+    filled = _fill_diagonal(matrix)
+    return filled - filled.mean(axis=1, keepdims=True) - filled.mean(axis=0, keepdims=True) + filled.mean()
+
+
+def _silhouette(interactions: np.ndarray) -> float:
+    found = best_silhouette(np.concatenate([interactions, interactions.T], axis=1))
+    return -1.0 if found is None else found
+
+
+def _shuffled(matrix: np.ndarray, apart: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    shuffled = matrix.copy()
+    for column in range(matrix.shape[1]):
+        rows = np.flatnonzero(apart[:, column])
+        shuffled[rows, column] = matrix[rng.permutation(rows), column]
+    return shuffled
+
+
+def _shares(matrix: np.ndarray) -> tuple[float, float, float]:
+    total = float(np.square(matrix - matrix.mean()).sum())
+    if total <= 0:
+        return float("nan"), float("nan"), float("nan")
+    means = [np.square(matrix.mean(axis=axis) - matrix.mean()).sum() * len(matrix) for axis in (1, 0)]
+    robot, human = (float(part / total) for part in means)
+    return robot, human, 1 - robot - human
+
+
+def _counts_by_column(seeds: int, columns: int, resamples: int, rng: np.random.Generator) -> np.ndarray:
+    """Counts [B, S, P] of seeds resampled for each column by itself."""
+    return rng.multinomial(seeds, np.full(seeds, 1.0 / seeds), size=(resamples, columns)).transpose(0, 2, 1)

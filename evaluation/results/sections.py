@@ -1,0 +1,318 @@
+"""Sections of the page: the release's figures beside the paper's, in Markdown."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from assistax_envs.versions import TASKS
+from evaluation.bootstrap import estimate
+from evaluation.results.claims import Claim
+from evaluation.results.data import METHODS, CrossPlayed, Results, planned
+from evaluation.results.markdown import MISSING, figure, image, spoken, table
+from evaluation.results.measures import variance_shares
+from evaluation.results.training import RISING, gained_last, training_curves
+
+Picture = Callable[[str], str]  # from a figure's file name to its link
+
+_ALGORITHMS = ("ippo", "mappo", "masac")
+_MEANINGS = """A claim *holds* where every criterion is met, and *in part* where its last one is but another is not;
+where the last one is not met it *does not hold*. *Undecided*: an interval reaches over its threshold.
+
+- *Silhouette of clusters by who fits whom*: of the best cut of teams by cross-play returns from which every robot's and
+  every human's mean were subtracted; p against the same after the robots of each human were permuted.
+- *Lose with each other*: mean return of one cluster's robots with the other's humans, the better of the two ways,
+  against the lesser of the returns within.
+- *Incompatible*: the pair's return is below half of the lesser of the two teams' self-play returns, as it is for the
+  two strategies of the paper's Figure 5.
+- *Variance explained*: two-way analysis of variance of cross-play returns; intervals over teams.
+- *P(A > B)*: chance that a seed of A beats a seed of B with the same partner. In self-play seeds are resampled, of egos
+  seeds and partners."""
+_VERDICTS = ("holds", "holds in part", "undecided", "does not hold", MISSING)
+
+
+def summary(results: Results, claims: Sequence[Claim]) -> str:
+    """Return one table that says it all: teams, self-play and claims by task."""
+    rows: list[list[object]] = [["Teams (Table 6)", *(_teams(results, task) for task in TASKS)]]
+    rows += [
+        [
+            f"{name.upper()} self-play on d1 (Table 2)",
+            *(_short_verdict(results, task, name) for task in TASKS),
+        ]
+        for name in _ALGORITHMS
+    ]
+    for title in dict.fromkeys(claim.title for claim in claims):
+        found = {claim.task: claim.headline for claim in claims if claim.title == title}
+        [about] = {claim.figure for claim in claims if claim.title == title}
+        rows.append([f"{title}: {about}", *(found.get(task, "–") for task in TASKS)])
+    counts = Counter(claim.verdict for claim in claims)
+    told = ", ".join(f"*{verdict}* {counts[verdict]}" for verdict in _VERDICTS if counts[verdict])
+    return f"{table(['', *map(spoken, TASKS)], rows)}\n\nClaims by task: {told}."
+
+
+def population(results: Results, picture: Picture) -> str:
+    """Return Table 6 and Figure 2."""
+    counts = Counter((human.task, human.algorithm) for human in results.humans)
+    settings = Counter((human.task, human.algorithm, human.disability) for human in results.humans)
+    paper = results.paper["population"]
+    rows: list[list[object]] = []
+    for name in _ALGORITHMS:
+        cells = []
+        for task in TASKS:
+            each = {setting: n for (t, a, setting), n in settings.items() if (t, a) == (task, name)}
+            cells += [_made_of(each), f"{planned({name: paper[task][name]})} = {_planned_of(paper[task][name])}"]
+        rows.append([name.upper(), *cells])
+    totals = [(sum(n for (t, _), n in counts.items() if t == task), planned(paper[task])) for task in TASKS]
+    rows.append(["**Total**", *(f"**{n}**" for pair in totals for n in pair)])
+    headings = ["settings × seeds", *(f"{spoken(task)}{of}" for task in TASKS for of in ("", ", paper"))]
+    ours, wanted = (sum(column) for column in zip(*totals, strict=True))
+    same = (
+        "The composition is the paper's."
+        if not _differences(settings, paper)
+        else (f"Different from the paper's: {'; '.join(_differences(settings, paper))}.")
+    )
+    drawn = image(picture("population.png"), "Treemap of the population") if ours else f"Figure 2: {MISSING}."
+    return f"{table(headings, rows)}\n\n{ours} of {wanted} teams. {same}\n\n{drawn}"
+
+
+def self_play(results: Results) -> str:
+    """Return Table 2."""
+    rows: list[list[object]] = []
+    for task in TASKS:
+        for name in (*_ALGORITHMS, "isac"):
+            theirs = results.paper["self_play"][task][name]
+            ours = _self_play(results, task, name)
+            if ours is None and name == "isac":
+                rows.append([spoken(task), "ISAC", "not in the population", "–", figure(theirs), "–", "–"])
+                continue
+            ratio = f"{ours['iqm'] / theirs['iqm']:.2f}" if ours else "–"
+            seeds = ours["n"] if ours else "–"
+            rows.append(
+                [spoken(task), name.upper(), figure(ours), seeds, figure(theirs), ratio, _agreement(ours, theirs)]
+            )
+    headings = ["task", "algorithm", "IQM [95%]", "seeds", "paper, 16 seeds", "ratio", "intervals"]
+    bounds = ", ".join(f"{spoken(task)} {bound:,}" for task, bound in results.paper["upper_bound"].items())
+    orders = "\n".join(f"- {spoken(task)}: {_orders(results, task)}" for task in TASKS)
+    return (
+        f"{table(headings, rows, (2, 3, 4, 5))}\n\nUpper bounds of a return: {bounds}. "
+        f"*agree*: the two intervals overlap; *above*, *below*: ours lies there.\n\n"
+        f"Order of the algorithms:\n\n{orders}"
+    )
+
+
+def curves(results: Results, picture: Picture) -> str:
+    """Return Figure 3."""
+    if not results.has_curves:
+        return f"Figure 3: {MISSING}."
+    found = training_curves(results)
+    rows: list[list[object]] = []
+    for task, algorithm in found.select("task", "algorithm").unique(maintain_order=True).rows():
+        curve = found.filter(task=task, algorithm=algorithm)
+        end = curve.row(-1, named=True)
+        last = {"iqm": end["iqm"], "ci": None if end["low"] is None else (end["low"], end["high"])}
+        gain = gained_last(curve)
+        rising = "yes" if gain > RISING else "no"
+        rows.append(
+            [
+                spoken(task),
+                algorithm.upper(),
+                end["seeds"],
+                f"{end['steps'] / 1e6:.1f} M",
+                figure(last),
+                f"{gain:+.1%}",
+                rising,
+            ]
+        )
+    headings = ["task", "algorithm", "seeds", "steps", "last IQM [95%]", "gain of the last fifth", "still rising"]
+    drawn = image(picture("curves.png"), "Learning curves")
+    return f"{drawn}\n\n{table(headings, rows, (2, 3, 4, 5))}\n\nStill rising: a gain of more than {RISING:.0%}."
+
+
+def cross_play(results: Results, picture: Picture) -> str:
+    """Return Figure 4 with its figures, and Figure 5's two incompatible strategies."""
+    rows, shares, pairs = [], [], []
+    for task in TASKS:
+        played = results.crossplay.get(task)
+        rows.append([spoken(task), *(_matrix_figures(played) if played else [MISSING, *["–"] * 5])])
+        shares += [[spoken(task), *_shares(played)]] if played else []
+        pairs += [_exchange(task, played, results.paper["incompatible"])] if played else []
+    headings = [
+        "task",
+        "teams",
+        "self-play IQM",
+        "cross-play IQM",
+        "lost with another's human",
+        "clusters",
+        "silhouette",
+    ]
+    text = table(headings, rows, (1, 2, 3, 4, 5, 6))
+    if not shares:
+        return text
+    split = table(["task", "robot", "human", "who fits whom, and noise"], shares, (1, 2, 3))
+    exchanged = table(
+        ["task", "two partners", "return, each with its best robot", "robots exchanged", "paper (Figure 5)"],
+        pairs,
+        (2, 3),
+    )
+    drawn = [
+        f"**{spoken(task).capitalize()}**\n\n{image(picture(f'crossplay_{task}.png'), f'Cross-play of {spoken(task)}')}"
+        for task in TASKS
+        if task in results.crossplay
+    ]
+    return "\n\n".join(
+        [
+            text,
+            "Variance of cross-play returns over pairs, by whom it depends on:",
+            split,
+            "The two partners whose best robots lose the most when they are exchanged:",
+            exchanged,
+            *drawn,
+        ]
+    )
+
+
+def zero_shot(results: Results, picture: Picture) -> str:
+    """Return Figures 6 and 14."""
+    rows: list[list[object]] = []
+    for task in TASKS:
+        for method in METHODS:
+            egos = results.egos.get((task, method))
+            if egos is None:
+                rows.append([spoken(task), method.upper(), "–", MISSING, "–", "–", "–"])
+                continue
+            told = egos.summary
+            worst = told["worst_partner"]
+            figures = [figure(told["m_train"]), figure(told["m_test"]), figure(told["gap"], key="mean", ci="mean_ci")]
+            rows.append(
+                [
+                    spoken(task),
+                    method.upper(),
+                    len(told["egos"]),
+                    *figures,
+                    f"{worst['mean']:,.1f} ({worst['partner'].split('/')[1]})",
+                ]
+            )
+    headings = [
+        "task",
+        "egos",
+        "seeds",
+        "M_train IQM [95%]",
+        "M_test IQM [95%]",
+        "mean gap [95%]",
+        "worst test partner",
+    ]
+    found = [task for task in TASKS if any((task, method) in results.egos for method in METHODS)]
+    drawn = [image(picture(f"zsc_{task}.png"), f"Returns of egos on {spoken(task)}", "60%") for task in found]
+    about = (
+        "Intervals here resample seeds and partners, so they speak about new ones of both; the gap is "
+        "M_train - M_test. The paper shows these returns as bars without figures."
+    )
+    return "\n\n".join([table(headings, rows, (2, 3, 4, 5)), about, *drawn])
+
+
+def claim_table(claims: Sequence[Claim]) -> str:
+    """Return every criterion of every claim with its threshold."""
+    rows: list[list[object]] = []
+    for claim in claims:
+        name = [claim.title, spoken(claim.task)]
+        if not claim.criteria:
+            rows.append([*name, "–", "–", "–", MISSING])
+        rows += [[*name, c.what, c.value, c.threshold, _bold(c.outcome)] for c in claim.criteria]
+    return f"{table(['claim', 'task', 'criterion', 'found', 'threshold', 'outcome'], rows)}\n\n{_MEANINGS}"
+
+
+def _teams(results: Results, task: str) -> str:
+    count = sum(human.task == task for human in results.humans)
+    return f"{count} of {planned(results.paper['population'][task])}"
+
+
+def _short_verdict(results: Results, task: str, algorithm: str) -> str:
+    ours, theirs = _self_play(results, task, algorithm), results.paper["self_play"][task][algorithm]
+    if ours is None:
+        return MISSING
+    agreement = {"agree": "agrees"}.get(_agreement(ours, theirs), _agreement(ours, theirs))
+    return f"**{agreement}**, {ours['iqm']:,.0f}; paper {theirs['iqm']:,.0f}"
+
+
+def _self_play(results: Results, task: str, algorithm: str) -> dict[str, Any] | None:
+    scores = results.self_play(task, algorithm)
+    return estimate(scores).to_json() if len(scores) else None
+
+
+def _agreement(ours: Mapping[str, Any] | None, theirs: Mapping[str, Any]) -> str:
+    if ours is None:
+        return MISSING
+    low, high = ours["ci"] or (ours["iqm"], ours["iqm"])
+    if low > theirs["ci"][1]:
+        return "above"
+    return "below" if high < theirs["ci"][0] else "agree"
+
+
+def _orders(results: Results, task: str) -> str:
+    theirs = {name: results.paper["self_play"][task][name]["iqm"] for name in _ALGORITHMS}
+    ours = {name: found["iqm"] for name in _ALGORITHMS if (found := _self_play(results, task, name))}
+    if len(ours) < len(_ALGORITHMS):
+        return MISSING
+    first, second = (
+        " > ".join(name.upper() for name in sorted(found, key=found.__getitem__, reverse=True))
+        for found in (ours, theirs)
+    )
+    return f"{first}, as in the paper" if first == second else f"{first}; in the paper {second}"
+
+
+def _made_of(settings: Mapping[str, int]) -> str:
+    """Return a number of teams as settings × seeds, or setting by setting where seeds differ."""
+    if not settings:
+        return "0"
+    total, sizes = sum(settings.values()), set(settings.values())
+    if len(sizes) == 1:
+        return f"{total} = {len(settings)} × {sizes.pop()}"
+    return f"{total}: {', '.join(f'{name} {n}' for name, n in sorted(settings.items()))}"
+
+
+def _planned_of(kind: Mapping[str, int]) -> str:
+    return f"{kind['settings']} × {kind['seeds']}"
+
+
+def _differences(settings: Mapping[tuple[str, str, str], int], paper: Mapping[str, Any]) -> list[str]:
+    """Name the task and algorithm where a setting's number of seeds is not the paper's."""
+    wanted = {
+        (task, name, f"d{i + 1}"): kind["seeds"]
+        for task, kinds in paper.items()
+        for name, kind in kinds.items()
+        for i in range(kind["settings"])
+    }
+    differing = {key[:2] for key in {*wanted, *settings} if wanted.get(key, 0) != settings.get(key, 0)}
+    return [f"{spoken(task)} {name.upper()}" for task, name in sorted(differing)]
+
+
+def _matrix_figures(played: CrossPlayed) -> list[object]:
+    told, order = played.summary, played.order["teams"]
+    gap = told["relative_gap"]
+    lost = "–" if gap is None else f"{gap['value']:.1%} [{gap['ci'][0]:.1%}, {gap['ci'][1]:.1%}]"
+    fit = "–" if order["silhouette"] is None else f"{order['silhouette']:.2f}"
+    return [told["egos"], figure(told["self_play"]), figure(told["cross_play"]), lost, len(played.clusters), fit]
+
+
+def _shares(played: CrossPlayed) -> list[str]:
+    shares = variance_shares(played.matrix)
+    return [
+        f"{part.value:.0%}" + (f" [{part.ci[0]:.0%}, {part.ci[1]:.0%}]" if part.ci else "")
+        for part in (shares.robot, shares.human, shares.rest)
+    ]
+
+
+def _exchange(task: str, played: CrossPlayed, paper: Mapping[str, Any]) -> list[object]:
+    pair = played.strategies["incompatible"]
+    theirs = "–"
+    if told := paper.get(task):
+        returns = " and ".join(f"{value:.1f}" for value in told["returns"])
+        theirs = f"{returns}, exchanged below {told['exchanged_below']}"
+    if pair is None:
+        return [spoken(task), "none loses both ways", "–", "–", theirs]
+    names = ", ".join(name.split("/")[1] for name in pair["partners"])
+    own, exchanged = (" and ".join(f"{value:,.1f}" for value in pair[key]) for key in ("returns", "returns_exchanged"))
+    return [spoken(task), names, own, exchanged, theirs]
+
+
+def _bold(verdict: str) -> str:
+    return verdict if verdict == MISSING else f"**{verdict}**"

@@ -1,0 +1,546 @@
+"""The results page: planted populations give the verdicts they should, both ways; the committed page is up to date."""
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from assistax_zoo.main import run
+from evaluation import summary, tables
+from evaluation.results import measures
+from evaluation.results.claims import Claim, check_claims
+from evaluation.results.collect import collect
+from evaluation.results.data import CrossPlayed, Egos, Results, read_notes, read_paper, read_results
+from evaluation.results.figures import draw_figures
+from evaluation.results.page import make_page
+from evaluation.results.pictures import picture_names
+from evaluation.statistics import probability_of_improvement
+from evaluation.strategies import summarise_strategies
+from population.spec import PolicySpec
+from tests.evaluation.episode_tables import CONTEXT, Team, clustered_matrix, episode_table, team_id, teams
+from tests.zoo.conftest import put, trained_team
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry, SelfPlay, Training
+
+ROOT = Path(__file__).parents[2]
+POPULATION = teams(20)
+PUBLISHED: list[Team] = [(a, d, s) for a in ("ippo", "masac") for d in ("d1", "d9") for s in range(3)]
+SEEDS, PARTNERS = 6, 20
+
+
+# Matrices with known answers
+
+
+def blocks(count: int = 20, across: float = 0.4) -> np.ndarray:
+    """Two groups that fit each other only within: 900 there, a share of it across."""
+    group = np.arange(count) % 2
+    noise = np.random.default_rng(0).normal(0, 10, (count, count))
+    return np.where(group[:, None] == group[None], 900.0, 900.0 * across) + noise
+
+
+def additive(robots: float, humans: float, count: int = 20, noise: float = 10.0) -> np.ndarray:
+    """No strategies: robots and humans are better or worse by standard deviations of exactly these sizes."""
+    rng = np.random.default_rng(1)
+    quality = rng.normal(size=(2, count))
+    quality = (quality - quality.mean(axis=1, keepdims=True)) / quality.std(axis=1, keepdims=True)
+    means = 900 + robots * quality[0][:, None] + humans * quality[1][None]
+    return means + rng.normal(0, noise, (count, count))
+
+
+def poor_half(count: int = 20) -> np.ndarray:
+    """Return = quality of the robot x quality of the human: half of the teams are poor, none is incompatible."""
+    quality = np.where(np.arange(count) % 2, 1.0, 0.3)
+    return 900 * quality[:, None] * quality[None] + np.random.default_rng(2).normal(0, 10, (count, count))
+
+
+def test_incompatible_pairs_are_counted():
+    assert measures.incompatible_share(blocks()) == pytest.approx(200 / 380)
+    assert measures.incompatible_share(blocks(across=0.6)) == 0
+    one_way = np.array([[10.0, 1.0], [9.0, 10.0]])
+    assert measures.incompatible_share(one_way) == 0.5
+    assert measures.incompatible_share(np.array([[10.0, 1.0], [1.0, 10.0]])) == 1
+
+
+def test_poor_teams_are_not_taken_for_incompatible_ones():
+    for matrix in (poor_half(), additive(300, 0), additive(0, 300)):
+        assert measures.incompatible_share(matrix) < 0.02
+        assert measures.exchange_loss(matrix, [range(0, 20, 2), range(1, 20, 2)]) < 0.1
+
+
+def test_exchange_loss_of_two_clusters():
+    halves = [range(0, 20, 2), range(1, 20, 2)]
+    assert measures.exchange_loss(blocks(), halves) == pytest.approx(0.6, abs=0.02)
+    one_way = blocks()
+    one_way[0::2, 1::2] = 890.0  # the robots of the first half play well with every human
+    assert measures.exchange_loss(one_way, halves) < 0.05
+    assert measures.exchange_loss(blocks(), [range(20)]) == 0
+    assert measures.exchange_loss(blocks(), [[0], range(1, 20)]) == 0
+
+
+def test_clusters_by_who_fits_whom_stand_out_from_permutations():
+    found = measures.interaction_structure(blocks(), permutations=39)
+    assert found.p == pytest.approx(1 / 40)
+    assert found.silhouette > 0.8 > found.null
+    chance = [measures.interaction_structure(additive(200, 200 * i), permutations=39).p for i in range(4)]
+    assert min(chance) > 0.05
+
+
+def test_self_play_alone_makes_no_cluster():
+    matrix = additive(50, 50) + 500 * np.eye(20)
+    assert measures.interaction_structure(matrix, permutations=39).p > 0.05
+
+
+def test_variance_is_split_between_robots_and_humans():
+    for robots, humans in ((100, 0), (0, 100), (100, 100)):
+        found = measures.variance_shares(additive(robots, humans, count=60, noise=1) + 400 * np.eye(60))
+        total = robots**2 + humans**2
+        assert found.robot.value == pytest.approx(robots**2 / total, abs=0.02)
+        assert found.human.value == pytest.approx(humans**2 / total, abs=0.02)
+        assert found.robot.value + found.human.value + found.rest.value == pytest.approx(1)
+        assert found.rest.value < 0.01
+        assert found.human.ci is not None
+        assert found.human.ci[0] - 0.01 < found.human.value <= found.human.ci[1]
+    assert measures.variance_shares(blocks(60)).rest.value > 0.95
+
+
+@pytest.mark.parametrize("stratified", [False, True])
+def test_probability_of_improvement_with_its_interval(stratified: bool):
+    rng = np.random.default_rng(3)
+    x, y = rng.normal(0.5, 1, (6, 8)), rng.normal(0, 1, (5, 8))
+    found = measures.improvement(x, y, stratified=stratified)
+    assert found.value == probability_of_improvement(x, y)
+    assert found.ci is not None and found.ci[0] < found.value < found.ci[1]
+    back = measures.improvement(y, x, stratified=stratified)
+    assert back.value == pytest.approx(1 - found.value)
+    assert measures.improvement(x + 99, y, stratified=stratified).ci == (1, 1)
+    assert measures.improvement(x, x, stratified=stratified).value == 0.5
+
+
+def test_improvement_interval_is_that_of_plain_resampling():
+    rng = np.random.default_rng(4)
+    x, y = rng.normal(0.4, 1, (5, 7)), rng.normal(0, 1, (4, 7))
+    draws = []
+    for _ in range(3000):
+        a, b, c = rng.integers(0, 5, 5), rng.integers(0, 4, 4), rng.integers(0, 7, 7)
+        draws.append(probability_of_improvement(x[a][:, c], y[b][:, c]))
+    found = measures.improvement(x, y, resamples=3000)
+    assert found.ci is not None
+    np.testing.assert_allclose(found.ci, np.quantile(draws, (0.025, 0.975)), atol=0.02)
+    columns = []
+    for _ in range(3000):
+        a, b = rng.integers(0, 5, (5, 7)), rng.integers(0, 4, (4, 7))
+        columns.append(probability_of_improvement(np.take_along_axis(x, a, 0), np.take_along_axis(y, b, 0)))
+    found = measures.improvement(x, y, stratified=True, resamples=3000)
+    assert found.ci is not None
+    np.testing.assert_allclose(found.ci, np.quantile(columns, (0.025, 0.975)), atol=0.02)
+
+
+def test_relative_gap():
+    sides = ["train", "test"] * 5
+    scores = np.where(np.array(sides) == "train", 100.0, 80.0) + np.arange(4)[:, None]
+    found = measures.relative_gap(scores, sides)
+    assert found.value == pytest.approx(20 / 101.5)
+    assert found.ci is not None and found.ci[0] <= found.value <= found.ci[1]
+
+
+# Claims
+
+
+def played(matrix: np.ndarray, population: list[Team] = POPULATION) -> CrossPlayed:
+    table = episode_table(matrix[:, :, None], population, population)
+    pairs, order = summary.crossplay_matrix(table)
+    told = summary.summarise_crossplay(table, **CONTEXT)
+    run = {"command": "assistax-zoo crossplay", "seconds": 60.0, "devices": ["cpu"]}
+    return CrossPlayed(pairs, order, summarise_strategies(pairs), told, run)
+
+
+def egos(train: float, test: float, spread: float = 5.0) -> Egos:
+    sides = ["train", "test"] * (PARTNERS // 2)
+    means = np.where(np.array(sides) == "train", train, test)
+    returns = means + np.random.default_rng(5).normal(0, spread, (SEEDS, PARTNERS))
+    names = [f"ppo-s{seed}.safetensors" for seed in range(SEEDS)]
+    table = episode_table(np.repeat(returns[:, :, None], 2, axis=2), names, teams(PARTNERS), sides)
+    pairs = tables.pair_table(table).with_columns(pl.Series("ego_seed", np.repeat(np.arange(SEEDS), PARTNERS)))
+    told = summary.summarise_evaluation(table, **CONTEXT)
+    return Egos(pairs, told, {"command": "assistax-zoo evaluate", "seconds": None}, None)
+
+
+def humans(returns: dict[str, list[float]], task: str = "scratch", disability: str = "d1") -> list[PolicyEntry]:
+    found = []
+    for algorithm, means in returns.items():
+        for seed, mean in enumerate(means):
+            team = f"{task}/{algorithm}-{disability}-s{seed}-v0"
+            training = Training(steps=10_000_000, env_version=1, backend="native", device="cpu", seconds=30.0)
+            own = SelfPlay(mean=mean, iqm=mean, ci=(mean - 1, mean + 1), n=16)
+            spec = PolicySpec("human", 38, 3)
+            place = (task, algorithm, "human", disability, seed, "v0", spec, "shard", seed, "0" * 64)
+            found.append(PolicyEntry(f"{team}/human", team, *place, f"{task}-{algorithm}", training, own))
+    return found
+
+
+def results(**changes: Any) -> Results:
+    empty = Results("v0", [], None, {}, {}, read_paper(), {})
+    return dataclasses.replace(empty, **changes)
+
+
+def verdict(found: Results, title: str, task: str) -> str:
+    [claim] = [claim for claim in check_claims(found) if title in claim.title and claim.task == task]
+    return claim.verdict
+
+
+def test_nothing_is_claimed_of_what_was_not_measured():
+    claims = check_claims(results())
+    assert len(claims) == 18
+    assert {claim.verdict for claim in claims} == {"not measured yet"}
+
+
+@pytest.mark.parametrize(
+    ("matrix", "wanted"),
+    [
+        (blocks(), "holds"),
+        (blocks(across=0.65), "holds in part"),  # clusters that lose a third, but no pair falls below one half
+        (additive(60, 60), "does not hold"),
+        (additive(300, 0), "does not hold"),
+    ],
+)
+@pytest.mark.parametrize("task", ["scratch", "bed_bath"])
+def test_groups_of_incompatible_strategies(matrix: np.ndarray, wanted: str, task: str):
+    assert verdict(results(crossplay={task: played(matrix)}), "incompatible", task) == wanted
+
+
+@pytest.mark.parametrize(
+    ("matrix", "wanted"),
+    [
+        (additive(200, 10), "holds"),
+        (additive(250, 130, count=60), "holds in part"),
+        (additive(10, 200), "does not hold"),
+        (blocks(), "does not hold"),
+        (additive(100, 100), "undecided"),
+    ],
+)
+def test_the_human_contributes_little(matrix: np.ndarray, wanted: str):
+    found = results(crossplay={"arm_assist": played(matrix, teams(len(matrix)))})
+    assert verdict(found, "contributes", "arm_assist") == wanted
+
+
+@pytest.mark.parametrize(
+    ("train", "test", "wanted"),
+    [(800, 795, "holds"), (800, 500, "does not hold"), (500, 800, "does not hold"), (800, 720, "undecided")],
+)
+def test_small_gap(train: float, test: float, wanted: str):
+    spread = 60.0 if wanted == "undecided" else 5.0
+    found = results(egos={("scratch", "ppo"): egos(train, test, spread)})
+    assert verdict(found, "gap, PPO", "scratch") == wanted
+    assert verdict(found, "gap, SAC", "scratch") == "not measured yet"
+
+
+def test_ppo_egos_above_sac_egos():
+    better, worse = egos(800, 790), egos(700, 690)
+    both = {("scratch", "ppo"): better, ("scratch", "sac"): worse}
+    assert verdict(results(egos=both), "PPO egos above", "scratch") == "holds"
+    both = {("scratch", "ppo"): worse, ("scratch", "sac"): better}
+    assert verdict(results(egos=both), "PPO egos above", "scratch") == "does not hold"
+    same = {("scratch", "ppo"): better, ("scratch", "sac"): better}
+    assert verdict(results(egos=same), "PPO egos above", "scratch") == "undecided"
+
+
+def test_egos_that_met_other_partners_are_not_compared():
+    other = egos(800, 790)
+    other = dataclasses.replace(other, pairs=other.pairs.with_columns(pl.col("side").reverse()))
+    with pytest.raises(ValueError, match="different partners"):
+        check_claims(results(egos={("scratch", "ppo"): egos(800, 790), ("scratch", "sac"): other}))
+
+
+def test_ppo_above_sac_in_self_play():
+    rising = {"ippo": [930.0, 940, 950, 960], "mappo": [600.0, 700, 800, 900], "masac": [650.0, 700, 750, 800]}
+    found = results(humans=humans(rising))
+    assert verdict(found, "IPPO above", "scratch") == "holds"
+    assert verdict(found, "MAPPO above", "scratch") == "undecided"
+    falling = results(humans=humans({"ippo": [100.0, 200, 300], "masac": [650.0, 700, 750]}))
+    assert verdict(falling, "IPPO above", "scratch") == "does not hold"
+    assert verdict(falling, "MAPPO above", "scratch") == "not measured yet"
+
+
+def test_verdict_of_mixed_criteria():
+    def told(*outcomes: Any) -> str:
+        from evaluation.results.claims import Criterion
+
+        return Claim("c", "scratch", "f", [Criterion("w", "v", "t", outcome) for outcome in outcomes]).verdict
+
+    assert told("met", "met") == "holds"
+    assert told("met", "not met") == "does not hold"
+    assert told("not met", "met") == "holds in part"
+    assert told("undecided", "met") == told("met", "undecided") == told("not met", "undecided") == "undecided"
+
+
+# Collecting
+
+
+@pytest.fixture
+def crossplay_folder(tmp_path: Path) -> Path:
+    table = episode_table(np.repeat(clustered_matrix(12, 2)[:, :, None], 2, axis=2), PUBLISHED, PUBLISHED)
+    folder = tmp_path / "xp"
+    tables.write_episodes(table, folder / tables.EPISODES_FILE)
+    summary.save_crossplay(folder, table, **CONTEXT)
+    tables.write_json(
+        {
+            "command": "assistax-zoo crossplay --egos 'scratch/*' --lock=/mnt/a.lock --out /home/me/xp",
+            "devices": ["cpu"],
+        },
+        folder / "run.json",
+    )
+    return folder
+
+
+def evaluation_folder(tmp_path: Path, method: str, shift: float, sides: tuple[str, str] = ("train", "test")) -> Path:
+    returns = np.random.default_rng(6).normal(500 + shift, 5, (3, 4, 2))
+    names = [f"/mnt/runs/{method}/policies/{method}-s{seed}.safetensors" for seed in range(3)]
+    table = episode_table(returns, names, PUBLISHED[:4], list(sides) * 2)
+    folder = tmp_path / f"evaluated-{method}"
+    tables.write_episodes(table, folder / tables.EPISODES_FILE)
+    summary.save_evaluation(folder, table, **CONTEXT)
+    command = " ".join(["assistax-zoo evaluate --split both", *(f"--policy {name}" for name in names)])
+    tables.write_json({"command": command}, folder / "run.json")
+    return folder
+
+
+def test_a_cross_play_is_condensed_and_read_back(crossplay_folder: Path, tmp_path: Path):
+    out = collect(crossplay_folder, tmp_path / "data")
+    assert out == tmp_path / "data" / "crossplay" / "scratch"
+    assert sorted(path.name for path in out.iterdir()) == [
+        "order.json", "pairs.parquet", "run.json", "strategies.json", "summary.json"
+    ]  # fmt: skip
+    pairs = tables.read_parquet(out / "pairs.parquet")
+    assert pairs.height == 144
+    assert {pairs.schema[name] for name in ("return", "return_sd", "force_mean")} == {pl.Float32()}
+    told = tables.read_json(out / "run.json")
+    assert told["command"] == "assistax-zoo crossplay --egos 'scratch/*' --lock=a.lock --out xp"
+    assert told["env_steps"] == 288_000
+    assert told["seconds"] == pytest.approx(288_000 / CONTEXT["env_steps_per_second"])
+
+
+def test_the_matrix_is_the_one_that_was_played(crossplay_folder: Path, tmp_path: Path):
+    collect(crossplay_folder, tmp_path / "data")
+    found = read_results(published(tmp_path), "v0", tmp_path / "data").crossplay["scratch"]
+    places = [[team_id(team) for team in PUBLISHED].index(name) for name in found.teams]
+    np.testing.assert_allclose(found.matrix, clustered_matrix(12, 2)[np.ix_(places, places)], rtol=1e-6)
+    assert sorted(place for cluster in found.clusters for place in cluster) == list(range(12))
+
+
+def test_an_evaluation_is_condensed_under_its_method(tmp_path: Path):
+    out = collect(evaluation_folder(tmp_path, "sac", 0), tmp_path / "data")
+    assert out.name == "scratch-sac"
+    pairs = tables.read_parquet(out / "pairs.parquet")
+    assert pairs.select("ego", "ego_algorithm", "ego_seed").unique(maintain_order=True).rows() == [
+        (f"sac-s{seed}.safetensors", "sac", seed) for seed in range(3)
+    ]
+    assert pairs["episodes"].unique().to_list() == [2]
+    assert "/mnt" not in "".join(path.read_text() for path in out.glob("*.json"))
+    found = read_results(published(tmp_path), "v0", tmp_path / "data").egos["scratch", "sac"]
+    whole = summary.dense_block(tables.read_episodes(tmp_path / "evaluated-sac" / tables.EPISODES_FILE)).scores
+    np.testing.assert_allclose(np.sort(found.scores, axis=None), np.sort(whole, axis=None), rtol=1e-6)
+    assert found.scores.shape == (3, 4)
+
+
+def test_training_of_egos_is_condensed(tmp_path: Path):
+    from tests.zoo.conftest import SPECS, random_params
+    from zoo.storage import write_policy_file
+
+    folder = tmp_path / "runs" / "policies"
+    folder.mkdir(parents=True)
+    training = {"steps": 5000, "seconds": 90.0, "device": "cpu", "backend": "native", "secret": "/home/me"}
+    for seed in range(2):
+        told = {"task": "scratch", "algorithm": "ppo", "seed": seed, "split": "half", "training": training}
+        write_policy_file(
+            folder / f"ppo-s{seed}.safetensors", SPECS["robot"], random_params(SPECS["robot"], seed), told
+        )
+    out = collect(folder.parent, tmp_path / "data")
+    found = tables.read_json(out / "training.json")
+    assert found["egos"] == 2
+    assert (found["steps"], found["seconds"], found["split"]) == (5000, 90.0, "half")
+    assert "secret" not in found
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda folder: (folder / "summary.json").unlink(), "holds no summary.json"),
+        (lambda folder: tables.write_json({"task": "scratch"}, folder / "summary.json"), "neither crossplay nor"),
+        (lambda folder: (folder / "strategies.json").unlink(), "strategies.json does not exist"),
+    ],
+)
+def test_a_folder_that_is_no_finished_one_is_refused(crossplay_folder: Path, tmp_path: Path, spoil: Any, message: str):
+    spoil(crossplay_folder)
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
+        collect(crossplay_folder, tmp_path / "data")
+
+
+def test_one_side_or_several_methods_are_refused(tmp_path: Path):
+    with pytest.raises(ValueError, match="--split both"):
+        collect(evaluation_folder(tmp_path, "ppo", 0, ("test", "test")), tmp_path / "data")
+    folder = evaluation_folder(tmp_path, "sac", 0)
+    told = tables.read_json(folder / "summary.json")
+    tables.write_json({**told, "egos": ["zoo:scratch/ippo-d1-s0-v0/robot"]}, folder / "summary.json")
+    with pytest.raises(ValueError, match="expected the policies of one train-ego run"):
+        collect(folder, tmp_path / "data")
+
+
+# The page
+
+
+def published(tmp_path: Path) -> Registry:
+    return put([trained_team(*team) for team in PUBLISHED], tmp_path / "registry.json")
+
+
+@pytest.fixture
+def words(tmp_path: Path, crossplay_folder: Path) -> list[str]:
+    """Data of a partial release: cross-play, egos and curves of scratch; and the command for its page."""
+    data = tmp_path / "data"
+    folders = [crossplay_folder, evaluation_folder(tmp_path, "ppo", 50), evaluation_folder(tmp_path, "sac", 0)]
+    assert run(["results", "collect", *map(str, folders), "--out", str(data)]) == 0
+    published(tmp_path)
+    steps = np.tile(np.arange(1, 101) * 100_000, 3)
+    curve = {"task": "scratch", "algorithm": "ippo", "disability": "d1", "seed": np.repeat(np.arange(3), 100)}
+    curves = pl.DataFrame({**curve, "steps": steps, "return": 1000 * (1 - np.exp(-steps / 2e6))})
+    tables.write_parquet(curves, data / "curves" / "scratch-ippo.parquet")
+    (data / "notes.md").write_text("## self-play\n\nOurs plays its most likely actions.\n\n## zsc\n\n")
+    common = ["--release", "v0", "--data", str(data), "--out", str(tmp_path / "page.md")]
+    return ["results", "page", *common, "--registry", str(tmp_path / "registry.json")]
+
+
+def test_the_page_of_a_partial_release(words: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    assert run(words) == 0
+    text = (tmp_path / "page.md").read_text()
+    told = capfd.readouterr().err
+    assert "422 of 434 teams of Table 6" in told
+    assert "not measured yet: cross-play of bed_bath" in told
+    assert "cross-play of scratch" not in told
+    assert f"{told.count('warning: ')} warnings" in told
+    assert "| scratch | IPPO | 950.5" in text
+    assert "12 of 434 teams" in text
+    assert "**Why.** Ours plays its most likely actions." in text
+    assert text.count("**Why.**") == 1
+    assert "and 2 more --policy" in text
+    pictures = re.findall(r'src="([^"]+)"', text)
+    assert sorted(Path(name).name for name in pictures) == [
+        "crossplay_scratch.png", "curves.png", "population.png", "zsc_scratch.png"
+    ]  # fmt: skip
+    assert all((tmp_path / name).stat().st_size > 5000 for name in pictures)
+    assert all(line.count("|") > 2 for line in text.splitlines() if line.startswith("|"))
+
+
+def test_every_table_has_as_many_cells_in_each_row():
+    everything = results(
+        humans=humans({"ippo": [930.0, 940], "masac": [700.0, 800]}),
+        crossplay={task: played(blocks()) for task in ("scratch", "bed_bath", "arm_assist")},
+        egos={("scratch", "ppo"): egos(800, 790), ("bed_bath", "sac"): egos(700, 690)},
+    )
+    for found in (everything, results()):
+        blocks_of_lines = re.findall(r"(?:^\|.*\n)+", make_page(found, "images", "make results"), re.MULTILINE)
+        assert len(blocks_of_lines) >= 5
+        for block in blocks_of_lines:
+            assert len({line.count(" | ") for line in block.splitlines()}) == 1
+
+
+def test_the_same_tables_give_the_same_page(words: list[str], tmp_path: Path):
+    assert run(words) == 0
+    first = (tmp_path / "page.md").read_bytes(), (tmp_path / "images" / "v0" / "zsc_scratch.png").read_bytes()
+    assert run(words) == 0
+    second = (tmp_path / "page.md").read_bytes(), (tmp_path / "images" / "v0" / "zsc_scratch.png").read_bytes()
+    assert first == second
+
+
+def test_check_finds_a_page_that_is_out_of_date(words: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    assert run([*words, "--check"]) == 1
+    assert "does not exist" in capfd.readouterr().err
+    assert run(words) == 0
+    assert run([*words, "--check"]) == 0
+    page = tmp_path / "page.md"
+    good = page.read_text()
+    page.write_text(good.replace("950.5", "951.5", 1))
+    assert run([*words, "--check"]) == 1
+    message = capfd.readouterr().err
+    assert "is not what the tables give: line" in message
+    assert "Traceback" not in message
+    page.write_text(good)
+    (tmp_path / "images" / "v0" / "curves.png").unlink()
+    assert run([*words, "--check"]) == 1
+    assert "lacks curves.png" in capfd.readouterr().err
+
+
+def test_tables_of_another_release_are_refused(words: list[str], capfd: pytest.CaptureFixture[str]):
+    place = words.index("v0")
+    assert run([*words[:place], "v1", *words[place + 1 :]]) == 1
+    assert "is of v1; give the data of v1" in capfd.readouterr().err
+
+
+def test_partners_from_outside_the_release_are_refused_and_absent_ones_named(
+    words: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
+    registry = tmp_path / "registry.json"
+    registry.unlink()
+    put([trained_team(*team) for team in [*PUBLISHED, ("masac", "d9", 3)]], registry)
+    assert run(words) == 0
+    assert "not measured yet: cross-play of scratch for 1 of its 13 teams" in capfd.readouterr().err
+    registry.unlink()
+    put([trained_team(*team) for team in PUBLISHED[1:]], registry)
+    assert run(words) == 1
+    assert "1 partners on scratch that are not in release v0, first scratch/ippo-d1-s0-v0" in capfd.readouterr().err
+
+
+def test_a_note_on_an_unknown_section_is_refused(tmp_path: Path):
+    path = tmp_path / "notes.md"
+    path.write_text("intro\n\n## cross-play\n\nBecause.\n\nTwo paragraphs.\n")
+    assert read_notes(path) == {"cross-play": "Because.\n\nTwo paragraphs."}
+    path.write_text("## crossplay\n\nBecause.\n")
+    with pytest.raises(ValueError, match="'crossplay'; allowed are summary"):
+        read_notes(path)
+
+
+def test_the_paper_s_population_is_complete_only_with_every_team():
+    paper = read_paper()
+    whole = [
+        human
+        for task, kinds in paper["population"].items()
+        for name, kind in kinds.items()
+        for setting in range(kind["settings"])
+        for human in humans({name: [500.0] * kind["seeds"]}, task, f"d{setting + 1}")
+    ]
+    assert len(whole) == 434
+    page = make_page(results(humans=whole), "images", "make results")
+    assert "434 of 434 teams. The composition is the paper's." in page
+    assert not [name for name in results(humans=whole).missing if "Table 6" in name]
+    moved = [dataclasses.replace(whole[0], disability="d2"), *whole[1:]]
+    assert "Different from the paper's: scratch IPPO." in make_page(results(humans=moved), "images", "make results")
+
+
+@pytest.mark.parametrize(("mean", "wanted"), [(940.0, "agree"), (700.0, "below"), (1100.0, "above")])
+def test_self_play_beside_the_paper_s(mean: float, wanted: str):
+    page = make_page(results(humans=humans({"ippo": [mean - 1, mean, mean + 1]})), "images", "make results")
+    [line] = [line for line in page.splitlines() if line.startswith("| scratch | IPPO | ") and "939.5 [" in line]
+    assert line.endswith(f"| {wanted} |")
+
+
+def test_pictures_are_those_that_are_drawn(tmp_path: Path):
+    found = results(humans=humans({"ippo": [900.0]}), egos={("bed_bath", "sac"): egos(700, 690)})
+    drawn = draw_figures(found, tmp_path)
+    assert [path.name for path in drawn] == picture_names(found) == ["population.png", "zsc_bed_bath.png"]
+    assert not picture_names(results())
+
+
+def test_the_committed_page_is_what_the_committed_tables_give(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(ROOT)
+    words = ["--release", "v1", "--data", "docs/data/v1", "--out", "docs/results.md", "--registry", "registry.json"]
+    assert run(["results", "page", *words, "--check"]) == 0, capfd.readouterr().err
+
+
+def test_committed_tables_name_no_place_of_a_machine():
+    for path in (ROOT / "docs" / "data").rglob("*.json"):
+        assert not re.search(r"[\" =](/[a-z]+){2,}", json.dumps(json.loads(path.read_text()))), path
