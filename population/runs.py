@@ -21,7 +21,7 @@ from population.config import Member, PPOConfig, TrainConfig, TrainerConfig
 from population.spec import PolicySpec
 
 METADATA_KEY = "assistax"  # safetensors bytes are stable with one metadata key only
-_MAY_CHANGE = ("checkpoint_every", "self_play_episodes")  # when a run goes on; so may "steps", with `_extends`
+_MAY_CHANGE = ("checkpoint_every", "self_play_episodes")  # when a run goes on; so may "steps", with `extends`
 _SCHEMA = {"update": pl.Int64, "steps": pl.Int64, "seconds": pl.Float64, "member": pl.Int64, "disability": pl.String}
 _SCHEMA |= {"seed": pl.Int64, "episodes": pl.Int64, "nonfinite": pl.Int64}
 
@@ -57,13 +57,20 @@ class RunFolder:
             raise ValueError(f"{self.folder} already holds a run; resume it, or choose a new folder")
         else:
             found = self._read_config()
-            may_change = (*_MAY_CHANGE, *(("steps",) if _extends(config.trainer) else ()))
+            may_change = (*_MAY_CHANGE, *(("steps",) if extends(config.trainer) else ()))
             if differences := _differences(found, wanted, may_change):
                 raise ValueError(
                     f"{self.folder} holds a run with another configuration: {differences}; "
                     "repeat that configuration to resume it, or choose a new folder"
                 )
         write_atomically(self._config, (json.dumps(wanted, indent=2) + "\n").encode())
+
+    def finished(self, config: TrainConfig) -> bool:
+        """Return whether the folder holds the teams of this run, trained to its end."""
+        if not self.teams.exists():
+            return False
+        steps = json.loads(self.teams.read_text())[0]["training"]["steps"]
+        return steps == config.updates * config.trainer.batch_steps
 
     def config(self) -> TrainConfig:
         """Return the configuration of the run in this folder."""
@@ -118,6 +125,11 @@ class RunFolder:
             return json.loads(self._config.read_text())
         except ValueError as error:
             raise ValueError(f"{self._config} is not JSON ({error}); choose a new folder") from None
+
+
+def extends(trainer: TrainerConfig) -> bool:
+    """Return whether a run may be made longer: its length sets neither learning rate nor the size of a replay."""
+    return isinstance(trainer, PPOConfig) and not trainer.anneal_lr
 
 
 def metrics_table(
@@ -189,11 +201,6 @@ def _differences(found: Any, wanted: Any, ignored: Sequence[str], path: str = ""
     if json.dumps(found) == json.dumps(wanted):
         return ""
     return f"{path.removeprefix('config.')} is {_short(found)} there and {_short(wanted)} here"
-
-
-def _extends(trainer: TrainerConfig) -> bool:
-    """Return whether a run may be made longer: its length sets neither learning rate nor the size of a replay."""
-    return isinstance(trainer, PPOConfig) and not trainer.anneal_lr
 
 
 def _short(value: Any) -> str:

@@ -3,6 +3,7 @@
 import dataclasses
 import datetime
 import importlib.metadata
+import shutil
 import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
@@ -23,7 +24,7 @@ from population.partners import Partners
 from population.policy import Policy
 from population.ppo import PPO
 from population.rollout import Environment
-from population.runs import RunFolder, metrics_table
+from population.runs import RunFolder, extends, metrics_table
 from population.sac import SAC
 from population.self_play import self_play
 from population.sharding import FIRST_AXIS, SECOND_AXIS, WHOLE, Shares, state_specs
@@ -136,14 +137,17 @@ def train(
     trainer, shares = make_trainer(config, env, partners), Shares(len(config.members), devices)
     run = RunFolder(folder)
     run.open(config, {"version": env.version, "backend": env.backend}, resume)
+    if run.finished(config):
+        return run.folder
     checkpoints = Checkpoints(run.checkpoints)
     try:
         state, metrics = _load(config, trainer, shares, run, checkpoints)
         state, metrics = _loop(config, trainer, shares, state, metrics, run, checkpoints, progress, stop_on_divergence)
     finally:
         checkpoints.close()
-    if not run.teams.exists():
-        _finish(config, trainer, shares, state, metrics, run)
+    _finish(config, trainer, shares, state, metrics, run)
+    if not extends(config.trainer):
+        shutil.rmtree(run.checkpoints, ignore_errors=True)  # a replay for each member, and nothing can go on from them
     return run.folder
 
 
@@ -201,7 +205,10 @@ def _loop(
     progress: Callable[[Progress], None] | None,
     stop_on_divergence: bool,
 ) -> tuple[State, pl.DataFrame]:
-    """Update until the run is done, saving metrics and then the state every `checkpoint_every` updates."""
+    """Update until the run is done, saving metrics and then the state every `checkpoint_every` updates.
+
+    The last state is saved only where a longer run can go on from it: with a replay for each member it may be large.
+    """
     advance = jax.jit(partial(_advance, trainer, shares), static_argnames="updates", donate_argnames="state")
     hyper = shares.put(trainer.hyper(config.members))
     partners = shares.put(trainer.partners.params if trainer.partners else (), WHOLE)
@@ -216,13 +223,15 @@ def _loop(
         rows = metrics_table(values, config.members, done, config.trainer.batch_steps, clock.seconds())
         metrics.append(rows)
         done += updates
-        saving = done // config.checkpoint_every > (done - updates) // config.checkpoint_every or done == config.updates
+        saving = done // config.checkpoint_every > (done - updates) // config.checkpoint_every
+        ending = done == config.updates
         if stop_on_divergence and (bad := _diverged(values)):
             run.write_metrics(pl.concat(metrics))
             raise DivergedError(_divergence(bad, rows, config, checkpoints))
-        if saving:
+        if saving or ending:
             metrics = [pl.concat(metrics)]
             run.write_metrics(metrics[0])
+        if extends(config.trainer) if ending else saving:
             checkpoints.save(done, state)
         if progress is not None:
             progress(clock.progress(config, done, rows))
