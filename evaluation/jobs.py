@@ -14,7 +14,7 @@ from typing import Any
 from population.spec import PolicySpec
 
 MANIFEST_FORMAT = 3  # 2: the table has columns of behaviour. 3: tiles, by which values differ in the last bit
-TILE_ENVS = 256  # most simulations at once on `native`: twice as many are hardly faster on two cores
+TILE_ENVS = 512  # most simulations at once on `native`: more are no faster on two cores
 
 
 @dataclasses.dataclass(frozen=True)

@@ -38,6 +38,7 @@ from zoo.storage import check_params, encode_shard
 from zoo.tensors import Leaves, flatten, row_sha256
 
 Check = Callable[[PolicySpec, Leaves, str], None]
+_EGO_DISABILITY = "mixed"  # each of its partners has its own
 _IDENTITY = ("run", "task", "algorithm", "disability", "seed", "release")  # stand in the id or as the run's key
 
 
@@ -109,9 +110,12 @@ def _day(date: str | None) -> str:
 
 
 def _candidate(team: TrainedTeam, release: str, check: Check) -> _Candidate:
-    name = TeamId(team.task, team.algorithm, team.disability, team.seed, release)
     if team.disability not in DISABILITY_SETTINGS:
-        raise _refusal(f"disability of {name}", f"one of {listing(DISABILITY_SETTINGS, 12)}", team.disability)
+        label = f"{team.task}/{team.algorithm} seed {team.seed}"
+        mixed = " (a robot that was trained with frozen partners is no team: `assistax-zoo evaluate` measures it)"
+        found = team.disability + (mixed if team.disability == _EGO_DISABILITY else "")
+        raise _refusal(f"disability of {label}", f"one of {listing(DISABILITY_SETTINGS, 12)}", found)
+    name = TeamId(team.task, team.algorithm, team.disability, team.seed, release)
     leaves = {role: flatten(team.params[role]) for role in team.specs}
     for role, spec in team.specs.items():
         check(spec, leaves[role], f"parameters of {name}/{role}")

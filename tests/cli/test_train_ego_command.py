@@ -82,3 +82,6 @@ def test_trained_robots_are_policy_files_that_can_be_evaluated(tmp_path, capfd):
     spec, _, metadata = storage.read_policy_file(result["policies"][1])
     assert (spec.role, metadata["seed"], metadata["training"]["steps"]) == ("robot", 1, 128)
     assert metadata["split"].startswith("scratch/half-s0-v0")
+    words = ["publish", str(tmp_path / "ego"), "--release", "v9", "--registry", str(tmp_path / "registry.json")]
+    assert run(words) == 1 and not (tmp_path / "registry.json").exists()
+    assert "found mixed (a robot that was trained with frozen partners is no team" in capfd.readouterr().err
