@@ -23,6 +23,7 @@ Edge = Literal["left", "top"]
 _MATRIX = 6.4  # longer side of the matrix
 _STRIP, _GAP = 0.13, 0.035
 _BRACKET = 0.17  # strip of cluster letters
+_LETTER = 0.09  # least bracket with a letter: letters of smaller clusters would lie on each other
 _TREE = 0.42
 _LEGEND = 2.5
 _COLOUR_BAR = 1.6
@@ -215,13 +216,16 @@ def _draw_brackets(axes: Axes, side: Side, edge: Edge) -> None:
     axes.set_yticks([])
     limits = (-0.5, len(side) - 0.5)
     axes.set(**({"ylim": limits[::-1], "xlim": (0, 1)} if edge == "left" else {"xlim": limits, "ylim": (0, 1)}))
+    area = axes.get_window_extent()
+    inch = len(side) / ((area.height if edge == "left" else area.width) / axes.figure.dpi)
     for i, cluster in enumerate(side.clusters):
         start, length = cluster.start - 0.5, cluster.stop - cluster.start
         box = ((0, start), 1, length) if edge == "left" else ((start, 0), length, 1)
         axes.add_patch(Rectangle(*box, facecolor=("#e9e9e9", "#d4d4d4")[i % 2], linewidth=0))
         middle = start + length / 2
         x, y = (0.5, middle) if edge == "left" else (middle, 0.5)
-        axes.text(x, y, cluster.letter, ha="center", va="center", fontsize=7.5, color=style.INK, clip_on=False)
+        if length >= _LETTER * inch:
+            axes.text(x, y, cluster.letter, ha="center", va="center", fontsize=7.5, color=style.INK, clip_on=False)
 
 
 def _draw_tree(axes: Axes, side: Side, edge: Edge) -> None:
