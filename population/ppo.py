@@ -136,22 +136,7 @@ class PPO:
 
     def collect(self, state: TrainState, partners: Any = ()) -> tuple[TrainState, Batch, jax.Array]:
         """Return the state after a rollout, the rollout, and the keys [M] to learn from it with."""
-        keys = jax.vmap(lambda key: jax.random.split(key, 4))(state.members.key)
-        fresh = self.env.reset(rollout.simulation_keys(keys[:, 0], self.config.num_envs), state.simulations.env.params)
-        act_keys = jax.vmap(lambda key: jax.random.split(key, self.config.rollout_steps), out_axes=1)(keys[:, 1])
-        simulations, batch = rollout.collect(
-            self.env,
-            self.policies,
-            self.policy_params(state.members),
-            act_keys,
-            state.simulations,
-            fresh,
-            self.inputs,
-            self.partners,
-            partners,
-        )
-        members = dataclasses.replace(state.members, key=keys[:, 3])
-        return dataclasses.replace(state, members=members, simulations=simulations), batch, keys[:, 2]
+        return rollout.collect_next(self, state, partners)
 
     def policy_params(self, members: MemberState) -> dict[str, Params]:
         """Return parameters as `Policy` reads them, by role; leaves [M, ...]."""

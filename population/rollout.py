@@ -168,6 +168,37 @@ def collect(
     return after, Batch(carry=flatten(state.carry), last_obs=last_obs, last_first=after.first, **seen, **_fields(tally))
 
 
+def collect_next(
+    trainer: Any, state: Any, partner_params: Any, sample: Sampler = Gaussian.sample
+) -> tuple[Any, Batch, jax.Array]:
+    """Return a trainer's state after its next rollout, the rollout, and the keys [M] to learn from it with.
+
+    Args:
+        trainer: A `population.train.Trainer`, with its `config` and the `inputs` of its learners.
+        state: Its state, with `members` whose `key` is [M], and `simulations`.
+        partner_params: Parameters of frozen partners.
+        sample: How raw actions are drawn.
+    """
+    config, members = trainer.config, state.members
+    keys = jax.vmap(lambda key: jax.random.split(key, 4))(members.key)
+    fresh = trainer.env.reset(simulation_keys(keys[:, 0], config.num_envs), state.simulations.env.params)
+    act_keys = jax.vmap(lambda key: jax.random.split(key, config.rollout_steps), out_axes=1)(keys[:, 1])
+    simulations, batch = collect(
+        trainer.env,
+        trainer.policies,
+        trainer.policy_params(members),
+        act_keys,
+        state.simulations,
+        fresh,
+        trainer.inputs,
+        trainer.partners,
+        partner_params,
+        sample,
+    )
+    members = dataclasses.replace(members, key=keys[:, 3])
+    return dataclasses.replace(state, members=members, simulations=simulations), batch, keys[:, 2]
+
+
 def by_member(batch: Batch, members: int) -> Batch:
     """Move the member axis of a batch to the front: [T, N, ...] becomes [M, T, N/M, ...]."""
 

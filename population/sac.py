@@ -172,23 +172,7 @@ class SAC:
             uniform = jax.random.uniform(explored, gaussian.mean.shape, minval=-_UNIFORM_LIMIT, maxval=_UNIFORM_LIMIT)
             return jnp.where(exploring, jnp.arctanh(uniform), gaussian.sample(drawn))
 
-        keys = jax.vmap(lambda key: jax.random.split(key, 4))(state.members.key)
-        fresh = self.env.reset(rollout.simulation_keys(keys[:, 0], self.config.num_envs), state.simulations.env.params)
-        act_keys = jax.vmap(lambda key: jax.random.split(key, self.config.rollout_steps), out_axes=1)(keys[:, 1])
-        simulations, batch = rollout.collect(
-            self.env,
-            self.policies,
-            self.policy_params(state.members),
-            act_keys,
-            state.simulations,
-            fresh,
-            self.inputs,
-            self.partners,
-            partners,
-            sample,
-        )
-        members = dataclasses.replace(state.members, key=keys[:, 3])
-        return dataclasses.replace(state, members=members, simulations=simulations), batch, keys[:, 2]
+        return rollout.collect_next(self, state, partners, sample)
 
     def policy_params(self, members: MemberState) -> dict[str, Params]:
         """Return parameters as `Policy` reads them, by role; leaves [M, ...]."""
