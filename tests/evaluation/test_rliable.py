@@ -1,4 +1,4 @@
-"""Cross-check with rliable (Agarwal et al., arXiv 2108.13264), where it is installed: `pip install rliable`."""
+"""Cross-check with rliable (Agarwal et al., arXiv 2108.13264) where it is there: `pip install rliable 'pandas<3'`."""
 
 import inspect
 from typing import Any
@@ -39,6 +39,7 @@ def arch_of_any_release(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(base, "__init__", renamed)
 
 
+@pytest.mark.filterwarnings("ignore:random_state is deprecated:FutureWarning")  # rliable's own call of arch
 @pytest.mark.usefixtures("arch_of_any_release")
 def test_stratified_intervals_agree_within_monte_carlo_error():
     ours = estimate(SCORES, method="stratified", resamples=5000, seed=0)
