@@ -133,16 +133,18 @@ def _adoptable(group: "Group", keys: set["Key"], release: str, registry: "Regist
 def _published_runs(
     group: "Group", published: frozenset["Key"], release: str, registry: "Registry | None"
 ) -> dict[str, dict[str, Any]]:
-    """Return the runs of the published teams; an adopted run counts all teams that it trained."""
+    """Return the runs of the published teams; an adopted run has its release's name and counts all it trained."""
     runs: dict[str, dict[str, Any]] = {}
     for key in sorted(published):
         assert registry is not None
-        name = registry.team(str(team_id(group, key, release))).run
-        measured = _of_registry(registry, name)
+        run = registry.team(str(team_id(group, key, release))).run
+        measured = _of_registry(registry, run)
         origin = _origin(group, key, release, registry)
-        state = {"state": "published"} if origin is None else {"state": "adopted", "from": origin}
+        # Runs of equal name, settings and seconds are one entry of the registry, but not one here.
+        name = f"{origin}/{run}" if origin else run
+        state = {"state": "adopted", "from": origin} if origin else {"state": "published"}
         count = runs.get(name, {"teams": 0})["teams"] + 1
-        runs[name] = state | _cost(measured, count, _teams_of(registry, name) if origin else count)
+        runs[name] = state | _cost(measured, count, _teams_of(registry, run) if origin else count)
     return runs
 
 
