@@ -15,12 +15,13 @@ gravity moves it by 1.6 % and a fifth less torque by 0.8 %. That each step is th
 import dataclasses
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
 
+from assistax_envs.versions import VERSIONS
 from zoo.errors import ZooError
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, SelfPlay
@@ -66,6 +67,7 @@ class DeepReport:
     episodes: int  # of each team
     versions: dict[str, str]
     policies: int  # loaded and stepped
+    outdated: tuple[str, ...]  # teams trained on another version of the environment: stepped, not replayed
     teams: tuple[TeamReplay, ...]
     drifts: tuple[Drift, ...]  # one for each task with two teams or more
     problems: tuple[str, ...]
@@ -92,6 +94,8 @@ def verify_deep(
 ) -> DeepReport:
     """Load and step every entry, and replay the self-play of every team that is whole among them.
 
+    Teams of another version of the environment are not replayed: the installed one is not what their returns are of.
+
     Args:
         registry: The registry.
         entries: Policies of it.
@@ -108,8 +112,9 @@ def verify_deep(
     groups, problems = _load(registry, entries)
     steps = {group.ids: _step_problems(group) for group in groups}
     problems += [problem for found in steps.values() for problem in found]
+    outdated = {entry.team for entry in entries if registry.env_version(entry) != VERSIONS.get(entry.task)}
     teams: list[TeamReplay] = []
-    for task, pairs in _team_blocks([group for group in groups if not steps[group.ids]]).items():
+    for task, pairs in _team_blocks([group for group in groups if not steps[group.ids]], outdated).items():
         env = (make_env or make)(task, backend)
         backend = env.backend
         for robots, humans in pairs:
@@ -125,6 +130,7 @@ def verify_deep(
         episodes=episodes,
         versions=versions(),
         policies=sum(len(group.ids) for group in groups),
+        outdated=tuple(sorted(outdated)),
         teams=tuple(teams),
         drifts=tuple(drifts),
         problems=tuple(problems),
@@ -191,9 +197,16 @@ def _step_problems(group: PolicyGroup) -> list[str]:
     return [f"{group.ids[row]}: expected actions in [-1, 1], found others" for row in np.flatnonzero(broken)]
 
 
-def _team_blocks(groups: Sequence[PolicyGroup]) -> dict[str, list[tuple[PolicyGroup, PolicyGroup]]]:
+def _team_blocks(
+    groups: Sequence[PolicyGroup], without: Collection[str]
+) -> dict[str, list[tuple[PolicyGroup, PolicyGroup]]]:
     """Return, by task, the whole teams of each pair of specs: robots and humans in the same order."""
-    home = {name: index for index, group in enumerate(groups) for name in group.ids}
+    home = {
+        name: index
+        for index, group in enumerate(groups)
+        for name in group.ids
+        if name.rpartition("/")[0] not in without
+    }
     members: dict[tuple[str, int, int], list[str]] = {}
     for name, index in home.items():
         team, _, role = name.rpartition("/")

@@ -170,7 +170,7 @@ def in_release(
 def check_env_version(registry: Registry, entries: Sequence[PolicyEntry]) -> None:
     """Refuse policies of a release whose environment is not the installed version."""
     for entry in entries:
-        trained = registry.data.releases[entry.release].environments[entry.task]
+        trained = registry.env_version(entry)
         if trained != VERSIONS[entry.task]:
             raise RegistryVersionError(
                 f"policy {entry.id}",

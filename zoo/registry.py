@@ -54,6 +54,10 @@ class Registry:
                 return entry
         refuse_unknown(policy_id, [entry.id for entry in self.policies])
 
+    def env_version(self, entry: PolicyEntry) -> int:
+        """Return the version of its task's environment that a policy was trained on."""
+        return self.data.releases[entry.release].environments[entry.task]
+
     def team(self, team_id: str) -> Team:
         """Return one team by its id.
 

@@ -121,6 +121,8 @@ def print_replay(result: "DeepReport") -> None:
         print(f"{'ok     ' if team.ok else 'differs'} {team.team:28} expected {expected}, found {team.found:.1f}")
     for problem in result.problems:
         print(f"problem: {problem}")
+    if result.outdated:
+        print(f"not replayed, trained on another version of the environment: {', '.join(result.outdated)}")
     for drift in result.drifts:
         print(f"{drift.task}: mean difference {drift.found:+.2%}, allowed {drift.tolerance:.2%}")
     print(
@@ -160,7 +162,7 @@ def _read_policy(id: str, registry: Path | None) -> tuple[Any, Any, dict[str, An
         "id": entry.id,
         "sha256": entry.sha256,
         "disability": entry.disability,
-        "env_version": loaded.data.releases[entry.release].environments[entry.task],
+        "env_version": loaded.env_version(entry),
         "self_play": entry.self_play.model_dump(mode="json") if entry.self_play else None,
     }
     return group.spec, _first_row(group.params), metadata

@@ -119,6 +119,16 @@ def test_parameters_that_are_not_of_their_spec_are_a_problem(tmp_path: Path) -> 
     assert "cannot be stepped" in report.problems[0] and report.teams == ()
 
 
+def test_teams_of_another_environment_version_are_stepped_and_named_not_replayed(tmp_path: Path) -> None:
+    teams = [
+        dataclasses.replace(team, training={**team.training, "env_version": 7}) for team in (trained(0), trained(1))
+    ]
+    old = publish(teams, tmp_path / "registry.json", "v0", environments={"scratch": 7}, date="2027-01-31")
+    report = check(old)
+    assert report.ok and report.policies == 4 and report.teams == ()
+    assert report.outdated == ("scratch/ippo-d1-s0-v0", "scratch/ippo-d1-s1-v0")
+
+
 def test_the_tolerance_is_the_documented_one() -> None:
     recorded = SelfPlay(mean=1000.0, iqm=1000.0, ci=(990.2, 1009.8), n=16)  # standard error 5, deviation 20
     assert tolerance(recorded, 4) == pytest.approx(50.0 + 4.0 * 20.0 * np.sqrt(1 / 16 + 1 / 4))
