@@ -15,7 +15,7 @@ from evaluation.evaluator import Evaluation, Progress, check_folder, run_block, 
 from evaluation.jobs import Ego, Group, Job
 from evaluation.spread import run_blocks_on_ray
 from population.engines import RayCluster
-from zoo.errors import RegistryVersionError, SplitError
+from zoo.errors import RegistryVersionError, SplitError, listing
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
 
@@ -172,12 +172,15 @@ def check_env_version(registry: Registry, entries: Sequence[PolicyEntry]) -> Non
     for entry in entries:
         trained = registry.env_version(entry)
         if trained != VERSIONS[entry.task]:
+            releases = registry.data.releases.items()
+            fitting = [name for name, each in releases if each.environments.get(entry.task) == VERSIONS[entry.task]]
             raise RegistryVersionError(
                 f"policy {entry.id}",
                 expected=f"version {VERSIONS[entry.task]} of environment {entry.task}, as installed",
                 found=f"release {entry.release}, trained on version {trained}",
                 done="nothing was evaluated",
-                next_step="install the assistax-zoo of that release, or choose a release of this version",
+                next_step=f"choose policies of a release of this version (here {listing(fitting)}), such as with "
+                f"--release, or install the assistax-zoo of release {entry.release}",
             )
 
 

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from assistax_envs.tasks.base import (
-    ROBOT_READY,
+    ROBOT_JOINTS,
     SIGMA,
     Measures,
     Pose,
@@ -20,7 +20,11 @@ from assistax_envs.tasks.base import (
     to_target,
 )
 
-START = ROBOT_READY | {  # joint -> (angle, lowest offset, highest offset), rad: the arm hangs over the bed's edge
+# rad: the hook stands upright 12 cm below the forearm and 16 cm towards the head from it, clear of the arm. From above,
+# where the other tasks begin, the shortest way to the section ends on top of the arm, and most robots stay there.
+HOOK_LOW = (1.345, 0.545, -0.31, -2.388, 0.002, 3.015, 1.787)
+START = {joint: (angle, -0.1, 0.1) for joint, angle in zip(ROBOT_JOINTS, HOOK_LOW, strict=True)} | {
+    # joint -> (angle, lowest offset, highest offset), rad: the arm hangs over the bed's edge
     "human_abdomen_y": (0.036, 0.0, 0.0),
     "human_abdomen_z": (-0.014, 0.0, 0.0),
     "human_right_shoulder1": (-0.92, -0.02, 0.02),

@@ -1,7 +1,7 @@
 """Backends earn the same: returns of a published team over 64 episodes, paired by start, on MuJoCo and on MJX.
 
-The team touches and presses half of the time, which is where float32 and float64 part: single episodes differ, and what
-must not differ is their mean, because policies trained on one backend are judged on another.
+The team touches and presses, or lifts, for a third of the time or more, which is where float32 and float64 part: single
+episodes differ, and what must not differ is their mean, because policies trained on one backend are judged on another.
 """
 
 import functools
@@ -18,16 +18,17 @@ from tests.envs.teams import team
 TEAMS = {
     "scratch": "scratch/ippo-d9-s0-v0",
     "bed_bath": "bed_bath/ippo-d1-s0-v0",
-    "arm_assist": "arm_assist/ippo-d1-s0-v0",
+    "arm_assist": "arm_assist/ippo-d1-s1-v1",
 }
-EPISODES, STEPS = 64, 200
+EPISODES = 64
+STEPS = {"scratch": 200, "bed_bath": 200, "arm_assist": 50}  # an arm is lifted in half a second, and then it lies
 SURE = 3.0  # standard errors on each side: an interval of 99.6% for 63 degrees of freedom
 SMALL = 0.005  # of the mean return: a difference that is sure, but does not matter
 
 
 @functools.cache
 def returns(task: str, backend: str, gravity: float = 1.0, setting: str | None = None) -> tuple[np.ndarray, float]:
-    """Return what each episode earned [64], and the share of steps in which the tool pressed on the arm."""
+    """Return what each episode earned [64], and the share of steps with the tool on the arm or the goal reached."""
     env = assistax_envs.make(task, backend)
     env._physics.model.opt.gravity[:] *= gravity
     act = team(TEAMS[task], EPISODES)
@@ -36,11 +37,11 @@ def returns(task: str, backend: str, gravity: float = 1.0, setting: str | None =
 
     def step(state, time):
         state = env.step(state, act(state, time))
-        return state, (state.reward, state.measures.force)
+        return state, (state.reward, (state.measures.force > 0) | state.measures.success)
 
-    last, (reward, force) = jax.jit(lambda state: jax.lax.scan(step, state, jnp.arange(STEPS)))(start)
+    last, (reward, busy) = jax.jit(lambda state: jax.lax.scan(step, state, jnp.arange(STEPS[task])))(start)
     assert not bool(last.nonfinite.any())
-    return np.asarray(reward, np.float64).sum(axis=0), float((np.asarray(force) > 0).mean())
+    return np.asarray(reward, np.float64).sum(axis=0), float(np.asarray(busy).mean())
 
 
 def differ(ours: np.ndarray, theirs: np.ndarray) -> bool:
@@ -53,9 +54,9 @@ def differ(ours: np.ndarray, theirs: np.ndarray) -> bool:
 @pytest.mark.slow
 @pytest.mark.parametrize("task", TASKS)
 def test_mean_returns_agree(task: str) -> None:
-    native, touched = returns(task, "native")
-    mjx, also_touched = returns(task, "mjx")
-    assert min(touched, also_touched) > 0.3
+    native, busy = returns(task, "native")
+    mjx, also_busy = returns(task, "mjx")
+    assert min(busy, also_busy) > 0.3
     assert not differ(mjx, native)
     assert abs(mjx.mean() - native.mean()) < SMALL * abs(native.mean())  # a wide interval hides nothing either
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from evaluation.studies import in_release
-from zoo.errors import UnknownIdError
+from evaluation.studies import check_env_version, in_release
+from zoo.errors import RegistryVersionError, UnknownIdError
 from zoo.registry import load_registry
 
 
@@ -18,3 +18,10 @@ def test_a_glob_is_looked_up_in_one_release_unless_it_names_its_own() -> None:
     assert humans(["scratch/ippo-*/human", "scratch/mappo-*-v1/human"], "v0") == {"v0", "v1"}
     with pytest.raises(UnknownIdError):
         humans("scratch/mappo-*", "v0")
+
+
+def test_policies_of_another_environment_version_are_refused_with_the_releases_that_fit() -> None:
+    registry = load_registry()
+    check_env_version(registry, registry.select("arm_assist/*", release="v1"))
+    with pytest.raises(RegistryVersionError, match=r"version 2 .* trained on version 1; .* \(here v1\)"):
+        check_env_version(registry, registry.select("arm_assist/*", release="v0"))
