@@ -8,9 +8,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from evaluation.plots import style
+from evaluation.plots.legend import wrap
 
 _WIDTH, _HEIGHT, _GAP = 3.1, 2.5, 0.55  # inches of a panel
-_LEFT, _TOP, _BOTTOM = 0.65, 0.85, 0.95
+_LEFT, _TOP, _BOTTOM = 0.65, 0.85, 0.81
+_LINE = 0.14  # inches of a line of the caption
 
 
 def training_panels(curves: pl.DataFrame, bounds: Mapping[str, Mapping[str, float]], *, caption: str) -> Figure:
@@ -19,7 +21,7 @@ def training_panels(curves: pl.DataFrame, bounds: Mapping[str, Mapping[str, floa
     Args:
         curves: columns task, algorithm, steps, iqm, low and high.
         bounds: another source's final return of each algorithm of each task, drawn as a dotted line of its colour.
-        caption: written below.
+        caption: written below, in as many lines as the width asks for.
     """
     tasks = curves["task"].unique(maintain_order=True).to_list()
     if not tasks:
@@ -27,10 +29,12 @@ def training_panels(curves: pl.DataFrame, bounds: Mapping[str, Mapping[str, floa
     names = sorted(set(curves["algorithm"]))
     colours = {name: style.OKABE_ITO[(i + 5) % len(style.OKABE_ITO)] for i, name in enumerate(names)}  # dark on white
     width = _LEFT + len(tasks) * (_WIDTH + _GAP)
-    height = _TOP + _HEIGHT + _BOTTOM
+    lines = wrap(caption, width)
+    bottom = _BOTTOM + _LINE * len(lines)
+    height = _TOP + _HEIGHT + bottom
     figure = style.new_figure(width, height)
     for i, task in enumerate(tasks):
-        corner = (_LEFT + i * (_WIDTH + _GAP)) / width, _BOTTOM / height
+        corner = (_LEFT + i * (_WIDTH + _GAP)) / width, bottom / height
         axes = figure.add_axes((*corner, _WIDTH / width, _HEIGHT / height), label=f"curves:{task}")
         _draw_task(axes, curves.filter(task=task), bounds.get(task, {}), colours)
         axes.set_title(task, fontsize=10, color=style.INK, loc="left")
@@ -41,7 +45,7 @@ def training_panels(curves: pl.DataFrame, bounds: Mapping[str, Mapping[str, floa
     figure.legend(handles=shown, fontsize=8, frameon=False, borderaxespad=0, **place)
     x = 0.2 / width
     figure.text(x, 1 - 0.12 / height, "Training", fontsize=12, weight="bold", va="top", color=style.INK)
-    figure.text(x, 0.1 / height, caption, fontsize=7, va="bottom", color=style.MUTED, linespacing=1.35)
+    figure.text(x, 0.1 / height, "\n".join(lines), fontsize=7, va="bottom", color=style.MUTED, linespacing=1.35)
     return figure
 
 

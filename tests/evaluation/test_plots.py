@@ -20,6 +20,7 @@ from evaluation.plots.bars import disability_points, zsc_bars
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.lines import learning_curves, performance_profile
 from evaluation.plots.matrix import Matrix, arrange, short_names
+from evaluation.plots.panels import training_panels
 from evaluation.plots.treemap import population_treemap
 from tests.evaluation.episode_tables import CONTEXT, Team, clustered_matrix, episode_table, team_id, teams
 
@@ -299,6 +300,19 @@ def test_lines_are_the_saved_tables():
     axes = axes_by_label(learning_curves(curves, title="t", caption="n"))["lines"]
     assert len(axes.collections) == 1
     assert axes.get_legend().get_texts()[0].get_text() == "d1"
+
+
+@pytest.mark.parametrize("tasks", [1, 2, 3])
+def test_the_caption_of_training_panels_is_as_wide_as_the_figure_at_most(tasks: int):
+    columns = {"algorithm": "ippo", "steps": 1e6, "iqm": 5.0, "low": 4.0, "high": 6.0}
+    curves = pl.DataFrame([{"task": f"task {i}"} | columns for i in range(tasks)])
+    figure = training_panels(curves, {}, caption="IQM of the training return over seeds and its 95% interval. " * 4)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    _, caption = (text.get_window_extent(canvas.get_renderer()) for text in figure.texts)
+    ticks = figure.axes[0].xaxis.get_tightbbox(canvas.get_renderer())
+    assert caption.x0 > 0 and caption.x1 < figure.get_size_inches()[0] * figure.dpi
+    assert ticks is not None and 0 < caption.y0 < caption.y1 < ticks.y0
 
 
 def test_treemap_areas_are_numbers_of_partners():
