@@ -256,7 +256,8 @@ def _report(out: Path, json: bool, json_lines: bool) -> None:
                 f"self-play return {figures['mean']:.1f} ({low:.1f} to {high:.1f})" if figures else "not evaluated"
             )
             print(f"{name}  {measured}")
-        print(f"{len(rows)} teams in {out}; next: assistax-zoo publish {out} --release v0 --registry registry.json")
+        publish = f"assistax-zoo publish {out} --release v0 --registry my-zoo/registry.json"
+        print(f"{len(rows)} teams in {out}; next: {publish}")
 
 
 def _count(steps: int) -> str:
