@@ -6,48 +6,33 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import jax
-import numpy as np
 import polars as pl
 import pytest
 
 from assistax_zoo.main import run
-from population.policy import Policy
 from population.spec import PolicySpec
-from zoo.publish import publish
-from zoo.runs import TrainedTeam
+from tests import untrained
+from tests.untrained import HUMAN, ROBOT, params_of, untrained_team
 from zoo.storage import write_policy_file
 
-ROBOT = PolicySpec("robot", observation_size=34, action_size=7, hidden=(8,))
-HUMAN = PolicySpec("human", observation_size=38, action_size=3, hidden=(8,))
 STEPS = 20
 FIGURE = {"mean", "iqm", "ci", "n"}
-
-
-def params_of(spec: PolicySpec, seed: int) -> dict[str, Any]:
-    return jax.tree.map(lambda leaf: np.array(leaf), jax.jit(Policy(spec).init)(jax.random.key(seed)))
 
 
 @pytest.fixture(scope="module")
 def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A registry of eight untrained teams: d1 and d9, four seeds each."""
-    training = {"run": "untrained", "steps": 0, "env_version": 1, "backend": "native"}
     teams = [
-        TrainedTeam(
-            "scratch",
-            "ippo",
+        untrained_team(
             disability,
             seed,
-            {"robot": ROBOT, "human": HUMAN},
-            {"robot": params_of(ROBOT, 10 * i + seed), "human": params_of(HUMAN, 100 + 10 * i + seed)},
-            training,
+            robot=(ROBOT, params_of(ROBOT, 10 * i + seed)),
+            human=(HUMAN, params_of(HUMAN, 100 + 10 * i + seed)),
         )
         for i, disability in enumerate(("d1", "d9"))
         for seed in range(4)
     ]
-    path = tmp_path_factory.mktemp("zoo") / "registry.json"
-    publish(teams, path, "v0", date="2026-01-01")
-    return path
+    return untrained.published(teams, tmp_path_factory.mktemp("zoo"))
 
 
 @pytest.fixture

@@ -9,10 +9,10 @@ import pytest
 from assistax_envs import disability_params
 from assistax_envs.tasks import ArmAssist
 from assistax_envs.tasks.arm_assist import ARRIVED, LARGEST_NORM, arm_assist_terms
-from population.policy import Policy
 from tests.envs.conftest import compiled, environment, start
-from zoo import load_group, load_registry
+from tests.envs.teams import Players, team
 
+SIZE = 16  # simulations of an episode
 WEIGHTS = {"reach_target": 1.0, "reach_waist": 10.0, "rotation": 0.1}
 
 
@@ -53,45 +53,31 @@ def test_the_hook_starts_below_the_forearm_and_touches_nothing() -> None:
         assert not any(name.startswith("robot_") for name in touching)
 
 
-def _distances(policy) -> np.ndarray:
-    """Return the distance [T, N] from forearm to waist target over an episode of `policy(key, state) -> actions`."""
+def _distances(act: Players) -> np.ndarray:
+    """Return the distance [T, N] from forearm to waist target over an episode."""
     env = environment("arm_assist", "native")
-    size = 16
     state = compiled("arm_assist", "native")[0](
-        jax.random.split(jax.random.key(3), size), disability_params(["d1"] * size)
+        jax.random.split(jax.random.key(3), SIZE), disability_params(["d1"] * SIZE)
     )
 
-    def body(state, key):
-        state = env.step(state, policy(key, state))
+    def body(state, time):
+        state = env.step(state, act(state, time))
         return state, state.obs["global"][:, -1]
 
-    return np.asarray(
-        jax.jit(lambda state: jax.lax.scan(body, state, jax.random.split(jax.random.key(4), 1000))[1])(state)
-    )
+    return np.asarray(jax.jit(lambda state: jax.lax.scan(body, state, jnp.arange(1000))[1])(state))
 
 
 def test_a_human_at_full_torque_cannot_do_it_alone() -> None:
     signs = jnp.array([[a, b, c] for a in (-1.0, 1.0) for b in (-1.0, 1.0) for c in (-1.0, 1.0)])
 
-    def push(key, state):
-        still = jnp.zeros((16, 7))
+    def push(state, time):
+        still = jnp.zeros((SIZE, 7))
         hold = jnp.broadcast_to(signs, (8, 3))
-        phase = jax.random.fold_in(jax.random.key(5), state.step[0] // 25)
+        phase = jax.random.fold_in(jax.random.key(5), time // 25)
         return {"robot": still, "human": jnp.concatenate([hold, jax.random.rademacher(phase, (8, 3), jnp.float32)])}
 
     assert _distances(push).min() > 2.0 * ARRIVED
 
 
 def test_a_trained_robot_lifts_the_arm_to_the_waist() -> None:
-    registry = load_registry()
-    team = "arm_assist/ippo-d1-s2-v1"
-    policies = {}
-    for role in ("robot", "human"):
-        (group,) = load_group(registry, registry.select(f"{team}/{role}"))
-        policies[role] = (Policy(group.spec), jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), group.params))
-
-    def act(key, state):
-        first = jnp.zeros(16, bool)
-        return {role: p.act(params, (), state.obs[role], first)[1] for role, (p, params) in policies.items()}
-
-    assert (_distances(act)[-1] < 1.5 * ARRIVED).mean() > 0.8
+    assert (_distances(team("arm_assist/ippo-d1-s2-v1", SIZE))[-1] < 1.5 * ARRIVED).mean() > 0.8

@@ -12,10 +12,10 @@ from assistax_envs import DISABILITY_SETTINGS
 from evaluation.partners import FrozenPolicy, seat_policy, zoo_partner
 from population.policy import Policy
 from population.spec import PolicySpec
+from tests import untrained
+from tests.untrained import untrained_team
 from zoo.errors import UnknownIdError, ZooError
-from zoo.publish import publish
 from zoo.registry import Registry, load_registry
-from zoo.runs import TrainedTeam
 from zoo.storage import write_policy_file
 
 ROBOT = PolicySpec("robot", observation_size=6, action_size=2, hidden=(4,))
@@ -28,21 +28,16 @@ class Seats:
 
 
 def params_of(spec: PolicySpec, seed: int) -> dict[str, Any]:
-    params = jax.jit(Policy(spec).init)(jax.random.key(seed))
-    return jax.tree.map(lambda leaf: np.asarray(leaf) + 0.3, params)  # an untrained head acts around zero
+    return jax.tree.map(lambda leaf: leaf + 0.3, untrained.params_of(spec, seed))  # an untrained head acts around zero
 
 
 @pytest.fixture(scope="module")
 def registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
-    training = {"run": "untrained", "steps": 0, "env_version": 1, "backend": "native"}
-    specs = {"robot": ROBOT, "human": HUMAN}
     teams = [
-        TrainedTeam("scratch", "ippo", "d9", seed, specs, {r: params_of(s, seed) for r, s in specs.items()}, training)
+        untrained_team("d9", seed, robot=(ROBOT, params_of(ROBOT, seed)), human=(HUMAN, params_of(HUMAN, seed)))
         for seed in range(4)
     ]
-    path = tmp_path_factory.mktemp("zoo") / "registry.json"
-    publish(teams, path, "v0", date="2026-01-01")
-    return load_registry(path)
+    return load_registry(untrained.published(teams, tmp_path_factory.mktemp("zoo")))
 
 
 def test_a_zoo_partner_acts_as_its_network_and_brings_its_setting(registry: Registry):

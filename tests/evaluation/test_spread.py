@@ -11,10 +11,9 @@ from evaluation import spread
 from evaluation.jobs import Job
 from evaluation.spread import run_blocks_on_ray
 from population.engines import RayCluster
-from tests.cli.test_evaluate_command import HUMAN, ROBOT, params_of
+from tests import untrained
 from tests.evaluation.matrix_game import GRU, MatrixGame, humans, random_group, robots
-from zoo.publish import publish
-from zoo.runs import TrainedTeam
+from tests.untrained import HUMAN, ROBOT, params_of, untrained_team
 
 SMALL = dataclasses.replace(ROBOT, hidden=(4,))
 
@@ -22,22 +21,11 @@ SMALL = dataclasses.replace(ROBOT, hidden=(4,))
 @pytest.fixture(scope="module")
 def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A registry of teams whose robots are of two specs, which cannot share a chunk."""
-    training = {"run": "untrained", "steps": 0, "env_version": 1, "backend": "native"}
     teams = [
-        TrainedTeam(
-            "scratch",
-            "ippo",
-            "d9",
-            seed,
-            {"robot": robot, "human": HUMAN},
-            {"robot": params_of(robot, seed), "human": params_of(HUMAN, 10 + seed)},
-            training,
-        )
+        untrained_team("d9", seed, robot=(robot, params_of(robot, seed)), human=(HUMAN, params_of(HUMAN, 10 + seed)))
         for seed, robot in enumerate((ROBOT, SMALL))
     ]
-    path = tmp_path_factory.mktemp("zoo") / "registry.json"
-    publish(teams, path, "v0", date="2026-01-01")
-    return path
+    return untrained.published(teams, tmp_path_factory.mktemp("zoo"))
 
 
 @pytest.mark.slow

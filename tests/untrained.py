@@ -1,0 +1,34 @@
+"""Untrained teams of scratch, for tests that need a registry and no skill."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from population.policy import Policy
+from population.spec import PolicySpec
+from zoo.publish import publish
+from zoo.runs import TrainedTeam
+
+ROBOT = PolicySpec("robot", observation_size=34, action_size=7, hidden=(8,))
+HUMAN = PolicySpec("human", observation_size=38, action_size=3, hidden=(8,))
+
+
+def params_of(spec: PolicySpec, seed: int) -> dict[str, Any]:
+    return jax.tree.map(lambda leaf: np.array(leaf), jax.jit(Policy(spec).init)(jax.random.key(seed)))
+
+
+def untrained_team(disability: str, seed: int, **policies: tuple[PolicySpec, Any]) -> TrainedTeam:
+    """Return an IPPO team of policies by role: spec and parameters of each."""
+    specs, params = ({role: pair[place] for role, pair in policies.items()} for place in range(2))
+    training = {"run": "untrained", "steps": 0, "env_version": 1, "backend": "native"}
+    return TrainedTeam("scratch", "ippo", disability, seed, specs, params, training)
+
+
+def published(teams: Iterable[TrainedTeam], folder: Path) -> Path:
+    """Publish teams in a release v0, and return the registry's path."""
+    path = folder / "registry.json"
+    publish(list(teams), path, "v0", date="2026-01-01")
+    return path
