@@ -106,13 +106,12 @@ def _legend(axes: Axes, columns: int) -> None:
 
 
 def _caption(figure: Figure, summaries: Mapping[str, Mapping[str, Any]]) -> None:
-    width, height = figure.get_size_inches()
     about = sorted(
         {to for summary in summaries.values() for to in _speaks_about([summary["m_test"], summary["m_train"]])}
     )
     first = f"IQM and 95% bootstrap interval, which generalises to new {'; new '.join(about)}."
     text = f"{first}\n{provenance(summaries)}"
-    figure.text(0.2 / width, 0.1 / height, text, fontsize=7, va="bottom", color=style.MUTED, linespacing=1.35)
+    style.write_caption(figure, text)
 
 
 def _speaks_about(figures: Sequence[Mapping[str, Any] | None]) -> set[str]:

@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from scipy.cluster import hierarchy
 
 from evaluation.plots import style
-from evaluation.plots.legend import CAPTION_LINE, LINE, caption, draw_legend, legend_lines, wrap, write_texts
+from evaluation.plots.legend import LINE, caption, draw_legend, legend_lines, write_texts
 from evaluation.plots.matrix import Matrix, Side
 
 Edge = Literal["left", "top"]
@@ -66,8 +66,8 @@ def crossplay_heatmap(matrix: Matrix, summary: Mapping[str, Any]) -> Figure:
     }
     lines = legend_lines(matrix, palettes["algorithm"], palettes["disability"])
     layout = _layout(matrix, len(lines))
-    below = wrap(caption(matrix, summary, _marks(matrix)), layout.size[0])
-    layout = dataclasses.replace(layout, caption_height=CAPTION_LINE * len(below))
+    below = style.wrap(caption(matrix, summary, _marks(matrix)), layout.size[0])
+    layout = dataclasses.replace(layout, caption_height=style.CAPTION_LINE * len(below))
     size = layout.size
     figure = style.new_figure(*size)
 

@@ -1,7 +1,6 @@
 """Words beside a cross-play heatmap: legend, headline and caption."""
 
 import dataclasses
-import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,7 +13,7 @@ from evaluation.plots import style
 from evaluation.plots.matrix import Matrix
 from evaluation.plots.style import counted
 
-LINE, CAPTION_LINE = 0.165, 0.14  # inches
+LINE = 0.165  # inches
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,12 +69,7 @@ def write_texts(figure: Figure, summary: Mapping[str, Any], below: Sequence[str]
     title = f"Cross-play: {summary['task']}"
     figure.text(x, 1 - 0.14 / height, title, fontsize=12, weight="bold", va="top", color=style.INK)
     figure.text(x, 1 - 0.42 / height, headline(summary), fontsize=8.5, va="top", color=style.INK)
-    figure.text(x, 0.1 / height, "\n".join(below), fontsize=7, va="bottom", color=style.MUTED, linespacing=1.35)
-
-
-def wrap(text: str, width: float) -> list[str]:
-    """Break a caption into lines for a figure of a width in inches."""
-    return textwrap.wrap(text, int(15.5 * (width - 0.4)))
+    style.write_caption(figure, "\n".join(below))
 
 
 def headline(summary: Mapping[str, Any]) -> str:

@@ -73,7 +73,7 @@ def speed(measured: pl.DataFrame, *, caption: str) -> Figure:
 
 
 def _canvas(title: str, caption: str) -> tuple[Figure, Axes]:
-    foot = 0.15 + 0.14 * (caption.count("\n") + 1)
+    foot = 0.15 + style.CAPTION_LINE * (caption.count("\n") + 1)
     height = _HEIGHT + foot
     figure = style.new_figure(_WIDTH, height)
     axes = figure.add_axes((0.75 / _WIDTH, (foot + 0.55) / height, 1 - 0.95 / _WIDTH, 3.1 / height), label="lines")
@@ -82,7 +82,7 @@ def _canvas(title: str, caption: str) -> tuple[Figure, Axes]:
     axes.grid(color="#e5e5e5", linewidth=0.6)
     axes.set_axisbelow(True)
     figure.text(0.2 / _WIDTH, 1 - 0.14 / height, title, fontsize=12, weight="bold", va="top", color=style.INK)
-    figure.text(0.2 / _WIDTH, 0.1 / height, caption, fontsize=7, va="bottom", color=style.MUTED, linespacing=1.35)
+    style.write_caption(figure, caption)
     return figure, axes
 
 

@@ -8,11 +8,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from evaluation.plots import style
-from evaluation.plots.legend import wrap
 
 _WIDTH, _HEIGHT, _GAP = 3.1, 2.5, 0.55  # inches of a panel
 _LEFT, _TOP, _BOTTOM = 0.65, 0.85, 0.81
-_LINE = 0.14  # inches of a line of the caption
 
 
 def training_panels(curves: pl.DataFrame, bounds: Mapping[str, Mapping[str, float]], *, caption: str) -> Figure:
@@ -29,8 +27,8 @@ def training_panels(curves: pl.DataFrame, bounds: Mapping[str, Mapping[str, floa
     names = sorted(set(curves["algorithm"]))
     colours = {name: style.OKABE_ITO[(i + 5) % len(style.OKABE_ITO)] for i, name in enumerate(names)}  # dark on white
     width = _LEFT + len(tasks) * (_WIDTH + _GAP)
-    lines = wrap(caption, width)
-    bottom = _BOTTOM + _LINE * len(lines)
+    lines = style.wrap(caption, width)
+    bottom = _BOTTOM + style.CAPTION_LINE * len(lines)
     height = _TOP + _HEIGHT + bottom
     figure = style.new_figure(width, height)
     for i, task in enumerate(tasks):
@@ -43,9 +41,8 @@ def training_panels(curves: pl.DataFrame, bounds: Mapping[str, Mapping[str, floa
     shown = [handles[name] for name in colours]
     place = {"loc": "lower left", "bbox_to_anchor": (_LEFT / width, 1 - 0.62 / height), "ncols": len(shown)}
     figure.legend(handles=shown, fontsize=8, frameon=False, borderaxespad=0, **place)
-    x = 0.2 / width
-    figure.text(x, 1 - 0.12 / height, "Training", fontsize=12, weight="bold", va="top", color=style.INK)
-    figure.text(x, 0.1 / height, "\n".join(lines), fontsize=7, va="bottom", color=style.MUTED, linespacing=1.35)
+    figure.text(0.2 / width, 1 - 0.12 / height, "Training", fontsize=12, weight="bold", va="top", color=style.INK)
+    style.write_caption(figure, "\n".join(lines))
     return figure
 
 

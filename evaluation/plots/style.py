@@ -1,5 +1,6 @@
 """What all figures share: colours, and writing PNG or PDF without pyplot's global state."""
 
+import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -18,6 +19,7 @@ MUTED = "#555555"
 FAINT = "#8a8a8a"
 UNKNOWN = "#c8c8c8"  # a policy from outside the zoo
 COLOUR_MAP = "viridis"
+CAPTION_LINE = 0.14  # inches
 # Okabe and Ito (2008); first those that are unlike the colours of disability settings.
 OKABE_ITO = ("#009E73", "#CC79A7", "#F0E442", "#D55E00", "#56B4E9", "#0072B2", "#E69F00", "#000000")
 # One hue for each level of the elbow's range, lighter as strength falls; blue, orange and grey differ for every vision.
@@ -33,6 +35,17 @@ def new_figure(width: float, height: float) -> Figure:
     figure = Figure(figsize=(width, height), facecolor="white")
     FigureCanvasAgg(figure)
     return figure
+
+
+def wrap(text: str, width: float) -> list[str]:
+    """Break a caption into lines for a figure of a width in inches."""
+    return textwrap.wrap(text, int(15.5 * (width - 0.4)))
+
+
+def write_caption(figure: Figure, text: str) -> None:
+    """Write a caption at the foot of a figure; each of its lines takes `CAPTION_LINE` inches."""
+    width, height = figure.get_size_inches()
+    figure.text(0.2 / width, 0.1 / height, text, fontsize=7, va="bottom", color=MUTED, linespacing=1.35)
 
 
 def check_path(path: Path) -> Path:

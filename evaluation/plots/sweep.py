@@ -53,7 +53,7 @@ def sweep_panels(results: pl.DataFrame, *, title: str, caption: str) -> Figure:
         if index % _COLUMNS == 0:
             axes.set_ylabel("final return", fontsize=8)
     figure.text(0.2 / width, 1 - 0.12 / height, title, fontsize=11, weight="bold", va="top", color=style.INK)
-    figure.text(0.2 / width, 0.1 / height, caption, fontsize=7, va="bottom", color=style.MUTED)
+    style.write_caption(figure, caption)
     return figure
 
 

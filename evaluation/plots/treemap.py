@@ -34,7 +34,7 @@ def population_treemap(teams: pl.DataFrame, *, caption: str) -> Figure:
     figure.text(
         0.2 / width, 1 - 0.14 / height, "Population of partners", fontsize=12, weight="bold", va="top", color=style.INK
     )
-    figure.text(0.2 / width, 0.1 / height, caption, fontsize=7, va="bottom", color=style.MUTED, linespacing=1.35)
+    style.write_caption(figure, caption)
     return figure
 
 
