@@ -18,8 +18,6 @@ import polars.selectors as cs
 from evaluation import tables
 from evaluation.tables import EGO_COLUMNS, PARTNER_COLUMNS
 
-PAIRS_FILE, ORDER_FILE, STRATEGIES_FILE = tables.PAIRS_FILE, tables.ORDER_FILE, tables.STRATEGIES_FILE
-SUMMARY_FILE, RUN_FILE = tables.SUMMARY_FILE, tables.RUN_FILE
 TRAINING_FILE = "training.json"
 CROSSPLAY, EGOS = "crossplay", "egos"  # folders of the data
 _EGO_FILE = re.compile(r"(?P<method>[a-z][a-z0-9_]*)-s(?P<seed>\d+)\.safetensors")
@@ -36,29 +34,31 @@ def collect(folder: Path, data: Path) -> Path:
     """
     if (folder / "policies").is_dir():
         return _collect_training(folder, data)
-    if not (folder / SUMMARY_FILE).is_file():
+    if not (folder / tables.SUMMARY_FILE).is_file():
         raise ValueError(
-            f"{folder} holds no {SUMMARY_FILE} and no policies; give a finished folder of crossplay, of evaluate "
-            "--split both, or of train-ego"
+            f"{folder} holds no {tables.SUMMARY_FILE} and no policies; give a finished folder of crossplay, of "
+            "evaluate --split both, or of train-ego"
         )
-    summary = tables.read_json(folder / SUMMARY_FILE)
+    summary = tables.read_json(folder / tables.SUMMARY_FILE)
     if "self_play" in summary:
         return _collect_crossplay(folder, summary, data)
     if "m_test" in summary:
         return _collect_evaluation(folder, summary, data)
-    raise ValueError(f"{folder / SUMMARY_FILE} is of neither crossplay nor evaluate; give a finished folder of one")
+    raise ValueError(
+        f"{folder / tables.SUMMARY_FILE} is of neither crossplay nor evaluate; give a finished folder of one"
+    )
 
 
 def _collect_crossplay(folder: Path, summary: dict[str, Any], data: Path) -> Path:
     out = data / CROSSPLAY / summary["task"]
-    pairs = tables.read_parquet(folder / PAIRS_FILE)
+    pairs = tables.read_parquet(folder / tables.PAIRS_FILE)
     if pairs["ego_team"].null_count() or pairs["partner_team"].null_count():
         raise ValueError(f"{folder} has policies from outside the zoo; give a cross-play of published teams")
-    tables.write_parquet(_small(pairs), out / PAIRS_FILE)
-    for name in (ORDER_FILE, STRATEGIES_FILE):
+    tables.write_parquet(_small(pairs), out / tables.PAIRS_FILE)
+    for name in (tables.ORDER_FILE, tables.STRATEGIES_FILE):
         tables.write_json(tables.read_json(folder / name), out / name)
-    tables.write_json(summary, out / SUMMARY_FILE)
-    tables.write_json(_run(folder, summary), out / RUN_FILE)
+    tables.write_json(summary, out / tables.SUMMARY_FILE)
+    tables.write_json(_run(folder, summary), out / tables.RUN_FILE)
     return out
 
 
@@ -73,10 +73,10 @@ def _collect_evaluation(folder: Path, summary: dict[str, Any], data: Path) -> Pa
         pl.lit(method).alias("ego_algorithm"),
         pl.col("ego").replace_strict({ego: seed for ego, (_, seed) in names.items()}).alias("ego_seed"),
     )
-    tables.write_parquet(_small(pairs.sort("ego_seed", maintain_order=True)), out / PAIRS_FILE)
+    tables.write_parquet(_small(pairs.sort("ego_seed", maintain_order=True)), out / tables.PAIRS_FILE)
     egos = [names[ego][0] for ego in summary["egos"]]
-    tables.write_json({**summary, "egos": egos}, out / SUMMARY_FILE)
-    tables.write_json(_run(folder, summary), out / RUN_FILE)
+    tables.write_json({**summary, "egos": egos}, out / tables.SUMMARY_FILE)
+    tables.write_json(_run(folder, summary), out / tables.RUN_FILE)
     return out
 
 
@@ -109,7 +109,7 @@ def _egos(references: list[str], folder: Path) -> tuple[str, dict[str, tuple[str
 
 def _run(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     """Return how the folder came about, without this machine's paths, and with the seconds of simulation."""
-    path = folder / RUN_FILE
+    path = folder / tables.RUN_FILE
     run = tables.read_json(path) if path.is_file() else {}
     steps = pl.scan_parquet(folder / tables.EPISODES_FILE).select(pl.col("steps").sum()).collect().item()
     rate = summary["env_steps_per_second"]

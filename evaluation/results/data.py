@@ -181,7 +181,7 @@ def _check_release(found: CrossPlayed | Egos, release: str, teams: set[str], dat
 def _read_crossplay(folder: Path) -> CrossPlayed:
     order, strategies, summary, run = (
         tables.read_json(folder / name)
-        for name in (collect.ORDER_FILE, collect.STRATEGIES_FILE, collect.SUMMARY_FILE, collect.RUN_FILE)
+        for name in (tables.ORDER_FILE, tables.STRATEGIES_FILE, tables.SUMMARY_FILE, tables.RUN_FILE)
     )
     if order["teams"] is None:
         raise ValueError(f"{folder} has other teams on its rows than on its columns; collect a whole cross-play")
@@ -189,21 +189,21 @@ def _read_crossplay(folder: Path) -> CrossPlayed:
 
 
 def _evaluated(folder: Path) -> bool:
-    return (folder / collect.PAIRS_FILE).is_file()
+    return (folder / tables.PAIRS_FILE).is_file()
 
 
 def _read_egos(folder: Path) -> Egos:
     training = folder / collect.TRAINING_FILE
     return Egos(
         _read_pairs(folder),
-        tables.read_json(folder / collect.SUMMARY_FILE),
-        tables.read_json(folder / collect.RUN_FILE),
+        tables.read_json(folder / tables.SUMMARY_FILE),
+        tables.read_json(folder / tables.RUN_FILE),
         tables.read_json(training) if training.is_file() else None,
     )
 
 
 def _read_pairs(folder: Path) -> pl.DataFrame:
-    return tables.read_parquet(folder / collect.PAIRS_FILE).with_columns(cs.float().cast(pl.Float64))
+    return tables.read_parquet(folder / tables.PAIRS_FILE).with_columns(cs.float().cast(pl.Float64))
 
 
 def _read_curves(folder: Path) -> pl.DataFrame | None:
