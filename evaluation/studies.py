@@ -179,8 +179,8 @@ def check_env_version(registry: Registry, entries: Sequence[PolicyEntry]) -> Non
                 expected=f"version {VERSIONS[entry.task]} of environment {entry.task}, as installed",
                 found=f"release {entry.release}, trained on version {trained}",
                 done="nothing was evaluated",
-                next_step=f"choose policies of a release of this version (here {listing(fitting)}), such as with "
-                f"--release, or install the assistax-zoo of release {entry.release}",
+                next_step=f"choose policies of a release of this version (here {listing(fitting)}), or install the "
+                f"assistax-zoo of release {entry.release}",
             )
 
 
