@@ -1,11 +1,13 @@
 """Members spread over the devices of a host: each device runs the ordinary program on its share of them.
 
-Members never read one another, so no device waits for another. The program is split by `jax.shard_map` and not by the
-compiler, which cannot look into the calls that step the physics and would copy all simulations to every device.
+Members never read one another, so no device waits for another: each is given its own program by its own thread. One
+program over all devices would do on a CPU, but XLA's compiler crashes on one that calls Warp (JAX 0.11.2, Warp 1.18).
 """
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import jax
@@ -36,16 +38,37 @@ class Shares:
         count = max(d for d in range(1, len(allowed) + 1) if members % d == 0)
         self.devices = allowed[:count]
         self._mesh = Mesh(np.array(self.devices), (AXIS,)) if count > 1 else None
+        self._threads = ThreadPoolExecutor(count, "device")
 
     def __len__(self) -> int:
         return len(self.devices)
 
-    def split(self, function: Callable[..., Any], in_specs: Any, out_specs: Any) -> Callable[..., Any]:
-        """Return `function`, which is written for any number of members, as a function of all of them."""
+    def jit(self, function: Callable[..., Any], out_specs: Any = FIRST_AXIS, **options: Any) -> Callable[..., Any]:
+        """Return `jax.jit(function, **options)`, which is written for any number of members, as a function of all.
+
+        Positional arguments are as `put` returns them, keywords are static; `out_specs` say how results are put
+        together, one for all leaves or a tree like the result's.
+        """
+        jitted = jax.jit(function, **options)
         if self._mesh is None:
-            return function
-        # What varies between devices is not tracked: the physics' calls have no rule for it.
-        return jax.shard_map(function, mesh=self._mesh, in_specs=in_specs, out_specs=out_specs, check_vma=False)
+            return jitted
+
+        def call(*args: Any, **static: Any) -> Any:
+            # All taken before the first is donated, which deletes the whole array that they are parts of.
+            given = [jax.tree.map(partial(_part, device), args) for device in self.devices]
+            parts = list(self._threads.map(lambda args: jitted(*args, **static), given))
+            return jax.tree.map(
+                lambda spec, *part: jax.tree.map(lambda *leaves: self._join(spec, leaves), *part), out_specs, *parts
+            )
+
+        return call
+
+    def _join(self, spec: P, leaves: Sequence[jax.Array]) -> jax.Array:
+        shape = list(leaves[0].shape)
+        for axis, name in enumerate(spec):
+            if name:
+                shape[axis] *= len(self)
+        return jax.make_array_from_single_device_arrays(tuple(shape), NamedSharding(self._mesh, spec), list(leaves))
 
     def put(self, tree: Any, spec: Any = FIRST_AXIS) -> Any:
         """Move a pytree to the devices, all of its leaves split in the same way."""
@@ -56,6 +79,11 @@ class Shares:
     def gather(self, tree: Any) -> Any:
         """Move a pytree to the first of the devices."""
         return jax.device_put(tree, SingleDeviceSharding(self.devices[0]))
+
+
+def _part(device: jax.Device, leaf: jax.Array) -> jax.Array:
+    """Return the part of an array that a device holds."""
+    return next(shard.data for shard in leaf.addressable_shards if shard.device == device)
 
 
 def state_specs(state: Any) -> Any:

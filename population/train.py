@@ -169,8 +169,7 @@ def initial_state(config: TrainConfig, trainer: Trainer, shares: Shares | None =
         for setting in (partners.settings(simulations) if partners else [member.disability] * simulations)
     ]
     start = shares.put((keys, disability_params(settings)))
-    specs = state_specs(jax.eval_shape(trainer.initial, *start)) if len(shares) > 1 else None
-    initial = jax.jit(shares.split(trainer.initial, FIRST_AXIS, specs))
+    initial = shares.jit(trainer.initial, state_specs(jax.eval_shape(trainer.initial, *start)))
     # Copied, so that no two leaves share a buffer: each is donated to the first update.
     return jax.tree.map(jnp.copy, initial(*start))
 
@@ -209,7 +208,8 @@ def _loop(
 
     The last state is saved only where a longer run can go on from it: with a replay for each member it may be large.
     """
-    advance = jax.jit(partial(_advance, trainer, shares), static_argnames="updates", donate_argnames="state")
+    specs = (state_specs(state), SECOND_AXIS)
+    advance = shares.jit(partial(_advance, trainer), specs, static_argnames="updates", donate_argnames="state")
     hyper = shares.put(trainer.hyper(config.members))
     partners = shares.put(trainer.partners.params if trainer.partners else (), WHOLE)
     done = int(state.update)
@@ -238,16 +238,9 @@ def _loop(
     return state, pl.concat(metrics)
 
 
-def _advance(
-    trainer: Trainer, shares: Shares, state: State, hyper: Any, partners: Any, *, updates: int
-) -> tuple[State, Metrics]:
+def _advance(trainer: Trainer, state: State, hyper: Any, partners: Any, *, updates: int) -> tuple[State, Metrics]:
     """Return the state after some updates, and their metrics [updates, M]."""
-
-    def advance(state: Any, hyper: Any, partners: Any) -> tuple[Any, Metrics]:
-        return jax.lax.scan(lambda state, _: trainer.update(state, hyper, partners), state, length=updates)
-
-    specs = state_specs(state)
-    return shares.split(advance, (specs, FIRST_AXIS, WHOLE), (specs, SECOND_AXIS))(state, hyper, partners)
+    return jax.lax.scan(lambda state, _: trainer.update(state, hyper, partners), state, length=updates)
 
 
 class _Clock:
