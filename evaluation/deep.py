@@ -3,6 +3,9 @@
 Every selected policy is loaded, its hashes checked, and stepped once; every team then plays a few episodes with itself,
 all teams of a pair of specs in one stacked rollout, each under its own disability setting.
 
+A team that differs plays `LONGER` times as many episodes before it is called different: among the few episodes of each
+of hundreds of teams some fail, which says nothing of the installation.
+
 A team passes if its mean return lies within `TEAM_MARGIN` of the recorded mean plus `STANDARD_ERRORS` standard errors
 of the difference; the recorded interval gives a team's standard deviation. A task passes if the mean difference of its
 teams lies within `TASK_MARGIN` and as many standard errors. The margins allow for another physics backend: release v0
@@ -28,7 +31,8 @@ from zoo.schema import PolicyEntry, SelfPlay
 from zoo.storage import PolicyGroup, load_group
 
 STANDARD_ERRORS = 4.0
-TEAM_MARGIN = 0.05  # of the recorded mean: one failed episode in the few that are replayed
+LONGER = 16  # times the episodes
+TEAM_MARGIN = 0.05  # of the recorded mean
 TASK_MARGIN = 0.005  # of the recorded mean over a task's teams
 PACKAGES = ("assistax-zoo", "mujoco", "mujoco-mjx", "jax", "jaxlib", "flax", "numpy")
 _WIDTH_95 = 3.92  # of a 95% interval, in standard errors
@@ -42,6 +46,7 @@ class TeamReplay:
     expected: float | None  # recorded mean return; None if it was never measured
     found: float
     tolerance: float | None  # largest difference that passes
+    episodes: int
     ok: bool
 
 
@@ -64,7 +69,7 @@ class DeepReport:
     """What `verify --deep` found."""
 
     backend: str
-    episodes: int  # of each team
+    episodes: int  # of each team, but for those that played longer
     versions: dict[str, str]
     policies: int  # loaded and stepped
     outdated: tuple[str, ...]  # teams trained on another version of the environment: stepped, not replayed
@@ -99,7 +104,7 @@ def verify_deep(
     Args:
         registry: The registry.
         entries: Policies of it.
-        episodes: Episodes of each team.
+        episodes: Episodes of each team at first.
         backend: Physics backend.
         seed: Seed of the episodes.
         make_env: From task and backend to an environment; default `assistax_envs.make`.
@@ -120,10 +125,10 @@ def verify_deep(
         for robots, humans in pairs:
             misfit = _misfit(env, robots, humans)
             problems += [misfit] if misfit else []
-            teams += [] if misfit else _play(registry, env, robots, humans, episodes, seed)
+            teams += [] if misfit else _replay(registry, env, robots, humans, episodes, seed)
             on_progress(len(robots.ids))
     problems += [_difference(team) for team in teams if not team.ok]
-    drifts = _drifts(registry, teams, episodes)
+    drifts = _drifts(registry, teams)
     problems += [_drifted(drift) for drift in drifts if not drift.ok]
     return DeepReport(
         backend=backend,
@@ -237,6 +242,19 @@ def _misfit(env: Any, *groups: PolicyGroup) -> str | None:
     return None
 
 
+def _replay(
+    registry: Registry, env: Any, robots: PolicyGroup, humans: PolicyGroup, episodes: int, seed: int
+) -> list[TeamReplay]:
+    """Play the teams, and those that differ once more and for longer."""
+    teams = _play(registry, env, robots, humans, episodes, seed)
+    differing = [team.team for team in teams if not team.ok and team.expected is not None]
+    if not differing:
+        return teams
+    groups = (_take(group, differing, group.spec.role) for group in (robots, humans))
+    longer = {team.team: team for team in _play(registry, env, *groups, episodes * LONGER, seed + 1)}
+    return [longer.get(team.team, team) for team in teams]
+
+
 def _play(
     registry: Registry, env: Any, robots: PolicyGroup, humans: PolicyGroup, episodes: int, seed: int
 ) -> list[TeamReplay]:
@@ -264,22 +282,26 @@ def _play(
 
 def _compare(team: str, recorded: SelfPlay | None, found: float, episodes: int) -> TeamReplay:
     if recorded is None:
-        return TeamReplay(team, None, found, None, math.isfinite(found))
+        return TeamReplay(team, None, found, None, episodes, math.isfinite(found))
     allowed = tolerance(recorded, episodes)
-    return TeamReplay(team, recorded.mean, found, allowed, abs(found - recorded.mean) <= allowed)
+    return TeamReplay(team, recorded.mean, found, allowed, episodes, abs(found - recorded.mean) <= allowed)
 
 
-def _drifts(registry: Registry, teams: Sequence[TeamReplay], episodes: int) -> list[Drift]:
+def _drifts(registry: Registry, teams: Sequence[TeamReplay]) -> list[Drift]:
     drifts = []
     for task in dict.fromkeys(team.team.partition("/")[0] for team in teams):
-        members = [team for team in teams if team.team.startswith(f"{task}/")]
-        recorded = [figures for team in members if (figures := registry.team(team.team).self_play)]
-        differences = [team.found - team.expected for team in members if team.expected is not None]
-        mean = abs(float(np.mean([figures.mean for figures in recorded]))) if recorded else 0.0
-        if len(recorded) < 2 or mean == 0.0:
+        members = [
+            (team, recorded)
+            for team in teams
+            if team.team.startswith(f"{task}/") and (recorded := registry.team(team.team).self_play)
+        ]
+        mean = abs(float(np.mean([recorded.mean for _, recorded in members]))) if members else 0.0
+        if len(members) < 2 or mean == 0.0:
             continue
-        error = math.sqrt(sum(_standard_error(figures, episodes) ** 2 for figures in recorded)) / len(recorded)
-        drifts.append(Drift(task, float(np.mean(differences)) / mean, STANDARD_ERRORS * error / mean + TASK_MARGIN))
+        errors = [_standard_error(recorded, team.episodes) for team, recorded in members]
+        error = math.sqrt(sum(error**2 for error in errors)) / len(members)
+        found = float(np.mean([team.found - recorded.mean for team, recorded in members])) / mean
+        drifts.append(Drift(task, found, STANDARD_ERRORS * error / mean + TASK_MARGIN))
     return drifts
 
 
@@ -288,7 +310,7 @@ def _difference(team: TeamReplay) -> str:
         return f"{team.team}: expected a finite self-play return, found {team.found}"
     return (
         f"{team.team}: expected a self-play return of {team.expected:.1f} within {team.tolerance:.1f}, found "
-        f"{team.found:.1f}; the installed physics or JAX may differ from the release's"
+        f"{team.found:.1f} in {team.episodes} episodes; the installed physics or JAX may differ from the release's"
     )
 
 

@@ -49,8 +49,8 @@ class Shares:
         Positional arguments are as `put` returns them, keywords are static; `out_specs` say how results are put
         together, one for all leaves or a tree like the result's.
         """
-        jitted = jax.jit(function, **options)
-        if self._mesh is None:
+        jitted, mesh = jax.jit(function, **options), self._mesh
+        if mesh is None:
             return jitted
 
         def call(*args: Any, **static: Any) -> Any:
@@ -58,17 +58,12 @@ class Shares:
             given = [jax.tree.map(partial(_part, device), args) for device in self.devices]
             parts = list(self._threads.map(lambda args: jitted(*args, **static), given))
             return jax.tree.map(
-                lambda spec, *part: jax.tree.map(lambda *leaves: self._join(spec, leaves), *part), out_specs, *parts
+                lambda spec, *part: jax.tree.map(lambda *leaves: _join(NamedSharding(mesh, spec), leaves), *part),
+                out_specs,
+                *parts,
             )
 
         return call
-
-    def _join(self, spec: P, leaves: Sequence[jax.Array]) -> jax.Array:
-        shape = list(leaves[0].shape)
-        for axis, name in enumerate(spec):
-            if name:
-                shape[axis] *= len(self)
-        return jax.make_array_from_single_device_arrays(tuple(shape), NamedSharding(self._mesh, spec), list(leaves))
 
     def put(self, tree: Any, spec: Any = FIRST_AXIS) -> Any:
         """Move a pytree to the devices, all of its leaves split in the same way."""
@@ -84,6 +79,13 @@ class Shares:
 def _part(device: jax.Device, leaf: jax.Array) -> jax.Array:
     """Return the part of an array that a device holds."""
     return next(shard.data for shard in leaf.addressable_shards if shard.device == device)
+
+
+def _join(sharding: NamedSharding, parts: Sequence[jax.Array]) -> jax.Array:
+    """Return the array whose parts lie on the devices, which moves nothing."""
+    split = [name == AXIS for name in sharding.spec] + [False] * parts[0].ndim
+    shape = tuple(size * len(parts) if each else size for size, each in zip(parts[0].shape, split, strict=False))
+    return jax.make_array_from_single_device_arrays(shape, sharding, list(parts))
 
 
 def state_specs(state: Any) -> Any:

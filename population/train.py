@@ -27,7 +27,7 @@ from population.rollout import Environment
 from population.runs import RunFolder, extends, metrics_table
 from population.sac import SAC
 from population.self_play import self_play
-from population.sharding import FIRST_AXIS, SECOND_AXIS, WHOLE, Shares, state_specs
+from population.sharding import SECOND_AXIS, WHOLE, Shares, state_specs
 from population.spec import PolicySpec
 
 _SELF_PLAY = 1  # folded into a member's key: episodes of the final evaluation

@@ -8,13 +8,15 @@ from zoo.files import exclusive
 from zoo.ids import parse_team
 from zoo.registry import Registry, load_registry, save_registry
 from zoo.schema import RegistryFile, Split
-from zoo.splits import half_side, make_split, refuse_leak, shared_parameters
+from zoo.splits import LEAVE_ONE_OUT, half_side, make_split, refuse_leak, shared_parameters
 
 
 def create_split(
     registry_path: Path | str, *, task: str, rule: str = "half", release: str | None = None, **arguments: Any
 ) -> Split:
     """Make a split of a release's partners, write it to the registry, and return it; an existing one is left as it is.
+
+    A leave-one-out rule leaves out training partners that act nearly as one of the test partners does.
 
     Args:
         registry_path: The registry to write to.
@@ -25,7 +27,8 @@ def create_split(
 
     Raises:
         SplitError: The rule cannot be applied to the partners of the release.
-        LeakageError: A team, the same parameters, or humans that act nearly alike would stand on both sides.
+        LeakageError: A team, the same parameters, or, by another rule, humans that act nearly alike would stand on both
+            sides.
     """
     from zoo.behaviour import similar_leak, similar_pairs  # storage, which it reads, stands above this module
 
@@ -42,7 +45,11 @@ def create_split(
         if pairs:
             refuse_leak(split.id, pairs)
         alike = similar_pairs(registry, split)
-        if alike:
+        if alike and rule in LEAVE_ONE_OUT:  # what is held out stays whole
+            twins = {pair.train for pair in alike}
+            partners = [team for team in partners if team not in twins]
+            split = make_split(partners, task=task, release=release, rule=rule, **arguments)
+        elif alike:
             raise similar_leak(split.id, alike)
         if split not in data.splits:
             save_registry(data.model_copy(update={"splits": (*data.splits, split)}), path)

@@ -12,6 +12,9 @@ split becomes a new one with a new id, and the old one stays for whoever cited i
 | `small-train` | n teams of the half's train side, chosen at random | the half's test side |
 | `custom` | the teams given | the teams given |
 
+Humans that act nearly alike (`zoo/behaviour.py`) may not stand on both sides. `zoo.release.create_split` leaves such
+training partners out of a leave-one-out split, whose test side is to be whole, and refuses any other.
+
 In `half`, a team's side depends on its own id and the split's seed alone: seeds 2k and 2k+1 of a stratum are a pair,
 and the lowest bit of sha256("{seed}:{task}/{algorithm}-{disability}-{release}:{k}") says which of the two trains. So
 the order of the registry does not matter, no team ever changes sides when teams are added, and strata with consecutive
@@ -29,7 +32,7 @@ from zoo.ids import TeamId, parse_team
 from zoo.schema import Split, Team
 
 RULES = ("half", "leave-one-algorithm-out", "leave-one-disability-out", "small-train", "custom")
-_HELD_OUT_FIELD = {"leave-one-algorithm-out": "algorithm", "leave-one-disability-out": "disability"}
+LEAVE_ONE_OUT = {"leave-one-algorithm-out": "algorithm", "leave-one-disability-out": "disability"}  # what is held out
 
 
 def make_split(
@@ -64,8 +67,8 @@ def make_split(
     known = sorted({str(team) for team in map(parse_team, teams) if (team.task, team.release) == (task, release)})
     if rule == "half":
         sides = _by(known, lambda team: half_side(team, seed))
-    elif rule in _HELD_OUT_FIELD:
-        sides = _leave_one_out(known, _HELD_OUT_FIELD[rule], held_out)
+    elif rule in LEAVE_ONE_OUT:
+        sides = _leave_one_out(known, LEAVE_ONE_OUT[rule], held_out)
     elif rule == "small-train":
         sides = _small_train(known, n, seed)
     elif rule == "custom":
@@ -76,7 +79,7 @@ def make_split(
         "task": task,
         "release": release,
         "rule": rule,
-        "held_out": held_out if rule in _HELD_OUT_FIELD else None,
+        "held_out": held_out if rule in LEAVE_ONE_OUT else None,
         "n": n if rule == "small-train" else None,
         "seed": seed if rule in ("half", "small-train") else 0,
         "train": tuple(sides[0]),

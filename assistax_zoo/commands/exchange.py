@@ -118,7 +118,8 @@ def print_replay(result: "DeepReport") -> None:
     print(", ".join(f"{name} {version}" for name, version in result.versions.items()))
     for team in result.teams:
         expected = "not recorded" if team.expected is None else f"{team.expected:.1f} within {team.tolerance:.1f}"
-        print(f"{'ok     ' if team.ok else 'differs'} {team.team:28} expected {expected}, found {team.found:.1f}")
+        found = f"{team.found:.1f}" + (f" in {team.episodes} episodes" if team.episodes > result.episodes else "")
+        print(f"{'ok     ' if team.ok else 'differs'} {team.team:28} expected {expected}, found {found}")
     for problem in result.problems:
         print(f"problem: {problem}")
     if result.outdated:

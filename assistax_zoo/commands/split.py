@@ -78,6 +78,8 @@ def create(
 ) -> None:
     """Make a split of a release's partners and write it to the registry.
 
+    Where a setting or algorithm is held out, training partners that act nearly as a test partner does are left out.
+
     Args:
         task: Task of the split.
         rule: How the partners are divided.
@@ -94,7 +96,8 @@ def create(
         assistax-zoo split create --task scratch --rule leave-one-disability-out --held-out d9
     """
     from zoo.registry import load_registry
-    from zoo.release import create_split
+    from zoo.release import create_split, partner_teams
+    from zoo.splits import LEAVE_ONE_OUT
 
     loaded = load_registry(registry)
     sides = {"train": _teams(loaded, train), "test": _teams(loaded, test)}
@@ -103,6 +106,10 @@ def create(
         print_json(split.model_dump(mode="json"))
     else:
         print(f"split {split.id}: {len(split.train)} train, {len(split.test)} test, in {loaded.path}")
+        partners = {team for team in partner_teams(loaded.data, split.release) if team.startswith(f"{task}/")}
+        twins = sorted(partners.difference(split.train, split.test)) if rule in LEAVE_ONE_OUT else []
+        if twins:
+            print(f"left out, because they act nearly as a test partner does: {', '.join(twins)}")
 
 
 def verify(id: str | None = None, *, registry: Path | None = None, json: bool = False) -> None:

@@ -12,7 +12,7 @@ import pytest
 from assistax_zoo.main import run
 from tests.cli.test_zoo_commands import FIRST, answer, refusal, write_run
 from tests.zoo.public_zoos import UUIDS, pack, write_zoo
-from zoo.behaviour import similar_pairs
+from zoo.behaviour import Pair, similar_pairs
 from zoo.storage import read_policy_file
 
 ROOT = Path(__file__).parents[2]
@@ -152,6 +152,13 @@ def test_split_verify_reports_partners_that_act_alike(zoo: Path, capsys, monkeyp
     with pytest.raises(SystemExit, match="1"):
         run(["split", "verify"])
     assert "16 nearly alike" in capsys.readouterr().out
+
+
+def test_split_create_names_the_twins_that_it_leaves_out(zoo: Path, capsys, monkeypatch) -> None:
+    twin = Pair("scratch/ippo-d1-s2-v0", "scratch/ippo-d9-s0-v0", 0.01)
+    monkeypatch.setattr("zoo.behaviour.similar_pairs", lambda registry, split: [twin])
+    assert run(["split", "create", "--task", "scratch", "--rule", "leave-one-disability-out", "--held-out", "d9"]) == 0
+    assert f"as a test partner does: {twin.train}\n" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("command", ["import", "export"])

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from evaluation.deep import DeepReport, tolerance, verify_deep, versions
+from population import self_play
 from population.spec import PolicySpec
 from tests.population.toy_env import ToyEnv, constant
 from zoo.publish import publish
@@ -72,6 +73,23 @@ def test_another_return_is_a_problem_of_its_team(registry: Registry) -> None:
     report = check(load_registry(registry.path))
     assert [team.team for team in report.teams if not team.ok] == ["scratch/ippo-d9-s1-v0"]
     assert "expected a self-play return of 26.0 within" in report.problems[0] and "found 20.0" in report.problems[0]
+    assert {team.team: team.episodes for team in report.teams if team.episodes != 2} == {"scratch/ippo-d9-s1-v0": 32}
+
+
+def test_a_team_whose_few_episodes_hold_a_failure_is_judged_by_more(
+    registry: Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    play, calls = self_play.self_play, []
+
+    def unlucky(*arguments: Any) -> Any:
+        calls.append((len(arguments[-2]), arguments[-1]))
+        first, *others = play(*arguments)
+        return [{**first, "mean": RETURN / 2} if len(calls) == 1 else first, *others]
+
+    monkeypatch.setattr(self_play, "self_play", unlucky)
+    report = check(registry, "scratch/ippo-d?-s[01]-v0")
+    assert calls == [(2, 2), (1, 32)] and report.ok
+    assert [(team.found, team.episodes) for team in report.teams] == [(RETURN, 32), (RETURN, 2)]
 
 
 def test_a_drift_of_all_teams_is_found_where_each_alone_would_pass(registry: Registry) -> None:

@@ -56,6 +56,20 @@ def test_a_partner_of_its_own_is_not(with_copy) -> None:
     assert custom(with_copy(3.0)).test == (COPY,)
 
 
+def test_a_leave_one_out_split_trains_without_those_who_act_as_the_held_out_do(
+    registry: Registry, team, publish_to
+) -> None:
+    params = {
+        "robot": team("ippo", "d9", 9).params["robot"],
+        "human": noisy(team("ippo", "d1", 0).params["human"], 1e-3),
+    }
+    registry = publish_to([team("ippo", "d9", 9, params=params)], registry.path)
+    split = create_split(registry.path, task="scratch", rule="leave-one-disability-out", held_out="d9")
+    everyone = set(registry.data.teams)
+    assert set(split.test) == {name for name in everyone if "-d9-" in name} and len(split.test) > 1
+    assert set(split.train) == everyone - set(split.test) - {ORIGINAL}
+
+
 def test_existing_splits_are_reported(with_copy) -> None:
     registry = with_copy(1e-3)
     half = registry.split("scratch")
