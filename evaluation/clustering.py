@@ -1,6 +1,7 @@
 """Order and clusters of a cross-play matrix: average linkage, optimal leaf order."""
 
 import dataclasses
+import math
 
 import numpy as np
 from scipy.cluster import hierarchy
@@ -11,6 +12,7 @@ from evaluation.leaf_order import optimal_leaf_order
 MAX_CLUSTERS = 8
 # Below it Kaufman and Rousseeuw (1990) see no substantial structure: then all are one cluster.
 MIN_SILHOUETTE = 0.25
+LEAST_SHARE = 0.05  # of all, of a cluster that counts; smaller ones are outliers
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,8 +42,9 @@ class Clustering:
 def cluster_profiles(profiles: np.ndarray) -> Clustering:
     """Cluster rows of profiles [n, m] by Euclidean distance.
 
-    Of the cuts with 2 to 8 clusters, at least two of them with several members, that of the highest mean silhouette is
-    taken if it reaches 0.25; else all are one. A cut that only sets outliers apart would say nothing of the others.
+    Of the cuts with 2 to 8 clusters, at least two of them with several members and 5% of all, that of the highest mean
+    silhouette is taken if it reaches 0.25; else all are one. A cut that only sets outliers apart would say nothing of
+    the others.
     """
     profiles = np.asarray(profiles, float)
     if profiles.ndim != 2 or not profiles.size or not np.isfinite(profiles).all():
@@ -73,10 +76,17 @@ def cluster_teams(matrix: np.ndarray) -> Clustering:
     return cluster_profiles(np.concatenate([matrix, matrix.T], axis=1))
 
 
-def best_silhouette(profiles: np.ndarray) -> float | None:
-    """Return the highest silhouette of the cuts that `cluster_profiles` compares; quicker, for it orders no leaves."""
-    condensed = distance.pdist(profiles)
-    return _best_cut(hierarchy.average(condensed), distance.squareform(condensed))[1]
+def least_members(count: int) -> int:
+    """Return how many of `count` policies make a cluster that is more than outliers."""
+    return max(2, math.ceil(LEAST_SHARE * count))
+
+
+def branches(linkage: np.ndarray) -> list[np.ndarray]:
+    """Return the leaves below each node of a tree [n - 1, 4] as SciPy has it, the root last."""
+    below = [np.array([leaf]) for leaf in range(len(linkage) + 1)]
+    for left, right in linkage[:, :2].astype(int):
+        below.append(np.concatenate([below[left], below[right]]))
+    return below[len(linkage) + 1 :]
 
 
 def silhouette(labels: np.ndarray, distances: np.ndarray) -> float:
@@ -98,7 +108,7 @@ def silhouette(labels: np.ndarray, distances: np.ndarray) -> float:
 def _best_cut(linkage: np.ndarray, distances: np.ndarray) -> tuple[np.ndarray, float | None]:
     n = len(distances)
     cuts = [hierarchy.fcluster(linkage, k, "maxclust") for k in range(2, min(MAX_CLUSTERS, n - 1) + 1)]
-    cuts = [labels for labels in cuts if np.count_nonzero(np.bincount(labels) > 1) > 1]
+    cuts = [labels for labels in cuts if np.count_nonzero(np.bincount(labels) >= least_members(n)) > 1]
     if not cuts:
         return np.zeros(n, int), None
     scores = [silhouette(labels, distances) for labels in cuts]

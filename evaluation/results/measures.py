@@ -7,9 +7,11 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.cluster import hierarchy
+from scipy.spatial import distance
 
 from evaluation.bootstrap import Interval, draw_counts, interval, replicate_crossed
-from evaluation.clustering import best_silhouette
+from evaluation.clustering import branches, least_members
 from evaluation.statistics import probability_of_improvement, score_matrix
 
 PERMUTATIONS = 99
@@ -19,12 +21,13 @@ _SETTLED = 30  # rounds after which the filled diagonal no longer moves
 
 
 @dataclasses.dataclass(frozen=True)
-class Structure:
-    """Whether teams fall into groups by who fits whom, beyond chance."""
+class Exchange:
+    """The two branches of the tree of teams that lose the most with each other, and whether chance does as much."""
 
-    silhouette: float  # of the best cut of the interactions
-    null: float  # 95th percentile of the silhouettes under permutation
-    p: float  # share of permutations that reach the silhouette
+    loss: float  # share of the return; 0 if no two branches lose
+    groups: tuple[np.ndarray, ...]  # members of either branch, as rows of the matrix; none if no two lose
+    null: float  # 95th percentile of the losses under permutation
+    p: float  # share of permutations that reach the loss
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,40 +51,28 @@ def incompatible_share(matrix: np.ndarray, fraction: float = 0.5) -> float:
     return float(np.mean(((lesser > 0) & (matrix < fraction * lesser))[apart]))
 
 
-def exchange_loss(matrix: np.ndarray, clusters: Sequence[Sequence[int]]) -> float:
-    """Return the largest share of return that two clusters lose when they exchange humans; 0 if none lose.
+def largest_exchange_loss(matrix: np.ndarray, *, permutations: int = PERMUTATIONS, seed: int = 0) -> Exchange:
+    """Find the two branches of the tree of Figure 4, 5% of the teams or more each, that lose the most with each other.
 
-    `1 - max(A's robots with B's humans, B's with A's) / min(within A, within B)`, of mean cross-play returns: both
-    lose against the poorer of the two, which clusters of merely better and poorer teams do not.
+    Two branches lose `1 - max(A's robots with B's humans, B's with A's) / min(within A, within B)`, of mean cross-play
+    returns: both lose against the poorer of the two, which branches of merely better and poorer teams do not.
+
+    Chance is what is left when the interactions, which are what remains of returns without the robots' and the humans'
+    means, are permuted among each human's robots; self-play is left out. Every permutation gets a tree of its own.
 
     Args:
         matrix: returns [T, T].
-        clusters: members of each, as rows of the matrix; those with fewer than two members are left out.
+        permutations: number of them.
+        seed: seed of the permutations.
     """
-    large = [np.array(members) for members in clusters if len(members) > 1]
-    inside = [_mean_apart(matrix[np.ix_(members, members)]) for members in large]
-    losses = [0.0]
-    for i, a in enumerate(large):
-        for j, b in enumerate(large[:i]):
-            across = max(matrix[np.ix_(a, b)].mean(), matrix[np.ix_(b, a)].mean())
-            within = min(inside[i], inside[j])
-            losses += [float(1 - across / within)] if within > 0 else []
-    return max(losses)
-
-
-def interaction_structure(matrix: np.ndarray, *, permutations: int = PERMUTATIONS, seed: int = 0) -> Structure:
-    """Test whether teams cluster by who fits whom, against permutations of the interactions among each human's robots.
-
-    Interactions are what remains of cross-play returns without the robots' and the humans' means, so that good and
-    poor teams form no clusters; self-play is left out. Every permutation is clustered anew, as the matrix was.
-    """
-    rest = _interactions(matrix)
-    found = _silhouette(rest)
+    loss, groups = _exchange(matrix)
+    filled = _fill_diagonal(matrix)
+    rest = _interactions(filled)
     rng = np.random.default_rng(seed)
     apart = ~np.eye(len(rest), dtype=bool)
-    null = np.array([_silhouette(_shuffled(rest, apart, rng)) for _ in range(permutations)])
-    p = (1 + np.count_nonzero(null >= found)) / (1 + permutations)
-    return Structure(found, float(np.quantile(null, 0.95)), float(p))
+    null = np.array([_exchange(filled - rest + _shuffled(rest, apart, rng))[0] for _ in range(permutations)])
+    p = (1 + np.count_nonzero(null >= loss)) / (1 + permutations)
+    return Exchange(loss, groups, float(np.quantile(null, 0.95)), float(p))
 
 
 def variance_shares(matrix: np.ndarray, *, resamples: int = _RESAMPLED_MATRICES, seed: int = 0) -> VarianceShares:
@@ -164,14 +155,29 @@ def _fill_diagonal(matrix: np.ndarray) -> np.ndarray:
     return filled
 
 
-def _interactions(matrix: np.ndarray) -> np.ndarray:
-    filled = _fill_diagonal(matrix)
+def _interactions(filled: np.ndarray) -> np.ndarray:
     return filled - filled.mean(axis=1, keepdims=True) - filled.mean(axis=0, keepdims=True) + filled.mean()
 
 
-def _silhouette(interactions: np.ndarray) -> float:
-    found = best_silhouette(np.concatenate([interactions, interactions.T], axis=1))
-    return -1.0 if found is None else found
+def _exchange(matrix: np.ndarray) -> tuple[float, tuple[np.ndarray, ...]]:
+    profiles = np.concatenate([matrix, matrix.T], axis=1)
+    tree = hierarchy.average(distance.pdist(profiles))
+    large = [group for group in branches(tree)[:-1] if len(group) >= least_members(len(matrix))]
+    if len(large) < 2:
+        return 0.0, ()
+    members = np.zeros((len(large), len(matrix)))
+    for row, group in zip(members, large, strict=True):
+        row[group] = 1
+    sizes = members.sum(axis=1)
+    sums = members @ (matrix * ~np.eye(len(matrix), dtype=bool)) @ members.T
+    within, across = np.diag(sums) / (sizes * (sizes - 1)), sums / np.outer(sizes, sizes)
+    poorer = np.minimum(within[:, None], within[None])
+    known = (members @ members.T == 0) & (poorer > 0)
+    losses = np.where(known, 1 - np.maximum(across, across.T) / np.where(known, poorer, 1.0), 0.0)
+    first, second = np.unravel_index(int(losses.argmax()), losses.shape)
+    if losses[first, second] <= 0:
+        return 0.0, ()
+    return float(losses[first, second]), (large[first], large[second])
 
 
 def _shuffled(matrix: np.ndarray, apart: np.ndarray, rng: np.random.Generator) -> np.ndarray:

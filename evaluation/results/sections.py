@@ -18,10 +18,9 @@ _ALGORITHMS = ("ippo", "mappo", "masac")
 _MEANINGS = """A claim *holds* where every criterion is met, and *in part* where its last one is but another is not;
 where the last one is not met it *does not hold*. *Undecided*: an interval reaches over its threshold.
 
-- *Silhouette of clusters by who fits whom*: of the best cut of teams by cross-play returns from which every robot's and
-  every human's mean were subtracted; p against the same after the robots of each human were permuted.
-- *Lose with each other*: mean return of one cluster's robots with the other's humans, the better of the two ways,
-  against the lesser of the returns within.
+- *Lose with each other*: mean return of one branch's robots with the other's humans, the better of the two ways,
+  against the lesser of the returns within; of all pairs of branches that have 5% of the teams or more. p against the
+  same after the robots of each human were permuted, the robots' and the humans' means kept.
 - *Incompatible*: the pair's return is below half of the lesser of the two teams' self-play returns, as it is for the
   two strategies of the paper's Figure 5.
 - *Variance explained*: two-way analysis of variance of cross-play returns; intervals over teams.

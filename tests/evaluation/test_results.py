@@ -69,30 +69,38 @@ def test_incompatible_pairs_are_counted():
 def test_poor_teams_are_not_taken_for_incompatible_ones():
     for matrix in (poor_half(), additive(300, 0), additive(0, 300)):
         assert measures.incompatible_share(matrix) < 0.02
-        assert measures.exchange_loss(matrix, [range(0, 20, 2), range(1, 20, 2)]) < 0.1
+        assert measures.largest_exchange_loss(matrix, permutations=1).loss < 0.1
 
 
-def test_exchange_loss_of_two_clusters():
-    halves = [range(0, 20, 2), range(1, 20, 2)]
-    assert measures.exchange_loss(blocks(), halves) == pytest.approx(0.6, abs=0.02)
+def test_two_groups_that_lose_with_each_other_are_found():
+    found = measures.largest_exchange_loss(blocks(120), permutations=39)
+    assert found.loss == pytest.approx(0.6, abs=0.02)
+    assert [set(group % 2) for group in sorted(found.groups, key=lambda group: group[0] % 2)] == [{0}, {1}]
+    assert found.p == pytest.approx(1 / 40)
+    assert found.null < 0.3
     one_way = blocks()
     one_way[0::2, 1::2] = 890.0  # the robots of the first half play well with every human
-    assert measures.exchange_loss(one_way, halves) < 0.05
-    assert measures.exchange_loss(blocks(), [range(20)]) == 0
-    assert measures.exchange_loss(blocks(), [[0], range(1, 20)]) == 0
+    assert measures.largest_exchange_loss(one_way, permutations=1).loss < 0.05
 
 
-def test_clusters_by_who_fits_whom_stand_out_from_permutations():
-    found = measures.interaction_structure(blocks(), permutations=39)
-    assert found.p == pytest.approx(1 / 40)
-    assert found.silhouette > 0.8 > found.null
-    chance = [measures.interaction_structure(additive(200, 200 * i), permutations=39).p for i in range(4)]
+def test_a_few_outliers_are_no_group():
+    """Of 60 teams two lose with all others: less than a twentieth."""
+    matrix = additive(10, 10, count=60)
+    matrix[:2, 2:] = matrix[2:, :2] = 100.0
+    assert measures.largest_exchange_loss(matrix, permutations=1).loss < 0.1
+    matrix[:4, 4:] = matrix[4:, :4] = 100.0
+    matrix[:4, :4] = 900.0
+    found = measures.largest_exchange_loss(matrix, permutations=1)
+    assert found.loss > 0.8
+    assert {bool(set(group) <= {0, 1, 2, 3}) for group in found.groups} == {True, False}
+
+
+def test_loss_without_groups_is_chance():
+    chance = [measures.largest_exchange_loss(additive(200, 200 * i), permutations=39).p for i in range(4)]
     assert min(chance) > 0.05
-
-
-def test_self_play_alone_makes_no_cluster():
-    matrix = additive(50, 50) + 500 * np.eye(20)
-    assert measures.interaction_structure(matrix, permutations=39).p > 0.05
+    alone = additive(50, 50) + 500 * np.eye(20)  # self-play
+    assert measures.largest_exchange_loss(alone, permutations=39).p > 0.05
+    assert measures.largest_exchange_loss(np.ones((3, 3)), permutations=1).groups == ()
 
 
 def test_variance_is_split_between_robots_and_humans():
