@@ -98,7 +98,7 @@ class Registry:
 
         Args:
             task: Task the split is for.
-            id: A split's id, or the beginning of one that only one split has ("half-s0-v1").
+            id: A split's id, or its beginning: of one split alone ("half-s0-v0"), or of one of the newest release ("half").
             release: Release whose default split is meant when `id` is not given.
 
         Raises:
@@ -118,8 +118,9 @@ class Registry:
         full = name if "/" in name else f"{task}/{name}"
         exact = [split for split in known if split.id == full]
         found = exact or [split for split in known if split.id.startswith(full)]
-        if len(found) == 1:
-            return found[0]
+        for candidates in (found, [split for split in found if split.release == self.release]):
+            if len(candidates) == 1:
+                return candidates[0]
         ids = [split.id for split in known]
         close = nearest(full, ids) or ids
         what = f"{len(found)} that begin so" if found else "none"

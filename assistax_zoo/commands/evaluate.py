@@ -46,7 +46,7 @@ def evaluate(
         json: Print JSON.
 
     Example:
-        assistax-zoo evaluate --task scratch --policy zoo:scratch/ippo-d1-s0-v0/robot --episodes 8 --out results
+        assistax-zoo evaluate --task scratch --policy zoo:scratch/ippo-d1-s0-v1/robot --episodes 8 --out results
     """
     with stdout_is_data(), contextlib.ExitStack() as stack:
         folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="assistax-zoo-")))

@@ -62,7 +62,7 @@ def export(
         json: Print JSON.
 
     Example:
-        assistax-zoo export scratch/ippo-d3-s5-v0/robot --format onnx --out robot.onnx
+        assistax-zoo export scratch/ippo-d3-s5-v1/robot --format onnx --out robot.onnx
     """
     from zoo.files import atomic_write, sha256
 

@@ -42,7 +42,7 @@ def render(
         registry: Registry to read instead of the installed one.
 
     Example:
-        assistax-zoo render --task scratch --robot zoo:scratch/ippo-d1-s7-v0/robot --human random --out scratch.mp4
+        assistax-zoo render --task scratch --robot zoo:scratch/ippo-d1-s7-v1/robot --human random --out scratch.mp4
     """
     if collisions:
         _render_collisions(task, out, width, height)

@@ -76,7 +76,7 @@ def show(
         json: Print JSON.
 
     Example:
-        assistax-zoo show scratch/ippo-d3-s5-v0/human
+        assistax-zoo show scratch/ippo-d3-s5-v1/human
     """
     from zoo.registry import load_registry
 

@@ -41,7 +41,7 @@ def test_only_the_training_half_is_loaded(monkeypatch):
     ("words", "message"),
     [
         (["--algorithm", "ippo"], "algorithm is 'ippo'; allowed are ppo, sac"),
-        (["--num-envs", "20", "--set", "minibatches=4"], "num_envs is 20 with 16 partners; .* choose 16, or leave"),
+        (["--num-envs", "20", "--set", "minibatches=4"], "num_envs is 20 with 99 partners; .* choose 396, or leave"),
         (["--split", "halves"], "expected one split"),
         (["--set", "shared=true"], "leave shared out"),
         (["--algorithm", "sac", "--set", "critic=central"], "choose local"),
@@ -72,7 +72,7 @@ def test_the_preset_is_fitted_to_the_partners_and_says_so(algorithm, partners, t
 def test_trained_robots_are_policy_files_that_can_be_evaluated(tmp_path, capfd):
     from evaluation.egos import read_egos
 
-    words = ["train-ego", "--task", "scratch", "--split", "half", "--seeds", "2", "--steps", "128", *TINY]
+    words = ["train-ego", "--task", "scratch", "--split", "half-s0-v0", "--seeds", "2", "--steps", "128", *TINY]
     assert run([*words, "--out", str(tmp_path / "ego"), "--backend", "native", "--json"]) == 0
     result = json.loads(capfd.readouterr().out)
     assert result["partners"] == 16

@@ -33,7 +33,7 @@ def test_my_robot_against_the_zoo_in_ten_lines(
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 10)
     words = ["--task", "scratch", "--policy", f"python:{name}:make", "--episodes", "1", "--backend", "native"]
-    words += ["--partners", "scratch/ippo-d1-s[01]-v0/human", "--split", "both", "--no-references", "--json"]
+    words += ["--partners", "scratch/ippo-d1-s[01]-v1/human", "--split", "both", "--no-references", "--json"]
     assert run(["evaluate", *words]) == 0
     summary = json.loads(capfd.readouterr().out)
     assert summary["egos"] == [f"python:{name}:make"]

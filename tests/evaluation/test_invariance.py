@@ -42,7 +42,7 @@ def scratch(length: int) -> Env:
 def real_job(sizes: tuple[int, int, int] = SIZES, **changes: Any) -> Job:
     registry = load_registry()
     egos, partners = (
-        registry_groups(registry, registry.select("scratch/ippo-*", task="scratch", role=role)[:count])
+        registry_groups(registry, registry.select("scratch/ippo-*", role=role, release="v1")[:count])
         for role, count in zip(("robot", "human"), sizes, strict=False)
     )
     options: dict[str, Any] = {"egos": egos, "partners": partners, "backend": "native", **changes}

@@ -138,6 +138,15 @@ def test_identical_parameters_on_both_sides_leak(registry: Registry) -> None:
         create_split(registry.path, task="scratch", rule="custom", train=[train], test=[test])
 
 
+def test_the_beginning_of_a_name_means_the_newest_release(registry: Registry, team, publish_to) -> None:
+    older = registry.split("scratch", "half")
+    grown = publish_to([team("ippo", "d1", seed) for seed in range(2)], registry.path, release="v1")
+    assert grown.split("scratch", "half").release == "v1" and grown.split("scratch", "half-s0-v0") == older
+    with pytest.raises(SplitError, match="found 3 that begin so"):
+        create_split(registry.path, task="scratch", rule="half", seed=1, release="v1")
+        load_registry(registry.path).split("scratch", "half")
+
+
 def test_create_writes_once(registry: Registry) -> None:
     split = create_split(registry.path, task="scratch", rule="leave-one-disability-out", held_out="d9")
     text = registry.path.read_text()
