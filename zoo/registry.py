@@ -98,7 +98,8 @@ class Registry:
 
         Args:
             task: Task the split is for.
-            id: A split's id, or its beginning: of one split alone ("half-s0-v0"), or of one of the newest release ("half").
+            id: A split's id, or its beginning: that of one split alone ("half-s0-v0"), or of one alone of the newest
+                release ("half").
             release: Release whose default split is meant when `id` is not given.
 
         Raises:
