@@ -31,7 +31,7 @@ def model_card(registry: Registry, name: str) -> str:
             f"```sh\nassistax-zoo fetch 'TASK/*' --from hf://{name}\n```\n",
             "| release | date | policies | |\n|---|---|---|---|",
             *releases,
-            "\nReturn of teams with themselves, mean over training seeds:\n",
+            "\nReturn of teams with themselves, mean over training seeds of the newest release that has them:\n",
             "| task | algorithm | disability | teams | return |\n|---|---|---|---|---|",
             *figures,
             "",
@@ -54,12 +54,17 @@ def _metadata(registry: Registry, name: str) -> dict[str, object]:
 
 
 def _measured(registry: Registry) -> Iterator[tuple[tuple[str, str, str], list[PolicyEntry]]]:
-    """Yield the teams with a self-play figure, once each, by task, algorithm and disability, in registry order."""
+    """Yield the teams with a self-play figure by task, algorithm and disability, in registry order.
+
+    Of each group those of the newest release: an older one may hold the same teams, or be of another environment.
+    """
     groups: dict[tuple[str, str, str], dict[str, PolicyEntry]] = {}
     for entry in registry.policies:
         if entry.self_play:
             groups.setdefault((entry.task, entry.algorithm, entry.disability), {}).setdefault(entry.team, entry)
-    yield from ((name, list(teams.values())) for name, teams in groups.items())
+    for name, teams in groups.items():
+        newest = max((entry.release for entry in teams.values()), key=lambda release: int(release[1:]))
+        yield name, [entry for entry in teams.values() if entry.release == newest]
 
 
 def _mean(members: list[PolicyEntry]) -> float:

@@ -1,6 +1,9 @@
+import dataclasses
 from typing import Any
 
 from zoo.card import markdown_card
+from zoo.model_card import model_card
+from zoo.registry import Registry
 
 CARD: dict[str, Any] = {
     "id": "scratch/ippo-d3-s5-v0/robot",
@@ -38,3 +41,10 @@ def test_text_from_elsewhere_stays_in_its_cell() -> None:
     training = {"run": "a | b\n# heading <script>", "seed": 1}
     text = markdown_card([{**CARD, "training": training}], "x>)<img>\n.png")
     assert "| run | a \\| b # heading &lt;script> |" in text and "(<x)img.png>)" in text
+
+
+def test_a_remote_s_card_has_the_newest_release_s_figures(registry: Registry, team, publish_to) -> None:
+    assert "| scratch | ippo | d1 | 4 | " in model_card(registry, "org/zoo")
+    one = dataclasses.replace(team("ippo", "d1", 0), self_play={"mean": 7.0, "iqm": 7.0, "ci": [6.0, 8.0], "n": 16})
+    text = model_card(publish_to([one], registry.path, release="v1"), "org/zoo")
+    assert "| scratch | ippo | d1 | 1 | 7.0 |" in text and "| scratch | ippo | d9 | 4 | " in text
