@@ -8,6 +8,9 @@ policies show their memory.
 0.98, 0.56 in the median. A copy in half precision differs by at most 0.002, a copy with 1 % of noise in every weight by
 0.01, with 10 % by 0.06. So 0.1 lies above what copies reach, and three times below what training from another seed
 gives. Training further from a copy may move it beyond: what is alike here is a copy, what is not may be a relative.
+
+In release v1 the closest of a task differ by 0.21 on scratch, 0.18 on bed bath and 0.095 on arm assist, where two pairs
+of MAPPO's humans, who have little to do there, stand below the threshold without being copies: they may share a side.
 """
 
 from collections.abc import Sequence

@@ -140,7 +140,7 @@ def lock(
         json: Print JSON.
 
     Example:
-        assistax-zoo lock 'scratch/*' --release v0 --out assistax-zoo.lock
+        assistax-zoo lock 'scratch/*' --release v1 --out assistax-zoo.lock
     """
     from zoo.lock import make_lock, write_lock
     from zoo.registry import load_registry
