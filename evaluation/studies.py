@@ -68,7 +68,7 @@ def evaluate_policies(
         settings: Task, episodes and the rest.
         folder: Filled with the episodes and every table drawn from them; a run that was stopped goes on.
         split: "test", "train" or "both" sides of the default split, or a split's id, ":train" or ":both" added.
-        partners: Globs over partners to use instead of whole sides.
+        partners: Globs over partners to use instead of whole sides; see `choose_partners`.
         references: Folder that keeps the episodes of reference egos, see `evaluation.references`; None plays none.
         crossplay: Folder of a finished cross-play, whose best robot with a partner may be its best response.
         on_progress: Told how far the run is.
@@ -83,8 +83,7 @@ def evaluate_policies(
         raise ValueError("no policy given; name at least one, for example --policy zoo:TEAM/robot")
     check_folder(folder)
     pairs = None if crossplay is None else _crossplay_pairs(crossplay, settings.task)
-    manifest, sides = _sides(registry, settings.task, split or ("test" if partners is None else "both"))
-    chosen = _partners(registry, settings.task, manifest, sides, partners)
+    manifest, chosen = choose_partners(registry, settings.task, split, partners)
     egos = _read_egos(registry, policies, settings.task)
     env, job = _make_job(registry, egos, chosen, settings, manifest)
     result, origin = _run(env, job, settings, folder, on_progress)
@@ -95,6 +94,29 @@ def evaluate_policies(
         summary |= _with_references(registry, env, job, chosen, settings, references, folder, pairs, on_progress)
     tables.write_json(summary, folder / tables.SUMMARY_FILE)
     return summary
+
+
+def choose_partners(
+    registry: Registry, task: str, split: str | None, patterns: str | Sequence[str] | None
+) -> tuple[Split, list[PolicyEntry]]:
+    """Return the split that `--split` names, and the humans of its sides, or those of them that match `--partners`.
+
+    The default split is that of the release that the matching partners are of, if they are of one, else of the newest.
+    """
+    text = split or ("test" if patterns is None else "both")
+    name, side = (None, text) if text in SIDE_WORDS else (text.partition(":")[0], text.partition(":")[2] or "test")
+    if side not in SIDE_WORDS:
+        raise ValueError(f"split is {text!r}; after the colon {', '.join(SIDE_WORDS)} are allowed")
+    humans = registry.select(patterns, task=task, role="human")
+    releases = {entry.release for entry in humans}
+    manifest = registry.split(task, name, release=releases.pop() if len(releases) == 1 else None)
+    chosen = [entry for entry in humans if manifest.side(entry.team) in SIDE_WORDS[side]]
+    if not chosen:
+        raise ValueError(
+            f"none of the {len(humans)} partners that match is on the {' or '.join(SIDE_WORDS[side])} side of split "
+            f"{manifest.id}; choose others, --split both, or another split's id (assistax-zoo split list)"
+        )
+    return manifest, chosen
 
 
 def cross_play(
@@ -276,28 +298,6 @@ def _run(
         "backend": env.backend,
         "env_steps_per_second": result.env_steps_per_second,
     }
-
-
-def _sides(registry: Registry, task: str, text: str) -> tuple[Split, tuple[str, ...]]:
-    """Return the split and the sides of it that `--split` names."""
-    name, side = (None, text) if text in SIDE_WORDS else (text.partition(":")[0], text.partition(":")[2] or "test")
-    if side not in SIDE_WORDS:
-        raise ValueError(f"split is {text!r}; after the colon {', '.join(SIDE_WORDS)} are allowed")
-    return registry.split(task, name), SIDE_WORDS[side]
-
-
-def _partners(
-    registry: Registry, task: str, split: Split, sides: Sequence[str], patterns: str | Sequence[str] | None
-) -> list[PolicyEntry]:
-    """Return the humans of the sides, or those of them that match."""
-    humans = registry.select(patterns, task=task, role="human")
-    chosen = [entry for entry in humans if split.side(entry.team) in sides]
-    if not chosen:
-        raise ValueError(
-            f"none of the {len(humans)} partners that match is on the {' or '.join(sides)} side of split {split.id}; "
-            "choose others, or --split both"
-        )
-    return chosen
 
 
 def _read_egos(registry: Registry, policies: Sequence[str], task: str) -> tuple[Ego, ...]:

@@ -37,7 +37,8 @@ def evaluate(
         task: Task, such as scratch.
         policy: Robot: zoo:ID, a .safetensors file, or python:package.module:factory; repeat it for more seeds.
         split: Partners: test (default), train or both sides of the default split, or another split's id (ID:both).
-        partners: Glob over partners to use only some, such as 'scratch/ippo-d9-*'; repeat it for more.
+        partners: Glob over partners to use only some, such as 'scratch/ippo-d9-*'; repeat it for more. Where all that
+            match are of one release, its default split is meant.
         playing: How they play.
         references: Compare with zero and random actions and with each partner's own robot; kept for the next time.
         crossplay: Folder of a finished cross-play, whose best robots may be the partners' best responses.

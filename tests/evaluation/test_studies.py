@@ -2,7 +2,7 @@
 
 import pytest
 
-from evaluation.studies import check_env_version, in_release
+from evaluation.studies import check_env_version, choose_partners, in_release
 from zoo.errors import RegistryVersionError, UnknownIdError
 from zoo.registry import load_registry
 
@@ -25,3 +25,16 @@ def test_policies_of_another_environment_version_are_refused_with_the_releases_t
     check_env_version(registry, registry.select("arm_assist/*", release="v1"))
     with pytest.raises(RegistryVersionError, match=r"version 2 .* trained on version 1; .* \(here v1\)"):
         check_env_version(registry, registry.select("arm_assist/*", release="v0"))
+
+
+def test_partners_bring_the_default_split_of_their_release() -> None:
+    registry = load_registry()
+    newest, test = choose_partners(registry, "scratch", None, None)
+    assert newest.release == registry.release and {entry.team for entry in test} == set(newest.test)
+    older, both = choose_partners(registry, "scratch", None, "scratch/ippo-d1-s?-v0/human")
+    assert older == registry.split("scratch", release="v0") and len(both) == 8
+    assert choose_partners(registry, "scratch", "train", "scratch/ippo-d1-*")[0] == newest  # of both releases
+    with pytest.raises(
+        ValueError, match=r"none of the 8 partners that match is on the train or test side of .*half-s0-v1"
+    ):
+        choose_partners(registry, "scratch", "half-s0-v1:both", "scratch/ippo-d1-*-v0")
