@@ -36,7 +36,6 @@ def zsc_bars(summaries: Mapping[str, Mapping[str, Any]]) -> Figure:
     axes.axhline(0, color=style.FAINT, linewidth=0.6)
     axes.margins(y=0.12)
     _legend(axes, 2)
-    _caption(figure, summaries)
     return figure
 
 
@@ -59,7 +58,6 @@ def disability_points(summaries: Mapping[str, Mapping[str, Any]]) -> Figure:
     axes.grid(axis="y", color="#e5e5e5", linewidth=0.6)
     axes.set_axisbelow(True)
     _legend(axes, 3)
-    _caption(figure, summaries)
     return figure
 
 
@@ -84,8 +82,9 @@ def _canvas(summaries: Mapping[str, Mapping[str, Any]], title: str, width: float
     tasks = {summary["task"] for summary in summaries.values()}
     if len(tasks) > 1:
         raise ValueError(f"the folders are of several tasks, {', '.join(sorted(tasks))}; draw one task at a time")
-    foot = 0.42 + 0.13 * (len(summaries) + 1)
-    width, height = max(width, 6.2), 3.35 + foot
+    width, caption = max(width, 6.2), _caption(summaries)
+    foot = 0.42 + style.CAPTION_LINE * len(style.wrap(caption, width))
+    height = 3.35 + foot
     figure = style.new_figure(width, height)
     axes = figure.add_axes((0.75 / width, (foot + 0.15) / height, 1 - 0.95 / width, 2.5 / height), label="returns")
     style.bare(axes, ("left", "bottom"))
@@ -93,6 +92,7 @@ def _canvas(summaries: Mapping[str, Mapping[str, Any]], title: str, width: float
     axes.tick_params(axis="y", labelsize=8)
     heading = f"{title}: {tasks.pop()}"
     figure.text(0.2 / width, 1 - 0.14 / height, heading, fontsize=12, weight="bold", va="top", color=style.INK)
+    style.write_caption(figure, caption)
     return figure, axes
 
 
@@ -105,13 +105,12 @@ def _legend(axes: Axes, columns: int) -> None:
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, fontsize=8, frameon=False, borderaxespad=0.2)
 
 
-def _caption(figure: Figure, summaries: Mapping[str, Mapping[str, Any]]) -> None:
+def _caption(summaries: Mapping[str, Mapping[str, Any]]) -> str:
     about = sorted(
         {to for summary in summaries.values() for to in _speaks_about([summary["m_test"], summary["m_train"]])}
     )
     first = f"IQM and 95% bootstrap interval, which generalises to new {'; new '.join(about)}."
-    text = f"{first}\n{provenance(summaries)}"
-    style.write_caption(figure, text)
+    return f"{first}\n{provenance(summaries)}"
 
 
 def _speaks_about(figures: Sequence[Mapping[str, Any] | None]) -> set[str]:

@@ -27,8 +27,7 @@ def training_panels(curves: pl.DataFrame, bounds: Mapping[str, Mapping[str, floa
     names = sorted(set(curves["algorithm"]))
     colours = {name: style.OKABE_ITO[(i + 5) % len(style.OKABE_ITO)] for i, name in enumerate(names)}  # dark on white
     width = _LEFT + len(tasks) * (_WIDTH + _GAP)
-    lines = style.wrap(caption, width)
-    bottom = _BOTTOM + style.CAPTION_LINE * len(lines)
+    bottom = _BOTTOM + style.CAPTION_LINE * len(style.wrap(caption, width))
     height = _TOP + _HEIGHT + bottom
     figure = style.new_figure(width, height)
     for i, task in enumerate(tasks):
@@ -42,7 +41,7 @@ def training_panels(curves: pl.DataFrame, bounds: Mapping[str, Mapping[str, floa
     place = {"loc": "lower left", "bbox_to_anchor": (_LEFT / width, 1 - 0.62 / height), "ncols": len(shown)}
     figure.legend(handles=shown, fontsize=8, frameon=False, borderaxespad=0, **place)
     figure.text(0.2 / width, 1 - 0.12 / height, "Training", fontsize=12, weight="bold", va="top", color=style.INK)
-    style.write_caption(figure, "\n".join(lines))
+    style.write_caption(figure, caption)
     return figure
 
 

@@ -38,14 +38,15 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def wrap(text: str, width: float) -> list[str]:
-    """Break a caption into lines for a figure of a width in inches."""
-    return textwrap.wrap(text, int(15.5 * (width - 0.4)))
+    """Break a caption into lines for a figure of a width in inches; its own lines stay apart."""
+    return [line for part in text.split("\n") for line in textwrap.wrap(part, int(15.5 * (width - 0.4)))]
 
 
 def write_caption(figure: Figure, text: str) -> None:
-    """Write a caption at the foot of a figure; each of its lines takes `CAPTION_LINE` inches."""
+    """Write a caption at the foot of a figure; each line that `wrap` gives takes `CAPTION_LINE` inches."""
     width, height = figure.get_size_inches()
-    figure.text(0.2 / width, 0.1 / height, text, fontsize=7, va="bottom", color=MUTED, linespacing=1.35)
+    lines = "\n".join(wrap(text, width))
+    figure.text(0.2 / width, 0.1 / height, lines, fontsize=7, va="bottom", color=MUTED, linespacing=1.35)
 
 
 def check_path(path: Path) -> Path:

@@ -3,6 +3,8 @@
 import itertools
 import subprocess
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ from evaluation import summary, tables
 from evaluation.plots import style
 from evaluation.plots.bars import disability_points, zsc_bars
 from evaluation.plots.heatmap import crossplay_heatmap
-from evaluation.plots.lines import learning_curves, performance_profile
+from evaluation.plots.lines import learning_curves, performance_profile, speed
 from evaluation.plots.matrix import Matrix, arrange, short_names
 from evaluation.plots.panels import training_panels
 from evaluation.plots.treemap import population_treemap
@@ -270,7 +272,7 @@ def test_bars_are_as_high_as_the_iqm_and_whiskers_as_long_as_the_interval():
     whiskers = sorted(tuple(line.get_ydata()) for line in axes.lines if len(line.get_ydata()) == 2)
     expected = sorted(tuple(one[key]["ci"]) for one in found.values() for key in ("m_test", "m_train"))
     np.testing.assert_allclose([pair for pair in whiskers if pair != (0, 0)], expected)
-    written = "\n".join(texts(figure))
+    written = " ".join("\n".join(texts(figure)).split())
     assert "ppo: 3 seeds × 4 train, 4 test partners × 2 episodes; scratch, release v0" in written
     assert "new partners; new seeds and partners" in written
 
@@ -302,11 +304,35 @@ def test_lines_are_the_saved_tables():
     assert axes.get_legend().get_texts()[0].get_text() == "d1"
 
 
-@pytest.mark.parametrize("tasks", [1, 2, 3])
-def test_the_caption_of_training_panels_is_as_wide_as_the_figure_at_most(tasks: int):
+LONG = "IQM of the training return over seeds and its 95% interval. " * 4
+
+
+def training(tasks: int) -> Figure:
     columns = {"algorithm": "ippo", "steps": 1e6, "iqm": 5.0, "low": 4.0, "high": 6.0}
-    curves = pl.DataFrame([{"task": f"task {i}"} | columns for i in range(tasks)])
-    figure = training_panels(curves, {}, caption="IQM of the training return over seeds and its 95% interval. " * 4)
+    return training_panels(pl.DataFrame([{"task": f"task {i}"} | columns for i in range(tasks)]), {}, caption=LONG)
+
+
+def speeds() -> Figure:
+    columns = ["task", "backend", "device", "batch", "env_steps_per_second"]
+    return speed(pl.DataFrame([("scratch", "native", "cpu", 64, 1e4)], schema=columns, orient="row"), caption=LONG)
+
+
+def bars(draw: Callable[[dict], Figure]) -> Figure:
+    split = {"id": "scratch/half-s0-v1-524fe016", "sha256": "0"}
+    return draw({"ppo": {**evaluations()["ppo"], "split": split}})
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        *(partial(training, tasks) for tasks in (1, 2, 3)),
+        speeds,
+        partial(bars, zsc_bars),
+        partial(bars, disability_points),
+    ],
+)
+def test_the_caption_is_as_wide_as_the_figure_at_most(draw: Callable[[], Figure]):
+    figure = draw()
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     _, caption = (text.get_window_extent(canvas.get_renderer()) for text in figure.texts)
