@@ -3,13 +3,13 @@
 Every selected policy is loaded, its hashes checked, and stepped once; every team then plays a few episodes with itself,
 all teams of a pair of specs in one stacked rollout, each under its own disability setting.
 
-A team that differs plays `LONGER` times as many episodes before it is called different: among the few episodes of each
-of hundreds of teams some fail, which says nothing of the installation.
-
 A team passes if its mean return lies within `TEAM_MARGIN` of the recorded mean plus `STANDARD_ERRORS` standard errors
 of the difference; the recorded interval gives a team's standard deviation. A task passes if the mean difference of its
 teams lies within `TASK_MARGIN` and as many standard errors. The margins allow for another physics backend: release v0
 was measured on a GPU with `mjx-warp` in float32, and `native` differs from it by 0.0 to 0.3 % on scratch.
+
+A team that differs plays `LONGER` times as many episodes before it is called different: among the few episodes of each
+of hundreds of teams some fail, which says nothing of the installation.
 
 A return is a coarse measure, since trained policies make up for much: on scratch, with two episodes, a tenth less
 gravity moves it by 1.6 % and a fifth less torque by 0.8 %. That each step is the same is what the golden test checks.

@@ -83,9 +83,10 @@ def _part(device: jax.Device, leaf: jax.Array) -> jax.Array:
 
 def _join(sharding: NamedSharding, parts: Sequence[jax.Array]) -> jax.Array:
     """Return the array whose parts lie on the devices, which moves nothing."""
-    split = [name == AXIS for name in sharding.spec] + [False] * parts[0].ndim
-    shape = tuple(size * len(parts) if each else size for size, each in zip(parts[0].shape, split, strict=False))
-    return jax.make_array_from_single_device_arrays(shape, sharding, list(parts))
+    shape = list(parts[0].shape)
+    for axis, name in enumerate(sharding.spec):
+        shape[axis] *= len(parts) if name == AXIS else 1
+    return jax.make_array_from_single_device_arrays(tuple(shape), sharding, list(parts))
 
 
 def state_specs(state: Any) -> Any:

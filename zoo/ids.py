@@ -54,7 +54,7 @@ class TeamId:
     @property
     def order(self) -> tuple[str, str, int, int, int]:
         """Sort key: d9 comes before d10, and s9 before s10."""
-        return self.task, self.algorithm, int(self.disability[1:]), self.seed, int(self.release[1:])
+        return self.task, self.algorithm, int(self.disability[1:]), self.seed, release_number(self.release)
 
     def policy(self, role: Role) -> "PolicyId":
         """Return the id of the team's policy in one role."""
@@ -105,6 +105,11 @@ def check_release(text: str) -> str:
     if not isinstance(text, str) or not _PATTERNS["release"].fullmatch(text):
         raise _syntax_error("release", "v and a number, for example v1", text)
     return text
+
+
+def release_number(name: str) -> int:
+    """Return the number by which releases are ordered: v9 comes before v10."""
+    return int(name[1:])
 
 
 def is_pattern(text: str) -> bool:

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import yaml
 
+from zoo.ids import release_number
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 
@@ -63,7 +64,7 @@ def _measured(registry: Registry) -> Iterator[tuple[tuple[str, str, str], list[P
         if entry.self_play:
             groups.setdefault((entry.task, entry.algorithm, entry.disability), {}).setdefault(entry.team, entry)
     for name, teams in groups.items():
-        newest = max((entry.release for entry in teams.values()), key=lambda release: int(release[1:]))
+        newest = max((entry.release for entry in teams.values()), key=release_number)
         yield name, [entry for entry in teams.values() if entry.release == newest]
 
 

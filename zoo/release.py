@@ -5,7 +5,7 @@ from typing import Any
 
 from zoo.errors import SplitError, listing, shorten
 from zoo.files import exclusive
-from zoo.ids import parse_team
+from zoo.ids import parse_team, release_number
 from zoo.registry import Registry, load_registry, save_registry
 from zoo.schema import RegistryFile, Split
 from zoo.splits import LEAVE_ONE_OUT, half_side, make_split, refuse_leak, shared_parameters
@@ -37,7 +37,7 @@ def create_split(
         registry = load_registry(path)
         data = registry.data
         release = release or data.release
-        partners = [team for team in partner_teams(data, release) if parse_team(team).task == task]
+        partners = partner_teams(data, task, release)
         if not partners:
             raise _no_partners(data, task, release)
         split = make_split(partners, task=task, release=release, rule=rule, **arguments)
@@ -67,13 +67,17 @@ def complete_release(registry_path: Path | str, release: str) -> Registry:
 
 def completed(data: RegistryFile, release: str) -> RegistryFile:
     """Return the registry with the release's default splits, and the release as the default if none is newer."""
-    newest = max(data.release, release, key=lambda name: int(name[1:]))
+    newest = max(data.release, release, key=release_number)
     return _with_default_splits(data.model_copy(update={"release": newest}), release)
 
 
-def partner_teams(data: RegistryFile, release: str) -> list[str]:
-    """Return the teams of a release that have a human, and so can be partners."""
-    return [team for team, entry in data.teams.items() if "human" in entry.policies and team.endswith(f"-{release}")]
+def partner_teams(data: RegistryFile, task: str, release: str) -> list[str]:
+    """Return the teams of a task in a release that have a human, and so can be partners."""
+    return [
+        team
+        for team, entry in data.teams.items()
+        if "human" in entry.policies and team.startswith(f"{task}/") and team.endswith(f"-{release}")
+    ]
 
 
 def _with_default_splits(data: RegistryFile, release: str) -> RegistryFile:
@@ -83,7 +87,7 @@ def _with_default_splits(data: RegistryFile, release: str) -> RegistryFile:
     """
     splits, defaults = {split.id: split for split in data.splits}, dict(data.releases[release].splits)
     for task in data.releases[release].environments:
-        partners = [team for team in partner_teams(data, release) if parse_team(team).task == task]
+        partners = partner_teams(data, task, release)
         if len({half_side(parse_team(team)) for team in partners}) == 2:
             split = make_split(partners, task=task, release=release)
             splits[split.id], defaults[task] = split, split.id

@@ -8,7 +8,7 @@ from assistax_envs.versions import VERSIONS
 from zoo.errors import ZooError, listing, shorten
 from zoo.files import shard_root
 from zoo.foreign import foreign_problems
-from zoo.ids import parse_team, same_team
+from zoo.ids import parse_team, release_number, same_team
 from zoo.publish import installed_settings
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
@@ -115,7 +115,7 @@ def _notes(registry: Registry) -> Iterator[str]:
                 yield f"release {name} was trained on {task} version {version}; installed is {installed}"
             teams = [team for team in registry.data.teams if parse_team(team).release == name]
             if task not in release.splits and any(team.startswith(f"{task}/") for team in teams):
-                newer = int(name[1:]) > int(registry.release[1:])
+                newer = release_number(name) > release_number(registry.release)
                 reason = "it is not whole yet" if newer else "one of its halves would be empty"
                 yield f"release {name} has no default split for {task}: {reason}"
     root = shard_root(registry.path)

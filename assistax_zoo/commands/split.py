@@ -106,8 +106,8 @@ def create(
         print_json(split.model_dump(mode="json"))
     else:
         print(f"split {split.id}: {len(split.train)} train, {len(split.test)} test, in {loaded.path}")
-        partners = {team for team in partner_teams(loaded.data, split.release) if team.startswith(f"{task}/")}
-        twins = sorted(partners.difference(split.train, split.test)) if rule in LEAVE_ONE_OUT else []
+        rest = {*partner_teams(loaded.data, task, split.release)}.difference(split.train, split.test)
+        twins = sorted(rest) if rule in LEAVE_ONE_OUT else []
         if twins:
             print(f"left out, because they act nearly as a test partner does: {', '.join(twins)}")
 

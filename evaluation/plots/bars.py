@@ -83,7 +83,7 @@ def _canvas(summaries: Mapping[str, Mapping[str, Any]], title: str, width: float
     if len(tasks) > 1:
         raise ValueError(f"the folders are of several tasks, {', '.join(sorted(tasks))}; draw one task at a time")
     width, caption = max(width, 6.2), _caption(summaries)
-    foot = 0.42 + style.CAPTION_LINE * len(style.wrap(caption, width))
+    foot = 0.42 + style.caption_height(caption, width)
     height = 3.35 + foot
     figure = style.new_figure(width, height)
     axes = figure.add_axes((0.75 / width, (foot + 0.15) / height, 1 - 0.95 / width, 2.5 / height), label="returns")

@@ -66,8 +66,8 @@ def crossplay_heatmap(matrix: Matrix, summary: Mapping[str, Any]) -> Figure:
     }
     lines = legend_lines(matrix, palettes["algorithm"], palettes["disability"])
     layout = _layout(matrix, len(lines))
-    below = style.wrap(caption(matrix, summary, _marks(matrix)), layout.size[0])
-    layout = dataclasses.replace(layout, caption_height=style.CAPTION_LINE * len(below))
+    below = caption(matrix, summary, _marks(matrix))
+    layout = dataclasses.replace(layout, caption_height=style.caption_height(below, layout.size[0]))
     size = layout.size
     figure = style.new_figure(*size)
 

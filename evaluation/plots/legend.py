@@ -1,7 +1,7 @@
 """Words beside a cross-play heatmap: legend, headline and caption."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -62,14 +62,14 @@ def draw_legend(axes: Axes, lines: list[Line]) -> None:
         axes.text(0 if line.colour is None else 0.18, y, line.text, va="center", color=style.INK, fontdict=font)
 
 
-def write_texts(figure: Figure, summary: Mapping[str, Any], below: Sequence[str]) -> None:
-    """Write title and headline above the figure and the caption's lines below."""
+def write_texts(figure: Figure, summary: Mapping[str, Any], below: str) -> None:
+    """Write title and headline above the figure and the caption below."""
     width, height = figure.get_size_inches()
     x = 0.2 / width
     title = f"Cross-play: {summary['task']}"
     figure.text(x, 1 - 0.14 / height, title, fontsize=12, weight="bold", va="top", color=style.INK)
     figure.text(x, 1 - 0.42 / height, headline(summary), fontsize=8.5, va="top", color=style.INK)
-    style.write_caption(figure, "\n".join(below))
+    style.write_caption(figure, below)
 
 
 def headline(summary: Mapping[str, Any]) -> str:

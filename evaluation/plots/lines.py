@@ -73,7 +73,7 @@ def speed(measured: pl.DataFrame, *, caption: str) -> Figure:
 
 
 def _canvas(title: str, caption: str) -> tuple[Figure, Axes]:
-    foot = 0.15 + style.CAPTION_LINE * len(style.wrap(caption, _WIDTH))
+    foot = 0.15 + style.caption_height(caption, _WIDTH)
     height = _HEIGHT + foot
     figure = style.new_figure(_WIDTH, height)
     axes = figure.add_axes((0.75 / _WIDTH, (foot + 0.55) / height, 1 - 0.95 / _WIDTH, 3.1 / height), label="lines")

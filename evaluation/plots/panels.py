@@ -27,7 +27,7 @@ def training_panels(curves: pl.DataFrame, bounds: Mapping[str, Mapping[str, floa
     names = sorted(set(curves["algorithm"]))
     colours = {name: style.OKABE_ITO[(i + 5) % len(style.OKABE_ITO)] for i, name in enumerate(names)}  # dark on white
     width = _LEFT + len(tasks) * (_WIDTH + _GAP)
-    bottom = _BOTTOM + style.CAPTION_LINE * len(style.wrap(caption, width))
+    bottom = _BOTTOM + style.caption_height(caption, width)
     height = _TOP + _HEIGHT + bottom
     figure = style.new_figure(width, height)
     for i, task in enumerate(tasks):

@@ -19,7 +19,7 @@ MUTED = "#555555"
 FAINT = "#8a8a8a"
 UNKNOWN = "#c8c8c8"  # a policy from outside the zoo
 COLOUR_MAP = "viridis"
-CAPTION_LINE = 0.14  # inches
+_CAPTION_LINE = 0.14  # inches
 # Okabe and Ito (2008); first those that are unlike the colours of disability settings.
 OKABE_ITO = ("#009E73", "#CC79A7", "#F0E442", "#D55E00", "#56B4E9", "#0072B2", "#E69F00", "#000000")
 # One hue for each level of the elbow's range, lighter as strength falls; blue, orange and grey differ for every vision.
@@ -37,15 +37,20 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def wrap(text: str, width: float) -> list[str]:
+def caption_height(text: str, width: float) -> float:
+    """Return the height that a caption takes at the foot of a figure of a width, in inches."""
+    return _CAPTION_LINE * len(_wrap(text, width))
+
+
+def _wrap(text: str, width: float) -> list[str]:
     """Break a caption into lines for a figure of a width in inches; its own lines stay apart."""
     return [line for part in text.split("\n") for line in textwrap.wrap(part, int(15.5 * (width - 0.4)))]
 
 
 def write_caption(figure: Figure, text: str) -> None:
-    """Write a caption at the foot of a figure; each line that `wrap` gives takes `CAPTION_LINE` inches."""
+    """Write a caption at the foot of a figure, broken where the figure ends; it takes `caption_height` inches."""
     width, height = figure.get_size_inches()
-    lines = "\n".join(wrap(text, width))
+    lines = "\n".join(_wrap(text, width))
     figure.text(0.2 / width, 0.1 / height, lines, fontsize=7, va="bottom", color=MUTED, linespacing=1.35)
 
 

@@ -7,11 +7,9 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.cluster import hierarchy
-from scipy.spatial import distance
 
 from evaluation.bootstrap import Interval, draw_counts, interval, replicate_crossed
-from evaluation.clustering import branches, least_members
+from evaluation.clustering import least_members, team_branches
 from evaluation.statistics import probability_of_improvement, score_matrix
 
 PERMUTATIONS = 99
@@ -160,9 +158,7 @@ def _interactions(filled: np.ndarray) -> np.ndarray:
 
 
 def _exchange(matrix: np.ndarray) -> tuple[float, tuple[np.ndarray, ...]]:
-    profiles = np.concatenate([matrix, matrix.T], axis=1)
-    tree = hierarchy.average(distance.pdist(profiles))
-    large = [group for group in branches(tree)[:-1] if len(group) >= least_members(len(matrix))]
+    large = [group for group in team_branches(matrix)[:-1] if len(group) >= least_members(len(matrix))]
     if len(large) < 2:
         return 0.0, ()
     members = np.zeros((len(large), len(matrix)))
