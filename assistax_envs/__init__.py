@@ -8,7 +8,8 @@ if TYPE_CHECKING:
     from assistax_envs.env import Env, EnvParams, EnvState, disability_params, make, select
     from assistax_envs.versions import TASKS, VERSIONS
 
-_HOMES = {  # loaded on first use, so that reading versions and settings needs neither JAX nor MuJoCo
+# Loaded on first use, so that reading versions and settings needs neither JAX nor MuJoCo.
+_HOMES = {
     "DISABILITY_SETTINGS": "disability",
     "Disability": "disability",
     "Env": "env",

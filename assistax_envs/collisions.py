@@ -99,7 +99,9 @@ def _draw(model: mujoco.MjModel, qpos: np.ndarray, width: int, height: int) -> n
     camera = mujoco.MjvCamera()
     camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
     scene = mujoco.MjvScene(model, maxgeom=1000)
-    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene)
+    mujoco.mjv_updateScene(
+        model, data, mujoco.MjvOption(), None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene
+    )
     platform, context = open_context(width, height)
     context.make_current()
     with functions_from(platform):
@@ -118,9 +120,17 @@ def _caption(task: str, model: mujoco.MjModel, width: int) -> np.ndarray:
     """Write the owners' colours and every contact pair, uint8 [lines, width, 3]."""
     size = max(10, width // 64)
     font, step = ImageFont.load_default(size), round(1.45 * size)
-    lines = [[(f"{task}, {model.npair} contact pairs:", INK), *((owner, _ink(owner)) for owner in COLOURS)]]
+    lines = [
+        [
+            (f"{task}, {model.npair} contact pairs:", INK),
+            *((owner, _ink(owner)) for owner in COLOURS),
+        ]
+    ]
     for first, others in touches(model).items():
-        words = [(f"{_words(other)}{',' * (other != others[-1])}", _ink(_owner(other))) for other in others]
+        words = [
+            (f"{_words(other)}{',' * (other != others[-1])}", _ink(_owner(other)))
+            for other in others
+        ]
         lines.append([(_words(first), _ink(_owner(first))), ("-", INK), *words])
     image = Image.new("RGB", (width, len(lines) * step + size), PAPER)
     draw = ImageDraw.Draw(image)
@@ -134,7 +144,9 @@ def _caption(task: str, model: mujoco.MjModel, width: int) -> np.ndarray:
 
 def _words(geom: str) -> str:
     return (
-        "robot's hand" if geom == "robot_hand" else geom.removeprefix("human_").removeprefix("robot_").replace("_", " ")
+        "robot's hand"
+        if geom == "robot_hand"
+        else geom.removeprefix("human_").removeprefix("robot_").replace("_", " ")
     )
 
 

@@ -8,8 +8,12 @@ class Disability:
     """Impairment of the human's right arm."""
 
     strength: float = 1.0  # share of the human's joint torques that is left, in (0, 1]
-    elbow_range: float = 1.0  # share of the elbow's range about its rest angle that is left, in (0, 1]
-    tremor: float = 0.0  # standard deviation of the tremor torque, as a share of the joint's torque limit
+    elbow_range: float = (
+        1.0  # share of the elbow's range about its rest angle that is left, in (0, 1]
+    )
+    tremor: float = (
+        0.0  # standard deviation of the tremor torque, as a share of the joint's torque limit
+    )
 
     def __post_init__(self) -> None:
         for name in ("strength", "elbow_range"):

@@ -56,7 +56,11 @@ class Env:
     """A task on a backend. Make it with `make`; never map it: the batch axis is its own."""
 
     def __init__(
-        self, task: str, backend: str = "auto", weights: dict[str, float] | None = None, **options: Any
+        self,
+        task: str,
+        backend: str = "auto",
+        weights: dict[str, float] | None = None,
+        **options: Any,
     ) -> None:
         self.task = task
         self.backend = resolve_backend(backend)
@@ -81,8 +85,12 @@ class Env:
         self._elbow_rest = float(self._task.pose.angle[self.model.joint(ELBOW).qposadr[0]])
         self.term_names: tuple[str, ...] = tuple(self._task.weights)
         self.action_size: dict[str, int] = {role: len(ids) for role, ids in self._actuators.items()}
-        shapes = jax.eval_shape(self.reset, jax.random.split(jax.random.key(0), 1), disability_params(["d1"]))
-        self.observation_size: dict[str, int] = {name: obs.shape[-1] for name, obs in shapes.obs.items()}
+        shapes = jax.eval_shape(
+            self.reset, jax.random.split(jax.random.key(0), 1), disability_params(["d1"])
+        )
+        self.observation_size: dict[str, int] = {
+            name: obs.shape[-1] for name, obs in shapes.obs.items()
+        }
         _check_terms(self._task, shapes.terms)
 
     def reset(self, keys: jax.Array, params: EnvParams) -> EnvState:
@@ -121,14 +129,18 @@ class Env:
 
         Args:
             state: [N] simulations.
-            action: "robot" [N, 7] and "human" [N, 3] in [-1, 1] (clipped): shares of the torque limits.
+            action: "robot" [N, 7] and "human" [N, 3] in [-1, 1] (clipped): shares of the torque
+                limits.
 
         Returns:
-            The next state. A simulation whose physics diverged keeps its last finite state and earns 0.
+            The next state. A simulation whose physics diverged keeps its last finite state and
+            earns 0.
         """
         tremor, shake = self._shake(state)
         control = self._control(state.params, action, shake)
-        physics, values = self._physics.step(state.physics, control, self._joint_range(state.params))
+        physics, values = self._physics.step(
+            state.physics, control, self._joint_range(state.params)
+        )
         task, obs, terms, measures = self._task.transition(state.task, self._sensors.read(values))
         nonfinite = state.nonfinite | _diverged(physics, values, control)
         physics, task, obs, measures = select(
@@ -136,7 +148,10 @@ class Env:
             (state.physics, state.task, state.obs, state.measures),
             (physics, task, obs, measures),
         )
-        weighted = {name: jnp.where(nonfinite, 0.0, w * terms[name]) for name, w in self._task.weights.items()}
+        weighted = {
+            name: jnp.where(nonfinite, 0.0, w * terms[name])
+            for name, w in self._task.weights.items()
+        }
         step = state.step + 1
         return dataclasses.replace(
             state,
@@ -185,7 +200,9 @@ class Env:
             self._renderers[size] = Renderer(self.model, self._task, width, height)
         return self._renderers[size].frame(state, index, camera, caption)
 
-    def _control(self, params: EnvParams, action: dict[str, jax.Array], shake: jax.Array) -> jax.Array:
+    def _control(
+        self, params: EnvParams, action: dict[str, jax.Array], shake: jax.Array
+    ) -> jax.Array:
         """Return the actuators' controls [N, nu]: what is left of the human's strength, and its tremor."""
         human = jnp.clip(action["human"], -1.0, 1.0) * params.strength[:, None] + shake
         control = jnp.zeros((human.shape[0], self.model.nu), jnp.float32)
@@ -195,8 +212,15 @@ class Env:
     def _joint_range(self, params: EnvParams) -> jax.Array:
         """Return joint limits [N, njnt, 2], the elbow's drawn in about its rest angle."""
         full = jnp.asarray(self.model.jnt_range, jnp.float32)
-        elbow = self._elbow_rest + params.elbow_range[:, None] * (full[self._elbow] - self._elbow_rest)[None]
-        return jnp.broadcast_to(full, (params.elbow_range.shape[0], *full.shape)).at[:, self._elbow].set(elbow)
+        elbow = (
+            self._elbow_rest
+            + params.elbow_range[:, None] * (full[self._elbow] - self._elbow_rest)[None]
+        )
+        return (
+            jnp.broadcast_to(full, (params.elbow_range.shape[0], *full.shape))
+            .at[:, self._elbow]
+            .set(elbow)
+        )
 
     def _shake(self, state: EnvState) -> tuple[jax.Array, jax.Array]:
         """Advance the tremor; return its filter state and torque share [N, 3]. Costs nothing where none has one."""
@@ -213,17 +237,21 @@ class Env:
         return jax.lax.cond(jnp.any(state.params.tremor > 0.0), noise, calm, state)
 
 
-def make(task: str, backend: str = "auto", weights: dict[str, float] | None = None, **options: Any) -> Env:
+def make(
+    task: str, backend: str = "auto", weights: dict[str, float] | None = None, **options: Any
+) -> Env:
     """Make the environment of `task`.
 
     Args:
         task: one of `TASKS`.
-        backend: "native" (CPU threads), "mjx" (XLA), "mjx-warp" (NVIDIA GPU), or "auto": the fastest one here.
+        backend: "native" (CPU threads), "mjx" (XLA), "mjx-warp" (NVIDIA GPU), or "auto": the
+            fastest one here.
         weights: reward weights by term that replace those of Table 5.
         options: of the task; arm assist has `rotation`, "printed" (default) or "aligned".
 
     Raises:
-        ValueError: the task, the backend or a weight's name is unknown, or the backend cannot run here.
+        ValueError: the task, the backend or a weight's name is unknown, or the backend cannot run
+            here.
     """
     if task not in TASKS:
         raise ValueError(f"task is {task!r}; allowed are {', '.join(TASKS)}")
@@ -254,7 +282,9 @@ def _disability(setting: str | Disability) -> Disability:
     if isinstance(setting, Disability):
         return setting
     if setting not in DISABILITY_SETTINGS:
-        raise ValueError(f"disability setting is {setting!r}; allowed are {', '.join(DISABILITY_SETTINGS)}")
+        raise ValueError(
+            f"disability setting is {setting!r}; allowed are {', '.join(DISABILITY_SETTINGS)}"
+        )
     return DISABILITY_SETTINGS[setting]
 
 
@@ -270,4 +300,6 @@ def _diverged(physics: PhysicsState, values: jax.Array, control: jax.Array) -> j
 def _check_terms(task: Task, terms: dict[str, Any]) -> None:
     if set(task.weights) != set(terms):
         unknown = sorted(set(task.weights) - set(terms))
-        raise ValueError(f"reward weights for unknown terms {unknown}; {task.name} has {sorted(terms)}")
+        raise ValueError(
+            f"reward weights for unknown terms {unknown}; {task.name} has {sorted(terms)}"
+        )

@@ -32,12 +32,14 @@ def open_context(width: int, height: int) -> tuple[str, Any]:
         try:
             return platform, importlib.import_module(f"mujoco.{platform}").GLContext(width, height)
         except Exception as error:  # whatever PyOpenGL makes of a library that is missing or broken
-            problems.append(f"{platform}: {' '.join(str(error).split())[:100] or type(error).__name__}")
+            problems.append(
+                f"{platform}: {' '.join(str(error).split())[:100] or type(error).__name__}"
+            )
             if free:
                 _forget(platform)
     raise RenderError(
-        f"this machine cannot draw without a display ({'; '.join(problems)}); EGL or OSMesa is needed; "
-        f"on Debian or Ubuntu install them with: apt-get install {PACKAGES}"
+        f"this machine cannot draw without a display ({'; '.join(problems)}); EGL or OSMesa is "
+        f"needed; on Debian or Ubuntu install them with: apt-get install {PACKAGES}"
     )
 
 
@@ -59,6 +61,8 @@ def _forget(platform: str) -> None:
     """Undo what the failed attempt imported, so that PyOpenGL can take another platform."""
     os.environ.pop(VARIABLE, None)
     for name in list(sys.modules):
-        if name.startswith((f"mujoco.{platform}", f"mujoco.rendering.classic.{platform}", f"{LIBRARY}.")):
+        if name.startswith(
+            (f"mujoco.{platform}", f"mujoco.rendering.classic.{platform}", f"{LIBRARY}.")
+        ):
             del sys.modules[name]
     sys.modules.pop(LIBRARY, None)

@@ -28,7 +28,9 @@ def write(pixels: np.ndarray, figures: Figures, caption: tuple[str, ...] = ()) -
     font = ImageFont.load_default(size)
     lines: list[tuple[str, float | None]] = [(figures.title, None)]
     lines += [(f"{name} {value:.2f}", value) for name, value in figures.terms.items()]
-    lines.append((f"force {figures.force:.1f} N   distance {100.0 * figures.distance:.0f} cm", None))
+    lines.append(
+        (f"force {figures.force:.1f} N   distance {100.0 * figures.distance:.0f} cm", None)
+    )
     if figures.nonfinite:
         lines.append(("physics diverged: frozen", None))
     _panel(picture, lines, font, size, top=size // 2)
@@ -38,7 +40,9 @@ def write(pixels: np.ndarray, figures: Figures, caption: tuple[str, ...] = ()) -
     return np.array(picture)
 
 
-def _panel(picture: Image.Image, lines: list[tuple[str, float | None]], font: Any, size: int, top: int) -> None:
+def _panel(
+    picture: Image.Image, lines: list[tuple[str, float | None]], font: Any, size: int, top: int
+) -> None:
     """Draw lines on a translucent panel; a line with a value in [0, 1] has a bar behind it."""
     draw = ImageDraw.Draw(picture, "RGBA")
     left, pad, step = size // 2, size // 2, _line(size)
@@ -49,7 +53,9 @@ def _panel(picture: Image.Image, lines: list[tuple[str, float | None]], font: An
         if value is not None:
             share = float(np.clip(np.nan_to_num(value), 0.0, 1.0))
             if share > 0.0:
-                draw.rectangle((left, y + step - size // 6, left + share * width, y + step), fill=BAR)
+                draw.rectangle(
+                    (left, y + step - size // 6, left + share * width, y + step), fill=BAR
+                )
         draw.text((left + pad, y), text, font=font, fill=INK)
 
 

@@ -1,6 +1,7 @@
 """Pictures of a simulation, without a display: EGL draws, or OSMesa where EGL does not run.
 
-A picture shows the pose, the task's targets, the tool's force on the arm, and what the step earned. Any task can be
+A picture shows the pose, the task's targets, the tool's force on the arm, and what the step earned.
+Any task can be
 drawn: it names its targets and their colours itself.
 """
 
@@ -39,7 +40,9 @@ ARROW_LENGTH = 0.01  # m for each N
 class Renderer:
     """Draws simulations of one model at one size; holds an OpenGL context, so use it from one thread."""
 
-    def __init__(self, model: mujoco.MjModel, task: Task, width: int = 640, height: int = 480) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, task: Task, width: int = 640, height: int = 480
+    ) -> None:
         """Open an OpenGL context.
 
         Raises:
@@ -50,7 +53,9 @@ class Renderer:
         self._gl: Any = None
         check_size(width, height)
         platform, self._context = open_context(width, height)
-        atexit.register(_close, weakref.ref(self))  # before the platform's own exit, which closes the display
+        atexit.register(
+            _close, weakref.ref(self)
+        )  # before the platform's own exit, which closes the display
         self._context.make_current()
         self.model = copy.copy(model)
         self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
@@ -68,7 +73,11 @@ class Renderer:
         self._tool = self.model.body(TOOL_BODY).id
 
     def frame(
-        self, state: "EnvState", index: int = 0, camera: str | None = None, caption: tuple[str, ...] = ()
+        self,
+        state: "EnvState",
+        index: int = 0,
+        camera: str | None = None,
+        caption: tuple[str, ...] = (),
     ) -> np.ndarray:
         """Draw one simulation of a batch.
 
@@ -88,7 +97,9 @@ class Renderer:
         self._context.make_current()
         view = self._view(camera, np.asarray(tool), targets)
         everything = mujoco.mjtCatBit.mjCAT_ALL
-        mujoco.mjv_updateScene(self.model, self._data, self._options, None, view, everything, self._scene)
+        mujoco.mjv_updateScene(
+            self.model, self._data, self._options, None, view, everything, self._scene
+        )
         self._mark(targets)
         self._draw_force(float(one.measures.force[0]))
         pixels = np.empty((self._viewport.height, self._viewport.width, 3), np.uint8)
@@ -125,11 +136,16 @@ class Renderer:
             nonfinite=bool(one.nonfinite[0]),
         )
 
-    def _view(self, name: str | None, tool: np.ndarray, targets: dict[str, np.ndarray]) -> mujoco.MjvCamera:
+    def _view(
+        self, name: str | None, tool: np.ndarray, targets: dict[str, np.ndarray]
+    ) -> mujoco.MjvCamera:
         view = mujoco.MjvCamera()
         names = [self.model.camera(i).name for i in range(self.model.ncam)]
         if name in names or (name is None and names):
-            view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, names.index(name) if name else 0
+            view.type, view.fixedcamid = (
+                mujoco.mjtCamera.mjCAMERA_FIXED,
+                names.index(name) if name else 0,
+            )
             return view
         if name not in (None, CLOSE):
             raise ValueError(f"camera is {name!r}; allowed are {', '.join((*names, CLOSE))}")
@@ -137,7 +153,10 @@ class Renderer:
         if name == CLOSE:
             if names:  # from where the scene's own camera looks
                 x, y, z = -self._data.cam_xmat[0].reshape(3, 3)[:, 2]
-                view.azimuth, view.elevation = np.degrees(np.arctan2(y, x)), np.degrees(np.arcsin(z))
+                view.azimuth, view.elevation = (
+                    np.degrees(np.arctan2(y, x)),
+                    np.degrees(np.arcsin(z)),
+                )
             points = np.concatenate([tool, *targets.values()])
             view.lookat[:] = points[np.isfinite(points).all(axis=1)].mean(axis=0)
             view.distance = 0.9
@@ -183,7 +202,9 @@ class Renderer:
 
     def _new_geom(self, kind: mujoco.mjtGeom, colour: tuple[float, ...]) -> mujoco.MjvGeom:
         geom = self._scene.geoms[self._scene.ngeom]
-        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(colour, np.float32))
+        mujoco.mjv_initGeom(
+            geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(colour, np.float32)
+        )
         geom.category = mujoco.mjtCatBit.mjCAT_DECOR
         geom.emission = 0.4  # seen in shadow too
         self._scene.ngeom += 1
@@ -197,7 +218,9 @@ def check_size(width: int, height: int) -> None:
             raise ValueError(f"{name} is {pixels}; allowed are 16 to {LARGEST} pixels")
 
 
-def _locate(task: Task, sensors: Sensors, task_state: Any, values: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:
+def _locate(
+    task: Task, sensors: Sensors, task_state: Any, values: jax.Array
+) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Return where the tool [1, 3] and the task's targets [1, K, 3] are."""
     readings = sensors.read(values)
     return readings.tool_position, task.targets(task_state, readings)
@@ -213,6 +236,8 @@ def _one(state: "EnvState", index: int) -> "EnvState":
     """Return simulation `index` alone, its leaves [1, ...]."""
     size = state.step.shape[0]
     if not 0 <= index < size:
-        raise ValueError(f"index is {index}; the batch has {size} simulations, allowed are 0 to {size - 1}")
+        raise ValueError(
+            f"index is {index}; the batch has {size} simulations, allowed are 0 to {size - 1}"
+        )
     state = dataclasses.replace(state, key=jax.random.key_data(state.key))
     return jax.tree.map(lambda leaf: jnp.asarray(leaf[index : index + 1]), state)

@@ -51,7 +51,9 @@ def print_json(value: Any) -> None:
 
 
 @contextmanager
-def progress(description: str, total: int, *, is_bytes: bool = False) -> Generator[Callable[[int], None]]:
+def progress(
+    description: str, total: int, *, is_bytes: bool = False
+) -> Generator[Callable[[int], None]]:
     """Show progress with the time left on standard error: a bar on a terminal, else a line every ten seconds.
 
     Args:
@@ -90,7 +92,9 @@ def _bar(description: str, total: int, is_bytes: bool) -> Generator[Callable[[in
 
     done = (DownloadColumn(), TransferSpeedColumn()) if is_bytes else (MofNCompleteColumn(),)
     times = (TimeElapsedColumn(), "left", TimeRemainingColumn())
-    with Progress("{task.description}", BarColumn(), *done, *times, console=_error_console()) as bar:
+    with Progress(
+        "{task.description}", BarColumn(), *done, *times, console=_error_console()
+    ) as bar:
         task = bar.add_task(description, total=total)
         yield lambda count: bar.advance(task, count)
 
@@ -108,7 +112,11 @@ def _lines(description: str, total: int, is_bytes: bool) -> Callable[[int], None
         last = now
         left = (now - start) * (total - done) / max(done, 1)
         figures = f"{done / 1e6:.1f}/{total / 1e6:.1f} MB" if is_bytes else f"{done}/{total}"
-        print(f"{description}: {figures}, {now - start:.0f} s, {left:.0f} s left", file=sys.stderr, flush=True)
+        print(
+            f"{description}: {figures}, {now - start:.0f} s, {left:.0f} s left",
+            file=sys.stderr,
+            flush=True,
+        )
 
     return advance
 

@@ -1,6 +1,7 @@
 """The command line: which commands there are, and what happens when one fails.
 
-Commands are registered by import path, so that `assistax-zoo list` never pays for JAX, MuJoCo or matplotlib.
+Commands are registered by import path, so that `assistax-zoo list` never pays for JAX, MuJoCo or
+matplotlib.
 """
 
 import inspect
@@ -76,13 +77,16 @@ GROUPS = {
         },
     ),
 }
-SUBCOMMANDS = {"train": {"population": "assistax_zoo.commands.population:population"}}  # of commands of their own
+SUBCOMMANDS = {
+    "train": {"population": "assistax_zoo.commands.population:population"}
+}  # of commands of their own
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0 done, 1 error, 2 wrong usage, 130 interrupted.
 
-    An error is one message on standard error; ASSISTAX_ZOO_DEBUG=1 raises it instead, with its traceback.
+    An error is one message on standard error; ASSISTAX_ZOO_DEBUG=1 raises it instead, with its
+    traceback.
 
     Args:
         arguments: Words of the command line after the program's name; default `sys.argv[1:]`.
@@ -97,7 +101,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
         app(arguments, print_error=False, exit_on_error=False, result_action="return_value")
         sys.stdout.flush()
     except CycloptsError as error:
-        return _fail(f"{error}\ntry: {' '.join(('assistax-zoo', *(error.command_chain or ())))} --help", EXIT_USAGE)
+        return _fail(
+            f"{error}\ntry: {' '.join(('assistax-zoo', *(error.command_chain or ())))} --help",
+            EXIT_USAGE,
+        )
     except KeyboardInterrupt:
         return _fail("interrupted", EXIT_INTERRUPT)
     except BrokenPipeError:

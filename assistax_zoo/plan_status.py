@@ -23,8 +23,12 @@ class Status:
     published: frozenset["Key"]  # teams that the release has
     adoptable: frozenset["Key"]  # teams that another release has, and this one not yet
     blocks: tuple["Block", ...]  # runs that hold, or are to hold, the others
-    runs: Mapping[str, Mapping[str, Any]]  # published and finished runs: what progress.json says of them
-    estimate: float | None  # device minutes of what is missing; None if nothing like it was measured
+    runs: Mapping[
+        str, Mapping[str, Any]
+    ]  # published and finished runs: what progress.json says of them
+    estimate: (
+        float | None
+    )  # device minutes of what is missing; None if nothing like it was measured
     estimated_from: str | None  # algorithm whose speed the estimate takes
 
     @property
@@ -44,7 +48,9 @@ class Status:
 
     def waiting(self, block: "Block") -> set["Key"]:
         """Return the teams of a block that the group wants and the release does not have."""
-        return {(member.disability, member.seed) for member in self.group.members} & block.keys - self.done
+        return {
+            (member.disability, member.seed) for member in self.group.members
+        } & block.keys - self.done
 
     def to_json(self) -> dict[str, Any]:
         """Return the row of a table."""
@@ -77,7 +83,9 @@ class Measured(NamedTuple):
         return None if self.seconds is None else self.seconds * self.devices
 
 
-def survey(groups: Sequence["Group"], release: str, out: Path, registry: "Registry | None") -> list[Status]:
+def survey(
+    groups: Sequence["Group"], release: str, out: Path, registry: "Registry | None"
+) -> list[Status]:
     """Return how far each group is.
 
     Raises:
@@ -97,17 +105,29 @@ def team_id(group: "Group", key: "Key", release: str) -> "TeamId":
 def steps_to_train(blocks: Sequence["Block"]) -> int:
     """Return the environment steps that all members of unfinished runs take; a begun run counts whole."""
     configs = [block.config() for block in blocks if block.state != "finished"]
-    return sum(config.updates * config.trainer.batch_steps * len(config.members) for config in configs)
+    return sum(
+        config.updates * config.trainer.batch_steps * len(config.members) for config in configs
+    )
 
 
 def _status(
-    group: "Group", release: str, out: Path, registry: "Registry | None", speeds: Mapping[tuple[str, str], float]
+    group: "Group",
+    release: str,
+    out: Path,
+    registry: "Registry | None",
+    speeds: Mapping[tuple[str, str], float],
 ) -> Status:
     from population.plan import find_blocks
 
     teams = {(member.disability, member.seed) for member in group.members}
-    published = frozenset(key for key in teams if registry and str(team_id(group, key, release)) in registry.data.teams)
-    adopted = _adoptable(group, teams - published, release, registry) if group.adopt else frozenset()
+    published = frozenset(
+        key
+        for key in teams
+        if registry and str(team_id(group, key, release)) in registry.data.teams
+    )
+    adopted = (
+        _adoptable(group, teams - published, release, registry) if group.adopt else frozenset()
+    )
     blocks = tuple(find_blocks(group, out, published | adopted))
     runs = _published_runs(group, published, release, registry) | _finished_runs(blocks)
     steps = steps_to_train(blocks)
@@ -116,7 +136,9 @@ def _status(
     return Status(group, published, adopted, blocks, runs, estimate, source if steps else None)
 
 
-def _adoptable(group: "Group", keys: set["Key"], release: str, registry: "Registry | None") -> frozenset["Key"]:
+def _adoptable(
+    group: "Group", keys: set["Key"], release: str, registry: "Registry | None"
+) -> frozenset["Key"]:
     from zoo.adoption import adoptable
 
     assert group.adopt is not None
@@ -127,7 +149,9 @@ def _adoptable(group: "Group", keys: set["Key"], release: str, registry: "Regist
             "name the registry that has it with --registry"
         )
     ids = [team_id(group, key, release) for key in sorted(keys)]
-    return frozenset((team.disability, team.seed) for team in adoptable(registry, ids, group.adopt, group.steps))
+    return frozenset(
+        (team.disability, team.seed) for team in adoptable(registry, ids, group.adopt, group.steps)
+    )
 
 
 def _published_runs(
@@ -150,17 +174,22 @@ def _published_runs(
 
 def _origin(group: "Group", key: "Key", release: str, registry: "Registry") -> str | None:
     """Return the release that a team was adopted from: the one whose team has the same parameters."""
-    earlier = registry.data.teams.get(str(team_id(group, key, group.adopt))) if group.adopt else None
+    earlier = (
+        registry.data.teams.get(str(team_id(group, key, group.adopt))) if group.adopt else None
+    )
     own = registry.team(str(team_id(group, key, release)))
     if earlier is None:
         return None
-    same = all(own.policies[role].sha256 == place.sha256 for role, place in earlier.policies.items())
+    same = all(
+        own.policies[role].sha256 == place.sha256 for role, place in earlier.policies.items()
+    )
     return group.adopt if same else None
 
 
 def _finished_runs(blocks: Sequence["Block"]) -> dict[str, dict[str, Any]]:
     return {
-        block.name: {"state": "trained"} | _cost(_of_folder(block.folder), len(block.members), len(block.members))
+        block.name: {"state": "trained"}
+        | _cost(_of_folder(block.folder), len(block.members), len(block.members))
         for block in blocks
         if block.state == "finished"
     }
@@ -196,15 +225,23 @@ def _cost(run: Measured, teams: int, together: int) -> dict[str, Any]:
 
 def _device_seconds(runs: Iterable[Mapping[str, Any]]) -> float:
     """Return the time that runs took on all their devices; what another release paid for is left out."""
-    return sum((run.get("seconds") or 0.0) * run.get("devices", 1) for run in runs if run["state"] != "adopted")
+    return sum(
+        (run.get("seconds") or 0.0) * run.get("devices", 1)
+        for run in runs
+        if run["state"] != "adopted"
+    )
 
 
 def _teams_of(registry: "Registry", run: str) -> int:
     """Return how many different teams a published run trained."""
-    return len({name.rpartition("-")[0] for name, team in registry.data.teams.items() if team.run == run})
+    return len(
+        {name.rpartition("-")[0] for name, team in registry.data.teams.items() if team.run == run}
+    )
 
 
-def _speeds(registry: "Registry | None", out: Path, groups: Sequence["Group"]) -> dict[tuple[str, str], float]:
+def _speeds(
+    registry: "Registry | None", out: Path, groups: Sequence["Group"]
+) -> dict[tuple[str, str], float]:
     """Return measured training steps a second and device by task and algorithm, of the largest run of each."""
     from population.plan import find_blocks
 
@@ -213,10 +250,14 @@ def _speeds(registry: "Registry | None", out: Path, groups: Sequence["Group"]) -
     def add(task: str, algorithm: str, run: Measured, teams: int) -> None:
         if seconds := run.device_seconds:
             steps = float(run.steps * teams)
-            largest[task, algorithm] = max(largest.get((task, algorithm), (0.0, 0.0)), (steps, steps / seconds))
+            largest[task, algorithm] = max(
+                largest.get((task, algorithm), (0.0, 0.0)), (steps, steps / seconds)
+            )
 
     if registry:
-        for run, kind in {entry.run: (entry.task, entry.algorithm) for entry in registry.policies}.items():
+        for run, kind in {
+            entry.run: (entry.task, entry.algorithm) for entry in registry.policies
+        }.items():
             add(*kind, _of_registry(registry, run), _teams_of(registry, run))
     for group in groups:
         for block in find_blocks(group, out):
@@ -231,17 +272,20 @@ def _like(group: "Group", speeds: Mapping[tuple[str, str], float]) -> str | None
     return next((name for name in (group.algorithm, *near) if (group.task, name) in speeds), None)
 
 
-def write_progress(path: Path, plan: "Plan", statuses: Sequence[Status], errors: Mapping[str, str]) -> dict[str, Any]:
+def write_progress(
+    path: Path, plan: "Plan", statuses: Sequence[Status], errors: Mapping[str, str]
+) -> dict[str, Any]:
     """Write what is known of a plan's progress to its file, beside what other processes wrote, and return it.
 
-    What the registry and the run folders say replaces what the file said of the same run; runs that only another
-    process can see stay until their teams are published.
+    What the registry and the run folders say replaces what the file said of the same run; runs that
+    only another process can see stay until their teams are published.
 
     Args:
         path: The file.
         plan: The whole plan.
         statuses: Groups as this process sees them.
-        errors: Message of each run that failed; "" for one that is tried, so that an earlier message goes.
+        errors: Message of each run that failed; "" for one that is tried, so that an earlier
+            message goes.
     """
     from zoo.files import atomic_write, exclusive
 
@@ -279,7 +323,9 @@ def _entry(status: Status, old: Mapping[str, Any], errors: Mapping[str, str]) ->
         runs = {name: run for name, run in before.items() if run["state"] != "published"} | runs
     state = "published" if complete else "missing"
     if not complete and (states := {run["state"] for run in runs.values()}):
-        state = next((name for name in ("failed", "training", "trained") if name in states), "missing")
+        state = next(
+            (name for name in ("failed", "training", "trained") if name in states), "missing"
+        )
     return {
         "state": state,
         "teams": len(status.group.members),

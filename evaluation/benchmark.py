@@ -71,7 +71,9 @@ def measure_env(env: Any, batch: int, seconds: float = 3.0) -> EnvSpeed:
     )
 
 
-def measure_evaluator(env: Any, shape: tuple[int, int, int], seconds: float = 3.0) -> EvaluatorSpeed:
+def measure_evaluator(
+    env: Any, shape: tuple[int, int, int], seconds: float = 3.0
+) -> EvaluatorSpeed:
     """Measure the evaluator with untrained policies, E x P pairs and K episodes, against the raw environment.
 
     The evaluator cuts the job as it would any other; the environment steps all simulations at once.
@@ -90,7 +92,9 @@ def measure_evaluator(env: Any, shape: tuple[int, int, int], seconds: float = 3.
         return time.perf_counter() - began
 
     evaluate()
-    evaluated, raw = zip(*((evaluate(), _timed(run, steps // CALL)) for _ in range(REPEATS)), strict=True)
+    evaluated, raw = zip(
+        *((evaluate(), _timed(run, steps // CALL)) for _ in range(REPEATS)), strict=True
+    )
     speed = simulations * steps / statistics.median(evaluated)
     return EvaluatorSpeed(
         task=env.task,
@@ -121,13 +125,17 @@ def _open_loop(env: Any, batch: int) -> Any:
         def body(state: Any, key: jax.Array) -> tuple[Any, None]:
             actions = {
                 role: jax.random.uniform(role_key, (batch, size), minval=-1.0)
-                for (role, size), role_key in zip(env.action_size.items(), jax.random.split(key), strict=True)
+                for (role, size), role_key in zip(
+                    env.action_size.items(), jax.random.split(key), strict=True
+                )
             }
             return env.step(state, actions), None
 
         return jax.lax.scan(body, state, jax.random.split(key, CALL))[0]
 
-    start = jax.jit(env.reset)(jax.random.split(jax.random.key(0), batch), disability_params(_settings(batch)))
+    start = jax.jit(env.reset)(
+        jax.random.split(jax.random.key(0), batch), disability_params(_settings(batch))
+    )
 
     @functools.cache
     def key(call: int) -> jax.Array:
@@ -158,8 +166,12 @@ def _untrained_job(env: Any, shape: tuple[int, int, int]) -> Job:
     groups = []
     for role, count in zip(("robot", "human"), shape, strict=False):
         spec = PolicySpec(role, env.observation_size[role], env.action_size[role])
-        params = jax.tree.map(lambda leaf, n=count: np.repeat(leaf[None], n, 0), Policy(spec).init(jax.random.key(0)))
-        members = tuple(Member(f"{role}-{i}", "", disability=one) for i, one in enumerate(_settings(count)))
+        params = jax.tree.map(
+            lambda leaf, n=count: np.repeat(leaf[None], n, 0), Policy(spec).init(jax.random.key(0))
+        )
+        members = tuple(
+            Member(f"{role}-{i}", "", disability=one) for i, one in enumerate(_settings(count))
+        )
         groups.append(Group(spec, members, params))
     return Job(env.task, env.version, env.backend, (groups[0],), (groups[1],), shape[2])
 

@@ -1,7 +1,8 @@
 """Seeded percentile bootstrap, 95%: resamples of whole seeds, partners or teams as rows of counts.
 
-An `Estimate` has two point figures, the IQM and the mean of all entries. `ci` is the interval of the IQM and `mean_ci`
-that of the mean; `generalises_to` says what was resampled, hence what the intervals speak about.
+An `Estimate` has two point figures, the IQM and the mean of all entries. `ci` is the interval of
+the IQM and `mean_ci` that of the mean; `generalises_to` says what was resampled, hence what the
+intervals speak about.
 """
 
 import dataclasses
@@ -28,7 +29,9 @@ class Estimate:
     ci: tuple[float, float] | None  # of the IQM; None when there was nothing to resample
     mean_ci: tuple[float, float] | None  # of the mean
     n: int  # entries: ego x partner pairs, or episodes where generalises_to is "episodes"
-    generalises_to: str  # "seeds", "partners", "seeds and partners", "teams", "episodes" or "nothing"
+    generalises_to: (
+        str  # "seeds", "partners", "seeds and partners", "teams", "episodes" or "nothing"
+    )
 
     def to_json(self) -> dict:
         """Return the estimate as JSON-ready values."""
@@ -76,25 +79,31 @@ class Draws:
 
     def estimate(self) -> Estimate:
         """Close the replicates into intervals."""
-        ci, mean_ci = (interval(replicates, self.generalises_to) for replicates in (self.iqms, self.means))
+        ci, mean_ci = (
+            interval(replicates, self.generalises_to) for replicates in (self.iqms, self.means)
+        )
         return Estimate(self.mean, self.iqm, ci, mean_ci, self.n, self.generalises_to)
 
 
-def estimate(scores: np.ndarray, *, method: Method = "cluster", resamples: int = RESAMPLES, seed: int = 0) -> Estimate:
+def estimate(
+    scores: np.ndarray, *, method: Method = "cluster", resamples: int = RESAMPLES, seed: int = 0
+) -> Estimate:
     """IQM and mean of scores [S, P], or [S] for seeds with one partner, with 95% bootstrap intervals.
 
-    `cluster` resamples whole seeds, then partners, because a seed's scores all come from one policy; of a single seed
-    only the partners are resampled. `stratified` resamples seeds within each partner's column, as rliable does for
-    independent runs on several tasks; for one ego that meets every partner its intervals are too narrow.
+    `cluster` resamples whole seeds, then partners, because a seed's scores all come from one
+    policy; of a single seed only the partners are resampled. `stratified` resamples seeds within
+    each partner's column, as rliable does for independent runs on several tasks; for one ego that
+    meets every partner its intervals are too narrow.
 
-    Percentile intervals of few seeds are too narrow. Coverage of `cluster`, measured on normal data (2,000 repetitions,
-    standard error 0.5%; 16 to 99 partners; either seed, partner and pair effects of one size, or mostly seed effects):
+    Percentile intervals of few seeds are too narrow. Coverage of `cluster`, measured on normal data
+    (2,000 repetitions, standard error 0.5%; 16 to 99 partners; either seed, partner and pair
+    effects of one size, or mostly seed effects):
 
     | seeds    | 3       | 5       | 8       | 10      | 16      | 20      | 30      |
     | coverage | 74–87%  | 83–92%  | 88–94%  | 90–95%  | 92–95%  | 91–94%  | 93–95%  |
 
-    A single seed with 16 or more partners: 92–95% for new partners of that seed. Where neither seeds nor partners
-    differ beyond noise, the interval is too wide instead (98–100%).
+    A single seed with 16 or more partners: 92–95% for new partners of that seed. Where neither
+    seeds nor partners differ beyond noise, the interval is too wide instead (98–100%).
     """
     scores = score_matrix(scores)
     to = generalises_to(scores.shape, method)
@@ -103,11 +112,15 @@ def estimate(scores: np.ndarray, *, method: Method = "cluster", resamples: int =
     return replicate_crossed(scores, *cluster_counts(scores.shape, resamples, seed), to).estimate()
 
 
-def estimate_episodes(returns: np.ndarray, *, resamples: int = RESAMPLES, seed: int = 0) -> Estimate:
+def estimate_episodes(
+    returns: np.ndarray, *, resamples: int = RESAMPLES, seed: int = 0
+) -> Estimate:
     """IQM and mean of one pair's returns [K]; the intervals are about new episodes of this pair and nothing wider."""
     returns = np.asarray(returns, float)
     if returns.ndim != 1:
-        raise ValueError(f"returns has shape {returns.shape}; expected [episodes], those of one pair")
+        raise ValueError(
+            f"returns has shape {returns.shape}; expected [episodes], those of one pair"
+        )
     counts = draw_counts(entries(returns).size, resamples, np.random.default_rng(seed))
     return replicate(returns, [counts], "episodes" if returns.size > 1 else NOTHING).estimate()
 
@@ -121,7 +134,9 @@ def profile_band(
         return None
     above = (scores[..., None] > np.asarray(thresholds, float)).astype(float)
     seed_counts, partner_counts = cluster_counts(scores.shape, resamples, seed)
-    shares = np.einsum("bs,spt,bp->bt", seed_counts, above, partner_counts, optimize=True) / scores.size
+    shares = (
+        np.einsum("bs,spt,bp->bt", seed_counts, above, partner_counts, optimize=True) / scores.size
+    )
     low, high = np.quantile(shares, (0.025, 0.975), axis=0)
     return low, high
 
@@ -144,11 +159,15 @@ def generalises_to(shape: tuple[int, int], method: Method = "cluster") -> str:
     if method not in METHODS:
         raise ValueError(f"method is {method!r}; allowed are {', '.join(METHODS)}")
     seeds, partners = shape
-    resampled = (["seeds"] if seeds > 1 else []) + (["partners"] if partners > 1 and method == "cluster" else [])
+    resampled = (["seeds"] if seeds > 1 else []) + (
+        ["partners"] if partners > 1 and method == "cluster" else []
+    )
     return " and ".join(resampled) or NOTHING
 
 
-def interval(replicates: np.ndarray, to: str, confidence: float = 0.95) -> tuple[float, float] | None:
+def interval(
+    replicates: np.ndarray, to: str, confidence: float = 0.95
+) -> tuple[float, float] | None:
     """Percentile interval of replicates [B]; None if nothing was resampled or over 5% of them are undefined."""
     defined = replicates[np.isfinite(replicates)]
     if to == NOTHING or defined.size < 0.95 * replicates.size:
@@ -166,7 +185,11 @@ def replicate(values: np.ndarray, counts: Iterable[np.ndarray], to: str) -> Draw
 
 
 def replicate_crossed(
-    scores: np.ndarray, row_counts: np.ndarray, column_counts: np.ndarray, to: str, mask: np.ndarray | None = None
+    scores: np.ndarray,
+    row_counts: np.ndarray,
+    column_counts: np.ndarray,
+    to: str,
+    mask: np.ndarray | None = None,
 ) -> Draws:
     """Evaluate mean and IQM of a matrix [R, C], or of its cells under `mask`, with rows and columns resampled."""
     mask = np.ones(scores.shape, bool) if mask is None else mask
@@ -178,7 +201,8 @@ def replicate_crossed(
     iqms = np.concatenate([weighted_iqm(values, chunk) for chunk in chunks])
     # A mean is bilinear in the counts: no cell is visited in any draw.
     sums, totals = (
-        ((row_counts @ part) * column_counts).sum(axis=1) for part in (np.where(mask, scores, 0.0), 1.0 * mask)
+        ((row_counts @ part) * column_counts).sum(axis=1)
+        for part in (np.where(mask, scores, 0.0), 1.0 * mask)
     )
     means = np.divide(sums, totals, out=np.full(len(totals), np.nan), where=totals > 0)
     return Draws(mean(values), iqm(values), means, iqms, values.size, to)
@@ -189,7 +213,9 @@ def draw_counts(units: int, resamples: int, rng: np.random.Generator) -> np.ndar
     return rng.multinomial(units, np.full(units, 1.0 / units), size=resamples)
 
 
-def cluster_counts(shape: tuple[int, int], resamples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def cluster_counts(
+    shape: tuple[int, int], resamples: int, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Counts of whole seeds [B, S] and of partners [B, P]; a single seed or partner is always drawn once."""
     rng = np.random.default_rng(seed)
     return draw_counts(shape[0], resamples, rng), draw_counts(shape[1], resamples, rng)
@@ -199,10 +225,15 @@ def stratified_counts(shape: tuple[int, int], resamples: int, seed: int) -> Iter
     """Yield chunks [b, S * P] of counts that resample the seeds of each partner separately."""
     seeds, partners = shape
     if seeds == 1:
-        raise ValueError("'stratified' resamples seeds and there is only one; give several seeds or use 'cluster'")
+        raise ValueError(
+            "'stratified' resamples seeds and there is only one; give several seeds or use "
+            "'cluster'"
+        )
     rng = np.random.default_rng(seed)
     for rows in _chunks(resamples, seeds * partners):
-        draws = rng.multinomial(seeds, np.full(seeds, 1.0 / seeds), size=(rows.stop - rows.start, partners))
+        draws = rng.multinomial(
+            seeds, np.full(seeds, 1.0 / seeds), size=(rows.stop - rows.start, partners)
+        )
         yield draws.transpose(0, 2, 1).reshape(len(draws), seeds * partners)
 
 

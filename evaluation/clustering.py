@@ -22,7 +22,9 @@ class Clustering:
     order: np.ndarray  # [n] indices from first to last leaf
     labels: np.ndarray  # [n] cluster of each, numbered from 0 along `order`
     medoids: np.ndarray  # [clusters] index of each cluster's member nearest to all its others
-    silhouette: float | None  # of the best cut, even if it was too low to be taken; None if none is possible
+    silhouette: (
+        float | None
+    )  # of the best cut, even if it was too low to be taken; None if none is possible
     linkage: np.ndarray  # [n - 1, 4] as SciPy has it, leaves ordered
 
     def to_json(self, names: list[str]) -> dict:
@@ -30,7 +32,10 @@ class Clustering:
         return {
             "order": [names[i] for i in self.order],
             "clusters": [
-                {"medoid": names[medoid], "members": [names[i] for i in self.order if self.labels[i] == label]}
+                {
+                    "medoid": names[medoid],
+                    "members": [names[i] for i in self.order if self.labels[i] == label],
+                }
                 for label, medoid in enumerate(self.medoids)
             ],
             "silhouette": self.silhouette,
@@ -42,13 +47,16 @@ class Clustering:
 def cluster_profiles(profiles: np.ndarray) -> Clustering:
     """Cluster rows of profiles [n, m] by Euclidean distance.
 
-    Of the cuts with 2 to 8 clusters, at least two of them with several members and 5% of all, that of the highest mean
-    silhouette is taken if it reaches 0.25; else all are one. A cut that only sets outliers apart would say nothing of
-    the others.
+    Of the cuts with 2 to 8 clusters, at least two of them with several members and 5% of all, that
+    of the highest mean silhouette is taken if it reaches 0.25; else all are one. A cut that only
+    sets outliers apart would say nothing of the others.
     """
     profiles = np.asarray(profiles, float)
     if profiles.ndim != 2 or not profiles.size or not np.isfinite(profiles).all():
-        raise ValueError(f"profiles has shape {profiles.shape}; expected finite returns [policies, others], none empty")
+        raise ValueError(
+            f"profiles has shape {profiles.shape}; expected finite returns [policies, others], "
+            "none empty"
+        )
     if len(profiles) == 1:
         zero = np.zeros(1, int)
         return Clustering(zero, zero, zero, None, np.zeros((0, 4)))
@@ -57,7 +65,9 @@ def cluster_profiles(profiles: np.ndarray) -> Clustering:
     linkage = optimal_leaf_order(hierarchy.average(condensed), distances)
     order = hierarchy.leaves_list(linkage)
     first, last = np.array_split(profiles.mean(axis=1)[order], 2)
-    if first.mean() < last.mean():  # an order and its reverse are equally good: begin with the higher returns
+    if (
+        first.mean() < last.mean()
+    ):  # an order and its reverse are equally good: begin with the higher returns
         linkage[:, :2] = linkage[:, 1::-1]
         order = order[::-1]
     labels, score = _best_cut(linkage, distances)
@@ -72,7 +82,10 @@ def cluster_teams(matrix: np.ndarray) -> Clustering:
     """
     matrix = np.asarray(matrix, float)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
-        raise ValueError(f"the matrix has shape {matrix.shape}; teams in one order need the same teams on both axes")
+        raise ValueError(
+            f"the matrix has shape {matrix.shape}; teams in one order need the same teams on both "
+            "axes"
+        )
     return cluster_profiles(_team_profiles(matrix))
 
 
@@ -106,7 +119,9 @@ def silhouette(labels: np.ndarray, distances: np.ndarray) -> float:
     others[rows, own] = np.inf
     outside = others.min(axis=1)
     widest = np.maximum(inside, outside)
-    scores = np.divide(outside - inside, widest, out=np.zeros(len(labels)), where=(widest > 0) & (sizes[own] > 1))
+    scores = np.divide(
+        outside - inside, widest, out=np.zeros(len(labels)), where=(widest > 0) & (sizes[own] > 1)
+    )
     return float(scores.mean())
 
 
@@ -116,12 +131,19 @@ def _team_profiles(matrix: np.ndarray) -> np.ndarray:
 
 def _best_cut(linkage: np.ndarray, distances: np.ndarray) -> tuple[np.ndarray, float | None]:
     n = len(distances)
-    cuts = [hierarchy.fcluster(linkage, k, "maxclust") for k in range(2, min(MAX_CLUSTERS, n - 1) + 1)]
-    cuts = [labels for labels in cuts if np.count_nonzero(np.bincount(labels) >= least_members(n)) > 1]
+    cuts = [
+        hierarchy.fcluster(linkage, k, "maxclust") for k in range(2, min(MAX_CLUSTERS, n - 1) + 1)
+    ]
+    cuts = [
+        labels for labels in cuts if np.count_nonzero(np.bincount(labels) >= least_members(n)) > 1
+    ]
     if not cuts:
         return np.zeros(n, int), None
     scores = [silhouette(labels, distances) for labels in cuts]
-    score, labels = max(scores), cuts[int(np.argmax(scores))]  # of equal ones that with the fewest clusters
+    score, labels = (
+        max(scores),
+        cuts[int(np.argmax(scores))],
+    )  # of equal ones that with the fewest clusters
     return (labels if score >= MIN_SILHOUETTE else np.zeros(n, int)), score
 
 

@@ -1,18 +1,23 @@
 """Replaying self-play: does this installation give the returns that a registry records?
 
-Every selected policy is loaded, its hashes checked, and stepped once; every team then plays a few episodes with itself,
-all teams of a pair of specs in one stacked rollout, each under its own disability setting.
+Every selected policy is loaded, its hashes checked, and stepped once; every team then plays a few
+episodes with itself, all teams of a pair of specs in one stacked rollout, each under its own
+disability setting.
 
-A team passes if its mean return lies within `TEAM_MARGIN` of the recorded mean plus `STANDARD_ERRORS` standard errors
-of the difference; the recorded interval gives a team's standard deviation. A task passes if the mean difference of its
-teams lies within `TASK_MARGIN` and as many standard errors. The margins allow for another physics backend: release v0
-was measured on a GPU with `mjx-warp` in float32, and `native` differs from it by 0.0 to 0.3 % on scratch.
+A team passes if its mean return lies within `TEAM_MARGIN` of the recorded mean plus
+`STANDARD_ERRORS` standard errors of the difference; the recorded interval gives a team's standard
+deviation. A task passes if the mean difference of its teams lies within `TASK_MARGIN` and as many
+standard errors. The margins allow for another physics
+backend: release v0 was measured on a GPU with `mjx-warp` in float32, and `native` differs from it
+    by 0.0 to 0.3 % on
+scratch.
 
-A team that differs plays `LONGER` times as many episodes before it is called different: among the few episodes of each
-of hundreds of teams some fail, which says nothing of the installation.
+A team that differs plays `LONGER` times as many episodes before it is called different: among the
+few episodes of each of hundreds of teams some fail, which says nothing of the installation.
 
-A return is a coarse measure, since trained policies make up for much: on scratch, with two episodes, a tenth less
-gravity moves it by 1.6 % and a fifth less torque by 0.8 %. That each step is the same is what the golden test checks.
+A return is a coarse measure, since trained policies make up for much: on scratch, with two
+episodes, a tenth less gravity moves it by 1.6 % and a fifth less torque by 0.8 %. That each step is
+the same is what the golden test checks.
 """
 
 import dataclasses
@@ -72,7 +77,9 @@ class DeepReport:
     episodes: int  # of each team, but for those that played longer
     versions: dict[str, str]
     policies: int  # loaded and stepped
-    outdated: tuple[str, ...]  # teams trained on another version of the environment: stepped, not replayed
+    outdated: tuple[
+        str, ...
+    ]  # teams trained on another version of the environment: stepped, not replayed
     teams: tuple[TeamReplay, ...]
     drifts: tuple[Drift, ...]  # one for each task with two teams or more
     problems: tuple[str, ...]
@@ -99,7 +106,8 @@ def verify_deep(
 ) -> DeepReport:
     """Load and step every entry, and replay the self-play of every team that is whole among them.
 
-    Teams of another version of the environment are not replayed: the installed one is not what their returns are of.
+    Teams of another version of the environment are not replayed: the installed one is not what
+    their returns are of.
 
     Args:
         registry: The registry.
@@ -117,9 +125,13 @@ def verify_deep(
     groups, problems = _load(registry, entries)
     steps = {group.ids: _step_problems(group) for group in groups}
     problems += [problem for found in steps.values() for problem in found]
-    outdated = {entry.team for entry in entries if registry.env_version(entry) != VERSIONS.get(entry.task)}
+    outdated = {
+        entry.team for entry in entries if registry.env_version(entry) != VERSIONS.get(entry.task)
+    }
     teams: list[TeamReplay] = []
-    for task, pairs in _team_blocks([group for group in groups if not steps[group.ids]], outdated).items():
+    for task, pairs in _team_blocks(
+        [group for group in groups if not steps[group.ids]], outdated
+    ).items():
         env = (make_env or make)(task, backend)
         backend = env.backend
         for robots, humans in pairs:
@@ -164,7 +176,9 @@ def _standard_error(recorded: SelfPlay, episodes: int) -> float:
     return deviation * math.sqrt(1.0 / recorded.n + 1.0 / episodes)
 
 
-def _load(registry: Registry, entries: Sequence[PolicyEntry]) -> tuple[list[PolicyGroup], list[str]]:
+def _load(
+    registry: Registry, entries: Sequence[PolicyEntry]
+) -> tuple[list[PolicyGroup], list[str]]:
     """Load shard by shard, so that a damaged one leaves the others to be replayed; groups are of one task."""
     problems: list[str] = []
     sound: set[str] = set()
@@ -177,7 +191,9 @@ def _load(registry: Registry, entries: Sequence[PolicyEntry]) -> tuple[list[Poli
             problems.append(str(error))
     kept = [entry for entry in entries if entry.id in sound]
     tasks = dict.fromkeys(entry.task for entry in kept)
-    return [g for task in tasks for g in load_group(registry, [e for e in kept if e.task == task])], problems
+    return [
+        g for task in tasks for g in load_group(registry, [e for e in kept if e.task == task])
+    ], problems
 
 
 def _step_problems(group: PolicyGroup) -> list[str]:
@@ -197,9 +213,14 @@ def _step_problems(group: PolicyGroup) -> list[str]:
         actions = np.asarray(jax.jit(lambda params: jax.lax.map(act, params))(group.params))
     except Exception as error:  # flax has exceptions of its own for parameters of another network
         message = " ".join(str(error).split())[:200]
-        return [f"{group.ids[0]} and {len(group.ids) - 1} more of its spec cannot be stepped: {message}"]
+        return [
+            f"{group.ids[0]} and {len(group.ids) - 1} more of its spec cannot be stepped: {message}"
+        ]
     broken = ~(np.isfinite(actions) & (np.abs(actions) <= 1.0)).all(axis=(1, 2))
-    return [f"{group.ids[row]}: expected actions in [-1, 1], found others" for row in np.flatnonzero(broken)]
+    return [
+        f"{group.ids[row]}: expected actions in [-1, 1], found others"
+        for row in np.flatnonzero(broken)
+    ]
 
 
 def _team_blocks(
@@ -216,7 +237,9 @@ def _team_blocks(
     for name, index in home.items():
         team, _, role = name.rpartition("/")
         if role == "robot" and f"{team}/human" in home:
-            members.setdefault((team.partition("/")[0], index, home[f"{team}/human"]), []).append(team)
+            members.setdefault((team.partition("/")[0], index, home[f"{team}/human"]), []).append(
+                team
+            )
     blocks: dict[str, list[tuple[PolicyGroup, PolicyGroup]]] = {}
     for (task, robots, humans), teams in members.items():
         pair = (_take(groups[robots], teams, "robot"), _take(groups[humans], teams, "human"))
@@ -251,7 +274,9 @@ def _replay(
     if not differing:
         return teams
     groups = (_take(group, differing, group.spec.role) for group in (robots, humans))
-    longer = {team.team: team for team in _play(registry, env, *groups, episodes * LONGER, seed + 1)}
+    longer = {
+        team.team: team for team in _play(registry, env, *groups, episodes * LONGER, seed + 1)
+    }
     return [longer.get(team.team, team) for team in teams]
 
 
@@ -284,7 +309,9 @@ def _compare(team: str, recorded: SelfPlay | None, found: float, episodes: int) 
     if recorded is None:
         return TeamReplay(team, None, found, None, episodes, math.isfinite(found))
     allowed = tolerance(recorded, episodes)
-    return TeamReplay(team, recorded.mean, found, allowed, episodes, abs(found - recorded.mean) <= allowed)
+    return TeamReplay(
+        team, recorded.mean, found, allowed, episodes, abs(found - recorded.mean) <= allowed
+    )
 
 
 def _drifts(registry: Registry, teams: Sequence[TeamReplay]) -> list[Drift]:
@@ -309,14 +336,15 @@ def _difference(team: TeamReplay) -> str:
     if team.expected is None:
         return f"{team.team}: expected a finite self-play return, found {team.found}"
     return (
-        f"{team.team}: expected a self-play return of {team.expected:.1f} within {team.tolerance:.1f}, found "
-        f"{team.found:.1f} in {team.episodes} episodes; the installed physics or JAX may differ from the release's"
+        f"{team.team}: expected a self-play return of {team.expected:.1f} within "
+        f"{team.tolerance:.1f}, found {team.found:.1f} in {team.episodes} episodes; the installed "
+        "physics or JAX may differ from the release's"
     )
 
 
 def _drifted(drift: Drift) -> str:
     installed = ", ".join(f"{name} {number}" for name, number in versions().items())
     return (
-        f"all teams of {drift.task}: expected their recorded returns within {drift.tolerance:.1%} in the mean, found "
-        f"{drift.found:+.1%}; installed are {installed}"
+        f"all teams of {drift.task}: expected their recorded returns within {drift.tolerance:.1%} "
+        f"in the mean, found {drift.found:+.1%}; installed are {installed}"
     )

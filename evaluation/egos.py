@@ -41,7 +41,10 @@ def read_egos(references: Sequence[str], registry: Registry, task: str) -> tuple
             host.append(_from_python(reference, rest))
         elif scheme == "zoo":
             for group in registry_groups(registry, registry.select(rest, task=task, role="robot")):
-                single += [(group.spec, member, _row(group.params, row)) for row, member in enumerate(group.members)]
+                single += [
+                    (group.spec, member, _row(group.params, row))
+                    for row, member in enumerate(group.members)
+                ]
         elif scheme == "onnx":
             host.append(_from_onnx(reference, rest))
         elif reference.endswith(".safetensors"):
@@ -79,15 +82,17 @@ def call_ego(
             raise EgoError(f"{place}: {_told(error)}") from error
         if answer.shape != (len(obs), action_size) or answer.dtype.kind not in "fiu":
             raise EgoError(
-                f"{place}: returned {answer.dtype} of shape {answer.shape}; expected floats of shape "
-                f"{(len(obs), action_size)}: one action in [-1, 1] for each row of observations"
+                f"{place}: returned {answer.dtype} of shape {answer.shape}; expected floats of "
+                f"shape {(len(obs), action_size)}: one action in [-1, 1] for each row of "
+                "observations"
             )
         broken = np.flatnonzero(~np.isfinite(answer).all(axis=1))
         if broken.size:
             partner, episode = divmod(int(broken[0]), episodes)
             raise EgoError(
-                f"{ego.member.id} with {partners[partner]}, step {step}: the action of episode {episode} is not finite "
-                f"({broken.size} of {len(obs)} rows); expected numbers in [-1, 1]"
+                f"{ego.member.id} with {partners[partner]}, step {step}: the action of episode "
+                f"{episode} is not finite ({broken.size} of {len(obs)} rows); expected numbers in "
+                "[-1, 1]"
             )
         return answer.astype(np.float32)
 
@@ -97,22 +102,32 @@ def call_ego(
 def _from_python(reference: str, rest: str) -> HostEgo:
     module_name, _, factory_name = rest.partition(":")
     if not module_name or not factory_name:
-        raise ValueError(f"policy {reference!r} lacks a part; expected python:package.module:factory")
+        raise ValueError(
+            f"policy {reference!r} lacks a part; expected python:package.module:factory"
+        )
     if os.getcwd() not in sys.path:
         sys.path.insert(0, os.getcwd())
     try:
         module = importlib.import_module(module_name)
     except Exception as error:
-        raise EgoError(f"policy {reference!r}: cannot import {module_name}: {_told(error)}") from error
+        raise EgoError(
+            f"policy {reference!r}: cannot import {module_name}: {_told(error)}"
+        ) from error
     factory = getattr(module, factory_name, None)
     if not callable(factory):
-        raise EgoError(f"policy {reference!r}: {module_name} has no function {factory_name!r}; name the ego's factory")
+        raise EgoError(
+            f"policy {reference!r}: {module_name} has no function {factory_name!r}; name the ego's "
+            "factory"
+        )
     try:
         act = factory()
     except Exception as error:
         raise EgoError(f"policy {reference!r}: {factory_name}() failed: {_told(error)}") from error
     if not callable(act):
-        raise EgoError(f"policy {reference!r}: {factory_name}() returned {type(act).__name__}; expected a callable")
+        raise EgoError(
+            f"policy {reference!r}: {factory_name}() returned {type(act).__name__}; expected a "
+            "callable"
+        )
     return HostEgo(Member(reference, _source_digest(module, reference)), act)
 
 
@@ -137,7 +152,13 @@ def _stack(single: Sequence[tuple[PolicySpec, Member, Any]]) -> tuple[Group, ...
     groups = []
     for spec in dict.fromkeys(spec for spec, _, _ in single):
         members = tuple(member for other, member, _ in single if other == spec)
-        groups.append(Group(spec, members, _stack_trees([params for other, _, params in single if other == spec])))
+        groups.append(
+            Group(
+                spec,
+                members,
+                _stack_trees([params for other, _, params in single if other == spec]),
+            )
+        )
     return tuple(groups)
 
 
@@ -148,7 +169,11 @@ def _stack_trees(trees: Sequence[Any]) -> Any:
 
 
 def _row(params: Any, row: int) -> Any:
-    return {name: _row(leaf, row) for name, leaf in params.items()} if isinstance(params, dict) else params[row]
+    return (
+        {name: _row(leaf, row) for name, leaf in params.items()}
+        if isinstance(params, dict)
+        else params[row]
+    )
 
 
 def _source_digest(module: Any, reference: str) -> str:
@@ -162,7 +187,9 @@ def _told(error: Exception) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
     message = " ".join(str(error).split())
-    return f"{type(error).__name__}: {message}{place}" if message else f"{type(error).__name__}{place}"
+    return (
+        f"{type(error).__name__}: {message}{place}" if message else f"{type(error).__name__}{place}"
+    )
 
 
 def _span(partners: Sequence[str]) -> str:

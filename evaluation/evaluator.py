@@ -1,7 +1,7 @@
 """Run a job chunk by chunk into a folder: resumable, and the table does not depend on how it was cut.
 
-The folder holds `manifest.json` (the job, by its hash, and the plan's size), one Parquet part for each finished chunk,
-and at the end `episodes.parquet` in their place.
+The folder holds `manifest.json` (the job, by its hash, and the plan's size), one Parquet part for
+each finished chunk, and at the end `episodes.parquet` in their place.
 """
 
 import dataclasses
@@ -21,7 +21,11 @@ from evaluation.runner import Meter, Progress, Runner
 
 MANIFEST_FILE = "manifest.json"
 PARTS_FOLDER = "parts"
-MAX_ENVS = {"native": 2048, "mjx": 16384, "mjx-warp": 32768}  # default bound of a chunk's simulations
+MAX_ENVS = {
+    "native": 2048,
+    "mjx": 16384,
+    "mjx-warp": 32768,
+}  # default bound of a chunk's simulations
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +33,9 @@ class Evaluation:
     """A finished job."""
 
     table: pl.DataFrame  # one row an episode, in the job's order of egos, partners and episodes
-    env_steps_per_second: float | None  # padding and compilation not counted; None where everything was found finished
+    env_steps_per_second: (
+        float | None
+    )  # padding and compilation not counted; None where everything was found finished
     compile_seconds: float
 
 
@@ -55,19 +61,22 @@ def run_job(
 ) -> Evaluation:
     """Evaluate every ego with every partner and write `episodes.parquet`.
 
-    A folder of the same job is continued where it stopped, cut as it was begun; its table is that of a single run.
+    A folder of the same job is continued where it stopped, cut as it was begun; its table is that
+    of a single run.
 
     Args:
         env: The environment.
         job: What is evaluated.
         folder: For the table.
-        max_envs: Most simulations in a chunk; if not given, that of `MAX_ENVS`, or fewer to have one for each device.
+        max_envs: Most simulations in a chunk; if not given, that of `MAX_ENVS`, or fewer to have
+            one for each device.
         wait: Wait for another process that writes to the folder; else refuse.
         devices: Where to simulate; all of this process if not given.
         on_progress: Told how far the run is.
 
     Raises:
-        ValueError: the folder holds another job, or a policy reads other observations than the task gives.
+        ValueError: the folder holds another job, or a policy reads other observations than the task
+            gives.
         EgoError: a robot from outside failed; finished chunks are kept.
     """
     check_sizes(env, job)
@@ -90,8 +99,9 @@ def run_block(
 ) -> BlockDone:
     """Simulate the chunks of block (i, n), i from 1, and leave their parts in the folder.
 
-    Blocks may share a folder or have one each, also on other machines; they must be cut alike, by the same `max_envs`.
-    With the parts of all blocks in one folder, `run_job` merges them without simulating anything.
+    Blocks may share a folder or have one each, also on other machines; they must be cut alike, by
+    the same `max_envs`. With the parts of all blocks in one folder, `run_job` merges them without
+    simulating anything.
     """
     number, count = block
     if not 1 <= number <= count:
@@ -103,7 +113,14 @@ def run_block(
         chunks = plan(job, _open_folder(folder, job, max_envs or MAX_ENVS[job.backend]))
         mine = chunks[number - 1 :: count]
         if not (folder / tables.EPISODES_FILE).is_file():
-            _simulate(env, job, folder, [chunk for chunk in mine if not _is_done(folder, chunk)], None, on_progress)
+            _simulate(
+                env,
+                job,
+                folder,
+                [chunk for chunk in mine if not _is_done(folder, chunk)],
+                None,
+                on_progress,
+            )
         missing = sum(not _is_done(folder, chunk) for chunk in chunks)
     return BlockDone(len(mine), sum(chunk.rows for chunk in mine), len(chunks), missing)
 
@@ -158,8 +175,9 @@ def check_sizes(env: Any, job: Job) -> None:
             ):
                 if found != expected:
                     raise ValueError(
-                        f"{name} {what} {found} numbers; the {seat} of task {job.task} has {expected}: it was made for "
-                        "another task, choose a policy of this one (`assistax-zoo list`)"
+                        f"{name} {what} {found} numbers; the {seat} of task {job.task} has "
+                        f"{expected}: it was made for another task, choose a policy of this one "
+                        "(`assistax-zoo list`)"
                     )
 
 
@@ -170,7 +188,9 @@ def check_folder(folder: Path) -> None:
             probe.write_bytes(b"")
         (folder / "writable.tmp").unlink(missing_ok=True)  # another block may have been quicker
     except OSError as error:
-        raise OSError(f"cannot write to {folder} ({error.strerror or error}); choose another --out") from error
+        raise OSError(
+            f"cannot write to {folder} ({error.strerror or error}); choose another --out"
+        ) from error
 
 
 def _open_folder(folder: Path, job: Job, max_envs: int) -> int:
@@ -179,13 +199,17 @@ def _open_folder(folder: Path, job: Job, max_envs: int) -> int:
     found = tables.read_json(path) if path.is_file() else None
     if found is None:
         if (folder / tables.EPISODES_FILE).exists():
-            raise ValueError(f"{folder} holds {tables.EPISODES_FILE} without {MANIFEST_FILE}; choose another --out")
+            raise ValueError(
+                f"{folder} holds {tables.EPISODES_FILE} without {MANIFEST_FILE}; choose another "
+                "--out"
+            )
         return _begin(path, job, max_envs)
     if found.get("job") != job.digest():
         identity = job.identity()
         differing = [name for name in identity if found.get(name) != identity[name]]
         raise ValueError(
-            f"{folder} holds another job ({_difference(found, identity, differing)}); choose another --out or delete it"
+            f"{folder} holds another job ({_difference(found, identity, differing)}); choose "
+            "another --out or delete it"
         )
     if not any((folder / PARTS_FOLDER).glob("part-*")):
         return _begin(path, job, max_envs)
@@ -201,7 +225,11 @@ def _difference(found: dict[str, Any], expected: dict[str, Any], names: list[str
     told = []
     for name in names:
         here, there = expected[name], found.get(name)
-        told.append(f"other {name}" if isinstance(here, (list, dict)) else f"{name} {there} there, {here} here")
+        told.append(
+            f"other {name}"
+            if isinstance(here, (list, dict))
+            else f"{name} {there} there, {here} here"
+        )
     return ", ".join(told) or "a different hash"
 
 

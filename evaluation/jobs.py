@@ -13,7 +13,9 @@ from typing import Any
 
 from population.spec import PolicySpec
 
-MANIFEST_FORMAT = 3  # 2: the table has columns of behaviour. 3: tiles, by which values differ in the last bit
+MANIFEST_FORMAT = (
+    3  # 2: the table has columns of behaviour. 3: tiles, by which values differ in the last bit
+)
 TILE_ENVS = 512  # most simulations at once on `native`: more are no faster on two cores
 
 
@@ -61,7 +63,9 @@ class HostEgo:
     """A robot in anybody's framework: a callable from batched observations to batched actions."""
 
     member: Member
-    act: Callable[[Any], Any]  # [B, O] float32 NumPy -> [B, A]; `act.reset(B)` is called at episode starts if it exists
+    act: Callable[
+        [Any], Any
+    ]  # [B, O] float32 NumPy -> [B, A]; `act.reset(B)` is called at episode starts if it exists
 
     @property
     def members(self) -> tuple[Member, ...]:
@@ -84,12 +88,16 @@ class Job:
     episodes: int  # K, of each pair
     seed: int = 0  # of the episode seeds
     stochastic: bool = False  # whether actions are drawn; else each policy's mode
-    sides: Mapping[str, str] = dataclasses.field(default_factory=dict)  # partner id -> "train" or "test"
+    sides: Mapping[str, str] = dataclasses.field(
+        default_factory=dict
+    )  # partner id -> "train" or "test"
     paired: bool = False  # ego i of group g with partner i of group g, and no other
 
     def __post_init__(self) -> None:
         if self.episodes < 1:
-            raise ValueError(f"episodes is {self.episodes}; each pair needs at least 1 (--episodes 8)")
+            raise ValueError(
+                f"episodes is {self.episodes}; each pair needs at least 1 (--episodes 8)"
+            )
         if self.seed < 0:
             raise ValueError(f"seed is {self.seed}; allowed is 0 or more")
         for seat, groups in (("ego", self.egos), ("partner", self.partners)):
@@ -97,14 +105,21 @@ class Job:
             if not ids:
                 raise ValueError(f"no {seat} to evaluate; give at least one")
             if twice := sorted({name for name in ids if ids.count(name) > 1}):
-                raise ValueError(f"{seat} {twice[0]} is given {ids.count(twice[0])} times; give each {seat} once")
+                raise ValueError(
+                    f"{seat} {twice[0]} is given {ids.count(twice[0])} times; give each {seat} once"
+                )
         sizes = [[len(group.members) for group in groups] for groups in (self.egos, self.partners)]
         if self.paired and sizes[0] != sizes[1]:
-            raise ValueError(f"paired egos {sizes[0]} and partners {sizes[1]} differ in number; give them one to one")
+            raise ValueError(
+                f"paired egos {sizes[0]} and partners {sizes[1]} differ in number; give them one "
+                "to one"
+            )
         for group in self.partners:
             for member in group.members:
                 if member.disability is None:
-                    raise ValueError(f"partner {member.id} has no disability setting; give it one of d1..d9")
+                    raise ValueError(
+                        f"partner {member.id} has no disability setting; give it one of d1..d9"
+                    )
 
     @property
     def rows(self) -> int:
@@ -175,11 +190,14 @@ def count_members(groups: tuple[Ego, ...] | tuple[Group, ...]) -> int:
     return sum(len(group.members) for group in groups)
 
 
-def tile_shape(egos: int, partners: int, episodes: int, most: int, *, host: bool = False) -> tuple[int, int, int]:
+def tile_shape(
+    egos: int, partners: int, episodes: int, most: int, *, host: bool = False
+) -> tuple[int, int, int]:
     """Choose [E, P, K] with E * P * K <= most.
 
-    Least work first, counting padded simulations and a fixed cost for each tile; then the squarest, which reads the
-    fewest parameters for each simulation. Episodes are only split where one pair's do not fit.
+    Least work first, counting padded simulations and a fixed cost for each tile; then the squarest,
+    which reads the fewest parameters for each simulation. Episodes are only split where one pair's
+    do not fit.
     """
     k = _balanced(episodes, most)
     pairs = max(1, most // k)
@@ -197,8 +215,9 @@ def tile_shape(egos: int, partners: int, episodes: int, most: int, *, host: bool
 def plan(job: Job, max_envs: int) -> list[Chunk]:
     """Cut a job into tiles, and its tiles into chunks of at most `max_envs` simulations, but a tile at least.
 
-    On `native` the tiles are the job's own, whatever `max_envs` is: an episode is played in the same row of the same
-    program however the job is cut, and its values are the same. On other backends a chunk is one large tile.
+    On `native` the tiles are the job's own, whatever `max_envs` is: an episode is played in the
+    same row of the same program however the job is cut, and its values are the same. On other
+    backends a chunk is one large tile.
     """
     if max_envs < 1:
         raise ValueError(f"max_envs is {max_envs}; allowed is 1 or more")
@@ -223,7 +242,9 @@ def cut_tiles(job: Job, most: int) -> list[Tile]:
                 continue
             sizes = 1 if job.paired else len(ego.members), len(partner.members), job.episodes
             shape = tile_shape(*sizes, most, host=isinstance(ego, HostEgo))
-            egos, partners, episodes = (_cut(size, width) for size, width in zip(sizes, shape, strict=True))
+            egos, partners, episodes = (
+                _cut(size, width) for size, width in zip(sizes, shape, strict=True)
+            )
             if shape == (1, 1, 1) and most > 1:
                 shape = (1, 1, 2)  # a batch of one takes other paths, and would round differently
             tiles += [

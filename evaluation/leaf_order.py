@@ -1,7 +1,7 @@
 """Optimal leaf order of a dendrogram (Bar-Joseph et al., Bioinformatics 17, 2001).
 
-Of the 2^(n-1) orders that a tree allows, the one with the least sum of distances between neighbours. SciPy's function
-of this purpose misses it on many trees (scipy/scipy#11227).
+Of the 2^(n-1) orders that a tree allows, the one with the least sum of distances between
+neighbours. SciPy's function of this purpose misses it on many trees (scipy/scipy#11227).
 """
 
 import numpy as np
@@ -10,8 +10,8 @@ import numpy as np
 def optimal_leaf_order(linkage: np.ndarray, distances: np.ndarray) -> np.ndarray:
     """Return the linkage [n - 1, 4] with each row's two children in their optimal order.
 
-    `best[v][i, j]` is the least length of node v's leaves in a row from its i-th to its j-th, which must lie in
-    different children: best over m, k of `left[i, m] + distance[m, k] + right[k, j]`.
+    `best[v][i, j]` is the least length of node v's leaves in a row from its i-th to its j-th, which
+    must lie in different children: best over m, k of `left[i, m] + distance[m, k] + right[k, j]`.
 
     Args:
         linkage: a tree as SciPy has it; node n + i is made by row i.
@@ -29,7 +29,9 @@ def optimal_leaf_order(linkage: np.ndarray, distances: np.ndarray) -> np.ndarray
         best.append(np.block([[apart_a, across], [across.T, apart_b]]))
     ordered = linkage.copy()
     row, column = np.unravel_index(best[-1].argmin(), best[-1].shape)
-    ends = [(len(linkage) - 1 + n, int(row), int(column))]  # nodes whose first and last leaf are decided
+    ends = [
+        (len(linkage) - 1 + n, int(row), int(column))
+    ]  # nodes whose first and last leaf are decided
     while ends:
         node, first, last = ends.pop()
         if node < n:

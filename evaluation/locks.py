@@ -7,11 +7,17 @@ from collections.abc import Generator
 from pathlib import Path
 
 LOCK_FILE = ".lock"
-_UNSUPPORTED = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS)  # a file system without locks goes without
+_UNSUPPORTED = (
+    errno.ENOLCK,
+    errno.ENOTSUP,
+    errno.ENOSYS,
+)  # a file system without locks goes without
 
 
 @contextlib.contextmanager
-def locked(folder: Path, name: str = LOCK_FILE, *, shared: bool = False, wait: bool = False) -> Generator[None]:
+def locked(
+    folder: Path, name: str = LOCK_FILE, *, shared: bool = False, wait: bool = False
+) -> Generator[None]:
     """Hold a folder's lock.
 
     Args:
@@ -30,7 +36,8 @@ def locked(folder: Path, name: str = LOCK_FILE, *, shared: bool = False, wait: b
             fcntl.flock(file, mode)
         except BlockingIOError:
             raise ValueError(
-                f"another process is writing to {folder}; wait until it is done, or choose another --out"
+                f"another process is writing to {folder}; wait until it is done, or choose another "
+                "--out"
             ) from None
         except OSError as error:
             if error.errno not in _UNSUPPORTED:

@@ -12,8 +12,10 @@ MAX_BYTES = 1024 * 1024 * 1024
 class OnnxEgo:
     """A callable from observations [B, O] to actions [B, A].
 
-    The model's first input is the observations and its first output the actions. A recurrent model has two or three
-    inputs: observations, carry [B, H] and, if it wants to be told, a bool [B] that is true on an episode's first step;
+    The model's first input is the observations and its first output the actions. A recurrent model
+    has two or three
+    inputs: observations, carry [B, H] and, if it wants to be told, a bool [B] that is true on an
+        episode's first step;
     its second output is the next carry. This is what `assistax-zoo export --format onnx` writes.
     """
 
@@ -26,16 +28,22 @@ class OnnxEgo:
         try:
             import onnxruntime
         except ImportError:
-            raise ValueError(f"policy {reference!r} needs onnxruntime: pip install 'assistax-zoo[export]'") from None
+            raise ValueError(
+                f"policy {reference!r} needs onnxruntime: pip install 'assistax-zoo[export]'"
+            ) from None
         if not path.is_file() or path.stat().st_size > MAX_BYTES:
-            raise ValueError(f"policy {reference!r}: no file of at most {MAX_BYTES} bytes there; give onnx:FILE")
+            raise ValueError(
+                f"policy {reference!r}: no file of at most {MAX_BYTES} bytes there; give onnx:FILE"
+            )
         data = path.read_bytes()
         self.digest = hashlib.sha256(data).hexdigest()
         onnxruntime.set_default_logger_severity(4)
         try:
             # From bytes: a model cannot name other files.
             self._session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
-        except Exception as error:  # onnxruntime has an exception class for each of its status codes
+        except (
+            Exception
+        ) as error:  # onnxruntime has an exception class for each of its status codes
             message = " ".join(str(error).split())
             raise ValueError(
                 f"policy {reference!r} is not an ONNX model that onnxruntime runs: {message[:300]}"
@@ -55,14 +63,18 @@ class OnnxEgo:
         """Return the actions for observations [B, O]."""
         width = self._inputs[0].shape[1]
         if isinstance(width, int) and width != obs.shape[1]:
-            raise ValueError(f"the model reads {width} observations, the environment gives {obs.shape[1]}")
+            raise ValueError(
+                f"the model reads {width} observations, the environment gives {obs.shape[1]}"
+            )
         values: list[Any] = [obs.astype(np.float32, copy=False)]
         if self.recurrent:
             if self._carry is None:
                 self.reset(len(obs))
             values += [self._carry, np.full(len(obs), self._first)]
         fed = {value.name: array for value, array in zip(self._inputs, values, strict=False)}
-        answer: Any = self._session.run([value.name for value in self._outputs[: 1 + self.recurrent]], fed)
+        answer: Any = self._session.run(
+            [value.name for value in self._outputs[: 1 + self.recurrent]], fed
+        )
         self._first = False
         if self.recurrent:
             self._carry = answer[1]
@@ -76,10 +88,15 @@ class OnnxEgo:
     def _check_form(self, reference: str) -> None:
         inputs = [(value.type, len(value.shape)) for value in self._inputs]
         allowed = [("tensor(float)", 2), ("tensor(float)", 2), ("tensor(bool)", 1)]
-        whole = bool(inputs) and inputs == allowed[: len(inputs)] and len(self._outputs) >= 1 + (len(inputs) > 1)
+        whole = (
+            bool(inputs)
+            and inputs == allowed[: len(inputs)]
+            and len(self._outputs) >= 1 + (len(inputs) > 1)
+        )
         if not whole or (len(inputs) > 1 and not isinstance(self._inputs[1].shape[1], int)):
             found = ", ".join(f"{value.name} {value.type}{value.shape}" for value in self._inputs)
             raise ValueError(
-                f"policy {reference!r} has the inputs {found or 'none'}; expected float observations [N, O], or those "
-                "with a float carry [N, H] and a bool first [N], and the next carry as second output"
+                f"policy {reference!r} has the inputs {found or 'none'}; expected float "
+                "observations [N, O], or those with a float carry [N, H] and a bool first [N], and "
+                "the next carry as second output"
             )

@@ -33,12 +33,16 @@ class Seats(Protocol):
 class FrozenPolicy:
     """A callable from an observation [O], or several [..., O], to actions [..., A]; deterministic.
 
-    Call `reset` at episode starts. Fits the human's seat of the Gymnasium adapter, which does so, and takes the
-    partner's `disability` from here.
+    Call `reset` at episode starts. Fits the human's seat of the Gymnasium adapter, which does so,
+    and takes the partner's `disability` from here.
     """
 
     def __init__(
-        self, name: str, spec: PolicySpec, params: dict[str, Any], disability: Disability | None = None
+        self,
+        name: str,
+        spec: PolicySpec,
+        params: dict[str, Any],
+        disability: Disability | None = None,
     ) -> None:
         self.name = name
         self.spec = spec
@@ -55,8 +59,12 @@ class FrozenPolicy:
         """Act on `obs`; its leading axes must stay the same within an episode."""
         obs = np.asarray(obs, np.float32)
         if obs.shape[-1:] != (self.spec.observation_size,):
-            raise ValueError(f"{self.name} got observations {obs.shape}; expected [..., {self.spec.observation_size}]")
-        # Two rows at least, as in the evaluator: a product with one row is rounded differently on the CPU.
+            raise ValueError(
+                f"{self.name} got observations {obs.shape}; expected [..., "
+                f"{self.spec.observation_size}]"
+            )
+        # Two rows at least, as in the evaluator: a product with one row is rounded differently on
+        # the CPU.
         batch = np.broadcast_to(obs, (2, *obs.shape)) if obs.ndim == 1 else obs
         first = np.full(batch.shape[:-1], self._carry is None)
         carry = Policy(self.spec).initial_carry(first.shape) if self._carry is None else self._carry
@@ -85,12 +93,18 @@ def zoo_partner(registry: Registry, policy: str, role: str = "human") -> FrozenP
 
 
 def seat_policy(
-    reference: str, role: str, env: Seats, registry: Callable[[], Registry], task: str, seed: int = 0
+    reference: str,
+    role: str,
+    env: Seats,
+    registry: Callable[[], Registry],
+    task: str,
+    seed: int = 0,
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Return who plays `role`: a callable from an observation [O] to an action [A], checked to fit the seat.
 
     Args:
-        reference: zoo:ID, a path to a .safetensors file, "zero", or "random"; for the robot also python: and onnx:.
+        reference: zoo:ID, a path to a .safetensors file, "zero", or "random"; for the robot also
+            python: and onnx:.
         role: "robot" or "human".
         env: the environment.
         registry: read when it is needed.
@@ -114,7 +128,9 @@ def seat_policy(
         policy = zoo_partner(registry(), reference.removeprefix("zoo:"), role)
     elif reference.endswith(".safetensors"):
         spec, params, metadata = read_policy_file(Path(reference))
-        policy = FrozenPolicy(reference, spec, params, DISABILITY_SETTINGS.get(str(metadata.get("disability"))))
+        policy = FrozenPolicy(
+            reference, spec, params, DISABILITY_SETTINGS.get(str(metadata.get("disability")))
+        )
     else:
         raise ValueError(f"policy {reference!r} has an unknown form; allowed are {FORMS}")
     _check_seat(policy, role, env)
@@ -124,12 +140,18 @@ def seat_policy(
 def _check_seat(policy: FrozenPolicy, role: str, env: Seats) -> None:
     spec = policy.spec
     if spec.role != role:
-        raise ValueError(f"{policy.name} plays the {spec.role}, not the {role}; give it with --{spec.role}")
-    expected, found = (env.observation_size[role], env.action_size[role]), (spec.observation_size, spec.action_size)
+        raise ValueError(
+            f"{policy.name} plays the {spec.role}, not the {role}; give it with --{spec.role}"
+        )
+    expected, found = (
+        (env.observation_size[role], env.action_size[role]),
+        (spec.observation_size, spec.action_size),
+    )
     if found != expected:
         raise ValueError(
-            f"{policy.name} takes {found[0]} observations to {found[1]} actions; the {role} of this task has "
-            f"{expected[0]} and {expected[1]}: give a policy that was trained on this task"
+            f"{policy.name} takes {found[0]} observations to {found[1]} actions; the {role} of "
+            f"this task has {expected[0]} and {expected[1]}: give a policy that was trained on "
+            "this task"
         )
 
 
@@ -146,4 +168,6 @@ def _single(ego: HostEgo, size: int) -> Callable[[np.ndarray], np.ndarray]:
 @functools.cache
 def _acting(spec: PolicySpec) -> Callable[..., tuple[Any, jax.Array]]:
     policy = Policy(spec)
-    return jax.jit(lambda params, carry, obs, first: policy.act(params, carry, jnp.asarray(obs), first))
+    return jax.jit(
+        lambda params, carry, obs, first: policy.act(params, carry, jnp.asarray(obs), first)
+    )

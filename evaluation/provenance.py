@@ -8,7 +8,17 @@ from typing import Any
 
 from evaluation import tables
 
-PACKAGES = ("assistax-zoo", "jax", "jaxlib", "mujoco", "mujoco-mjx", "flax", "numpy", "polars", "scipy")
+PACKAGES = (
+    "assistax-zoo",
+    "jax",
+    "jaxlib",
+    "mujoco",
+    "mujoco-mjx",
+    "flax",
+    "numpy",
+    "polars",
+    "scipy",
+)
 
 
 def write_run(folder: Path, command: str, summary: dict[str, Any]) -> None:

@@ -15,7 +15,8 @@ _VERSION = "1"  # of what they do; part of their digests
 class ReferencePolicy:
     """Actions drawn uniformly from [-amplitude, amplitude], in the interface of `population.policy.Policy`.
 
-    The draw is a hash of the observation's bits: random to look at, and the same however a job is cut into chunks.
+    The draw is a hash of the observation's bits: random to look at, and the same however a job is
+    cut into chunks.
     """
 
     def __init__(self, spec: ReferenceSpec) -> None:
@@ -27,12 +28,18 @@ class ReferencePolicy:
         """Return the empty carry."""
         return ()
 
-    def act(self, params: Any, carry: tuple[()], obs: jax.Array, first: jax.Array) -> tuple[tuple[()], jax.Array]:
+    def act(
+        self, params: Any, carry: tuple[()], obs: jax.Array, first: jax.Array
+    ) -> tuple[tuple[()], jax.Array]:
         """Return actions [..., A] for observations [..., O]; `params` holds a scalar "amplitude"."""
         rows = jax.lax.bitcast_convert_type(obs, jnp.uint32).reshape(-1, self.spec.observation_size)
-        words = jnp.sum(rows[:, None, :] * self._weights[None], axis=-1, dtype=jnp.uint32)  # modulo 2**32: exact
+        words = jnp.sum(
+            rows[:, None, :] * self._weights[None], axis=-1, dtype=jnp.uint32
+        )  # modulo 2**32: exact
         keys = jax.vmap(jax.random.wrap_key_data)(words)
-        draw = jax.vmap(lambda key: jax.random.uniform(key, (self.spec.action_size,), minval=-1.0))(keys)
+        draw = jax.vmap(lambda key: jax.random.uniform(key, (self.spec.action_size,), minval=-1.0))(
+            keys
+        )
         return carry, params["amplitude"] * draw.reshape(*obs.shape[:-1], self.spec.action_size)
 
 
@@ -40,4 +47,6 @@ def reference_group(observation_size: int, action_size: int) -> ReferenceGroup:
     """Return the two egos for a robot of these sizes."""
     members = tuple(Member(name, f"{name}-{_VERSION}") for name in (ZERO, RANDOM))
     amplitude = np.array([0, 1], np.float32)
-    return ReferenceGroup(ReferenceSpec(observation_size, action_size), members, {"amplitude": amplitude})
+    return ReferenceGroup(
+        ReferenceSpec(observation_size, action_size), members, {"amplitude": amplitude}
+    )

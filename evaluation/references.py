@@ -1,8 +1,9 @@
 """What a return means: egos to compare with, bounds for each partner, and the figures relative to them.
 
-With the partners of an evaluation play the zero action (L, the low bound), uniformly random actions, and each partner's
-own co-trained robot (B, an estimated best response); a cross-play table may hold a better robot for B. None of it
-depends on the policy under evaluation, so the episodes are kept by the hash of their job and played once.
+With the partners of an evaluation play the zero action (L, the low bound), uniformly random
+actions, and each partner's own co-trained robot (B, an estimated best response); a cross-play table
+may hold a better robot for B. None of it depends on the policy under evaluation, so the episodes
+are kept by the hash of their job and played once.
 """
 
 import dataclasses
@@ -55,7 +56,9 @@ def play_references(
         robots, humans = (tuple(groups) for groups in zip(*own, strict=True))
         jobs.append(dataclasses.replace(job, egos=robots, partners=humans, paired=True))
     played = [
-        run_job(env, one, folder / one.digest()[:20], max_envs=max_envs, wait=True, on_progress=told).table
+        run_job(
+            env, one, folder / one.digest()[:20], max_envs=max_envs, wait=True, on_progress=told
+        ).table
         for one in jobs
     ]
     names = pl.when(pl.col("ego").is_in([ZERO, RANDOM])).then("ego").otherwise(pl.lit(SELF_PLAY))
@@ -65,21 +68,35 @@ def play_references(
 def bounds_table(references: pl.DataFrame, crossplay: pl.DataFrame | None = None) -> pl.DataFrame:
     """Return low and best return of each partner with their sources and budgets, one row a partner.
 
-    `best` is the higher of self-play and, where the table of pairs `crossplay` is given, its best robot: a lower bound
-    of the true best response, though the maximum of noisy means is optimistic. Without either it is null.
+    `best` is the higher of self-play and, where the table of pairs `crossplay` is given, its best
+    robot: a lower bound of the true best response, though the maximum of noisy means is optimistic.
+        Without either it is
+    null.
     """
     means = references.group_by("partner", COLUMN, maintain_order=True).agg(
-        pl.col("return").cast(pl.Float64).mean(), pl.col("ego").first(), pl.len().cast(pl.Int64).alias("episodes")
+        pl.col("return").cast(pl.Float64).mean(),
+        pl.col("ego").first(),
+        pl.len().cast(pl.Int64).alias("episodes"),
     )
-    low = means.filter(pl.col(COLUMN) == ZERO).select("partner", low="return", low_episodes="episodes")
+    low = means.filter(pl.col(COLUMN) == ZERO).select(
+        "partner", low="return", low_episodes="episodes"
+    )
     candidates = [
-        means.filter(pl.col(COLUMN) == SELF_PLAY).select("partner", "return", "ego", "episodes", source=COLUMN)
+        means.filter(pl.col(COLUMN) == SELF_PLAY).select(
+            "partner", "return", "ego", "episodes", source=COLUMN
+        )
     ]
     if crossplay is not None:
         source = (
-            pl.when(pl.col("ego_team") == pl.col("partner_team")).then(pl.lit(SELF_PLAY)).otherwise(pl.lit(CROSS_PLAY))
+            pl.when(pl.col("ego_team") == pl.col("partner_team"))
+            .then(pl.lit(SELF_PLAY))
+            .otherwise(pl.lit(CROSS_PLAY))
         )
-        candidates.append(crossplay.select("partner", "return", "ego", "episodes", source=source.fill_null(CROSS_PLAY)))
+        candidates.append(
+            crossplay.select(
+                "partner", "return", "ego", "episodes", source=source.fill_null(CROSS_PLAY)
+            )
+        )
     best = (
         pl.concat(candidates)
         .sort("return", descending=True, maintain_order=True)
@@ -105,7 +122,9 @@ def summarise_references(
     side = "test" if "test" in block.partners["side"] else "train"
     block = block.select_partners((block.partners["side"] == side).fill_null(False).to_numpy())
     partners = block.partners["partner"]
-    bounds = pl.DataFrame({"partner": partners}).join(bounds, on="partner", how="left", maintain_order="left")
+    bounds = pl.DataFrame({"partner": partners}).join(
+        bounds, on="partner", how="left", maintain_order="left"
+    )
     on_side = references.filter(pl.col("partner").is_in(partners.to_list()))
     egos = {}
     for name in (ZERO, RANDOM, SELF_PLAY):
@@ -114,7 +133,11 @@ def summarise_references(
             .group_by("partner", maintain_order=True)
             .agg(pl.col("return").cast(pl.Float64).mean())
         )
-        figure = estimate(means["return"].to_numpy()[None], seed=seed).to_json() if means.height else None
+        figure = (
+            estimate(means["return"].to_numpy()[None], seed=seed).to_json()
+            if means.height
+            else None
+        )
         egos[name.replace("-", "_")] = figure
     best = bounds["best"].drop_nulls().to_numpy()
     egos["best_response"] = estimate(best[None], seed=seed).to_json() if best.size else None
@@ -125,7 +148,9 @@ def _relative(scores: np.ndarray, table: pl.DataFrame, seed: int) -> dict[str, A
     """Return normalised return, BR-Prox, regret and coverage of scores [S, P], and which partners they leave out."""
     low = table["low"].to_numpy()
     known = table["best"].is_not_null().to_numpy()
-    best = np.where(known, table["best"].fill_null(0.0).to_numpy(), low)  # without a best response: B = L, unscorable
+    best = np.where(
+        known, table["best"].fill_null(0.0).to_numpy(), low
+    )  # without a best response: B = L, unscorable
     bounds = Bounds(best, low, tuple(table["source"]))
     scorable = bounds.scorable
     normalised = normalised_return(scores, bounds)[:, scorable]
@@ -143,7 +168,10 @@ def _relative(scores: np.ndarray, table: pl.DataFrame, seed: int) -> dict[str, A
         "unscorable": [name for name, one in zip(partners, scorable, strict=True) if not one],
         "bounds": {
             "low": ZERO,
-            "best": {str(name): int(count) for name, count in sorted(table["source"].value_counts().iter_rows())},
+            "best": {
+                str(name): int(count)
+                for name, count in sorted(table["source"].value_counts().iter_rows())
+            },
             "episodes": int(table["low_episodes"][0]),
         },
     }

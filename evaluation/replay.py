@@ -21,9 +21,7 @@ from evaluation.tables import atomic_path
 RATE = 50  # control steps a second
 ENDINGS = (".mp4", ".gif", ".png")
 MOMENTS = 4  # pictures in a strip
-VIDEO_HELP = (
-    "an .mp4 needs the package imageio-ffmpeg; install it with: pip install 'assistax-zoo[video]', or write .gif"
-)
+VIDEO_HELP = "an .mp4 needs the package imageio-ffmpeg; install it with: pip install 'assistax-zoo[video]', or write .gif"
 
 Act = Callable[[np.ndarray], np.ndarray]
 
@@ -54,7 +52,10 @@ def play(
     yield state
     for _ in range(env.episode_length if steps is None else steps):
         seats = {"robot": robot, "human": human}
-        actions = {role: np.asarray(act(np.asarray(state.obs[role][0])), np.float32) for role, act in seats.items()}
+        actions = {
+            role: np.asarray(act(np.asarray(state.obs[role][0])), np.float32)
+            for role, act in seats.items()
+        }
         state = step(state, {role: action[None] for role, action in actions.items()})
         if on_step is not None:
             on_step()
@@ -65,20 +66,26 @@ def check_film(path: Path, fps: int, width: int, height: int) -> None:
     """Check, before any work is done, that a film can be written under this name.
 
     Raises:
-        ValueError: the ending is unknown, the size or the rate is not possible, an .mp4 lacks its package, or the place
-            cannot be written to.
+        ValueError: the ending is unknown, the size or the rate is not possible, an .mp4 lacks its
+            package, or the place cannot be written to.
     """
     ending = path.suffix.lower()
     if ending not in ENDINGS:
         raise ValueError(
-            f"{path.name} ends in {path.suffix or 'nothing'!r}; pictures are written as .mp4, .gif or .png"
+            f"{path.name} ends in {path.suffix or 'nothing'!r}; pictures are written as .mp4, .gif "
+            "or .png"
         )
     rates = [rate for rate in range(1, RATE + 1) if RATE % rate == 0]
     if fps not in rates:
-        raise ValueError(f"fps is {fps}; allowed are {', '.join(map(str, rates))}, which divide {RATE} steps a second")
+        raise ValueError(
+            f"fps is {fps}; allowed are {', '.join(map(str, rates))}, which divide {RATE} steps a "
+            "second"
+        )
     if ending == ".mp4":
         if width % 2 or height % 2:
-            raise ValueError(f"the size is {width}x{height}; an .mp4 needs an even width and height")
+            raise ValueError(
+                f"the size is {width}x{height}; an .mp4 needs an even width and height"
+            )
         _ffmpeg()
     try:
         if path.is_dir():
@@ -93,14 +100,19 @@ def check_film(path: Path, fps: int, width: int, height: int) -> None:
 
 
 def film(
-    states: Iterator[EnvState], draw: Callable[[EnvState], np.ndarray], path: Path, steps: int, fps: int = 25
+    states: Iterator[EnvState],
+    draw: Callable[[EnvState], np.ndarray],
+    path: Path,
+    steps: int,
+    fps: int = 25,
 ) -> int:
     """Draw an episode and write it, in real time; return the number of frames.
 
     Args:
         states: of the episode, `steps` + 1 of them.
         draw: from a state to uint8 [H, W, 3].
-        path: ends in .mp4, .gif or .png; a .png holds four moments side by side, the last one the end.
+        path: ends in .mp4, .gif or .png; a .png holds four moments side by side, the last one the
+            end.
         steps: of the episode.
         fps: frames a second; a divisor of 50.
     """
@@ -108,7 +120,9 @@ def film(
     wanted = moments(steps) if ending == ".png" else range(0, steps + 1, RATE // fps)
     frames = (draw(state) for step, state in enumerate(states) if step in wanted)
     with atomic_path(path) as temporary:
-        {".mp4": _write_mp4, ".gif": _write_gif, ".png": _write_strip}[ending](frames, temporary, fps)
+        {".mp4": _write_mp4, ".gif": _write_gif, ".png": _write_strip}[ending](
+            frames, temporary, fps
+        )
     return len(wanted)
 
 
@@ -120,7 +134,18 @@ def moments(steps: int) -> Sequence[int]:
 def _write_mp4(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
     first = next(frames)
     height, width = first.shape[:2]
-    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(fps), "-i", "-"]
+    source = [
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-s",
+        f"{width}x{height}",
+        "-r",
+        str(fps),
+        "-i",
+        "-",
+    ]
     target = ["-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-f", "mp4", str(path)]
     command = [_ffmpeg().get_ffmpeg_exe(), "-y", "-loglevel", "error", *source, *target]
     with tempfile.TemporaryFile() as told:
@@ -133,12 +158,18 @@ def _write_mp4(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
         if process.returncode:
             told.seek(0)
             message = " ".join(told.read().decode(errors="replace").split())
-            raise ValueError(f"ffmpeg could not write the film ({message[:200]}); write a .gif instead")
+            raise ValueError(
+                f"ffmpeg could not write the film ({message[:200]}); write a .gif instead"
+            )
 
 
 def _write_gif(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
-    pictures = (Image.fromarray(frame).quantize(method=Image.Quantize.FASTOCTREE) for frame in frames)
-    next(pictures).save(path, "GIF", save_all=True, append_images=pictures, duration=1000 // fps, loop=0)
+    pictures = (
+        Image.fromarray(frame).quantize(method=Image.Quantize.FASTOCTREE) for frame in frames
+    )
+    next(pictures).save(
+        path, "GIF", save_all=True, append_images=pictures, duration=1000 // fps, loop=0
+    )
 
 
 def _write_strip(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:

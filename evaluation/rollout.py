@@ -1,12 +1,14 @@
 """Roll out a block of episodes: every ego of a group with every partner of another, [E, P, K] simulations at once.
 
-The environment sees one flat axis N = E * P * K. The robot's network maps over the stacked egos with observations
-[E, P * K, O], the human's over the partners with [P, E * K, O]: no simulation has parameters of its own.
+The environment sees one flat axis N = E * P * K. The robot's network maps over the stacked egos
+with observations [E, P * K, O], the human's over the partners with [P, E * K, O]: no simulation has
+parameters of its own.
 
-Values are those of the compiled program. Which simulation stands in which row of it changes nothing, but XLA's CPU
-compiler rounds the arithmetic of another program, for a block of another shape, differently in the last bit where it
-fuses it differently; contacts amplify that. So the networks and the environment stand in loops of their own there, into
-which nothing is fused: a block's shape then hardly shows. Where it must not show at all, callers keep to one shape.
+Values are those of the compiled program. Which simulation stands in which row of it changes
+nothing, but XLA's CPU compiler rounds the arithmetic of another program, for a block of another
+shape, differently in the last bit where it fuses it differently; contacts amplify that. So the
+networks and the environment stand in loops of their own there, into which nothing is fused: a
+block's shape then hardly shows. Where it must not show at all, callers keep to one shape.
 """
 
 import collections
@@ -25,9 +27,12 @@ import numpy as np
 from population.mapping import member_map
 
 GAMMA = 0.99  # of the discounted return
-SEGMENT = 100  # most environment steps in one call: between calls there is progress, and a key press is heard
+# Most environment steps in one call: between calls there is progress, and a key press is heard.
+SEGMENT = 100
 
-_ACTION_STREAM = 2**31 - 1  # folded into an episode's key for action noise: the environment draws from the key itself
+_ACTION_STREAM = (
+    2**31 - 1
+)  # folded into an episode's key for action noise: the environment draws from the key itself
 
 Shape = tuple[int, int, int]  # [E, P, K]
 
@@ -98,7 +103,8 @@ class Rollout:
             robot: a `population.policy.Policy`, or None for a robot that acts from outside.
             human: a `population.policy.Policy`.
             stochastic: whether actions are drawn.
-            paired: robot i plays with human i only: robot parameters have leaves [P, ...], and E is 1.
+            paired: robot i plays with human i only: robot parameters have leaves [P, ...], and E is
+                1.
             length: steps to play, if fewer than the episode's: for measuring speed.
         """
         self.env = env
@@ -106,9 +112,12 @@ class Rollout:
         self._paired = paired
         self._length = length or env.episode_length
         steps = 1 if robot is None else segment_length(self._length)
-        self._start = jax.jit(functools.partial(_start, env, robot, human, paired=paired), static_argnames="shape")
+        self._start = jax.jit(
+            functools.partial(_start, env, robot, human, paired=paired), static_argnames="shape"
+        )
         self._advance = jax.jit(
-            functools.partial(_advance, env, robot, human, steps, stochastic, paired=paired), static_argnames="shape"
+            functools.partial(_advance, env, robot, human, steps, stochastic, paired=paired),
+            static_argnames="shape",
         )
         self._steps = steps
         self._compiled: dict[Any, tuple[Callable[..., Loop], Callable[..., Loop]]] = {}
@@ -131,7 +140,8 @@ class Rollout:
             robot_params: stacked, leaves [E, ...]; None where `act` plays the robot (E is 1).
             human_params: stacked, leaves [P, ...].
             env_params: the partners' own `EnvParams`, leaves [P].
-            seeds: K integers; `jax.random.key(seeds[k])` starts episode k of every pair (common random numbers).
+            seeds: K integers; `jax.random.key(seeds[k])` starts episode k of every pair (common
+                random numbers).
             act: (observations [N, O] float32, step) -> actions [N, A], for a robot from outside.
             on_steps: called with the number of steps just done, of every simulation.
             device: where to run; the first one if not given.
@@ -139,18 +149,24 @@ class Rollout:
         Returns:
             The tally with NumPy leaves [E, P, K].
         """
-        egos = 1 if robot_params is None or self._paired else jax.tree.leaves(robot_params)[0].shape[0]
+        egos = (
+            1 if robot_params is None or self._paired else jax.tree.leaves(robot_params)[0].shape[0]
+        )
         shape = egos, jax.tree.leaves(human_params)[0].shape[0], len(seeds)
         device = device or jax.local_devices()[0]
         keys = jax.vmap(jax.random.key)(np.asarray(seeds, np.uint32))
         robot_params, human_params, env_params, keys, once = jax.device_put(
             (robot_params, human_params, env_params, keys, _once()), device
         )
-        start, advance = self._programs(device, shape, keys, robot_params, human_params, env_params, once)
+        start, advance = self._programs(
+            device, shape, keys, robot_params, human_params, env_params, once
+        )
         loop = start(env_params, keys)
         for step in range(0, self._length, self._steps):
             action = None if act is None else act(np.array(loop.state.obs["robot"]), step)
-            loop = jax.block_until_ready(advance(loop, robot_params, human_params, keys, action, once))
+            loop = jax.block_until_ready(
+                advance(loop, robot_params, human_params, keys, action, once)
+            )
             if on_steps is not None:
                 on_steps(self._steps)
         return jax.tree.map(lambda leaf: np.asarray(leaf).reshape(shape), loop.tally)
@@ -173,8 +189,12 @@ class Rollout:
                 loop = jax.eval_shape(functools.partial(self._start, shape=shape), env_params, keys)
                 action = None
                 if robot_params is None:
-                    action = jax.ShapeDtypeStruct((math.prod(shape), self.env.action_size["robot"]), jnp.float32)
-                advance = self._advance.lower(loop, robot_params, human_params, keys, action, once, shape=shape)
+                    action = jax.ShapeDtypeStruct(
+                        (math.prod(shape), self.env.action_size["robot"]), jnp.float32
+                    )
+                advance = self._advance.lower(
+                    loop, robot_params, human_params, keys, action, once, shape=shape
+                )
             self._compiled[shape, device] = start.compile(), advance.compile()
             self.compile_seconds[device] += time.perf_counter() - began
         return self._compiled[shape, device]
@@ -182,7 +202,9 @@ class Rollout:
 
 def segment_length(episode_length: int) -> int:
     """Return the largest divisor of the episode's length that is at most `SEGMENT`."""
-    return next(steps for steps in range(min(SEGMENT, episode_length), 0, -1) if episode_length % steps == 0)
+    return next(
+        steps for steps in range(min(SEGMENT, episode_length), 0, -1) if episode_length % steps == 0
+    )
 
 
 def episode_seeds(seed: int, episodes: Iterable[int]) -> list[int]:
@@ -191,12 +213,21 @@ def episode_seeds(seed: int, episodes: Iterable[int]) -> list[int]:
 
 
 def _start(
-    env: Environment, robot: Any, human: Any, env_params: Any, keys: Any, *, shape: Shape, paired: bool = False
+    env: Environment,
+    robot: Any,
+    human: Any,
+    env_params: Any,
+    keys: Any,
+    *,
+    shape: Shape,
+    paired: bool = False,
 ) -> Loop:
     """Reset a block: episode k of every pair starts from key k, under the partner's own parameters."""
     e, p, k = shape
     flat = functools.partial(jnp.reshape, shape=(e * p * k,))
-    params = jax.tree.map(lambda leaf: flat(jnp.broadcast_to(leaf[None, :, None], shape)), env_params)
+    params = jax.tree.map(
+        lambda leaf: flat(jnp.broadcast_to(leaf[None, :, None], shape)), env_params
+    )
     state = env.reset(flat(jnp.broadcast_to(keys, shape)), params)
     zero = jnp.zeros(e * p * k)
     false = jnp.zeros(e * p * k, bool)
@@ -216,7 +247,9 @@ def _start(
     )
     return Loop(
         state=state,
-        robot=() if robot is None else robot.initial_carry((p, _rows(k)) if paired else (e, _rows(p * k))),
+        robot=()
+        if robot is None
+        else robot.initial_carry((p, _rows(k)) if paired else (e, _rows(p * k))),
         human=human.initial_carry((p, _rows(e * k))),
         tally=tally,
         time=jnp.zeros((), jnp.int32),
@@ -279,7 +312,9 @@ def accumulate(tally: Tally, state: Any, travel: dict[str, jax.Array], time: jax
         terms={name: tally.terms[name] + gained(value) for name, value in state.terms.items()},
         force_sum=tally.force_sum + force,
         force_peak=jnp.maximum(tally.force_peak, force),
-        first_contact=jnp.where((tally.first_contact == 0) & (force > 0), time + 1, tally.first_contact),
+        first_contact=jnp.where(
+            (tally.first_contact == 0) & (force > 0), time + 1, tally.first_contact
+        ),
         distance_sum=tally.distance_sum + gained(state.measures.distance),
         travel={role: tally.travel[role] + gained(value) for role, value in travel.items()},
         success=tally.success | (earning & state.measures.success),
@@ -295,7 +330,9 @@ def _once() -> np.ndarray | None:
     return np.asarray(1, np.int32) if jax.default_backend() == "cpu" else None
 
 
-def _step_alone(env: Environment, state: Any, actions: dict[str, Any], once: jax.Array | None) -> Any:
+def _step_alone(
+    env: Environment, state: Any, actions: dict[str, Any], once: jax.Array | None
+) -> Any:
     """Step the environment in a loop of its own, into which the compiler fuses nothing of what stands around it."""
     if once is None:
         return env.step(state, actions)
@@ -311,10 +348,12 @@ def _act(
 ) -> tuple[Any, jax.Array]:
     """Map a policy over its stacked parameters: obs [G, R, O] -> actions [G, R, A].
 
-    With `keys` [K], row r draws with the key of its episode, r modulo K: every pair sees the same noise.
+    With `keys` [K], row r draws with the key of its episode, r modulo K: every pair sees the same
+    noise.
     """
     rows = obs.shape[1]
-    # A product with one row takes another path on the CPU, which rounds differently: values would depend on the block.
+    # A product with one row takes another path on the CPU, which rounds differently: values would
+    # depend on the block.
     obs = jnp.broadcast_to(obs, (obs.shape[0], _rows(rows), obs.shape[2]))
     first = jnp.broadcast_to(time == 0, obs.shape[:2])
     if keys is None:
@@ -330,7 +369,9 @@ def _noise_keys(keys: jax.Array, time: jax.Array) -> list[jax.Array]:
     """Return a key for each role and episode [K] at a step, apart from the environment's own stream."""
 
     def key_of(role: int, key: jax.Array) -> jax.Array:
-        return jax.random.fold_in(jax.random.fold_in(jax.random.fold_in(key, _ACTION_STREAM), role), time)
+        return jax.random.fold_in(
+            jax.random.fold_in(jax.random.fold_in(key, _ACTION_STREAM), role), time
+        )
 
     return [jax.vmap(functools.partial(key_of, role))(keys) for role in range(2)]
 

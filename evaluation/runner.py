@@ -1,7 +1,7 @@
 """Simulate chunks on the devices of this host, and lay what they gave out as rows.
 
-Each device has a thread that takes the next chunk when it is done with one. Which device a chunk runs on does not show
-in its values: all run the same program.
+Each device has a thread that takes the next chunk when it is done with one. Which device a chunk
+runs on does not show in its values: all run the same program.
 """
 
 import concurrent.futures
@@ -85,14 +85,19 @@ class Runner:
     """Runs the chunks of one job, keeping what was compiled."""
 
     def __init__(
-        self, env: Any, job: Job, devices: Sequence[jax.Device] | None = None, length: int | None = None
+        self,
+        env: Any,
+        job: Job,
+        devices: Sequence[jax.Device] | None = None,
+        length: int | None = None,
     ) -> None:
         """Prepare to run.
 
         Args:
             env: the environment.
             job: what is evaluated.
-            devices: where to run; all of this process if not given. A robot from outside is called by one only.
+            devices: where to run; all of this process if not given. A robot from outside is called
+                by one only.
             length: steps to play, if fewer than an episode's: for measuring speed.
         """
         self._env, self._job, self._length = env, job, length
@@ -105,10 +110,16 @@ class Runner:
     @property
     def compile_seconds(self) -> float:
         """Seconds that compilation took, on the device where it took longest."""
-        return max((sum(r.compile_seconds[d] for r in self._rollouts.values()) for d in self._devices), default=0.0)
+        return max(
+            (sum(r.compile_seconds[d] for r in self._rollouts.values()) for d in self._devices),
+            default=0.0,
+        )
 
     def run(
-        self, chunks: Sequence[Chunk], save: Callable[[Chunk, pl.DataFrame], None], meter: Meter | None = None
+        self,
+        chunks: Sequence[Chunk],
+        save: Callable[[Chunk, pl.DataFrame], None],
+        meter: Meter | None = None,
     ) -> None:
         """Simulate chunks and `save` the rows of each, padding dropped, when it is done."""
         queue, meter = iter(chunks), meter or Meter(0)
@@ -116,7 +127,9 @@ class Runner:
             self._work(self._devices[0], queue, save, meter)
             return
         with concurrent.futures.ThreadPoolExecutor(len(self._devices)) as pool:
-            works = [pool.submit(self._work, device, queue, save, meter) for device in self._devices]
+            works = [
+                pool.submit(self._work, device, queue, save, meter) for device in self._devices
+            ]
             try:
                 for work in concurrent.futures.as_completed(works):
                     work.result()
@@ -125,7 +138,11 @@ class Runner:
                 raise
 
     def _work(
-        self, device: jax.Device, queue: Iterator[Chunk], save: Callable[[Chunk, pl.DataFrame], None], meter: Meter
+        self,
+        device: jax.Device,
+        queue: Iterator[Chunk],
+        save: Callable[[Chunk, pl.DataFrame], None],
+        meter: Meter,
     ) -> None:
         """Run what is left in the queue, chunk by chunk, on one device."""
         while True:
@@ -157,7 +174,9 @@ class Runner:
             _take(partner.params, tile.partners, p),
             disability_params([str(member.disability) for member in partners]),
             episode_seeds(job.seed, _padded(tile.episodes, k)),
-            act=call_ego(ego, [member.id for member in partners], k, self._env.action_size["robot"]) if host else None,
+            act=call_ego(ego, [member.id for member in partners], k, self._env.action_size["robot"])
+            if host
+            else None,
             on_steps=on_steps,
             device=device,
         )
@@ -168,8 +187,14 @@ class Runner:
         key = robot, partner.spec
         with self._lock:
             if key not in self._rollouts:
-                options = {"stochastic": self._job.stochastic, "paired": self._job.paired, "length": self._length}
-                self._rollouts[key] = Rollout(self._env, _policy(robot), _policy(partner.spec), **options)
+                options = {
+                    "stochastic": self._job.stochastic,
+                    "paired": self._job.paired,
+                    "length": self._length,
+                }
+                self._rollouts[key] = Rollout(
+                    self._env, _policy(robot), _policy(partner.spec), **options
+                )
             return self._rollouts[key]
 
 
@@ -182,7 +207,8 @@ def _run(rollout: Rollout, tile: Tile, *args: Any, **options: Any) -> Tally:
             raise
         simulations = math.prod(tile.shape)
         raise ValueError(
-            f"out of memory with {simulations} simulations; use --max-envs {max(simulations // 2, 1)} or less"
+            f"out of memory with {simulations} simulations; use --max-envs "
+            f"{max(simulations // 2, 1)} or less"
         ) from error
 
 
@@ -206,10 +232,14 @@ def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
     e, p, k = 1 if tile.paired else len(tile.egos), len(tile.partners), len(tile.episodes)
     tally = jax.tree.map(lambda leaf: leaf[:e, :p, :k].reshape(-1), tally)
     egos = _described("ego", [job.egos[tile.ego_group].members[row] for row in tile.egos])
-    partners = _described("partner", [job.partners[tile.partner_group].members[row] for row in tile.partners])
+    partners = _described(
+        "partner", [job.partners[tile.partner_group].members[row] for row in tile.partners]
+    )
     sides = [job.sides.get(name) for name in partners["partner"]]
     partners = partners.with_columns(pl.Series("side", sides, pl.String))
-    episodes = pl.DataFrame({"episode": list(tile.episodes), "key": episode_seeds(job.seed, tile.episodes)})
+    episodes = pl.DataFrame(
+        {"episode": list(tile.episodes), "key": episode_seeds(job.seed, tile.episodes)}
+    )
     if tile.paired:
         rows = pl.concat([egos, partners], how="horizontal")
     else:
@@ -229,11 +259,20 @@ def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
         "steps": tally.steps,
     }
     types = {name: tables.SCHEMA.get(name, pl.Float32()) for name in measured}
-    return rows.with_columns(pl.Series(name, value).cast(types[name]) for name, value in measured.items())
+    return rows.with_columns(
+        pl.Series(name, value).cast(types[name]) for name, value in measured.items()
+    )
 
 
 def _described(seat: str, members: list[Member]) -> pl.DataFrame:
     """Return the columns of a seat, one row a member."""
-    names = {seat: "id", **{f"{seat}_{name}": name for name in ("team", "algorithm", "disability", "seed")}}
+    names = {
+        seat: "id",
+        **{f"{seat}_{name}": name for name in ("team", "algorithm", "disability", "seed")},
+    }
     schema = {column: tables.SCHEMA[column] for column in names}
-    return pl.DataFrame([[getattr(m, name) for name in names.values()] for m in members], schema=schema, orient="row")
+    return pl.DataFrame(
+        [[getattr(m, name) for name in names.values()] for m in members],
+        schema=schema,
+        orient="row",
+    )

@@ -58,7 +58,12 @@ def run_blocks_on_ray(
 
 
 def _run_remotely(
-    number: int, count: int, make_env: Callable[[], Any], job: Job, folder: Path, max_envs: int | None
+    number: int,
+    count: int,
+    make_env: Callable[[], Any],
+    job: Job,
+    folder: Path,
+    max_envs: int | None,
 ) -> None:
     run_block(make_env(), job, folder, (number + 1, count), max_envs=max_envs)
 
@@ -66,7 +71,11 @@ def _run_remotely(
 def _check_parts(job: Job, folder: Path) -> None:
     """Check that what the workers wrote can be read here: it is not simulated a second time."""
     manifest = folder / MANIFEST_FILE
-    wanted = len(plan(job, int(tables.read_json(manifest)["max_envs"]))) if manifest.is_file() else 1
+    wanted = (
+        len(plan(job, int(tables.read_json(manifest)["max_envs"]))) if manifest.is_file() else 1
+    )
     found = len(list((folder / PARTS_FOLDER).glob("part-*.parquet")))
     if found < wanted:
-        raise ValueError(f"the workers are done, but {folder} has {found} of {wanted} parts here; {NOT_SHARED}")
+        raise ValueError(
+            f"the workers are done, but {folder} has {found} of {wanted} parts here; {NOT_SHARED}"
+        )

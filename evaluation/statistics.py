@@ -1,7 +1,8 @@
 """Aggregates of scores [S, P]: seeds of one method by partners, each score a mean over a pair's episodes.
 
-Definitions follow rliable (Agarwal et al., arXiv 2108.13264). The `weighted_` forms take counts [B, n], how often each
-entry stands in each of B resamples, and give one figure for each: exact, and vectorised over resamples.
+Definitions follow rliable (Agarwal et al., arXiv 2108.13264). The `weighted_` forms take counts [B,
+n], how often each entry stands in each of B resamples, and give one figure for each: exact, and
+vectorised over resamples.
 """
 
 import numpy as np
@@ -38,14 +39,18 @@ def probability_of_improvement(x: np.ndarray, y: np.ndarray) -> float:
     """
     x, y = score_matrix(x), score_matrix(y)
     if x.shape[1] != y.shape[1]:
-        raise ValueError(f"x has {x.shape[1]} partners and y has {y.shape[1]}; give both the same partners")
+        raise ValueError(
+            f"x has {x.shape[1]} partners and y has {y.shape[1]}; give both the same partners"
+        )
     return float(np.mean((x[:, None] > y[None]) + 0.5 * (x[:, None] == y[None])))
 
 
 def performance_profile(values: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
     """Share of entries above each threshold [T], as [T]."""
     ordered = np.sort(entries(values))
-    return 1.0 - np.searchsorted(ordered, np.asarray(thresholds, float), side="right") / ordered.size
+    return (
+        1.0 - np.searchsorted(ordered, np.asarray(thresholds, float), side="right") / ordered.size
+    )
 
 
 def cvar(values: np.ndarray, alpha: float) -> float:
@@ -62,7 +67,9 @@ def tail_weights(values: np.ndarray, counts: np.ndarray, alpha: float) -> np.nda
     reached = np.cumsum(np.take_along_axis(counts, order, axis=1), axis=1, dtype=float)
     mass = alpha * reached[:, -1:]
     weights = np.empty_like(reached)
-    np.put_along_axis(weights, order, np.diff(np.minimum(reached, mass), axis=1, prepend=0.0) / mass, axis=1)
+    np.put_along_axis(
+        weights, order, np.diff(np.minimum(reached, mass), axis=1, prepend=0.0) / mass, axis=1
+    )
     return weights
 
 
@@ -83,8 +90,13 @@ def weighted_iqm(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
     low = np.floor(total / 4)
     high = total - low
     np.clip(reached, low[:, None], high[:, None], out=reached)
-    # Entry i keeps reached[i] - reached[i - 1] of its counts; summed by parts, this needs no second array.
-    kept = high * (values[-1] - centre) - low * (values[0] - centre) - reached[:, :-1] @ np.diff(values)
+    # Entry i keeps reached[i] - reached[i - 1] of its counts; summed by parts, this needs no second
+    # array.
+    kept = (
+        high * (values[-1] - centre)
+        - low * (values[0] - centre)
+        - reached[:, :-1] @ np.diff(values)
+    )
     return np.divide(kept, high - low, out=np.full(len(total), np.nan), where=total > 0) + centre
 
 
@@ -104,8 +116,8 @@ def score_matrix(scores: np.ndarray) -> np.ndarray:
     scores = np.asarray(scores, float)
     if scores.ndim not in (1, 2):
         raise ValueError(
-            f"scores has shape {scores.shape}; expected [seeds, partners], each score a mean over episodes, "
-            "because episodes are not seeds"
+            f"scores has shape {scores.shape}; expected [seeds, partners], each score a mean over "
+            "episodes, because episodes are not seeds"
         )
     entries(scores)
     return scores[:, None] if scores.ndim == 1 else scores

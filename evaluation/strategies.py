@@ -1,7 +1,7 @@
 """Strategies of partners: how the best robot of a cross-play behaves with each of them, and who behaves alike.
 
-A partner's features are means over the episodes of the robot with the highest mean return with it, each scaled to
-[0, 1] over the partners (theta and phi of BR-Div, ZSC-Eval, arXiv 2310.05208).
+A partner's features are means over the episodes of the robot with the highest mean return with it,
+each scaled to [0, 1] over the partners (theta and phi of BR-Div, ZSC-Eval, arXiv 2310.05208).
 """
 
 import dataclasses
@@ -46,16 +46,25 @@ def best_responses(pairs: pl.DataFrame) -> Responses:
     """
     if missing := [name for name in BEHAVIOUR if name not in pairs.columns]:
         raise ValueError(
-            f"the table of pairs lacks {', '.join(missing)}: it was written before behaviour was recorded; run "
-            "crossplay again with another --out"
+            f"the table of pairs lacks {', '.join(missing)}: it was written before behaviour was "
+            "recorded; run crossplay again with another --out"
         )
     partners = pairs["partner"].unique(maintain_order=True).to_list()
-    best = pairs.sort("return", descending=True, maintain_order=True).unique("partner", keep="first")
-    best = pl.DataFrame({"partner": partners}).join(best, on="partner", how="left", maintain_order="left")
+    best = pairs.sort("return", descending=True, maintain_order=True).unique(
+        "partner", keep="first"
+    )
+    best = pl.DataFrame({"partner": partners}).join(
+        best, on="partner", how="left", maintain_order="left"
+    )
     wide = pairs.pivot("partner", index="ego", values="return")
-    rows = best.select("ego").join(wide, on="ego", how="left", maintain_order="left").select(partners)
+    rows = (
+        best.select("ego").join(wide, on="ego", how="left", maintain_order="left").select(partners)
+    )
     return Responses(
-        partners, best["ego"].to_list(), rows.to_numpy(), best.select(list(FEATURES)).to_numpy().astype(float)
+        partners,
+        best["ego"].to_list(),
+        rows.to_numpy(),
+        best.select(list(FEATURES)).to_numpy().astype(float),
     )
 
 
@@ -65,7 +74,9 @@ def summarise_strategies(pairs: pl.DataFrame) -> dict[str, Any]:
     scaled = scale_features(found.features)
     clustering = cluster_profiles(scaled)
     diversity = br_diversity(found.features)
-    picked = greedy_subset(found.features, min(diversity.rank, MOST_PICKED)) if diversity.rank else []
+    picked = (
+        greedy_subset(found.features, min(diversity.rank, MOST_PICKED)) if diversity.rank else []
+    )
     return {
         "features": dict(FEATURES),
         "partners": [
@@ -108,7 +119,10 @@ def _incompatible(found: Responses) -> dict[str, Any] | None:
         "partners": [found.partners[first], found.partners[second]],
         "robots": [found.robots[first], found.robots[second]],
         "returns": [float(own[first]), float(own[second])],
-        "returns_exchanged": [float(found.returns[second, first]), float(found.returns[first, second])],
+        "returns_exchanged": [
+            float(found.returns[second, first]),
+            float(found.returns[first, second]),
+        ],
     }
 
 

@@ -41,7 +41,9 @@ class Settings:
         if self.task not in TASKS:
             raise ValueError(f"task is {self.task!r}; allowed are {', '.join(TASKS)}")
         if self.episodes < 1:
-            raise ValueError(f"episodes is {self.episodes}; each pair needs at least 1 (--episodes 8)")
+            raise ValueError(
+                f"episodes is {self.episodes}; each pair needs at least 1 (--episodes 8)"
+            )
         if self.seed < 0:
             raise ValueError(f"seed is {self.seed}; allowed is 0 or more")
         if self.max_envs is not None and self.max_envs < 1:
@@ -66,11 +68,15 @@ def evaluate_policies(
         registry: The published partners.
         policies: References to the robots, see `evaluation.egos.read_egos`.
         settings: Task, episodes and the rest.
-        folder: Filled with the episodes and every table drawn from them; a run that was stopped goes on.
-        split: "test", "train" or "both" sides of the default split, or a split's id, ":train" or ":both" added.
+        folder: Filled with the episodes and every table drawn from them; a run that was stopped
+            goes on.
+        split: "test", "train" or "both" sides of the default split, or a split's id, ":train" or
+            ":both" added.
         partners: Globs over partners to use instead of whole sides; see `choose_partners`.
-        references: Folder that keeps the episodes of reference egos, see `evaluation.references`; None plays none.
-        crossplay: Folder of a finished cross-play, whose best robot with a partner may be its best response.
+        references: Folder that keeps the episodes of reference egos, see `evaluation.references`;
+            None plays none.
+        crossplay: Folder of a finished cross-play, whose best robot with a partner may be its best
+            response.
         on_progress: Told how far the run is.
 
     Raises:
@@ -87,11 +93,15 @@ def evaluate_policies(
     egos = _read_egos(registry, policies, settings.task)
     env, job = _make_job(registry, egos, chosen, settings, manifest)
     result, origin = _run(env, job, settings, folder, on_progress)
-    summary = save_evaluation(folder, result.table, split=manifest, release=manifest.release, **origin)
+    summary = save_evaluation(
+        folder, result.table, split=manifest, release=manifest.release, **origin
+    )
     summary["notes"] = [*summary["notes"], *_own_partner_notes(egos, chosen)]
     summary |= {"lock": registry.lock, "references": None, "relative": None}
     if references is not None:
-        summary |= _with_references(registry, env, job, chosen, settings, references, folder, pairs, on_progress)
+        summary |= _with_references(
+            registry, env, job, chosen, settings, references, folder, pairs, on_progress
+        )
     tables.write_json(summary, folder / tables.SUMMARY_FILE)
     return summary
 
@@ -101,10 +111,15 @@ def choose_partners(
 ) -> tuple[Split, list[PolicyEntry]]:
     """Return the split that `--split` names, and the humans of its sides, or those of them that match `--partners`.
 
-    The default split is that of the release that the matching partners are of, if they are of one, else of the newest.
+    The default split is that of the release that the matching partners are of, if they are of one,
+    else of the newest.
     """
     text = split or ("test" if patterns is None else "both")
-    name, side = (None, text) if text in SIDE_WORDS else (text.partition(":")[0], text.partition(":")[2] or "test")
+    name, side = (
+        (None, text)
+        if text in SIDE_WORDS
+        else (text.partition(":")[0], text.partition(":")[2] or "test")
+    )
     if side not in SIDE_WORDS:
         raise ValueError(f"split is {text!r}; after the colon {', '.join(SIDE_WORDS)} are allowed")
     humans = registry.select(patterns, task=task, role="human")
@@ -113,8 +128,9 @@ def choose_partners(
     chosen = [entry for entry in humans if manifest.side(entry.team) in SIDE_WORDS[side]]
     if not chosen:
         raise ValueError(
-            f"none of the {len(humans)} partners that match is on the {' or '.join(SIDE_WORDS[side])} side of split "
-            f"{manifest.id}; choose others, --split both, or another split's id (assistax-zoo split list)"
+            f"none of the {len(humans)} partners that match is on the "
+            f"{' or '.join(SIDE_WORDS[side])} side of split {manifest.id}; choose others, --split "
+            "both, or another split's id (assistax-zoo split list)"
         )
     return manifest, chosen
 
@@ -133,10 +149,11 @@ def cross_play(
 ) -> dict[str, Any]:
     """Evaluate the robots of a population with its humans; return what `crossplay --json` prints.
 
-    `egos` and `partners` are globs over policy or team ids of a release, the registry's default if not given; a glob
-    that names a release is taken at its word. The rest is as in `evaluate_policies`. With `block` only that share of
-    the chunks is simulated, and how many are missing is returned: see `evaluation.evaluator.run_block`. With a
-    `cluster` the chunks are spread over it, in as many blocks as it runs at once.
+    `egos` and `partners` are globs over policy or team ids of a release, the registry's default if
+    not given; a glob that names a release is taken at its word. The rest is as in
+    `evaluate_policies`. With `block` only that share of the chunks is simulated, and how many are
+    missing is returned: see `evaluation.evaluator.run_block`. With a `cluster` the chunks are
+    spread over it, in as many blocks as it runs at once.
     """
     from evaluation.egos import registry_groups
     from evaluation.summary import save_crossplay
@@ -153,11 +170,15 @@ def cross_play(
     groups = registry_groups(registry, robots)
     env, job = _make_job(registry, groups, humans, settings, manifest)
     if block is not None:
-        done = run_block(env, job, folder, block, max_envs=settings.max_envs, on_progress=on_progress)
+        done = run_block(
+            env, job, folder, block, max_envs=settings.max_envs, on_progress=on_progress
+        )
         return {"block": f"{block[0]}/{block[1]}", **dataclasses.asdict(done)}
     if cluster is not None:
         make_env = partial(type(env), settings.task, env.backend)
-        run_blocks_on_ray(make_env, job, folder, cluster, max_envs=settings.max_envs, on_progress=on_progress)
+        run_blocks_on_ray(
+            make_env, job, folder, cluster, max_envs=settings.max_envs, on_progress=on_progress
+        )
     result, origin = _run(env, job, settings, folder, on_progress)
     releases = ", ".join(sorted({entry.release for entry in (*robots, *humans)}))
     summary = save_crossplay(folder, result.table, split=manifest, release=releases, **origin)
@@ -173,7 +194,10 @@ def _draw(folder: Path, summary: dict[str, Any]) -> None:
     from evaluation.plots.matrix import arrange
     from evaluation.plots.style import save_figure
 
-    matrix = arrange(tables.read_parquet(folder / tables.PAIRS_FILE), tables.read_json(folder / tables.ORDER_FILE))
+    matrix = arrange(
+        tables.read_parquet(folder / tables.PAIRS_FILE),
+        tables.read_json(folder / tables.ORDER_FILE),
+    )
     save_figure(crossplay_heatmap(matrix, summary), folder / FIGURE_FILE)
 
 
@@ -195,7 +219,11 @@ def check_env_version(registry: Registry, entries: Sequence[PolicyEntry]) -> Non
         trained = registry.env_version(entry)
         if trained != VERSIONS[entry.task]:
             releases = registry.data.releases.items()
-            fitting = [name for name, each in releases if each.environments.get(entry.task) == VERSIONS[entry.task]]
+            fitting = [
+                name
+                for name, each in releases
+                if each.environments.get(entry.task) == VERSIONS[entry.task]
+            ]
             raise RegistryVersionError(
                 f"policy {entry.id}",
                 expected=f"version {VERSIONS[entry.task]} of environment {entry.task}, as installed",
@@ -221,7 +249,9 @@ def _with_references(
     from evaluation.references import bounds_table, play_references, summarise_references
 
     own = _own_robots(registry, partners)
-    played = play_references(env, job, own, kept, max_envs=settings.max_envs, on_progress=on_progress)
+    played = play_references(
+        env, job, own, kept, max_envs=settings.max_envs, on_progress=on_progress
+    )
     bounds = bounds_table(played, pairs)
     tables.write_parquet(played, folder / tables.REFERENCES_FILE)
     tables.write_parquet(bounds, folder / tables.BOUNDS_FILE)
@@ -238,7 +268,9 @@ def _own_robots(registry: Registry, partners: Sequence[PolicyEntry]) -> list[tup
     own = []
     for spec in specs:
         alike = [pair for pair in pairs if (pair[0].spec, pair[1].spec) == spec]
-        (robot,), (human,) = (registry_groups(registry, [pair[seat] for pair in alike]) for seat in (0, 1))
+        (robot,), (human,) = (
+            registry_groups(registry, [pair[seat] for pair in alike]) for seat in (0, 1)
+        )
         own.append((robot, human))
     return own
 
@@ -249,8 +281,8 @@ def _crossplay_pairs(folder: Path, task: str) -> pl.DataFrame:
     found = summary.get("task"), summary.get("env_version")
     if found != (task, VERSIONS[task]):
         raise ValueError(
-            f"{folder} is of task {found[0]}, environment version {found[1]}; --crossplay needs a cross-play of "
-            f"{task}, version {VERSIONS[task]}"
+            f"{folder} is of task {found[0]}, environment version {found[1]}; --crossplay needs a "
+            f"cross-play of {task}, version {VERSIONS[task]}"
         )
     return tables.read_parquet(folder / tables.PAIRS_FILE)
 
@@ -305,7 +337,9 @@ def _read_egos(registry: Registry, policies: Sequence[str], task: str) -> tuple[
 
     egos = read_egos(policies, registry, task)
     known = {entry.id: entry for entry in registry.policies}
-    check_env_version(registry, [known[m.id] for group in egos for m in group.members if m.id in known])
+    check_env_version(
+        registry, [known[m.id] for group in egos for m in group.members if m.id in known]
+    )
     return egos
 
 

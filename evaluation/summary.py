@@ -26,7 +26,9 @@ from evaluation.statistics import performance_profile
 from evaluation.strategies import summarise_strategies
 from evaluation.tables import Block, dense_block
 
-ENOUGH = 16  # seeds, partners or teams; with fewer, intervals cover too little (see `evaluation.bootstrap.estimate`)
+# Seeds, partners or teams; with fewer, intervals cover too little (see
+# `evaluation.bootstrap.estimate`).
+ENOUGH = 16
 
 
 class SplitIdentity(Protocol):
@@ -51,19 +53,24 @@ def summarise_evaluation(
 ) -> dict[str, Any]:
     """Summarise an evaluation; all egos of the table are seeds of one method.
 
-    `by_algorithm`, `by_disability`, `fairness`, `worst_partner` and `cvar_10` are about the partners of `side`: the
-    test partners, or the training partners if only those were played.
+    `by_algorithm`, `by_disability`, `fairness`, `worst_partner` and `cvar_10` are about the
+    partners of `side`: the test partners, or the training partners if only those were played.
 
     Raises:
-        ValueError: the table is malformed or incomplete, or none of its partners is on a side of the split.
+        ValueError: the table is malformed or incomplete, or none of its partners is on a side of
+            the split.
     """
     block = dense_block(table)
     sides = block.partners["side"].to_list()
     figures = zero_shot(block.scores, sides, seed=seed)
     side = "test" if figures.test else "train"
     focus = _on_side(block, side)
-    by_disability = group_draws(focus.scores, focus.partners["partner_disability"].to_list(), seed=seed)
-    by_algorithm = group_draws(focus.scores, focus.partners["partner_algorithm"].to_list(), seed=seed)
+    by_disability = group_draws(
+        focus.scores, focus.partners["partner_disability"].to_list(), seed=seed
+    )
+    by_algorithm = group_draws(
+        focus.scores, focus.partners["partner_algorithm"].to_list(), seed=seed
+    )
     return {
         "task": task,
         "split": _split(split),
@@ -72,10 +79,14 @@ def summarise_evaluation(
         "gap": _json(figures.gap),
         "side": side,
         "by_algorithm": {name: draws.estimate().to_json() for name, draws in by_algorithm.items()},
-        "by_disability": {name: draws.estimate().to_json() for name, draws in by_disability.items()},
+        "by_disability": {
+            name: draws.estimate().to_json() for name, draws in by_disability.items()
+        },
         "fairness": _fairness(by_disability),
         "worst_partner": _worst_partner(focus),
-        "cvar_10": cvar_crossfit(focus.returns, 0.1, seed=seed).to_json() if focus.returns.shape[2] > 1 else None,
+        "cvar_10": cvar_crossfit(focus.returns, 0.1, seed=seed).to_json()
+        if focus.returns.shape[2] > 1
+        else None,
         "egos": block.egos["ego"].to_list(),
         "partners": {name: sides.count(name) for name in tables.SIDES},
         **_origin(block, release, env_version, backend, env_steps_per_second),
@@ -96,7 +107,9 @@ def summarise_crossplay(
 ) -> dict[str, Any]:
     """Summarise a matrix of egos by partners: self-play, cross-play and their gaps, resampling whole teams."""
     block = dense_block(table)
-    figures = cross_play(block.scores, _traits(block.egos, "ego"), _traits(block.partners, "partner"), seed=seed)
+    figures = cross_play(
+        block.scores, _traits(block.egos, "ego"), _traits(block.partners, "partner"), seed=seed
+    )
     means = block.scores.mean(axis=1)
     return {
         "task": task,
@@ -122,9 +135,14 @@ def summarise_comparison(a: pl.DataFrame, b: pl.DataFrame, *, seed: int = 0) -> 
     """Summarise method a minus method b, two tables over the same partners and episode keys, on their common sides."""
     first, second = dense_block(a), dense_block(b)
     if not first.partners.equals(second.partners):
-        raise ValueError("the two tables have different partners; evaluate both methods against the same split")
+        raise ValueError(
+            "the two tables have different partners; evaluate both methods against the same split"
+        )
     if first.keys is None or second.keys is None or not np.array_equal(first.keys, second.keys):
-        raise ValueError("the two tables have different episode keys; evaluate both with the same seed and episodes")
+        raise ValueError(
+            "the two tables have different episode keys; evaluate both with the same seed and "
+            "episodes"
+        )
     summary: dict[str, Any] = {}
     for side in tables.SIDES:
         mask = (first.partners["side"] == side).fill_null(False).to_numpy()
@@ -136,9 +154,14 @@ def summarise_comparison(a: pl.DataFrame, b: pl.DataFrame, *, seed: int = 0) -> 
                 "partners_better": difference.partners_better,
             }
     if not summary:
-        raise ValueError("no partner is on the test or the train side; evaluate both methods against a split")
+        raise ValueError(
+            "no partner is on the test or the train side; evaluate both methods against a split"
+        )
     egos = min(first.egos.height, second.egos.height)
-    return {**summary, "notes": [*_seed_notes(egos), *_episode_notes(first), *_episode_notes(second)]}
+    return {
+        **summary,
+        "notes": [*_seed_notes(egos), *_episode_notes(first), *_episode_notes(second)],
+    }
 
 
 def partner_table(table: pl.DataFrame, *, seed: int = 0) -> pl.DataFrame:
@@ -172,7 +195,12 @@ def profile_table(table: pl.DataFrame, *, points: int = 101, seed: int = 0) -> p
     band = profile_band(block.scores, thresholds, seed=seed)
     low, high = band if band else (None, None)
     return pl.DataFrame(
-        {"threshold": thresholds, "share": performance_profile(block.scores, thresholds), "low": low, "high": high},
+        {
+            "threshold": thresholds,
+            "share": performance_profile(block.scores, thresholds),
+            "low": low,
+            "high": high,
+        },
         schema=dict.fromkeys(("threshold", "share", "low", "high"), pl.Float64),
     )
 
@@ -180,8 +208,8 @@ def profile_table(table: pl.DataFrame, *, points: int = 101, seed: int = 0) -> p
 def crossplay_matrix(table: pl.DataFrame) -> tuple[pl.DataFrame, dict[str, Any]]:
     """Return the matrix in long form, one row a pair, and its clustered order.
 
-    The order has `rows` and `columns`, clustered separately, and `teams`: one order for both axes, with self-play on
-    the diagonal, or None unless both axes have the same teams.
+    The order has `rows` and `columns`, clustered separately, and `teams`: one order for both axes,
+    with self-play on the diagonal, or None unless both axes have the same teams.
     """
     block = dense_block(table)
     scores = block.scores
@@ -193,7 +221,11 @@ def crossplay_matrix(table: pl.DataFrame) -> tuple[pl.DataFrame, dict[str, Any]]
         "teams": None,
     }
     rows, columns = block.egos["ego_team"].to_list(), block.partners["partner_team"].to_list()
-    if None not in rows and len(set(rows)) == len(rows) and sorted(rows) == sorted(columns, key=str):
+    if (
+        None not in rows
+        and len(set(rows)) == len(rows)
+        and sorted(rows) == sorted(columns, key=str)
+    ):
         square = scores[:, [columns.index(team) for team in rows]]
         order["teams"] = cluster_teams(square).to_json(rows)
     return tables.pair_table(table), order
@@ -233,7 +265,11 @@ def _split(split: SplitIdentity | Mapping[str, Any] | None) -> dict[str, str] | 
 
 
 def _origin(
-    block: Block, release: str | None, env_version: int, backend: str, env_steps_per_second: float | None
+    block: Block,
+    release: str | None,
+    env_version: int,
+    backend: str,
+    env_steps_per_second: float | None,
 ) -> dict[str, Any]:
     return {
         "episodes": block.returns.size,
@@ -251,7 +287,9 @@ def _on_side(block: Block, side: str) -> Block:
 
 
 def _traits(policies: pl.DataFrame, seat: str) -> Traits:
-    return Traits(*(policies[f"{seat}_{name}"].to_list() for name in ("team", "algorithm", "disability")))
+    return Traits(
+        *(policies[f"{seat}_{name}"].to_list() for name in ("team", "algorithm", "disability"))
+    )
 
 
 def _fairness(draws: dict[str, Any]) -> dict[str, Any] | None:
@@ -293,19 +331,29 @@ def _group_notes(block: Block) -> list[str]:
     smallest = min(count for groups in counts for count in groups.values())
     if smallest >= ENOUGH:
         return []
-    return [f"groups of partners have as few as {smallest}: intervals over fewer than {ENOUGH} partners are too narrow"]
+    return [
+        f"groups of partners have as few as {smallest}: intervals over fewer than {ENOUGH} "
+        "partners are too narrow"
+    ]
 
 
 def _team_notes(block: Block) -> list[str]:
     units = min(block.egos.height, block.partners.height)
-    return [f"{units} teams: intervals over fewer than {ENOUGH} are too narrow"] if units < ENOUGH else []
+    return (
+        [f"{units} teams: intervals over fewer than {ENOUGH} are too narrow"]
+        if units < ENOUGH
+        else []
+    )
 
 
 def _episode_notes(block: Block) -> Sequence[str]:
     broken = int(block.nonfinite.sum())
     notes = []
     if broken:
-        notes.append(f"{broken} of {block.returns.size} episodes became non-finite and earn 0 from then on; they count")
+        notes.append(
+            f"{broken} of {block.returns.size} episodes became non-finite and earn 0 from then on; "
+            "they count"
+        )
     if block.keys is None:
         notes.append("pairs played different episode keys: their differences are not paired")
     return notes

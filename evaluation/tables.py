@@ -24,7 +24,14 @@ RUN_FILE = "run.json"  # command, machine and versions
 SUMMARY_FILE = "summary.json"  # the object that --json prints
 
 EGO_COLUMNS = ("ego", "ego_team", "ego_algorithm", "ego_disability", "ego_seed")
-PARTNER_COLUMNS = ("partner", "partner_team", "partner_algorithm", "partner_disability", "partner_seed", "side")
+PARTNER_COLUMNS = (
+    "partner",
+    "partner_team",
+    "partner_algorithm",
+    "partner_disability",
+    "partner_seed",
+    "side",
+)
 SIDES = ("train", "test")
 TERM_PREFIX = "term_"
 
@@ -55,9 +62,20 @@ SCHEMA: dict[str, pl.DataType] = {
     "nonfinite": pl.Boolean(),
     "steps": pl.Int64(),
 }
-BEHAVIOUR = ("first_contact", "distance_mean", "robot_travel", "human_travel")  # tables of manifest format 1 lack them
+BEHAVIOUR = (
+    "first_contact",
+    "distance_mean",
+    "robot_travel",
+    "human_travel",
+)  # tables of manifest format 1 lack them
 _NULLABLE = {
-    *("ego_team", "ego_algorithm", "ego_disability", "ego_seed", "side"),  # an ego from outside the zoo
+    *(
+        "ego_team",
+        "ego_algorithm",
+        "ego_disability",
+        "ego_seed",
+        "side",
+    ),  # an ego from outside the zoo
     *("partner_team", "partner_algorithm", "partner_disability", "partner_seed"),
 }
 
@@ -99,18 +117,26 @@ def validate_episodes(table: pl.DataFrame) -> pl.DataFrame:
     missing = [name for name in needed if name not in table.columns]
     if missing:
         raise ValueError(
-            f"the episode table lacks the columns {', '.join(missing)}; it needs all of {', '.join(needed)}"
+            f"the episode table lacks the columns {', '.join(missing)}; it needs all of "
+            f"{', '.join(needed)}"
         )
-    unknown = [name for name in table.columns if name not in SCHEMA and not name.startswith(TERM_PREFIX)]
+    unknown = [
+        name for name in table.columns if name not in SCHEMA and not name.startswith(TERM_PREFIX)
+    ]
     if unknown:
-        raise ValueError(f"the episode table has unknown columns {', '.join(unknown)}; reward terms begin with term_")
+        raise ValueError(
+            f"the episode table has unknown columns {', '.join(unknown)}; reward terms begin with "
+            "term_"
+        )
     if table.is_empty():
         raise ValueError("the episode table has no rows; at least one episode is needed")
     for name in table.columns:
         _validate_column(table, name)
     sides = [side for side in table["side"].drop_nulls().unique().sort() if side not in SIDES]
     if sides:
-        raise ValueError(f"column side holds {', '.join(map(repr, sides))}; allowed are 'train', 'test' and null")
+        raise ValueError(
+            f"column side holds {', '.join(map(repr, sides))}; allowed are 'train', 'test' and null"
+        )
     return table
 
 
@@ -142,7 +168,14 @@ def pair_table(table: pl.DataFrame) -> pl.DataFrame:
     """Average the episodes of each pair: one row a pair, in the order of `dense_block`."""
     block = dense_block(table)
     behaviour = [name for name in BEHAVIOUR if name in table.columns]
-    measures = ("discounted_return", *term_columns(table), "success", "force_mean", "force_peak", *behaviour)
+    measures = (
+        "discounted_return",
+        *term_columns(table),
+        "success",
+        "force_mean",
+        "force_peak",
+        *behaviour,
+    )
     means = table.group_by("ego", "partner").agg(
         pl.col("return").cast(pl.Float64).mean(),
         pl.col("return").cast(pl.Float64).std().alias("return_sd"),
@@ -175,12 +208,16 @@ def write_parquet(table: pl.DataFrame, path: Path) -> None:
 def read_parquet(path: Path) -> pl.DataFrame:
     """Read a Parquet file; a missing or damaged one is reported with its path."""
     if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist; run `assistax-zoo evaluate` or `crossplay` with --out first")
+        raise FileNotFoundError(
+            f"{path} does not exist; run `assistax-zoo evaluate` or `crossplay` with --out first"
+        )
     try:
         return pl.read_parquet(path)
     except pl.exceptions.PolarsError as error:
         reason = str(error).splitlines()[0]
-        raise ValueError(f"{path} is not a readable Parquet file ({reason}); delete it and run again") from error
+        raise ValueError(
+            f"{path} is not a readable Parquet file ({reason}); delete it and run again"
+        ) from error
 
 
 def write_json(content: dict, path: Path) -> None:
@@ -193,11 +230,15 @@ def write_json(content: dict, path: Path) -> None:
 def read_json(path: Path) -> dict:
     """Read a JSON object; a missing or damaged file is reported with its path."""
     if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist; run `assistax-zoo evaluate` or `crossplay` with --out first")
+        raise FileNotFoundError(
+            f"{path} does not exist; run `assistax-zoo evaluate` or `crossplay` with --out first"
+        )
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise ValueError(f"{path} is not readable JSON ({error}); delete it and run again") from error
+        raise ValueError(
+            f"{path} is not readable JSON ({error}); delete it and run again"
+        ) from error
     if not isinstance(content, dict):
         raise ValueError(f"{path} holds a {type(content).__name__}; expected an object")
     return content
@@ -222,14 +263,17 @@ def _validate_column(table: pl.DataFrame, name: str) -> None:
     if not _same_family(column.dtype, expected):
         raise ValueError(f"column {name} is {column.dtype}; expected {expected}")
     if name not in _NULLABLE and column.null_count():
-        raise ValueError(f"column {name} has {column.null_count()} empty values; every episode needs one")
+        raise ValueError(
+            f"column {name} has {column.null_count()} empty values; every episode needs one"
+        )
     if expected.is_float():
         bad = table.filter(~column.is_finite())
         if bad.height:
             ego, partner, episode, value = bad.select("ego", "partner", "episode", name).row(0)
             raise ValueError(
-                f"column {name} has {bad.height} values that are not finite, first {value} for ego {ego} with "
-                f"{partner}, episode {episode}; a broken episode must be frozen at reward 0 and marked nonfinite"
+                f"column {name} has {bad.height} values that are not finite, first {value} for ego "
+                f"{ego} with {partner}, episode {episode}; a broken episode must be frozen at "
+                "reward 0 and marked nonfinite"
             )
 
 
@@ -243,30 +287,44 @@ def _same_family(dtype: pl.DataType, expected: pl.DataType) -> bool:
 
 def _described(table: pl.DataFrame, columns: tuple[str, ...]) -> pl.DataFrame:
     identity, _, algorithm, disability, seed = columns[:5]
-    rows = table.select(columns).unique().sort(algorithm, disability, seed, identity, nulls_last=True)
+    rows = (
+        table.select(columns).unique().sort(algorithm, disability, seed, identity, nulls_last=True)
+    )
     twice = rows.filter(pl.col(identity).is_duplicated())
     if twice.height:
         name = twice[identity][0]
         one = twice.filter(twice[identity] == name)
         differing = [column for column in columns if one[column].n_unique() > 1]
-        raise ValueError(f"{identity} {name} has several values of {', '.join(differing)}; one is allowed")
+        raise ValueError(
+            f"{identity} {name} has several values of {', '.join(differing)}; one is allowed"
+        )
     return rows
 
 
 def _cells(
-    table: pl.DataFrame, egos: pl.Series, partners: pl.Series, episodes: np.ndarray, shape: tuple[int, int, int]
+    table: pl.DataFrame,
+    egos: pl.Series,
+    partners: pl.Series,
+    episodes: np.ndarray,
+    shape: tuple[int, int, int],
 ) -> np.ndarray:
     ego = table["ego"].replace_strict(egos, np.arange(shape[0]), return_dtype=pl.Int64).to_numpy()
-    partner = table["partner"].replace_strict(partners, np.arange(shape[1]), return_dtype=pl.Int64).to_numpy()
-    cells = np.ravel_multi_index((ego, partner, np.searchsorted(episodes, table["episode"].to_numpy())), shape)
+    partner = (
+        table["partner"]
+        .replace_strict(partners, np.arange(shape[1]), return_dtype=pl.Int64)
+        .to_numpy()
+    )
+    cells = np.ravel_multi_index(
+        (ego, partner, np.searchsorted(episodes, table["episode"].to_numpy())), shape
+    )
     counts = np.bincount(cells, minlength=int(np.prod(shape)))
     wrong = np.flatnonzero(counts != 1)
     if wrong.size:
         e, p, k = np.unravel_index(wrong[0], shape)
         raise ValueError(
-            f"{wrong.size} of {counts.size} episodes are missing or doubled, first ego {egos[int(e)]} with "
-            f"{partners[int(p)]}, episode {episodes[k]}: found {counts[wrong[0]]} times, expected once; finish the "
-            "run, or remove the doubled rows"
+            f"{wrong.size} of {counts.size} episodes are missing or doubled, first ego "
+            f"{egos[int(e)]} with {partners[int(p)]}, episode {episodes[k]}: found "
+            f"{counts[wrong[0]]} times, expected once; finish the run, or remove the doubled rows"
         )
     return cells
 

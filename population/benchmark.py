@@ -46,7 +46,9 @@ def measure_training(
     trainer = make_trainer(run, env)
     state, hyper = initial_state(run, trainer), trainer.hyper(run.members)
     if isinstance(config, SACConfig):
-        state = dataclasses.replace(state, update=jnp.asarray(config.exploration_steps // steps + 1, jnp.int32))
+        state = dataclasses.replace(
+            state, update=jnp.asarray(config.exploration_steps // steps + 1, jnp.int32)
+        )
     update = jax.jit(trainer.update, donate_argnums=0)
     # What learning reads is returned, so that nothing of acting is optimised away.
     collect = jax.jit(lambda state: _used(trainer.collect(state)))
@@ -68,7 +70,9 @@ def measure_training(
     work = {"update": one_update, "collect": one_collect, "physics": one_physics}
     for function in work.values():
         function(1)
-    calls = {name: _calls(function, seconds / (REPEATS * len(work))) for name, function in work.items()}
+    calls = {
+        name: _calls(function, seconds / (REPEATS * len(work))) for name, function in work.items()
+    }
     for _ in range(REPEATS):
         for name, function in work.items():
             times[name].append(_timed(function, calls[name]) / calls[name])

@@ -37,10 +37,14 @@ class Checkpoints:
             self._manager.save(update, args=ocp.args.StandardSave(_to_arrays(state)))
         except Exception as error:
             reason = str(error).strip().partition("\n")[0]
-            kept = f"the last good one is of update {last}" if last is not None else "there is no earlier one"
+            kept = (
+                f"the last good one is of update {last}"
+                if last is not None
+                else "there is no earlier one"
+            )
             raise OSError(
-                f"cannot write the checkpoint of update {update} to {self.folder}: {reason}; {kept}; "
-                "free some space there and run the same command again to go on"
+                f"cannot write the checkpoint of update {update} to {self.folder}: {reason}; "
+                f"{kept}; free some space there and run the same command again to go on"
             ) from error
 
     def restore(self, update: int, like: Any) -> Any:
@@ -54,7 +58,9 @@ class Checkpoints:
             ValueError: The checkpoint holds a state of another structure.
         """
         try:
-            saved: Any = self._manager.restore(update, args=ocp.args.StandardRestore(_to_arrays(like)))
+            saved: Any = self._manager.restore(
+                update, args=ocp.args.StandardRestore(_to_arrays(like))
+            )
         except Exception as error:
             reason = str(error).strip().partition("\n")[0]
             raise ValueError(
@@ -82,7 +88,11 @@ def _from_arrays(arrays: Mapping[str, np.ndarray], like: Any) -> Any:
         if not like.size:
             return like
         value = jax.device_put(arrays[_name(path)], like.sharding)
-        return jax.random.wrap_key_data(value, impl=jax.random.key_impl(like)) if _is_key(like) else value
+        return (
+            jax.random.wrap_key_data(value, impl=jax.random.key_impl(like))
+            if _is_key(like)
+            else value
+        )
 
     return jax.tree_util.tree_map_with_path(leaf, like)
 

@@ -37,12 +37,16 @@ class Critic:
         """Return the recurrent state before the first observation."""
         return networks.initial_carry(self.spec, batch_shape)
 
-    def step(self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array) -> tuple[Carry, jax.Array]:
+    def step(
+        self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
+    ) -> tuple[Carry, jax.Array]:
         """Return the new carry and the values [...] of obs [..., O]."""
         output: Any = self._module.apply({"params": params}, carry, obs, first)
         return output
 
-    def unroll(self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array) -> tuple[Carry, jax.Array]:
+    def unroll(
+        self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
+    ) -> tuple[Carry, jax.Array]:
         """Apply `step` along the leading time axis of obs [T, ..., O] and first [T, ...]."""
         return networks.unroll(self.spec, self.step, params, carry, obs, first)
 

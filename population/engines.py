@@ -10,7 +10,9 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
-NOT_SHARED = "give an --out that all machines of the cluster share under the same path"  # of missing results
+NOT_SHARED = (
+    "give an --out that all machines of the cluster share under the same path"  # of missing results
+)
 _INHERITED = ("JAX_PLATFORMS", "XLA_FLAGS")  # what a worker elsewhere must know of the caller's JAX
 
 
@@ -18,15 +20,23 @@ _INHERITED = ("JAX_PLATFORMS", "XLA_FLAGS")  # what a worker elsewhere must know
 class RayCluster:
     """Where blocks run, and what one takes."""
 
-    address: str | None = None  # of a running cluster, such as "auto" or "ray://head:10001"; None starts one here
+    address: str | None = (
+        None  # of a running cluster, such as "auto" or "ray://head:10001"; None starts one here
+    )
     cpus: float | None = (
-        None  # of each block; None is 1 beside a GPU, else a whole machine: `native` uses all its cores
+        # Of each block; None is 1 beside a GPU, else a whole machine: `native` uses all its cores.
+        None
     )
     gpus: float = 0.0  # of each block; 0.5 puts two on one GPU
 
     def __post_init__(self) -> None:
-        if not (self.gpus >= 0 and (self.cpus is None or (self.cpus >= 0 and self.cpus + self.gpus > 0))):
-            raise ValueError(f"a block takes {self.cpus} CPUs and {self.gpus} GPUs; give 0 or more, and not 0 of both")
+        if not (
+            self.gpus >= 0 and (self.cpus is None or (self.cpus >= 0 and self.cpus + self.gpus > 0))
+        ):
+            raise ValueError(
+                f"a block takes {self.cpus} CPUs and {self.gpus} GPUs; give 0 or more, and not 0 "
+                "of both"
+            )
         if self.gpus > 1 and self.gpus != int(self.gpus):
             raise ValueError(f"a block takes {self.gpus:g} GPUs; above 1, Ray gives whole ones")
 
@@ -44,7 +54,8 @@ def run_blocks(
 ) -> None:
     """Call `work(number, count, *shared)` on the cluster for each block, and wait for all of them.
 
-    A worker imports `work` by its name, so its machine needs this code; it writes to the same folders as the caller.
+    A worker imports `work` by its name, so its machine needs this code; it writes to the same
+    folders as the caller.
 
     Args:
         cluster: Where.
@@ -54,7 +65,8 @@ def run_blocks(
         on_done: Called with the number of each block that is done.
 
     Raises:
-        ValueError: Ray is not installed, the cluster is not there, or it can never give what a block takes.
+        ValueError: Ray is not installed, the cluster is not there, or it can never give what a
+            block takes.
         BlocksFailedError: Blocks failed, each with its reason, after all others are done.
     """
     ray = _library()
@@ -85,9 +97,13 @@ def _run(
     on_done: Callable[[int], None] | None,
 ) -> dict[int, str]:
     """Return why blocks failed, by number."""
-    # A task is tried again where its machine was lost, not where it raised: blocks go on from what they wrote.
+    # A task is tried again where its machine was lost, not where it raised: blocks go on from what
+    # they wrote.
     task = ray.remote(
-        num_cpus=cluster.cpus, num_gpus=cluster.gpus, max_retries=1, runtime_env={"env_vars": _variables(cluster)}
+        num_cpus=cluster.cpus,
+        num_gpus=cluster.gpus,
+        max_retries=1,
+        runtime_env={"env_vars": _variables(cluster)},
     )(work)
     references = [ray.put(value) for value in shared]
     waiting = {task.remote(number, len(names), *references): number for number in range(len(names))}
@@ -121,8 +137,8 @@ def _connect(ray: Any, address: str | None, **options: Any) -> None:
             ray.init(log_to_driver=False, logging_level="ERROR", **options)
     except OSError as error:
         raise ValueError(
-            f"no Ray cluster answers at {address!r} ({_first_line(error)}); start one with `ray start --head`, "
-            "or leave --ray-address out to use this machine alone"
+            f"no Ray cluster answers at {address!r} ({_first_line(error)}); start one with `ray "
+            "start --head`, or leave --ray-address out to use this machine alone"
         ) from None
 
 
@@ -150,8 +166,9 @@ def _slots(ray: Any, cluster: RayCluster) -> int:
     slots = min(int(has.get(name, 0) / amount) for name, amount in wanted.items() if amount > 0)
     if slots < 1:
         raise ValueError(
-            f"the Ray cluster has {has.get('CPU', 0):g} CPUs and {has.get('GPU', 0):g} GPUs, and a block takes "
-            f"{wanted['CPU']:g} and {wanted['GPU']:g}; give a smaller --ray-cpus or --ray-gpus"
+            f"the Ray cluster has {has.get('CPU', 0):g} CPUs and {has.get('GPU', 0):g} GPUs, and a "
+            f"block takes {wanted['CPU']:g} and {wanted['GPU']:g}; give a smaller --ray-cpus or "
+            "--ray-gpus"
         )
     return slots
 

@@ -19,8 +19,8 @@ def advantages(
     """Return the advantages (Schulman et al., 2016, equation 16), for episodes that also end by time.
 
     delta_t = r_t + gamma (1 - terminated_t) V(next_t) - V_t and
-    A_t = delta_t + gamma lam (1 - ended_t) A_{t+1}, where ended = terminated or truncated and next_t is the
-    observation after step t before any reset.
+    A_t = delta_t + gamma lam (1 - ended_t) A_{t+1}, where ended = terminated or truncated and
+    next_t is the observation after step t before any reset.
 
     Args:
         reward: Rewards [T, ...].
@@ -34,7 +34,9 @@ def advantages(
     delta = reward + gamma * jnp.where(terminated, 0.0, next_value) - value
     ended = terminated | truncated
 
-    def backward(trace: jax.Array, step: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+    def backward(
+        trace: jax.Array, step: tuple[jax.Array, jax.Array]
+    ) -> tuple[jax.Array, jax.Array]:
         delta, ended = step
         trace = delta + gamma * lam * jnp.where(ended, 0.0, trace)
         return trace, trace
@@ -56,7 +58,8 @@ def values(
 ) -> tuple[Carry, jax.Array, jax.Array]:
     """Return the critic's carry after a chunk, the values [T, N] of its observations and those of their successors.
 
-    A time limit occurs at most once for a simulation in a chunk, so one extra observation for each holds all of them.
+    A time limit occurs at most once for a simulation in a chunk, so one extra observation for each
+    holds all of them.
 
     Args:
         critic: The critic.
@@ -65,7 +68,8 @@ def values(
         obs: Observations acted on [T, N, O].
         first: Whether they start an episode [T, N].
         truncated: Whether the step after them reached the time limit [T, N].
-        final_obs: The observation at that time limit, before the reset [N, O]; unused where there was none.
+        final_obs: The observation at that time limit, before the reset [N, O]; unused where there
+            was none.
         last_obs: The observation after the chunk [N, O].
         last_first: Whether it starts an episode [N].
     """
@@ -81,11 +85,18 @@ def values(
 
 
 def _recurrent_values(
-    critic: Critic, params: Params, carry: Carry, obs: jax.Array, first: jax.Array, truncated: jax.Array
+    critic: Critic,
+    params: Params,
+    carry: Carry,
+    obs: jax.Array,
+    first: jax.Array,
+    truncated: jax.Array,
 ) -> tuple[Carry, Carry, jax.Array]:
     """Unroll a recurrent critic, keeping the carry that stood when a time limit was reached."""
 
-    def forward(state: tuple[Carry, Carry], x: tuple[jax.Array, ...]) -> tuple[tuple[Carry, Carry], jax.Array]:
+    def forward(
+        state: tuple[Carry, Carry], x: tuple[jax.Array, ...]
+    ) -> tuple[tuple[Carry, Carry], jax.Array]:
         carry, at_limit = state
         obs, first, truncated = x
         carry, value = critic.step(params, carry, obs, first)

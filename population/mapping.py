@@ -9,8 +9,8 @@ import jax
 def member_map(function: Callable[..., Any]) -> Callable[..., Any]:
     """Map over the leading member axis of all arguments.
 
-    Vectorised on accelerators. On a CPU members are taken in turn: a product of plain matrices is faster there than a
-    batched one.
+    Vectorised on accelerators. On a CPU members are taken in turn: a product of plain matrices is
+    faster there than a batched one.
     """
 
     def mapped(*args: Any) -> Any:

@@ -39,7 +39,9 @@ class NetworkPlan:
     hidden: tuple[Dense, ...]  # each followed by the spec's activation
     gru: GRU | None
     mean: Dense
-    log_std: Dense | Array  # a head on the torso, or one vector [A]; not part of the deterministic action
+    log_std: (
+        Dense | Array
+    )  # a head on the torso, or one vector [A]; not part of the deterministic action
 
 
 def network_plan(spec: PolicySpec, params: Mapping[str, Any]) -> NetworkPlan:
@@ -59,10 +61,14 @@ def network_plan(spec: PolicySpec, params: Mapping[str, Any]) -> NetworkPlan:
             hidden=tuple(_dense(params[f"Dense_{index}"]) for index in range(embeddings)),
             gru=_gru(params["GRUCell_0"]) if spec.torso == "gru" else None,
             mean=heads,
-            log_std=_dense(params[f"Dense_{embeddings + 1}"]) if spec.std == "state" else _f32(params["log_std"]),
+            log_std=_dense(params[f"Dense_{embeddings + 1}"])
+            if spec.std == "state"
+            else _f32(params["log_std"]),
         )
     except KeyError as error:
-        raise ValueError(f"parameters lack {error}, which a {spec.torso} policy of spec {spec.digest} has") from None
+        raise ValueError(
+            f"parameters lack {error}, which a {spec.torso} policy of spec {spec.digest} has"
+        ) from None
 
 
 def _normaliser(params: Mapping[str, Any]) -> tuple[Array, Array]:
@@ -74,8 +80,13 @@ def _gru(params: Mapping[str, Any]) -> GRU:
     recurrent = [_f32(params[name]["kernel"]) for name in ("hr", "hz", "hn")]
     zero = np.zeros(recurrent[0].shape[1], np.float32)
     return GRU(
-        Dense(np.concatenate([gate.kernel for gate in inputs], 1), np.concatenate([gate.bias for gate in inputs])),
-        Dense(np.concatenate(recurrent, 1), np.concatenate([zero, zero, _f32(params["hn"]["bias"])])),
+        Dense(
+            np.concatenate([gate.kernel for gate in inputs], 1),
+            np.concatenate([gate.bias for gate in inputs]),
+        ),
+        Dense(
+            np.concatenate(recurrent, 1), np.concatenate([zero, zero, _f32(params["hn"]["bias"])])
+        ),
     )
 
 

@@ -31,7 +31,9 @@ def dense(width: int, scale: float) -> nn.Dense:
     return nn.Dense(width, kernel_init=nn.initializers.orthogonal(scale))
 
 
-def torso(spec: TorsoSpec, carry: Carry, obs: jax.Array, first: jax.Array) -> tuple[Carry, jax.Array]:
+def torso(
+    spec: TorsoSpec, carry: Carry, obs: jax.Array, first: jax.Array
+) -> tuple[Carry, jax.Array]:
     """Apply the hidden layers; to be called inside a compact module, which then owns the layers by flat names."""
     activation = {"tanh": nn.tanh, "relu": nn.relu}[spec.activation]
     embedding = spec.hidden[:-1] if spec.torso == "gru" else spec.hidden

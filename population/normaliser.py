@@ -36,7 +36,9 @@ def update(statistics: Statistics, obs: jax.Array) -> Statistics:
     return Statistics(
         count=count,
         mean=statistics.mean + share * delta,
-        variance=(1.0 - share) * statistics.variance + share * variance + share * (1.0 - share) * jnp.square(delta),
+        variance=(1.0 - share) * statistics.variance
+        + share * variance
+        + share * (1.0 - share) * jnp.square(delta),
     )
 
 

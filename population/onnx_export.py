@@ -15,11 +15,15 @@ IR_VERSION = 8  # read by every runtime since 2022
 METADATA_KEY = "assistax"
 
 
-def to_onnx(spec: PolicySpec, params: Mapping[str, Any], metadata: Mapping[str, Any] | None = None) -> bytes:
+def to_onnx(
+    spec: PolicySpec, params: Mapping[str, Any], metadata: Mapping[str, Any] | None = None
+) -> bytes:
     """Return the bytes of an ONNX model of the policy's deterministic action.
 
-    Inputs: `obs` [N, O] float32; of a recurrent policy also `carry` [N, H] float32 and `first` [N] bool, true where an
-    observation starts an episode. Outputs: `action` [N, A] in [-1, 1]; of a recurrent policy also `next_carry` [N, H].
+    Inputs: `obs` [N, O] float32; of a recurrent policy also `carry` [N, H] float32 and `first` [N]
+        bool, true where an
+    observation starts an episode. Outputs: `action` [N, A] in [-1, 1]; of a recurrent policy also
+    `next_carry` [N, H].
 
     Args:
         spec: The network.
@@ -32,23 +36,34 @@ def to_onnx(spec: PolicySpec, params: Mapping[str, Any], metadata: Mapping[str, 
     try:
         import onnx
     except ImportError:
-        raise ValueError("the format onnx needs the package onnx: pip install 'assistax-zoo[export]'") from None
+        raise ValueError(
+            "the format onnx needs the package onnx: pip install 'assistax-zoo[export]'"
+        ) from None
     graph = _Graph(onnx.helper, onnx.numpy_helper)
     plan = network_plan(spec, params)
     inputs, outputs = _write(graph, plan)
     float_type, helper = onnx.TensorProto.FLOAT, onnx.helper
 
     def value(name: str) -> Any:
-        width = {"obs": spec.observation_size, "action": spec.action_size}.get(name, spec.hidden[-1])
+        width = {"obs": spec.observation_size, "action": spec.action_size}.get(
+            name, spec.hidden[-1]
+        )
         if name == "first":
             return helper.make_tensor_value_info(name, onnx.TensorProto.BOOL, ["N"])
         return helper.make_tensor_value_info(name, float_type, ["N", width])
 
     body = helper.make_graph(
-        graph.nodes, "policy", [value(n) for n in inputs], [value(n) for n in outputs], graph.weights
+        graph.nodes,
+        "policy",
+        [value(n) for n in inputs],
+        [value(n) for n in outputs],
+        graph.weights,
     )
     model = helper.make_model(
-        body, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="assistax-zoo", ir_version=IR_VERSION
+        body,
+        opset_imports=[helper.make_opsetid("", OPSET)],
+        producer_name="assistax-zoo",
+        ir_version=IR_VERSION,
     )
     text = json.dumps({"spec": spec.to_json(), **(metadata or {})}, sort_keys=True, allow_nan=False)
     helper.set_model_props(model, {METADATA_KEY: text})
@@ -61,9 +76,13 @@ def _write(graph: "_Graph", plan: NetworkPlan) -> tuple[list[str], list[str]]:
     features, inputs, outputs = "obs", ["obs"], ["action"]
     if plan.normaliser is not None:
         mean, std = (graph.constant(value) for value in plan.normaliser)
-        features = graph.clip(graph.add("Div", graph.add("Sub", features, mean), std), NORMALISED_LIMIT)
+        features = graph.clip(
+            graph.add("Div", graph.add("Sub", features, mean), std), NORMALISED_LIMIT
+        )
     for layer in plan.hidden:
-        features = graph.add({"tanh": "Tanh", "relu": "Relu"}[plan.spec.activation], graph.dense(features, layer))
+        features = graph.add(
+            {"tanh": "Tanh", "relu": "Relu"}[plan.spec.activation], graph.dense(features, layer)
+        )
     if plan.gru is not None:
         inputs, outputs = ["obs", "carry", "first"], ["action", "next_carry"]
         features = _gru(graph, plan.gru, features)
@@ -104,7 +123,9 @@ class _Graph:
 
     def split(self, value: str, sizes: str) -> list[str]:
         outputs = [f"split_{len(self.nodes)}_{part}" for part in range(3)]
-        self.nodes.append(self._helper.make_node("Split", [value, sizes], outputs, name=outputs[0], axis=1))
+        self.nodes.append(
+            self._helper.make_node("Split", [value, sizes], outputs, name=outputs[0], axis=1)
+        )
         return outputs
 
     def constant(self, value: Any) -> str:

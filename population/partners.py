@@ -35,8 +35,9 @@ class PartnerGroup:
 class Partners:
     """Partners who act with their most likely action, each in the same number of simulations.
 
-    A member's simulations are laid out [partner, simulation], so that a partner's network reads one block of all
-    members' simulations: no parameters are gathered, and nobody acts where another does.
+    A member's simulations are laid out [partner, simulation], so that a partner's network reads one
+    block of all members' simulations: no parameters are gathered, and nobody acts where another
+    does.
 
     Args:
         groups: The partners by spec.
@@ -48,7 +49,10 @@ class Partners:
     def __init__(self, groups: Sequence[PartnerGroup]) -> None:
         roles = {group.spec.role for group in groups}
         if len(roles) != 1:
-            raise ValueError(f"partners are of roles {sorted(roles)}; give partners that all sit in the same seat")
+            raise ValueError(
+                f"partners are of roles {sorted(roles)}; give partners that all sit in the same "
+                "seat"
+            )
         self.role: str = next(iter(roles))
         self.groups = tuple(groups)
         self.names = tuple(name for group in groups for name in group.names)
@@ -74,14 +78,15 @@ class Partners:
             wanted = env.observation_size[self.role], env.action_size[self.role]
             if found != wanted:
                 raise ValueError(
-                    f"partner {group.names[0]} has observation and action size {found}; those of the "
-                    f"{self.role} in {env.task} are {wanted}: give partners of this task and environment version"
+                    f"partner {group.names[0]} has observation and action size {found}; those of "
+                    f"the {self.role} in {env.task} are {wanted}: give partners of this task and "
+                    "environment version"
                 )
         if num_envs % len(self):
             fitting = fitting_envs(num_envs, len(self))
             raise ValueError(
-                f"num_envs is {num_envs} with {len(self)} partners; every partner gets the same share, "
-                f"so choose a multiple of {len(self)}, such as {fitting}"
+                f"num_envs is {num_envs} with {len(self)} partners; every partner gets the same "
+                f"share, so choose a multiple of {len(self)}, such as {fitting}"
             )
 
     def settings(self, num_envs: int) -> list[str]:
@@ -91,7 +96,9 @@ class Partners:
     def initial_carry(self, simulations: int) -> tuple[Carry, ...]:
         """Return carries before the first observation, by group [P, N / partners, ...]."""
         share = simulations // len(self)
-        return tuple(policy.initial_carry((len(group.names), share)) for policy, group in self._pairs())
+        return tuple(
+            policy.initial_carry((len(group.names), share)) for policy, group in self._pairs()
+        )
 
     def act(
         self, params: Any, carry: tuple[Carry, ...], obs: jax.Array, first: jax.Array, members: int
@@ -102,7 +109,9 @@ class Partners:
         carries, actions, start = [], [], 0
         for index, (policy, group) in enumerate(self._pairs()):
             block = slice(start, start := start + len(group.names))
-            new, action = member_map(policy.act)(params[index], carry[index], obs[block], first[block])
+            new, action = member_map(policy.act)(
+                params[index], carry[index], obs[block], first[block]
+            )
             carries.append(new)
             actions.append(action)
         action = jnp.concatenate(actions).reshape(count, members, -1, actions[0].shape[-1])
@@ -115,7 +124,8 @@ class Partners:
 def fitting_envs(num_envs: int, partners: int, minibatches: int = 1) -> int:
     """Return the number of simulations, nearest to one, of which partners and minibatches have equal shares.
 
-    With more partners than simulations this is one for each partner, or a few where minibatches ask for it.
+    With more partners than simulations this is one for each partner, or a few where minibatches ask
+    for it.
     """
     unit = math.lcm(partners, minibatches)
     return max(1, round(num_envs / unit)) * unit

@@ -1,8 +1,10 @@
 """A plan: every team of a release, in groups that train in one program each; what exists of it, what is missing.
 
-A group is one task and one algorithm, with all its disability settings and seeds. Its run folders are `NAME`, `NAME-2`,
-... in the folder of the plan's runs, each with a block of its members. What a run folder holds is decided when it is
-begun: a plan that changes later adds new folders, and never alters those that are there. Imports no JAX.
+A group is one task and one algorithm, with all its disability settings and seeds. Its run folders
+are `NAME`, `NAME-2`, ... in the folder of the plan's runs, each with a block of its members. What a
+run folder holds is decided when it is
+begun: a plan that changes later adds new folders, and never alters those that are there. Imports no
+    JAX.
 """
 
 import dataclasses
@@ -36,10 +38,14 @@ class Group:
     seeds: tuple[int, ...]  # training seeds; a number in the file stands for 0 to that number - 1
     steps: int  # environment steps of each team
     set: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # changes of the preset
-    updates_per_call: int | None = None  # updates dispatched to the device at once; None: the trainer's default
+    updates_per_call: int | None = (
+        None  # updates dispatched to the device at once; None: the trainer's default
+    )
     checkpoint_every: int | None = None  # updates between checkpoints; None: the trainer's default
     self_play_episodes: int = 16  # episodes of each team's final evaluation; 0 leaves it out
-    max_members: int | None = None  # most teams in one run, so that it fits the device; None: all in one
+    max_members: int | None = (
+        None  # most teams in one run, so that it fits the device; None: all in one
+    )
     adopt: str | None = None  # earlier release whose teams of at least `steps` join unchanged
 
     def __post_init__(self) -> None:
@@ -48,17 +54,36 @@ class Group:
         for name in ("disabilities", "seeds"):
             _check(isinstance(getattr(self, name), list | tuple), self, name, "a list")
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        _check(_whole_name(self.name), self, "name", "lower-case words joined by '-', the last one not a number")
+        _check(
+            _whole_name(self.name),
+            self,
+            "name",
+            "lower-case words joined by '-', the last one not a number",
+        )
         _check(self.task in TASKS, self, "task", f"one of {', '.join(TASKS)}")
         _check(bool(self.seeds), self, "seeds", "a number above 0, or a list of at least one seed")
         _check(len(set(self.seeds)) == len(self.seeds), self, "seeds", "different numbers")
-        known = bool(self.disabilities) and all(name in DISABILITY_SETTINGS for name in self.disabilities)
+        known = bool(self.disabilities) and all(
+            name in DISABILITY_SETTINGS for name in self.disabilities
+        )
         _check(known, self, "disabilities", f"a list of {', '.join(DISABILITY_SETTINGS)}")
-        _check(len(set(self.disabilities)) == len(self.disabilities), self, "disabilities", "different settings")
+        _check(
+            len(set(self.disabilities)) == len(self.disabilities),
+            self,
+            "disabilities",
+            "different settings",
+        )
         _check(isinstance(self.set, dict), self, "set", "an object of hyperparameters")
-        _check(self.max_members is None or _above_0(self.max_members), self, "max_members", "an integer above 0")
+        _check(
+            self.max_members is None or _above_0(self.max_members),
+            self,
+            "max_members",
+            "an integer above 0",
+        )
         release = isinstance(self.adopt, str) and _RELEASE.fullmatch(self.adopt)
-        _check(self.adopt is None or bool(release), self, "adopt", "an earlier release, such as 'v0'")
+        _check(
+            self.adopt is None or bool(release), self, "adopt", "an earlier release, such as 'v0'"
+        )
         self.config(self.members)  # checks the rest
 
     @property
@@ -80,8 +105,12 @@ class Group:
             members=tuple(members),
             steps=self.steps,
             trainer=trainer,
-            checkpoint_every=trainer.checkpoint_every if self.checkpoint_every is None else self.checkpoint_every,
-            updates_per_call=trainer.updates_per_call if self.updates_per_call is None else self.updates_per_call,
+            checkpoint_every=trainer.checkpoint_every
+            if self.checkpoint_every is None
+            else self.checkpoint_every,
+            updates_per_call=trainer.updates_per_call
+            if self.updates_per_call is None
+            else self.updates_per_call,
             self_play_episodes=self.self_play_episodes,
         )
 
@@ -107,18 +136,28 @@ class Plan:
                 raise ValueError(f"two groups have the name {group.name!r}; give each its own")
             names[group.name] = group
             if group.adopt == self.release:
-                raise ValueError(f"group {group.name} adopts {group.adopt!r}, the plan's own release; name an earlier")
+                raise ValueError(
+                    f"group {group.name} adopts {group.adopt!r}, the plan's own release; name an "
+                    "earlier"
+                )
             for member in group.members:
                 team = (group.task, group.algorithm, member.disability, member.seed)
                 other = teams.setdefault(team, group.name)
                 if other != group.name:
                     label = f"{group.task}/{group.algorithm}-{member.label}"
-                    raise ValueError(f"groups {other} and {group.name} both have team {label}; leave it out of one")
+                    raise ValueError(
+                        f"groups {other} and {group.name} both have team {label}; leave it out of "
+                        "one"
+                    )
 
     def select(self, patterns: str) -> list[Group]:
         """Return the groups whose names match one of the comma-separated globs."""
         wanted = [pattern.strip() for pattern in patterns.split(",")]
-        found = [group for group in self.groups if any(fnmatch.fnmatchcase(group.name, glob) for glob in wanted)]
+        found = [
+            group
+            for group in self.groups
+            if any(fnmatch.fnmatchcase(group.name, glob) for glob in wanted)
+        ]
         if not found:
             names = ", ".join(group.name for group in self.groups)
             raise ValueError(f"no group matches {patterns!r}; the plan has {names}")
@@ -139,7 +178,10 @@ def read_plan(path: Path) -> Plan:
     try:
         fields = _fields(content, Plan, "the plan", extra=("version",))
         if fields.pop("version", None) != PLAN_VERSION:
-            raise ValueError(f"version is {content.get('version')!r}; this installation reads version {PLAN_VERSION}")
+            raise ValueError(
+                f"version is {content.get('version')!r}; this installation reads version "
+                f"{PLAN_VERSION}"
+            )
         if not isinstance(fields["groups"], list):
             raise ValueError(f"groups is {type(fields['groups']).__name__}; give a list of groups")
         groups = tuple(_group(item, place) for place, item in enumerate(fields.pop("groups")))
@@ -169,7 +211,11 @@ class Block:
 
     def config(self) -> TrainConfig:
         """Return what the folder's run trains: what it was begun with, else what the plan says."""
-        return self.group.config(self.members) if self.state == "new" else RunFolder(self.folder).config()
+        return (
+            self.group.config(self.members)
+            if self.state == "new"
+            else RunFolder(self.folder).config()
+        )
 
     def differences(self) -> list[str]:
         """Say in which numbers a begun run is another than the plan now wants."""
@@ -180,14 +226,18 @@ class Block:
             for field in dataclasses.fields(wanted.trainer)
             if type(found.trainer) is type(wanted.trainer)
         ]
-        return [f"{name} is {there} there and {here} in the plan" for name, there, here in pairs if there != here]
+        return [
+            f"{name} is {there} there and {here} in the plan"
+            for name, there, here in pairs
+            if there != here
+        ]
 
 
 def find_blocks(group: Group, out: Path, done: Collection[Key] = ()) -> list[Block]:
     """Return the runs of a group that hold, or are to hold, members that are not done.
 
-    Members that no folder holds are cut in order into new blocks of at most `max_members`, so that processes which
-    look at different times cut alike.
+    Members that no folder holds are cut in order into new blocks of at most `max_members`, so that
+    processes which look at different times cut alike.
 
     Args:
         group: The group.
@@ -208,7 +258,11 @@ def find_blocks(group: Group, out: Path, done: Collection[Key] = ()) -> list[Blo
 def _existing(group: Group, out: Path) -> Iterator[Block]:
     """Yield the run folders of a group, by number."""
     pattern = re.compile(rf"{re.escape(group.name)}(?:-([0-9]+))?")
-    places = [(int(match[1] or 1), path) for path in out.glob("*") if (match := pattern.fullmatch(path.name))]
+    places = [
+        (int(match[1] or 1), path)
+        for path in out.glob("*")
+        if (match := pattern.fullmatch(path.name))
+    ]
     for _, path in sorted(places):
         if (path / "teams.json").is_file():
             yield Block(group, path, _finished_members(group, path / "teams.json"), "finished")
@@ -226,14 +280,16 @@ def _finished_members(group: Group, path: Path) -> tuple[Member, ...]:
             _check_owner(group, path.parent, team["task"], team["algorithm"])
         return tuple(Member(team["seed"], team["disability"]) for team in teams)
     except (KeyError, TypeError) as error:
-        raise ValueError(f"{path} is no list of teams ({type(error).__name__}: {error}); remove its folder") from None
+        raise ValueError(
+            f"{path} is no list of teams ({type(error).__name__}: {error}); remove its folder"
+        ) from None
 
 
 def _check_owner(group: Group, folder: Path, task: str, algorithm: str) -> None:
     if (task, algorithm) != (group.task, group.algorithm):
         raise ValueError(
-            f"{folder} holds a run of {task} {algorithm}, but group {group.name} is {group.task} {group.algorithm}; "
-            "choose another --out, or rename the group"
+            f"{folder} holds a run of {task} {algorithm}, but group {group.name} is {group.task} "
+            f"{group.algorithm}; choose another --out, or rename the group"
         )
 
 
@@ -256,16 +312,23 @@ def _group(item: Any, place: int) -> Group:
         raise ValueError(f"{where}: {error}") from None
 
 
-def _fields(content: Any, kind: type[Plan] | type[Group], where: str, extra: tuple[str, ...] = ()) -> dict[str, Any]:
+def _fields(
+    content: Any, kind: type[Plan] | type[Group], where: str, extra: tuple[str, ...] = ()
+) -> dict[str, Any]:
     """Check that an object has the fields of a dataclass, and return them."""
     if not isinstance(content, dict):
         raise ValueError(f"{where} is {type(content).__name__}; give an object")
     fields = dataclasses.fields(kind)
     allowed = [*extra, *(field.name for field in fields)]
     if unknown := sorted(content.keys() - allowed):
-        raise ValueError(f"{where} has the unknown field {unknown[0]!r}; allowed are {', '.join(allowed)}")
+        raise ValueError(
+            f"{where} has the unknown field {unknown[0]!r}; allowed are {', '.join(allowed)}"
+        )
     plain = (dataclasses.MISSING, dataclasses.MISSING)
-    needed = [*extra, *(field.name for field in fields if (field.default, field.default_factory) == plain)]
+    needed = [
+        *extra,
+        *(field.name for field in fields if (field.default, field.default_factory) == plain),
+    ]
     if missing := [name for name in needed if name not in content]:
         raise ValueError(f"{where} lacks {', '.join(missing)}")
     return dict(content)
@@ -273,7 +336,11 @@ def _fields(content: Any, kind: type[Plan] | type[Group], where: str, extra: tup
 
 def _whole_name(name: Any) -> bool:
     """Return whether a group's name cannot be taken for the second folder of another group."""
-    return isinstance(name, str) and bool(_NAME.fullmatch(name)) and not name.rpartition("-")[2].isdigit()
+    return (
+        isinstance(name, str)
+        and bool(_NAME.fullmatch(name))
+        and not name.rpartition("-")[2].isdigit()
+    )
 
 
 def _above_0(value: Any) -> bool:

@@ -14,7 +14,9 @@ from population import networks
 from population.networks import Carry, Params
 from population.spec import PolicySpec
 
-INITIAL_LOG_STD = -0.5  # a standard deviation of 0.6: nine of ten draws of an untrained policy lie within the limits
+INITIAL_LOG_STD = (
+    -0.5
+)  # a standard deviation of 0.6: nine of ten draws of an untrained policy lie within the limits
 LOG_STD_RANGE = (-5.0, 1.0)
 MEAN_SCALE = 0.01  # orthogonal gain of the head: an untrained policy acts around zero
 
@@ -26,8 +28,8 @@ _NODES, _WEIGHTS = (x.astype(np.float32) for x in np.polynomial.hermite_e.hermeg
 class Gaussian:
     """Diagonal Gaussian over raw actions [..., A], and the way a raw action becomes an action in [-1, 1].
 
-    With "clip" the limits belong to the environment: densities are those of the raw action. With "tanh" they are
-    densities of the squashed action.
+    With "clip" the limits belong to the environment: densities are those of the raw action. With
+    "tanh" they are densities of the squashed action.
     """
 
     mean: jax.Array  # [..., A]
@@ -59,7 +61,10 @@ class Gaussian:
         entropy = self.log_std + 0.5 * (1.0 + math.log(2.0 * math.pi))
         if self.squash == "tanh":
             std = jnp.exp(self.log_std)
-            slopes = [float(w) * _log_slope(self.mean + std * float(x)) for x, w in zip(_NODES, _WEIGHTS, strict=True)]
+            slopes = [
+                float(w) * _log_slope(self.mean + std * float(x))
+                for x, w in zip(_NODES, _WEIGHTS, strict=True)
+            ]
             entropy = entropy + sum(slopes) / math.sqrt(2.0 * math.pi)
         return entropy.sum(-1)
 
@@ -74,7 +79,9 @@ class Policy:
     def init(self, key: jax.Array) -> Params:
         """Return fresh parameters; with `spec.normalise` they hold an identity "normaliser"."""
         size = self.spec.observation_size
-        params = self._module.init(key, self.initial_carry(()), jnp.zeros(size), jnp.zeros((), bool))["params"]
+        params = self._module.init(
+            key, self.initial_carry(()), jnp.zeros(size), jnp.zeros((), bool)
+        )["params"]
         if self.spec.normalise:
             params = {**params, "normaliser": {"mean": jnp.zeros(size), "std": jnp.ones(size)}}
         return params
@@ -83,7 +90,9 @@ class Policy:
         """Return the recurrent state before the first observation."""
         return networks.initial_carry(self.spec, batch_shape)
 
-    def step(self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array) -> tuple[Carry, Gaussian]:
+    def step(
+        self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
+    ) -> tuple[Carry, Gaussian]:
         """Return the new carry and the distribution over actions.
 
         Args:
@@ -99,12 +108,19 @@ class Policy:
         carry, (mean, log_std) = output
         return carry, Gaussian(mean, log_std, self.spec.squash)
 
-    def unroll(self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array) -> tuple[Carry, Gaussian]:
+    def unroll(
+        self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
+    ) -> tuple[Carry, Gaussian]:
         """Apply `step` along the leading time axis of obs [T, ..., O] and first [T, ...]."""
         return networks.unroll(self.spec, self.step, params, carry, obs, first)
 
     def act(
-        self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array, key: jax.Array | None = None
+        self,
+        params: Params,
+        carry: Carry,
+        obs: jax.Array,
+        first: jax.Array,
+        key: jax.Array | None = None,
     ) -> tuple[Carry, jax.Array]:
         """Return the new carry and an action [..., A] in [-1, 1]: drawn with `key`, deterministic without."""
         carry, distribution = self.step(params, carry, obs, first)
@@ -117,7 +133,9 @@ class _Actor(nn.Module):
     spec: PolicySpec
 
     @nn.compact
-    def __call__(self, carry: Carry, obs: jax.Array, first: jax.Array) -> tuple[Carry, tuple[jax.Array, jax.Array]]:
+    def __call__(
+        self, carry: Carry, obs: jax.Array, first: jax.Array
+    ) -> tuple[Carry, tuple[jax.Array, jax.Array]]:
         size = self.spec.action_size
         carry, features = networks.torso(self.spec, carry, obs, first)
         mean = networks.dense(size, MEAN_SCALE)(features)

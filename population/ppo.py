@@ -1,8 +1,8 @@
 """Proximal policy optimisation (Schulman et al., 2017) of teams: IPPO and MAPPO for many members at once.
 
-Robot and human are trained by their own networks, optimisers and gradient clips, or share one of each; with frozen
-partners in one seat, only the other learns. Everything after the rollout is written for one member and mapped over
-members; the environment sees one flat axis of simulations.
+Robot and human are trained by their own networks, optimisers and gradient clips, or share one of
+each; with frozen partners in one seat, only the other learns. Everything after the rollout is
+written for one member and mapped over members; the environment sees one flat axis of simulations.
 """
 
 import dataclasses
@@ -78,17 +78,23 @@ class PPO:
         ValueError: If the rollout is longer than an episode, or partners do not fit.
     """
 
-    def __init__(self, config: PPOConfig, env: Environment, updates: int, partners: Partners | None = None) -> None:
+    def __init__(
+        self, config: PPOConfig, env: Environment, updates: int, partners: Partners | None = None
+    ) -> None:
         rollout.check(env, config, partners)
         if config.shared and partners:
-            raise ValueError("shared is true, but partners are frozen and one role learns: leave shared out")
+            raise ValueError(
+                "shared is true, but partners are frozen and one role learns: leave shared out"
+            )
         self.config = config
         self.env = env
         self.updates = updates
         self.partners = partners
         self.roles = rollout.learning_roles(partners)
         self.learners: dict[str, tuple[str, ...]] = (
-            {sharing.SHARED: self.roles} if config.shared else {role: (role,) for role in self.roles}
+            {sharing.SHARED: self.roles}
+            if config.shared
+            else {role: (role,) for role in self.roles}
         )
         self.specs: dict[str, PolicySpec] = rollout.policy_specs(config, env, self.roles)
         self.policies = {role: Policy(spec) for role, spec in self.specs.items()}
@@ -97,7 +103,8 @@ class PPO:
         }
         self.inputs = tuple(dict.fromkeys([*self.roles, *self.critic_input.values()]))
         self.critics: dict[str, Critic] = {
-            role: self._critic(env.observation_size[name]) for role, name in self.critic_input.items()
+            role: self._critic(env.observation_size[name])
+            for role, name in self.critic_input.items()
         }
 
     def hyper(self, members: Sequence[Member]) -> Hyper:
@@ -113,8 +120,12 @@ class PPO:
             env_params: Parameters of the environment for each simulation [N], member by member.
         """
         split = jax.vmap(lambda key: jax.random.split(key, 4))(keys)
-        env_state = self.env.reset(rollout.simulation_keys(split[:, 0], self.config.num_envs), env_params)
-        stagger = jax.vmap(lambda key: jax.random.randint(key, (self.config.num_envs,), 0, self.env.episode_length))
+        env_state = self.env.reset(
+            rollout.simulation_keys(split[:, 0], self.config.num_envs), env_params
+        )
+        stagger = jax.vmap(
+            lambda key: jax.random.randint(key, (self.config.num_envs,), 0, self.env.episode_length)
+        )
         return TrainState(
             members=member_map(self._initial_member)(split[:, 2], split[:, 3]),
             simulations=rollout.begin(
@@ -123,7 +134,9 @@ class PPO:
             update=jnp.zeros((), jnp.int32),
         )
 
-    def update(self, state: TrainState, hyper: Hyper, partners: Any = ()) -> tuple[TrainState, Metrics]:
+    def update(
+        self, state: TrainState, hyper: Hyper, partners: Any = ()
+    ) -> tuple[TrainState, Metrics]:
         """Collect one rollout and learn from it; metrics are [M], `partners` the parameters of frozen partners."""
         state, batch, keys = self.collect(state, partners)
         count = state.update.astype(jnp.float32)
@@ -149,34 +162,54 @@ class PPO:
 
     def _initial_member(self, key: jax.Array, carried: jax.Array) -> MemberState:
         learners = {}
-        # As many keys as there are roles, whoever learns: a robot starts the same with partners as in a team.
-        keys: dict[str, jax.Array] = dict(zip(ROLES, jax.random.split(key, len(ROLES)), strict=True))
+        # As many keys as there are roles, whoever learns: a robot starts the same with partners as
+        # in a team.
+        keys: dict[str, jax.Array] = dict(
+            zip(ROLES, jax.random.split(key, len(ROLES)), strict=True)
+        )
         for name, roles in self.learners.items():
             actor, critic = jax.random.split(keys[roles[0]])
-            networks = {"actor": self._network(roles).init(actor), "critic": self._value_network(roles).init(critic)}
+            networks = {
+                "actor": self._network(roles).init(actor),
+                "critic": self._value_network(roles).init(critic),
+            }
             networks["actor"].pop("normaliser", None)
             learners[name] = Learner(
                 networks=networks,
-                optimisers={part: _optimiser(self.config, 1.0).init(params) for part, params in networks.items()},
-                critic_carry={role: self.critics[role].initial_carry((self.config.num_envs,)) for role in roles},
+                optimisers={
+                    part: _optimiser(self.config, 1.0).init(params)
+                    for part, params in networks.items()
+                },
+                critic_carry={
+                    role: self.critics[role].initial_carry((self.config.num_envs,))
+                    for role in roles
+                },
             )
-        statistics = {name: normaliser.empty(self.env.observation_size[name]) for name in self.inputs}
+        statistics = {
+            name: normaliser.empty(self.env.observation_size[name]) for name in self.inputs
+        }
         return MemberState(learners, statistics, carried)
 
-    def _learn(self, member: MemberState, batch: Batch, hyper: Hyper, key: jax.Array) -> tuple[MemberState, Metrics]:
+    def _learn(
+        self, member: MemberState, batch: Batch, hyper: Hyper, key: jax.Array
+    ) -> tuple[MemberState, Metrics]:
         """Improve both roles of one member on its batch, then update its observation statistics.
 
-        The statistics change only after learning: within an update, probability ratios compare policies that read
-        the same normalised observations, and start at exactly 1.
+        The statistics change only after learning: within an update, probability ratios compare
+        policies that read the same normalised observations, and start at exactly 1.
         """
         learners, metrics = {}, rollout.episode_metrics(batch)
-        keys: dict[str, jax.Array] = dict(zip(ROLES, jax.random.split(key, len(ROLES)), strict=True))
+        keys: dict[str, jax.Array] = dict(
+            zip(ROLES, jax.random.split(key, len(ROLES)), strict=True)
+        )
         for name, roles in self.learners.items():
             learners[name], losses = self._learn_role(name, member, batch, hyper, keys[roles[0]])
             metrics |= losses
         statistics = member.statistics
         if self.config.normalise:
-            statistics = {name: normaliser.update(statistics[name], batch.obs[name]) for name in self.inputs}
+            statistics = {
+                name: normaliser.update(statistics[name], batch.obs[name]) for name in self.inputs
+            }
         return MemberState(learners, statistics, member.key), metrics
 
     def _learn_role(
@@ -189,7 +222,9 @@ class PPO:
             critic_carry[role], samples[role] = self._samples(role, member, learner, batch, hyper)
             carries[role] = (batch.carry[role], learner.critic_carry[role])
             advantage, target = samples[role].advantage, samples[role].target
-            explained[f"explained_variance_{role}"] = 1.0 - jnp.var(advantage) / (jnp.var(target) + 1e-8)
+            explained[f"explained_variance_{role}"] = 1.0 - jnp.var(advantage) / (
+                jnp.var(target) + 1e-8
+            )
         networks, optimisers, losses = self._descend(name, member, samples, carries, hyper, key)
         return Learner(networks, optimisers, critic_carry), losses | explained
 
@@ -214,7 +249,13 @@ class PPO:
             batch.last_first,
         )
         advantage = gae.advantages(
-            batch.reward, value, next_value, batch.terminated, batch.truncated, hyper.gamma, hyper.gae_lambda
+            batch.reward,
+            value,
+            next_value,
+            batch.terminated,
+            batch.truncated,
+            hyper.gamma,
+            hyper.gae_lambda,
         )
         return carry, _Samples(
             obs=batch.obs[role],
@@ -241,20 +282,33 @@ class PPO:
         def descend(state: tuple[Any, Any], rows: jax.Array) -> tuple[tuple[Any, Any], Metrics]:
             networks, optimisers = state
             part = jax.tree.map(lambda leaf: jnp.take(leaf, rows, axis=1, mode="clip"), samples)
-            part_carries = jax.tree.map(lambda leaf: jnp.take(leaf, rows, axis=0, mode="clip"), carries)
-            gradients, losses = jax.grad(self._loss, has_aux=True)(networks, member, part, part_carries, hyper)
+            part_carries = jax.tree.map(
+                lambda leaf: jnp.take(leaf, rows, axis=0, mode="clip"), carries
+            )
+            gradients, losses = jax.grad(self._loss, has_aux=True)(
+                networks, member, part, part_carries, hyper
+            )
             for part_name in networks:
                 gradient = gradients[part_name]
                 losses[f"{part_name}_grad_norm_{name}"] = optax.tree.norm(gradient)
-                steps, optimiser = _optimiser(config, hyper.max_grad_norm).update(gradient, optimisers[part_name])
-                networks = {**networks, part_name: _descended(networks[part_name], steps, hyper.learning_rate)}
+                steps, optimiser = _optimiser(config, hyper.max_grad_norm).update(
+                    gradient, optimisers[part_name]
+                )
+                networks = {
+                    **networks,
+                    part_name: _descended(networks[part_name], steps, hyper.learning_rate),
+                }
                 optimisers = {**optimisers, part_name: optimiser}
             return (networks, optimisers), losses
 
         keys = jax.random.split(key, config.epochs)
         rows = jax.vmap(lambda key: jax.random.permutation(key, config.num_envs))(keys)
-        rows = rows.reshape(config.epochs * config.minibatches, config.num_envs // config.minibatches)
-        (networks, optimisers), losses = jax.lax.scan(descend, (learner.networks, learner.optimisers), rows)
+        rows = rows.reshape(
+            config.epochs * config.minibatches, config.num_envs // config.minibatches
+        )
+        (networks, optimisers), losses = jax.lax.scan(
+            descend, (learner.networks, learner.optimisers), rows
+        )
         return networks, optimisers, jax.tree.map(jnp.mean, losses)
 
     def _loss(
@@ -289,7 +343,9 @@ class PPO:
         _, value = self.critics[role].unroll(critic, carries[1], samples.critic_obs, samples.first)
         log_ratio = gaussian.log_prob(samples.raw) - samples.log_prob
         ratio = jnp.exp(log_ratio)
-        advantage = (samples.advantage - samples.advantage.mean()) / (samples.advantage.std() + 1e-8)
+        advantage = (samples.advantage - samples.advantage.mean()) / (
+            samples.advantage.std() + 1e-8
+        )
         clipped = jnp.clip(ratio, 1.0 - hyper.clip_eps, 1.0 + hyper.clip_eps)
         policy_loss = -jnp.minimum(ratio * advantage, clipped * advantage).mean()
         value_loss = 0.5 * jnp.square(value - samples.target).mean()
@@ -310,12 +366,16 @@ class PPO:
         sizes = {role: self.specs[role] for role in roles}
         width = sharing.padded_size({role: spec.observation_size for role, spec in sizes.items()})
         actions = max(spec.action_size for spec in sizes.values())
-        return Policy(dataclasses.replace(sizes[roles[0]], observation_size=width, action_size=actions))
+        return Policy(
+            dataclasses.replace(sizes[roles[0]], observation_size=width, action_size=actions)
+        )
 
     def _value_network(self, roles: tuple[str, ...]) -> Critic:
         if len(roles) == 1:
             return self.critics[roles[0]]
-        return self._critic(sharing.padded_size({role: self.critics[role].spec.observation_size for role in roles}))
+        return self._critic(
+            sharing.padded_size({role: self.critics[role].spec.observation_size for role in roles})
+        )
 
     def _critic(self, observation_size: int) -> Critic:
         config = self.config
@@ -325,10 +385,16 @@ class PPO:
         """Return a role's ordinary parameters; leading axes of the leaves are free."""
         if not self.config.shared:
             return params
-        return sharing.fold(params, role, self.specs[role].observation_size, self.specs[role].action_size)
+        return sharing.fold(
+            params, role, self.specs[role].observation_size, self.specs[role].action_size
+        )
 
     def _critic_params(self, role: str, params: Params) -> Params:
-        return sharing.fold(params, role, self.critics[role].spec.observation_size) if self.config.shared else params
+        return (
+            sharing.fold(params, role, self.critics[role].spec.observation_size)
+            if self.config.shared
+            else params
+        )
 
     def _with_normaliser(self, role: str, member: MemberState, actor: Params) -> Params:
         if not self.config.normalise:
@@ -353,9 +419,12 @@ class _Samples:
 def _optimiser(config: PPOConfig, max_grad_norm: jax.Array | float) -> optax.GradientTransformation:
     """Return clip and Adam of one network, before the learning rate.
 
-    Actor and critic are clipped apart: value errors in the hundreds would otherwise use up the norm they share.
+    Actor and critic are clipped apart: value errors in the hundreds would otherwise use up the norm
+    they share.
     """
-    return optax.chain(optax.clip_by_global_norm(max_grad_norm), optax.scale_by_adam(eps=config.adam_eps))
+    return optax.chain(
+        optax.clip_by_global_norm(max_grad_norm), optax.scale_by_adam(eps=config.adam_eps)
+    )
 
 
 def _descended(params: Params, steps: Any, learning_rate: jax.Array) -> Params:

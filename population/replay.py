@@ -1,12 +1,13 @@
 """Replay: the newest transitions of every member, in a ring on the device.
 
-A slot of the ring is a rollout of T steps in a member's n simulations. Observations are kept once, as T + 2 rows: the T
-acted on, the one after them, and the one at a simulation's time limit before its reset, of which a rollout has one at
-most. The successor of a transition is one of these rows, so that time limits bootstrap from what was really reached.
+A slot of the ring is a rollout of T steps in a member's n simulations. Observations are kept once,
+as T + 2 rows: the T acted on, the one after them, and the one at a simulation's time limit before
+its reset, of which a rollout has one at most. The successor of a transition is one of these rows,
+so that time limits bootstrap from what was really reached.
 
-Memory of one member, in floats: capacity x ((T + 2) / T x widths of the observations read + widths of the actions + 1).
-With a million transitions, T = 8 and the task scratch that is 0.41 GB for local critics (34 + 38) and 0.67 GB for
-central ones (and 52 more): 32 members take 13 and 21 GB.
+Memory of one member, in floats: capacity x ((T + 2) / T x widths of the observations read + widths
+of the actions + 1). With a million transitions, T = 8 and the task scratch that is 0.41 GB for
+local critics (34 + 38) and 0.67 GB for central ones (and 52 more): 32 members take 13 and 21 GB.
 """
 
 import dataclasses
@@ -44,7 +45,12 @@ class Transitions:
 
 
 def empty(
-    members: int, slots: int, steps: int, simulations: int, observations: dict[str, int], actions: dict[str, int]
+    members: int,
+    slots: int,
+    steps: int,
+    simulations: int,
+    observations: dict[str, int],
+    actions: dict[str, int],
 ) -> Replay:
     """Return an empty replay of C slots, each of T steps of n simulations."""
     shape = (members, slots, steps, simulations)
@@ -67,7 +73,9 @@ def add(replay: Replay, batch: Batch, action: dict[str, jax.Array]) -> Replay:
         return jax.lax.dynamic_update_index_in_dim(ring, rollout, slot, axis=1)
 
     rows = {
-        name: jnp.concatenate([batch.obs[name], batch.last_obs[name][:, None], batch.final_obs[name][:, None]], axis=1)
+        name: jnp.concatenate(
+            [batch.obs[name], batch.last_obs[name][:, None], batch.final_obs[name][:, None]], axis=1
+        )
         for name in replay.obs
     }
     return Replay(

@@ -66,7 +66,9 @@ class Batch:
     raw: dict[str, jax.Array]  # raw actions [T, N, A], by role
     log_prob: dict[str, jax.Array]  # of the raw actions [T, N], by role
     reward: jax.Array  # [T, N]
-    terminated: jax.Array  # [T, N]; a simulation that diverged earns 0 from then on: its value is known to be 0
+    terminated: (
+        jax.Array
+    )  # [T, N]; a simulation that diverged earns 0 from then on: its value is known to be 0
     truncated: jax.Array  # [T, N]
     final_obs: dict[str, jax.Array]  # at a simulation's time limit, before its reset [N, O]
     last_obs: dict[str, jax.Array]  # after the chunk [N, O]
@@ -78,7 +80,9 @@ class Batch:
 
 def split(tree: Any, members: int) -> Any:
     """Reshape the simulation axis [N, ...] of every leaf to [M, N/M, ...]."""
-    return jax.tree.map(lambda leaf: leaf.reshape(members, leaf.shape[0] // members, *leaf.shape[1:]), tree)
+    return jax.tree.map(
+        lambda leaf: leaf.reshape(members, leaf.shape[0] // members, *leaf.shape[1:]), tree
+    )
 
 
 def flatten(tree: Any) -> Any:
@@ -87,17 +91,25 @@ def flatten(tree: Any) -> Any:
 
 
 def begin(
-    env: EnvState, policies: Mapping[str, Policy], members: int, stagger: jax.Array, partners: Partners | None = None
+    env: EnvState,
+    policies: Mapping[str, Policy],
+    members: int,
+    stagger: jax.Array,
+    partners: Partners | None = None,
 ) -> Simulations:
     """Return simulations at the states of `env`, their step counters set to `stagger` [N].
 
-    Staggered episodes reach their time limits at different steps, so that every batch holds all phases of an episode.
+    Staggered episodes reach their time limits at different steps, so that every batch holds all
+    phases of an episode.
     """
     simulations = stagger.shape[0]
     sums = {"return": env.reward, **{f"term_{name}": value for name, value in env.terms.items()}}
     return Simulations(
         env=dataclasses.replace(env, step=stagger.astype(env.step.dtype)),
-        carry={role: policy.initial_carry((members, simulations // members)) for role, policy in policies.items()},
+        carry={
+            role: policy.initial_carry((members, simulations // members))
+            for role, policy in policies.items()
+        },
         partners=partners.initial_carry(simulations) if partners else (),
         first=jnp.ones(simulations, bool),
         episodes=Episodes(whole=stagger == 0, sums=jax.tree.map(jnp.zeros_like, sums)),
@@ -132,13 +144,19 @@ def collect(
     """
     members = keys.shape[1]
     act = member_map(partial(_act, policies, sample))
-    zeros = jax.tree.map(jnp.zeros_like, (state.episodes.sums, {name: state.env.obs[name] for name in inputs}))
+    zeros = jax.tree.map(
+        jnp.zeros_like, (state.episodes.sums, {name: state.env.obs[name] for name in inputs})
+    )
     count = jnp.zeros(state.first.shape, jnp.int32)
 
-    def step(loop: tuple[Simulations, _Tally], keys: jax.Array) -> tuple[tuple[Simulations, _Tally], dict[str, Any]]:
+    def step(
+        loop: tuple[Simulations, _Tally], keys: jax.Array
+    ) -> tuple[tuple[Simulations, _Tally], dict[str, Any]]:
         state, tally = loop
         obs = {role: state.env.obs[role] for role in policies}
-        carry, acted = act(params, state.carry, split(obs, members), split(state.first, members), keys)
+        carry, acted = act(
+            params, state.carry, split(obs, members), split(state.first, members), keys
+        )
         action, raw, log_prob = flatten(acted)
         partner_carry = state.partners
         if partners:
@@ -160,12 +178,21 @@ def collect(
             "terminated": terminated,
             "truncated": truncated,
         }
-        return (Simulations(select(ended, fresh, after), carry, partner_carry, ended, episodes), tally), seen
+        return (
+            Simulations(select(ended, fresh, after), carry, partner_carry, ended, episodes),
+            tally,
+        ), seen
 
     tally = _Tally(final_obs=zeros[1], finished=count, finished_sums=zeros[0], nonfinite=count)
     (after, tally), seen = jax.lax.scan(step, (state, tally), keys)
     last_obs = {name: after.env.obs[name] for name in inputs}
-    return after, Batch(carry=flatten(state.carry), last_obs=last_obs, last_first=after.first, **seen, **_fields(tally))
+    return after, Batch(
+        carry=flatten(state.carry),
+        last_obs=last_obs,
+        last_first=after.first,
+        **seen,
+        **_fields(tally),
+    )
 
 
 def collect_next(
@@ -181,8 +208,12 @@ def collect_next(
     """
     config, members = trainer.config, state.members
     keys = jax.vmap(lambda key: jax.random.split(key, 4))(members.key)
-    fresh = trainer.env.reset(simulation_keys(keys[:, 0], config.num_envs), state.simulations.env.params)
-    act_keys = jax.vmap(lambda key: jax.random.split(key, config.rollout_steps), out_axes=1)(keys[:, 1])
+    fresh = trainer.env.reset(
+        simulation_keys(keys[:, 0], config.num_envs), state.simulations.env.params
+    )
+    act_keys = jax.vmap(lambda key: jax.random.split(key, config.rollout_steps), out_axes=1)(
+        keys[:, 1]
+    )
     simulations, batch = collect(
         trainer.env,
         trainer.policies,
@@ -231,11 +262,16 @@ def learning_roles(partners: Partners | None) -> tuple[Role, ...]:
     return tuple(role for role in ROLES if not partners or role != partners.role)
 
 
-def policy_specs(config: TrainerConfig, env: Environment, roles: Sequence[Role]) -> dict[str, PolicySpec]:
+def policy_specs(
+    config: TrainerConfig, env: Environment, roles: Sequence[Role]
+) -> dict[str, PolicySpec]:
     """Return the network shapes of the roles."""
     names = ("torso", "hidden", "activation", "squash", "std", "normalise")
     same: dict[str, Any] = {name: getattr(config, name) for name in names}
-    return {role: PolicySpec(role, env.observation_size[role], env.action_size[role], **same) for role in roles}
+    return {
+        role: PolicySpec(role, env.observation_size[role], env.action_size[role], **same)
+        for role in roles
+    }
 
 
 def simulation_keys(keys: jax.Array, num_envs: int) -> jax.Array:
@@ -251,8 +287,8 @@ def check(env: Environment, config: TrainerConfig, partners: Partners | None) ->
     """
     if config.rollout_steps > env.episode_length:
         raise ValueError(
-            f"rollout_steps is {config.rollout_steps}; an episode of {env.task} has {env.episode_length} steps, "
-            "so choose at most that many"
+            f"rollout_steps is {config.rollout_steps}; an episode of {env.task} has "
+            f"{env.episode_length} steps, so choose at most that many"
         )
     if partners:
         partners.check(env, config.num_envs)
@@ -275,7 +311,9 @@ def _act(
     obs: dict[str, jax.Array],
     first: jax.Array,
     key: jax.Array,
-) -> tuple[dict[str, Carry], tuple[dict[str, jax.Array], dict[str, jax.Array], dict[str, jax.Array]]]:
+) -> tuple[
+    dict[str, Carry], tuple[dict[str, jax.Array], dict[str, jax.Array], dict[str, jax.Array]]
+]:
     """Let one member's policies act; return carries, and actions, raw actions and log probabilities by role."""
     carry, action, raw, log_prob = {}, {}, {}, {}
     for role, role_key in zip(policies, jax.random.split(key, len(policies)), strict=True):
@@ -289,13 +327,20 @@ def _account(
     episodes: Episodes, tally: _Tally, after: EnvState, ended: jax.Array, truncated: jax.Array
 ) -> tuple[Episodes, _Tally]:
     """Add a step to the episodes in progress, and those that ended to the tally."""
-    gains = {"return": after.reward, **{f"term_{name}": value for name, value in after.terms.items()}}
+    gains = {
+        "return": after.reward,
+        **{f"term_{name}": value for name, value in after.terms.items()},
+    }
     sums = {name: episodes.sums[name] + gains[name] for name in gains}
     counted = ended & episodes.whole
     tally = _Tally(
-        final_obs=select(truncated, {name: after.obs[name] for name in tally.final_obs}, tally.final_obs),
+        final_obs=select(
+            truncated, {name: after.obs[name] for name in tally.final_obs}, tally.final_obs
+        ),
         finished=tally.finished + counted,
-        finished_sums={name: tally.finished_sums[name] + jnp.where(counted, sums[name], 0.0) for name in sums},
+        finished_sums={
+            name: tally.finished_sums[name] + jnp.where(counted, sums[name], 0.0) for name in sums
+        },
         nonfinite=tally.nonfinite + after.nonfinite,
     )
     sums = {name: jnp.where(ended, 0.0, value) for name, value in sums.items()}

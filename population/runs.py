@@ -4,7 +4,8 @@
 - `checkpoints/`: training state by number of updates
 - `metrics.parquet`: one row for each update and member
 - `teams.json`: the teams, once the run is finished
-- `robot.safetensors`, `human.safetensors`: their parameters, stacked: leaves [P, ...] named by '/'-joined path
+- `robot.safetensors`, `human.safetensors`: their parameters, stacked: leaves [P, ...] named by
+'/'-joined path
 """
 
 import json
@@ -21,8 +22,17 @@ from population.config import Member, PPOConfig, TrainConfig, TrainerConfig
 from population.spec import PolicySpec
 
 METADATA_KEY = "assistax"  # safetensors bytes are stable with one metadata key only
-_MAY_CHANGE = ("checkpoint_every", "self_play_episodes")  # when a run goes on; so may "steps", with `extends`
-_SCHEMA = {"update": pl.Int64, "steps": pl.Int64, "seconds": pl.Float64, "member": pl.Int64, "disability": pl.String}
+_MAY_CHANGE = (
+    "checkpoint_every",
+    "self_play_episodes",
+)  # when a run goes on; so may "steps", with `extends`
+_SCHEMA = {
+    "update": pl.Int64,
+    "steps": pl.Int64,
+    "seconds": pl.Float64,
+    "member": pl.Int64,
+    "disability": pl.String,
+}
 _SCHEMA |= {"seed": pl.Int64, "episodes": pl.Int64, "nonfinite": pl.Int64}
 
 
@@ -51,10 +61,15 @@ class RunFolder:
         wanted = {"config": config.to_json(), "environment": dict(environment)}
         if not self._config.exists():
             if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
-                raise ValueError(f"{self.folder} exists and is not the folder of a run; choose an empty or new folder")
+                raise ValueError(
+                    f"{self.folder} exists and is not the folder of a run; choose an empty or new "
+                    "folder"
+                )
             self.folder.mkdir(parents=True, exist_ok=True)
         elif not resume:
-            raise ValueError(f"{self.folder} already holds a run; resume it, or choose a new folder")
+            raise ValueError(
+                f"{self.folder} already holds a run; resume it, or choose a new folder"
+            )
         else:
             found = self._read_config()
             may_change = (*_MAY_CHANGE, *(("steps",) if extends(config.trainer) else ()))
@@ -100,7 +115,10 @@ class RunFolder:
             metadata = {"spec": spec.to_json(), "rows": rows}
             text = json.dumps(metadata, sort_keys=True, separators=(",", ":"))
             leaves = dict(sorted(flatten(params[role]).items()))
-            write_atomically(self.folder / f"{role}.safetensors", safetensors.numpy.save(leaves, {METADATA_KEY: text}))
+            write_atomically(
+                self.folder / f"{role}.safetensors",
+                safetensors.numpy.save(leaves, {METADATA_KEY: text}),
+            )
         teams = [
             {
                 "team": {
@@ -133,7 +151,11 @@ def extends(trainer: TrainerConfig) -> bool:
 
 
 def metrics_table(
-    metrics: Mapping[str, Any], members: Sequence[Member], done: int, batch_steps: int, seconds: float
+    metrics: Mapping[str, Any],
+    members: Sequence[Member],
+    done: int,
+    batch_steps: int,
+    seconds: float,
 ) -> pl.DataFrame:
     """Return one row for each update and member.
 
@@ -193,7 +215,9 @@ def _differences(found: Any, wanted: Any, ignored: Sequence[str], path: str = ""
     """Describe the first fields in which two configurations differ."""
     if isinstance(found, Mapping) and isinstance(wanted, Mapping):
         parts = [
-            _differences(found.get(name), wanted.get(name), ignored, f"{path}.{name}" if path else name)
+            _differences(
+                found.get(name), wanted.get(name), ignored, f"{path}.{name}" if path else name
+            )
             for name in dict.fromkeys([*found, *wanted])
             if name not in ignored
         ]

@@ -1,9 +1,10 @@
 """Soft actor-critic (Haarnoja et al., 2018) of teams: ISAC and MASAC for many members at once.
 
-Each role has a tanh-squashed Gaussian, two critics with slow copies, and a temperature. Critics of ISAC read the role's
-observation and action; those of MASAC read the global observation and both actions. A policy is improved against what
-its critics say of its own new action beside the replayed one of the other role. Whole rounds of collecting and learning
-stand in one program; the replay is part of its state.
+Each role has a tanh-squashed Gaussian, two critics with slow copies, and a temperature. Critics of
+ISAC read the role's observation and action; those of MASAC read the global observation and both
+actions. A policy is improved against what its critics say of its own new action beside the replayed
+one of the other role. Whole rounds of collecting and learning stand in one program; the replay is
+part of its state.
 """
 
 import dataclasses
@@ -29,7 +30,9 @@ from population.spec import ROLES, PolicySpec
 
 Metrics = dict[str, jax.Array]
 
-_UNIFORM_LIMIT = 0.999  # of exploring actions: the squashed end of a raw action that is still finite
+_UNIFORM_LIMIT = (
+    0.999  # of exploring actions: the squashed end of a raw action that is still finite
+)
 
 
 @jax.tree_util.register_dataclass
@@ -84,21 +87,28 @@ class SAC:
         ValueError: If the rollout is longer than an episode, or partners do not fit.
     """
 
-    def __init__(self, config: SACConfig, env: Environment, updates: int, partners: Partners | None = None) -> None:
+    def __init__(
+        self, config: SACConfig, env: Environment, updates: int, partners: Partners | None = None
+    ) -> None:
         rollout.check(env, config, partners)
         if config.critic == "central" and partners:
             raise ValueError(
-                "critic is 'central', which reads both roles' next actions, and partners are frozen: choose local"
+                "critic is 'central', which reads both roles' next actions, and partners are "
+                "frozen: choose local"
             )
         self.config = config
         self.env = env
         self.partners = partners
-        self.slots = math.ceil(min(config.replay_size, updates * config.batch_steps) / config.batch_steps)
+        self.slots = math.ceil(
+            min(config.replay_size, updates * config.batch_steps) / config.batch_steps
+        )
         self.roles = rollout.learning_roles(partners)
         self.specs: dict[str, PolicySpec] = rollout.policy_specs(config, env, self.roles)
         self.policies = {role: Policy(spec) for role, spec in self.specs.items()}
         central = config.critic == "central"
-        self.critic_obs: dict[str, str] = {role: "global" if central else role for role in self.roles}
+        self.critic_obs: dict[str, str] = {
+            role: "global" if central else role for role in self.roles
+        }
         self.critic_actions: dict[str, tuple[str, ...]] = {
             role: self.roles if central else (role,) for role in self.roles
         }
@@ -114,8 +124,12 @@ class SAC:
         """
         config = self.config
         split = jax.vmap(lambda key: jax.random.split(key, 4))(keys)
-        env_state = self.env.reset(rollout.simulation_keys(split[:, 0], config.num_envs), env_params)
-        stagger = jax.vmap(lambda key: jax.random.randint(key, (config.num_envs,), 0, self.env.episode_length))
+        env_state = self.env.reset(
+            rollout.simulation_keys(split[:, 0], config.num_envs), env_params
+        )
+        stagger = jax.vmap(
+            lambda key: jax.random.randint(key, (config.num_envs,), 0, self.env.episode_length)
+        )
         return TrainState(
             members=member_map(self._initial_member)(split[:, 2], split[:, 3]),
             simulations=rollout.begin(
@@ -137,12 +151,16 @@ class SAC:
         values = traced_values(self.config, members)
         return Hyper(**{name: jnp.asarray(row, jnp.float32) for name, row in values.items()})
 
-    def update(self, state: TrainState, hyper: Hyper, partners: Any = ()) -> tuple[TrainState, Metrics]:
+    def update(
+        self, state: TrainState, hyper: Hyper, partners: Any = ()
+    ) -> tuple[TrainState, Metrics]:
         """Collect one rollout and, after exploring, learn from the replay; metrics are [M], losses 0 before that."""
         exploring = self._exploring(state)
         state, batch, keys = self.collect(state, partners)
         batch = rollout.by_member(batch, len(keys))
-        kept = replay.add(state.replay, batch, {role: jnp.tanh(raw) for role, raw in batch.raw.items()})
+        kept = replay.add(
+            state.replay, batch, {role: jnp.tanh(raw) for role, raw in batch.raw.items()}
+        )
 
         def learn(members: MemberState) -> tuple[MemberState, Metrics]:
             keys_of = jax.vmap(jax.random.split)(keys)
@@ -169,26 +187,35 @@ class SAC:
 
         def sample(gaussian: Gaussian, key: jax.Array) -> jax.Array:
             drawn, explored = jax.random.split(key)
-            uniform = jax.random.uniform(explored, gaussian.mean.shape, minval=-_UNIFORM_LIMIT, maxval=_UNIFORM_LIMIT)
+            uniform = jax.random.uniform(
+                explored, gaussian.mean.shape, minval=-_UNIFORM_LIMIT, maxval=_UNIFORM_LIMIT
+            )
             return jnp.where(exploring, jnp.arctanh(uniform), gaussian.sample(drawn))
 
         return rollout.collect_next(self, state, partners, sample)
 
     def policy_params(self, members: MemberState) -> dict[str, Params]:
         """Return parameters as `Policy` reads them, by role; leaves [M, ...]."""
-        return {role: self._actor(role, members, members.learners[role].networks["actor"]) for role in self.roles}
+        return {
+            role: self._actor(role, members, members.learners[role].networks["actor"])
+            for role in self.roles
+        }
 
     def _exploring(self, state: TrainState) -> jax.Array:
         return state.update * self.config.batch_steps < self.config.exploration_steps
 
     def _initial_member(self, key: jax.Array, carried: jax.Array) -> MemberState:
         learners = {}
-        # As many keys as there are roles, whoever learns: a robot starts the same with partners as in a team.
+        # As many keys as there are roles, whoever learns: a robot starts the same with partners as
+        # in a team.
         for role, role_key in zip(ROLES, jax.random.split(key, len(ROLES)), strict=True):
             if role not in self.roles:
                 continue
             actor, first, second = jax.random.split(role_key, 3)
-            critic = {"first": self.critics[role].init(first), "second": self.critics[role].init(second)}
+            critic = {
+                "first": self.critics[role].init(first),
+                "second": self.critics[role].init(second),
+            }
             networks = {
                 "actor": self.policies[role].init(actor),
                 "critic": critic,
@@ -198,9 +225,14 @@ class SAC:
             learners[role] = Learner(
                 networks=networks,
                 target=critic,
-                optimisers={name: self._optimiser(name, 1.0).init(params) for name, params in networks.items()},
+                optimisers={
+                    name: self._optimiser(name, 1.0).init(params)
+                    for name, params in networks.items()
+                },
             )
-        statistics = {name: normaliser.empty(self.env.observation_size[name]) for name in self.inputs}
+        statistics = {
+            name: normaliser.empty(self.env.observation_size[name]) for name in self.inputs
+        }
         return MemberState(learners, statistics, carried)
 
     def _learn(
@@ -208,22 +240,30 @@ class SAC:
     ) -> tuple[MemberState, Metrics]:
         """Improve one member on U minibatches, leaves [U, B, ...]: its critics on each, its policies behind them.
 
-        After every `policy_delay` steps of the critics, policy and temperature take as many, on the same minibatches:
-        the delay lets critics settle and costs the policy no steps.
+        After every `policy_delay` steps of the critics, policy and temperature take as many, on the
+        same minibatches: the delay lets critics settle and costs the policy no steps.
         """
         config = self.config
-        groups = jax.tree.map(lambda leaf: leaf.reshape(-1, config.policy_delay, *leaf.shape[1:]), drawn)
-        keys = jax.random.split(key, (config.updates // config.policy_delay, 2, config.policy_delay))
+        groups = jax.tree.map(
+            lambda leaf: leaf.reshape(-1, config.policy_delay, *leaf.shape[1:]), drawn
+        )
+        keys = jax.random.split(
+            key, (config.updates // config.policy_delay, 2, config.policy_delay)
+        )
 
         def improve(
             learners: dict[str, Learner], group: tuple[Transitions, jax.Array]
         ) -> tuple[dict[str, Learner], Metrics]:
             batches, keys = group
             learners, critic_metrics = jax.lax.scan(
-                lambda learners, x: self._improve_critics(learners, member, *x, hyper), learners, (batches, keys[0])
+                lambda learners, x: self._improve_critics(learners, member, *x, hyper),
+                learners,
+                (batches, keys[0]),
             )
             learners, policy_metrics = jax.lax.scan(
-                lambda learners, x: self._improve_policies(learners, member, *x, hyper), learners, (batches, keys[1])
+                lambda learners, x: self._improve_policies(learners, member, *x, hyper),
+                learners,
+                (batches, keys[1]),
             )
             return learners, critic_metrics | policy_metrics
 
@@ -231,7 +271,12 @@ class SAC:
         return dataclasses.replace(member, learners=learners), jax.tree.map(jnp.mean, metrics)
 
     def _improve_critics(
-        self, learners: dict[str, Learner], member: MemberState, batch: Transitions, key: jax.Array, hyper: Hyper
+        self,
+        learners: dict[str, Learner],
+        member: MemberState,
+        batch: Transitions,
+        key: jax.Array,
+        hyper: Hyper,
     ) -> tuple[dict[str, Learner], Metrics]:
         """Take a step of every role's critics towards the soft targets of one minibatch [B, ...]."""
         new, metrics = {}, {}
@@ -239,9 +284,13 @@ class SAC:
         for role, learner in learners.items():
             next_q = self._values(role, learner.target, member, batch.next_obs, next_action)
             alpha = jnp.exp(learner.networks["log_alpha"])
-            target = soft_target(batch.reward, batch.terminated, next_q, next_log_prob[role], alpha, hyper.gamma)
+            target = soft_target(
+                batch.reward, batch.terminated, next_q, next_log_prob[role], alpha, hyper.gamma
+            )
 
-            def loss(critic: Params, role: str = role, target: jax.Array = target) -> tuple[jax.Array, jax.Array]:
+            def loss(
+                critic: Params, role: str = role, target: jax.Array = target
+            ) -> tuple[jax.Array, jax.Array]:
                 q = self._values(role, critic, member, batch.obs, batch.action)
                 return jnp.square(q - target[None]).mean(1).sum(), q
 
@@ -257,7 +306,12 @@ class SAC:
         return new, metrics
 
     def _improve_policies(
-        self, learners: dict[str, Learner], member: MemberState, batch: Transitions, key: jax.Array, hyper: Hyper
+        self,
+        learners: dict[str, Learner],
+        member: MemberState,
+        batch: Transitions,
+        key: jax.Array,
+        hyper: Hyper,
     ) -> tuple[dict[str, Learner], Metrics]:
         """Take a step of every role's policy and temperature on one minibatch [B, ...]."""
         new, metrics = {}, {}
@@ -266,19 +320,32 @@ class SAC:
             log_alpha = learner.networks["log_alpha"]
 
             def loss(
-                actor: Params, role: str = role, key: jax.Array = role_key, learner: Learner = learner
+                actor: Params,
+                role: str = role,
+                key: jax.Array = role_key,
+                learner: Learner = learner,
             ) -> tuple[jax.Array, jax.Array]:
                 action, log_prob = self._draw(role, actor, member, batch.obs[role], key)
                 actions = {**batch.action, role: action}
-                q = self._values(role, learner.networks["critic"], member, batch.obs, actions).min(0)
+                q = self._values(role, learner.networks["critic"], member, batch.obs, actions).min(
+                    0
+                )
                 return (jnp.exp(learner.networks["log_alpha"]) * log_prob - q).mean(), log_prob
 
-            (value, log_prob), gradient = jax.value_and_grad(loss, has_aux=True)(learner.networks["actor"])
-            learner = self._descended(learner, "actor", gradient, hyper.policy_lr, hyper.max_grad_norm)
+            (value, log_prob), gradient = jax.value_and_grad(loss, has_aux=True)(
+                learner.networks["actor"]
+            )
+            learner = self._descended(
+                learner, "actor", gradient, hyper.policy_lr, hyper.max_grad_norm
+            )
             if self.config.autotune:
-                surplus = -log_prob.mean() + hyper.target_entropy_scale * self.specs[role].action_size
+                surplus = (
+                    -log_prob.mean() + hyper.target_entropy_scale * self.specs[role].action_size
+                )
                 rate = hyper.alpha_lr
-                learner = self._descended(learner, "log_alpha", jnp.exp(log_alpha) * surplus, rate, jnp.inf)
+                learner = self._descended(
+                    learner, "log_alpha", jnp.exp(log_alpha) * surplus, rate, jnp.inf
+                )
             new[role] = learner
             metrics |= {
                 f"policy_loss_{role}": value,
@@ -289,7 +356,11 @@ class SAC:
         return new, metrics
 
     def _act(
-        self, learners: dict[str, Learner], member: MemberState, obs: dict[str, jax.Array], key: jax.Array
+        self,
+        learners: dict[str, Learner],
+        member: MemberState,
+        obs: dict[str, jax.Array],
+        key: jax.Array,
     ) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
         """Return actions in [-1, 1] and their log densities, by role, at obs [B, O]."""
         keys = jax.random.split(key, len(learners))
@@ -297,7 +368,9 @@ class SAC:
             role: self._draw(role, learners[role].networks["actor"], member, obs[role], role_key)
             for role, role_key in zip(learners, keys, strict=True)
         }
-        return {role: pair[0] for role, pair in drawn.items()}, {role: pair[1] for role, pair in drawn.items()}
+        return {role: pair[0] for role, pair in drawn.items()}, {
+            role: pair[1] for role, pair in drawn.items()
+        }
 
     def _draw(
         self, role: str, actor: Params, member: MemberState, obs: jax.Array, key: jax.Array
@@ -320,9 +393,16 @@ class SAC:
         seen = obs[name]
         if self.config.normalise:
             seen = normalise(normaliser.to_params(member.statistics[name]), seen)
-        seen = jnp.concatenate([seen, *(action[other] for other in self.critic_actions[role])], axis=-1)
+        seen = jnp.concatenate(
+            [seen, *(action[other] for other in self.critic_actions[role])], axis=-1
+        )
         first = jnp.zeros(seen.shape[:-1], bool)
-        return jnp.stack([self.critics[role].step(critic[twin], (), seen, first)[1] for twin in ("first", "second")])
+        return jnp.stack(
+            [
+                self.critics[role].step(critic[twin], (), seen, first)[1]
+                for twin in ("first", "second")
+            ]
+        )
 
     def _actor(self, role: str, member: MemberState, actor: Params) -> Params:
         """Return an actor's parameters with what normalises its observations; leading axes are free."""
@@ -335,13 +415,24 @@ class SAC:
         width += sum(self.env.action_size[other] for other in self.critic_actions[role])
         return Critic(CriticSpec(width, "mlp", self.config.hidden, self.config.activation))
 
-    def _optimiser(self, name: str, max_grad_norm: jax.Array | float) -> optax.GradientTransformation:
+    def _optimiser(
+        self, name: str, max_grad_norm: jax.Array | float
+    ) -> optax.GradientTransformation:
         """Return clip and Adam of a network, before the learning rate; a temperature is not clipped."""
         adam = optax.scale_by_adam(eps=self.config.adam_eps)
-        return adam if name == "log_alpha" else optax.chain(optax.clip_by_global_norm(max_grad_norm), adam)
+        return (
+            adam
+            if name == "log_alpha"
+            else optax.chain(optax.clip_by_global_norm(max_grad_norm), adam)
+        )
 
     def _descended(
-        self, learner: Learner, name: str, gradient: Any, rate: jax.Array, max_grad_norm: jax.Array | float
+        self,
+        learner: Learner,
+        name: str,
+        gradient: Any,
+        rate: jax.Array,
+        max_grad_norm: jax.Array | float,
     ) -> Learner:
         """Return the learner after one step of one of its networks."""
         optimiser = self._optimiser(name, max_grad_norm)
@@ -364,8 +455,8 @@ def soft_target(
 ) -> jax.Array:
     """Return r + gamma (1 - terminated) (min_i Q_i(s', a') - alpha log pi(a' | s')).
 
-    Haarnoja et al., 2018, "Soft Actor-Critic Algorithms and Applications", equations 3 and 6, with twin critics.
-    A time limit is no termination: the value of what was reached counts.
+    Haarnoja et al., 2018, "Soft Actor-Critic Algorithms and Applications", equations 3 and 6, with
+    twin critics. A time limit is no termination: the value of what was reached counts.
 
     Args:
         reward: Rewards [B].

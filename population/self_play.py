@@ -28,8 +28,8 @@ def self_play(
 ) -> list[dict[str, Any]]:
     """Play episodes of every team and return `mean`, `iqm`, `ci`, `n` and `success` of each.
 
-    The interval is a percentile bootstrap over a team's episodes: it says how well these episodes determine this
-    team's return, and nothing about other seeds.
+    The interval is a percentile bootstrap over a team's episodes: it says how well these episodes
+    determine this team's return, and nothing about other seeds.
 
     Args:
         env: The environment.
@@ -39,7 +39,9 @@ def self_play(
         keys: One key for each team [M].
         episodes: K, episodes of each team.
     """
-    returns, success = jax.jit(partial(_play, env, policies, episodes=episodes))(params, env_params, keys)
+    returns, success = jax.jit(partial(_play, env, policies, episodes=episodes))(
+        params, env_params, keys
+    )
     returns, success = np.asarray(returns, np.float64), np.asarray(success)
     return [_figures(*team) for team in zip(returns, success, strict=True)]
 
@@ -56,13 +58,22 @@ def _play(
     """Return the returns [M, K] and whether the goal ever held [M, K]."""
     teams = keys.shape[0]
     flat_keys = jax.vmap(lambda key: jax.random.split(key, episodes))(keys).reshape(-1)
-    state = env.reset(flat_keys, jax.tree.map(lambda leaf: jnp.repeat(leaf, episodes, axis=0), env_params))
+    state = env.reset(
+        flat_keys, jax.tree.map(lambda leaf: jnp.repeat(leaf, episodes, axis=0), env_params)
+    )
     carry = {role: policy.initial_carry((teams, episodes)) for role, policy in policies.items()}
     false = jnp.zeros(teams * episodes, bool)
 
-    def act(params: Any, carry: Any, obs: Any, first: jax.Array) -> tuple[dict[str, Any], dict[str, jax.Array]]:
-        acted = {role: policies[role].act(params[role], carry[role], obs[role], first) for role in policies}
-        return {role: pair[0] for role, pair in acted.items()}, {role: pair[1] for role, pair in acted.items()}
+    def act(
+        params: Any, carry: Any, obs: Any, first: jax.Array
+    ) -> tuple[dict[str, Any], dict[str, jax.Array]]:
+        acted = {
+            role: policies[role].act(params[role], carry[role], obs[role], first)
+            for role in policies
+        }
+        return {role: pair[0] for role, pair in acted.items()}, {
+            role: pair[1] for role, pair in acted.items()
+        }
 
     def step(loop: Any, time: jax.Array) -> tuple[Any, None]:
         state, carry, running, returns, success = loop

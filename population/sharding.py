@@ -1,7 +1,8 @@
 """Members spread over the devices of a host: each device runs the ordinary program on its share of them.
 
-Members never read one another, so no device waits for another: each is given its own program by its own thread. One
-program over all devices would do on a CPU, but XLA's compiler crashes on one that calls Warp (JAX 0.11.2, Warp 1.18).
+Members never read one another, so no device waits for another: each is given its own program by its
+own thread. One program over all devices would do on a CPU, but XLA's compiler crashes on one that
+calls Warp (JAX 0.11.2, Warp 1.18).
 """
 
 import dataclasses
@@ -28,7 +29,8 @@ class Shares:
 
     Args:
         members: M.
-        devices: Those that may be used; all of this process if not given. In use are as many as divide M.
+        devices: Those that may be used; all of this process if not given. In use are as many as
+            divide M.
     """
 
     def __init__(self, members: int, devices: Sequence[jax.Device] | None = None) -> None:
@@ -43,22 +45,27 @@ class Shares:
     def __len__(self) -> int:
         return len(self.devices)
 
-    def jit(self, function: Callable[..., Any], out_specs: Any = FIRST_AXIS, **options: Any) -> Callable[..., Any]:
+    def jit(
+        self, function: Callable[..., Any], out_specs: Any = FIRST_AXIS, **options: Any
+    ) -> Callable[..., Any]:
         """Return `jax.jit(function, **options)`, which is written for any number of members, as a function of all.
 
-        Positional arguments are as `put` returns them, keywords are static; `out_specs` say how results are put
-        together, one for all leaves or a tree like the result's.
+        Positional arguments are as `put` returns them, keywords are static; `out_specs` say how
+        results are put together, one for all leaves or a tree like the result's.
         """
         jitted, mesh = jax.jit(function, **options), self._mesh
         if mesh is None:
             return jitted
 
         def call(*args: Any, **static: Any) -> Any:
-            # All taken before the first is donated, which deletes the whole array that they are parts of.
+            # All taken before the first is donated, which deletes the whole array that they are
+            # parts of.
             given = [jax.tree.map(partial(_part, device), args) for device in self.devices]
             parts = list(self._threads.map(lambda args: jitted(*args, **static), given))
             return jax.tree.map(
-                lambda spec, *part: jax.tree.map(lambda *leaves: _join(NamedSharding(mesh, spec), leaves), *part),
+                lambda spec, *part: jax.tree.map(
+                    lambda *leaves: _join(NamedSharding(mesh, spec), leaves), *part
+                ),
                 out_specs,
                 *parts,
             )
@@ -92,9 +99,11 @@ def _join(sharding: NamedSharding, parts: Sequence[jax.Array]) -> jax.Array:
 def state_specs(state: Any) -> Any:
     """Return how a training state is split, as a tree of its structure.
 
-    Counters of updates are of all members. The carries of frozen partners are laid out [partner, member x simulation],
-    everything else member by member.
+    Counters of updates are of all members. The carries of frozen partners are laid out [partner,
+    member x simulation], everything else member by member.
     """
     specs = jax.tree.map(lambda leaf: FIRST_AXIS if leaf.ndim else WHOLE, state)
     carries = jax.tree.map(lambda _: SECOND_AXIS, state.simulations.partners)
-    return dataclasses.replace(specs, simulations=dataclasses.replace(specs.simulations, partners=carries))
+    return dataclasses.replace(
+        specs, simulations=dataclasses.replace(specs.simulations, partners=carries)
+    )

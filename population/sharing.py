@@ -1,8 +1,8 @@
 """Shared parameters: one network for both roles, that reads a padded observation and the role's one-hot.
 
-Padding with zeros and a constant one-hot need never be built: the padded rows of the first kernel do nothing, and the
-one-hot adds one of its rows to the bias. `fold` makes an ordinary network of one role that way, exactly; training,
-acting and publishing all use it.
+Padding with zeros and a constant one-hot need never be built: the padded rows of the first kernel
+do nothing, and the one-hot adds one of its rows to the bias. `fold` makes an ordinary network of
+one role that way, exactly; training, acting and publishing all use it.
 """
 
 from collections.abc import Mapping
@@ -21,22 +21,27 @@ def padded_size(observation_size: Mapping[str, int]) -> int:
     return max(observation_size.values()) + len(ROLES)
 
 
-def fold(params: Params, role: str, observation_size: int, action_size: int | None = None) -> Params:
+def fold(
+    params: Params, role: str, observation_size: int, action_size: int | None = None
+) -> Params:
     """Return one role's ordinary parameters of a shared network.
 
-    With W the first kernel and e the role's one-hot, [obs, 0, e] W + b = obs W[:O] + (W[-2 + role] + b). Outputs beyond
-    the role's actions are dropped.
+    With W the first kernel and e the role's one-hot, [obs, 0, e] W + b = obs W[:O] + (W[-2 + role]
+    + b). Outputs beyond the role's actions are dropped.
 
     Args:
-        params: Parameters of the shared network, whose first layer is Dense_0 and whose last are its heads; leading
-            axes are free.
+        params: Parameters of the shared network, whose first layer is Dense_0 and whose last are
+            its heads; leading axes are free.
         role: The role.
         observation_size: Width O of the role's input.
         action_size: Width of the role's action; None for a critic, whose output is one value.
     """
     kernel, bias = params["Dense_0"]["kernel"], params["Dense_0"]["bias"]
     one_hot = kernel[..., ROLES.index(role) - len(ROLES), :]
-    folded = {**params, "Dense_0": {"kernel": kernel[..., :observation_size, :], "bias": bias + one_hot}}
+    folded = {
+        **params,
+        "Dense_0": {"kernel": kernel[..., :observation_size, :], "bias": bias + one_hot},
+    }
     if action_size is None:
         return folded
     for name in _heads(params):
@@ -48,12 +53,16 @@ def fold(params: Params, role: str, observation_size: int, action_size: int | No
 
 def pad(obs: jax.Array, role: str, width: int) -> jax.Array:
     """Return the shared network's input [..., width] of obs [..., O]: what `fold` makes unnecessary."""
-    one_hot = jnp.broadcast_to(jnp.eye(len(ROLES))[ROLES.index(role)], (*obs.shape[:-1], len(ROLES)))
+    one_hot = jnp.broadcast_to(
+        jnp.eye(len(ROLES))[ROLES.index(role)], (*obs.shape[:-1], len(ROLES))
+    )
     blank = jnp.zeros((*obs.shape[:-1], width - obs.shape[-1] - len(ROLES)))
     return jnp.concatenate([obs, blank, one_hot], axis=-1)
 
 
 def _heads(params: Params) -> list[str]:
     """Return the names of the output layers: the last dense one, or the last two with a state-dependent deviation."""
-    dense = sorted((name for name in params if name.startswith("Dense_")), key=lambda name: int(name[6:]))
+    dense = sorted(
+        (name for name in params if name.startswith("Dense_")), key=lambda name: int(name[6:])
+    )
     return dense[-1:] if "log_std" in params else dense[-2:]

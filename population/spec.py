@@ -20,7 +20,9 @@ class PolicySpec:
     hidden: tuple[int, ...] = (128, 128)  # widths of the hidden layers; (embedding, GRU) for "gru"
     activation: Literal["tanh", "relu"] = "tanh"  # after each dense hidden layer
     squash: Literal["clip", "tanh"] = "clip"  # how a Gaussian sample is brought into [-1, 1]
-    std: Literal["parameter", "state"] = "parameter"  # log standard deviation: one vector, or a head on the torso
+    std: Literal["parameter", "state"] = (
+        "parameter"  # log standard deviation: one vector, or a head on the torso
+    )
     normalise: bool = True  # whether parameters hold the mean and std of observations
 
     def __post_init__(self) -> None:
@@ -36,7 +38,9 @@ class PolicySpec:
             ("std", ("parameter", "state")),
         ):
             if getattr(self, name) not in allowed:
-                raise ValueError(f"{name} is {getattr(self, name)!r}; allowed are {', '.join(allowed)}")
+                raise ValueError(
+                    f"{name} is {getattr(self, name)!r}; allowed are {', '.join(allowed)}"
+                )
         object.__setattr__(self, "hidden", tuple(self.hidden))
         if not self.hidden or min(self.hidden) < 1:
             raise ValueError(f"hidden is {self.hidden}; give at least one width, each 1 or more")

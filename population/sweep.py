@@ -1,7 +1,8 @@
 """Hyperparameter sweeps: many configurations side by side, as members of a few vmapped programs.
 
-Continuous hyperparameters are traced: configurations that differ in them alone share one compiled program. Discrete
-ones change the program, so each combination of them is a block of its own, or several.
+Continuous hyperparameters are traced: configurations that differ in them alone share one compiled
+program. Discrete ones change the program, so each combination of them is a block of its own, or
+several.
 """
 
 import dataclasses
@@ -34,10 +35,15 @@ class Range:
     log: bool = True  # whether values are uniform in their logarithm
 
     def __post_init__(self) -> None:
-        if not self.low < self.high or not math.isfinite(self.high - self.low) or (self.log and self.low <= 0):
+        if (
+            not self.low < self.high
+            or not math.isfinite(self.high - self.low)
+            or (self.log and self.low <= 0)
+        ):
             positive = "0 < " if self.log else ""
             raise ValueError(
-                f"a range is from {self.low} to {self.high}; it must have {positive}low < high, both finite"
+                f"a range is from {self.low} to {self.high}; it must have {positive}low < high, "
+                "both finite"
             )
 
     def draw(self, rng: np.random.Generator) -> float:
@@ -49,7 +55,9 @@ class Range:
         return float(f"{value:.4g}")
 
 
-Space = Mapping[str, Range | tuple[Any, ...]]  # a tuple holds the values of a discrete hyperparameter
+Space = Mapping[
+    str, Range | tuple[Any, ...]
+]  # a tuple holds the values of a discrete hyperparameter
 
 SPACES: Mapping[str, Space] = {
     "ppo": {
@@ -81,20 +89,28 @@ class Sweep:
     steps: int = 2_000_000  # environment steps of each member
     block: int = 64  # most members in one program
     seed: int = 0  # draws the points
-    fixed: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # other changes of the preset
+    fixed: Mapping[str, Any] = dataclasses.field(
+        default_factory=dict
+    )  # other changes of the preset
 
     def __post_init__(self) -> None:
         for name in ("configurations", "seeds", "steps", "block"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must be at least 1")
         if self.block < self.seeds:
-            raise ValueError(f"block is {self.block}; it must hold the {self.seeds} seeds of a configuration")
+            raise ValueError(
+                f"block is {self.block}; it must hold the {self.seeds} seeds of a configuration"
+            )
         traced = preset(self.algorithm, **self.fixed).traced
         for name, values in self.space.items():
             if isinstance(values, Range) and name not in traced:
-                raise ValueError(f"{name} has a range; ranges are for {', '.join(traced)}: give a list of values")
+                raise ValueError(
+                    f"{name} has a range; ranges are for {', '.join(traced)}: give a list of values"
+                )
         for point in itertools.product(*self._discrete().values()):
-            preset(self.algorithm, **{**self.fixed, **dict(zip(self._discrete(), point, strict=True))})
+            preset(
+                self.algorithm, **{**self.fixed, **dict(zip(self._discrete(), point, strict=True))}
+            )
 
     def points(self) -> list[dict[str, Any]]:
         """Return the configurations: the grid over discrete values in turn, random draws of the others."""
@@ -102,7 +118,11 @@ class Sweep:
         grid = list(itertools.product(*self._discrete().values()))
         return [
             dict(zip(self._discrete(), grid[index % len(grid)], strict=True))
-            | {name: values.draw(rng) for name, values in self.space.items() if isinstance(values, Range)}
+            | {
+                name: values.draw(rng)
+                for name, values in self.space.items()
+                if isinstance(values, Range)
+            }
             for index in range(self.configurations)
         ]
 
@@ -114,14 +134,23 @@ class Sweep:
             groups.setdefault(tuple(point[name] for name in discrete), []).append(index)
         size = self.block // self.seeds
         return [
-            (part, self._run(dict(zip(discrete, values, strict=True)), [points[index] for index in part]))
+            (
+                part,
+                self._run(
+                    dict(zip(discrete, values, strict=True)), [points[index] for index in part]
+                ),
+            )
             for values, indices in groups.items()
             for part in (indices[start : start + size] for start in range(0, len(indices), size))
         ]
 
     def _run(self, discrete: dict[str, Any], points: list[dict[str, Any]]) -> TrainConfig:
         members = tuple(
-            Member(seed, self.disability, {name: value for name, value in point.items() if name not in discrete})
+            Member(
+                seed,
+                self.disability,
+                {name: value for name, value in point.items() if name not in discrete},
+            )
             for point in points
             for seed in range(self.seeds)
         )
@@ -138,16 +167,22 @@ class Sweep:
         )
 
     def _discrete(self) -> dict[str, tuple[Any, ...]]:
-        return {name: values for name, values in self.space.items() if not isinstance(values, Range)}
+        return {
+            name: values for name, values in self.space.items() if not isinstance(values, Range)
+        }
 
 
 def run_sweep(
-    sweep: Sweep, env: Environment, folder: Path, progress: Callable[[int, int, Progress], None] | None = None
+    sweep: Sweep,
+    env: Environment,
+    folder: Path,
+    progress: Callable[[int, int, Progress], None] | None = None,
 ) -> pl.DataFrame:
     """Train every configuration, block by block, and return one row for each configuration and seed.
 
-    The folder holds a run for each block, `sweep.parquet`, and the best configuration as `preset.json`. A sweep that
-    was interrupted goes on. A configuration that diverges has no final return; the others of its block are untouched.
+    The folder holds a run for each block, `sweep.parquet`, and the best configuration as
+    `preset.json`. A sweep that was interrupted goes on. A configuration that diverges has no final
+    return; the others of its block are untouched.
 
     Args:
         sweep: What to try.
@@ -157,7 +192,13 @@ def run_sweep(
     """
     count = len(sweep.blocks())
     for number in range(count):
-        _train_block(sweep, number, env, folder, None if progress is None else _numbered(progress, number, count))
+        _train_block(
+            sweep,
+            number,
+            env,
+            folder,
+            None if progress is None else _numbered(progress, number, count),
+        )
     return _collect(sweep, folder)
 
 
@@ -185,11 +226,15 @@ def run_sweep_on_ray(
     folder.mkdir(parents=True, exist_ok=True)
     run_blocks(cluster, lambda _: names, _train_remotely, (sweep, make_env, folder), on_done)
     if missing := [name for name in names if not (folder / name).exists()]:
-        raise ValueError(f"the workers are done, but {folder} lacks {', '.join(missing)} here; {NOT_SHARED}")
+        raise ValueError(
+            f"the workers are done, but {folder} lacks {', '.join(missing)} here; {NOT_SHARED}"
+        )
     return _collect(sweep, folder)
 
 
-def _train_remotely(number: int, _: int, sweep: Sweep, make_env: Callable[[], Environment], folder: Path) -> None:
+def _train_remotely(
+    number: int, _: int, sweep: Sweep, make_env: Callable[[], Environment], folder: Path
+) -> None:
     _train_block(sweep, number, make_env(), folder)
 
 
@@ -210,12 +255,21 @@ def _collect(sweep: Sweep, folder: Path) -> pl.DataFrame:
     for number, (indices, _) in enumerate(sweep.blocks()):
         scores = score(pl.read_parquet(folder / _block(number) / "metrics.parquet"))
         rows = [
-            {"configuration": index, "seed": seed, **points[index]} for index in indices for seed in range(sweep.seeds)
+            {"configuration": index, "seed": seed, **points[index]}
+            for index in indices
+            for seed in range(sweep.seeds)
         ]
-        tables.append(pl.DataFrame(rows).with_columns(scores["final_return"], scores["auc"], scores["diverged"]))
+        tables.append(
+            pl.DataFrame(rows).with_columns(
+                scores["final_return"], scores["auc"], scores["diverged"]
+            )
+        )
     results = pl.concat(tables).sort("configuration", "seed")
     results.write_parquet(folder / RESULTS)
-    content = {"algorithm": sweep.algorithm, "hyperparameters": {**sweep.fixed, **best(results, points)}}
+    content = {
+        "algorithm": sweep.algorithm,
+        "hyperparameters": {**sweep.fixed, **best(results, points)},
+    }
     write_atomically(folder / BEST, (json.dumps(content, indent=2) + "\n").encode())
     return results
 
@@ -223,20 +277,24 @@ def _collect(sweep: Sweep, folder: Path) -> pl.DataFrame:
 def score(metrics: pl.DataFrame) -> pl.DataFrame:
     """Return final_return, auc and diverged of each member, in order, of a run's metrics.
 
-    The final return is the mean of the episodes that ended in the last tenth of the steps; `auc` is the mean over all
-    updates, so that the area under the curve is in units of return. A member with a loss that is not finite has none.
+    The final return is the mean of the episodes that ended in the last tenth of the steps; `auc` is
+    the mean over all updates, so that the area under the curve is in units of return. A member with
+    a loss that is not finite has none.
     """
     losses = [name for name in metrics.columns if "loss" in name]
     last = pl.col("steps") > (1.0 - FINAL_SHARE) * pl.col("steps").max()
     episodes, returns = pl.col("episodes"), pl.col("return")
     table = metrics.group_by("member", maintain_order=True).agg(
-        ((returns * episodes).filter(last).sum() / episodes.filter(last).sum()).alias("final_return"),
+        ((returns * episodes).filter(last).sum() / episodes.filter(last).sum()).alias(
+            "final_return"
+        ),
         returns.mean().alias("auc"),
         pl.any_horizontal(~pl.col(name).is_finite().all() for name in losses).alias("diverged"),
     )
     gone = pl.col("diverged")
     return table.sort("member").with_columns(
-        pl.when(gone).then(None).otherwise(pl.col(name)).fill_nan(None).alias(name) for name in ("final_return", "auc")
+        pl.when(gone).then(None).otherwise(pl.col(name)).fill_nan(None).alias(name)
+        for name in ("final_return", "auc")
     )
 
 
@@ -247,11 +305,17 @@ def best(results: pl.DataFrame, points: list[dict[str, Any]]) -> dict[str, Any]:
         ValueError: No configuration has a final return for every seed.
     """
     means = results.group_by("configuration").agg(
-        pl.col("final_return").mean().alias("mean"), pl.col("final_return").null_count().alias("missing")
+        pl.col("final_return").mean().alias("mean"),
+        pl.col("final_return").null_count().alias("missing"),
     )
-    whole = means.filter(pl.col("missing") == 0).sort("mean", "configuration", descending=[True, False])
+    whole = means.filter(pl.col("missing") == 0).sort(
+        "mean", "configuration", descending=[True, False]
+    )
     if whole.is_empty():
-        raise ValueError("no configuration finished an episode with every seed; give more steps or a narrower space")
+        raise ValueError(
+            "no configuration finished an episode with every seed; give more steps or a narrower "
+            "space"
+        )
     return points[whole["configuration"][0]]
 
 
@@ -263,7 +327,11 @@ def read_space(data: Mapping[str, Any]) -> Space:
     """
     space: dict[str, Range | tuple[Any, ...]] = {}
     for name, value in data.items():
-        if isinstance(value, Mapping) and set(value) <= {"low", "high", "log"} and {"low", "high"} <= set(value):
+        if (
+            isinstance(value, Mapping)
+            and set(value) <= {"low", "high", "log"}
+            and {"low", "high"} <= set(value)
+        ):
             space[name] = Range(**value)
         elif isinstance(value, list) and value:
             space[name] = tuple(tuple(item) if isinstance(item, list) else item for item in value)
@@ -274,7 +342,9 @@ def read_space(data: Mapping[str, Any]) -> Space:
     return space
 
 
-def _numbered(progress: Callable[[int, int, Progress], None], number: int, count: int) -> Callable[[Progress], None]:
+def _numbered(
+    progress: Callable[[int, int, Progress], None], number: int, count: int
+) -> Callable[[Progress], None]:
     return lambda report: progress(number, count, report)
 
 

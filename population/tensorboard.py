@@ -20,8 +20,9 @@ _EPISODE = ("return", "reward", "episodes", "nonfinite")
 class EventFiles:
     """Writes what a run reports.
 
-    An update of a member is one event, which a file holds whole or not at all. A run that goes on begins after the
-    last step that the files hold, with what its own metrics have kept: no step is written twice, and none is left out.
+    An update of a member is one event, which a file holds whole or not at all. A run that goes on
+    begins after the last step that the files hold, with what its own metrics have kept: no step is
+    written twice, and none is left out.
 
     Args:
         config: The run.
@@ -29,26 +30,36 @@ class EventFiles:
         folder: Where the members' folders are; other runs may write theirs beside them.
 
     Raises:
-        ValueError: tensorboardX is not installed, or the run is new and there are event files of its members.
+        ValueError: tensorboardX is not installed, or the run is new and there are event files of
+            its members.
     """
 
     def __init__(self, config: TrainConfig, run: Path, folder: Path) -> None:
         self._summary, self._event, self._writer = _library()
-        self._folders = [folder / f"{config.task}-{config.algorithm}-{member.label}" for member in config.members]
+        self._folders = [
+            folder / f"{config.task}-{config.algorithm}-{member.label}" for member in config.members
+        ]
         self._metrics, self._files, self._caught_up = run / "metrics.parquet", {}, False
         if len(set(self._folders)) < len(self._folders):
-            raise ValueError("members of one disability setting and seed would share event files; train them apart")
+            raise ValueError(
+                "members of one disability setting and seed would share event files; train them "
+                "apart"
+            )
         self._written = [_last_step(path, self._event) for path in self._folders]
         if any(step >= 0 for step in self._written) and not (run / "config.json").exists():
             raise ValueError(
-                f"{folder} holds event files of another run of {self._folders[0].name}; choose another --tensorboard"
+                f"{folder} holds event files of another run of {self._folders[0].name}; choose "
+                "another --tensorboard"
             )
         self._flushed = time.monotonic()
 
     def __call__(self, progress: Progress) -> None:
         """Write the newest updates, after those that an earlier process left out."""
         self.catch_up(progress.rows["update"][0])
-        self._write(progress.rows, {"speed/steps_per_second": progress.steps_per_second / len(self._folders)})
+        self._write(
+            progress.rows,
+            {"speed/steps_per_second": progress.steps_per_second / len(self._folders)},
+        )
         if time.monotonic() - self._flushed > SECONDS_BETWEEN_FLUSHES:
             self._flush()
 
@@ -73,8 +84,12 @@ class EventFiles:
                 continue
             scalars = {tags[name]: row[name] for name in tags if row[name] is not None}
             scalars.update(more)
-            values = [self._summary.Value(tag=name, simple_value=value) for name, value in scalars.items()]
-            event = self._event(step=step, wall_time=time.time(), summary=self._summary(value=values))
+            values = [
+                self._summary.Value(tag=name, simple_value=value) for name, value in scalars.items()
+            ]
+            event = self._event(
+                step=step, wall_time=time.time(), summary=self._summary(value=values)
+            )
             self._file(member).write_event(event)
             self._written[member] = step
 
@@ -83,7 +98,9 @@ class EventFiles:
             folder = self._folders[member]
             folder.mkdir(parents=True, exist_ok=True)
             # A process that begins in the same second as another did has a name of its own.
-            self._files[member] = self._writer(str(folder / "events"), f".{self._written[member] + 1}")
+            self._files[member] = self._writer(
+                str(folder / "events"), f".{self._written[member] + 1}"
+            )
         return self._files[member]
 
     def _flush(self) -> None:
@@ -111,13 +128,20 @@ def _library() -> tuple[Any, Any, Any]:
             "TensorBoard event files need the package tensorboardX; install it with: "
             "pip install 'assistax-zoo[tensorboard]'"
         ) from None
-    messages: Any = summary_pb2, event_pb2  # made at import time: type checkers cannot see what is in them
+    messages: Any = (
+        summary_pb2,
+        event_pb2,
+    )  # made at import time: type checkers cannot see what is in them
     return messages[0].Summary, messages[1].Event, EventsWriter
 
 
 def _last_step(folder: Path, event: Any) -> int:
     """Return the last step that a member's files hold; -1 without any."""
-    steps = [event.FromString(record).step for path in _files(folder) for record in _records(path.read_bytes())]
+    steps = [
+        event.FromString(record).step
+        for path in _files(folder)
+        for record in _records(path.read_bytes())
+    ]
     return max(steps, default=-1)
 
 

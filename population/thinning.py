@@ -24,13 +24,14 @@ def thin(metrics: pl.DataFrame, config: TrainConfig, points: int = POINTS) -> pl
     """Return each member's mean return over `points` stretches of equal length.
 
     Args:
-        metrics: Metrics of a run: steps, disability, seed, episodes, and return, null where no episode ended.
+        metrics: Metrics of a run: steps, disability, seed, episodes, and return, null where no
+            episode ended.
         config: The run.
         points: Stretches; fewer if the run has fewer updates.
 
     Returns:
-        Columns task, algorithm, disability, seed, steps (the end of the stretch) and return: the mean over its
-        episodes, null where none ended.
+        Columns task, algorithm, disability, seed, steps (the end of the stretch) and return: the
+        mean over its episodes, null where none ended.
     """
     points = min(points, config.updates)
     stretch = (pl.col("update") * points / config.updates).ceil().cast(pl.Int64)
@@ -40,8 +41,12 @@ def thin(metrics: pl.DataFrame, config: TrainConfig, points: int = POINTS) -> pl
     table = metrics.group_by("disability", "seed", stretch.alias("stretch")).agg(
         pl.col("steps").max(), mean.fill_nan(None).alias("return")
     )
-    named = table.with_columns(pl.lit(config.task).alias("task"), pl.lit(config.algorithm).alias("algorithm"))
-    return named.select(pl.col(name).cast(dtype) for name, dtype in _SCHEMA.items()).sort(*_MEMBER, "steps")
+    named = table.with_columns(
+        pl.lit(config.task).alias("task"), pl.lit(config.algorithm).alias("algorithm")
+    )
+    return named.select(pl.col(name).cast(dtype) for name, dtype in _SCHEMA.items()).sort(
+        *_MEMBER, "steps"
+    )
 
 
 def write_curves(path: Path, runs: Sequence[tuple[pl.DataFrame, TrainConfig]]) -> pl.DataFrame:

@@ -31,7 +31,15 @@ from population.sharding import SECOND_AXIS, WHOLE, Shares, state_specs
 from population.spec import PolicySpec
 
 _SELF_PLAY = 1  # folded into a member's key: episodes of the final evaluation
-_LOSSES = ("policy_loss", "value_loss", "q_loss", "entropy", "alpha", "actor_grad_norm", "critic_grad_norm")
+_LOSSES = (
+    "policy_loss",
+    "value_loss",
+    "q_loss",
+    "entropy",
+    "alpha",
+    "actor_grad_norm",
+    "critic_grad_norm",
+)
 _LIBRARIES = ("jax", "flax", "optax", "mujoco")
 
 
@@ -106,16 +114,18 @@ def train(
 ) -> Path:
     """Train the members of a run and return its folder; a run that was interrupted goes on to the same result.
 
-    With partners, who are frozen, a member is an ego in the other seat. Several devices share the members: as many as
-    divide their number. A run may go on on other devices than it began on.
+    With partners, who are frozen, a member is an ego in the other seat. Several devices share the
+    members: as many as divide their number. A run may go on on other devices than it began on.
 
     Args:
         config: What to train.
         env: The environment of `config.task`.
-        folder: Where the run is kept: configuration, checkpoints, metrics, and at the end the teams.
+        folder: Where the run is kept: configuration, checkpoints, metrics, and at the end the
+            teams.
         partners: Who sits in the other seat, the same as `config.partners` names.
         resume: Whether to go on with a run that the folder holds.
-        stop_on_divergence: Whether a loss that is not finite ends the run; if not, that member goes on to no good.
+        stop_on_divergence: Whether a loss that is not finite ends the run; if not, that member goes
+            on to no good.
         progress: Called after every dispatch to the devices.
         devices: Those that may be used; all of this process if not given.
 
@@ -125,14 +135,21 @@ def train(
         OSError: The folder cannot be written.
     """
     if env.task != config.task:
-        raise ValueError(f"the environment's task is {env.task!r}, the run's is {config.task!r}; give the same task")
+        raise ValueError(
+            f"the environment's task is {env.task!r}, the run's is {config.task!r}; give the same "
+            "task"
+        )
     if config.partners != (partners.names if partners else ()):
-        raise ValueError("the partners given are not those that the configuration names; give the same, in its order")
+        raise ValueError(
+            "the partners given are not those that the configuration names; give the same, in its "
+            "order"
+        )
     for member in config.members:
         if (member.disability == MIXED) != bool(partners):
             raise ValueError(
-                f"member {member.label} has disability {member.disability!r}; an ego with partners has {MIXED!r}, "
-                "because each partner brings its own, and a team has one of d1 to d9"
+                f"member {member.label} has disability {member.disability!r}; an ego with partners "
+                f"has {MIXED!r}, because each partner brings its own, and a team has one of d1 to "
+                "d9"
             )
     trainer, shares = make_trainer(config, env, partners), Shares(len(config.members), devices)
     run = RunFolder(folder)
@@ -142,16 +159,22 @@ def train(
     checkpoints = Checkpoints(run.checkpoints)
     try:
         state, metrics = _load(config, trainer, shares, run, checkpoints)
-        state, metrics = _loop(config, trainer, shares, state, metrics, run, checkpoints, progress, stop_on_divergence)
+        state, metrics = _loop(
+            config, trainer, shares, state, metrics, run, checkpoints, progress, stop_on_divergence
+        )
     finally:
         checkpoints.close()
     _finish(config, trainer, shares, state, metrics, run)
     if not extends(config.trainer):
-        shutil.rmtree(run.checkpoints, ignore_errors=True)  # a replay for each member, and nothing can go on from them
+        shutil.rmtree(
+            run.checkpoints, ignore_errors=True
+        )  # a replay for each member, and nothing can go on from them
     return run.folder
 
 
-def make_trainer(config: TrainConfig, env: Environment, partners: Partners | None = None) -> Trainer:
+def make_trainer(
+    config: TrainConfig, env: Environment, partners: Partners | None = None
+) -> Trainer:
     """Return the trainer of a run."""
     if isinstance(config.trainer, PPOConfig):
         return PPO(config.trainer, env, config.updates, partners)
@@ -166,7 +189,9 @@ def initial_state(config: TrainConfig, trainer: Trainer, shares: Shares | None =
     settings = [
         setting
         for member in config.members
-        for setting in (partners.settings(simulations) if partners else [member.disability] * simulations)
+        for setting in (
+            partners.settings(simulations) if partners else [member.disability] * simulations
+        )
     ]
     start = shares.put((keys, disability_params(settings)))
     initial = shares.jit(trainer.initial, state_specs(jax.eval_shape(trainer.initial, *start)))
@@ -189,7 +214,9 @@ def _load(
         return state, []
     if done > config.updates:
         steps = done * config.trainer.batch_steps
-        raise ValueError(f"{run.folder} has already trained {steps} steps; ask for at least that many")
+        raise ValueError(
+            f"{run.folder} has already trained {steps} steps; ask for at least that many"
+        )
     return checkpoints.restore(done, state), [run.read_metrics(done)]
 
 
@@ -206,10 +233,13 @@ def _loop(
 ) -> tuple[State, pl.DataFrame]:
     """Update until the run is done, saving metrics and then the state every `checkpoint_every` updates.
 
-    The last state is saved only where a longer run can go on from it: with a replay for each member it may be large.
+    The last state is saved only where a longer run can go on from it: with a replay for each member
+    it may be large.
     """
     specs = (state_specs(state), SECOND_AXIS)
-    advance = shares.jit(partial(_advance, trainer), specs, static_argnames="updates", donate_argnames="state")
+    advance = shares.jit(
+        partial(_advance, trainer), specs, static_argnames="updates", donate_argnames="state"
+    )
     hyper = shares.put(trainer.hyper(config.members))
     partners = shares.put(trainer.partners.params if trainer.partners else (), WHOLE)
     done = int(state.update)
@@ -220,7 +250,9 @@ def _loop(
         updates = min(config.updates_per_call, config.updates - done)
         state, values = advance(state, hyper, partners, updates=updates)
         values = jax.device_get(values)
-        rows = metrics_table(values, config.members, done, config.trainer.batch_steps, clock.seconds())
+        rows = metrics_table(
+            values, config.members, done, config.trainer.batch_steps, clock.seconds()
+        )
         metrics.append(rows)
         done += updates
         saving = done // config.checkpoint_every > (done - updates) // config.checkpoint_every
@@ -238,9 +270,13 @@ def _loop(
     return state, pl.concat(metrics)
 
 
-def _advance(trainer: Trainer, state: State, hyper: Any, partners: Any, *, updates: int) -> tuple[State, Metrics]:
+def _advance(
+    trainer: Trainer, state: State, hyper: Any, partners: Any, *, updates: int
+) -> tuple[State, Metrics]:
     """Return the state after some updates, and their metrics [updates, M]."""
-    return jax.lax.scan(lambda state, _: trainer.update(state, hyper, partners), state, length=updates)
+    return jax.lax.scan(
+        lambda state, _: trainer.update(state, hyper, partners), state, length=updates
+    )
 
 
 class _Clock:
@@ -261,7 +297,9 @@ class _Clock:
         batch = config.trainer.batch_steps * len(config.members)
         speed = (done - start) * batch / (now - since)
         total = config.updates * batch
-        return Progress(done, config.updates, done * batch, total, speed, (total - done * batch) / speed, rows)
+        return Progress(
+            done, config.updates, done * batch, total, speed, (total - done * batch) / speed, rows
+        )
 
 
 def _diverged(values: Mapping[str, np.ndarray]) -> tuple[str, int] | None:
@@ -272,11 +310,18 @@ def _diverged(values: Mapping[str, np.ndarray]) -> tuple[str, int] | None:
     return None
 
 
-def _divergence(bad: tuple[str, int], rows: pl.DataFrame, config: TrainConfig, checkpoints: Checkpoints) -> str:
+def _divergence(
+    bad: tuple[str, int], rows: pl.DataFrame, config: TrainConfig, checkpoints: Checkpoints
+) -> str:
     name, index = bad
     member, last = config.members[index], checkpoints.latest()
-    kept = f"the last good checkpoint is of update {last}" if last else "no checkpoint was written yet"
-    rates = {name: member.overrides.get(name, getattr(config.trainer, name)) for name in config.trainer.rates}
+    kept = (
+        f"the last good checkpoint is of update {last}" if last else "no checkpoint was written yet"
+    )
+    rates = {
+        name: member.overrides.get(name, getattr(config.trainer, name))
+        for name in config.trainer.rates
+    }
     lower = ", ".join(f"{name} below {rate:g}" for name, rate in rates.items())
     return (
         f"training diverged: {name} of member {member.label} is {rows[name][index]} "
@@ -286,21 +331,32 @@ def _divergence(bad: tuple[str, int], rows: pl.DataFrame, config: TrainConfig, c
 
 
 def _finish(
-    config: TrainConfig, trainer: Trainer, shares: Shares, state: State, metrics: pl.DataFrame, run: RunFolder
+    config: TrainConfig,
+    trainer: Trainer,
+    shares: Shares,
+    state: State,
+    metrics: pl.DataFrame,
+    run: RunFolder,
 ) -> None:
     """Evaluate the final policies in self-play, unless they are egos, and write them."""
     # On one device: a few episodes of each team are less than an update was.
     params = jax.jit(trainer.policy_params)(shares.gather(state.members))
     results: list[dict[str, Any] | None] = [None] * len(config.members)
     if config.self_play_episodes and not trainer.partners:
-        keys = jnp.stack([jax.random.fold_in(member_key(member), _SELF_PLAY) for member in config.members])
+        keys = jnp.stack(
+            [jax.random.fold_in(member_key(member), _SELF_PLAY) for member in config.members]
+        )
         env_params = disability_params([member.disability for member in config.members])
-        results[:] = self_play(trainer.env, trainer.policies, params, env_params, keys, config.self_play_episodes)
+        results[:] = self_play(
+            trainer.env, trainer.policies, params, env_params, keys, config.self_play_episodes
+        )
     training = _provenance(config, trainer.env, shares, float(metrics["seconds"][-1]))
     run.write_teams(config, trainer.specs, jax.device_get(params), training, results)
 
 
-def _provenance(config: TrainConfig, env: Environment, shares: Shares, seconds: float) -> Mapping[str, Any]:
+def _provenance(
+    config: TrainConfig, env: Environment, shares: Shares, seconds: float
+) -> Mapping[str, Any]:
     """Return what a registry says about a run."""
     return {
         "steps": config.updates * config.trainer.batch_steps,
@@ -311,5 +367,8 @@ def _provenance(config: TrainConfig, env: Environment, shares: Shares, seconds: 
         "devices": len(shares),
         "seconds": round(seconds, 1),
         "versions": {name: importlib.metadata.version(name) for name in _LIBRARIES},
-        "hyperparameters": {**dataclasses.asdict(config.trainer), "hidden": list(config.trainer.hidden)},
+        "hyperparameters": {
+            **dataclasses.asdict(config.trainer),
+            "hidden": list(config.trainer.hidden),
+        },
     }

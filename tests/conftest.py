@@ -18,17 +18,24 @@ from jaxtyping import install_import_hook
 
 PACKAGES = ("assistax_envs", "population", "zoo", "evaluation", "assistax_zoo")
 
-# Through the environment, not `jax.config`: tests that never import JAX stay quick, and subprocesses are strict too.
+# Through the environment, not `jax.config`: tests that never import JAX stay quick, and
+# subprocesses are strict too.
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path("~/.cache/assistax-zoo/xla-tests").expanduser()))
+os.environ.setdefault(
+    "JAX_COMPILATION_CACHE_DIR", str(Path("~/.cache/assistax-zoo/xla-tests").expanduser())
+)
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 if tuple(int(part) for part in version("jaxlib").split(".")[:3]) < (0, 11, 1):
-    # Or MJX crawls (see assistax_envs.physics.mjx). From 0.11.1 on it does not, and XLA aborts on the unknown flag.
+    # Or MJX crawls (see assistax_envs.physics.mjx). From 0.11.1 on it does not, and XLA aborts on
+    # the unknown flag.
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
-# An int is a float here as in PEP 484, and what beartype cannot check, such as a Protocol, stays unchecked.
-CHECK = BeartypeConf(is_pep484_tower=True, warning_cls_on_decorator_exception=BeartypeClawDecorWarning)
+# An int is a float here as in PEP 484, and what beartype cannot check, such as a Protocol, stays
+# unchecked.
+CHECK = BeartypeConf(
+    is_pep484_tower=True, warning_cls_on_decorator_exception=BeartypeClawDecorWarning
+)
 
 
 def check_annotations(function: FunctionType, *_: Any, **__: Any) -> Callable:

@@ -16,7 +16,13 @@ ROOT = Path(__file__).parents[1]
 LAYERS = {
     "assistax_envs": (),
     "population": ("assistax_envs",),
-    "zoo": ("population.spec", "population.policy", "assistax_envs.versions", "assistax_envs.disability"),
+    "zoo": (
+        "population.spec",
+        "population.stack",
+        "population.policy",
+        "assistax_envs.versions",
+        "assistax_envs.disability",
+    ),
     "evaluation": ("assistax_envs", "population", "zoo"),
     "assistax_zoo": ("assistax_envs", "population", "zoo", "evaluation"),
 }
@@ -63,8 +69,13 @@ def test_what_is_allowed_is_not_reported(tmp_path: Path, package: str, statement
 
 
 def test_command_line_and_registry_import_nothing_heavy() -> None:
-    commands = [f"assistax_zoo.commands.{path.stem}" for path in (ROOT / "assistax_zoo/commands").glob("[!_]*.py")]
-    assert heavy_imports("assistax_zoo.main", "assistax_zoo.console", "zoo.registry", *commands) == []
+    commands = [
+        f"assistax_zoo.commands.{path.stem}"
+        for path in (ROOT / "assistax_zoo/commands").glob("[!_]*.py")
+    ]
+    assert (
+        heavy_imports("assistax_zoo.main", "assistax_zoo.console", "zoo.registry", *commands) == []
+    )
 
 
 def test_a_heavy_import_is_found() -> None:
@@ -81,7 +92,9 @@ def test_annotations_are_checked_in_tests() -> None:
 def violations(root: Path) -> Iterator[str]:
     for package, allowed in LAYERS.items():
         for path in sorted((root / package).rglob("*.py")):
-            for line, name in imports(ast.parse(path.read_text(encoding="utf-8"), filename=str(path))):
+            for line, name in imports(
+                ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+            ):
                 if name.split(".")[0] in (*LAYERS, "") and not is_within(name, (package, *allowed)):
                     yield f"{path.relative_to(root)}:{line} imports {name or 'relatively'}"
 
@@ -96,7 +109,9 @@ def imports(tree: ast.AST) -> Iterator[tuple[int, str]]:
                 yield from ((node.lineno, f"{module}.{alias.name}") for alias in aliases)
             case ast.ImportFrom():
                 yield node.lineno, ""
-            case ast.Call(func=ast.Attribute(attr="import_module"), args=[ast.Constant(value=str(name)), *_]):
+            case ast.Call(
+                func=ast.Attribute(attr="import_module"), args=[ast.Constant(value=str(name)), *_]
+            ):
                 yield node.lineno, name
 
 
@@ -111,9 +126,15 @@ def plant(root: Path, package: str, statement: str) -> None:
 
 def heavy_imports(*modules: str) -> list[str]:
     """Names from HEAVY that a fresh interpreter has loaded after importing the modules."""
-    script = "import importlib, json, sys\nfor name in sys.argv[1:]: importlib.import_module(name)\n"
+    script = (
+        "import importlib, json, sys\nfor name in sys.argv[1:]: importlib.import_module(name)\n"
+    )
     script += f"print(json.dumps([name for name in {HEAVY!r} if name in sys.modules]))"
     result = subprocess.run(
-        [sys.executable, "-c", script, *modules], cwd=ROOT, check=True, capture_output=True, text=True
+        [sys.executable, "-c", script, *modules],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+        text=True,
     )
     return json.loads(result.stdout)

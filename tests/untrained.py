@@ -17,7 +17,9 @@ HUMAN = PolicySpec("human", observation_size=38, action_size=3, hidden=(8,))
 
 
 def params_of(spec: PolicySpec, seed: int) -> dict[str, Any]:
-    return jax.tree.map(lambda leaf: np.array(leaf), jax.jit(Policy(spec).init)(jax.random.key(seed)))
+    return jax.tree.map(
+        lambda leaf: np.array(leaf), jax.jit(Policy(spec).init)(jax.random.key(seed))
+    )
 
 
 def untrained_team(disability: str, seed: int, **policies: tuple[PolicySpec, Any]) -> TrainedTeam:

@@ -45,5 +45,7 @@ _HOMES = {
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
-        raise AttributeError(f"module 'zoo' has no attribute {name!r}; it offers {', '.join(sorted(_HOMES))}")
+        raise AttributeError(
+            f"module 'zoo' has no attribute {name!r}; it offers {', '.join(sorted(_HOMES))}"
+        )
     return getattr(importlib.import_module(_HOMES[name]), name)

@@ -11,7 +11,9 @@ from zoo.storage import load_leaves
 from zoo.tensors import unflatten
 
 
-def adoptable(registry: Registry, teams: Iterable[TeamId], release: str, steps: int) -> list[TeamId]:
+def adoptable(
+    registry: Registry, teams: Iterable[TeamId], release: str, steps: int
+) -> list[TeamId]:
     """Return those of the teams that another release has, trained long enough on the environments of today.
 
     Args:

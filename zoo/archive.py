@@ -28,8 +28,8 @@ def extract(archive: Path, folder: Path) -> None:
     """Write the files of a zoo's `.tar.gz` that have a known name to a folder; anything else is left out.
 
     Raises:
-        ForeignError: The archive is damaged, holds a link, a device or a path that leaves it, names a file twice, or
-            is larger than the bounds of this module.
+        ForeignError: The archive is damaged, holds a link, a device or a path that leaves it, names
+            a file twice, or is larger than the bounds of this module.
     """
     total, seen = 0, set()
     try:
@@ -69,7 +69,9 @@ def read_member(folder: Path, name: str) -> bytes:
             raise refusal(str(path), "a file", "a link")
     try:
         # Without O_NONBLOCK a named pipe would wait for ever.
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+        descriptor = os.open(
+            path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+        )
     except FileNotFoundError:
         raise refusal(str(path), "a file", "none") from None
     with os.fdopen(descriptor, "rb") as file:
@@ -101,12 +103,18 @@ def _member_name(archive: Path, member: tarfile.TarInfo) -> str | None:
     if member.isdir():
         return None
     if not member.isreg():
-        raise refusal(f"archive {archive}", "regular files and folders", f"{shorten(member.name)}, a link or device")
+        raise refusal(
+            f"archive {archive}",
+            "regular files and folders",
+            f"{shorten(member.name)}, a link or device",
+        )
     # The zoo's own folder may stand in front of its files.
     for name in ("/".join(path.parts), "/".join(path.parts[1:])):
         for pattern, bound in _KNOWN.items():
             if pattern.fullmatch(name):
                 if member.size > bound:
-                    raise refusal(f"archive {archive}", f"at most {bound} bytes", f"{name} of {member.size}")
+                    raise refusal(
+                        f"archive {archive}", f"at most {bound} bytes", f"{name} of {member.size}"
+                    )
                 return name
     return None

@@ -1,16 +1,20 @@
 """Partners that act alike: leakage between the sides of a split that no hash can see.
 
-Two humans of one network are compared by the mean absolute difference of their deterministic actions over fixed
-probes: observations drawn around the population's own normalisers, played in short sequences so that recurrent
+Two humans of one network are compared by the mean absolute difference of their deterministic
+actions over fixed
+probes: observations drawn around the population's own normalisers, played in short sequences so
+    that recurrent
 policies show their memory.
 
-`THRESHOLD` follows from the scratch teams of release v0. The 496 pairs of 32 humans differ by 0.29 (the closest) to
-0.98, 0.56 in the median. A copy in half precision differs by at most 0.002, a copy with 1 % of noise in every weight by
-0.01, with 10 % by 0.06. So 0.1 lies above what copies reach, and three times below what training from another seed
-gives. Training further from a copy may move it beyond: what is alike here is a copy, what is not may be a relative.
+`THRESHOLD` follows from the scratch teams of release v0. The 496 pairs of 32 humans differ by 0.29
+(the closest) to 0.98, 0.56 in the median. A copy in half precision differs by at most 0.002, a copy
+with 1 % of noise in every weight by 0.01, with 10 % by 0.06. So 0.1 lies above what copies reach,
+and three times below what training from another seed gives. Training further from a copy may move
+it beyond: what is alike here is a copy, what is not may be a relative.
 
-In release v1 the closest of a task differ by 0.21 on scratch, 0.18 on bed bath and 0.095 on arm assist, where two pairs
-of MAPPO's humans, who have little to do there, stand below the threshold without being copies: they may share a side.
+In release v1 the closest of a task differ by 0.21 on scratch, 0.18 on bed bath and 0.095 on arm
+assist, where two pairs of MAPPO's humans, who have little to do there, stand below the threshold
+without being copies: they may share a side.
 """
 
 from collections.abc import Sequence
@@ -52,11 +56,15 @@ def similar_pairs(registry: Registry, split: Split, threshold: float = THRESHOLD
     pairs: list[Pair] = []
     for group in load_group(registry, humans):
         names = [policy.rpartition("/")[0] for policy in group.ids]
-        train, test = ([i for i, name in enumerate(names) if name in side] for side in (split.train, split.test))
+        train, test = (
+            [i for i, name in enumerate(names) if name in side]
+            for side in (split.train, split.test)
+        )
         if train and test:
             found = differences(probe_actions(group))[np.ix_(train, test)]
             pairs += [
-                Pair(names[train[i]], names[test[j]], float(found[i, j])) for i, j in np.argwhere(found < threshold)
+                Pair(names[train[i]], names[test[j]], float(found[i, j]))
+                for i, j in np.argwhere(found < threshold)
             ]
     return sorted(pairs, key=lambda pair: pair.difference)
 
@@ -84,7 +92,9 @@ def probes(group: PolicyGroup) -> np.ndarray:
     size = group.spec.observation_size
     draws = np.random.default_rng(_SEED).standard_normal((_STEPS, _SEQUENCES, size))
     if group.spec.normalise:
-        scale = {name: np.median(value, axis=0) for name, value in group.params["normaliser"].items()}
+        scale = {
+            name: np.median(value, axis=0) for name, value in group.params["normaliser"].items()
+        }
         draws = scale["mean"] + scale["std"] * draws
     return draws.astype(np.float32)
 

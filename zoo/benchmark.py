@@ -61,7 +61,9 @@ def measure_zoo(folder: Path, policies: int, command: Sequence[str]) -> ZooSpeed
     there = ["--registry", str(registry.path)]
     listing = [*command, "list", *there]
     with _web_server(folder / "zoo") as url:
-        fetches = [_fetch_seconds(command, url, folder / f"cache-{number}") for number in range(REPEATS)]
+        fetches = [
+            _fetch_seconds(command, url, folder / f"cache-{number}") for number in range(REPEATS)
+        ]
     return ZooSpeed(
         policies=len(registry.policies),
         shards=len(registry.data.shards),
@@ -79,7 +81,10 @@ def measure_zoo(folder: Path, policies: int, command: Sequence[str]) -> ZooSpeed
 def synthetic_registry(path: Path, policies: int) -> Registry:
     """Publish teams with random parameters, four algorithms and all disability settings in turn."""
     groups = list(itertools.product(DISABILITY_SETTINGS, ALGORITHMS))
-    teams = [_team(number // len(groups), *groups[number % len(groups)]) for number in range(policies // 2)]
+    teams = [
+        _team(number // len(groups), *groups[number % len(groups)])
+        for number in range(policies // 2)
+    ]
     return publish(teams, path, "v0", date="2027-01-31", check=lambda spec, leaves, source: None)
 
 
@@ -92,7 +97,12 @@ def _team(seed: int, disability: str, algorithm: str) -> TrainedTeam:
         seed=seed,
         specs=SPECS,
         params={role: _params(spec, rng) for role, spec in SPECS.items()},
-        training={"run": f"scratch-{algorithm}", "steps": 10_000_000, "env_version": 1, "backend": "native"},
+        training={
+            "run": f"scratch-{algorithm}",
+            "steps": 10_000_000,
+            "env_version": 1,
+            "backend": "native",
+        },
         self_play={"mean": 950.5, "iqm": 952.25, "ci": [940.0, 960.0], "n": 16},
     )
 
@@ -100,7 +110,10 @@ def _team(seed: int, disability: str, algorithm: str) -> TrainedTeam:
 def _params(spec: PolicySpec, rng: np.random.Generator) -> dict[str, Any]:
     widths = (spec.observation_size, *spec.hidden, spec.action_size)
     return {
-        f"Dense_{i}": {"kernel": rng.random(shape, np.float32), "bias": rng.random(shape[1], np.float32)}
+        f"Dense_{i}": {
+            "kernel": rng.random(shape, np.float32),
+            "bias": rng.random(shape[1], np.float32),
+        }
         for i, shape in enumerate(itertools.pairwise(widths))
     }
 
@@ -136,14 +149,28 @@ def _fetch_seconds(command: Sequence[str], url: str, cache: Path) -> float:
     """Return what `fetch --json` says it took for all shards, with an empty cache."""
     environment = {**os.environ, CACHE_VARIABLE: str(cache)}
     words = [*command, "fetch", "--from", url, "--json"]
-    done = subprocess.run(words, check=True, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    done = subprocess.run(
+        words, check=True, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
     return json.loads(done.stdout)["seconds"]
 
 
 @contextlib.contextmanager
 def _web_server(folder: Path) -> Generator[str]:
-    words = [sys.executable, "-u", "-m", "http.server", "0", "--bind", "127.0.0.1", "--directory", str(folder)]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+    words = [
+        sys.executable,
+        "-u",
+        "-m",
+        "http.server",
+        "0",
+        "--bind",
+        "127.0.0.1",
+        "--directory",
+        str(folder),
+    ]
+    with subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
         try:
             assert process.stdout is not None
             match = re.search(r"port (\d+)", process.stdout.readline())

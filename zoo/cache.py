@@ -40,7 +40,12 @@ def cached_row(digest: str) -> Path:
 def cached_registry(remote: str) -> Path:
     """Return where the registry of a remote lies if it was fetched; the name is the user's for it."""
     words = re.sub(r"[^A-Za-z0-9.]+", "-", remote).strip("-.")[-60:]
-    return cache_root() / "registries" / f"{words}-{hashlib.sha256(remote.encode()).hexdigest()[:8]}" / "registry.json"
+    return (
+        cache_root()
+        / "registries"
+        / f"{words}-{hashlib.sha256(remote.encode()).hexdigest()[:8]}"
+        / "registry.json"
+    )
 
 
 def refuse_write(error: OSError, path: Path, size: int) -> NoReturn:

@@ -29,12 +29,19 @@ def markdown_card(cards: Sequence[Mapping[str, Any]], image: str | None = None) 
     setting = first["disability"]
     summary = {
         "release": first["release"],
-        "disability": ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in setting.items()),
+        "disability": ", ".join(
+            f"{name.replace('_', ' ')} {value}" for name, value in setting.items()
+        ),
         **_self_play(first["self_play"]),
         **{f"side of {split}": side for split, side in first["splits"].items()},
     }
     parts.append(_table(("", ""), summary.items()))
-    parts += ["## Policies", _policies(cards), "## Training", _table(("", ""), _training(first["training"]))]
+    parts += [
+        "## Policies",
+        _policies(cards),
+        "## Training",
+        _table(("", ""), _training(first["training"])),
+    ]
     parts += ["## Use", f"```sh\n{_usage(cards)}\n```"]
     return "\n\n".join(parts) + "\n"
 
@@ -43,16 +50,26 @@ def _self_play(figures: Mapping[str, Any] | None) -> dict[str, str]:
     if figures is None:
         return {"self-play return": "not measured"}
     low, high = figures["ci"]
-    told = f"{figures['mean']:.1f}, 95% interval {low:.1f} to {high:.1f} over {figures['n']} episodes"
+    told = (
+        f"{figures['mean']:.1f}, 95% interval {low:.1f} to {high:.1f} over {figures['n']} episodes"
+    )
     success = figures.get("success")
-    return {"self-play return": told, **({} if success is None else {"self-play success": f"{success:.0%}"})}
+    return {
+        "self-play return": told,
+        **({} if success is None else {"self-play success": f"{success:.0%}"}),
+    }
 
 
 def _policies(cards: Sequence[Mapping[str, Any]]) -> str:
     rows: dict[str, list[Any]] = {"id": [card["id"] for card in cards]}
-    rows |= {word: [_value(card["spec"][field]) for card in cards] for field, word in _SPEC_WORDS.items()}
+    rows |= {
+        word: [_value(card["spec"][field]) for card in cards] for field, word in _SPEC_WORDS.items()
+    }
     rows["sha256"] = [f"`{card['sha256']}`" for card in cards]
-    return _table(("", *(card["spec"]["role"] for card in cards)), [(name, *values) for name, values in rows.items()])
+    return _table(
+        ("", *(card["spec"]["role"] for card in cards)),
+        [(name, *values) for name, values in rows.items()],
+    )
 
 
 def _training(training: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -70,8 +87,13 @@ def _usage(cards: Sequence[Mapping[str, Any]]) -> str:
     for card in cards:
         task = card["id"].partition("/")[0]
         if card["spec"]["role"] == "robot":
-            lines.append(f"assistax-zoo evaluate --task {task} --policy zoo:{card['id']} --split test --out results")
-        lines.append(f"assistax-zoo export {card['id']} --format onnx --out {card['spec']['role']}.onnx")
+            lines.append(
+                f"assistax-zoo evaluate --task {task} --policy zoo:{card['id']} --split test --out "
+                "results"
+            )
+        lines.append(
+            f"assistax-zoo export {card['id']} --format onnx --out {card['spec']['role']}.onnx"
+        )
     return "\n".join(lines)
 
 
@@ -90,4 +112,6 @@ def _text(value: Any) -> str:
 
 
 def _address(image: str) -> str:
-    return "".join(character for character in image if character.isprintable() and character not in "<>")
+    return "".join(
+        character for character in image if character.isprintable() and character not in "<>"
+    )

@@ -7,10 +7,20 @@ from collections.abc import Iterable
 class ZooError(Exception):
     """Base of the family; its message is one line, ready for a user."""
 
-    def __init__(self, problem: str, *, expected: str, found: str, done: str, next_step: str) -> None:
+    def __init__(
+        self, problem: str, *, expected: str, found: str, done: str, next_step: str
+    ) -> None:
         """Build the line from its five parts; they stay readable as attributes."""
-        self.problem, self.expected, self.found, self.done, self.next_step = problem, expected, found, done, next_step
-        super().__init__(_one_line(f"{problem}: expected {expected}, found {found}; {done}; next: {next_step}"))
+        self.problem, self.expected, self.found, self.done, self.next_step = (
+            problem,
+            expected,
+            found,
+            done,
+            next_step,
+        )
+        super().__init__(
+            _one_line(f"{problem}: expected {expected}, found {found}; {done}; next: {next_step}")
+        )
 
 
 class IdError(ZooError):

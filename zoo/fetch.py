@@ -71,7 +71,9 @@ def fetch(
     members: dict[str, list[PolicyEntry]] = {}
     for entry in entries:
         members.setdefault(entry.shard, []).append(entry)
-    missing = {shard: wanted for shard, wanted in members.items() if not _is_here(registry, shard, wanted)}
+    missing = {
+        shard: wanted for shard, wanted in members.items() if not _is_here(registry, shard, wanted)
+    }
     received, sliced = 0, 0
     if missing:
         if remote is None:
@@ -121,7 +123,11 @@ def remote_registry(remote: Remote) -> Registry:
 
 
 def _fetch_all(
-    registry: Registry, missing: Mapping[str, Sequence[PolicyEntry]], remote: Remote, advance: Advance, workers: int
+    registry: Registry,
+    missing: Mapping[str, Sequence[PolicyEntry]],
+    remote: Remote,
+    advance: Advance,
+    workers: int,
 ) -> tuple[int, int]:
     """Return how many bytes came, and of how many shards only some policies."""
     stop, lock = threading.Event(), threading.Lock()
@@ -133,7 +139,8 @@ def _fetch_all(
     remote.revision  # noqa: B018  asked for once, before the threads
     with concurrent.futures.ThreadPoolExecutor(workers) as pool:
         tasks = [
-            pool.submit(_fetch_shard, registry, shard, wanted, remote, count, stop) for shard, wanted in missing.items()
+            pool.submit(_fetch_shard, registry, shard, wanted, remote, count, stop)
+            for shard, wanted in missing.items()
         ]
         try:
             for task in concurrent.futures.as_completed(tasks):
@@ -214,7 +221,9 @@ def _remove(path: Path) -> None:
 
 def _refuse_changes(old: Registry, new: Registry, remote: Remote) -> None:
     before = {entry.id: entry.sha256 for entry in old.policies}
-    changed = [entry.id for entry in new.policies if before.get(entry.id, entry.sha256) != entry.sha256]
+    changed = [
+        entry.id for entry in new.policies if before.get(entry.id, entry.sha256) != entry.sha256
+    ]
     if changed:
         raise IntegrityError(
             f"registry.json of {remote.name}",

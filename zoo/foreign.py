@@ -1,7 +1,8 @@
 """Foreign policies: imported from public Assistax zoos; listed, shown and verified, but never played.
 
-They lie beside the registry, one folder for each zoo: `zoo/foreign/NAME/foreign.json` and the parameter files as they
-were. Their ids are `foreign/NAME/UUID`. The registry itself does not know them.
+They lie beside the registry, one folder for each zoo: `zoo/foreign/NAME/foreign.json` and the
+parameter files as they were. Their ids are `foreign/NAME/UUID`. The registry itself does not know
+them.
 """
 
 import dataclasses
@@ -41,8 +42,16 @@ class ForeignDisability(_Model):
     @property
     def label(self) -> str:
         """Short text for the list, such as "range 0.7, strength 0.4"."""
-        names = {"joint_restriction_factor": "range", "joint_strength": "strength", "tremor_magnitude": "tremor"}
-        told = [f"{word} {value:g}" for field, word in names.items() if (value := getattr(self, field)) is not None]
+        names = {
+            "joint_restriction_factor": "range",
+            "joint_strength": "strength",
+            "tremor_magnitude": "tremor",
+        }
+        told = [
+            f"{word} {value:g}"
+            for field, word in names.items()
+            if (value := getattr(self, field)) is not None
+        ]
         return ", ".join(told) or "none"
 
 
@@ -117,8 +126,18 @@ class ForeignEntry:
 
     def to_json(self) -> dict[str, Any]:
         """Return everything known of the policy as JSON-ready values."""
-        head = {"id": self.id, "team": self.team, "foreign": True, "zoo": self.zoo, "format": self.format}
-        return {**head, **self.policy.model_dump(mode="json", exclude={"team"}), "file": str(self.path)}
+        head = {
+            "id": self.id,
+            "team": self.team,
+            "foreign": True,
+            "zoo": self.zoo,
+            "format": self.format,
+        }
+        return {
+            **head,
+            **self.policy.model_dump(mode="json", exclude={"team"}),
+            "file": str(self.path),
+        }
 
 
 def foreign_root(path: Path | str | None = None) -> Path:
@@ -186,7 +205,12 @@ def foreign_problems(
 
 def _problems(entry: ForeignEntry) -> Iterator[str]:
     try:
-        data = read_bytes(entry.path, f"parameters of {entry.id}", size=entry.policy.bytes, digest=entry.policy.sha256)
+        data = read_bytes(
+            entry.path,
+            f"parameters of {entry.id}",
+            size=entry.policy.bytes,
+            digest=entry.policy.sha256,
+        )
         if shapes(data, entry.id) != entry.policy.leaves:
             yield str(refusal(entry.id, "the shapes of its index", "others"))
     except ZooError as error:

@@ -48,8 +48,22 @@ TASKS = {
     "feeding": "feeding",
     "teethbrushing": "teeth_brushing",
 }
-_BOOLEANS = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False, "": False}
-_NETWORK_FIELDS = ("recurrent", "agent_param_sharing", "activation", "actor_hidden_dim", "gru_hidden_dim")
+_BOOLEANS = {
+    "true": True,
+    "1": True,
+    "1.0": True,
+    "false": False,
+    "0": False,
+    "0.0": False,
+    "": False,
+}
+_NETWORK_FIELDS = (
+    "recurrent",
+    "agent_param_sharing",
+    "activation",
+    "actor_hidden_dim",
+    "gru_hidden_dim",
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,7 +77,11 @@ class Imported:
 
     def to_json(self) -> dict[str, Any]:
         """Return the outcome as JSON-ready values."""
-        noted = [{"uuid": policy.uuid, "notes": policy.notes} for policy in self.zoo.policies if policy.notes]
+        noted = [
+            {"uuid": policy.uuid, "notes": policy.notes}
+            for policy in self.zoo.policies
+            if policy.notes
+        ]
         return {
             "name": self.zoo.name,
             "format": self.zoo.format,
@@ -95,11 +113,14 @@ def import_zoo(
         progress: Called with the number of policies read, and of all.
 
     Raises:
-        ForeignError: The zoo is not of a known format, unsafe, damaged, or another one has the name.
+        ForeignError: The zoo is not of a known format, unsafe, damaged, or another one has the
+            name.
     """
     source, root = Path(source), foreign_root(registry)
     if not re.fullmatch(ZOO_NAME, name):
-        raise refusal("name of the zoo", "lower-case letters, digits, - and _, 32 at most", shorten(name))
+        raise refusal(
+            "name of the zoo", "lower-case letters, digits, - and _, 32 at most", shorten(name)
+        )
     with exclusive(root):
         _sweep(root)
         # A leading dot hides the unfinished folder from `read_foreign`.
@@ -130,7 +151,9 @@ def _settle(staged: Path, final: Path, zoo: ForeignZoo) -> bool:
         staged.rename(final)
         return True
     if read_zoo(final) != zoo:
-        raise refusal(f"zoo {zoo.name}", "a new name, or the zoo that has it", f"another zoo at {final}")
+        raise refusal(
+            f"zoo {zoo.name}", "a new name, or the zoo that has it", f"another zoo at {final}"
+        )
     return False
 
 
@@ -146,7 +169,9 @@ def _stage(
         try:
             policy, data = _read_policy(folder, row, version)
             if policy.uuid in policies:
-                raise refusal(f"{CSV_FILE}, row {number + 1}", "each agent_uuid once", f"{policy.uuid} twice")
+                raise refusal(
+                    f"{CSV_FILE}, row {number + 1}", "each agent_uuid once", f"{policy.uuid} twice"
+                )
             params_path(staged, policy).write_bytes(data)
             policies[policy.uuid] = policy
         except ZooError as error:
@@ -157,7 +182,10 @@ def _stage(
     if not policies:
         raise refusal(f"{folder / CSV_FILE}", "at least one whole policy", f"none of {len(rows)}")
     zoo = ForeignZoo(
-        schema_version=FOREIGN_SCHEMA_VERSION, name=name, format=version, policies=tuple(policies.values())
+        schema_version=FOREIGN_SCHEMA_VERSION,
+        name=name,
+        format=version,
+        policies=tuple(policies.values()),
     )
     atomic_write(staged / INDEX_FILE, zoo.model_dump_json(indent=1, exclude_defaults=True).encode())
     return zoo, tuple(problems)
@@ -178,7 +206,9 @@ def _read_index(folder: Path) -> tuple[Literal["v1", "v2"], list[dict[str, str]]
             if len(rows) > MAX_POLICIES:
                 raise refusal(source, f"at most {MAX_POLICIES} policies", "more")
             if None in row or None in row.values():
-                raise refusal(f"{source}, row {len(rows)}", f"{len(columns)} values", "another number")
+                raise refusal(
+                    f"{source}, row {len(rows)}", f"{len(columns)} values", "another number"
+                )
     except (UnicodeDecodeError, csv.Error) as error:
         raise refusal(source, "a CSV file in UTF-8", shorten(str(error))) from None
     if not rows:
@@ -213,7 +243,9 @@ def _read_policy(folder: Path, row: Mapping[str, str], version: str) -> tuple[Fo
         }
         if version == "v2":
             fields["team"] = row["team_uuid"].strip() or None
-            fields["reward_weights"] = {name: float(row[name]) for name in V2_COLUMNS[1:] if row[name].strip()}
+            fields["reward_weights"] = {
+                name: float(row[name]) for name in V2_COLUMNS[1:] if row[name].strip()
+            }
         policy = ForeignPolicy.model_validate({**fields, "notes": _notes(fields)})
     except ValidationError as error:
         raise refusal(where, "the fields of a zoo", first_problem(error)) from None
@@ -244,7 +276,9 @@ def _read_config(data: bytes, where: str) -> dict[str, Any]:
 
 def _disability(config: Mapping[str, Any]) -> ForeignDisability | None:
     recorded = _mapping(_mapping(config.get("ENV_KWARGS")).get("disability"))
-    fields: dict[str, Any] = {name: recorded[name] for name in ForeignDisability.model_fields if name in recorded}
+    fields: dict[str, Any] = {
+        name: recorded[name] for name in ForeignDisability.model_fields if name in recorded
+    }
     if isinstance(fields.get("joint_idx"), list):
         fields["joint_idx"] = tuple(fields["joint_idx"])
     return ForeignDisability.model_validate(fields) if fields else None
@@ -252,7 +286,11 @@ def _disability(config: Mapping[str, Any]) -> ForeignDisability | None:
 
 def _network(config: Mapping[str, Any]) -> dict[str, Any]:
     network = _mapping(config.get("network"))
-    return {name: network[name] for name in _NETWORK_FIELDS if isinstance(network.get(name), bool | int | float | str)}
+    return {
+        name: network[name]
+        for name in _NETWORK_FIELDS
+        if isinstance(network.get(name), bool | int | float | str)
+    }
 
 
 def _mapping(value: Any) -> Mapping[str, Any]:
@@ -268,15 +306,21 @@ def _size(value: Any, agent: str) -> int | None:
 def _notes(fields: Mapping[str, Any]) -> tuple[str, ...]:
     """Say what makes the parameters unusable even for the code that wrote them."""
     leaves = fields["leaves"]
-    kernel = next((shape for name, shape in leaves.items() if name.endswith("Dense_0/kernel")), None)
+    kernel = next(
+        (shape for name, shape in leaves.items() if name.endswith("Dense_0/kernel")), None
+    )
     notes = []
     if kernel is None:
         notes.append("no Dense_0/kernel: not an actor that this project knows")
     elif len(kernel) != 2:
-        notes.append(f"Dense_0/kernel has shape {list(kernel)}: one row of a shared-parameter agent's matrix")
+        notes.append(
+            f"Dense_0/kernel has shape {list(kernel)}: one row of a shared-parameter agent's matrix"
+        )
     elif fields["observation_size"] not in (None, kernel[0]):
         told = fields["observation_size"]
-        notes.append(f"Dense_0/kernel reads {kernel[0]} observations, its configuration says {told}")
+        notes.append(
+            f"Dense_0/kernel reads {kernel[0]} observations, its configuration says {told}"
+        )
     if fields["recurrent"] and not any("GRU" in name for name in leaves):
         notes.append("recurrent by its index, but without GRU parameters")
     if fields["disability"] is None:

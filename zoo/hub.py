@@ -39,9 +39,13 @@ class HubRemote(HttpRemote):
         from huggingface_hub import HfApi, constants
 
         with hub_errors(self):
-            info = HfApi(endpoint=constants.ENDPOINT).model_info(self.repo, revision=self.ref, timeout=_timeout())
+            info = HfApi(endpoint=constants.ENDPOINT).model_info(
+                self.repo, revision=self.ref, timeout=_timeout()
+            )
             if not info.sha:
-                refuse(self.name, "a repository with a commit", "an empty one", "publish to it first")
+                refuse(
+                    self.name, "a repository with a commit", "an empty one", "publish to it first"
+                )
             return info.sha
 
 
@@ -56,7 +60,12 @@ def hub_errors(remote: HubRemote) -> Generator[None]:
     except errors.RevisionNotFoundError:
         _refuse_revision(remote)
     except errors.GatedRepoError:
-        refuse(remote.name, "a repository that you may read", "a gated one", "ask for access, and run `hf auth login`")
+        refuse(
+            remote.name,
+            "a repository that you may read",
+            "a gated one",
+            "ask for access, and run `hf auth login`",
+        )
     except errors.RepositoryNotFoundError:
         _refuse_repository(remote)
     except errors.HfHubHTTPError as error:
@@ -71,7 +80,10 @@ def _refuse_revision(remote: HubRemote) -> NoReturn:
     known = [ref.name for ref in (*refs.branches, *refs.tags)]
     close = nearest(remote.ref, known) or known
     refuse(
-        remote.name, f"a branch, tag or commit ({listing(close)})", f"no revision {remote.ref!r}", "use one of these"
+        remote.name,
+        f"a branch, tag or commit ({listing(close)})",
+        f"no revision {remote.ref!r}",
+        "use one of these",
     )
 
 
@@ -81,8 +93,15 @@ def _refuse_repository(remote: HubRemote) -> NoReturn:
 
     for kind in ("dataset", "space"):
         with contextlib.suppress(HfHubHTTPError), network_errors(remote):
-            HfApi(endpoint=constants.ENDPOINT).repo_info(remote.repo, repo_type=kind, timeout=_timeout())
-            refuse(remote.name, "a model repository", f"a {kind}", "publish the zoo in a model repository")
+            HfApi(endpoint=constants.ENDPOINT).repo_info(
+                remote.repo, repo_type=kind, timeout=_timeout()
+            )
+            refuse(
+                remote.name,
+                "a model repository",
+                f"a {kind}",
+                "publish the zoo in a model repository",
+            )
     advice = "check the name; a private repository needs `hf auth login`"
     refuse(remote.name, "a model repository that you may read", "no such repository", advice)
 

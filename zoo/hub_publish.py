@@ -36,7 +36,9 @@ class Publication:
         return dataclasses.asdict(self)
 
 
-def publish_to(teams: Sequence[TrainedTeam], to: str, release: str, **arguments: Any) -> Publication:
+def publish_to(
+    teams: Sequence[TrainedTeam], to: str, release: str, **arguments: Any
+) -> Publication:
     """Publish teams to a folder or a hub repository.
 
     Args:
@@ -52,26 +54,41 @@ def publish_to(teams: Sequence[TrainedTeam], to: str, release: str, **arguments:
     if not to.startswith("hf://"):
         if "://" in to:
             raise _refusal(
-                f"remote {shorten(to)}", "a folder or hf://org/name", "a remote that can only be read", "use one"
+                f"remote {shorten(to)}",
+                "a folder or hf://org/name",
+                "a remote that can only be read",
+                "use one",
             )
         return publish_to_folder(teams, Path(to), release, **arguments)
     remote = open_remote(to)
     assert isinstance(remote, HubRemote)
     if remote.ref != "main":
-        raise _refusal(to, "hf://org/name, whose newest state is extended", f"revision {remote.ref}", "leave it out")
+        raise _refusal(
+            to,
+            "hf://org/name, whose newest state is extended",
+            f"revision {remote.ref}",
+            "leave it out",
+        )
     return _publish_to_hub(teams, remote, release, **arguments)
 
 
-def publish_to_folder(teams: Sequence[TrainedTeam], folder: Path, release: str, **arguments: Any) -> Publication:
+def publish_to_folder(
+    teams: Sequence[TrainedTeam], folder: Path, release: str, **arguments: Any
+) -> Publication:
     """Publish teams to a folder with the layout of a remote; its card is written last."""
     done = publish_to_registry(teams, folder / "registry.json", release, **arguments)
     card = folder / "README.md"
     if not card.exists() or MARK in card.read_text(encoding="utf-8", errors="replace"):
-        atomic_write(card, model_card(load_registry(folder / "registry.json"), folder.resolve().name).encode())
+        atomic_write(
+            card,
+            model_card(load_registry(folder / "registry.json"), folder.resolve().name).encode(),
+        )
     return done
 
 
-def publish_to_registry(teams: Sequence[TrainedTeam], path: Path, release: str, **arguments: Any) -> Publication:
+def publish_to_registry(
+    teams: Sequence[TrainedTeam], path: Path, release: str, **arguments: Any
+) -> Publication:
     """Publish teams to a registry, and say what is new."""
     before = _ids(path)
     registry = publish(teams, path, release, **arguments)
@@ -79,7 +96,9 @@ def publish_to_registry(teams: Sequence[TrainedTeam], path: Path, release: str, 
     return Publication(str(path), release, added, len(registry.policies))
 
 
-def _publish_to_hub(teams: Sequence[TrainedTeam], remote: HubRemote, release: str, **arguments: Any) -> Publication:
+def _publish_to_hub(
+    teams: Sequence[TrainedTeam], remote: HubRemote, release: str, **arguments: Any
+) -> Publication:
     from huggingface_hub import HfApi, constants
 
     api = HfApi(endpoint=constants.ENDPOINT, library_name="assistax-zoo")
@@ -126,7 +145,11 @@ def _read_optional(remote: HubRemote, path: str, limit: int) -> bytes | None:
 def _files(remote: HubRemote, registry: Registry) -> dict[str, bytes]:
     """Return what the commit adds: the new shards, the registry, and the card unless it is somebody's own."""
     root = registry.path.parent
-    files = {shard: (root / shard).read_bytes() for shard in registry.data.shards if (root / shard).is_file()}
+    files = {
+        shard: (root / shard).read_bytes()
+        for shard in registry.data.shards
+        if (root / shard).is_file()
+    }
     files["registry.json"] = registry.path.read_bytes()
     card = _read_optional(remote, "README.md", MAX_CARD_BYTES)
     if card is None or MARK.encode() in card:
@@ -154,10 +177,14 @@ def _commit(api: Any, remote: HubRemote, files: dict[str, bytes], release: str, 
                 return head.revision
             if isinstance(error, _ConflictError) or head.revision != remote.revision:
                 found = f"{head.revision}: somebody published meanwhile"
-                raise _refusal(remote.name, f"commit {remote.revision} as its newest", found, "publish again") from None
+                raise _refusal(
+                    remote.name, f"commit {remote.revision} as its newest", found, "publish again"
+                ) from None
             if attempt == remotes.RETRY.attempts:
                 what = f"{error}, {attempt} times"
-                raise _refusal(remote.name, "a commit", what, "publish again; what was sent is not visible") from None
+                raise _refusal(
+                    remote.name, "a commit", what, "publish again; what was sent is not visible"
+                ) from None
             pause_before(attempt, error, remotes.RETRY)
     raise AssertionError("unreachable")
 
@@ -168,7 +195,9 @@ def _tag(api: Any, remote: HubRemote, release: str, commit: str) -> str:
     def tag() -> str:
         with _hub(remote, "tag"):
             tags = {ref.name: ref.target_commit for ref in api.list_repo_refs(remote.repo).tags}
-            mine = [name for name in tags if tags[name] == commit and name.partition(".")[0] == release]
+            mine = [
+                name for name in tags if tags[name] == commit and name.partition(".")[0] == release
+            ]
             if mine:
                 return mine[0]
             names = [release, *(f"{release}.{number}" for number in range(1, len(tags) + 2))]
@@ -176,7 +205,9 @@ def _tag(api: Any, remote: HubRemote, release: str, commit: str) -> str:
             api.create_tag(remote.repo, tag=name, revision=commit)
             return name
 
-    return with_retries(tag, f"tag of {remote.name}; commit {commit} is published, publishing again adds the tag")
+    return with_retries(
+        tag, f"tag of {remote.name}; commit {commit} is published, publishing again adds the tag"
+    )
 
 
 class _ConflictError(Exception):
@@ -202,7 +233,9 @@ def _hub(remote: HubRemote, deed: str) -> Generator[None]:
     except (ZooError, TransientError, _ConflictError):
         raise
     except ValueError as error:  # what the client or the hub refuses
-        raise _refusal(remote.name, f"to {deed}", shorten(str(error)), "correct what it names") from None
+        raise _refusal(
+            remote.name, f"to {deed}", shorten(str(error)), "correct what it names"
+        ) from None
 
 
 def _ids(path: Path) -> set[str]:
@@ -212,4 +245,6 @@ def _ids(path: Path) -> set[str]:
 
 
 def _refusal(problem: str, expected: str, found: str, next_step: str) -> PublishError:
-    return PublishError(problem, expected=expected, found=found, done="nothing was published", next_step=next_step)
+    return PublishError(
+        problem, expected=expected, found=found, done="nothing was published", next_step=next_step
+    )

@@ -3,8 +3,8 @@
     team    task/algorithm-dN-sM-vR         scratch/ippo-d3-s5-v1
     policy  task/algorithm-dN-sM-vR/role    scratch/ippo-d3-s5-v1/human
 
-All lower case. Task and algorithm start with a letter and hold letters, digits and underscores; d is the disability
-setting, s the training seed, v the release; numbers have no leading zeros.
+All lower case. Task and algorithm start with a letter and hold letters, digits and underscores; d
+is the disability setting, s the training seed, v the release; numbers have no leading zeros.
 """
 
 import dataclasses
@@ -46,7 +46,9 @@ class TeamId:
             if not isinstance(value, str) or not pattern.fullmatch(value):
                 raise _syntax_error(f"{name} of a team id", f"text like {_EXAMPLES[name]!r}", value)
         if type(self.seed) is not int or not 0 <= self.seed < _MAX_SEED:
-            raise _syntax_error("seed of a team id", f"an integer from 0 to {_MAX_SEED - 1}", self.seed)
+            raise _syntax_error(
+                "seed of a team id", f"an integer from 0 to {_MAX_SEED - 1}", self.seed
+            )
 
     def __str__(self) -> str:
         return f"{self.task}/{self.algorithm}-{self.disability}-s{self.seed}-{self.release}"
@@ -54,7 +56,13 @@ class TeamId:
     @property
     def order(self) -> tuple[str, str, int, int, int]:
         """Sort key: d9 comes before d10, and s9 before s10."""
-        return self.task, self.algorithm, int(self.disability[1:]), self.seed, release_number(self.release)
+        return (
+            self.task,
+            self.algorithm,
+            int(self.disability[1:]),
+            self.seed,
+            release_number(self.release),
+        )
 
     def policy(self, role: Role) -> "PolicyId":
         """Return the id of the team's policy in one role."""
@@ -83,15 +91,23 @@ def parse_team(text: str) -> TeamId:
     """Return the team id that the text spells; `str` of it gives the text back."""
     match = _TEAM.fullmatch(text) if isinstance(text, str) else None
     if match is None:
-        raise _syntax_error("team id", "task/algorithm-dN-sM-vR, for example scratch/ippo-d3-s5-v1", text)
-    return TeamId(match["task"], match["algorithm"], match["disability"], int(match["seed"]), match["release"])
+        raise _syntax_error(
+            "team id", "task/algorithm-dN-sM-vR, for example scratch/ippo-d3-s5-v1", text
+        )
+    return TeamId(
+        match["task"], match["algorithm"], match["disability"], int(match["seed"]), match["release"]
+    )
 
 
 def parse_policy(text: str) -> PolicyId:
     """Return the policy id that the text spells; `str` of it gives the text back."""
     match = _POLICY.fullmatch(text) if isinstance(text, str) else None
     if match is None or not _TEAM.fullmatch(match["team"]):
-        raise _syntax_error("policy id", "task/algorithm-dN-sM-vR/role, for example scratch/ippo-d3-s5-v1/human", text)
+        raise _syntax_error(
+            "policy id",
+            "task/algorithm-dN-sM-vR/role, for example scratch/ippo-d3-s5-v1/human",
+            text,
+        )
     return PolicyId(parse_team(match["team"]), match["role"])  # ty: ignore[invalid-argument-type]
 
 

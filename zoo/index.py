@@ -1,6 +1,7 @@
 """The registry's table of policies, read without its schema: enough to list a thousand policies at once.
 
-Only what is printed is read and checked; whatever looks wrong goes to `zoo.registry.load_registry`, which says why.
+Only what is printed is read and checked; whatever looks wrong goes to `zoo.registry.load_registry`,
+which says why.
 """
 
 import dataclasses
@@ -53,7 +54,9 @@ def read_index(path: Path | str | None = None) -> list[IndexEntry]:
 
 
 def _entries(teams: dict[str, Any]) -> list[IndexEntry]:
-    parsed = sorted(((parse_team(name), entry) for name, entry in teams.items()), key=lambda pair: pair[0].order)
+    parsed = sorted(
+        ((parse_team(name), entry) for name, entry in teams.items()), key=lambda pair: pair[0].order
+    )
     return [
         IndexEntry(
             id=str(team.policy(role)),
@@ -78,12 +81,17 @@ def _figures(value: Any) -> dict[str, Any] | None:
     low, high = value["ci"]
     figures = {"mean": value["mean"], "iqm": value["iqm"], "ci": [low, high], "n": value["n"]}
     figures["success"] = value.get("success")
-    if not all(isinstance(number, int | float) for number in (low, high, *list(figures.values())[:2], figures["n"])):
+    if not all(
+        isinstance(number, int | float)
+        for number in (low, high, *list(figures.values())[:2], figures["n"])
+    ):
         raise TypeError("self_play")
     return figures
 
 
 def _from_policy(entry: Any) -> IndexEntry:
-    fields: dict[str, Any] = {field.name: getattr(entry, field.name) for field in dataclasses.fields(IndexEntry)}
+    fields: dict[str, Any] = {
+        field.name: getattr(entry, field.name) for field in dataclasses.fields(IndexEntry)
+    }
     fields["self_play"] = entry.self_play.model_dump(mode="json") if entry.self_play else None
     return IndexEntry(**fields)

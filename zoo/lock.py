@@ -1,8 +1,8 @@
 """The lock file of a paper: which release, partners, bytes and splits its figures were made with.
 
-It holds, each by sha256, the splits, shards and policies that were pinned, the environment versions, and a digest of
-itself. A registry that has grown since is as good as the one that the lock was made of; one in which anything pinned
-differs is refused.
+It holds, each by sha256, the splits, shards and policies that were pinned, the environment
+versions, and a digest of itself. A registry that has grown since is as good as the one that the
+lock was made of; one in which anything pinned differs is refused.
 """
 
 import json
@@ -45,13 +45,16 @@ class Lock(BaseModel):
     policies: Annotated[dict[str, Sha256], Field(min_length=1)]
 
 
-def make_lock(registry: Registry, entries: Sequence[PolicyEntry], splits: Mapping[str, str] | None = None) -> Lock:
+def make_lock(
+    registry: Registry, entries: Sequence[PolicyEntry], splits: Mapping[str, str] | None = None
+) -> Lock:
     """Return the lock of policies of one release.
 
     Args:
         registry: A loaded registry.
         entries: Policies of it.
-        splits: Split id to pin for a task; if none is given, the release's default if all its partners are pinned.
+        splits: Split id to pin for a task; if none is given, the release's default if all its
+            partners are pinned.
 
     Raises:
         LockError: The policies are of several releases, or lack teams of a split.
@@ -59,19 +62,31 @@ def make_lock(registry: Registry, entries: Sequence[PolicyEntry], splits: Mappin
     """
     releases = sorted({entry.release for entry in entries})
     if len(releases) != 1:
-        _refuse("selection", "policies of one release", f"releases {listing(releases)}", "choose one with --release")
+        _refuse(
+            "selection",
+            "policies of one release",
+            f"releases {listing(releases)}",
+            "choose one with --release",
+        )
     (release,) = releases
     pinned = _splits(registry, entries, release, splits or {})
     content: dict[str, Any] = {
         "release": release,
         "registry": sha256(registry.path.read_bytes()),
         "disability_settings": _settings_digest(registry),
-        "environments": {task: registry.data.releases[release].environments[task] for task in _tasks(entries)},
+        "environments": {
+            task: registry.data.releases[release].environments[task] for task in _tasks(entries)
+        },
         "splits": pinned,
-        "shards": {shard: registry.data.shards[shard].sha256 for shard in sorted({entry.shard for entry in entries})},
+        "shards": {
+            shard: registry.data.shards[shard].sha256
+            for shard in sorted({entry.shard for entry in entries})
+        },
         "policies": {entry.id: entry.sha256 for entry in entries},
     }
-    return Lock.model_validate({"lock_version": LOCK_VERSION, "sha256": _digest(content), **content})
+    return Lock.model_validate(
+        {"lock_version": LOCK_VERSION, "sha256": _digest(content), **content}
+    )
 
 
 def write_lock(lock: Lock, path: Path) -> None:
@@ -92,18 +107,30 @@ def read_lock(path: Path) -> Lock:
         text = path.read_text(encoding="utf-8")
         version = json.loads(text)["lock_version"]
     except OSError as error:
-        _refuse(source, f"the file that `assistax-zoo lock` writes ({LOCK_FILE})", str(error.strerror), remedy)
+        _refuse(
+            source,
+            f"the file that `assistax-zoo lock` writes ({LOCK_FILE})",
+            str(error.strerror),
+            remedy,
+        )
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         _refuse(source, "a lock file", f"{type(error).__name__}: {shorten(str(error))}", remedy)
     if version != LOCK_VERSION:
-        _refuse(source, f"lock version {LOCK_VERSION}", f"version {shorten(version)}", "upgrade assistax-zoo")
+        _refuse(
+            source,
+            f"lock version {LOCK_VERSION}",
+            f"version {shorten(version)}",
+            "upgrade assistax-zoo",
+        )
     try:
         lock = Lock.model_validate_json(text)
     except ValidationError as error:
         _refuse(source, "a lock file", first_problem(error), remedy)
     found = _digest(lock.model_dump(mode="json", exclude={"lock_version", "sha256"}))
     if found != lock.sha256:
-        _refuse(source, f"content of sha256 {lock.sha256}", f"sha256 {found}: it was edited", remedy)
+        _refuse(
+            source, f"content of sha256 {lock.sha256}", f"sha256 {found}: it was edited", remedy
+        )
     return lock
 
 
@@ -133,7 +160,11 @@ def apply_lock(registry: Registry, lock: Lock, *, task: str, split: str | None =
     keep = {policy.rpartition("/")[0] for policy in lock.policies}
     teams = {
         name: team.model_copy(
-            update={"policies": {r: row for r, row in team.policies.items() if f"{name}/{r}" in lock.policies}}
+            update={
+                "policies": {
+                    r: row for r, row in team.policies.items() if f"{name}/{r}" in lock.policies
+                }
+            }
         )
         for name, team in registry.data.teams.items()
         if name in keep
@@ -168,17 +199,33 @@ def _check(registry: Registry, lock: Lock) -> None:
     known = {entry.id: entry.sha256 for entry in registry.policies}
     shards = {path: shard.sha256 for path, shard in registry.data.shards.items()}
     splits = {split.id: split.sha256 for split in registry.splits}
-    _compare(registry, "environment version of", lock.environments, registry.data.releases[lock.release].environments)
-    _compare(registry, "disability settings", {"": lock.disability_settings}, {"": _settings_digest(registry)})
-    _compare(registry, "split", {pinned.id: pinned.sha256 for pinned in lock.splits.values()}, splits)
+    _compare(
+        registry,
+        "environment version of",
+        lock.environments,
+        registry.data.releases[lock.release].environments,
+    )
+    _compare(
+        registry,
+        "disability settings",
+        {"": lock.disability_settings},
+        {"": _settings_digest(registry)},
+    )
+    _compare(
+        registry, "split", {pinned.id: pinned.sha256 for pinned in lock.splits.values()}, splits
+    )
     _compare(registry, "shard", lock.shards, shards)
     _compare(registry, "policy", lock.policies, known)
 
 
-def _compare(registry: Registry, what: str, pinned: Mapping[str, Any], found: Mapping[str, Any]) -> None:
+def _compare(
+    registry: Registry, what: str, pinned: Mapping[str, Any], found: Mapping[str, Any]
+) -> None:
     for name, value in pinned.items():
         if found.get(name) != value:
-            _differs(registry, f"{what} {name} {value}".replace("  ", " "), str(found.get(name, "none")))
+            _differs(
+                registry, f"{what} {name} {value}".replace("  ", " "), str(found.get(name, "none"))
+            )
 
 
 def _differs(registry: Registry, expected: str, found: str) -> NoReturn:
@@ -198,7 +245,10 @@ def _check_split(registry: Registry, lock: Lock, task: str, split: str | None) -
     if pinned is None or asked != pinned.id:
         expected = f"the locked one ({pinned.id if pinned else 'none'})"
         _refuse(
-            f"split {shorten(name)}", expected, asked, "leave --split out, or name only a side: test, train or both"
+            f"split {shorten(name)}",
+            expected,
+            asked,
+            "leave --split out, or name only a side: test, train or both",
         )
 
 
@@ -215,7 +265,9 @@ def _splits(
         absent = [team for team in (*split.train, *split.test) if team not in teams]
         if absent and task in chosen:
             found, advice = f"{listing(absent)} left out", "lock all partners of the task"
-            _refuse(f"lock of {split.id}", "every partner of the split in the selection", found, advice)
+            _refuse(
+                f"lock of {split.id}", "every partner of the split in the selection", found, advice
+            )
         if not absent:
             pinned[task] = {"id": split.id, "sha256": split.sha256}
     return pinned
@@ -226,7 +278,9 @@ def _tasks(entries: Sequence[PolicyEntry]) -> list[str]:
 
 
 def _settings_digest(registry: Registry) -> str:
-    return _digest({name: setting.model_dump() for name, setting in registry.data.disability_settings.items()})
+    return _digest(
+        {name: setting.model_dump() for name, setting in registry.data.disability_settings.items()}
+    )
 
 
 def _digest(content: Mapping[str, Any]) -> str:
@@ -234,4 +288,6 @@ def _digest(content: Mapping[str, Any]) -> str:
 
 
 def _refuse(problem: str, expected: str, found: str, next_step: str) -> NoReturn:
-    raise LockError(problem, expected=expected, found=found, done="nothing was done", next_step=next_step)
+    raise LockError(
+        problem, expected=expected, found=found, done="nothing was done", next_step=next_step
+    )

@@ -16,8 +16,8 @@ def model_card(registry: Registry, name: str) -> str:
     """Return the card's text for a remote of that name; the same registry gives the same text."""
     head = yaml.safe_dump(_metadata(registry, name), sort_keys=False, allow_unicode=True)
     releases = [
-        f"| {release} | {entry.date} | {sum(policy.release == release for policy in registry.policies)} "
-        f"| {entry.description} |"
+        f"| {release} | {entry.date} | "
+        f"{sum(policy.release == release for policy in registry.policies)} | {entry.description} |"
         for release, entry in registry.data.releases.items()
     ]
     figures = [
@@ -27,12 +27,15 @@ def model_card(registry: Registry, name: str) -> str:
     return "\n".join(
         [
             f"---\n{head}---\n# {name}\n",
-            "Partners for assistive robots, as `assistax-zoo` publishes them: `registry.json` lists every policy with",
-            "its spec, training and sha256; shards hold the parameters. Published bytes never change.\n",
+            "Partners for assistive robots, as `assistax-zoo` publishes them: `registry.json` "
+            "lists every policy with",
+            "its spec, training and sha256; shards hold the parameters. Published bytes never "
+            "change.\n",
             f"```sh\nassistax-zoo fetch 'TASK/*' --from hf://{name}\n```\n",
             "| release | date | policies | |\n|---|---|---|---|",
             *releases,
-            "\nReturn of teams with themselves, mean over training seeds of the newest release that has them:\n",
+            "\nReturn of teams with themselves, mean over training seeds of the newest release "
+            "that has them:\n",
             "| task | algorithm | disability | teams | return |\n|---|---|---|---|---|",
             *figures,
             "",
@@ -44,25 +47,41 @@ def _metadata(registry: Registry, name: str) -> dict[str, object]:
     results = [
         {
             "task": {"type": "reinforcement-learning", "name": f"{task}, {algorithm} with itself"},
-            "dataset": {"type": f"assistax-{task}-{disability}", "name": f"{task}, disability setting {disability}"},
-            "metrics": [{"type": "mean_reward", "name": "self-play return", "value": round(_mean(members), 3)}],
+            "dataset": {
+                "type": f"assistax-{task}-{disability}",
+                "name": f"{task}, disability setting {disability}",
+            },
+            "metrics": [
+                {
+                    "type": "mean_reward",
+                    "name": "self-play return",
+                    "value": round(_mean(members), 3),
+                }
+            ],
         }
         for (task, algorithm, disability), members in _measured(registry)
     ]
     tags = ["reinforcement-learning", "zero-shot-coordination", "assistive-robotics"]
     card: dict[str, object] = {"library_name": MARK.partition(": ")[2], "tags": tags}
-    return {**card, "model-index": [{"name": name.rpartition("/")[2], "results": results}]} if results else card
+    return (
+        {**card, "model-index": [{"name": name.rpartition("/")[2], "results": results}]}
+        if results
+        else card
+    )
 
 
 def _measured(registry: Registry) -> Iterator[tuple[tuple[str, str, str], list[PolicyEntry]]]:
     """Yield the teams with a self-play figure by task, algorithm and disability, in registry order.
 
-    Of each group those of the newest release: an older one may hold the same teams, or be of another environment.
+    Of each group those of the newest release: an older one may hold the same teams, or be of
+    another environment.
     """
     groups: dict[tuple[str, str, str], dict[str, PolicyEntry]] = {}
     for entry in registry.policies:
         if entry.self_play:
-            groups.setdefault((entry.task, entry.algorithm, entry.disability), {}).setdefault(entry.team, entry)
+            groups.setdefault((entry.task, entry.algorithm, entry.disability), {}).setdefault(
+                entry.team, entry
+            )
     for name, teams in groups.items():
         newest = max((entry.release for entry in teams.values()), key=release_number)
         yield name, [entry for entry in teams.values() if entry.release == newest]

@@ -1,7 +1,8 @@
 """Publishing teams: shards first, the registry last, and published bytes never change.
 
-Teams that a release does not hold yet go into new shards; the shards and ids that exist stay as they are. A shard left
-behind by a killed publication is in no registry, hence invisible, and the next publication replaces it.
+Teams that a release does not hold yet go into new shards; the shards and ids that exist stay as
+they are. A shard left behind by a killed publication is in no registry, hence invisible, and the
+next publication replaces it.
 """
 
 import dataclasses
@@ -39,7 +40,14 @@ from zoo.tensors import Leaves, flatten, row_sha256
 
 Check = Callable[[PolicySpec, Leaves, str], None]
 _EGO_DISABILITY = "mixed"  # each of its partners has its own
-_IDENTITY = ("run", "task", "algorithm", "disability", "seed", "release")  # stand in the id or as the run's key
+_IDENTITY = (
+    "run",
+    "task",
+    "algorithm",
+    "disability",
+    "seed",
+    "release",
+)  # stand in the id or as the run's key
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,22 +76,26 @@ def publish(
 ) -> Registry:
     """Add teams to a release, with their shards and the default split, and return the new registry.
 
-    Publishing the same bytes again changes nothing. A release that grows over days is published with `complete` false:
-    its teams can be listed, fetched and played, but the default release and its splits stay until
-    `zoo.release.complete_release`.
+    Publishing the same bytes again changes nothing. A release that grows over days is published
+    with `complete` false: its teams can be listed, fetched and played, but the default release and
+    its splits stay until `zoo.release.complete_release`.
 
     Args:
         teams: Trained teams; `zoo.runs.read_run` reads them from a run folder.
-        registry_path: The registry; it is created if it does not exist. Shards go to `zoo/shards` beside it.
+        registry_path: The registry; it is created if it does not exist. Shards go to `zoo/shards`
+            beside it.
         release: Release they join, such as "v0"; it is created if it does not exist.
-        environments: Environment version of each task; those of the installed `assistax_envs` if not given.
+        environments: Environment version of each task; those of the installed `assistax_envs` if
+            not given.
         date: ISO date of a new release; today if not given.
         description: What a new release is, in one sentence.
         complete: Whether the release is whole with these teams.
-        check: Called with spec, leaves and policy id; raises if the parameters are not those of the spec.
+        check: Called with spec, leaves and policy id; raises if the parameters are not those of the
+            spec.
 
     Raises:
-        ImmutableError: An id, a figure or an environment version that is already published would change.
+        ImmutableError: An id, a figure or an environment version that is already published would
+            change.
         PublishError: A team lacks provenance, occurs twice, or has the parameters of another.
     """
     path = Path(registry_path)
@@ -106,7 +118,9 @@ def _day(date: str | None) -> str:
     try:
         return (datetime.date.fromisoformat(date) if date else datetime.date.today()).isoformat()
     except ValueError as error:
-        raise _refusal("date of the release", "an ISO date such as 2027-01-31", f"{date!r} ({error})") from None
+        raise _refusal(
+            "date of the release", "an ISO date such as 2027-01-31", f"{date!r} ({error})"
+        ) from None
 
 
 def _candidate(team: TrainedTeam, release: str, check: Check) -> _Candidate:
@@ -114,7 +128,9 @@ def _candidate(team: TrainedTeam, release: str, check: Check) -> _Candidate:
         label = f"{team.task}/{team.algorithm} seed {team.seed}"
         mixed = " (a robot that was trained with frozen partners is no team: `assistax-zoo evaluate` measures it)"
         found = team.disability + (mixed if team.disability == _EGO_DISABILITY else "")
-        raise _refusal(f"disability of {label}", f"one of {listing(DISABILITY_SETTINGS, 12)}", found)
+        raise _refusal(
+            f"disability of {label}", f"one of {listing(DISABILITY_SETTINGS, 12)}", found
+        )
     name = TeamId(team.task, team.algorithm, team.disability, team.seed, release)
     leaves = {role: flatten(team.params[role]) for role in team.specs}
     for role, spec in team.specs.items():
@@ -124,7 +140,9 @@ def _candidate(team: TrainedTeam, release: str, check: Check) -> _Candidate:
     run = str(training.get("run") or f"{team.task}-{team.algorithm}")
     try:
         provenance = Training.model_validate_json(json.dumps(_sorted_provenance(training)))
-        self_play = SelfPlay.model_validate_json(json.dumps(team.self_play)) if team.self_play else None
+        self_play = (
+            SelfPlay.model_validate_json(json.dumps(team.self_play)) if team.self_play else None
+        )
     except (ValidationError, TypeError) as error:
         found = first_problem(error) if isinstance(error, ValidationError) else str(error)
         raise _refusal(f"team {name}", "provenance and figures of the schema", found) from None
@@ -133,11 +151,17 @@ def _candidate(team: TrainedTeam, release: str, check: Check) -> _Candidate:
 
 def _sorted_provenance(training: Mapping[str, Any]) -> dict[str, Any]:
     """Return the training record by the schema's fields; what it does not know goes to `notes`, flattened."""
-    known = {name: training[name] for name in Training.model_fields if training.get(name) is not None}
+    known = {
+        name: training[name] for name in Training.model_fields if training.get(name) is not None
+    }
     rest = {name: value for name, value in training.items() if name not in Training.model_fields}
     notes = {name: value for name, value in rest.items() if name not in _IDENTITY}
     for field in ("hyperparameters", "notes"):
-        known[field] = dict(sorted(_scalars({**known.get(field, {}), **(notes if field == "notes" else {})}).items()))
+        known[field] = dict(
+            sorted(
+                _scalars({**known.get(field, {}), **(notes if field == "notes" else {})}).items()
+            )
+        )
     return known
 
 
@@ -167,14 +191,21 @@ def _empty(release: str, created: Release) -> RegistryFile:
 
 def installed_settings() -> dict[str, DisabilitySetting]:
     """Return the disability settings of the installed environments."""
-    return {name: DisabilitySetting(**dataclasses.asdict(setting)) for name, setting in DISABILITY_SETTINGS.items()}
+    return {
+        name: DisabilitySetting(**dataclasses.asdict(setting))
+        for name, setting in DISABILITY_SETTINGS.items()
+    }
 
 
 def _fresh(data: RegistryFile, candidates: Sequence[_Candidate]) -> list[_Candidate]:
     """Return the candidates that are not published yet, in order; refuse those that would change what is."""
     if not candidates:
         raise _refusal("publication", "at least one team", "none")
-    owners = {(role, row.sha256): team for team, entry in data.teams.items() for role, row in entry.policies.items()}
+    owners = {
+        (role, row.sha256): team
+        for team, entry in data.teams.items()
+        for role, row in entry.policies.items()
+    }
     fresh: dict[str, _Candidate] = {}
     for candidate in sorted(candidates, key=lambda candidate: candidate.team.order):
         name = str(candidate.team)
@@ -186,7 +217,11 @@ def _fresh(data: RegistryFile, candidates: Sequence[_Candidate]) -> list[_Candid
         for role, digest in candidate.hashes.items():
             other = owners.setdefault((role, digest), name)
             if not same_team(other, name):
-                raise _refusal(f"parameters of {name}/{role}", "parameters of its own", f"those of {other}/{role}")
+                raise _refusal(
+                    f"parameters of {name}/{role}",
+                    "parameters of its own",
+                    f"those of {other}/{role}",
+                )
         fresh[name] = candidate
     return list(fresh.values())
 
@@ -196,7 +231,9 @@ def _check_unchanged(name: str, published: Team, candidate: _Candidate) -> None:
     if hashes != candidate.hashes:
         raise _change(f"team {name}", f"the published sha256 {hashes}", f"{dict(candidate.hashes)}")
     if candidate.self_play not in (None, published.self_play):
-        raise _change(f"self-play of {name}", f"the published {published.self_play}", f"{candidate.self_play}")
+        raise _change(
+            f"self-play of {name}", f"the published {published.self_play}", f"{candidate.self_play}"
+        )
 
 
 def _with_release(
@@ -215,23 +252,38 @@ def _with_release(
     for candidate in fresh:
         task, trained = candidate.team.task, candidate.training.env_version
         if task not in environments:
-            raise _refusal(f"task {task}", f"one of {listing(environments)}", "a task without environment version")
+            raise _refusal(
+                f"task {task}",
+                f"one of {listing(environments)}",
+                "a task without environment version",
+            )
         if environments[task] != versions.setdefault(task, environments[task]):
             expected = f"version {versions[task]} of {task}, as release {release} has it"
             raise _change(f"release {release}", expected, f"version {environments[task]}")
         if trained != versions[task]:
-            raise _refusal(f"team {candidate.team}", f"training on {task} version {versions[task]}", f"on {trained}")
-    releases = {**data.releases, release: entry.model_copy(update={"environments": dict(sorted(versions.items()))})}
+            raise _refusal(
+                f"team {candidate.team}",
+                f"training on {task} version {versions[task]}",
+                f"on {trained}",
+            )
+    releases = {
+        **data.releases,
+        release: entry.model_copy(update={"environments": dict(sorted(versions.items()))}),
+    }
     return data.model_copy(update={"releases": releases})
 
 
-def _with_teams(data: RegistryFile, release: str, fresh: Sequence[_Candidate]) -> tuple[RegistryFile, dict[str, bytes]]:
+def _with_teams(
+    data: RegistryFile, release: str, fresh: Sequence[_Candidate]
+) -> tuple[RegistryFile, dict[str, bytes]]:
     """Return the registry with the new teams, and the bytes of their shards by path."""
     runs, shards, files = dict(data.runs), dict(data.shards), {}
     rows: dict[tuple[str, Role], PolicyRow] = {}
     for (task, algorithm, role, spec), members in _by_shard(fresh):
         path = _free_path(f"zoo/shards/{release}/{task}-{algorithm}-{role}-{spec.digest}", shards)
-        content, hashes = encode_shard(spec, [(f"{member.team}/{role}", member.leaves[role]) for member in members])
+        content, hashes = encode_shard(
+            spec, [(f"{member.team}/{role}", member.leaves[role]) for member in members]
+        )
         files[path] = content
         shards[path] = Shard(
             sha256=sha256(content), bytes=len(content), task=task, algorithm=algorithm, role=role, release=release,
@@ -248,18 +300,24 @@ def _with_teams(data: RegistryFile, release: str, fresh: Sequence[_Candidate]) -
     return data.model_copy(update={"runs": runs, "shards": shards, "teams": teams}), files
 
 
-def _by_shard(fresh: Iterable[_Candidate]) -> list[tuple[tuple[str, str, Role, PolicySpec], list[_Candidate]]]:
+def _by_shard(
+    fresh: Iterable[_Candidate],
+) -> list[tuple[tuple[str, str, Role, PolicySpec], list[_Candidate]]]:
     """Return the teams of each new shard, by task, algorithm, role and spec."""
     groups: dict[tuple[str, str, Role, PolicySpec], list[_Candidate]] = {}
     for candidate in fresh:
         for role, spec in candidate.specs.items():
-            groups.setdefault((candidate.team.task, candidate.team.algorithm, role, spec), []).append(candidate)
+            groups.setdefault(
+                (candidate.team.task, candidate.team.algorithm, role, spec), []
+            ).append(candidate)
     return sorted(groups.items(), key=lambda group: (*group[0][:3], group[0][3].digest))
 
 
 def _free_path(stem: str, taken: Mapping[str, Shard]) -> str:
     number = 1
-    while (path := f"{stem}.safetensors" if number == 1 else f"{stem}-{number}.safetensors") in taken:
+    while (
+        path := f"{stem}.safetensors" if number == 1 else f"{stem}-{number}.safetensors"
+    ) in taken:
         number += 1
     return path
 
@@ -279,7 +337,9 @@ def _write(data: RegistryFile, files: Mapping[str, bytes], path: Path) -> Regist
             written.append(shard_root(path) / name)
             atomic_write(written[-1], content)
         return save_registry(data, path)
-    except Exception:  # the registry is not yet replaced; an interrupt may come later, then shards stay unlisted
+    except (
+        Exception
+    ):  # the registry is not yet replaced; an interrupt may come later, then shards stay unlisted
         for file in written:
             file.unlink(missing_ok=True)
         raise

@@ -11,7 +11,15 @@ from zoo.cache import cached_shard
 from zoo.errors import RegistryError, RegistryVersionError, SplitError, listing, nearest, shorten
 from zoo.files import atomic_write, read_registry_text, registry_path, shard_root
 from zoo.ids import parse_team
-from zoo.schema import SCHEMA_VERSION, PolicyEntry, RegistryFile, Split, Team, dump_registry, first_problem
+from zoo.schema import (
+    SCHEMA_VERSION,
+    PolicyEntry,
+    RegistryFile,
+    Split,
+    Team,
+    dump_registry,
+    first_problem,
+)
 from zoo.selection import refuse_unknown, select
 from zoo.splits import check_split, refuse_leak, shared_parameters
 
@@ -22,7 +30,9 @@ class Registry:
 
     data: RegistryFile
     path: Path
-    policies: list[PolicyEntry] = dataclasses.field(repr=False)  # by task, algorithm, disability, seed, release, role
+    policies: list[PolicyEntry] = dataclasses.field(
+        repr=False
+    )  # by task, algorithm, disability, seed, release, role
     lock: str | None = None  # sha256 of the lock file that it was narrowed down to, see `zoo.lock`
 
     @property
@@ -98,19 +108,25 @@ class Registry:
 
         Args:
             task: Task the split is for.
-            id: A split's id, or its beginning: that of one split alone ("half-s0-v0"), or of one alone of the newest
-                release ("half").
+            id: A split's id, or its beginning: that of one split alone ("half-s0-v0"), or of one
+                alone of the newest release ("half").
             release: Release whose default split is meant when `id` is not given.
 
         Raises:
             SplitError: There is no such split, or its content differs from its sha256.
             LeakageError: A team, or the same parameters, stand on both sides.
         """
-        split = self._named_split(task, id) if id else self._default_split(task, release or self.release)
+        split = (
+            self._named_split(task, id)
+            if id
+            else self._default_split(task, release or self.release)
+        )
         check_split(split)
         missing = [team for team in (*split.train, *split.test) if team not in self.data.teams]
         if missing:
-            raise _split_error(f"split {split.id}", "teams of the registry", f"unknown {listing(missing)}")
+            raise _split_error(
+                f"split {split.id}", "teams of the registry", f"unknown {listing(missing)}"
+            )
         pairs = shared_parameters(split.train, split.test, self.data.teams)
         return refuse_leak(split.id, pairs) if pairs else split
 
@@ -125,7 +141,9 @@ class Registry:
         ids = [split.id for split in known]
         close = nearest(full, ids) or ids
         what = f"{len(found)} that begin so" if found else "none"
-        raise _split_error(f"split {shorten(name)} of task {shorten(task)}", f"one split ({listing(close)})", what)
+        raise _split_error(
+            f"split {shorten(name)} of task {shorten(task)}", f"one split ({listing(close)})", what
+        )
 
     def _default_split(self, task: str, release: str) -> Split:
         if release not in self.data.releases:
@@ -141,7 +159,8 @@ class Registry:
 def load_registry(path: Path | str | None = None) -> Registry:
     """Return the registry at `path`.
 
-    Without a path: `$ASSISTAX_ZOO_REGISTRY`, else the checkout's `registry.json`, else the one in the wheel.
+    Without a path: `$ASSISTAX_ZOO_REGISTRY`, else the checkout's `registry.json`, else the one in
+    the wheel.
 
     Raises:
         RegistryError: The file is missing or is not of the schema.
@@ -175,7 +194,10 @@ def parse_registry(text: str, source: str) -> RegistryFile:
 
 def build_registry(data: RegistryFile, path: Path) -> Registry:
     """Return the registry with its policies resolved and in order."""
-    teams = sorted(((parse_team(team), entry) for team, entry in data.teams.items()), key=lambda pair: pair[0].order)
+    teams = sorted(
+        ((parse_team(team), entry) for team, entry in data.teams.items()),
+        key=lambda pair: pair[0].order,
+    )
     policies = []
     for team, entry in teams:
         for role, place in sorted(entry.policies.items(), reverse=True):
@@ -212,7 +234,9 @@ def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
     table = dict(pairs)
     if len(table) != len(pairs):
         names = [name for name, _ in pairs]
-        raise ValueError(f"key {next(name for name in names if names.count(name) > 1)!r} twice in one object")
+        raise ValueError(
+            f"key {next(name for name in names if names.count(name) > 1)!r} twice in one object"
+        )
     return table
 
 

@@ -12,11 +12,17 @@ from zoo.splits import LEAVE_ONE_OUT, half_side, make_split, refuse_leak, shared
 
 
 def create_split(
-    registry_path: Path | str, *, task: str, rule: str = "half", release: str | None = None, **arguments: Any
+    registry_path: Path | str,
+    *,
+    task: str,
+    rule: str = "half",
+    release: str | None = None,
+    **arguments: Any,
 ) -> Split:
     """Make a split of a release's partners, write it to the registry, and return it; an existing one is left as it is.
 
-    A leave-one-out rule leaves out training partners that act nearly as one of the test partners does.
+    A leave-one-out rule leaves out training partners that act nearly as one of the test partners
+    does.
 
     Args:
         registry_path: The registry to write to.
@@ -27,10 +33,13 @@ def create_split(
 
     Raises:
         SplitError: The rule cannot be applied to the partners of the release.
-        LeakageError: A team, the same parameters, or, by another rule, humans that act nearly alike would stand on both
-            sides.
+        LeakageError: A team, the same parameters, or, by another rule, humans that act nearly alike
+            would stand on both sides.
     """
-    from zoo.behaviour import similar_leak, similar_pairs  # storage, which it reads, stands above this module
+    from zoo.behaviour import (
+        similar_leak,
+        similar_pairs,
+    )  # storage, which it reads, stands above this module
 
     path = Path(registry_path)
     with exclusive(path.parent):
@@ -76,22 +85,31 @@ def partner_teams(data: RegistryFile, task: str, release: str) -> list[str]:
     return [
         team
         for team, entry in data.teams.items()
-        if "human" in entry.policies and team.startswith(f"{task}/") and team.endswith(f"-{release}")
+        if "human" in entry.policies
+        and team.startswith(f"{task}/")
+        and team.endswith(f"-{release}")
     ]
 
 
 def _with_default_splits(data: RegistryFile, release: str) -> RegistryFile:
     """Return the registry with a `half` split, seed 0, as default for every task of the release that has both halves.
 
-    A split that no longer covers the release stays in the registry; the default moves on to the new one.
+    A split that no longer covers the release stays in the registry; the default moves on to the new
+    one.
     """
-    splits, defaults = {split.id: split for split in data.splits}, dict(data.releases[release].splits)
+    splits, defaults = (
+        {split.id: split for split in data.splits},
+        dict(data.releases[release].splits),
+    )
     for task in data.releases[release].environments:
         partners = partner_teams(data, task, release)
         if len({half_side(parse_team(team)) for team in partners}) == 2:
             split = make_split(partners, task=task, release=release)
             splits[split.id], defaults[task] = split, split.id
-    releases = {**data.releases, release: data.releases[release].model_copy(update={"splits": defaults})}
+    releases = {
+        **data.releases,
+        release: data.releases[release].model_copy(update={"splits": defaults}),
+    }
     return data.model_copy(update={"splits": tuple(splits.values()), "releases": releases})
 
 

@@ -61,7 +61,9 @@ class Remote(Protocol):
         """The commit that is read, where the remote has commits; the remote is asked for it once."""
         ...
 
-    def open(self, path: str, start: int = 0, stop: int | None = None) -> contextlib.AbstractContextManager[Stream]:
+    def open(
+        self, path: str, start: int = 0, stop: int | None = None
+    ) -> contextlib.AbstractContextManager[Stream]:
         """Open a file's bytes from `start` up to `stop`.
 
         Raises:
@@ -75,7 +77,8 @@ def open_remote(text: str | Path) -> Remote:
     """Return the remote that the text names; nothing is read yet.
 
     Args:
-        text: A folder, `https://...`, `hf://org/name` or `hf://org/name@revision`, or an fsspec URL such as `s3://...`.
+        text: A folder, `https://...`, `hf://org/name` or `hf://org/name@revision`, or an fsspec URL
+            such as `s3://...`.
 
     Raises:
         RemoteError: The text names no remote.
@@ -105,12 +108,19 @@ def with_retries(work: Callable[[], T], what: str, *, retry: Retry | None = None
             return work()
         except TransientError as error:
             if attempt == retry.attempts:
-                refuse(what, "an answer", f"{error}, {attempt} times", "try again later; what is complete is kept")
+                refuse(
+                    what,
+                    "an answer",
+                    f"{error}, {attempt} times",
+                    "try again later; what is complete is kept",
+                )
             pause_before(attempt, error, retry)
     raise AssertionError("unreachable")
 
 
-def pause_before(attempt: int, error: TransientError, retry: Retry, stop: threading.Event | None = None) -> None:
+def pause_before(
+    attempt: int, error: TransientError, retry: Retry, stop: threading.Event | None = None
+) -> None:
     """Wait before the next attempt: twice as long each time, or as long as the server asked for; `stop` ends it."""
     wait = retry.pause * 2 ** (attempt - 1) if error.wait is None else error.wait
     (stop or threading.Event()).wait(min(wait, retry.longest))
@@ -129,7 +139,12 @@ def read_file(remote: Remote, path: str, limit: int) -> bytes:
             for chunk in stream.chunks:
                 data += chunk
                 if len(data) > limit:
-                    refuse(f"{path} of {remote.name}", f"at most {limit} bytes", "more", "check that this is a zoo")
+                    refuse(
+                        f"{path} of {remote.name}",
+                        f"at most {limit} bytes",
+                        "more",
+                        "check that this is a zoo",
+                    )
         return bytes(data)
 
     return with_retries(read, f"{path} of {remote.name}")
@@ -177,7 +192,10 @@ class FileRemote:
             if "://" in self.name:
                 raise TransientError(shorten(str(error))) from None
             refuse(
-                f"{path} of {self.name}", "a file that can be read", str(error.strerror or error), "check the folder"
+                f"{path} of {self.name}",
+                "a file that can be read",
+                str(error.strerror or error),
+                "check the folder",
             )
 
 
@@ -222,7 +240,9 @@ class HttpRemote:
         if status == 206:
             match = _RANGE.fullmatch(response.headers.get("Content-Range", ""))
             if match is None or int(match[1]) != start:
-                raise TransientError(f"another range than asked for ({response.headers.get('Content-Range')})")
+                raise TransientError(
+                    f"another range than asked for ({response.headers.get('Content-Range')})"
+                )
             return start
         if status in (404, 410):
             refuse_missing(path, self)
@@ -235,18 +255,29 @@ def refuse_status(response: Any, what: str) -> NoReturn:
     if status in _TRANSIENT:
         raise TransientError(f"status {status}", _retry_after(response))
     if status in (401, 403):
-        refuse(what, "a file that you may read", f"status {status}", "log in, for a hub with `hf auth login`")
+        refuse(
+            what,
+            "a file that you may read",
+            f"status {status}",
+            "log in, for a hub with `hf auth login`",
+        )
     refuse(what, "status 200", f"status {status}", "check the address")
 
 
-def refuse(what: str, expected: str, found: str, next_step: str, done: str = "nothing was fetched") -> NoReturn:
+def refuse(
+    what: str, expected: str, found: str, next_step: str, done: str = "nothing was fetched"
+) -> NoReturn:
     """Raise a `RemoteError`."""
     raise RemoteError(what, expected=expected, found=found, done=done, next_step=next_step)
 
 
 def refuse_missing(path: str, remote: Remote) -> NoReturn:
     """Raise the error for a file that the remote does not hold."""
-    advice = "check the address" if path == "registry.json" else "ask its owner, or fetch from another remote"
+    advice = (
+        "check the address"
+        if path == "registry.json"
+        else "ask its owner, or fetch from another remote"
+    )
     refuse(f"{remote.name}", f"a zoo with {path} in it", "no such file", advice)
 
 
@@ -269,9 +300,13 @@ def network_errors(remote: Remote) -> Generator[None]:
     except HfHubHTTPError:
         raise
     except httpx2.TransportError as error:
-        raise TransientError(f"{type(error).__name__}: {shorten(str(error) or 'no answer')}") from None
+        raise TransientError(
+            f"{type(error).__name__}: {shorten(str(error) or 'no answer')}"
+        ) from None
     except (httpx2.InvalidURL, httpx2.TooManyRedirects) as error:
-        refuse(remote.name, "an address that leads somewhere", shorten(str(error)), "check the address")
+        refuse(
+            remote.name, "an address that leads somewhere", shorten(str(error)), "check the address"
+        )
 
 
 def _retry_after(response: Any) -> float | None:

@@ -1,9 +1,10 @@
 """Trained teams as they come out of a run folder, before they are published.
 
 A run folder (or its `final/`) holds `teams.json`, a list of
-`{"team": {"task", "algorithm", "disability", "seed"}, "roles": {role: {"spec", "file", "row"}}, "training": {...},
-"self_play": {...} | null}`, and the files it names: stacked safetensors with leaves [P, ...] named by '/'-joined path
-and one metadata key `assistax` holding `{"spec": ..., "rows": [...]}`.
+`{"team": {"task", "algorithm", "disability", "seed"}, "roles": {role: {"spec", "file", "row"}},
+"training": {...}, "self_play": {...} | null}`, and the files it names: stacked safetensors with
+leaves [P, ...] named by '/'-joined path and one metadata key `assistax` holding `{"spec": ...,
+"rows": [...]}`.
 """
 
 import dataclasses
@@ -30,13 +31,20 @@ class TrainedTeam:
     disability: str  # "d3"
     seed: int
     specs: Mapping[Role, PolicySpec]
-    params: Mapping[Role, Mapping[str, Any]]  # nested dict of float32 or float16 arrays for each role
-    training: Mapping[str, Any]  # `run`, `steps`, `env_version`, `backend`, and what else the trainer recorded
+    params: Mapping[
+        Role, Mapping[str, Any]
+    ]  # nested dict of float32 or float16 arrays for each role
+    training: Mapping[
+        str, Any
+    ]  # `run`, `steps`, `env_version`, `backend`, and what else the trainer recorded
     self_play: Mapping[str, Any] | None = None  # mean, iqm, ci, n, and success if known
 
     def __post_init__(self) -> None:
         if not self.specs or set(self.specs) != set(self.params):
-            raise ValueError(f"specs are for {sorted(self.specs)}, params for {sorted(self.params)}; give both by role")
+            raise ValueError(
+                f"specs are for {sorted(self.specs)}, params for {sorted(self.params)}; give both "
+                "by role"
+            )
         for role, spec in self.specs.items():
             if spec.role != role:
                 raise ValueError(f"the spec under role {role!r} is of role {spec.role!r}")
@@ -49,7 +57,9 @@ def read_run(folder: Path | str) -> list[TrainedTeam]:
         FormatError: `teams.json` or a file it names is missing or malformed.
     """
     folder = Path(folder)
-    home = next((place for place in (folder, folder / "final") if (place / "teams.json").is_file()), None)
+    home = next(
+        (place for place in (folder, folder / "final") if (place / "teams.json").is_file()), None
+    )
     if home is None:
         raise _error(f"run folder {folder}", "teams.json in it or in its final/", "none")
     source = str(home / "teams.json")
@@ -77,7 +87,9 @@ def _read_teams(path: Path) -> list[Any]:
     return items
 
 
-def _team(home: Path, item: dict, files: dict[str, StackedFile], run: str, where: str) -> TrainedTeam:
+def _team(
+    home: Path, item: dict, files: dict[str, StackedFile], run: str, where: str
+) -> TrainedTeam:
     team = item["team"]
     specs: dict[Role, PolicySpec] = {}
     params: dict[Role, Mapping[str, Any]] = {}
@@ -85,7 +97,11 @@ def _team(home: Path, item: dict, files: dict[str, StackedFile], run: str, where
         stacked = _stacked(home, place["file"], files)
         specs[role] = spec_from_json(place["spec"])
         if stacked.spec != specs[role]:
-            raise _error(where, f"spec {specs[role].digest} for {role}", f"{stacked.spec.digest} in {place['file']}")
+            raise _error(
+                where,
+                f"spec {specs[role].digest} for {role}",
+                f"{stacked.spec.digest} in {place['file']}",
+            )
         if type(place["row"]) is not int or not 0 <= place["row"] < len(stacked.rows):
             raise _error(where, f"a row from 0 to {len(stacked.rows) - 1}", shorten(place["row"]))
         params[role] = unflatten(take_row(stacked, place["row"]))

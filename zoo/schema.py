@@ -1,15 +1,23 @@
 """What `registry.json` holds, as frozen Pydantic models; an unknown field or a newer schema is an error.
 
-Nothing is stored twice: a policy's task, algorithm, disability, seed and release are its id, its spec is its shard's,
-and training provenance lies in `runs`, once for all teams of a run. Raise `SCHEMA_VERSION` with every added field,
-since older installations refuse what they do not know.
+Nothing is stored twice: a policy's task, algorithm, disability, seed and release are its id, its
+spec is its shard's, and training provenance lies in `runs`, once for all teams of a run. Raise
+`SCHEMA_VERSION` with every added field, since older installations refuse what they do not know.
 """
 
 import dataclasses
 import json
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    ValidationError,
+    model_validator,
+)
 
 from population.spec import PolicySpec, Role
 from zoo.ids import parse_team
@@ -20,7 +28,9 @@ Scalar = float | int | bool | str | None
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 ReleaseName = Annotated[str, Field(pattern=r"^v(0|[1-9][0-9]{0,9})$")]
-ShardPath = Annotated[str, Field(pattern=r"^([A-Za-z0-9_][A-Za-z0-9_.-]*/)*[A-Za-z0-9_][A-Za-z0-9_.-]*\.safetensors$")]
+ShardPath = Annotated[
+    str, Field(pattern=r"^([A-Za-z0-9_][A-Za-z0-9_.-]*/)*[A-Za-z0-9_][A-Za-z0-9_.-]*\.safetensors$")
+]
 Count = Annotated[int, Field(ge=0)]
 
 
@@ -38,7 +48,9 @@ def spec_from_json(value: object) -> PolicySpec:
         spec = PolicySpec(**value)
     except TypeError as error:
         raise ValueError(f"policy spec: {error}") from None
-    if json.dumps(spec.to_json(), sort_keys=True) != json.dumps({**spec.to_json(), **value}, sort_keys=True):
+    if json.dumps(spec.to_json(), sort_keys=True) != json.dumps(
+        {**spec.to_json(), **value}, sort_keys=True
+    ):
         raise ValueError("policy spec: a field has another type than PolicySpec gives it")
     numbers = (spec.observation_size, spec.action_size, *spec.hidden)
     if any(type(number) is not int for number in numbers) or type(spec.normalise) is not bool:
@@ -90,7 +102,9 @@ class Release(_Model):
     date: Annotated[str, Field(pattern=r"^\d{4}-\d{2}-\d{2}$")]
     description: str = ""
     environments: dict[Name, Annotated[int, Field(ge=1)]]
-    splits: dict[Name, str] = {}  # task -> id of its default split; moves to a new split when the release grows
+    splits: dict[
+        Name, str
+    ] = {}  # task -> id of its default split; moves to a new split when the release grows
 
 
 class DisabilitySetting(_Model):
@@ -175,13 +189,17 @@ class RegistryFile(_Model):
             for task, split in release.splits.items():
                 _known(f"releases.{name}.splits", split, splits)
                 if splits[split] != (task, name):
-                    raise ValueError(f"releases.{name}.splits.{task} names {split}, a split of {splits[split]}")
+                    raise ValueError(
+                        f"releases.{name}.splits.{task} names {split}, a split of {splits[split]}"
+                    )
         return self
 
     def _check_team(self, team: str, entry: Team) -> None:
         parts = _parse(team)
         _known(f"{team}: release", parts.release, self.releases)
-        _known(f"{team}: environment version of", parts.task, self.releases[parts.release].environments)
+        _known(
+            f"{team}: environment version of", parts.task, self.releases[parts.release].environments
+        )
         _known(f"{team}: disability", parts.disability, self.disability_settings)
         _known(f"{team}: run", entry.run, self.runs)
         for role, place in entry.policies.items():
@@ -191,7 +209,9 @@ class RegistryFile(_Model):
             if found != (parts.task, parts.algorithm, role, parts.release):
                 raise ValueError(f"{team}/{role} points to a shard of {' '.join(found)}")
             if place.row >= shard.rows:
-                raise ValueError(f"{team}/{role} is row {place.row} of a shard with {shard.rows} rows")
+                raise ValueError(
+                    f"{team}/{role} is row {place.row} of a shard with {shard.rows} rows"
+                )
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -218,7 +238,10 @@ class PolicyEntry:
 def dump_registry(file: RegistryFile) -> str:
     """Return the registry's text: sorted, and one line for each small object, so that changes give small diffs."""
     data = file.model_dump(mode="json", exclude_defaults=True)
-    data["teams"] = {team: data["teams"][team] for team in sorted(data["teams"], key=lambda text: _parse(text).order)}
+    data["teams"] = {
+        team: data["teams"][team]
+        for team in sorted(data["teams"], key=lambda text: _parse(text).order)
+    }
     for table in ("releases", "runs", "shards"):
         data[table] = dict(sorted(data[table].items()))
     data["splits"] = sorted(data.get("splits", []), key=lambda split: split["id"])
@@ -244,19 +267,27 @@ def _parse(team: str) -> Any:
 
 def _known(what: str, name: str, table: Any) -> None:
     if name not in table:
-        raise ValueError(f"{what} {name!r} is not among {', '.join(map(str, table)) or 'none'}"[:300])
+        raise ValueError(
+            f"{what} {name!r} is not among {', '.join(map(str, table)) or 'none'}"[:300]
+        )
 
 
 def _lay_out(value: Any, indent: int, width: int = 190) -> str:
     """Return JSON with a container on one line where it fits and holds no deep nesting, else one item a line."""
     flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
-    if not isinstance(value, dict | list) or not value or (indent and _shallow(value) and len(flat) + indent <= width):
+    if (
+        not isinstance(value, dict | list)
+        or not value
+        or (indent and _shallow(value) and len(flat) + indent <= width)
+    ):
         return flat
     inner = " " * (indent + 1)
     if isinstance(value, list):
         items = [inner + _lay_out(item, indent + 1) for item in value]
     else:
-        items = [f"{inner}{json.dumps(key)}: {_lay_out(item, indent + 1)}" for key, item in value.items()]
+        items = [
+            f"{inner}{json.dumps(key)}: {_lay_out(item, indent + 1)}" for key, item in value.items()
+        ]
     opening, closing = ("[", "]") if isinstance(value, list) else ("{", "}")
     return opening + "\n" + ",\n".join(items) + "\n" + " " * indent + closing
 
@@ -264,4 +295,7 @@ def _lay_out(value: Any, indent: int, width: int = 190) -> str:
 def _shallow(value: Any) -> bool:
     """Return whether a container holds scalars only, or one short list as well."""
     items = value.values() if isinstance(value, dict) else value
-    return all(not isinstance(item, dict) and (not isinstance(item, list) or len(item) <= 4) for item in items)
+    return all(
+        not isinstance(item, dict) and (not isinstance(item, list) or len(item) <= 4)
+        for item in items
+    )

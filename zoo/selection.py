@@ -7,7 +7,9 @@ from zoo.errors import ForeignError, UnknownIdError, listing, nearest, shorten
 from zoo.ids import compile_pattern
 
 FIELDS = ("task", "algorithm", "disability", "role", "release")
-FOREIGN_PREFIX = "foreign/"  # of the ids of imported policies: no team id begins so and ends in a role
+FOREIGN_PREFIX = (
+    "foreign/"  # of the ids of imported policies: no team id begins so and ends in a role
+)
 
 
 class Selectable(Protocol):
@@ -46,7 +48,8 @@ def select(
 
     Args:
         entries: Policies to choose from.
-        pattern: A glob over policy ids, or several of which one must match; a glob over team ids takes both roles.
+        pattern: A glob over policy ids, or several of which one must match; a glob over team ids
+            takes both roles.
         task: Only this task; the same for the other fields.
         algorithm: Only this algorithm.
         disability: Only this disability setting, such as "d3".
@@ -100,7 +103,9 @@ def refuse_unknown(wanted: str, known: Sequence[str], what: str = "policy") -> N
         expected=f"an id or glob that matches one of the {len(known)} candidates",
         found="no match",
         done="nothing was selected",
-        next_step=(f"nearest: {', '.join(close)}" if close else "`assistax-zoo list` prints every policy"),
+        next_step=(
+            f"nearest: {', '.join(close)}" if close else "`assistax-zoo list` prints every policy"
+        ),
     )
 
 

@@ -47,9 +47,9 @@ def fetch_rows(
         head += _read(remote, path, len(head), base)
     layout = _layout(head[8:base], shard, base, source)
     spans = _spans(sorted(entry.row for entry in entries))
-    if sum(size for _, _, size in layout.values()) * len(entries) + len(layout) * len(spans) * REQUEST_BYTES > (
-        shard.bytes // 2
-    ):
+    if sum(size for _, _, size in layout.values()) * len(entries) + len(layout) * len(
+        spans
+    ) * REQUEST_BYTES > (shard.bytes // 2):
         return None
     rows: dict[int, Leaves] = {entry.row: {} for entry in entries}
     received = len(head)
@@ -71,7 +71,9 @@ def _keep(entry: PolicyEntry, leaves: Leaves, source: str) -> None:
     if found != entry.sha256:
         raise _damage(f"{entry.id} in {source}", f"sha256 {entry.sha256}", f"sha256 {found}")
     stacked = {name: value[None] for name, value in sorted(leaves.items())}
-    data = encode(stacked, {"spec": entry.spec.to_json(), "rows": [{"id": entry.id, "sha256": entry.sha256}]})
+    data = encode(
+        stacked, {"spec": entry.spec.to_json(), "rows": [{"id": entry.id, "sha256": entry.sha256}]}
+    )
     target = cached_row(entry.sha256)
     try:
         atomic_write(target, data)
@@ -102,10 +104,16 @@ def _layout(header: bytes, shard: Shard, base: int, source: str) -> dict[str, tu
     """Return (dtype and shape of a row, where row 0 begins in the file, bytes of a row) of each leaf."""
     try:
         tensors: Mapping[str, Any] = json.loads(header)
-        return {name: _leaf(leaf, shard, base) for name, leaf in tensors.items() if name != "__metadata__"}
+        return {
+            name: _leaf(leaf, shard, base)
+            for name, leaf in tensors.items()
+            if name != "__metadata__"
+        }
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise _damage(
-            source, f"a safetensors header with {shard.rows} rows", f"{type(error).__name__}: {error}"
+            source,
+            f"a safetensors header with {shard.rows} rows",
+            f"{type(error).__name__}: {error}",
         ) from None
 
 

@@ -1,8 +1,10 @@
 """Splits: which partners a robot may train with, and which it is tested with.
 
-A split is a manifest: task, release, rule, seed, the sorted team ids of both sides, and the sha256 of all that. Its id
-ends in the first eight digits of that sha256, so a published split never changes: when a release grows, its default
-split becomes a new one with a new id, and the old one stays for whoever cited it.
+A split is a manifest: task, release, rule, seed, the sorted team ids of both sides, and the sha256
+of all that. Its id ends in the first eight digits of that sha256, so a published split never
+changes: when a release grows, its default split becomes a new one with a new id, and the old one
+    stays for whoever cited
+it.
 
 | rule | train | test |
 |---|---|---|
@@ -12,13 +14,16 @@ split becomes a new one with a new id, and the old one stays for whoever cited i
 | `small-train` | n teams of the half's train side, chosen at random | the half's test side |
 | `custom` | the teams given | the teams given |
 
-Humans that act nearly alike (`zoo/behaviour.py`) may not stand on both sides. `zoo.release.create_split` leaves such
-training partners out of a leave-one-out split, whose test side is to be whole, and refuses any other.
+Humans that act nearly alike (`zoo/behaviour.py`) may not stand on both sides.
+`zoo.release.create_split` leaves such training partners out of a leave-one-out split, whose test
+side is to be whole, and refuses any other.
 
-In `half`, a team's side depends on its own id and the split's seed alone: seeds 2k and 2k+1 of a stratum are a pair,
-and the lowest bit of sha256("{seed}:{task}/{algorithm}-{disability}-{release}:{k}") says which of the two trains. So
-the order of the registry does not matter, no team ever changes sides when teams are added, and strata with consecutive
-seeds are halved exactly; the odd one of an odd stratum falls by that hash to either side.
+In `half`, a team's side depends on its own id and the split's seed alone: seeds 2k and 2k+1 of a
+stratum are a pair, and the lowest bit of
+sha256("{seed}:{task}/{algorithm}-{disability}-{release}:{k}") says which of the two trains. So the
+order of the registry does not matter, no team ever changes sides when teams are added, and strata
+with consecutive seeds are halved exactly; the odd one of an odd stratum falls by that hash to
+either side.
 """
 
 import hashlib
@@ -32,7 +37,10 @@ from zoo.ids import TeamId, parse_team
 from zoo.schema import Split, Team
 
 RULES = ("half", "leave-one-algorithm-out", "leave-one-disability-out", "small-train", "custom")
-LEAVE_ONE_OUT = {"leave-one-algorithm-out": "algorithm", "leave-one-disability-out": "disability"}  # what is held out
+LEAVE_ONE_OUT = {
+    "leave-one-algorithm-out": "algorithm",
+    "leave-one-disability-out": "disability",
+}  # what is held out
 
 
 def make_split(
@@ -64,7 +72,13 @@ def make_split(
         SplitError: The rule is unknown, lacks its argument, or leaves a side empty.
         LeakageError: A team is on both sides.
     """
-    known = sorted({str(team) for team in map(parse_team, teams) if (team.task, team.release) == (task, release)})
+    known = sorted(
+        {
+            str(team)
+            for team in map(parse_team, teams)
+            if (team.task, team.release) == (task, release)
+        }
+    )
     if rule == "half":
         sides = _by(known, lambda team: half_side(team, seed))
     elif rule in LEAVE_ONE_OUT:
@@ -114,18 +128,32 @@ def check_split(split: Split) -> None:
         if not side:
             raise _error(f"split {split.id}", f"at least one team in {name}", "none")
         if list(side) != sorted(set(side)):
-            raise _error(f"split {split.id}", f"{name} sorted and without repetition", "another order")
-        foreign = [team for team in map(parse_team, side) if (team.task, team.release) != (split.task, split.release)]
+            raise _error(
+                f"split {split.id}", f"{name} sorted and without repetition", "another order"
+            )
+        foreign = [
+            team
+            for team in map(parse_team, side)
+            if (team.task, team.release) != (split.task, split.release)
+        ]
         if foreign:
-            raise _error(f"split {split.id}", f"teams of {split.task} {split.release}", listing(map(str, foreign)))
+            raise _error(
+                f"split {split.id}",
+                f"teams of {split.task} {split.release}",
+                listing(map(str, foreign)),
+            )
     both = sorted(set(split.train) & set(split.test))
     if both:
         refuse_leak(split.id, [(team, team) for team in both])
 
 
-def shared_parameters(train: Sequence[str], test: Sequence[str], teams: Mapping[str, Team]) -> list[tuple[str, str]]:
+def shared_parameters(
+    train: Sequence[str], test: Sequence[str], teams: Mapping[str, Team]
+) -> list[tuple[str, str]]:
     """Return the pairs (team in train, team in test) that have identical parameters in one role."""
-    owners = {(role, place.sha256): team for team in train for role, place in teams[team].policies.items()}
+    owners = {
+        (role, place.sha256): team for team in train for role, place in teams[team].policies.items()
+    }
     pairs = {
         (owners[role, place.sha256], team)
         for team in test
@@ -148,10 +176,14 @@ def refuse_leak(split: str, pairs: Sequence[tuple[str, str]]) -> NoReturn:
 
 def _by(known: Sequence[str], side_of: Callable[[TeamId], str]) -> tuple[list[str], list[str]]:
     sides = {team: side_of(parse_team(team)) for team in known}
-    return [team for team in known if sides[team] == "train"], [team for team in known if sides[team] == "test"]
+    return [team for team in known if sides[team] == "train"], [
+        team for team in known if sides[team] == "test"
+    ]
 
 
-def _leave_one_out(known: Sequence[str], field: str, held_out: str | None) -> tuple[list[str], list[str]]:
+def _leave_one_out(
+    known: Sequence[str], field: str, held_out: str | None
+) -> tuple[list[str], list[str]]:
     present = sorted({getattr(parse_team(team), field) for team in known})
     if held_out not in present:
         raise _error(f"{field} to hold out", f"one of {listing(present, 12)}", shorten(held_out))
@@ -161,14 +193,20 @@ def _leave_one_out(known: Sequence[str], field: str, held_out: str | None) -> tu
 def _small_train(known: Sequence[str], n: int, seed: int) -> tuple[list[str], list[str]]:
     train, test = _by(known, lambda team: half_side(team, seed))
     if not 1 <= n <= len(train):
-        raise _error("n of small-train", f"1 to {len(train)}, the teams of the half's train side", str(n))
+        raise _error(
+            "n of small-train", f"1 to {len(train)}, the teams of the half's train side", str(n)
+        )
     return sorted(sorted(train, key=lambda team: sha256(f"{seed}:{team}".encode()))[:n]), test
 
 
 def _custom(known: Sequence[str], train: list[str], test: list[str]) -> tuple[list[str], list[str]]:
     foreign = sorted((set(train) | set(test)) - set(known))
     if foreign:
-        raise _error("custom split", f"some of the {len(known)} teams of the task and release", listing(foreign))
+        raise _error(
+            "custom split",
+            f"some of the {len(known)} teams of the task and release",
+            listing(foreign),
+        )
     return sorted(set(train)), sorted(set(test))
 
 
@@ -182,7 +220,9 @@ def _id(content: Mapping[str, object]) -> str:
         "leave-one-disability-out": f"without-{content['held_out']}",
         "small-train": f"small-{content['n']}",
     }.get(str(content["rule"]), str(content["rule"]))
-    return f"{content['task']}/{slug}-s{content['seed']}-{content['release']}-{_digest(content)[:8]}"
+    return (
+        f"{content['task']}/{slug}-s{content['seed']}-{content['release']}-{_digest(content)[:8]}"
+    )
 
 
 def _error(problem: str, expected: str, found: str) -> SplitError:

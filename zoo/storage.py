@@ -15,7 +15,16 @@ from zoo.errors import FormatError, IntegrityError, shorten
 from zoo.files import atomic_write, sha256
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, spec_from_json
-from zoo.tensors import Leaves, damaged_row, decode, encode, flatten, read_bytes, row_sha256, unflatten
+from zoo.tensors import (
+    Leaves,
+    damaged_row,
+    decode,
+    encode,
+    flatten,
+    read_bytes,
+    row_sha256,
+    unflatten,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,8 +55,9 @@ class StackedFile(NamedTuple):
 def load_group(registry: Registry, entries: Iterable[PolicyEntry]) -> list[PolicyGroup]:
     """Return the parameters of the entries, one group for each spec, in the order requested.
 
-    Groups come in the order in which their specs first occur. Every shard's sha256 and every returned row's sha256
-    is held against the registry. Of a shard that is not on this machine, policies that were fetched on their own do.
+    Groups come in the order in which their specs first occur. Every shard's sha256 and every
+    returned row's sha256 is held against the registry. Of a shard that is not on this machine,
+    policies that were fetched on their own do.
 
     Raises:
         IntegrityError: A shard is missing or its bytes are not those of the registry.
@@ -68,12 +78,16 @@ def load_leaves(registry: Registry, entries: Iterable[PolicyEntry]) -> dict[str,
     return {entry.id: _verified_row(*places[entry.id], entry) for entry in entries}
 
 
-def _read_places(registry: Registry, entries: Sequence[PolicyEntry]) -> dict[str, tuple[StackedFile, int]]:
+def _read_places(
+    registry: Registry, entries: Sequence[PolicyEntry]
+) -> dict[str, tuple[StackedFile, int]]:
     """Return the file and the row in it that hold each policy."""
     places: dict[str, tuple[StackedFile, int]] = {}
     for shard in dict.fromkeys(entry.shard for entry in entries):
         members = [entry for entry in entries if entry.shard == shard]
-        if not registry.shard_path(shard).is_file() and all(cached_row(entry.sha256).is_file() for entry in members):
+        if not registry.shard_path(shard).is_file() and all(
+            cached_row(entry.sha256).is_file() for entry in members
+        ):
             places |= {entry.id: (read_row(entry), 0) for entry in members}
         else:
             stacked = read_shard(registry, shard)
@@ -84,21 +98,29 @@ def _read_places(registry: Registry, entries: Sequence[PolicyEntry]) -> dict[str
 def read_row(entry: PolicyEntry) -> StackedFile:
     """Return a policy that was fetched on its own, as a file of one row; the row is verified when it is taken."""
     path = cached_row(entry.sha256)
-    stacked = parse_stacked(read_bytes(path, f"policy {entry.id} in {path}"), f"policy {entry.id} in {path}")
+    stacked = parse_stacked(
+        read_bytes(path, f"policy {entry.id} in {path}"), f"policy {entry.id} in {path}"
+    )
     if stacked.spec != entry.spec or len(stacked.rows) != 1:
         found = f"{len(stacked.rows)} rows of spec {stacked.spec.digest}"
-        raise _format_error(f"policy {entry.id} in {path}", f"one row of spec {entry.spec.digest}", found)
+        raise _format_error(
+            f"policy {entry.id} in {path}", f"one row of spec {entry.spec.digest}", found
+        )
     return stacked
 
 
 def read_shard(registry: Registry, path: str) -> StackedFile:
     """Return one shard of the registry, its file verified (rows are verified when they are taken)."""
     shard = registry.data.shards[path]
-    data = read_bytes(registry.shard_path(path), f"shard {path}", size=shard.bytes, digest=shard.sha256)
+    data = read_bytes(
+        registry.shard_path(path), f"shard {path}", size=shard.bytes, digest=shard.sha256
+    )
     stacked = parse_stacked(data, f"shard {path}")
     if stacked.spec != shard.spec or len(stacked.rows) != shard.rows:
         found = f"{len(stacked.rows)} rows of spec {stacked.spec.digest}"
-        raise _format_error(f"shard {path}", f"{shard.rows} rows of spec {shard.spec.digest}", found)
+        raise _format_error(
+            f"shard {path}", f"{shard.rows} rows of spec {shard.spec.digest}", found
+        )
     return stacked
 
 
@@ -111,8 +133,12 @@ def parse_stacked(data: bytes, source: str) -> StackedFile:
     leaves, metadata = decode(data, source)
     spec, rows = _spec(metadata, source), metadata.get("rows")
     if not isinstance(rows, list) or not rows:
-        raise _format_error(source, "metadata rows: a list with one item for each policy", shorten(rows))
-    wrong = [f"{name} {value.shape}" for name, value in leaves.items() if value.shape[:1] != (len(rows),)]
+        raise _format_error(
+            source, "metadata rows: a list with one item for each policy", shorten(rows)
+        )
+    wrong = [
+        f"{name} {value.shape}" for name, value in leaves.items() if value.shape[:1] != (len(rows),)
+    ]
     if wrong:
         raise _format_error(source, f"leaves with a first axis of {len(rows)}", wrong[0])
     return StackedFile(spec, leaves, rows)
@@ -123,20 +149,30 @@ def take_row(stacked: StackedFile, row: int) -> Leaves:
     return {name: value[row] for name, value in stacked.leaves.items()}
 
 
-def encode_shard(spec: PolicySpec, policies: Sequence[tuple[str, Leaves]]) -> tuple[bytes, list[str]]:
+def encode_shard(
+    spec: PolicySpec, policies: Sequence[tuple[str, Leaves]]
+) -> tuple[bytes, list[str]]:
     """Return a shard's bytes and its rows' sha256, for (policy id, leaves) in row order.
 
     Raises:
         FormatError: The policies' leaves differ in name, shape or dtype.
     """
-    forms = [{name: (value.shape, value.dtype.name) for name, value in leaves.items()} for _, leaves in policies]
+    forms = [
+        {name: (value.shape, value.dtype.name) for name, value in leaves.items()}
+        for _, leaves in policies
+    ]
     for (policy, _), form in zip(policies, forms, strict=True):
         if form != forms[0]:
-            odd = next(name for name in {**forms[0], **form} if form.get(name) != forms[0].get(name))
+            odd = next(
+                name for name in {**forms[0], **form} if form.get(name) != forms[0].get(name)
+            )
             expected = f"{odd} {forms[0].get(odd)} as in {policies[0][0]}"
             raise _format_error(f"parameters of {policy}", expected, f"{odd} {form.get(odd)}")
     hashes = [row_sha256(leaves) for _, leaves in policies]
-    rows = [{"id": policy, "sha256": digest} for (policy, _), digest in zip(policies, hashes, strict=True)]
+    rows = [
+        {"id": policy, "sha256": digest}
+        for (policy, _), digest in zip(policies, hashes, strict=True)
+    ]
     stacked = {name: np.stack([leaves[name] for _, leaves in policies]) for name in forms[0]}
     return encode(stacked, {"spec": spec.to_json(), "rows": rows}), hashes
 
@@ -169,7 +205,10 @@ def read_policy_file(path: Path | str) -> PolicyFile:
 
 
 def write_policy_file(
-    path: Path | str, spec: PolicySpec, params: Mapping[str, Any], metadata: Mapping[str, Any] | None = None
+    path: Path | str,
+    spec: PolicySpec,
+    params: Mapping[str, Any],
+    metadata: Mapping[str, Any] | None = None,
 ) -> None:
     """Write one policy as `.safetensors`, atomically; `metadata` is kept as JSON.
 
@@ -178,7 +217,11 @@ def write_policy_file(
     """
     leaves = flatten(params)
     extra = dict(metadata or {})
-    content = {"spec": spec.to_json(), "sha256": _content_sha256(spec, extra, leaves), "metadata": extra}
+    content = {
+        "spec": spec.to_json(),
+        "sha256": _content_sha256(spec, extra, leaves),
+        "metadata": extra,
+    }
     atomic_write(Path(path), encode(leaves, content))
 
 
@@ -192,7 +235,9 @@ def check_params(spec: PolicySpec, leaves: Leaves, source: str) -> None:
     found = {name: tuple(value.shape) for name, value in leaves.items()}
     if found != expected:
         odd = next(name for name in {**expected, **found} if found.get(name) != expected.get(name))
-        raise _format_error(source, f"{odd} of shape {expected.get(odd)} for its spec", f"shape {found.get(odd)}")
+        raise _format_error(
+            source, f"{odd} of shape {expected.get(odd)} for its spec", f"shape {found.get(odd)}"
+        )
 
 
 @functools.lru_cache
@@ -213,8 +258,13 @@ def _merge(
     forms = [{name: value.shape for name, value in row.items()} for row in rows]
     for entry, form in zip(members, forms, strict=True):
         if form != forms[0]:
-            raise _format_error(f"parameters of {entry.id}", f"the leaves of {members[0].id}", "other leaves")
-    stacked = {name: np.stack([row[name] for row in rows]).astype(np.float32, copy=False) for name in forms[0]}
+            raise _format_error(
+                f"parameters of {entry.id}", f"the leaves of {members[0].id}", "other leaves"
+            )
+    stacked = {
+        name: np.stack([row[name] for row in rows]).astype(np.float32, copy=False)
+        for name in forms[0]
+    }
     return PolicyGroup(spec, tuple(entry.id for entry in members), unflatten(stacked))
 
 
@@ -232,7 +282,9 @@ def _float32(leaves: Leaves) -> dict[str, Any]:
 
 def _content_sha256(spec: PolicySpec, metadata: Mapping[str, Any], leaves: Leaves) -> str:
     """Return the sha256 that a policy file carries of itself: over its spec, its metadata and its leaves."""
-    return sha256(json.dumps([spec.to_json(), dict(metadata), row_sha256(leaves)], sort_keys=True).encode())
+    return sha256(
+        json.dumps([spec.to_json(), dict(metadata), row_sha256(leaves)], sort_keys=True).encode()
+    )
 
 
 def _spec(metadata: Mapping[str, Any], source: str) -> PolicySpec:

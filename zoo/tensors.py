@@ -58,7 +58,9 @@ def row_sha256(leaves: Mapping[str, np.ndarray]) -> str:
     digest = hashlib.sha256()
     for name in sorted(leaves):
         value = np.ascontiguousarray(leaves[name])
-        digest.update(f"{name}\0{value.dtype.name}\0{'x'.join(map(str, np.shape(leaves[name])))}\0".encode())
+        digest.update(
+            f"{name}\0{value.dtype.name}\0{'x'.join(map(str, np.shape(leaves[name])))}\0".encode()
+        )
         digest.update(value.astype(value.dtype.newbyteorder("<"), copy=False).data)
     return digest.hexdigest()
 
@@ -78,7 +80,8 @@ def decode(data: bytes, source: str) -> tuple[Leaves, dict[str, Any]]:
     """Return leaves and metadata of safetensors bytes.
 
     Raises:
-        FormatError: The bytes are truncated, malformed, of another dtype, not finite, or lack the metadata.
+        FormatError: The bytes are truncated, malformed, of another dtype, not finite, or lack the
+            metadata.
     """
     header, tensors = _deserialize(data, source)
     try:
@@ -86,7 +89,9 @@ def decode(data: bytes, source: str) -> tuple[Leaves, dict[str, Any]]:
         if not isinstance(metadata, dict):
             raise ValueError(f"metadata {METADATA_KEY!r} is no JSON object")
     except KeyError as error:
-        raise _error(source, f"metadata {METADATA_KEY!r} with spec and rows", f"no {error}") from None
+        raise _error(
+            source, f"metadata {METADATA_KEY!r} with spec and rows", f"no {error}"
+        ) from None
     except (ValueError, TypeError, RecursionError) as error:
         raise _error(source, "a safetensors file", f"{shorten(str(error))}") from None
     return _leaves(tensors, source), metadata
@@ -108,7 +113,9 @@ def decode_foreign(data: bytes, source: str) -> Leaves:
 def _deserialize(data: bytes, source: str) -> tuple[dict[str, Any], list[tuple[str, Any]]]:
     length = int.from_bytes(data[:8], "little")
     if len(data) < 8 or length > min(MAX_HEADER_BYTES, len(data) - 8):
-        raise _error(source, "a safetensors file", f"{len(data)} bytes whose header claims {length}")
+        raise _error(
+            source, "a safetensors file", f"{len(data)} bytes whose header claims {length}"
+        )
     try:
         tensors = safetensors.deserialize(data)
         return json.loads(data[8 : 8 + length], object_pairs_hook=_unique), tensors
@@ -120,13 +127,19 @@ def _leaves(tensors: list[tuple[str, Any]], source: str) -> Leaves:
     leaves = {}
     for name, tensor in tensors:
         if tensor["dtype"] not in DTYPES:
-            raise _error(source, f"leaves of {' or '.join(DTYPES)}", f"{shorten(name)} of {tensor['dtype']}")
-        leaves[name] = np.frombuffer(tensor["data"], DTYPES[tensor["dtype"]]).reshape(tensor["shape"])
+            raise _error(
+                source, f"leaves of {' or '.join(DTYPES)}", f"{shorten(name)} of {tensor['dtype']}"
+            )
+        leaves[name] = np.frombuffer(tensor["data"], DTYPES[tensor["dtype"]]).reshape(
+            tensor["shape"]
+        )
     _check_leaves(leaves, source)
     return dict(sorted(leaves.items()))
 
 
-def read_bytes(path: Path, source: str, *, size: int | None = None, digest: str | None = None) -> bytes:
+def read_bytes(
+    path: Path, source: str, *, size: int | None = None, digest: str | None = None
+) -> bytes:
     """Return a file's bytes, held against the size and sha256 that the registry records.
 
     Raises:
@@ -136,7 +149,11 @@ def read_bytes(path: Path, source: str, *, size: int | None = None, digest: str 
         raise _damage(source, "a file", f"no file at {path}")
     found = path.stat().st_size
     if found > (MAX_FILE_BYTES if size is None else size) or (size is not None and found != size):
-        raise _damage(source, f"{size if size is not None else f'at most {MAX_FILE_BYTES}'} bytes", f"{found} bytes")
+        raise _damage(
+            source,
+            f"{size if size is not None else f'at most {MAX_FILE_BYTES}'} bytes",
+            f"{found} bytes",
+        )
     data = path.read_bytes()
     if digest is not None and sha256(data) != digest:
         raise _damage(source, f"sha256 {digest}", f"sha256 {sha256(data)}")
@@ -160,9 +177,13 @@ def _check_leaves(leaves: Mapping[str, np.ndarray], source: str) -> None:
             raise _error(source, "finite parameters", f"NaN or infinity in {name}")
     for name in leaves:
         parents = name.split("/")[:-1]
-        clash = next((p for i in range(len(parents)) if (p := "/".join(parents[: i + 1])) in leaves), None)
+        clash = next(
+            (p for i in range(len(parents)) if (p := "/".join(parents[: i + 1])) in leaves), None
+        )
         if clash:
-            raise _error(source, "leaves that form a tree", f"{clash} both a leaf and the parent of {name}")
+            raise _error(
+                source, "leaves that form a tree", f"{clash} both a leaf and the parent of {name}"
+            )
 
 
 def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:

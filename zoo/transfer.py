@@ -39,7 +39,8 @@ def download(
 ) -> int:
     """Fetch a file unless it is there, and return how many bytes came over the wire.
 
-    An interrupted download goes on where it was. Of two that want the same file, one waits for the other.
+    An interrupted download goes on where it was. Of two that want the same file, one waits for the
+    other.
 
     Args:
         remote: Where the file is.
@@ -62,7 +63,10 @@ def download(
         transfer = _Transfer(remote, item, file, advance, stop or threading.Event())
         try:
             transfer.run(retry or remotes.RETRY)
-        except (IntegrityError, OSError):  # what is there cannot be used, or there is no room for it
+        except (
+            IntegrityError,
+            OSError,
+        ):  # what is there cannot be used, or there is no room for it
             partial.unlink(missing_ok=True)
             raise
         os.fsync(file.fileno())
@@ -74,9 +78,20 @@ class _Transfer:
     """The state of one download: what is in the file, its hash so far, and what came over the wire."""
 
     def __init__(
-        self, remote: Remote, item: Item, file: BinaryIO, advance: Callable[[int], None], stop: threading.Event
+        self,
+        remote: Remote,
+        item: Item,
+        file: BinaryIO,
+        advance: Callable[[int], None],
+        stop: threading.Event,
     ) -> None:
-        self.remote, self.item, self.file, self.advance, self.stop = remote, item, file, advance, stop
+        self.remote, self.item, self.file, self.advance, self.stop = (
+            remote,
+            item,
+            file,
+            advance,
+            stop,
+        )
         self.received = self.reported = 0
         self.digest, self.size = hashlib.sha256(), 0
 
@@ -104,7 +119,13 @@ class _Transfer:
                 if attempt >= retry.attempts:
                     what = f"{self.item.path} of {self.remote.name}"
                     kept = f"nothing was added; {self.size} bytes are kept to go on from"
-                    refuse(what, f"{self.item.bytes} bytes", f"{error}, {attempt} times", "fetch again later", kept)
+                    refuse(
+                        what,
+                        f"{self.item.bytes} bytes",
+                        f"{error}, {attempt} times",
+                        "fetch again later",
+                        kept,
+                    )
                 pause_before(attempt, error, retry, self.stop)
 
     def _receive(self) -> None:

@@ -48,12 +48,16 @@ def verify(registry: Registry, progress: Callable[[str], None] = lambda shard: N
         progress: Called with the path of each shard before it is read.
     """
     data = registry.data
-    problems = [problem for shard in data.shards for problem in _shard_problems(registry, shard, progress)]
+    problems = [
+        problem for shard in data.shards for problem in _shard_problems(registry, shard, progress)
+    ]
     problems += [*_duplicates(registry), *_split_problems(registry)]
     foreign, found = foreign_problems(registry.path, progress)
     problems += found
     if data.disability_settings != installed_settings():
-        problems.append("disability settings of the registry differ from those of the installed environments")
+        problems.append(
+            "disability settings of the registry differ from those of the installed environments"
+        )
     return Report(
         registry=str(registry.path),
         release=registry.release,
@@ -67,7 +71,9 @@ def verify(registry: Registry, progress: Callable[[str], None] = lambda shard: N
     )
 
 
-def _shard_problems(registry: Registry, shard: str, progress: Callable[[str], None]) -> Iterator[str]:
+def _shard_problems(
+    registry: Registry, shard: str, progress: Callable[[str], None]
+) -> Iterator[str]:
     progress(shard)
     entries = [entry for entry in registry.policies if entry.shard == shard]
     rows = sorted(entry.row for entry in entries)

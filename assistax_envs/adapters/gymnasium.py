@@ -14,14 +14,17 @@ try:
 except ImportError as error:
     raise ImportError(f"this adapter needs the package gymnasium; {INSTALL}") from error
 
-Partner = Callable[[np.ndarray], Any]  # observation [O] float32 -> action [3] in [-1, 1]; `reset()` if it has one
+Partner = Callable[
+    [np.ndarray], Any
+]  # observation [O] float32 -> action [3] in [-1, 1]; `reset()` if it has one
 
 
 class AssistaxEnv(gymnasium.Env):
     """A robot's task with a partner that is part of the environment; an episode is truncated at its 1000th step.
 
-    The partner is any callable from the human's observation to its action; one that remembers has a method `reset`,
-    called at episode starts. Without a partner the human is passive: no torque at all.
+    The partner is any callable from the human's observation to its action; one that remembers has a
+    method `reset`, called at episode starts. Without a partner the human is passive: no torque at
+    all.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012 - Gymnasium's own type
@@ -41,7 +44,8 @@ class AssistaxEnv(gymnasium.Env):
         Args:
             task: one of `assistax_envs.TASKS`.
             partner: who acts for the human.
-            disability: the human's; by default the partner's own `disability`, where it has one, else "d1".
+            disability: the human's; by default the partner's own `disability`, where it has one,
+                else "d1".
             backend: see `assistax_envs.make`.
             weights: reward weights that replace those of Table 5.
             render_mode: None or "rgb_array".
@@ -49,14 +53,19 @@ class AssistaxEnv(gymnasium.Env):
         """
         check_render_mode(render_mode)
         if partner is not None and not callable(partner):
-            raise TypeError(f"partner is a {type(partner).__name__}; expected a callable from observation to action")
+            raise TypeError(
+                f"partner is a {type(partner).__name__}; expected a callable from observation to "
+                "action"
+            )
         self.render_mode = render_mode
         self.partner = partner
         impairment = disability or getattr(partner, "disability", None) or "d1"
         self._simulation = Simulation(task, impairment, backend, weights)
         self._camera = camera
         env = self._simulation.env
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (env.observation_size["robot"],), np.float32)
+        self.observation_space = gymnasium.spaces.Box(
+            -np.inf, np.inf, (env.observation_size["robot"],), np.float32
+        )
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (env.action_size["robot"],), np.float32)
 
     def reset(
@@ -78,7 +87,13 @@ class AssistaxEnv(gymnasium.Env):
         self._simulation.step({"robot": action, "human": answer})
         state = self._simulation.state
         observation, info = self._simulation.observation("robot"), self._simulation.info()
-        return observation, float(state.reward[0]), bool(state.terminated[0]), bool(state.truncated[0]), info
+        return (
+            observation,
+            float(state.reward[0]),
+            bool(state.terminated[0]),
+            bool(state.truncated[0]),
+            info,
+        )
 
     def render(self) -> np.ndarray | None:
         """Return a picture, uint8 [480, 640, 3]; None unless `render_mode` is "rgb_array"."""

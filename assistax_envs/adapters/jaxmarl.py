@@ -1,8 +1,9 @@
 """JaxMARL's functional interface, without a dependency on JaxMARL.
 
-Signatures are those of one simulation, as in JaxMARL. `jax.vmap` over them, which its trainers rely on, never maps
-over the physics: each level of vmap becomes rows of the environment's own batch. Batches of the form [N, ...] can be
-given without vmap too (`reset_batch`, `step_batch`), which compiles sooner.
+Signatures are those of one simulation, as in JaxMARL. `jax.vmap` over them, which its trainers rely
+on, never maps over the physics: each level of vmap becomes rows of the environment's own batch.
+Batches of the form [N, ...] can be given without vmap too (`reset_batch`, `step_batch`), which
+compiles sooner.
 """
 
 import dataclasses
@@ -16,7 +17,9 @@ import jax.numpy as jnp
 from assistax_envs.disability import Disability
 from assistax_envs.env import EnvState, disability_params, make, select
 
-Step = tuple[dict[str, jax.Array], EnvState, dict[str, jax.Array], dict[str, jax.Array], dict[str, jax.Array]]
+Step = tuple[
+    dict[str, jax.Array], EnvState, dict[str, jax.Array], dict[str, jax.Array], dict[str, jax.Array]
+]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,8 +45,8 @@ class Box:
 class AssistaxMarlEnv:
     """A task for the agents "robot" and "human" by JaxMARL's rules: steps reset a simulation that is done.
 
-    Rewards and dones are by agent and under "__all__"; `done` is the time limit, for an episode ends by time only.
-    `infos` are [2], a value for each agent, as JaxMARL's scripts reshape them.
+    Rewards and dones are by agent and under "__all__"; `done` is the time limit, for an episode
+    ends by time only. `infos` are [2], a value for each agent, as JaxMARL's scripts reshape them.
     """
 
     def __init__(
@@ -60,8 +63,12 @@ class AssistaxMarlEnv:
         self.num_agents = len(self.agents)
         self.agent_classes = {agent: [agent] for agent in self.agents}
         sizes = self.env.observation_size
-        self.observation_spaces = {agent: Box(-math.inf, math.inf, (sizes[agent],)) for agent in self.agents}
-        self.action_spaces = {agent: Box(-1.0, 1.0, (self.env.action_size[agent],)) for agent in self.agents}
+        self.observation_spaces = {
+            agent: Box(-math.inf, math.inf, (sizes[agent],)) for agent in self.agents
+        }
+        self.action_spaces = {
+            agent: Box(-1.0, 1.0, (self.env.action_size[agent],)) for agent in self.agents
+        }
         self._disability = disability
         self._reset = _batched(self.reset_batch)
         self._step_env = _batched(self._step_env_batch)
@@ -73,7 +80,11 @@ class AssistaxMarlEnv:
         return _first(self._reset(_rows(_typed(key))))
 
     def step(
-        self, key: jax.Array, state: EnvState, actions: dict[str, jax.Array], reset_state: EnvState | None = None
+        self,
+        key: jax.Array,
+        state: EnvState,
+        actions: dict[str, jax.Array],
+        reset_state: EnvState | None = None,
     ) -> Step:
         """Advance by one control step; where it ends the episode, return the next one's start.
 
@@ -96,7 +107,9 @@ class AssistaxMarlEnv:
     def reset_batch(self, keys: jax.Array) -> tuple[dict[str, jax.Array], EnvState]:
         """Start N episodes from keys [N]; what `jax.vmap(env.reset)` returns."""
         keys = _typed(keys)
-        params = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, keys.shape), disability_params([self._disability]))
+        params = jax.tree.map(
+            lambda leaf: jnp.broadcast_to(leaf, keys.shape), disability_params([self._disability])
+        )
         state = self.env.reset(keys, params)
         return self.get_obs(state), state
 
@@ -139,10 +152,14 @@ class AssistaxMarlEnv:
             "truncated": after.truncated,
             "nonfinite": after.nonfinite,
         }
-        infos = {name: jnp.stack([value] * self.num_agents, axis=-1) for name, value in told.items()}
+        infos = {
+            name: jnp.stack([value] * self.num_agents, axis=-1) for name, value in told.items()
+        }
         return self.get_obs(after), after, dict.fromkeys(names, after.reward), dones, infos
 
-    def _step_to_batch(self, state: EnvState, actions: dict[str, jax.Array], reset_state: EnvState) -> Step:
+    def _step_to_batch(
+        self, state: EnvState, actions: dict[str, jax.Array], reset_state: EnvState
+    ) -> Step:
         _, after, rewards, dones, infos = self._step_env_batch(state, actions)
         after = select(dones["__all__"], reset_state, after)
         return self.get_obs(after), after, rewards, dones, infos
@@ -155,7 +172,9 @@ def _batched(function: Callable[..., Any]) -> Callable[..., Any]:
     @mapped.def_vmap
     def rule(size: int, batched: Any, *arguments: Any) -> tuple[Any, Any]:
         spread = [
-            jax.tree.map(lambda leaf, is_mapped: leaf if is_mapped else _repeat(leaf, size), argument, mask)
+            jax.tree.map(
+                lambda leaf, is_mapped: leaf if is_mapped else _repeat(leaf, size), argument, mask
+            )
             for argument, mask in zip(arguments, batched, strict=True)
         ]
         merged = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), spread)

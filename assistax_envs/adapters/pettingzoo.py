@@ -67,7 +67,13 @@ class AssistaxParallelEnv(pettingzoo.ParallelEnv):
 
     def step(
         self, actions: Mapping[str, Any]
-    ) -> tuple[dict[str, np.ndarray], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+    ) -> tuple[
+        dict[str, np.ndarray],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
         """Advance by 20 ms; actions are clipped to [-1, 1]. Without agents left, nothing happens."""
         if not self.agents:
             return {}, {}, {}, {}, {}

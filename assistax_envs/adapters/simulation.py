@@ -48,10 +48,13 @@ class Simulation:
         """Advance by one control step.
 
         Raises:
-            ValueError: no episode runs, it has ended, or an action is missing or of the wrong shape.
+            ValueError: no episode runs, it has ended, or an action is missing or of the wrong
+                shape.
         """
         if bool(self.state.truncated[0]):
-            raise ValueError(f"the episode ended at step {int(self.state.step[0])}; call reset() first")
+            raise ValueError(
+                f"the episode ended at step {int(self.state.step[0])}; call reset() first"
+            )
         batch = {role: self._action(role, actions) for role in self.env.action_size}
         self._state = self._step(self.state, batch)
 
@@ -73,10 +76,16 @@ class Simulation:
     def _action(self, role: str, actions: Mapping[str, Any]) -> np.ndarray:
         size = self.env.action_size[role]
         if role not in actions:
-            raise ValueError(f"no action for {role!r}; each step needs one for {' and '.join(self.env.action_size)}")
+            raise ValueError(
+                f"no action for {role!r}; each step needs one for "
+                f"{' and '.join(self.env.action_size)}"
+            )
         action = np.asarray(actions[role], np.float32)
         if action.shape != (size,):
-            raise ValueError(f"the action of {role!r} has shape {action.shape}; expected ({size},), values in [-1, 1]")
+            raise ValueError(
+                f"the action of {role!r} has shape {action.shape}; expected ({size},), values in "
+                "[-1, 1]"
+            )
         return action[None]
 
 

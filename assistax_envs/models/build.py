@@ -1,8 +1,9 @@
 """Builds a task's `mujoco.MjModel` from the MJCF files beside this one.
 
-A scene file holds furniture, contact pairs and contact sensors, and attaches `human.xml` and `panda.xml` under the
-prefixes `human_` and `robot_`; here the task's tool is bolted to the robot's hand. Edit the MJCF files to change a
-scene; bump the task's version in `assistax_envs.versions` when you do.
+A scene file holds furniture, contact pairs and contact sensors, and attaches `human.xml` and
+`panda.xml` under the prefixes `human_` and `robot_`; here the task's tool is bolted to the robot's
+hand. Edit the MJCF files to change a scene; bump the task's version in `assistax_envs.versions`
+when you do.
 """
 
 from importlib import resources
@@ -10,10 +11,19 @@ from importlib import resources
 import mujoco
 import numpy as np
 
-TOOLS: dict[str, str] = {"scratch": "stick", "bed_bath": "pad", "arm_assist": "hook"}  # tool file of each task
-LYING_LEFT_ARM = {"left_shoulder2": 0.84, "left_elbow": -1.571}  # rad: rests beside the body, as its springs hold it
+TOOLS: dict[str, str] = {
+    "scratch": "stick",
+    "bed_bath": "pad",
+    "arm_assist": "hook",
+}  # tool file of each task
+LYING_LEFT_ARM = {
+    "left_shoulder2": 0.84,
+    "left_elbow": -1.571,
+}  # rad: rests beside the body, as its springs hold it
 REST: dict[str, dict[str, float]] = {"bed_bath": LYING_LEFT_ARM, "arm_assist": LYING_LEFT_ARM}
-WEAKNESS: dict[str, float] = {"arm_assist": 0.07}  # share of the right arm's torque limits: too weak to lift itself
+WEAKNESS: dict[str, float] = {
+    "arm_assist": 0.07
+}  # share of the right arm's torque limits: too weak to lift itself
 
 
 def build_model(task: str) -> mujoco.MjModel:

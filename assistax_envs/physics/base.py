@@ -31,6 +31,8 @@ class Physics(Protocol):
         """
         ...
 
-    def step(self, state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> tuple[PhysicsState, jax.Array]:
+    def step(
+        self, state: PhysicsState, control: jax.Array, joint_range: jax.Array
+    ) -> tuple[PhysicsState, jax.Array]:
         """Advance by `SUBSTEPS` under `control` [N, nu]; the sensor values are those before the last substep."""
         ...

@@ -11,12 +11,16 @@ import mujoco
 from assistax_envs.physics.base import SUBSTEPS, PhysicsState
 from assistax_envs.stdout import stdout_is_data
 
-# Measured with JAX 0.10.2 on 2 cores: one control step of 4 simulations takes 10 s without the flag, 2 ms with it.
-# XLA of JAX 0.11.1 needs no flag, and aborts on this one.
+# Measured with JAX 0.10.2 on 2 cores: one control step of 4 simulations takes 10 s without the
+# flag, 2 ms with it. XLA of JAX 0.11.1 needs no flag, and aborts on this one.
 CPU_FLAG = "--xla_cpu_use_fusion_emitters=false"
-CONTACTS_PER_SIMULATION = 12  # Warp's contact buffer; a scene's geoms rarely touch in more places at once
+CONTACTS_PER_SIMULATION = (
+    12  # Warp's contact buffer; a scene's geoms rarely touch in more places at once
+)
 CONSTRAINTS_PER_SIMULATION = 72  # Warp's constraint rows: contacts take 4 each, joint limits 1
-CONTACTS_PER_SENSOR = 4  # Warp's buffer of each contact sensor: a pair of our geoms touches in 2 places at most
+CONTACTS_PER_SENSOR = (
+    4  # Warp's buffer of each contact sensor: a pair of our geoms touches in 2 places at most
+)
 
 
 class MjxPhysics:
@@ -30,17 +34,17 @@ class MjxPhysics:
             _check_warp()
         elif _crawls():
             warnings.warn(
-                "backend 'mjx' on a CPU runs thousands of times slower than it can, because XLA of this JAX fuses the "
-                "kinematic chain into recomputation; upgrade to JAX 0.11.1 or newer, start Python with "
-                f"XLA_FLAGS={CPU_FLAG}, or use backend='native'",
+                "backend 'mjx' on a CPU runs thousands of times slower than it can, because XLA of "
+                "this JAX fuses the kinematic chain into recomputation; upgrade to JAX 0.11.1 or "
+                f"newer, start Python with XLA_FLAGS={CPU_FLAG}, or use backend='native'",
                 stacklevel=4,
             )
         self.model = model
         self._mjx = mjx
         self._implementation = implementation
         self._mjx_model = self._put(model)
-        # Only the last substep's sensor values are read. Warp skips the others' kernels; XLA, which would compile the
-        # step twice for it, computes them.
+        # Only the last substep's sensor values are read. Warp skips the others' kernels; XLA, which
+        # would compile the step twice for it, computes them.
         self._blind_model = self._put(_without_sensors(model)) if implementation == "warp" else None
 
     def forward(self, state: PhysicsState, joint_range: jax.Array) -> jax.Array:
@@ -48,18 +52,26 @@ class MjxPhysics:
         template = self._template(state.qpos.shape[0])
 
         def one(state: PhysicsState, joint_range: jax.Array) -> jax.Array:
-            data = template.replace(qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.warmstart)
+            data = template.replace(
+                qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.warmstart
+            )
             return self._mjx.forward(_limited(self._mjx_model, joint_range), data).sensordata
 
         with jax.numpy_rank_promotion("allow"):  # MJX promotes ranks; callers may be strict
             return jax.vmap(one)(state, joint_range)
 
-    def step(self, state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> tuple[PhysicsState, jax.Array]:
+    def step(
+        self, state: PhysicsState, control: jax.Array, joint_range: jax.Array
+    ) -> tuple[PhysicsState, jax.Array]:
         """See `Physics.step`."""
         template = self._template(state.qpos.shape[0])
 
-        def one(state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> tuple[PhysicsState, jax.Array]:
-            data = template.replace(qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.warmstart, ctrl=control)
+        def one(
+            state: PhysicsState, control: jax.Array, joint_range: jax.Array
+        ) -> tuple[PhysicsState, jax.Array]:
+            data = template.replace(
+                qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.warmstart, ctrl=control
+            )
             if self._blind_model is None:
                 data = self._advance(self._mjx_model, data, joint_range, SUBSTEPS)
             else:
@@ -76,13 +88,18 @@ class MjxPhysics:
 
     def _advance(self, mjx_model, data, joint_range: jax.Array, substeps: int):
         limited = _limited(mjx_model, joint_range)
-        return jax.lax.scan(lambda data, _: (self._mjx.step(limited, data), None), data, length=substeps)[0]
+        return jax.lax.scan(
+            lambda data, _: (self._mjx.step(limited, data), None), data, length=substeps
+        )[0]
 
     def _template(self, size: int):
         """Return data that every simulation starts a control step from; Warp's buffers are for the whole batch."""
         if self._implementation == "warp":
             return self._mjx.make_data(
-                self.model, impl="warp", naconmax=CONTACTS_PER_SIMULATION * size, njmax=CONSTRAINTS_PER_SIMULATION
+                self.model,
+                impl="warp",
+                naconmax=CONTACTS_PER_SIMULATION * size,
+                njmax=CONSTRAINTS_PER_SIMULATION,
             )
         return jax.tree.map(jnp.asarray, self._mjx.make_data(self.model, impl="jax"))
 
@@ -108,8 +125,8 @@ def _check_warp() -> None:
         ) from error
     if not any(device.platform == "gpu" for device in jax.devices()):
         raise ValueError(
-            f"backend 'mjx-warp' needs an NVIDIA GPU that JAX sees; JAX has only {jax.devices()[0].platform}; "
-            "install jax[cuda12], or use backend='native'"
+            "backend 'mjx-warp' needs an NVIDIA GPU that JAX sees; JAX has only "
+            f"{jax.devices()[0].platform}; install jax[cuda12], or use backend='native'"
         )
 
 
@@ -133,6 +150,7 @@ def _tuned(mjx_model):
     private = mjx_model.opt._impl
     bounded = mujoco_warp.OverflowType.ITERATIONS | mujoco_warp.OverflowType.LS_ITERATIONS
     private = private.replace(
-        warn_overflow=private.warn_overflow & ~int(bounded), contact_sensor_maxmatch=CONTACTS_PER_SENSOR
+        warn_overflow=private.warn_overflow & ~int(bounded),
+        contact_sensor_maxmatch=CONTACTS_PER_SENSOR,
     )
     return mjx_model.replace(opt=mjx_model.opt.replace(_impl=private))

@@ -11,7 +11,8 @@ import numpy as np
 
 from assistax_envs.physics.base import SUBSTEPS, PhysicsState
 
-# A Batch must not be entered by two threads, and uses all cores: programs on several devices take turns.
+# A Batch must not be entered by two threads, and uses all cores: programs on several devices take
+# turns.
 _LOCK = threading.Lock()
 
 
@@ -20,7 +21,8 @@ class NativePhysics:
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = copy.copy(model)
-        # A diverged simulation must stay diverged, to be counted; MuJoCo's C engine would restart it unseen.
+        # A diverged simulation must stay diverged, to be counted; MuJoCo's C engine would restart
+        # it unseen.
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self._batches: dict[int, mujoco.batch.Batch] = {}
 
@@ -30,15 +32,21 @@ class NativePhysics:
         sensors = jax.ShapeDtypeStruct((state.qpos.shape[0], self.model.nsensordata), jnp.float32)
         return jax.pure_callback(self._forward, sensors, state, control, joint_range)
 
-    def step(self, state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> tuple[PhysicsState, jax.Array]:
+    def step(
+        self, state: PhysicsState, control: jax.Array, joint_range: jax.Array
+    ) -> tuple[PhysicsState, jax.Array]:
         """See `Physics.step`."""
         fields = (state.qpos, state.qvel, state.warmstart)
         shapes = tuple(jax.ShapeDtypeStruct(field.shape, jnp.float32) for field in fields)
         sensors = jax.ShapeDtypeStruct((state.qpos.shape[0], self.model.nsensordata), jnp.float32)
-        after, values = jax.pure_callback(self._step, (shapes, sensors), state, control, joint_range)
+        after, values = jax.pure_callback(
+            self._step, (shapes, sensors), state, control, joint_range
+        )
         return PhysicsState(*after), values
 
-    def _forward(self, state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> np.ndarray:
+    def _forward(
+        self, state: PhysicsState, control: jax.Array, joint_range: jax.Array
+    ) -> np.ndarray:
         values = _values(state, control, joint_range)
         with _LOCK:
             batch = self._load(values)
@@ -53,7 +61,9 @@ class NativePhysics:
             batch = self._load(values)
             batch.step(nstep=SUBSTEPS)
             names = ("qpos", "qvel", "qacc_warmstart", "sensordata")
-            qpos, qvel, warmstart, sensors = (np.asarray(batch.bind(name), np.float32) for name in names)
+            qpos, qvel, warmstart, sensors = (
+                np.asarray(batch.bind(name), np.float32) for name in names
+            )
             return (qpos, qvel, warmstart), sensors
 
     def _load(self, values: dict[str, np.ndarray]) -> mujoco.batch.Batch:
@@ -61,7 +71,9 @@ class NativePhysics:
         size = len(values["qpos"])
         if size not in self._batches:
             self._batches[size] = mujoco.batch.Batch(self.model, size)
-            self._batches[size].bind("sensordata")  # outputs are copied out only by calls after their first bind
+            self._batches[size].bind(
+                "sensordata"
+            )  # outputs are copied out only by calls after their first bind
         batch = self._batches[size]
         for name, value in values.items():
             field = batch.expand(name) if name == "jnt_range" else batch.bind(name)
@@ -69,10 +81,13 @@ class NativePhysics:
         return batch
 
 
-def _values(state: PhysicsState, control: jax.Array, joint_range: jax.Array) -> dict[str, np.ndarray]:
+def _values(
+    state: PhysicsState, control: jax.Array, joint_range: jax.Array
+) -> dict[str, np.ndarray]:
     """Return what a batch is given, by MuJoCo's names.
 
-    Called outside the lock: arrays of another device may be waited for here, and no other thread must wait meanwhile.
+    Called outside the lock: arrays of another device may be waited for here, and no other thread
+    must wait meanwhile.
     """
     return {
         "jnt_range": np.asarray(joint_range),

@@ -20,8 +20,9 @@ from assistax_envs.tasks.base import (
     to_target,
 )
 
-# rad: the hook stands upright 12 cm below the forearm and 16 cm towards the head from it, clear of the arm. From above,
-# where the other tasks begin, the shortest way to the section ends on top of the arm, and most robots stay there.
+# rad: the hook stands upright 12 cm below the forearm and 16 cm towards the head from it, clear of
+# the arm. From above, where the other tasks begin, the shortest way to the section ends on top of
+# the arm, and most robots stay there.
 HOOK_LOW = (1.345, 0.545, -0.31, -2.388, 0.002, 3.015, 1.787)
 START = {joint: (angle, -0.1, 0.1) for joint, angle in zip(ROBOT_JOINTS, HOOK_LOW, strict=True)} | {
     # joint -> (angle, lowest offset, highest offset), rad: the arm hangs over the bed's edge
@@ -33,9 +34,15 @@ START = {joint: (angle, -0.1, 0.1) for joint, angle in zip(ROBOT_JOINTS, HOOK_LO
     "human_left_shoulder2": (0.84, 0.0, 0.0),
     "human_left_elbow": (-1.571, 0.0, 0.0),
 }
-WAIST = (-0.12, -0.27, 0.67)  # m, world: where the middle of the forearm rests on the bed beside the waist
+WAIST = (
+    -0.12,
+    -0.27,
+    0.67,
+)  # m, world: where the middle of the forearm rests on the bed beside the waist
 ARRIVED = 0.1  # m, how near to it counts as solved
-LARGEST_NORM = 2.0 * 3.0**0.5  # of the difference of two rotation matrices, by the triangle inequality
+LARGEST_NORM = (
+    2.0 * 3.0**0.5
+)  # of the difference of two rotation matrices, by the triangle inequality
 LOWER_ARM = 1  # row of ARM_SEGMENTS
 
 
@@ -50,12 +57,16 @@ class ArmAssistState:
 class ArmAssist:
     """Hook the forearm and lift it: `exp(-d^2/sigma) + 10 (1 - tanh(d_waist/sigma)) + 0.1 norm(R)`.
 
-    R is the difference of the hook's rotation matrix and that of the target on the forearm. As printed, the last term
-    pays for misalignment; `rotation="aligned"` pays `2 sqrt(3) - norm(R)` instead, under the same bound.
+    R is the difference of the hook's rotation matrix and that of the target on the forearm. As
+    printed, the last term pays for misalignment; `rotation="aligned"` pays `2 sqrt(3) - norm(R)`
+    instead, under the same bound.
     """
 
     name = "arm_assist"
-    target_colours: ClassVar = {"section": (0.10, 0.75, 0.25, 1.0), "waist": (0.10, 0.35, 0.95, 1.0)}  # RGBA
+    target_colours: ClassVar = {
+        "section": (0.10, 0.75, 0.25, 1.0),
+        "waist": (0.10, 0.35, 0.95, 1.0),
+    }  # RGBA
 
     def __init__(
         self,
@@ -76,7 +87,10 @@ class ArmAssist:
 
     def targets(self, task_state: ArmAssistState, readings: Readings) -> dict[str, jax.Array]:
         """See `Task.targets`: the section of the forearm, and where it should go."""
-        return {"section": readings.arm_position[:, LOWER_ARM][:, None], "waist": task_state.waist[:, None]}
+        return {
+            "section": readings.arm_position[:, LOWER_ARM][:, None],
+            "waist": task_state.waist[:, None],
+        }
 
     def transition(
         self, task_state: ArmAssistState, readings: Readings
@@ -91,10 +105,17 @@ class ArmAssist:
         turn = turn.reshape(-1, 9)
         terms = arm_assist_terms(distance, left, jnp.linalg.norm(turn, axis=-1), self._rotation)
         obs = observations(readings, towards, distance[:, None], turn, lift, left[:, None])
-        return task_state, obs, terms, Measures(jnp.linalg.norm(readings.tool_force, axis=-1), distance, left < ARRIVED)
+        return (
+            task_state,
+            obs,
+            terms,
+            Measures(jnp.linalg.norm(readings.tool_force, axis=-1), distance, left < ARRIVED),
+        )
 
 
-def arm_assist_terms(distance: jax.Array, left: jax.Array, norm: jax.Array, rotation: str) -> dict[str, jax.Array]:
+def arm_assist_terms(
+    distance: jax.Array, left: jax.Array, norm: jax.Array, rotation: str
+) -> dict[str, jax.Array]:
     """Evaluate Table 5 for arm assist: m, m and the norm of R in, unweighted terms out."""
     return {
         "reach_target": reach_term(distance),
@@ -106,7 +127,8 @@ def arm_assist_terms(distance: jax.Array, left: jax.Array, norm: jax.Array, rota
 def _hook_in_forearm(model: mujoco.MjModel, pose: Pose) -> np.ndarray:
     """Return the hook's best orientation in the forearm's frame, [3, 3].
 
-    At the start that is: shaft (z) as upright as the forearm allows, bar (y) across the forearm, under it.
+    At the start that is: shaft (z) as upright as the forearm allows, bar (y) across the forearm,
+    under it.
     """
     data = mujoco.MjData(model)
     data.qpos[:] = pose.angle

@@ -22,7 +22,8 @@ HUMAN_JOINTS = (
 )
 HUMAN_ACTUATORS = ("human_right_shoulder1", "human_right_shoulder2", "human_right_elbow")
 ARM_SEGMENTS = ("right_upper_arm", "right_lower_arm")
-ROBOT_READY = {  # joint -> (angle, lowest offset, highest offset), rad: the tool points down in front of the base
+# Joint -> (angle, lowest offset, highest offset), rad: the tool points down in front of the base.
+ROBOT_READY = {
     "robot_joint1": (0.0, -0.1, 0.1),
     "robot_joint2": (-0.785, -0.1, 0.1),
     "robot_joint3": (0.0, -0.1, 0.1),
@@ -48,7 +49,9 @@ class Readings:
     tool_position: jax.Array  # [N, 3] end-effector, m
     tool_orientation: jax.Array  # [N, 4] quaternion (w, x, y, z)
     tool_velocity: jax.Array  # [N, 3] m/s
-    tool_force: jax.Array  # [N, 3] force between tool and arm in MuJoCo's contact frame (normal first), N
+    tool_force: (
+        jax.Array
+    )  # [N, 3] force between tool and arm in MuJoCo's contact frame (normal first), N
     arm_position: jax.Array  # [N, 2, 3] centres of upper and lower arm, m
     arm_orientation: jax.Array  # [N, 2, 4] their quaternions, z along the segment
 
@@ -80,7 +83,9 @@ class Sensors:
         self._tool_velocity = columns("robot_end_effector_velocity")
         self._tool_force = columns(*(f"force-{geom}" for geom in TOUCHABLE))
         self._arm_position = columns(*(f"human_{segment}_position" for segment in ARM_SEGMENTS))
-        self._arm_orientation = columns(*(f"human_{segment}_orientation" for segment in ARM_SEGMENTS))
+        self._arm_orientation = columns(
+            *(f"human_{segment}_orientation" for segment in ARM_SEGMENTS)
+        )
 
     def read(self, values: jax.Array) -> Readings:
         """Split `values` [N, nsensordata] into readings."""
@@ -148,7 +153,9 @@ def segment_points(readings: Readings, segment: jax.Array, offset: jax.Array) ->
         offset: [N, 3] of the point in the segment's frame, m.
     """
     row = jnp.arange(segment.shape[0])
-    return readings.arm_position[row, segment] + rotate(readings.arm_orientation[row, segment], offset)
+    return readings.arm_position[row, segment] + rotate(
+        readings.arm_orientation[row, segment], offset
+    )
 
 
 def to_target(target: jax.Array, readings: Readings) -> tuple[jax.Array, jax.Array]:
@@ -165,7 +172,9 @@ def reach_term(distance: jax.Array) -> jax.Array:
 def rotation_matrix(quaternion: jax.Array) -> jax.Array:
     """Return the matrix [..., 3, 3] of a unit `quaternion` [..., 4] (w, x, y, z)."""
     axes = jnp.broadcast_to(jnp.eye(3, dtype=quaternion.dtype), (*quaternion.shape[:-1], 3, 3))
-    columns = rotate(jnp.broadcast_to(quaternion[..., None, :], (*quaternion.shape[:-1], 3, 4)), axes)
+    columns = rotate(
+        jnp.broadcast_to(quaternion[..., None, :], (*quaternion.shape[:-1], 3, 4)), axes
+    )
     return jnp.swapaxes(columns, -1, -2)
 
 

@@ -21,15 +21,18 @@ from assistax_envs.tasks.base import (
     to_target,
 )
 
-START = ROBOT_READY | {  # joint -> (angle, lowest offset, highest offset), rad: the arm lies beside the body
-    "human_abdomen_y": (0.04, 0.0, 0.0),
-    "human_abdomen_z": (-0.012, 0.0, 0.0),
-    "human_right_shoulder1": (0.0, -0.03, 0.03),
-    "human_right_shoulder2": (-0.84, 0.0, 0.05),
-    "human_right_elbow": (-1.571, 0.0, 0.05),
-    "human_left_shoulder2": (0.84, 0.0, 0.0),
-    "human_left_elbow": (-1.571, 0.0, 0.0),
-}
+START = (
+    ROBOT_READY
+    | {  # joint -> (angle, lowest offset, highest offset), rad: the arm lies beside the body
+        "human_abdomen_y": (0.04, 0.0, 0.0),
+        "human_abdomen_z": (-0.012, 0.0, 0.0),
+        "human_right_shoulder1": (0.0, -0.03, 0.03),
+        "human_right_shoulder2": (-0.84, 0.0, 0.05),
+        "human_right_elbow": (-1.571, 0.0, 0.05),
+        "human_left_shoulder2": (0.84, 0.0, 0.0),
+        "human_left_elbow": (-1.571, 0.0, 0.0),
+    }
+)
 POINTS = 52  # half of them on either segment
 GOLDEN_ANGLE = 2.39996  # rad; neighbours on the helix lie on different sides of the arm
 
@@ -39,14 +42,19 @@ GOLDEN_ANGLE = 2.39996  # rad; neighbours on the helix lie on different sides of
 class BedBathState:
     """How far the bath is."""
 
-    wiped: jax.Array  # int32 points wiped; the next one is the target, after the last the last stays
+    wiped: (
+        jax.Array
+    )  # int32 points wiped; the next one is the target, after the last the last stays
 
 
 class BedBath:
     """Reach the next point and touch there: `exp(-d^2/sigma) + [d < 0.1] [f > 0]`, the second once for each point."""
 
     name = "bed_bath"
-    target_colours: ClassVar = {"next": (0.95, 0.05, 0.55, 1.0), "to wipe": (0.10, 0.45, 0.90, 1.0)}  # RGBA
+    target_colours: ClassVar = {
+        "next": (0.95, 0.05, 0.55, 1.0),
+        "to wipe": (0.10, 0.45, 0.90, 1.0),
+    }  # RGBA
 
     def __init__(self, model: mujoco.MjModel, weights: dict[str, float] | None = None) -> None:
         self.weights = {"reach_target": 1.0, "wipe": 1.0} | (weights or {})
@@ -79,12 +87,19 @@ class BedBath:
         terms = {"reach_target": reach_term(distance), "wipe": wipe.astype(jnp.float32)}
         towards, next_distance = to_target(self._point(wiped, readings), readings)
         measures = Measures(force, distance, wiped >= POINTS)
-        return BedBathState(wiped), observations(readings, towards, next_distance[:, None]), terms, measures
+        return (
+            BedBathState(wiped),
+            observations(readings, towards, next_distance[:, None]),
+            terms,
+            measures,
+        )
 
     def _point(self, wiped: jax.Array, readings: Readings) -> jax.Array:
         """Return the target [N, 3] after `wiped` [N] points."""
         index = jnp.minimum(wiped, POINTS - 1)
-        return segment_points(readings, jnp.asarray(self._segment)[index], jnp.asarray(self._offset)[index])
+        return segment_points(
+            readings, jnp.asarray(self._segment)[index], jnp.asarray(self._offset)[index]
+        )
 
 
 def _helix(sizes: list[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
@@ -97,6 +112,9 @@ def _helix(sizes: list[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
     along = np.linspace(-1.0, 1.0, each)
     angle = GOLDEN_ANGLE * np.arange(each)
     offsets = [
-        np.stack([radius * np.cos(angle), radius * np.sin(angle), half * along], axis=-1) for radius, half in sizes
+        np.stack([radius * np.cos(angle), radius * np.sin(angle), half * along], axis=-1)
+        for radius, half in sizes
     ]
-    return np.repeat(np.arange(len(sizes), dtype=np.int32), each), np.concatenate(offsets).astype(np.float32)
+    return np.repeat(np.arange(len(sizes), dtype=np.int32), each), np.concatenate(offsets).astype(
+        np.float32
+    )

@@ -21,11 +21,14 @@ from assistax_envs.tasks.base import (
     to_target,
 )
 
-START = ROBOT_READY | {  # joint -> (angle, lowest offset, highest offset), rad: forearm over its trough
-    "human_right_shoulder1": (0.0, -0.02, 0.02),
-    "human_right_shoulder2": (-0.6, -0.02, 0.02),
-    "human_right_elbow": (-0.36, 0.0, 0.1),
-}
+START = (
+    ROBOT_READY
+    | {  # joint -> (angle, lowest offset, highest offset), rad: forearm over its trough
+        "human_right_shoulder1": (0.0, -0.02, 0.02),
+        "human_right_shoulder2": (-0.6, -0.02, 0.02),
+        "human_right_elbow": (-0.36, 0.0, 0.1),
+    }
+)
 BEST_SPEED = 0.1  # m/s, v* of Table 5
 BEST_FORCE = 3.0  # N, f* of Table 5
 
@@ -57,7 +60,10 @@ class Scratch:
         pose_key, segment_key, along_key, around_key = jax.random.split(key, 4)
         area = self._radius * self._half_length
         segment = jax.random.categorical(segment_key, jnp.log(area)).astype(jnp.int32)
-        along = jax.random.uniform(along_key, minval=-1.0, maxval=1.0) * jnp.asarray(self._half_length)[segment]
+        along = (
+            jax.random.uniform(along_key, minval=-1.0, maxval=1.0)
+            * jnp.asarray(self._half_length)[segment]
+        )
         angle = jax.random.uniform(around_key, maxval=2.0 * jnp.pi)
         around = jnp.asarray(self._radius)[segment] * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
         return self.pose.draw(pose_key), ScratchState(segment, jnp.append(around, along))
@@ -70,7 +76,9 @@ class Scratch:
         self, task_state: ScratchState, readings: Readings
     ) -> tuple[ScratchState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
         """See `Task.transition`; the goal holds while the tool touches the arm within reach of the target."""
-        towards, distance = to_target(segment_points(readings, task_state.segment, task_state.offset), readings)
+        towards, distance = to_target(
+            segment_points(readings, task_state.segment, task_state.offset), readings
+        )
         force = jnp.linalg.norm(readings.tool_force, axis=-1)
         terms = scratch_terms(distance, jnp.linalg.norm(readings.tool_velocity, axis=-1), force)
         measures = Measures(force, distance, (distance < REACH) & (force > 0.0))

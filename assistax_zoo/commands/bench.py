@@ -9,7 +9,12 @@ from assistax_zoo.console import print_json, stdout_is_data
 
 
 def env(
-    *, task: str = "all", backend: str = "auto", batch: str = "64,512,4096", seconds: float = 3.0, json: bool = False
+    *,
+    task: str = "all",
+    backend: str = "auto",
+    batch: str = "64,512,4096",
+    seconds: float = 3.0,
+    json: bool = False,
 ) -> None:
     """Measure environment steps per second with random actions.
 
@@ -35,7 +40,9 @@ def env(
         for name in tasks:
             for one in _words(backend, "backend"):
                 environment = make(name, backend=one)
-                rows += [dataclasses.asdict(measure_env(environment, size, seconds)) for size in sizes]
+                rows += [
+                    dataclasses.asdict(measure_env(environment, size, seconds)) for size in sizes
+                ]
     if json:
         print_json(rows)
         return
@@ -43,13 +50,19 @@ def env(
     for row in rows:
         spread = f"{min(row['repeats']):,.0f} to {max(row['repeats']):,.0f}"
         print(
-            f"{row['task']:10} {row['backend']:9} {row['batch']:7,} simulations {row['env_steps_per_second']:12,.0f} "
-            f"env steps/s ({spread}; {row['steps']} steps each; {row['device']})"
+            f"{row['task']:10} {row['backend']:9} {row['batch']:7,} simulations "
+            f"{row['env_steps_per_second']:12,.0f} env steps/s ({spread}; {row['steps']} steps "
+            f"each; {row['device']})"
         )
 
 
 def crossplay(
-    *, task: str = "all", backend: str = "auto", shape: str = "8,16,4", seconds: float = 6.0, json: bool = False
+    *,
+    task: str = "all",
+    backend: str = "auto",
+    shape: str = "8,16,4",
+    seconds: float = 6.0,
+    json: bool = False,
 ) -> None:
     """Measure the evaluator with untrained policies, and the raw environment in turns with it.
 
@@ -72,16 +85,26 @@ def crossplay(
         from assistax_envs import make
         from evaluation.benchmark import measure_evaluator
 
-        rows = [dataclasses.asdict(measure_evaluator(make(name, backend=backend), block, seconds)) for name in tasks]
+        rows = [
+            dataclasses.asdict(measure_evaluator(make(name, backend=backend), block, seconds))
+            for name in tasks
+        ]
     if json:
         print_json(rows)
         return
     for row in rows:
         print(
-            f"{row['task']} on {row['backend']} ({row['device']}), {block[0]} x {block[1]} pairs x {block[2]} episodes"
+            f"{row['task']} on {row['backend']} ({row['device']}), {block[0]} x {block[1]} pairs x "
+            f"{block[2]} episodes"
         )
-        print(f"  evaluator    {row['env_steps_per_second']:12,.0f} env steps/s, {row['pairs_per_second']:.2f} pairs/s")
-        print(f"  environment  {row['raw_env_steps_per_second']:12,.0f} env steps/s with random actions")
+        print(
+            f"  evaluator    {row['env_steps_per_second']:12,.0f} env steps/s, "
+            f"{row['pairs_per_second']:.2f} pairs/s"
+        )
+        print(
+            f"  environment  {row['raw_env_steps_per_second']:12,.0f} env steps/s with random "
+            "actions"
+        )
         print(f"  ratio        {row['ratio']:12.2f}")
 
 
@@ -98,7 +121,8 @@ def train(
 ) -> None:
     """Measure environment steps per second of training, and the shares of physics, networks and updates.
 
-    Whole updates, rollouts alone and physics alone are timed in turns; medians of three, compilation not counted.
+    Whole updates, rollouts alone and physics alone are timed in turns; medians of three,
+    compilation not counted.
 
     Args:
         task: Task.
@@ -126,7 +150,9 @@ def train(
         from population.config import preset
 
         config = preset(algorithm, **changes)
-        row = dataclasses.asdict(measure_training(make(task, backend), algorithm, config, seeds, seconds))
+        row = dataclasses.asdict(
+            measure_training(make(task, backend), algorithm, config, seeds, seconds)
+        )
     if json:
         print_json(row)
         return
@@ -144,7 +170,8 @@ def zoo(*, policies: int = 1000, json: bool = False) -> None:
     """Measure list, verify and fetch on a synthetic registry, the latter from a web server on loopback.
 
     Args:
-        policies: Policies of the registry, which is made in a temporary folder: some 90 kB each, and as much in caches.
+        policies: Policies of the registry, which is made in a temporary folder: some 90 kB each,
+            and as much in caches.
         json: Print JSON.
 
     Example:
@@ -159,15 +186,26 @@ def zoo(*, policies: int = 1000, json: bool = False) -> None:
     with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as folder:
         from zoo.benchmark import measure_zoo
 
-        row = dataclasses.asdict(measure_zoo(Path(folder), policies, [sys.executable, "-m", "assistax_zoo"]))
+        row = dataclasses.asdict(
+            measure_zoo(Path(folder), policies, [sys.executable, "-m", "assistax_zoo"])
+        )
     if json:
         print_json(row)
         return
-    print(f"{row['policies']} policies in {row['shards']} shards, {row['bytes'] / 1e6:.0f} MB; whole commands, medians")
+    print(
+        f"{row['policies']} policies in {row['shards']} shards, {row['bytes'] / 1e6:.0f} MB; whole "
+        "commands, medians"
+    )
     print(f"  python     {row['python_seconds']:8.2f} s, doing nothing")
-    print(f"  list       {row['list_seconds']:8.2f} s, on a terminal {row['list_terminal_seconds']:.2f} s")
+    print(
+        f"  list       {row['list_seconds']:8.2f} s, on a terminal "
+        f"{row['list_terminal_seconds']:.2f} s"
+    )
     print(f"  verify     {row['verify_seconds']:8.2f} s")
-    print(f"  fetch      {row['fetch_seconds']:8.2f} s for all shards; {row['fetch_mb_per_second']:.0f} MB/s at best")
+    print(
+        f"  fetch      {row['fetch_seconds']:8.2f} s for all shards; "
+        f"{row['fetch_mb_per_second']:.0f} MB/s at best"
+    )
 
 
 def _tasks(task: str) -> tuple[str, ...]:
@@ -188,7 +226,9 @@ def _words(text: str, name: str) -> list[str]:
 def _sizes(text: str, name: str) -> list[int]:
     words = _words(text, name)
     if not all(word.isdecimal() and int(word) > 0 for word in words):
-        raise ValueError(f"{name} is {text!r}; expected whole numbers of at least 1 with commas, such as 64,512")
+        raise ValueError(
+            f"{name} is {text!r}; expected whole numbers of at least 1 with commas, such as 64,512"
+        )
     return [int(word) for word in words]
 
 

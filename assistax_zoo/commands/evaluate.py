@@ -30,27 +30,34 @@ def evaluate(
 ) -> None:
     """Compute M_test: the return of robot policies with partners of the zoo that they never met.
 
-    Each partner plays under its own disability setting, and all pairs play the same episodes. With --out, every
-    episode is kept there as Parquet, and a run that was stopped goes on where it was.
+    Each partner plays under its own disability setting, and all pairs play the same episodes. With
+    --out, every episode is kept there as Parquet, and a run that was stopped goes on where it was.
 
     Args:
         task: Task, such as scratch.
-        policy: Robot: zoo:ID, a .safetensors file, or python:package.module:factory; repeat it for more seeds.
-        split: Partners: test (default), train or both sides of the default split, or another split's id (ID:both).
-        partners: Glob over partners to use only some, such as 'scratch/ippo-d9-*'; repeat it for more. Where all that
-            match are of one release, its default split is meant.
+        policy: Robot: zoo:ID, a .safetensors file, or python:package.module:factory; repeat it for
+            more seeds.
+        split: Partners: test (default), train or both sides of the default split, or another
+            split's id (ID:both).
+        partners: Glob over partners to use only some, such as 'scratch/ippo-d9-*'; repeat it for
+            more. Where all that match are of one release, its default split is meant.
         playing: How they play.
-        references: Compare with zero and random actions and with each partner's own robot; kept for the next time.
-        crossplay: Folder of a finished cross-play, whose best robots may be the partners' best responses.
+        references: Compare with zero and random actions and with each partner's own robot; kept for
+            the next time.
+        crossplay: Folder of a finished cross-play, whose best robots may be the partners' best
+            responses.
         out: Folder for the tables.
         source: Where policies come from.
         json: Print JSON.
 
     Example:
-        assistax-zoo evaluate --task scratch --policy zoo:scratch/ippo-d1-s0-v1/robot --episodes 8 --out results
+        assistax-zoo evaluate --task scratch --policy zoo:scratch/ippo-d1-s0-v1/robot --episodes 8
+        --out results
     """
     with stdout_is_data(), contextlib.ExitStack() as stack:
-        folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="assistax-zoo-")))
+        folder = out or Path(
+            stack.enter_context(tempfile.TemporaryDirectory(prefix="assistax-zoo-"))
+        )
         from evaluation.provenance import write_run
         from evaluation.studies import evaluate_policies
 
@@ -89,26 +96,32 @@ def crossplay(
 ) -> None:
     """Play every robot of a population with every human, and draw the clustered matrix.
 
-    A robot with the human it was trained with is self-play, the matrix's diagonal. A run that was stopped goes on.
+    A robot with the human it was trained with is self-play, the matrix's diagonal. A run that was
+    stopped goes on.
 
     Args:
         task: Task, such as scratch.
         out: Folder for the tables and the figure.
-        egos: Glob over robots, such as 'scratch/ippo-*/robot'; repeat it for more; all if not given.
+        egos: Glob over robots, such as 'scratch/ippo-*/robot'; repeat it for more; all if not
+            given.
         partners: Glob over humans; repeat it for more; all if not given.
         release: Release of both, where a glob names none; default the newest whole one.
         playing: How they play.
-        block: Simulate only a share, such as 2/4; with the parts of all, the command without --block merges them.
+        block: Simulate only a share, such as 2/4; with the parts of all, the command without
+            --block merges them.
         engine: What runs the blocks.
         source: Where policies come from.
         json: Print JSON.
 
     Example:
-        assistax-zoo crossplay --task scratch --egos 'scratch/ippo-*/robot' --partners 'scratch/ippo-*/human' --out xp
+        assistax-zoo crossplay --task scratch --egos 'scratch/ippo-*/robot' --partners
+        'scratch/ippo-*/human' --out xp
     """
     cluster = engine.cluster()
     if block and cluster:
-        raise ValueError("--block is one share of a run by hand, --engine ray spreads all of them; leave one out")
+        raise ValueError(
+            "--block is one share of a run by hand, --engine ray spreads all of them; leave one out"
+        )
     with stdout_is_data(), contextlib.ExitStack() as stack:
         from evaluation.provenance import write_run
         from evaluation.studies import cross_play
@@ -146,9 +159,15 @@ def _block(text: str | None) -> tuple[int, int] | None:
 
 
 def _print_block(summary: dict[str, Any], out: Path) -> None:
-    print(f"block {summary['block']}: {summary['episodes']} episodes in {summary['chunks']} parts of {out}/parts")
+    print(
+        f"block {summary['block']}: {summary['episodes']} episodes in {summary['chunks']} parts of "
+        f"{out}/parts"
+    )
     if summary["missing"]:
-        print(f"{summary['missing']} of {summary['all_chunks']} parts are not here; gather those of all blocks")
+        print(
+            f"{summary['missing']} of {summary['all_chunks']} parts are not here; gather those of "
+            "all blocks"
+        )
     else:
         print("all parts are here: the same command without --block merges them")
 
@@ -163,7 +182,9 @@ def _shown(stack: contextlib.ExitStack, description: str) -> Callable[["Progress
         if not state.total:
             return
         if advance is None or shown != (state.what, state.total):
-            advance = stack.enter_context(progress(f"{description}, {state.what}, environment steps", state.total))
+            advance = stack.enter_context(
+                progress(f"{description}, {state.what}, environment steps", state.total)
+            )
             shown, done = (state.what, state.total), 0
         advance(state.done - done)
         done = state.done
@@ -172,7 +193,9 @@ def _shown(stack: contextlib.ExitStack, description: str) -> Callable[["Progress
 
 
 def _print_evaluation(summary: dict[str, Any]) -> None:
-    table = _table(f"{summary['task']}, {len(summary['egos'])} robots, split {summary['split']['id']}")
+    table = _table(
+        f"{summary['task']}, {len(summary['egos'])} robots, split {summary['split']['id']}"
+    )
     for name, key in (("M_test", "m_test"), ("M_train", "m_train"), ("M_train - M_test", "gap")):
         _add(table, name, summary[key])
     for key in ("by_algorithm", "by_disability"):
@@ -193,15 +216,28 @@ def _print_references(summary: dict[str, Any]) -> None:
         _add(table, name.replace("_", " "), figure)
     _print(table)
     relative = summary["relative"]
-    table = _table("relative to zero action (0) and the best response known (1)", "share of that range")
+    table = _table(
+        "relative to zero action (0) and the best response known (1)", "share of that range"
+    )
     for name in ("normalised_return", "br_prox"):
-        _add(table, {"br_prox": "BR-Prox"}.get(name, name.replace("_", " ")), relative[name], digits=2)
+        _add(
+            table,
+            {"br_prox": "BR-Prox"}.get(name, name.replace("_", " ")),
+            relative[name],
+            digits=2,
+        )
     _print(table)
     if relative["coverage"]:
         share, regret = relative["coverage"]["value"], relative["regret"]["mean"]
-        print(f"regret {regret:.1f}; within {relative['coverage']['epsilon']:.0%} of the best response: {share:.0%}")
+        print(
+            f"regret {regret:.1f}; within {relative['coverage']['epsilon']:.0%} of the best "
+            f"response: {share:.0%}"
+        )
     if relative["unscorable"]:
-        print(f"without a scale, best response at or below zero action: {', '.join(relative['unscorable'])}")
+        print(
+            "without a scale, best response at or below zero action: "
+            f"{', '.join(relative['unscorable'])}"
+        )
 
 
 def _print_crossplay(summary: dict[str, Any]) -> None:
@@ -217,7 +253,9 @@ def _print_crossplay(summary: dict[str, Any]) -> None:
     ):
         _add(table, name, summary[key])
     _print(table)
-    print(f"best robot: {summary['best_ego']['ego']}, mean return {summary['best_ego']['mean']:.1f}")
+    print(
+        f"best robot: {summary['best_ego']['ego']}, mean return {summary['best_ego']['mean']:.1f}"
+    )
     _print_origin(summary)
 
 
@@ -225,8 +263,9 @@ def _print_origin(summary: dict[str, Any]) -> None:
     speed = summary["env_steps_per_second"]
     told = f", {speed:,.0f} environment steps/s" if speed else ", found finished"
     print(
-        f"{summary['episodes']} episodes on {summary['backend']}{told}; environment version {summary['env_version']}, "
-        f"release {summary['release']}; non-finite episodes: {summary['nonfinite']}"
+        f"{summary['episodes']} episodes on {summary['backend']}{told}; environment version "
+        f"{summary['env_version']}, release {summary['release']}; non-finite episodes: "
+        f"{summary['nonfinite']}"
     )
     for note in summary["notes"]:
         print(f"note: {note}")
@@ -247,7 +286,9 @@ def _add(table: "Table", name: str, figure: dict[str, Any] | None, digits: int =
     if figure is None:
         return
     mean, iqm = (f"{figure[key]:.{digits}f}" for key in ("mean", "iqm"))
-    interval = "-" if figure["ci"] is None else " to ".join(f"{end:.{digits}f}" for end in figure["ci"])
+    interval = (
+        "-" if figure["ci"] is None else " to ".join(f"{end:.{digits}f}" for end in figure["ci"])
+    )
     table.add_row(name, mean, iqm, interval, str(figure["n"]))
 
 

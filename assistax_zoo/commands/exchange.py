@@ -16,7 +16,12 @@ FormatName = Literal["safetensors", "onnx", "torch"]
 
 
 def import_zoo(
-    path: Path, *, name: str | None = None, partial: bool = False, registry: Path | None = None, json: bool = False
+    path: Path,
+    *,
+    name: str | None = None,
+    partial: bool = False,
+    registry: Path | None = None,
+    json: bool = False,
 ) -> None:
     """Import a public Assistax zoo, version 1 or 2, as foreign policies: listed, shown and verified, never played.
 
@@ -41,17 +46,25 @@ def import_zoo(
         print(f"left out: {problem}", file=sys.stderr)
     count, noted = len(done.zoo.policies), sum(bool(policy.notes) for policy in done.zoo.policies)
     print(
-        f"{'imported' if done.fresh else 'nothing new:'} {count} foreign policies ({done.zoo.format}) in "
-        f"{done.folder}; {noted} with notes, {len(done.left_out)} left out; next: assistax-zoo list 'foreign/{name}/*'"
+        f"{'imported' if done.fresh else 'nothing new:'} {count} foreign policies "
+        f"({done.zoo.format}) in {done.folder}; {noted} with notes, {len(done.left_out)} left out; "
+        f"next: assistax-zoo list 'foreign/{name}/*'"
     )
 
 
 def export(
-    id: str, *, format: FormatName, out: Path, registry: Path | None = None, force: bool = False, json: bool = False
+    id: str,
+    *,
+    format: FormatName,
+    out: Path,
+    registry: Path | None = None,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Write one policy to a file that needs nothing of this project: safetensors, ONNX, or a PyTorch state dict.
 
-    The file holds the deterministic policy, its observation normaliser included. See docs/export.md.
+    The file holds the deterministic policy, its observation normaliser included. See
+    docs/export.md.
 
     Args:
         id: A policy's id, or a .safetensors file that was exported before.
@@ -67,7 +80,10 @@ def export(
     from zoo.files import atomic_write, sha256
 
     if out.exists() and not force:
-        raise ValueError(f"{out} exists; nothing was written: choose another --out, or give --force to replace it")
+        raise ValueError(
+            f"{out} exists; nothing was written: choose another --out, or give --force to replace "
+            "it"
+        )
     with stdout_is_data():
         spec, params, metadata = _read_policy(id, registry)
         if format == "onnx":
@@ -84,7 +100,9 @@ def export(
             write_policy_file(out, spec, params, metadata)
     data = out.read_bytes()
     if json:
-        print_json({"id": id, "format": format, "file": out, "bytes": len(data), "sha256": sha256(data)})
+        print_json(
+            {"id": id, "format": format, "file": out, "bytes": len(data), "sha256": sha256(data)}
+        )
     else:
         print(f"wrote {id} as {format} to {out} ({len(data)} bytes)")
 
@@ -97,8 +115,14 @@ def write_card(cards: Sequence[dict[str, Any]], path: Path, image: Path | None) 
     from zoo.files import atomic_write
 
     if image is not None and not image.is_file():
-        raise ValueError(f"no picture at {image}; render one with `assistax-zoo render`, or leave --image out")
-    place = None if image is None else Path(os.path.relpath(image.resolve(), path.resolve().parent)).as_posix()
+        raise ValueError(
+            f"no picture at {image}; render one with `assistax-zoo render`, or leave --image out"
+        )
+    place = (
+        None
+        if image is None
+        else Path(os.path.relpath(image.resolve(), path.resolve().parent)).as_posix()
+    )
     atomic_write(path, markdown_card(cards, place).encode())
 
 
@@ -109,30 +133,50 @@ def replay_teams(
     from evaluation.deep import verify_deep
 
     entries = registry.select(pattern, release=release)
-    with stdout_is_data(), progress("replay teams", len({entry.team for entry in entries})) as advance:
-        return verify_deep(registry, entries, episodes=episodes, backend=backend, on_progress=advance)
+    with (
+        stdout_is_data(),
+        progress("replay teams", len({entry.team for entry in entries})) as advance,
+    ):
+        return verify_deep(
+            registry, entries, episodes=episodes, backend=backend, on_progress=advance
+        )
 
 
 def print_replay(result: "DeepReport") -> None:
     """Print expected and found returns of each team, the versions, and a verdict."""
     print(", ".join(f"{name} {version}" for name, version in result.versions.items()))
     for team in result.teams:
-        expected = "not recorded" if team.expected is None else f"{team.expected:.1f} within {team.tolerance:.1f}"
-        found = f"{team.found:.1f}" + (f" in {team.episodes} episodes" if team.episodes > result.episodes else "")
-        print(f"{'ok     ' if team.ok else 'differs'} {team.team:28} expected {expected}, found {found}")
+        expected = (
+            "not recorded"
+            if team.expected is None
+            else f"{team.expected:.1f} within {team.tolerance:.1f}"
+        )
+        found = f"{team.found:.1f}" + (
+            f" in {team.episodes} episodes" if team.episodes > result.episodes else ""
+        )
+        print(
+            f"{'ok     ' if team.ok else 'differs'} {team.team:28} expected {expected}, found "
+            f"{found}"
+        )
     for problem in result.problems:
         print(f"problem: {problem}")
     if result.outdated:
-        print(f"not replayed, trained on another version of the environment: {', '.join(result.outdated)}")
+        print(
+            "not replayed, trained on another version of the environment: "
+            f"{', '.join(result.outdated)}"
+        )
     for drift in result.drifts:
         print(f"{drift.task}: mean difference {drift.found:+.2%}, allowed {drift.tolerance:.2%}")
     print(
-        f"{'replayed' if result.ok else f'{len(result.problems)} problems in'} {len(result.teams)} teams of "
-        f"{result.episodes} episodes on {result.backend}, {result.policies} policies stepped"
+        f"{'replayed' if result.ok else f'{len(result.problems)} problems in'} {len(result.teams)} "
+        f"teams of {result.episodes} episodes on {result.backend}, {result.policies} policies "
+        "stepped"
     )
 
 
-def foreign_entries(pattern: str | None, registry: Path | None, fields: dict[str, Any]) -> "list[ForeignEntry]":
+def foreign_entries(
+    pattern: str | None, registry: Path | None, fields: dict[str, Any]
+) -> "list[ForeignEntry]":
     """Return the foreign policies that match, as `zoo.selection.select` does."""
     from zoo.errors import ForeignError
     from zoo.foreign import foreign_root, read_foreign
@@ -141,12 +185,15 @@ def foreign_entries(pattern: str | None, registry: Path | None, fields: dict[str
     entries = read_foreign(registry)
     if not entries:
         raise ValueError(
-            f"no foreign policies in {foreign_root(registry)}; import some with `assistax-zoo import PATH`"
+            f"no foreign policies in {foreign_root(registry)}; import some with `assistax-zoo "
+            "import PATH`"
         )
     try:
         return select(entries, pattern, **fields)
     except ForeignError:
-        raise ValueError(f"no foreign policy matches {pattern!r}; `assistax-zoo list --foreign` prints all") from None
+        raise ValueError(
+            f"no foreign policy matches {pattern!r}; `assistax-zoo list --foreign` prints all"
+        ) from None
 
 
 def _read_policy(id: str, registry: Path | None) -> tuple[Any, Any, dict[str, Any]]:
@@ -170,4 +217,8 @@ def _read_policy(id: str, registry: Path | None) -> tuple[Any, Any, dict[str, An
 
 
 def _first_row(params: Any) -> Any:
-    return {name: _first_row(value) for name, value in params.items()} if isinstance(params, dict) else params[0]
+    return (
+        {name: _first_row(value) for name, value in params.items()}
+        if isinstance(params, dict)
+        else params[0]
+    )

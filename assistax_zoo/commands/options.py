@@ -22,7 +22,8 @@ class Playing:
         seed: Seed of the episodes, the same for every pair.
         backend: native, mjx, mjx-warp, or auto for the fastest here.
         stochastic: Draw actions instead of taking each policy's most likely one.
-        max_envs: Most simulations in a saved part, and on a GPU at once; lower it if memory runs out.
+        max_envs: Most simulations in a saved part, and on a GPU at once; lower it if memory runs
+            out.
     """
 
     episodes: int = 8
@@ -69,8 +70,10 @@ class Engine:
     """What runs the blocks of a command.
 
     Attributes:
-        engine: local: one after another here; ray: over a Ray cluster, whose workers need this code and the same --out.
-        ray_address: Running cluster, such as auto or head:6379; default a local one for this command.
+        engine: local: one after another here; ray: over a Ray cluster, whose workers need this code
+            and the same --out.
+        ray_address: Running cluster, such as auto or head:6379; default a local one for this
+            command.
         ray_cpus: CPUs that a block takes; default a whole machine's, or 1 with --ray-gpus.
         ray_gpus: GPUs that a block takes, such as 1, or 0.5 for two on one GPU; default 0.
     """
@@ -93,5 +96,7 @@ class Engine:
         if self.engine == "ray":
             return RayCluster(**{name.removeprefix("ray_"): value for name, value in given.items()})
         if given:
-            raise ValueError(f"{', '.join('--' + name.replace('_', '-') for name in given)} needs --engine ray")
+            raise ValueError(
+                f"{', '.join('--' + name.replace('_', '-') for name in given)} needs --engine ray"
+            )
         return None

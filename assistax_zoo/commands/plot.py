@@ -14,13 +14,14 @@ OrderName = Literal["shared", "separate"]
 def crossplay(folder: Path, /, *, out: Path, order: OrderName | None = None) -> None:
     """Draw the clustered cross-play matrix that `crossplay` saved.
 
-    Robots and humans are ordered by average linkage with optimal leaf order. With the same teams on both axes they
-    share one order, and self-play is the diagonal.
+    Robots and humans are ordered by average linkage with optimal leaf order. With the same teams on
+    both axes they share one order, and self-play is the diagonal.
 
     Args:
         folder: Folder that `assistax-zoo crossplay --out` filled.
         out: Figure to write, .png or .pdf.
-        order: shared for one order of teams on both axes, or separate for one order each; default shared if possible.
+        order: shared for one order of teams on both axes, or separate for one order each; default
+            shared if possible.
 
     Example:
         assistax-zoo plot crossplay xp --out crossplay.pdf
@@ -42,7 +43,8 @@ def zsc(folders: tuple[Path, ...], /, *, out: Path) -> None:
     """Draw the returns of methods with training and test partners, with 95% intervals.
 
     Args:
-        folders: Folders that `assistax-zoo evaluate --split both --out` filled, one a method, named as in the figure.
+        folders: Folders that `assistax-zoo evaluate --split both --out` filled, one a method, named
+            as in the figure.
         out: Figure to write, .png or .pdf.
 
     Example:
@@ -57,7 +59,8 @@ def disability(folders: tuple[Path, ...], /, *, out: Path) -> None:
     """Draw the returns of methods with the partners of each disability setting, with 95% intervals.
 
     Args:
-        folders: Folders that `assistax-zoo evaluate --out` filled, one a method, named as in the figure.
+        folders: Folders that `assistax-zoo evaluate --out` filled, one a method, named as in the
+            figure.
         out: Figure to write, .png or .pdf.
 
     Example:
@@ -72,7 +75,8 @@ def profile(folders: tuple[Path, ...], /, *, out: Path) -> None:
     """Draw performance profiles: the share of robot-partner pairs above each return.
 
     Args:
-        folders: Folders that `assistax-zoo evaluate --out` filled, one a method, named as in the figure.
+        folders: Folders that `assistax-zoo evaluate --out` filled, one a method, named as in the
+            figure.
         out: Figure to write, .png or .pdf.
 
     Example:
@@ -84,7 +88,8 @@ def profile(folders: tuple[Path, ...], /, *, out: Path) -> None:
 
     summaries = _summaries(folders, out, tables.PROFILE_FILE)
     profiles = {
-        name: tables.read_parquet(folder / tables.PROFILE_FILE) for name, folder in zip(summaries, folders, strict=True)
+        name: tables.read_parquet(folder / tables.PROFILE_FILE)
+        for name, folder in zip(summaries, folders, strict=True)
     }
     task = " and ".join(sorted({summary["task"] for summary in summaries.values()}))
     caption = f"Bands: pointwise 95% bootstrap.\n{provenance(summaries)}"
@@ -111,7 +116,8 @@ def curves(run: Path, /, *, out: Path) -> None:
     table = learning_curves(read_parquet(run / "metrics.parquet"))
     config = read_json(run / "config.json")["config"]
     seeds = ", ".join(
-        f"{name} {n}" for name, n in table.select("disability", "seeds").unique().sort("disability").rows()
+        f"{name} {n}"
+        for name, n in table.select("disability", "seeds").unique().sort("disability").rows()
     )
     caption = f"IQM of the return over seeds and its pointwise 95% bootstrap band. Seeds: {seeds}."
     title = f"Training: {config['task']}, {config.get('algorithm', 'ippo')}"
@@ -135,13 +141,23 @@ def speed(measured: tuple[Path, ...], /, *, out: Path) -> None:
 
     check_path(out)
     if not measured:
-        raise ValueError("no file was given; give one or more that `assistax-zoo bench env --json` printed")
+        raise ValueError(
+            "no file was given; give one or more that `assistax-zoo bench env --json` printed"
+        )
     names = ("task", "backend", "device", "batch", "env_steps_per_second")
     rows = [row for path in measured for row in json.loads(path.read_text(encoding="utf-8"))]
     if bad := [row for row in rows if not isinstance(row, dict) or set(names) - set(row)]:
-        raise ValueError(f"{bad[0]!r} is not a row of `assistax-zoo bench env --json`; it needs {', '.join(names)}")
+        raise ValueError(
+            f"{bad[0]!r} is not a row of `assistax-zoo bench env --json`; it needs "
+            f"{', '.join(names)}"
+        )
     table = pl.DataFrame([{name: row[name] for name in names} for row in rows])
-    _save(lines.speed(table, caption="Random actions; the median of three repeats, compilation not counted."), out)
+    _save(
+        lines.speed(
+            table, caption="Random actions; the median of three repeats, compilation not counted."
+        ),
+        out,
+    )
 
 
 def sweep(folder: Path, /, *, out: Path) -> None:
@@ -164,14 +180,17 @@ def sweep(folder: Path, /, *, out: Path) -> None:
     results = read_parquet(folder / "sweep.parquet")
     diverged = results.filter(results["diverged"]).height
     caption = (
-        f"{results['configuration'].n_unique()} configurations x {results['seed'].n_unique()} seeds, "
-        f"{diverged} runs diverged and are not drawn. Circles: the configuration with the best mean."
+        f"{results['configuration'].n_unique()} configurations x {results['seed'].n_unique()} "
+        f"seeds, {diverged} runs diverged and are not drawn. Circles: the configuration with the "
+        "best mean."
     )
     title = f"Sweep: {read_json(folder / 'preset.json')['algorithm']}"
     _save(sweep_panels(results, title=title, caption=caption), out)
 
 
-def population(*, out: Path, task: str | None = None, release: str | None = None, registry: Path | None = None) -> None:
+def population(
+    *, out: Path, task: str | None = None, release: str | None = None, registry: Path | None = None
+) -> None:
     """Draw the published partners as a treemap by algorithm and disability setting.
 
     Args:
@@ -195,7 +214,9 @@ def population(*, out: Path, task: str | None = None, release: str | None = None
 
     rows = [{"task": e.task, "algorithm": e.algorithm, "disability": e.disability} for e in entries]
     releases = ", ".join(sorted({entry.release for entry in entries}))
-    caption = f"n = {len(entries)} human partners of release {releases}. Areas are numbers of partners."
+    caption = (
+        f"n = {len(entries)} human partners of release {releases}. Areas are numbers of partners."
+    )
     _save(population_treemap(pl.DataFrame(rows), caption=caption), out)
 
 
@@ -205,28 +226,37 @@ def _summaries(folders: Sequence[Path], out: Path, *others: str) -> dict[str, di
 
     check_path(out)
     if not folders:
-        raise ValueError("no folder given; name at least one that `assistax-zoo evaluate --out` filled")
+        raise ValueError(
+            "no folder given; name at least one that `assistax-zoo evaluate --out` filled"
+        )
     summaries: dict[str, dict[str, Any]] = {}
     for folder in folders:
         _require(folder, tables.SUMMARY_FILE, *others, command="evaluate")
         summary = tables.read_json(folder / tables.SUMMARY_FILE)
         if "m_test" not in summary:
-            raise ValueError(f"{folder} holds no evaluation; give a folder that `assistax-zoo evaluate --out` filled")
+            raise ValueError(
+                f"{folder} holds no evaluation; give a folder that `assistax-zoo evaluate --out` "
+                "filled"
+            )
         name = folder.resolve().name
         if name in summaries:
-            raise ValueError(f"two folders are named {name}; rename one, because the figure tells methods by it")
+            raise ValueError(
+                f"two folders are named {name}; rename one, because the figure tells methods by it"
+            )
         summaries[name] = summary
     return summaries
 
 
 def _require(folder: Path, *names: str, command: str) -> None:
     if not folder.is_dir():
-        raise ValueError(f"{folder} is not a folder; run `assistax-zoo {command} --out {folder}` first")
+        raise ValueError(
+            f"{folder} is not a folder; run `assistax-zoo {command} --out {folder}` first"
+        )
     missing = [name for name in names if not (folder / name).is_file()]
     if missing:
         raise ValueError(
-            f"{folder} lacks {', '.join(missing)}; run `assistax-zoo {command} --out {folder}` to its end, "
-            "a run that was stopped goes on"
+            f"{folder} lacks {', '.join(missing)}; run `assistax-zoo {command} --out {folder}` to "
+            "its end, a run that was stopped goes on"
         )
 
 

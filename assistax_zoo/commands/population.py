@@ -35,9 +35,10 @@ def population(
 ) -> None:
     """Train and publish what is missing of a plan, such as the population of a release.
 
-    The same command goes on wherever it was interrupted, and does nothing once all teams are published. Several may
-    work on one plan at once, each on a device of its own: a run is trained by the first that takes it. A run that
-    fails does not stop the others. How far the plan is, and its cost, stand in PLAN.progress.json.
+    The same command goes on wherever it was interrupted, and does nothing once all teams are
+    published. Several may work on one plan at once, each on a device of its own: a run is trained
+    by the first that takes it. A run that fails does not stop the others. How far the plan is, and
+    its cost, stand in PLAN.progress.json.
 
     Args:
         plan: JSON file of the plan, such as zoo/plans/v1.json; docs/population.md describes it.
@@ -46,9 +47,11 @@ def population(
         groups: Only these groups: comma-separated globs over their names, such as 'scratch-*'.
         backend: Physics: native, mjx, mjx-warp, or auto for the fastest one here.
         dry_run: Print what is there, what is missing and what it will cost, and do nothing.
-        train: Train; --no-train adopts and publishes only, with finished runs that need no checkpoints any more.
+        train: Train; --no-train adopts and publishes only, with finished runs that need no
+            checkpoints any more.
         publish: Publish; --no-publish trains only, and leaves out what the registry has.
-        curves: Write the finished runs' learning curves to this folder, a small Parquet file for each group.
+        curves: Write the finished runs' learning curves to this folder, a small Parquet file for
+            each group.
         json: Print the groups as JSON at the end.
         json_lines: Print a JSON object for each report of a training on standard output.
 
@@ -59,7 +62,9 @@ def population(
     from zoo.files import registry_path
 
     content = read_plan(plan)
-    work = _Work(content, content.select(groups), plan, out, registry_path(registry), backend, json_lines)
+    work = _Work(
+        content, content.select(groups), plan, out, registry_path(registry), backend, json_lines
+    )
     if not dry_run:
         if publish:
             work.publish_ready()
@@ -87,7 +92,9 @@ class _Work:
     registry: Path
     backend: str
     json_lines: bool
-    errors: dict[str, str] = dataclasses.field(default_factory=dict)  # messages by run, or by group for adoption
+    errors: dict[str, str] = dataclasses.field(
+        default_factory=dict
+    )  # messages by run, or by group for adoption
 
     def survey(self) -> list[Status]:
         """Return how far every chosen group is, by the registry and the folders of this moment."""
@@ -110,7 +117,9 @@ class _Work:
         for status in self.survey():
             if status.adoptable:
                 with self._noting(f"{status.group.name} from {status.group.adopt}"):
-                    batches[f"{status.group.name} from {status.group.adopt}"] = self._adopted(status)
+                    batches[f"{status.group.name} from {status.group.adopt}"] = self._adopted(
+                        status
+                    )
             for block in status.blocks:
                 if block.state == "finished":
                     with self._noting(block.name):
@@ -132,7 +141,9 @@ class _Work:
             with hold, self._noting(block.name):
                 self._train(status, block)
                 if publish:
-                    self._publish(_waiting_teams(status, dataclasses.replace(block, state="finished")))
+                    self._publish(
+                        _waiting_teams(status, dataclasses.replace(block, state="finished"))
+                    )
             self.record()
 
     def complete(self) -> None:
@@ -156,20 +167,38 @@ class _Work:
         from population.thinning import write_curves
 
         for group in self.groups:
-            finished = [block for block in find_blocks(group, self.out) if block.state == "finished"]
-            runs = [RunFolder(block.folder) for block in finished if (block.folder / "metrics.parquet").is_file()]
+            finished = [
+                block for block in find_blocks(group, self.out) if block.state == "finished"
+            ]
+            runs = [
+                RunFolder(block.folder)
+                for block in finished
+                if (block.folder / "metrics.parquet").is_file()
+            ]
             if runs:
                 with self._noting(f"curves of {group.name}"):
                     configs = [run.config() for run in runs]
-                    tables = [run.read_metrics(config.updates) for run, config in zip(runs, configs, strict=True)]
-                    write_curves(folder / f"{group.name}.parquet", list(zip(tables, configs, strict=True)))
+                    tables = [
+                        run.read_metrics(config.updates)
+                        for run, config in zip(runs, configs, strict=True)
+                    ]
+                    write_curves(
+                        folder / f"{group.name}.parquet", list(zip(tables, configs, strict=True))
+                    )
 
     def _take(self, tried: set[str]) -> "tuple[Status, Block, contextlib.ExitStack] | None":
         """Return the first run that is to be trained and that no other process holds, with the lock on it."""
-        for name in [block.name for status in self.survey() for block in status.blocks if block.state != "finished"]:
+        for name in [
+            block.name
+            for status in self.survey()
+            for block in status.blocks
+            if block.state != "finished"
+        ]:
             if name in tried or not (hold := _hold(self.out, name)):
                 continue
-            for status in self.survey():  # again, under the lock: another process may have finished it meanwhile
+            for status in (
+                self.survey()
+            ):  # again, under the lock: another process may have finished it meanwhile
                 for block in status.blocks:
                     if block.name == name and block.state != "finished":
                         return status, block, hold
@@ -178,12 +207,21 @@ class _Work:
 
     def _train(self, status: Status, block: "Block") -> None:
         teams = f"{len(block.members)} teams, {status.group.task} {status.group.algorithm}"
-        print(f"{block.name}: {teams}, {block.config().steps} steps each", file=sys.stderr, flush=True)
+        print(
+            f"{block.name}: {teams}, {block.config().steps} steps each", file=sys.stderr, flush=True
+        )
         if block.state == "begun" and (differences := block.differences()):
-            print(f"{block.name} goes on as it was begun: {'; '.join(differences)}", file=sys.stderr, flush=True)
+            print(
+                f"{block.name} goes on as it was begun: {'; '.join(differences)}",
+                file=sys.stderr,
+                flush=True,
+            )
         if self.json_lines:
             print(
-                jsonlib.dumps({"run": block.name, "group": status.group.name, "teams": len(block.members)}), flush=True
+                jsonlib.dumps(
+                    {"run": block.name, "group": status.group.name, "teams": len(block.members)}
+                ),
+                flush=True,
             )
         if block.state == "new":  # killed while it wrote its first file
             (block.folder / ".config.json.tmp").unlink(missing_ok=True)
@@ -195,14 +233,26 @@ class _Work:
 
         registry, release = self.load(), status.group.adopt
         assert registry is not None and release is not None
-        return read_published(registry, [team_id(status.group, key, release) for key in sorted(status.adoptable)])
+        return read_published(
+            registry, [team_id(status.group, key, release) for key in sorted(status.adoptable)]
+        )
 
     def _publish(self, teams: "Sequence[TrainedTeam]") -> None:
         from zoo.publish import publish
 
         if teams:
-            publish(teams, self.registry, self.plan.release, description=self.plan.description, complete=False)
-            print(f"published {len(teams)} teams in release {self.plan.release}", file=sys.stderr, flush=True)
+            publish(
+                teams,
+                self.registry,
+                self.plan.release,
+                description=self.plan.description,
+                complete=False,
+            )
+            print(
+                f"published {len(teams)} teams in release {self.plan.release}",
+                file=sys.stderr,
+                flush=True,
+            )
 
     @contextlib.contextmanager
     def _noting(self, what: str | Path) -> Generator[None]:
@@ -244,7 +294,16 @@ def _report(statuses: Sequence[Status], json: bool, json_lines: bool) -> None:
     if json:
         print_json({"groups": rows})
         return
-    columns = ("group", "teams", "published", "adoptable", "trained", "missing", "steps to train", "device minutes")
+    columns = (
+        "group",
+        "teams",
+        "published",
+        "adoptable",
+        "trained",
+        "missing",
+        "steps to train",
+        "device minutes",
+    )
     names = ("group", "teams", "published", "adoptable", "trained", "missing", "steps_to_train")
     lines = [(*(str(row[name]) for name in names), _minutes(row)) for row in rows]
     done, teams = sum(row["published"] for row in rows), sum(row["teams"] for row in rows)

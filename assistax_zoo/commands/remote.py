@@ -30,18 +30,21 @@ def fetch(
 ) -> None:
     """Fetch partners from a remote into the cache, verified; what is on this machine already is only verified.
 
-    The cache is ~/.cache/assistax-zoo, or $ASSISTAX_ZOO_CACHE. An interrupted fetch goes on where it was.
+    The cache is ~/.cache/assistax-zoo, or $ASSISTAX_ZOO_CACHE. An interrupted fetch goes on where
+    it was.
 
     Args:
         pattern: Glob over policy ids, such as 'scratch/ippo-*/human'; everything if not given.
-        from_: Folder, https://..., hf://org/name or hf://org/name@revision; default $ASSISTAX_ZOO_REMOTE.
+        from_: Folder, https://..., hf://org/name or hf://org/name@revision; default
+            $ASSISTAX_ZOO_REMOTE.
         task: Only this task.
         algorithm: Only this algorithm.
         disability: Only this disability setting, such as d3.
         role: Only this role.
         release: Only this release, such as v0.
         lock: Only what this lock file pins.
-        registry: Registry that says which bytes; default the remote's with --from, else the installed one.
+        registry: Registry that says which bytes; default the remote's with --from, else the
+            installed one.
         json: Print JSON.
 
     Example:
@@ -55,7 +58,9 @@ def fetch(
 
     text = from_ or os.environ.get(REMOTE_VARIABLE)
     remote = open_remote(text) if text else None
-    loaded = remote_registry(remote) if remote and from_ and not registry else load_registry(registry)
+    loaded = (
+        remote_registry(remote) if remote and from_ and not registry else load_registry(registry)
+    )
     fields = {"algorithm": algorithm, "disability": disability, "role": role, "release": release}
     entries = loaded.select(pattern, task=task, **fields)
     if lock:
@@ -82,7 +87,8 @@ def publish(
 ) -> None:
     """Publish the teams of run folders in a release: shards, registry, default split and card.
 
-    What is published never changes; the same run again is a no-op. A hub gets one commit, then a tag.
+    What is published never changes; the same run again is a no-op. A hub gets one commit, then a
+    tag.
 
     Args:
         runs: Run folders that `assistax-zoo train` wrote.
@@ -103,7 +109,9 @@ def publish(
     if not runs:
         raise ValueError("no run folder given; name at least one, for example runs/scratch-ippo-d1")
     if to and registry:
-        raise ValueError("both --to and --registry given; --to takes a folder or hf://org/name, and is enough")
+        raise ValueError(
+            "both --to and --registry given; --to takes a folder or hf://org/name, and is enough"
+        )
     teams = [team for run in runs for team in read_run(run)]
     details = {"date": date, "description": description}
     if to:
@@ -113,7 +121,10 @@ def publish(
     if json:
         print_json(done.to_json())
         return
-    print(f"published {len(done.added)} new policies in release {release} of {done.registry}; it holds {done.policies}")
+    print(
+        f"published {len(done.added)} new policies in release {release} of {done.registry}; it "
+        f"holds {done.policies}"
+    )
 
 
 def lock(
@@ -128,7 +139,8 @@ def lock(
 ) -> None:
     """Write a lock file for a paper: release, split, and the sha256 of every policy, so that others use the same.
 
-    `evaluate --lock`, `crossplay --lock` and `fetch --lock` then refuse or leave out everything else.
+    `evaluate --lock`, `crossplay --lock` and `fetch --lock` then refuse or leave out everything
+    else.
 
     Args:
         pattern: Glob over policy ids to pin; all of the release if not given.
@@ -154,20 +166,32 @@ def lock(
         return
     print(f"locked {len(made.policies)} policies of release {made.release} in {out}")
     for name in made.environments:
-        pinned = f"split {made.splits[name].id}" if name in made.splits else "no split: not all its partners are locked"
+        pinned = (
+            f"split {made.splits[name].id}"
+            if name in made.splits
+            else "no split: not all its partners are locked"
+        )
         print(f"  {name}: {pinned}")
 
 
-def _byte_progress(stack: contextlib.ExitStack, remote: "Remote | None") -> Callable[[int], Callable[[int], None]]:
+def _byte_progress(
+    stack: contextlib.ExitStack, remote: "Remote | None"
+) -> Callable[[int], Callable[[int], None]]:
     name = remote.name if remote else ""
     return lambda total: stack.enter_context(progress(f"fetch {name}", total, is_bytes=True))
 
 
 def _print_report(report: "Report") -> None:
-    found: dict[str, Any] = {"already here": report.present, "cut to the policies asked for": report.sliced}
+    found: dict[str, Any] = {
+        "already here": report.present,
+        "cut to the policies asked for": report.sliced,
+    }
     told = "".join(f", {count} {what}" for what, count in found.items() if count)
     print(f"verified {report.policies} policies in {report.shards} shards{told}")
     if report.bytes:
         speed = report.bytes / 1e6 / max(report.seconds, 1e-3)
         origin = f"{report.remote}{f' at commit {report.revision}' if report.revision else ''}"
-        print(f"fetched {report.bytes / 1e6:.1f} MB from {origin} in {report.seconds:.1f} s ({speed:.0f} MB/s)")
+        print(
+            f"fetched {report.bytes / 1e6:.1f} MB from {origin} in {report.seconds:.1f} s "
+            f"({speed:.0f} MB/s)"
+        )

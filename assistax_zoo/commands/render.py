@@ -23,15 +23,18 @@ def render(
 ) -> None:
     """Film an episode of a robot and a human, with targets, contact force and reward drawn on; no display is needed.
 
-    The human plays under its own disability setting. An .mp4 or .gif runs in real time, a .png shows four moments.
-    With --collisions no episode is played: a .png shows the scene beside the shapes that can touch, with the pairs.
+    The human plays under its own disability setting. An .mp4 or .gif runs in real time, a .png
+    shows four moments. With --collisions no episode is played: a .png shows the scene beside the
+    shapes that can touch, with the pairs.
 
     Args:
         task: Task, such as scratch; with --collisions also all.
-        robot: zoo:ID, a .safetensors file, zero, random, python:package.module:factory, or onnx:FILE.
+        robot: zoo:ID, a .safetensors file, zero, random, python:package.module:factory, or
+            onnx:FILE.
         human: zoo:ID, a .safetensors file, zero, or random.
         out: File to write: .mp4, .gif or .png.
-        collisions: Draw what can touch what, instead of an episode; takes no robot, no human and nothing but the size.
+        collisions: Draw what can touch what, instead of an episode; takes no robot, no human and
+            nothing but the size.
         steps: Steps of 20 ms to show; the whole episode of 1000 if not given.
         seed: Seed of the episode: where it starts.
         camera: A camera of the scene, such as side, or close to follow the tool.
@@ -42,13 +45,17 @@ def render(
         registry: Registry to read instead of the installed one.
 
     Example:
-        assistax-zoo render --task scratch --robot zoo:scratch/ippo-d1-s7-v1/robot --human random --out scratch.mp4
+        assistax-zoo render --task scratch --robot zoo:scratch/ippo-d1-s7-v1/robot --human random
+        --out scratch.mp4
     """
     if collisions:
         _render_collisions(task, out, width, height)
         return
     if robot is None or human is None:
-        raise ValueError(f"{'robot' if robot is None else 'human'} is missing; an episode needs --robot and --human")
+        raise ValueError(
+            f"{'robot' if robot is None else 'human'} is missing; an episode needs --robot and "
+            "--human"
+        )
     with stdout_is_data():
         import functools
 
@@ -69,10 +76,22 @@ def render(
         }
         setting = disability or getattr(players["human"], "disability", None) or "d1"
         draw = functools.partial(
-            env.render, camera=camera, width=width, height=height, caption=(f"robot {robot}", f"human {human}")
+            env.render,
+            camera=camera,
+            width=width,
+            height=height,
+            caption=(f"robot {robot}", f"human {human}"),
         )
         with progress(f"render {task}", length) as advance:
-            states = play(env, players["robot"], players["human"], setting, seed, length, on_step=lambda: advance(1))
+            states = play(
+                env,
+                players["robot"],
+                players["human"],
+                setting,
+                seed,
+                length,
+                on_step=lambda: advance(1),
+            )
             film(states, draw, out, length, fps)
     print(out)
 
@@ -83,7 +102,9 @@ def _render_collisions(task: str, out: Path, width: int, height: int) -> None:
     if task != "all" and task not in TASKS:
         raise ValueError(f"task is {task!r}; allowed are all, {', '.join(TASKS)}")
     if out.suffix.lower() != ".png":
-        raise ValueError(f"{out.name} ends in {out.suffix or 'nothing'!r}; collisions are drawn as a .png")
+        raise ValueError(
+            f"{out.name} ends in {out.suffix or 'nothing'!r}; collisions are drawn as a .png"
+        )
     with stdout_is_data():
         from PIL import Image
 

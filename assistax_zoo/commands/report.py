@@ -25,7 +25,9 @@ def compare(a: Path, b: Path, /, *, seed: int = 0, json: bool = False) -> None:
     for name in ("task", "env_version", "backend"):
         first, second = (summary[name] for summary in summaries)
         if first != second:
-            raise ValueError(f"{name} is {first} in {a} and {second} in {b}; evaluate both methods alike")
+            raise ValueError(
+                f"{name} is {first} in {a} and {second} in {b}; evaluate both methods alike"
+            )
     first, second = (tables.read_episodes(folder / tables.EPISODES_FILE) for folder in (a, b))
     found: dict[str, Any] = {
         "a": str(a),
@@ -79,7 +81,9 @@ def report(folder: Path, /, *, out: Path) -> None:
         assistax-zoo report xp --out report.html
     """
     if out.suffix.lower() not in (".html", ".htm"):
-        raise ValueError(f"{out.name} ends in {out.suffix or 'nothing'!r}; a report is written as .html")
+        raise ValueError(
+            f"{out.name} ends in {out.suffix or 'nothing'!r}; a report is written as .html"
+        )
     from evaluation.report import write_report
 
     write_report(folder, out)
@@ -91,7 +95,9 @@ def _summary(folder: Path) -> dict[str, Any]:
 
     summary = tables.read_json(folder / tables.SUMMARY_FILE)
     if "m_test" not in summary:
-        raise ValueError(f"{folder} holds no evaluation; give a folder that `assistax-zoo evaluate --out` filled")
+        raise ValueError(
+            f"{folder} holds no evaluation; give a folder that `assistax-zoo evaluate --out` filled"
+        )
     return summary
 
 
@@ -99,8 +105,9 @@ def _print_difference(side: str, figure: dict[str, Any]) -> None:
     interval = "" if figure["mean_ci"] is None else " [{:+.1f}, {:+.1f}]".format(*figure["mean_ci"])
     chance = "" if figure["p_positive"] is None else f", P(A > B) {figure['p_positive']:.3f}"
     print(
-        f"  {side:5} partners: mean {figure['mean']:+.1f}{interval}, 95% for new {figure['generalises_to']}{chance}; "
-        f"better with {figure['partners_better']:.0%} of partners"
+        f"  {side:5} partners: mean {figure['mean']:+.1f}{interval}, 95% for new "
+        f"{figure['generalises_to']}{chance}; better with {figure['partners_better']:.0%} of "
+        "partners"
     )
 
 
@@ -109,7 +116,11 @@ def _print_strategies(found: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title="partners by behaviour with their best robot", title_justify="left", box=box.SIMPLE_HEAD)
+    table = Table(
+        title="partners by behaviour with their best robot",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+    )
     for name in ("cluster", "medoid"):
         table.add_column(name, no_wrap=True)
     table.add_column("partners", justify="right")
@@ -123,9 +134,15 @@ def _print_strategies(found: dict[str, Any]) -> None:
     if len(found["clusters"]) == 1:
         print("no clear clusters: all partners are one")
     diversity = found["br_div"]
-    print(f"BR-Div: rank {diversity['rank']} of {diversity['n']}, participation {diversity['participation_ratio']:.2f}")
+    print(
+        f"BR-Div: rank {diversity['rank']} of {diversity['n']}, participation "
+        f"{diversity['participation_ratio']:.2f}"
+    )
     print(f"a diverse subset: {', '.join(found['diverse_subset'])}")
     if pair := found["incompatible"]:
         exchanged = " and ".join(f"{value:.0f}" for value in pair["returns_exchanged"])
         own = " and ".join(f"{value:.0f}" for value in pair["returns"])
-        print(f"most incompatible: {' and '.join(pair['partners'])}: {own} with their robots, {exchanged} exchanged")
+        print(
+            f"most incompatible: {' and '.join(pair['partners'])}: {own} with their robots, "
+            f"{exchanged} exchanged"
+        )

@@ -34,7 +34,9 @@ def page(
     from zoo.registry import load_registry
 
     if out.suffix.lower() != ".md":
-        raise ValueError(f"{out.name} ends in {out.suffix or 'nothing'!r}; the page is written as .md")
+        raise ValueError(
+            f"{out.name} ends in {out.suffix or 'nothing'!r}; the page is written as .md"
+        )
     folder = images or out.parent / "images" / release
     results = read_results(load_registry(registry), release, data)
     command = f"assistax-zoo results page --release {release} --data {data.as_posix()} --out {out.as_posix()}"
@@ -44,7 +46,9 @@ def page(
         if not out.is_file():
             raise ValueError(f"{out} does not exist; {again}")
         if (found := out.read_text(encoding="utf-8")) != text:
-            raise ValueError(f"{out} is not what the tables give: {first_difference(found, text)}; {again}")
+            raise ValueError(
+                f"{out} is not what the tables give: {first_difference(found, text)}; {again}"
+            )
         if missing := [name for name in picture_names(results) if not (folder / name).is_file()]:
             raise ValueError(f"{folder} lacks {', '.join(missing)}; {again}")
     else:
@@ -61,19 +65,23 @@ def page(
 def collect(folders: tuple[Path, ...], /, *, out: Path) -> None:
     """Condense finished folders of crossplay, evaluate --split both and train-ego into a release's tables.
 
-    A row an episode becomes a row a pair; egos are named by their files, so that no path of a machine is kept.
+    A row an episode becomes a row a pair; egos are named by their files, so that no path of a
+    machine is kept.
 
     Args:
         folders: Finished folders; each is recognised by what it holds.
         out: Folder of the release's tables.
 
     Example:
-        assistax-zoo results collect runs/xp-scratch runs/eval-scratch-ppo runs/scratch-ppo --out docs/data/v1
+        assistax-zoo results collect runs/xp-scratch runs/eval-scratch-ppo runs/scratch-ppo --out
+        docs/data/v1
     """
     from evaluation.results.collect import collect as condense
 
     if not folders:
-        raise ValueError("no folder given; name at least one of crossplay, evaluate --split both or train-ego")
+        raise ValueError(
+            "no folder given; name at least one of crossplay, evaluate --split both or train-ego"
+        )
     for folder in folders:
         written = condense(folder, out)
         size = sum(path.stat().st_size for path in written.iterdir())

@@ -10,10 +10,14 @@ if TYPE_CHECKING:
     from zoo.registry import Registry
     from zoo.schema import Split
 
-RuleName = Literal["half", "leave-one-algorithm-out", "leave-one-disability-out", "small-train", "custom"]
+RuleName = Literal[
+    "half", "leave-one-algorithm-out", "leave-one-disability-out", "small-train", "custom"
+]
 
 
-def list_splits(*, task: str | None = None, registry: Path | None = None, json: bool = False) -> None:
+def list_splits(
+    *, task: str | None = None, registry: Path | None = None, json: bool = False
+) -> None:
     """List the splits; a release's default is marked.
 
     Args:
@@ -28,12 +32,20 @@ def list_splits(*, task: str | None = None, registry: Path | None = None, json: 
 
     loaded = load_registry(registry)
     splits = [split for split in loaded.splits if task in (None, split.task)]
-    defaults = {split for release in loaded.data.releases.values() for split in release.splits.values()}
+    defaults = {
+        split for release in loaded.data.releases.values() for split in release.splits.values()
+    }
     if json:
         print_json([{**_brief(split), "default": split.id in defaults} for split in splits])
         return
     rows = [
-        (split.id, split.rule, str(len(split.train)), str(len(split.test)), "yes" if split.id in defaults else "")
+        (
+            split.id,
+            split.rule,
+            str(len(split.train)),
+            str(len(split.test)),
+            "yes" if split.id in defaults else "",
+        )
         for split in splits
     ]
     print_table(("split", "rule", "train", "test", "default"), rows, f"{len(splits)} splits")
@@ -78,7 +90,8 @@ def create(
 ) -> None:
     """Make a split of a release's partners and write it to the registry.
 
-    Where a setting or algorithm is held out, training partners that act nearly as a test partner does are left out.
+    Where a setting or algorithm is held out, training partners that act nearly as a test partner
+    does are left out.
 
     Args:
         task: Task of the split.
@@ -101,12 +114,25 @@ def create(
 
     loaded = load_registry(registry)
     sides = {"train": _teams(loaded, train), "test": _teams(loaded, test)}
-    split = create_split(loaded.path, task=task, release=release, rule=rule, seed=seed, held_out=held_out, n=n, **sides)
+    split = create_split(
+        loaded.path,
+        task=task,
+        release=release,
+        rule=rule,
+        seed=seed,
+        held_out=held_out,
+        n=n,
+        **sides,
+    )
     if json:
         print_json(split.model_dump(mode="json"))
     else:
-        print(f"split {split.id}: {len(split.train)} train, {len(split.test)} test, in {loaded.path}")
-        rest = {*partner_teams(loaded.data, task, split.release)}.difference(split.train, split.test)
+        print(
+            f"split {split.id}: {len(split.train)} train, {len(split.test)} test, in {loaded.path}"
+        )
+        rest = {*partner_teams(loaded.data, task, split.release)}.difference(
+            split.train, split.test
+        )
         twins = sorted(rest) if rule in LEAVE_ONE_OUT else []
         if twins:
             print(f"left out, because they act nearly as a test partner does: {', '.join(twins)}")
@@ -115,7 +141,8 @@ def create(
 def verify(id: str | None = None, *, registry: Path | None = None, json: bool = False) -> None:
     """Check splits: content against sha256, known teams, nothing on both sides; exit code 1 if anything is wrong.
 
-    On both sides are also two humans that act nearly alike, which no hash shows; `zoo/behaviour.py` says how nearly.
+    On both sides are also two humans that act nearly alike, which no hash shows; `zoo/behaviour.py`
+    says how nearly.
 
     Args:
         id: A split's id; all splits if not given.
@@ -130,7 +157,9 @@ def verify(id: str | None = None, *, registry: Path | None = None, json: bool = 
     from zoo.registry import load_registry
 
     loaded = load_registry(registry)
-    names = [loaded.split(id.partition("/")[0], id).id] if id else [split.id for split in loaded.splits]
+    names = (
+        [loaded.split(id.partition("/")[0], id).id] if id else [split.id for split in loaded.splits]
+    )
     problems: dict[str, str] = {}
     for name in names:
         try:
@@ -142,13 +171,24 @@ def verify(id: str | None = None, *, registry: Path | None = None, json: bool = 
     if json:
         print_json({"ok": not problems, "splits": names, "problems": problems})
     else:
-        print("\n".join([*problems.values(), f"{len(names) - len(problems)} of {len(names)} splits verified"]))
+        print(
+            "\n".join(
+                [
+                    *problems.values(),
+                    f"{len(names) - len(problems)} of {len(names)} splits verified",
+                ]
+            )
+        )
     if problems:
         raise SystemExit(1)
 
 
 def _teams(registry: "Registry", patterns: tuple[str, ...]) -> list[str]:
-    return sorted({entry.team for entry in registry.select(patterns, role="human")}) if patterns else []
+    return (
+        sorted({entry.team for entry in registry.select(patterns, role="human")})
+        if patterns
+        else []
+    )
 
 
 def _brief(split: "Split") -> dict[str, Any]:

@@ -50,25 +50,32 @@ def train(
 
     Args:
         task: Task, such as scratch.
-        out: Folder of the run: checkpoints, metrics.parquet, and at the end the teams for `assistax-zoo publish`.
+        out: Folder of the run: checkpoints, metrics.parquet, and at the end the teams for
+            `assistax-zoo publish`.
         algorithm: Preset of hyperparameters: ippo (default), mappo, isac or masac.
-        preset: JSON file of hyperparameters in place of a built-in preset, as `assistax-zoo sweep` writes it.
+        preset: JSON file of hyperparameters in place of a built-in preset, as `assistax-zoo sweep`
+            writes it.
         disability: Settings of the human, comma-separated, such as d1,d3.
         seeds: How many, numbered from 0, or which: 8, 0-7 or 2,5.
-        steps: Environment steps of each team, such as 500k, 10M or 2e7; rounded up to whole updates.
+        steps: Environment steps of each team, such as 500k, 10M or 2e7; rounded up to whole
+            updates.
         backend: Physics: native, mjx, mjx-warp, or auto for the fastest one here.
         num_envs: Simulations of each team; default the preset's.
-        set_: Another hyperparameter, such as learning_rate=3e-4, torso=gru or shared=true; repeat it for more.
+        set_: Another hyperparameter, such as learning_rate=3e-4, torso=gru or shared=true; repeat
+            it for more.
         self_play_episodes: Episodes of each team's final evaluation; 0 leaves it out.
-        checkpoint_every: Updates between checkpoints; default 20 for PPO, 2000 for SAC, whose updates are short.
+        checkpoint_every: Updates between checkpoints; default 20 for PPO, 2000 for SAC, whose
+            updates are short.
         updates_per_call: Updates dispatched to the device at once; default 1 for PPO, 20 for SAC.
         resume: Go on with a run that the folder holds.
-        tensorboard: Folder for TensorBoard event files, which several runs may share; needs assistax-zoo[tensorboard].
+        tensorboard: Folder for TensorBoard event files, which several runs may share; needs
+            assistax-zoo[tensorboard].
         json: Print the teams as JSON at the end.
         json_lines: Print a JSON object for each report on standard output instead of the live line.
 
     Example:
-        assistax-zoo train --task scratch --disability d1,d3 --seeds 8 --steps 10M --out runs/scratch-ippo
+        assistax-zoo train --task scratch --disability d1,d3 --seeds 8 --steps 10M --out
+        runs/scratch-ippo
     """
     from population.config import TrainConfig, make_members
     from population.config import preset as make_preset
@@ -109,7 +116,14 @@ def run_training(
         from population.train import train as train_members
 
         if tensorboard is None:
-            train_members(config, make(config.task, backend), out, partners=partners, resume=resume, progress=shown)
+            train_members(
+                config,
+                make(config.task, backend),
+                out,
+                partners=partners,
+                resume=resume,
+                progress=shown,
+            )
             return
         from population.tensorboard import EventFiles
 
@@ -119,7 +133,14 @@ def run_training(
             files(report)
             shown(report)
 
-        train_members(config, make(config.task, backend), out, partners=partners, resume=resume, progress=progress)
+        train_members(
+            config,
+            make(config.task, backend),
+            out,
+            partners=partners,
+            resume=resume,
+            progress=progress,
+        )
         files.catch_up()
 
 
@@ -132,17 +153,21 @@ def read_preset(path: Path | None, algorithm: str | None) -> tuple[str, dict[str
         found, changes = content["algorithm"], dict(content["hyperparameters"])
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(
-            f"{path} is no preset ({type(error).__name__}: {error}); give a JSON object with algorithm and "
-            "hyperparameters, such as the preset.json of `assistax-zoo sweep`"
+            f"{path} is no preset ({type(error).__name__}: {error}); give a JSON object with "
+            "algorithm and hyperparameters, such as the preset.json of `assistax-zoo sweep`"
         ) from None
     if algorithm not in (None, found):
-        raise ValueError(f"algorithm is {algorithm!r}, but {path} is a preset of {found}; leave --algorithm out")
+        raise ValueError(
+            f"algorithm is {algorithm!r}, but {path} is a preset of {found}; leave --algorithm out"
+        )
     return found, changes
 
 
 def parse_steps(text: str) -> int:
     """Return a number of steps written as 250000, 500k, 10M or 2e7."""
-    match = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?(?:[eE][0-9]{1,2})?)([kmgb]?)", text.strip(), re.IGNORECASE)
+    match = re.fullmatch(
+        r"([0-9]+(?:\.[0-9]*)?(?:[eE][0-9]{1,2})?)([kmgb]?)", text.strip(), re.IGNORECASE
+    )
     steps = float(match[1]) * _UNITS[match[2].lower()] if match else 0.0
     if not 1.0 <= steps < 1e15:
         raise ValueError(f"steps is {text!r}; give a number above 0, such as 500k, 10M or 2e7")
@@ -157,7 +182,9 @@ def parse_seeds(text: str) -> list[int]:
     else:
         seeds = [seed for r in ranges if r for seed in range(int(r[1]), int(r[2] or r[1]) + 1)]
     if not seeds or not all(ranges) or len(set(seeds)) < len(seeds):
-        raise ValueError(f"seeds is {text!r}; give how many, such as 8, or which, such as 0-7 or 2,5, each once")
+        raise ValueError(
+            f"seeds is {text!r}; give how many, such as 8, or which, such as 0-7 or 2,5, each once"
+        )
     return seeds
 
 
@@ -182,7 +209,9 @@ def check_names(task: str, settings: Sequence[str]) -> None:
     if task not in TASKS:
         raise ValueError(f"task is {task!r}; allowed are {', '.join(TASKS)}")
     if unknown := [setting for setting in settings if setting not in DISABILITY_SETTINGS]:
-        raise ValueError(f"disability is {unknown[0]!r}; allowed are {', '.join(DISABILITY_SETTINGS)}")
+        raise ValueError(
+            f"disability is {unknown[0]!r}; allowed are {', '.join(DISABILITY_SETTINGS)}"
+        )
 
 
 class LiveLine:
@@ -197,16 +226,25 @@ class LiveLine:
         mean = progress.rows["return"].mean()
         if mean is not None:
             self._return = f"return {mean:.1f}"
-        earned = self._return or f"reward {progress.rows['reward'].mean():.2f} a step, no whole episode yet"
+        earned = (
+            self._return
+            or f"reward {progress.rows['reward'].mean():.2f} a step, no whole episode yet"
+        )
         now, last = time.monotonic(), progress.update == progress.updates
         if not (self._live or last or now - self._shown >= SECONDS_BETWEEN_LINES):
             return
         self._shown = now
         line = (
             f"{self._name}: {_count(progress.steps)} of {_count(progress.total_steps)} steps, "
-            f"{progress.steps_per_second:,.0f} steps/s, {earned}, {_duration(progress.seconds_left)} left"
+            f"{progress.steps_per_second:,.0f} steps/s, {earned}, "
+            f"{_duration(progress.seconds_left)} left"
         )
-        print(f"\r\x1b[2K{line}" if self._live else line, end="" if self._live else "\n", file=self._stream, flush=True)
+        print(
+            f"\r\x1b[2K{line}" if self._live else line,
+            end="" if self._live else "\n",
+            file=self._stream,
+            flush=True,
+        )
         self._open = self._live
 
     def close(self) -> None:
@@ -250,10 +288,15 @@ def _report(out: Path, json: bool, json_lines: bool) -> None:
         print_json({"run": out, "training": teams[0]["training"], "teams": rows})
     else:
         for row in rows:
-            name, figures = f"{row['task']}/{row['algorithm']}-{row['disability']}-s{row['seed']}", row["self_play"]
+            name, figures = (
+                f"{row['task']}/{row['algorithm']}-{row['disability']}-s{row['seed']}",
+                row["self_play"],
+            )
             low, high = figures["ci"] if figures else (math.nan, math.nan)
             measured = (
-                f"self-play return {figures['mean']:.1f} ({low:.1f} to {high:.1f})" if figures else "not evaluated"
+                f"self-play return {figures['mean']:.1f} ({low:.1f} to {high:.1f})"
+                if figures
+                else "not evaluated"
             )
             print(f"{name}  {measured}")
         publish = f"assistax-zoo publish {out} --release v0 --registry my-zoo/registry.json"
@@ -270,4 +313,10 @@ def _count(steps: int) -> str:
 def _duration(seconds: float) -> str:
     minutes, seconds = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes} min" if hours else f"{minutes} min" if minutes >= 2 else f"{60 * minutes + seconds} s"
+    return (
+        f"{hours} h {minutes} min"
+        if hours
+        else f"{minutes} min"
+        if minutes >= 2
+        else f"{60 * minutes + seconds} s"
+    )

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from assistax_zoo.commands.train import check_names, parse_changes, parse_seeds, parse_steps, run_training
+from assistax_zoo.commands.train import (
+    check_names,
+    parse_changes,
+    parse_seeds,
+    parse_steps,
+    run_training,
+)
 from assistax_zoo.console import print_json
 
 if TYPE_CHECKING:
@@ -42,29 +48,36 @@ def train_ego(
 ) -> None:
     """Train robots with the partners of a split's training half, which stay as they are.
 
-    Every partner gets the same share of the simulations, under its own disability setting, and acts with its most
-    likely action. The test half is never loaded. The robots are written as policy files, the seeds of one method.
+    Every partner gets the same share of the simulations, under its own disability setting, and acts
+    with its most likely action. The test half is never loaded. The robots are written as policy
+    files, the seeds of one method.
 
     Args:
         task: Task, such as scratch.
         out: Folder of the run; its folder policies holds a .safetensors file for each seed.
-        split: Split whose training half are the partners: an id or the beginning of one; default the release's own.
+        split: Split whose training half are the partners: an id or the beginning of one; default
+            the release's own.
         algorithm: ppo or sac.
         seeds: How many, numbered from 0, or which: 16, 0-7 or 2,5.
-        steps: Environment steps of each robot, such as 500k, 20M or 2e7; rounded up to whole updates.
+        steps: Environment steps of each robot, such as 500k, 20M or 2e7; rounded up to whole
+            updates.
         backend: Physics: native, mjx, mjx-warp, or auto for the fastest one here.
-        num_envs: Simulations of each robot, a multiple of the number of partners; default the nearest to the preset's.
+        num_envs: Simulations of each robot, a multiple of the number of partners; default the
+            nearest to the preset's.
         set_: Another hyperparameter, such as learning_rate=3e-4 or torso=gru; repeat it for more.
-        checkpoint_every: Updates between checkpoints; default 20 for PPO, 2000 for SAC, whose updates are short.
+        checkpoint_every: Updates between checkpoints; default 20 for PPO, 2000 for SAC, whose
+            updates are short.
         updates_per_call: Updates dispatched to the device at once; default 1 for PPO, 20 for SAC.
         resume: Go on with a run that the folder holds.
-        tensorboard: Folder for TensorBoard event files, which several runs may share; needs assistax-zoo[tensorboard].
+        tensorboard: Folder for TensorBoard event files, which several runs may share; needs
+            assistax-zoo[tensorboard].
         registry: Registry to read instead of the installed one.
         json: Print the policy files as JSON at the end.
         json_lines: Print a JSON object for each report on standard output instead of the live line.
 
     Example:
-        assistax-zoo train-ego --task scratch --split half --algorithm ppo --seeds 16 --steps 20M --out runs/ego
+        assistax-zoo train-ego --task scratch --split half --algorithm ppo --seeds 16 --steps 20M
+        --out runs/ego
     """
     from population.config import MIXED, Member, TrainConfig, preset
     from zoo.registry import load_registry
@@ -93,7 +106,12 @@ def train_ego(
     run_training(config, backend, out, resume, json_lines, partners, tensorboard)
     files = _write_policies(out, chosen)
     if json or json_lines:
-        result = {"run": str(out), "split": chosen.id, "partners": len(partners), "policies": [str(p) for p in files]}
+        result = {
+            "run": str(out),
+            "split": chosen.id,
+            "partners": len(partners),
+            "policies": [str(p) for p in files],
+        }
         print_json(result) if json else print(jsonlib.dumps(result), flush=True)
         return
     words = " ".join(f"--policy {path}" for path in files)
@@ -112,13 +130,20 @@ def shared_out(trainer: "TrainerConfig", partners: int, split: str, keep: bool) 
     fitting = fitting_envs(trainer.num_envs, partners, getattr(trainer, "minibatches", 1))
     if keep and trainer.num_envs % partners:
         raise ValueError(
-            f"num_envs is {trainer.num_envs} with {partners} partners; every partner gets the same share, "
-            f"so choose {fitting}, or leave --num-envs out"
+            f"num_envs is {trainer.num_envs} with {partners} partners; every partner gets the same "
+            f"share, so choose {fitting}, or leave --num-envs out"
         )
     chosen = trainer.num_envs if keep else fitting
     share = chosen // partners
-    near = "" if chosen == trainer.num_envs else f", {chosen} in place of the preset's {trainer.num_envs}"
-    print(f"{partners} partners of {split}, {share} simulation{'s' * (share > 1)} each{near}", file=sys.stderr)
+    near = (
+        ""
+        if chosen == trainer.num_envs
+        else f", {chosen} in place of the preset's {trainer.num_envs}"
+    )
+    print(
+        f"{partners} partners of {split}, {share} simulation{'s' * (share > 1)} each{near}",
+        file=sys.stderr,
+    )
     return dataclasses.replace(trainer, num_envs=chosen)
 
 
@@ -131,7 +156,9 @@ def load_partners(registry: "Registry", split: "Split") -> "Partners":
     settings = {entry.id: entry.disability for entry in entries}
     return Partners(
         [
-            PartnerGroup(group.spec, group.ids, tuple(settings[name] for name in group.ids), group.params)
+            PartnerGroup(
+                group.spec, group.ids, tuple(settings[name] for name in group.ids), group.params
+            )
             for group in load_group(registry, entries)
         ]
     )

@@ -31,13 +31,15 @@ def list_policies(
     """List the published policies.
 
     Args:
-        pattern: Glob over policy ids, such as 'scratch/ippo-*/human'; a team's id lists both its policies.
+        pattern: Glob over policy ids, such as 'scratch/ippo-*/human'; a team's id lists both its
+            policies.
         task: Only this task.
         algorithm: Only this algorithm.
         disability: Only this disability setting, such as d3.
         role: Only this role.
         release: Only this release, such as v0.
-        foreign: List the policies that `assistax-zoo import` brought instead, as a pattern 'foreign/*' does.
+        foreign: List the policies that `assistax-zoo import` brought instead, as a pattern
+            'foreign/*' does.
         registry: Registry to read instead of the installed one.
         json: Print JSON.
 
@@ -55,7 +57,9 @@ def list_policies(
         print_json([entry.to_json() for entry in entries])
         return
     rows = [(entry.id, *_figures(entry.self_play)) for entry in entries]
-    print_table(("policy", "self-play", "95% interval", "episodes"), rows, f"{len(entries)} policies")
+    print_table(
+        ("policy", "self-play", "95% interval", "episodes"), rows, f"{len(entries)} policies"
+    )
 
 
 def show(
@@ -110,8 +114,8 @@ def verify(
 ) -> None:
     """Check every published byte, split and reference; exit code 1 if anything is wrong.
 
-    With --deep the policies are loaded and stepped too, and the teams replay their self-play, each under its own
-    disability setting: a judgement on the installed MuJoCo, MJX and JAX.
+    With --deep the policies are loaded and stepped too, and the teams replay their self-play, each
+    under its own disability setting: a judgement on the installed MuJoCo, MJX and JAX.
 
     Args:
         pattern: Glob over the policies that --deep replays; default all.
@@ -126,7 +130,10 @@ def verify(
         assistax-zoo verify 'scratch/ippo-d1-*' --deep
     """
     if (pattern or release) and not deep:
-        raise ValueError("a pattern and --release choose what --deep replays; bytes are always checked all: add --deep")
+        raise ValueError(
+            "a pattern and --release choose what --deep replays; bytes are always checked all: add "
+            "--deep"
+        )
     from zoo.registry import load_registry
     from zoo.verify import verify as verify_registry
 
@@ -148,14 +155,19 @@ def verify(
         raise SystemExit(1)
 
 
-def _list_foreign(pattern: str | None, registry: Path | None, fields: dict[str, Any], json: bool) -> None:
+def _list_foreign(
+    pattern: str | None, registry: Path | None, fields: dict[str, Any], json: bool
+) -> None:
     from assistax_zoo.commands.exchange import foreign_entries
 
     entries = foreign_entries(pattern, registry, fields)
     if json:
         print_json([entry.to_json() for entry in entries])
         return
-    rows = [(e.id, e.task, e.algorithm, e.role, e.disability, "; ".join(e.policy.notes)) for e in entries]
+    rows = [
+        (e.id, e.task, e.algorithm, e.role, e.disability, "; ".join(e.policy.notes))
+        for e in entries
+    ]
     columns = ("policy", "task", "algorithm", "role", "disability", "notes")
     print_table(columns, rows, f"{len(entries)} foreign policies: for looking at, not for playing")
 
@@ -176,7 +188,10 @@ def _print_report(report: "Report") -> None:
         print(f"note: {note}")
     counts = f"{report.shards} shards ({report.bytes} bytes), {report.policies} policies, {report.splits} splits"
     counts += f", {report.foreign} foreign policies" if report.foreign else ""
-    print(f"{'verified' if report.ok else f'{len(report.problems)} problems in'} {counts} of {report.registry}")
+    print(
+        f"{'verified' if report.ok else f'{len(report.problems)} problems in'} {counts} of "
+        f"{report.registry}"
+    )
 
 
 def _card(registry: "Registry", policy: str) -> dict[str, Any]:
@@ -186,12 +201,23 @@ def _card(registry: "Registry", policy: str) -> dict[str, Any]:
         "id": entry.id,
         "team": entry.team,
         "release": entry.release,
-        "disability": {"setting": entry.disability, **registry.data.disability_settings[entry.disability].model_dump()},
+        "disability": {
+            "setting": entry.disability,
+            **registry.data.disability_settings[entry.disability].model_dump(),
+        },
         "spec": entry.spec.to_json(),
         "self_play": _plain_figures(entry.self_play),
-        "training": {"run": entry.run, "seed": entry.seed, **entry.training.model_dump(mode="json")},
+        "training": {
+            "run": entry.run,
+            "seed": entry.seed,
+            **entry.training.model_dump(mode="json"),
+        },
         "splits": {split: side for split, side in sides.items() if side},
-        "shard": {"path": entry.shard, "row": entry.row, "sha256": registry.data.shards[entry.shard].sha256},
+        "shard": {
+            "path": entry.shard,
+            "row": entry.row,
+            "sha256": registry.data.shards[entry.shard].sha256,
+        },
         "sha256": entry.sha256,
     }
 

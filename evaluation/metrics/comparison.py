@@ -14,8 +14,12 @@ class Difference:
     """Method a minus method b with the same partners and the same episode keys."""
 
     estimate: Estimate  # of the difference; its mean is the mean of paired differences
-    p_positive: float | None  # share of replicates in which a's mean is above b's; None if nothing was resampled
-    partners_better: float  # share of partners with which a's mean is above b's, ties counting one half
+    p_positive: (
+        float | None
+    )  # share of replicates in which a's mean is above b's; None if nothing was resampled
+    partners_better: (
+        float  # share of partners with which a's mean is above b's, ties counting one half
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,26 +27,38 @@ class Stability:
     """Kendall's tau between rankings of the egos on random halves of the partners."""
 
     tau: float  # mean over the halvings
-    spread: tuple[float, float]  # 2.5% and 97.5% quantiles over the halvings: a spread, not a confidence interval
+    spread: tuple[
+        float, float
+    ]  # 2.5% and 97.5% quantiles over the halvings: a spread, not a confidence interval
     halvings: int
 
 
-def paired_difference(a: np.ndarray, b: np.ndarray, *, resamples: int = RESAMPLES, seed: int = 0) -> Difference:
+def paired_difference(
+    a: np.ndarray, b: np.ndarray, *, resamples: int = RESAMPLES, seed: int = 0
+) -> Difference:
     """Difference of scores a [S, P] and b [S', P]: seeds of either method and the common partners are resampled.
 
     Each score averages the same episode keys, so noise of the environment common to both cancels.
     """
     a, b = score_matrix(a), score_matrix(b)
     if a.shape[1] != b.shape[1]:
-        raise ValueError(f"a has {a.shape[1]} partners and b has {b.shape[1]}; give both the same partners")
+        raise ValueError(
+            f"a has {a.shape[1]} partners and b has {b.shape[1]}; give both the same partners"
+        )
     rng = np.random.default_rng(seed)
-    a_counts, b_counts, partner_counts = (draw_counts(n, resamples, rng) for n in (len(a), len(b), a.shape[1]))
-    to = " and ".join([*(["seeds"] if max(len(a), len(b)) > 1 else []), *(["partners"] if a.shape[1] > 1 else [])])
+    a_counts, b_counts, partner_counts = (
+        draw_counts(n, resamples, rng) for n in (len(a), len(b), a.shape[1])
+    )
+    to = " and ".join(
+        [*(["seeds"] if max(len(a), len(b)) > 1 else []), *(["partners"] if a.shape[1] > 1 else [])]
+    )
     draws = replicate_crossed(a, a_counts, partner_counts, to or NOTHING) - replicate_crossed(
         b, b_counts, partner_counts, to or NOTHING
     )
     difference = a.mean(axis=0) - b.mean(axis=0)
-    return Difference(draws.estimate(), _share_positive(draws.means) if to else None, _share_positive(difference))
+    return Difference(
+        draws.estimate(), _share_positive(draws.means) if to else None, _share_positive(difference)
+    )
 
 
 def rank_stability(scores: np.ndarray, *, halvings: int = 200, seed: int = 0) -> Stability:
@@ -53,7 +69,10 @@ def rank_stability(scores: np.ndarray, *, halvings: int = 200, seed: int = 0) ->
     scores = score_matrix(scores)
     egos, partners = scores.shape
     if egos < 2 or partners < 2:
-        raise ValueError(f"there are {egos} egos and {partners} partners; a ranking on halves needs 2 or more of both")
+        raise ValueError(
+            f"there are {egos} egos and {partners} partners; a ranking on halves needs 2 or more "
+            "of both"
+        )
     rng = np.random.default_rng(seed)
     taus = []
     for _ in range(halvings):

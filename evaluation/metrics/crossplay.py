@@ -35,7 +35,9 @@ class CrossPlay:
     self_play: Estimate | None
     cross_play: Estimate | None
     gap: Estimate | None  # self-play - cross-play
-    relative_gap: Interval | None  # gap of the means / mean self-play; None unless self-play is positive
+    relative_gap: (
+        Interval | None
+    )  # gap of the means / mean self-play; None unless self-play is positive
     within_algorithm: Estimate | None
     across_algorithms: Estimate | None
     within_disability: Estimate | None
@@ -52,22 +54,25 @@ def cross_play(
 ) -> CrossPlay:
     """SP = mean_a X[a, a] and XP = mean_{a != b} X[a, b] of a matrix X [R, C], with intervals over teams.
 
-    A team on both axes is one unit: resampled with its robot and its human. A pair of a team with itself is self-play,
-    however often the team is drawn, and never enters XP.
+    A team on both axes is one unit: resampled with its robot and its human. A pair of a team with
+    itself is self-play, however often the team is drawn, and never enters XP.
     """
     scores = score_matrix(scores)
     if scores.shape != (len(rows.teams), len(columns.teams)):
         raise ValueError(
-            f"scores has shape {scores.shape}; rows and columns name {len(rows.teams)} x {len(columns.teams)}"
+            f"scores has shape {scores.shape}; rows and columns name {len(rows.teams)} x "
+            f"{len(columns.teams)}"
         )
     counts = _team_counts(rows.teams, columns.teams, resamples, np.random.default_rng(seed))
     to = _generalises_to(rows.teams, columns.teams)
     own = self_play_mask(rows, columns)
     same_algorithm, same_disability = (
-        _equal(getattr(rows, name), getattr(columns, name)) for name in ("algorithms", "disabilities")
+        _equal(getattr(rows, name), getattr(columns, name))
+        for name in ("algorithms", "disabilities")
     )
     known_algorithm, known_disability = (
-        _known(getattr(rows, name), getattr(columns, name)) for name in ("algorithms", "disabilities")
+        _known(getattr(rows, name), getattr(columns, name))
+        for name in ("algorithms", "disabilities")
     )
 
     def replicate_pairs(mask: np.ndarray) -> Draws | None:
@@ -90,7 +95,9 @@ def cross_play(
     )
 
 
-def _self_play(scores: np.ndarray, own: np.ndarray, team_counts: np.ndarray, to: str) -> Draws | None:
+def _self_play(
+    scores: np.ndarray, own: np.ndarray, team_counts: np.ndarray, to: str
+) -> Draws | None:
     """Replicate self-play: a team drawn twice counts twice, not with its row's times its column's counts."""
     rows, columns = np.nonzero(own)
     return replicate(scores[rows, columns], [team_counts[:, rows]], to) if rows.size else None
@@ -99,12 +106,19 @@ def _self_play(scores: np.ndarray, own: np.ndarray, team_counts: np.ndarray, to:
 def _relative(sp: Draws, xp: Draws) -> Interval | None:
     if sp.mean <= 0:
         return None
-    ratios = np.divide(sp.means - xp.means, sp.means, out=np.full(len(sp.means), np.nan), where=sp.means > 0)
-    return Interval(1 - xp.mean / sp.mean, interval(ratios, sp.generalises_to), sp.n + xp.n, sp.generalises_to)
+    ratios = np.divide(
+        sp.means - xp.means, sp.means, out=np.full(len(sp.means), np.nan), where=sp.means > 0
+    )
+    return Interval(
+        1 - xp.mean / sp.mean, interval(ratios, sp.generalises_to), sp.n + xp.n, sp.generalises_to
+    )
 
 
 def _team_counts(
-    rows: Sequence[str | None], columns: Sequence[str | None], resamples: int, rng: np.random.Generator
+    rows: Sequence[str | None],
+    columns: Sequence[str | None],
+    resamples: int,
+    rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Counts of rows [B, R] and columns [B, C]: teams on both axes are drawn together, the others on their own axis."""
     shared = sorted(_shared(rows, columns))
@@ -125,16 +139,27 @@ def _team_counts(
 def _generalises_to(rows: Sequence[str | None], columns: Sequence[str | None]) -> str:
     if len(_shared(rows, columns)) > 1:
         return "teams"
-    return " and ".join([*(["egos"] if len(rows) > 1 else []), *(["partners"] if len(columns) > 1 else [])]) or NOTHING
+    return (
+        " and ".join(
+            [*(["egos"] if len(rows) > 1 else []), *(["partners"] if len(columns) > 1 else [])]
+        )
+        or NOTHING
+    )
 
 
 def _shared(rows: Sequence[str | None], columns: Sequence[str | None]) -> set[str]:
-    return {team for team in rows if team is not None} & {team for team in columns if team is not None}
+    return {team for team in rows if team is not None} & {
+        team for team in columns if team is not None
+    }
 
 
 def _known(rows: Sequence[str | None], columns: Sequence[str | None]) -> np.ndarray:
-    return np.logical_and.outer([value is not None for value in rows], [value is not None for value in columns])
+    return np.logical_and.outer(
+        [value is not None for value in rows], [value is not None for value in columns]
+    )
 
 
 def _equal(rows: Sequence[str | None], columns: Sequence[str | None]) -> np.ndarray:
-    return _known(rows, columns) & (np.array(rows, object)[:, None] == np.array(columns, object)[None, :])
+    return _known(rows, columns) & (
+        np.array(rows, object)[:, None] == np.array(columns, object)[None, :]
+    )

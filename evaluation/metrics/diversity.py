@@ -14,7 +14,9 @@ class Diversity:
 
     log_determinant: float  # of the kernel phi phi^T; -inf when it is singular
     rank: int
-    participation_ratio: float  # (sum l)^2 / sum l^2 of the kernel's eigenvalues l: effective number of directions
+    participation_ratio: (
+        float  # (sum l)^2 / sum l^2 of the kernel's eigenvalues l: effective number of directions
+    )
     n: int  # partners
 
     def to_json(self) -> dict:
@@ -41,7 +43,9 @@ def greedy_subset(features: np.ndarray, size: int) -> list[int]:
     phi = scale_features(features)
     rank = br_diversity(features).rank
     if not 1 <= size <= rank:
-        raise ValueError(f"size is {size}; the features have rank {rank}, so allowed is 1 to {rank}")
+        raise ValueError(
+            f"size is {size}; the features have rank {rank}, so allowed is 1 to {rank}"
+        )
     gains = np.square(phi).sum(axis=1)
     factors = np.zeros((len(phi), 0))
     picked: list[int] = []
@@ -59,8 +63,14 @@ def scale_features(features: np.ndarray) -> np.ndarray:
     """Scale each feature of [P, F] to [0, 1] over the partners; a constant feature becomes 0."""
     features = np.asarray(features, float)
     if features.ndim != 2 or not features.size:
-        raise ValueError(f"features has shape {features.shape}; expected [partners, features], neither of them empty")
+        raise ValueError(
+            f"features has shape {features.shape}; expected [partners, features], neither of them "
+            "empty"
+        )
     if not np.isfinite(features).all():
-        raise ValueError(f"{np.count_nonzero(~np.isfinite(features))} features are not finite; mend or exclude them")
+        raise ValueError(
+            f"{np.count_nonzero(~np.isfinite(features))} features are not finite; mend or exclude "
+            "them"
+        )
     low, span = features.min(axis=0), np.ptp(features, axis=0)
     return np.divide(features - low, span, out=np.zeros_like(features), where=span > 0)

@@ -64,11 +64,15 @@ def group_draws(
 ) -> dict[str, Draws]:
     """Replicate mean and IQM of scores [S, P] for each group of partners [P], in order of names; None is left out.
 
-    Seeds are resampled once for all groups, partners within each group: groups subtract to paired differences.
+    Seeds are resampled once for all groups, partners within each group: groups subtract to paired
+    differences.
     """
     scores = score_matrix(scores)
     if len(groups) != scores.shape[1]:
-        raise ValueError(f"there are {len(groups)} groups for {scores.shape[1]} partners; give one for each partner")
+        raise ValueError(
+            f"there are {len(groups)} groups for {scores.shape[1]} partners; give one for each "
+            "partner"
+        )
     labels, rng = np.array(groups, object), np.random.default_rng(seed)
     seed_counts = draw_counts(len(scores), resamples, rng)
     draws = {}

@@ -14,7 +14,9 @@ class WorstPartner:
 
     index: int  # along the axis of partners
     mean: float  # over seeds and episodes; the minimum of noisy means is too low
-    crossfit: float | None  # chosen on even episodes and valued on odd ones, and the reverse; None with one episode
+    crossfit: (
+        float | None
+    )  # chosen on even episodes and valued on odd ones, and the reverse; None with one episode
 
 
 def worst_partner(returns: np.ndarray) -> WorstPartner:
@@ -28,21 +30,30 @@ def worst_partner(returns: np.ndarray) -> WorstPartner:
     return WorstPartner(int(means.argmin()), float(means.min()), crossfit)
 
 
-def cvar_crossfit(returns: np.ndarray, alpha: float = 0.1, *, resamples: int = RESAMPLES, seed: int = 0) -> Interval:
+def cvar_crossfit(
+    returns: np.ndarray, alpha: float = 0.1, *, resamples: int = RESAMPLES, seed: int = 0
+) -> Interval:
     """CVaR_alpha: mean of the lowest share alpha of partner means, of returns [S, P, K].
 
-    The tail is chosen on even episodes and valued on odd ones, and the other way round, because the lowest of noisy
-    means are low by chance too; the boundary partner counts with the fraction that is left.
+    The tail is chosen on even episodes and valued on odd ones, and the other way round, because the
+    lowest of noisy means are low by chance too; the boundary partner counts with the fraction that
+    is left.
     """
     returns = _returns(returns)
     if returns.shape[2] < 2:
-        raise ValueError("CVaR needs 2 or more episodes a pair: one half chooses the tail and the other values it")
+        raise ValueError(
+            "CVaR needs 2 or more episodes a pair: one half chooses the tail and the other values "
+            "it"
+        )
     seeds, partners, _ = returns.shape
     even, odd = _halves(returns)
 
     def evaluate(seed_counts: np.ndarray, partner_counts: np.ndarray) -> np.ndarray:
         means = [seed_counts @ half / seeds for half in (even, odd)]
-        tails = [(tail_weights(a, partner_counts, alpha) * b).sum(axis=1) for a, b in (means, reversed(means))]
+        tails = [
+            (tail_weights(a, partner_counts, alpha) * b).sum(axis=1)
+            for a, b in (means, reversed(means))
+        ]
         return (tails[0] + tails[1]) / 2
 
     point = float(evaluate(np.ones((1, seeds)), np.ones((1, partners)))[0])
@@ -58,5 +69,8 @@ def _halves(returns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _returns(returns: np.ndarray) -> np.ndarray:
     returns = np.asarray(returns, float)
     if returns.ndim != 3 or not returns.size:
-        raise ValueError(f"returns has shape {returns.shape}; expected [seeds, partners, episodes], none of them empty")
+        raise ValueError(
+            f"returns has shape {returns.shape}; expected [seeds, partners, episodes], none of "
+            "them empty"
+        )
     return returns

@@ -55,14 +55,18 @@ class _Layout:
     def size(self) -> tuple[float, float]:
         below = self.height + self.name_room[1] + 0.3
         beside = _COLOUR_BAR + 0.25 + self.legend_height
-        return self.legend_left + _LEGEND, self.top + max(below, beside) + 0.15 + self.caption_height
+        return self.legend_left + _LEGEND, self.top + max(
+            below, beside
+        ) + 0.15 + self.caption_height
 
 
 def crossplay_heatmap(matrix: Matrix, summary: Mapping[str, Any]) -> Figure:
     """Draw a matrix in its order with what its summary says."""
     palettes = {
         "algorithm": style.algorithm_colours([*matrix.rows.algorithms, *matrix.columns.algorithms]),
-        "disability": style.disability_colours([*matrix.rows.disabilities, *matrix.columns.disabilities]),
+        "disability": style.disability_colours(
+            [*matrix.rows.disabilities, *matrix.columns.disabilities]
+        ),
     }
     lines = legend_lines(matrix, palettes["algorithm"], palettes["disability"])
     layout = _layout(matrix, len(lines))
@@ -81,7 +85,10 @@ def crossplay_heatmap(matrix: Matrix, summary: Mapping[str, Any]) -> Figure:
     _draw_margin(place, layout, "top", matrix.columns, palettes)
     _draw_colour_bar(image, place(layout.legend_left, layout.top, 0.15, _COLOUR_BAR, "colourbar"))
     legend_top = layout.top + _COLOUR_BAR + 0.25
-    draw_legend(place(layout.legend_left, legend_top, _LEGEND, max(layout.legend_height, LINE), "legend"), lines)
+    draw_legend(
+        place(layout.legend_left, legend_top, _LEGEND, max(layout.legend_height, LINE), "legend"),
+        lines,
+    )
     write_texts(figure, summary, below)
     return figure
 
@@ -92,7 +99,10 @@ def _layout(matrix: Matrix, legend_lines: int) -> _Layout:
     cells = [max(square, _FEW_CELL) if count <= _FEW else square for count in (rows, columns)]
     sides = zip((matrix.rows, matrix.columns), cells, strict=True)
     rooms = [_name_room(side, _name_size(cell)) for side, cell in sides]
-    margins = [_TREE + 2 * (_STRIP + _GAP) + _GAP + _bracket(side) for side in (matrix.rows, matrix.columns)]
+    margins = [
+        _TREE + 2 * (_STRIP + _GAP) + _GAP + _bracket(side)
+        for side in (matrix.rows, matrix.columns)
+    ]
     return _Layout(
         cells=(cells[0], cells[1]),
         left=0.42 + margins[0],
@@ -125,14 +135,23 @@ def _draw_matrix(axes: Axes, matrix: Matrix, cells: tuple[float, float]) -> Axes
     values = matrix.values
     low, high = float(values.min()), float(values.max())
     norm = Normalize(low, high if high > low else low + 1.0)
-    image = axes.imshow(values, cmap=style.COLOUR_MAP, norm=norm, aspect="auto", interpolation="nearest")
+    image = axes.imshow(
+        values, cmap=style.COLOUR_MAP, norm=norm, aspect="auto", interpolation="nearest"
+    )
     style.bare(axes)
-    axes.set_xlabel(_axis_title("human (partner)", matrix.columns), fontsize=9, color=style.INK, labelpad=4)
+    axes.set_xlabel(
+        _axis_title("human (partner)", matrix.columns), fontsize=9, color=style.INK, labelpad=4
+    )
     axes.set_xticks([])
     axes.set_yticks([])
     axes.yaxis.tick_right()
     if len(matrix.columns) <= _MOST_NAMES:
-        axes.set_xticks(range(len(matrix.columns)), matrix.columns.names, rotation=90, fontsize=_name_size(cells[1]))
+        axes.set_xticks(
+            range(len(matrix.columns)),
+            matrix.columns.names,
+            rotation=90,
+            fontsize=_name_size(cells[1]),
+        )
     if len(matrix.rows) <= _MOST_NAMES:
         axes.set_yticks(range(len(matrix.rows)), matrix.rows.names, fontsize=_name_size(cells[0]))
     axes.tick_params(length=0, pad=2, colors=style.INK)
@@ -157,8 +176,19 @@ def _marks(matrix: Matrix) -> str:
 def _write_values(axes: Axes, matrix: Matrix, image: AxesImage) -> None:
     own = matrix.self_play
     for (row, column), value in np.ndenumerate(matrix.values):
-        font = {"fontsize": 7.5 if own[row, column] else 7, "weight": "bold" if own[row, column] else "normal"}
-        axes.text(column, row, f"{value:.0f}", ha="center", va="center", color=_contrast(image, value), fontdict=font)
+        font = {
+            "fontsize": 7.5 if own[row, column] else 7,
+            "weight": "bold" if own[row, column] else "normal",
+        }
+        axes.text(
+            column,
+            row,
+            f"{value:.0f}",
+            ha="center",
+            va="center",
+            color=_contrast(image, value),
+            fontdict=font,
+        )
 
 
 def _mark_self_play(axes: Axes, matrix: Matrix, image: AxesImage, cell: float) -> None:
@@ -185,12 +215,16 @@ def _draw_margin(
 
     def beside(offset: float, thickness: float, label: str) -> Axes:
         if edge == "left":
-            return place(layout.left - offset - thickness, layout.top, thickness, layout.height, label)
+            return place(
+                layout.left - offset - thickness, layout.top, thickness, layout.height, label
+            )
         return place(layout.left, layout.top - offset - thickness, layout.width, thickness, label)
 
     offset = _GAP
     for trait, values in (("disability", side.disabilities), ("algorithm", side.algorithms)):
-        _draw_strip(beside(offset, _STRIP, f"strip:{seat}:{trait}"), values, palettes[trait], edge, trait)
+        _draw_strip(
+            beside(offset, _STRIP, f"strip:{seat}:{trait}"), values, palettes[trait], edge, trait
+        )
         offset += _STRIP + _GAP
     if len(side.clusters) > 1:
         _draw_brackets(beside(offset, _BRACKET, f"clusters:{seat}"), side, edge)
@@ -200,14 +234,24 @@ def _draw_margin(
         tree.set_ylabel(_axis_title("robot (ego)", side), fontsize=9, color=style.INK, labelpad=4)
 
 
-def _draw_strip(axes: Axes, values: Sequence[str | None], palette: Mapping[str, str], edge: Edge, title: str) -> None:
-    colours = np.array([to_rgb(palette[value] if value is not None else style.UNKNOWN) for value in values])
-    axes.imshow(colours[:, None] if edge == "left" else colours[None], aspect="auto", interpolation="nearest")
+def _draw_strip(
+    axes: Axes, values: Sequence[str | None], palette: Mapping[str, str], edge: Edge, title: str
+) -> None:
+    colours = np.array(
+        [to_rgb(palette[value] if value is not None else style.UNKNOWN) for value in values]
+    )
+    axes.imshow(
+        colours[:, None] if edge == "left" else colours[None],
+        aspect="auto",
+        interpolation="nearest",
+    )
     axes.set_xticks([])
     axes.set_yticks([])
     style.bare(axes)
     if edge == "top":
-        axes.text(1.01, 0.5, title, transform=axes.transAxes, fontsize=6.5, color=style.FAINT, va="center")
+        axes.text(
+            1.01, 0.5, title, transform=axes.transAxes, fontsize=6.5, color=style.FAINT, va="center"
+        )
 
 
 def _draw_brackets(axes: Axes, side: Side, edge: Edge) -> None:
@@ -215,7 +259,13 @@ def _draw_brackets(axes: Axes, side: Side, edge: Edge) -> None:
     axes.set_xticks([])
     axes.set_yticks([])
     limits = (-0.5, len(side) - 0.5)
-    axes.set(**({"ylim": limits[::-1], "xlim": (0, 1)} if edge == "left" else {"xlim": limits, "ylim": (0, 1)}))
+    axes.set(
+        **(
+            {"ylim": limits[::-1], "xlim": (0, 1)}
+            if edge == "left"
+            else {"xlim": limits, "ylim": (0, 1)}
+        )
+    )
     area = axes.get_window_extent()
     inch = len(side) / ((area.height if edge == "left" else area.width) / axes.figure.dpi)
     for i, cluster in enumerate(side.clusters):
@@ -225,7 +275,16 @@ def _draw_brackets(axes: Axes, side: Side, edge: Edge) -> None:
         middle = start + length / 2
         x, y = (0.5, middle) if edge == "left" else (middle, 0.5)
         if length >= _LETTER * inch:
-            axes.text(x, y, cluster.letter, ha="center", va="center", fontsize=7.5, color=style.INK, clip_on=False)
+            axes.text(
+                x,
+                y,
+                cluster.letter,
+                ha="center",
+                va="center",
+                fontsize=7.5,
+                color=style.INK,
+                clip_on=False,
+            )
 
 
 def _draw_tree(axes: Axes, side: Side, edge: Edge) -> None:
@@ -235,7 +294,10 @@ def _draw_tree(axes: Axes, side: Side, edge: Edge) -> None:
     if len(side) < 2:
         return
     tree = hierarchy.dendrogram(side.linkage, no_plot=True)
-    positions, heights = np.array(tree["icoord"]) / 10 - 0.5, np.array(tree["dcoord"])  # leaves stand at 5, 15, ...
+    positions, heights = (
+        np.array(tree["icoord"]) / 10 - 0.5,
+        np.array(tree["dcoord"]),
+    )  # leaves stand at 5, 15, ...
     width = 0.7 if len(side) <= _MOST_NAMES else 0.4
     limits, depth = (-0.5, len(side) - 0.5), (0, max(heights.max(), 1e-12) * 1.03)
     lines = np.stack((heights, positions) if edge == "left" else (positions, heights), axis=2)

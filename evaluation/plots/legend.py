@@ -25,7 +25,9 @@ class Line:
     heading: bool = False
 
 
-def legend_lines(matrix: Matrix, algorithms: Mapping[str, str], disabilities: Mapping[str, str]) -> list[Line]:
+def legend_lines(
+    matrix: Matrix, algorithms: Mapping[str, str], disabilities: Mapping[str, str]
+) -> list[Line]:
     """List algorithms and disability settings with their colours, then the clusters."""
     lines = [Line("algorithm", heading=True)]
     lines += [Line(name, colour) for name, colour in algorithms.items()]
@@ -33,11 +35,18 @@ def legend_lines(matrix: Matrix, algorithms: Mapping[str, str], disabilities: Ma
     lines += [Line(f"{name}{_meaning(name)}", colour) for name, colour in disabilities.items()]
     if None in (*matrix.rows.algorithms, *matrix.columns.algorithms):
         lines += [Line("from outside the zoo", style.UNKNOWN)]
-    sides = [("teams", matrix.rows)] if matrix.shared else [("robots", matrix.rows), ("humans", matrix.columns)]
+    sides = (
+        [("teams", matrix.rows)]
+        if matrix.shared
+        else [("robots", matrix.rows), ("humans", matrix.columns)]
+    )
     for what, side in sides:
         if side.silhouette is None:
             continue
-        lines += [Line(), Line(f"clusters of {what} (silhouette {side.silhouette:.2f})", heading=True)]
+        lines += [
+            Line(),
+            Line(f"clusters of {what} (silhouette {side.silhouette:.2f})", heading=True),
+        ]
         if len(side.clusters) == 1:
             lines += [Line("none clear, all are one")]
             continue
@@ -59,7 +68,14 @@ def draw_legend(axes: Axes, lines: list[Line]) -> None:
         if line.colour is not None:
             axes.add_patch(Rectangle((0, y - 0.05), 0.11, 0.1, facecolor=line.colour, linewidth=0))
         font = {"fontsize": 8, "weight": "bold"} if line.heading else {"fontsize": 7.5}
-        axes.text(0 if line.colour is None else 0.18, y, line.text, va="center", color=style.INK, fontdict=font)
+        axes.text(
+            0 if line.colour is None else 0.18,
+            y,
+            line.text,
+            va="center",
+            color=style.INK,
+            fontdict=font,
+        )
 
 
 def write_texts(figure: Figure, summary: Mapping[str, Any], below: str) -> None:
@@ -74,8 +90,14 @@ def write_texts(figure: Figure, summary: Mapping[str, Any], below: str) -> None:
 
 def headline(summary: Mapping[str, Any]) -> str:
     """Give self-play, cross-play and their gap with intervals."""
-    named = {"self-play": summary["self_play"], "cross-play": summary["cross_play"], "gap": summary["gap"]}
-    return "IQM and 95% interval: " + ",  ".join(f"{name} {_figure(value)}" for name, value in named.items() if value)
+    named = {
+        "self-play": summary["self_play"],
+        "cross-play": summary["cross_play"],
+        "gap": summary["gap"],
+    }
+    return "IQM and 95% interval: " + ",  ".join(
+        f"{name} {_figure(value)}" for name, value in named.items() if value
+    )
 
 
 def caption(matrix: Matrix, summary: Mapping[str, Any], marked: str) -> str:
@@ -83,16 +105,19 @@ def caption(matrix: Matrix, summary: Mapping[str, Any], marked: str) -> str:
     rows, columns = matrix.values.shape
     split = f", split {summary['split']['id']}" if summary["split"] else ""
     order = (
-        "one order of teams, self-play on the diagonal" if matrix.shared else "each axis in its own order, self-play"
+        "one order of teams, self-play on the diagonal"
+        if matrix.shared
+        else "each axis in its own order, self-play"
     )
     order = order if marked or matrix.shared else "each axis in its own order"
     ending = "" if not marked else f" and marked {marked}" if matrix.shared else f" marked {marked}"
     return (
         f"n = {counted(rows, 'robot')} × {counted(columns, 'human')}, "
         f"{counted(summary['episodes_per_pair'], 'episode')} a pair "
-        f"({summary['episodes']:,} episodes, {summary['nonfinite']} non-finite). Release {summary['release']}{split}, "
-        f"environment version {summary['env_version']}, backend {summary['backend']}. Average linkage, Euclidean "
-        f"distance, optimal leaf order; {order}{ending}."
+        f"({summary['episodes']:,} episodes, {summary['nonfinite']} non-finite). Release "
+        f"{summary['release']}{split}, environment version {summary['env_version']}, backend "
+        f"{summary['backend']}. Average linkage, Euclidean distance, optimal leaf order; "
+        f"{order}{ending}."
     )
 
 

@@ -22,7 +22,14 @@ def performance_profile(profiles: Mapping[str, pl.DataFrame], *, task: str, capt
     """
     figure, axes = _canvas(f"Performance profile: {task}", caption)
     for i, (name, profile) in enumerate(profiles.items()):
-        _line(axes, profile, "threshold", "share", style.OKABE_ITO[(i + 5) % len(style.OKABE_ITO)], name)
+        _line(
+            axes,
+            profile,
+            "threshold",
+            "share",
+            style.OKABE_ITO[(i + 5) % len(style.OKABE_ITO)],
+            name,
+        )
     axes.set_xlabel("return", fontsize=9)
     axes.set_ylabel("share of pairs above it", fontsize=9)
     axes.set_ylim(0, 1.02)
@@ -52,7 +59,8 @@ def speed(measured: pl.DataFrame, *, caption: str) -> Figure:
     """Draw environment steps per second against the batch size, both axes logarithmic.
 
     Args:
-        measured: columns task, backend, device, batch and env_steps_per_second, as `bench env --json` prints them.
+        measured: columns task, backend, device, batch and env_steps_per_second, as `bench env
+            --json` prints them.
         caption: written below.
     """
     figure, axes = _canvas("Open loop: environment steps per second", caption)
@@ -61,7 +69,14 @@ def speed(measured: pl.DataFrame, *, caption: str) -> Figure:
         rows = measured.filter(task=task, backend=backend, device=device).sort("batch")
         colour = style.OKABE_ITO[i % len(style.OKABE_ITO)]
         label = f"{task}, {backend}, {device}"
-        axes.plot(rows["batch"], rows["env_steps_per_second"], color=colour, marker="o", markersize=4, label=label)
+        axes.plot(
+            rows["batch"],
+            rows["env_steps_per_second"],
+            color=colour,
+            marker="o",
+            markersize=4,
+            label=label,
+        )
     axes.set_xscale("log", base=2)
     axes.set_yscale("log")
     axes.set_xlabel("simulations in the batch", fontsize=9)
@@ -76,12 +91,22 @@ def _canvas(title: str, caption: str) -> tuple[Figure, Axes]:
     foot = 0.15 + style.caption_height(caption, _WIDTH)
     height = _HEIGHT + foot
     figure = style.new_figure(_WIDTH, height)
-    axes = figure.add_axes((0.75 / _WIDTH, (foot + 0.55) / height, 1 - 0.95 / _WIDTH, 3.1 / height), label="lines")
+    axes = figure.add_axes(
+        (0.75 / _WIDTH, (foot + 0.55) / height, 1 - 0.95 / _WIDTH, 3.1 / height), label="lines"
+    )
     style.bare(axes, ("left", "bottom"))
     axes.tick_params(labelsize=8)
     axes.grid(color="#e5e5e5", linewidth=0.6)
     axes.set_axisbelow(True)
-    figure.text(0.2 / _WIDTH, 1 - 0.14 / height, title, fontsize=12, weight="bold", va="top", color=style.INK)
+    figure.text(
+        0.2 / _WIDTH,
+        1 - 0.14 / height,
+        title,
+        fontsize=12,
+        weight="bold",
+        va="top",
+        color=style.INK,
+    )
     style.write_caption(figure, caption)
     return figure, axes
 
@@ -89,4 +114,6 @@ def _canvas(title: str, caption: str) -> tuple[Figure, Axes]:
 def _line(axes: Axes, table: pl.DataFrame, x: str, y: str, colour: str, label: str) -> None:
     axes.plot(table[x], table[y], color=colour, linewidth=1.6, label=label)
     if not table["low"].null_count():
-        axes.fill_between(table[x], table["low"], table["high"], color=colour, alpha=0.18, linewidth=0)
+        axes.fill_between(
+            table[x], table["low"], table["high"], color=colour, alpha=0.18, linewidth=0
+        )

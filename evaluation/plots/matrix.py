@@ -51,7 +51,10 @@ class Matrix:
     def self_play(self) -> np.ndarray:
         """Cells [R, C] of robots with the human of their own team."""
         return np.array(
-            [[row is not None and row == column for column in self.columns.teams] for row in self.rows.teams]
+            [
+                [row is not None and row == column for column in self.columns.teams]
+                for row in self.rows.teams
+            ]
         )
 
 
@@ -61,7 +64,8 @@ def arrange(pairs: pl.DataFrame, order: Mapping[str, Any], how: Order | None = N
     Args:
         pairs: the table of pairs that `crossplay` saved.
         order: the order that it saved beside.
-        how: "shared" is one order of teams on both axes; None takes it where both axes have the same teams.
+        how: "shared" is one order of teams on both axes; None takes it where both axes have the
+            same teams.
 
     Raises:
         ValueError: there is no shared order, or table and order name different policies.
@@ -69,16 +73,26 @@ def arrange(pairs: pl.DataFrame, order: Mapping[str, Any], how: Order | None = N
     if how is not None and how not in ORDERS:
         raise ValueError(f"order is {how!r}; allowed are {', '.join(ORDERS)}")
     if how == "shared" and order["teams"] is None:
-        raise ValueError("rows and columns are not the same teams, so they share no order; use --order separate")
+        raise ValueError(
+            "rows and columns are not the same teams, so they share no order; use --order separate"
+        )
     shared = order["teams"] is not None and how != "separate"
     found = [order["teams"]] * 2 if shared else [order["rows"], order["columns"]]
-    rows, columns = (_policies(pairs, seat, part, shared) for seat, part in zip(("ego", "partner"), found, strict=True))
+    rows, columns = (
+        _policies(pairs, seat, part, shared)
+        for seat, part in zip(("ego", "partner"), found, strict=True)
+    )
     wide = pairs.pivot("partner", index="ego", values="return")
     values = (
-        rows.select("ego").join(wide, on="ego", how="left", maintain_order="left").select(columns["partner"].to_list())
+        rows.select("ego")
+        .join(wide, on="ego", how="left", maintain_order="left")
+        .select(columns["partner"].to_list())
     )
     if values.null_count().sum_horizontal().item():
-        raise ValueError("the table of pairs has no return for some pairs; run crossplay again with the same --out")
+        raise ValueError(
+            "the table of pairs has no return for some pairs; run crossplay again with the same "
+            "--out"
+        )
     return Matrix(
         values.to_numpy(),
         _side(rows, "ego", found[0], "A"),
@@ -90,7 +104,9 @@ def arrange(pairs: pl.DataFrame, order: Mapping[str, Any], how: Order | None = N
 def short_names(names: Sequence[str]) -> tuple[str, ...]:
     """Shorten ids by what they share: the task before the team, the role after it, the release if it is the same."""
     parts = [name.split("/") for name in names]
-    short = [part[1] if len(part) in (2, 3) else name for name, part in zip(names, parts, strict=True)]
+    short = [
+        part[1] if len(part) in (2, 3) else name for name, part in zip(names, parts, strict=True)
+    ]
     endings = {name.rpartition("-")[2] for name in short}
     if len(endings) == 1 and len(short) > 1 and endings.pop().startswith("v"):
         short = [name.rpartition("-")[0] for name in short]
@@ -99,12 +115,16 @@ def short_names(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(name if len(name) <= _LONGEST else f"...{name[3 - _LONGEST :]}" for name in short)
 
 
-def _policies(pairs: pl.DataFrame, seat: str, order: Mapping[str, Any], shared: bool) -> pl.DataFrame:
+def _policies(
+    pairs: pl.DataFrame, seat: str, order: Mapping[str, Any], shared: bool
+) -> pl.DataFrame:
     identity = f"{seat}_team" if shared else seat
     described = pairs.select(pl.col(f"^{seat}(_.*)?$")).unique()
     names = pl.DataFrame({identity: order["order"]}, schema={identity: pl.String})
     if sorted(order["order"]) != sorted(described[identity].drop_nulls()):
-        raise ValueError(f"table and order name different {seat}s; run crossplay again with the same --out")
+        raise ValueError(
+            f"table and order name different {seat}s; run crossplay again with the same --out"
+        )
     return names.join(described, on=identity, how="left", maintain_order="left")
 
 
@@ -116,7 +136,9 @@ def _side(policies: pl.DataFrame, seat: str, order: Mapping[str, Any], first: st
         stop = start + len(cluster["members"])
         clusters.append(Cluster(chr(ord(first) + i), start, stop, short[cluster["medoid"]]))
         start = stop
-    team, algorithm, disability = (policies[f"{seat}_{trait}"] for trait in ("team", "algorithm", "disability"))
+    team, algorithm, disability = (
+        policies[f"{seat}_{trait}"] for trait in ("team", "algorithm", "disability")
+    )
     return Side(
         names=names,
         teams=tuple(team),

@@ -13,19 +13,24 @@ _WIDTH, _HEIGHT, _GAP = 3.1, 2.5, 0.55  # inches of a panel
 _LEFT, _TOP, _BOTTOM = 0.65, 0.85, 0.81
 
 
-def training_panels(curves: pl.DataFrame, bounds: Mapping[str, Mapping[str, float]], *, caption: str) -> Figure:
+def training_panels(
+    curves: pl.DataFrame, bounds: Mapping[str, Mapping[str, float]], *, caption: str
+) -> Figure:
     """Draw the IQM over seeds with its 95% band: a panel for each task, a line for each algorithm.
 
     Args:
         curves: columns task, algorithm, steps, iqm, low and high.
-        bounds: another source's final return of each algorithm of each task, drawn as a dotted line of its colour.
+        bounds: another source's final return of each algorithm of each task, drawn as a dotted line
+            of its colour.
         caption: written below, in as many lines as the width asks for.
     """
     tasks = curves["task"].unique(maintain_order=True).to_list()
     if not tasks:
         raise ValueError("there are no curves to draw; give those of at least one task")
     names = sorted(set(curves["algorithm"]))
-    colours = {name: style.OKABE_ITO[(i + 5) % len(style.OKABE_ITO)] for i, name in enumerate(names)}  # dark on white
+    colours = {
+        name: style.OKABE_ITO[(i + 5) % len(style.OKABE_ITO)] for i, name in enumerate(names)
+    }  # dark on white
     width = _LEFT + len(tasks) * (_WIDTH + _GAP)
     bottom = _BOTTOM + style.caption_height(caption, width)
     height = _TOP + _HEIGHT + bottom
@@ -38,14 +43,28 @@ def training_panels(curves: pl.DataFrame, bounds: Mapping[str, Mapping[str, floa
     figure.axes[0].set_ylabel("return of an episode", fontsize=9)
     handles = {line.get_label(): line for axes in figure.axes for line in axes.get_lines()}
     shown = [handles[name] for name in colours]
-    place = {"loc": "lower left", "bbox_to_anchor": (_LEFT / width, 1 - 0.62 / height), "ncols": len(shown)}
+    place = {
+        "loc": "lower left",
+        "bbox_to_anchor": (_LEFT / width, 1 - 0.62 / height),
+        "ncols": len(shown),
+    }
     figure.legend(handles=shown, fontsize=8, frameon=False, borderaxespad=0, **place)
-    figure.text(0.2 / width, 1 - 0.12 / height, "Training", fontsize=12, weight="bold", va="top", color=style.INK)
+    figure.text(
+        0.2 / width,
+        1 - 0.12 / height,
+        "Training",
+        fontsize=12,
+        weight="bold",
+        va="top",
+        color=style.INK,
+    )
     style.write_caption(figure, caption)
     return figure
 
 
-def _draw_task(axes: Axes, curves: pl.DataFrame, bounds: Mapping[str, float], colours: Mapping[str, str]) -> None:
+def _draw_task(
+    axes: Axes, curves: pl.DataFrame, bounds: Mapping[str, float], colours: Mapping[str, str]
+) -> None:
     style.bare(axes, ("left", "bottom"))
     axes.tick_params(labelsize=8)
     axes.grid(color="#e5e5e5", linewidth=0.6)

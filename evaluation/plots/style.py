@@ -22,7 +22,8 @@ COLOUR_MAP = "viridis"
 _CAPTION_LINE = 0.14  # inches
 # Okabe and Ito (2008); first those that are unlike the colours of disability settings.
 OKABE_ITO = ("#009E73", "#CC79A7", "#F0E442", "#D55E00", "#56B4E9", "#0072B2", "#E69F00", "#000000")
-# One hue for each level of the elbow's range, lighter as strength falls; blue, orange and grey differ for every vision.
+# One hue for each level of the elbow's range, lighter as strength falls; blue, orange and grey
+# differ for every vision.
 _DISABILITY = {
     **{"d1": "#0b4fa0", "d2": "#4393d5", "d3": "#a6d5f7"},
     **{"d4": "#8c2d04", "d5": "#e6550d", "d6": "#fdb777"},
@@ -44,20 +45,26 @@ def caption_height(text: str, width: float) -> float:
 
 def _wrap(text: str, width: float) -> list[str]:
     """Break a caption into lines for a figure of a width in inches; its own lines stay apart."""
-    return [line for part in text.split("\n") for line in textwrap.wrap(part, int(15.5 * (width - 0.4)))]
+    return [
+        line for part in text.split("\n") for line in textwrap.wrap(part, int(15.5 * (width - 0.4)))
+    ]
 
 
 def write_caption(figure: Figure, text: str) -> None:
     """Write a caption at the foot of a figure, broken where the figure ends; it takes `caption_height` inches."""
     width, height = figure.get_size_inches()
     lines = "\n".join(_wrap(text, width))
-    figure.text(0.2 / width, 0.1 / height, lines, fontsize=7, va="bottom", color=MUTED, linespacing=1.35)
+    figure.text(
+        0.2 / width, 0.1 / height, lines, fontsize=7, va="bottom", color=MUTED, linespacing=1.35
+    )
 
 
 def check_path(path: Path) -> Path:
     """Return the path if a figure can be written under its name, before any work is done."""
     if path.suffix.lower() not in FORMATS:
-        raise ValueError(f"{path.name} ends in {path.suffix or 'nothing'!r}; figures are written as .png or .pdf")
+        raise ValueError(
+            f"{path.name} ends in {path.suffix or 'nothing'!r}; figures are written as .png or .pdf"
+        )
     return path
 
 
@@ -81,7 +88,10 @@ def disability_colours(names: Iterable[str | None]) -> dict[str, str]:
     known = sorted({name for name in names if name is not None})
     others = [name for name in known if name not in _DISABILITY]
     spare = matplotlib.colormaps["PRGn"]
-    extra = {name: to_hex(spare(0.05 + 0.9 * i / max(len(others) - 1, 1))) for i, name in enumerate(others)}
+    extra = {
+        name: to_hex(spare(0.05 + 0.9 * i / max(len(others) - 1, 1)))
+        for i, name in enumerate(others)
+    }
     return {name: _DISABILITY.get(name, extra.get(name, UNKNOWN)) for name in known}
 
 

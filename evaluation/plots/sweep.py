@@ -21,7 +21,8 @@ def sweep_panels(results: pl.DataFrame, *, title: str, caption: str) -> Figure:
     The configuration with the best mean final return is marked in every panel.
 
     Args:
-        results: columns configuration, seed, final_return, diverged, and one for each hyperparameter.
+        results: columns configuration, seed, final_return, diverged, and one for each
+            hyperparameter.
         title: written above.
         caption: written below.
 
@@ -31,8 +32,15 @@ def sweep_panels(results: pl.DataFrame, *, title: str, caption: str) -> Figure:
     names = [name for name in results.columns if name not in NOT_HYPERPARAMETERS]
     shown = results.filter(pl.col("final_return").is_not_null())
     if not names or shown.is_empty():
-        raise ValueError("the sweep has no hyperparameter or no final return; run `assistax-zoo sweep` with more steps")
-    means = shown.group_by("configuration").agg(pl.col("final_return").mean()).sort("final_return", "configuration")
+        raise ValueError(
+            "the sweep has no hyperparameter or no final return; run `assistax-zoo sweep` with "
+            "more steps"
+        )
+    means = (
+        shown.group_by("configuration")
+        .agg(pl.col("final_return").mean())
+        .sort("final_return", "configuration")
+    )
     best = shown.filter(pl.col("configuration") == means["configuration"][-1])
     rows = math.ceil(len(names) / _COLUMNS)
     width, height = _SIDE * min(len(names), _COLUMNS) + 0.6, _SIDE * rows + 0.9
@@ -52,7 +60,9 @@ def sweep_panels(results: pl.DataFrame, *, title: str, caption: str) -> Figure:
         _panel(axes, name, shown, best)
         if index % _COLUMNS == 0:
             axes.set_ylabel("final return", fontsize=8)
-    figure.text(0.2 / width, 1 - 0.12 / height, title, fontsize=11, weight="bold", va="top", color=style.INK)
+    figure.text(
+        0.2 / width, 1 - 0.12 / height, title, fontsize=11, weight="bold", va="top", color=style.INK
+    )
     style.write_caption(figure, caption)
     return figure
 
@@ -72,8 +82,17 @@ def _panel(axes: Axes, name: str, shown: pl.DataFrame, best: pl.DataFrame) -> No
         places, marked = _places(values, levels), _places(best[name].to_list(), levels)
         axes.set_xticks(range(len(levels)), levels)
         axes.set_xlim(-0.6, len(levels) - 0.4)
-    axes.scatter(places, shown["final_return"], s=9, color=style.OKABE_ITO[5], alpha=0.6, linewidths=0)
-    axes.scatter(marked, best["final_return"], s=26, facecolors="none", edgecolors=style.OKABE_ITO[3], linewidths=1.2)
+    axes.scatter(
+        places, shown["final_return"], s=9, color=style.OKABE_ITO[5], alpha=0.6, linewidths=0
+    )
+    axes.scatter(
+        marked,
+        best["final_return"],
+        s=26,
+        facecolors="none",
+        edgecolors=style.OKABE_ITO[3],
+        linewidths=1.2,
+    )
     axes.set_xlabel(name, fontsize=8)
 
 

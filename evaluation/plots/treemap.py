@@ -30,9 +30,20 @@ def population_treemap(teams: pl.DataFrame, *, caption: str) -> Figure:
         corner = ((0.2 + i * (_PANEL + 0.2)) / width, _FOOT / height)
         axes = figure.add_axes((*corner, _PANEL / width, _PANEL / height), label=f"treemap:{task}")
         _draw_task(axes, teams.filter(task=task))
-        axes.set_title(f"{task}, n = {teams.filter(task=task).height}", fontsize=10, color=style.INK, loc="left")
+        axes.set_title(
+            f"{task}, n = {teams.filter(task=task).height}",
+            fontsize=10,
+            color=style.INK,
+            loc="left",
+        )
     figure.text(
-        0.2 / width, 1 - 0.14 / height, "Population of partners", fontsize=12, weight="bold", va="top", color=style.INK
+        0.2 / width,
+        1 - 0.14 / height,
+        "Population of partners",
+        fontsize=12,
+        weight="bold",
+        va="top",
+        color=style.INK,
     )
     style.write_caption(figure, caption)
     return figure
@@ -43,13 +54,23 @@ def _draw_task(axes: Axes, teams: pl.DataFrame) -> None:
     axes.set_axis_off()
     colours = style.disability_colours(teams["disability"])
     algorithms = _counts(teams, "algorithm")
-    for (algorithm, count), (x, y, dx, dy) in zip(algorithms, _areas(algorithms, 0, 0, 100, 100), strict=True):
+    for (algorithm, count), (x, y, dx, dy) in zip(
+        algorithms, _areas(algorithms, 0, 0, 100, 100), strict=True
+    ):
         head = min(7.0, dy * 0.3)
         axes.text(
-            x + 0.8, y + head / 2, f"{algorithm} ({count})", fontsize=8, weight="bold", va="center", color=style.INK
+            x + 0.8,
+            y + head / 2,
+            f"{algorithm} ({count})",
+            fontsize=8,
+            weight="bold",
+            va="center",
+            color=style.INK,
         )
         settings = sorted(_counts(teams.filter(algorithm=algorithm), "disability"))
-        for (setting, n), box in zip(settings, _areas(settings, x, y + head, dx, dy - head), strict=True):
+        for (setting, n), box in zip(
+            settings, _areas(settings, x, y + head, dx, dy - head), strict=True
+        ):
             _draw_setting(axes, setting, n, box, colours.get(setting, style.UNKNOWN))
 
 
@@ -59,7 +80,16 @@ def _draw_setting(axes: Axes, setting: str, count: int, box: Sequence[float], co
     ink = style.ink_on(colour)
     if min(dx, dy) > 6:
         text = f"{setting}\n{count}" if dy > 9 else f"{setting}: {count}"
-        axes.text(x + dx / 2, y + dy / 2, text, fontsize=7, ha="center", va="center", color=ink, linespacing=1.2)
+        axes.text(
+            x + dx / 2,
+            y + dy / 2,
+            text,
+            fontsize=7,
+            ha="center",
+            va="center",
+            color=ink,
+            linespacing=1.2,
+        )
 
 
 def _counts(teams: pl.DataFrame, column: str) -> list[tuple[str, int]]:
@@ -67,7 +97,11 @@ def _counts(teams: pl.DataFrame, column: str) -> list[tuple[str, int]]:
     return [(name, int(count)) for name, count in counted.iter_rows()]
 
 
-def _areas(counts: Sequence[tuple[str, int]], x: float, y: float, dx: float, dy: float) -> list[tuple[float, ...]]:
+def _areas(
+    counts: Sequence[tuple[str, int]], x: float, y: float, dx: float, dy: float
+) -> list[tuple[float, ...]]:
     """Lay counts out as rectangles (x, y, dx, dy) of proportional area, squares as nearly as possible."""
     sizes = squarify.normalize_sizes([count for _, count in counts], dx, dy)
-    return [(box["x"], box["y"], box["dx"], box["dy"]) for box in squarify.squarify(sizes, x, y, dx, dy)]
+    return [
+        (box["x"], box["y"], box["dx"], box["dy"]) for box in squarify.squarify(sizes, x, y, dx, dy)
+    ]

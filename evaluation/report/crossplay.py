@@ -27,21 +27,28 @@ static figure hold the same values"></canvas><div id="tip" hidden></div></div>""
 
 def crossplay_sections(folder: Path, summary: Mapping[str, Any]) -> list[str]:
     """Return headline, matrix, tables, strategies and the static figure."""
-    pairs, order = tables.read_parquet(folder / tables.PAIRS_FILE), tables.read_json(folder / tables.ORDER_FILE)
+    pairs, order = (
+        tables.read_parquet(folder / tables.PAIRS_FILE),
+        tables.read_json(folder / tables.ORDER_FILE),
+    )
     path = folder / tables.STRATEGIES_FILE
     strategies = tables.read_json(path) if path.is_file() else None
     data = matrix_data(pairs, order, strategies)
-    static = html.image(crossplay_heatmap(arrange(pairs, order), summary), "clustered cross-play matrix", "png")
+    static = html.image(
+        crossplay_heatmap(arrange(pairs, order), summary), "clustered cross-play matrix", "png"
+    )
     return [
         _tiles(summary),
         html.notes(summary["notes"]),
         "<h2>Every robot with every human</h2>",
-        "<p>Point at a cell for the pair, click to hold it. Drag to move; zoom with the buttons, with + and -, or with "
-        "the wheel once the matrix was clicked. Dots and bold figures are self-play.</p>",
+        "<p>Point at a cell for the pair, click to hold it. Drag to move; zoom with the buttons, "
+        "with + and -, or with the wheel once the matrix was clicked. Dots and bold figures are "
+        "self-play.</p>",
         _VIEWER,
         _key(data),
         html.embedded("matrix-data", data),
-        "<noscript><p>The matrix needs JavaScript; the static figure below does not.</p></noscript>",
+        "<noscript><p>The matrix needs JavaScript; the static figure below does "
+        "not.</p></noscript>",
         "<h2>Self-play and cross-play</h2>",
         html.figures_table(_figures(summary), "return of an episode"),
         _best(summary),
@@ -57,7 +64,9 @@ def _tiles(summary: Mapping[str, Any]) -> str:
             ends = f"95% {html.interval(figure, 0)}, IQM" if figure["ci"] else "IQM"
             tiles.append(html.tile(f"{figure['iqm']:.0f}", name, ends))
     if relative := summary["relative_gap"]:
-        tiles.append(html.tile(f"{relative['value']:.1%}", "relative gap of the means", "(SP - XP) / SP"))
+        tiles.append(
+            html.tile(f"{relative['value']:.1%}", "relative gap of the means", "(SP - XP) / SP")
+        )
     best = summary["best_ego"]
     tiles.append(html.tile(f"{best['mean']:.0f}", "best robot, mean return", best["ego"]))
     return f'<div class="tiles">{"".join(tiles)}</div>'
@@ -67,7 +76,10 @@ def _key(data: Mapping[str, Any]) -> str:
     parts = []
     for trait in ("disability", "algorithm"):
         parts.append(f"<b>{trait}</b>")
-        parts += [html.swatch(colour, name + _meaning(name)) for name, colour in data["palettes"][trait].items()]
+        parts += [
+            html.swatch(colour, name + _meaning(name))
+            for name, colour in data["palettes"][trait].items()
+        ]
     return f'<div class="key">{"".join(parts)}</div>'
 
 
@@ -93,8 +105,9 @@ def _best(summary: Mapping[str, Any]) -> str:
     if not stability:
         return ""
     text = (
-        f"Ranking of the robots on random halves of the humans: Kendall's τ {stability['tau']:.2f}, between "
-        f"{stability['spread'][0]:.2f} and {stability['spread'][1]:.2f} in 95% of {stability['halvings']} halvings."
+        "Ranking of the robots on random halves of the humans: Kendall's τ "
+        f"{stability['tau']:.2f}, between {stability['spread'][0]:.2f} and "
+        f"{stability['spread'][1]:.2f} in 95% of {stability['halvings']} halvings."
     )
     return f"<p>{escape(text)}</p>"
 
@@ -105,12 +118,22 @@ def _strategies(found: Mapping[str, Any]) -> list[str]:
     headings = [("cluster", ""), ("medoid", ""), ("humans", "")]
     headings += [(name.replace("_", " "), unit) for name, unit in found["features"].items()]
     rows: list[list[html.Cell]] = [
-        [chr(ord("A") + i), short[cluster["medoid"]], len(cluster["members"]), *cluster["mean"].values()]
+        [
+            chr(ord("A") + i),
+            short[cluster["medoid"]],
+            len(cluster["members"]),
+            *cluster["mean"].values(),
+        ]
         for i, cluster in enumerate(found["clusters"])
     ]
     robots = short_names([one["robot"] for one in found["partners"]])
     each: list[list[html.Cell]] = [
-        [short[one["partner"]], robot, chr(ord("A") + one["cluster"]), *(one[name] for name in found["features"])]
+        [
+            short[one["partner"]],
+            robot,
+            chr(ord("A") + one["cluster"]),
+            *(one[name] for name in found["features"]),
+        ]
         for robot, one in zip(robots, found["partners"], strict=True)
     ]
     silhouette = "" if found["silhouette"] is None else f" (silhouette {found['silhouette']:.2f})"
@@ -118,14 +141,17 @@ def _strategies(found: Mapping[str, Any]) -> list[str]:
     diversity = found["br_div"]
     parts = [
         "<h2>Strategies of the humans</h2>",
-        "<p>Behaviour with the best robot of this cross-play: average linkage on features scaled to [0, 1]"
-        f"{silhouette}.{clear} BR-Div: rank {diversity['rank']} of {diversity['n']}, participation ratio "
-        f"{diversity['participation_ratio']:.2f}.</p>",
+        "<p>Behaviour with the best robot of this cross-play: average linkage on features scaled "
+        f"to [0, 1]{silhouette}.{clear} BR-Div: rank {diversity['rank']} of {diversity['n']}, "
+        f"participation ratio {diversity['participation_ratio']:.2f}.</p>",
         html.table(headings, rows),
-        f"<p>A diverse subset, greedily by log-determinant: {escape(', '.join(found['diverse_subset']))}.</p>",
+        "<p>A diverse subset, greedily by log-determinant: "
+        f"{escape(', '.join(found['diverse_subset']))}.</p>",
         _incompatible(found["incompatible"]),
         "<h3>Each human with its best robot</h3>",
-        html.table([("human", ""), ("best robot", ""), ("cluster", ""), *headings[3:]], each, sortable=True),
+        html.table(
+            [("human", ""), ("best robot", ""), ("cluster", ""), *headings[3:]], each, sortable=True
+        ),
     ]
     return [part for part in parts if part]
 
@@ -133,9 +159,12 @@ def _strategies(found: Mapping[str, Any]) -> list[str]:
 def _incompatible(pair: Mapping[str, Any] | None) -> str:
     if not pair:
         return ""
-    own, exchanged = (" and ".join(f"{value:.0f}" for value in pair[key]) for key in ("returns", "returns_exchanged"))
+    own, exchanged = (
+        " and ".join(f"{value:.0f}" for value in pair[key])
+        for key in ("returns", "returns_exchanged")
+    )
     first, second = (escape(name) for name in pair["partners"])
     return (
-        f"<p>The most incompatible two: <b>{first}</b> and <b>{second}</b>. With their best robots they earn {own}, "
-        f"with the robots exchanged {exchanged}.</p>"
+        f"<p>The most incompatible two: <b>{first}</b> and <b>{second}</b>. With their best robots "
+        f"they earn {own}, with the robots exchanged {exchanged}.</p>"
     )

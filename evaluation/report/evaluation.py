@@ -36,13 +36,19 @@ def evaluation_sections(folder: Path, summary: Mapping[str, Any]) -> list[str]:
 
 def _tiles(summary: Mapping[str, Any]) -> str:
     tiles = []
-    for name, key in (("M_test, IQM", "m_test"), ("M_train, IQM", "m_train"), ("M_train - M_test, IQM", "gap")):
+    for name, key in (
+        ("M_test, IQM", "m_test"),
+        ("M_train, IQM", "m_train"),
+        ("M_train - M_test, IQM", "gap"),
+    ):
         if figure := summary[key]:
             ends = f"95% {html.interval(figure, 0)}" if figure["ci"] else ""
             tiles.append(html.tile(f"{figure['iqm']:.0f}", name, ends))
     relative = summary.get("relative")
     if relative and (figure := relative["br_prox"]):
-        tiles.append(html.tile(f"{figure['iqm']:.2f}", "BR-Prox", f"95% {html.interval(figure, 2)}"))
+        tiles.append(
+            html.tile(f"{figure['iqm']:.2f}", "BR-Prox", f"95% {html.interval(figure, 2)}")
+        )
     worst = summary["worst_partner"]
     tiles.append(html.tile(f"{worst['mean']:.0f}", "worst partner, mean", worst["partner"]))
     return f'<div class="tiles">{"".join(tiles)}</div>'
@@ -56,7 +62,11 @@ def _policies(summary: Mapping[str, Any]) -> str:
 
 def _figures(summary: Mapping[str, Any]) -> dict[str, Any]:
     side = summary["side"]
-    figures = {"M_test": summary["m_test"], "M_train": summary["m_train"], "M_train - M_test": summary["gap"]}
+    figures = {
+        "M_test": summary["m_test"],
+        "M_train": summary["m_train"],
+        "M_train - M_test": summary["gap"],
+    }
     for key in ("by_algorithm", "by_disability"):
         figures |= {f"{side} partners of {name}": figure for name, figure in summary[key].items()}
     return figures
@@ -70,8 +80,9 @@ def _references(summary: Mapping[str, Any]) -> list[str]:
     sources = ", ".join(f"{name} for {count}" for name, count in relative["bounds"]["best"].items())
     parts = [
         "<h2>What that means</h2>",
-        f"<p>Reference egos with the same {summary['side']} partners and episodes. The best response is the best robot "
-        f"known with each partner: {escape(sources)} of them; a lower bound of the true one.</p>",
+        f"<p>Reference egos with the same {summary['side']} partners and episodes. The best "
+        f"response is the best robot known with each partner: {escape(sources)} of them; a lower "
+        "bound of the true one.</p>",
         html.figures_table(own | compared, "return of an episode"),
         html.figures_table(shares, "0 is zero action, 1 the best response", digits=2),
     ]
@@ -79,12 +90,15 @@ def _references(summary: Mapping[str, Any]) -> list[str]:
         covered, worst = relative["coverage"], relative["worst_regret"]
         ends = f", 95% {covered['ci'][0]:.0%} to {covered['ci'][1]:.0%}" if covered["ci"] else ""
         parts.append(
-            f"<p>Within {covered['epsilon']:.0%} of the best response with {covered['value']:.0%} of partners{ends}. "
-            f"Mean regret {relative['regret']['mean']:.1f}, the largest {worst['regret']:.1f} with "
-            f"<code>{escape(worst['partner'])}</code>.</p>"
+            f"<p>Within {covered['epsilon']:.0%} of the best response with {covered['value']:.0%} "
+            f"of partners{ends}. Mean regret {relative['regret']['mean']:.1f}, the largest "
+            f"{worst['regret']:.1f} with <code>{escape(worst['partner'])}</code>.</p>"
         )
     if relative["unscorable"]:
-        parts.append(f"<p>Unscorable, best response at or below L: {escape(', '.join(relative['unscorable']))}.</p>")
+        parts.append(
+            "<p>Unscorable, best response at or below L: "
+            f"{escape(', '.join(relative['unscorable']))}.</p>"
+        )
     return parts
 
 
@@ -95,7 +109,10 @@ def _drawn(folder: Path, name: str, summary: Mapping[str, Any]) -> str:
     drawn = [
         html.image(zsc_bars(named), "returns with training and test partners"),
         html.image(disability_points(named), "returns by the partner's disability setting"),
-        html.image(performance_profile(profile, task=summary["task"], caption=caption), "performance profile"),
+        html.image(
+            performance_profile(profile, task=summary["task"], caption=caption),
+            "performance profile",
+        ),
     ]
     return f'<div class="figures">{"".join(drawn)}</div>'
 
@@ -106,11 +123,18 @@ def _partners(folder: Path, partners: pl.DataFrame) -> str:
     columns = ["partner", "side", "partner_disability", "return", *(name for name, _ in _MEASURES)]
     if (folder / tables.BOUNDS_FILE).is_file():
         bounds = tables.read_parquet(folder / tables.BOUNDS_FILE)
-        partners = partners.join(bounds, on="partner", how="left", maintain_order="left").with_columns(
-            regret=pl.col("best") - pl.col("return")
-        )
-        headings += [("regret", ""), ("zero action", "L"), ("best response", "B"), ("source of B", "")]
+        partners = partners.join(
+            bounds, on="partner", how="left", maintain_order="left"
+        ).with_columns(regret=pl.col("best") - pl.col("return"))
+        headings += [
+            ("regret", ""),
+            ("zero action", "L"),
+            ("best response", "B"),
+            ("source of B", ""),
+        ]
         columns += ["regret", "low", "best", "source"]
-    partners = partners.with_columns(pl.Series("partner", short_names(partners["partner"].to_list())))
+    partners = partners.with_columns(
+        pl.Series("partner", short_names(partners["partner"].to_list()))
+    )
     rows = [list(row) for row in partners.select(columns).sort("return").iter_rows()]
     return html.table(headings, rows, sortable=True)

@@ -15,7 +15,11 @@ Heading = tuple[str, str]  # text, unit
 
 
 def table(
-    headings: Sequence[Heading], rows: Sequence[Sequence[Cell]], *, sortable: bool = False, digits: int = 1
+    headings: Sequence[Heading],
+    rows: Sequence[Sequence[Cell]],
+    *,
+    sortable: bool = False,
+    digits: int = 1,
 ) -> str:
     """Return a table; numbers are rounded for reading and sorted as they are."""
     head = "".join(_heading(text, unit, rows, i) for i, (text, unit) in enumerate(headings))
@@ -38,7 +42,14 @@ def figures_table(named: Mapping[str, Mapping[str, Any] | None], what: str, digi
         for name, figure in named.items()
         if figure
     ]
-    headings = [(what, ""), ("mean", ""), ("IQM", ""), ("95% of the IQM", ""), ("pairs", ""), ("speaks about new", "")]
+    headings = [
+        (what, ""),
+        ("mean", ""),
+        ("IQM", ""),
+        ("95% of the IQM", ""),
+        ("pairs", ""),
+        ("speaks about new", ""),
+    ]
     return table(headings, rows, digits=digits)
 
 
@@ -55,7 +66,11 @@ def chips(texts: Sequence[str]) -> str:
 
 def notes(texts: Sequence[str]) -> str:
     """Return what a reader has to know of the figures."""
-    return f'<ul class="notes">{"".join(f"<li>{escape(text)}</li>" for text in texts)}</ul>' if texts else ""
+    return (
+        f'<ul class="notes">{"".join(f"<li>{escape(text)}</li>" for text in texts)}</ul>'
+        if texts
+        else ""
+    )
 
 
 def image(figure: Figure, alt: str, kind: str = "svg") -> str:
@@ -98,4 +113,6 @@ def _cell(value: Cell, digits: int) -> str:
         return f'<td class="text">{escape(value)}</td>'
     if isinstance(value, int):
         return f"<td>{value:,}</td>" if value >= 10_000 else f"<td>{value}</td>"
-    return f'<td data-value="{value!r}">{value:.{digits if abs(value) >= 1 else max(digits, 2)}f}</td>'
+    return (
+        f'<td data-value="{value!r}">{value:.{digits if abs(value) >= 1 else max(digits, 2)}f}</td>'
+    )

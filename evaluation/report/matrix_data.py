@@ -31,7 +31,11 @@ def matrix_data(
     rows, columns = (_axis(pairs, seat) for seat in ("ego", "partner"))
     shape = len(rows), len(columns)
     measures = {
-        name: {"label": label, "unit": unit, "values": _rounded(pairs[name].cast(pl.Float64).to_numpy().reshape(shape))}
+        name: {
+            "label": label,
+            "unit": unit,
+            "values": _rounded(pairs[name].cast(pl.Float64).to_numpy().reshape(shape)),
+        }
         for name, (label, unit) in MEASURES.items()
         if name in pairs.columns
     }
@@ -40,8 +44,13 @@ def matrix_data(
         "rows": rows,
         "columns": columns,
         "measures": measures,
-        "orders": _orders(rows, columns, pairs["return"].to_numpy().reshape(shape), order, strategies),
-        "colours": [to_hex(colour) for colour in matplotlib.colormaps[style.COLOUR_MAP](np.linspace(0, 1, 256))],
+        "orders": _orders(
+            rows, columns, pairs["return"].to_numpy().reshape(shape), order, strategies
+        ),
+        "colours": [
+            to_hex(colour)
+            for colour in matplotlib.colormaps[style.COLOUR_MAP](np.linspace(0, 1, 256))
+        ],
         "palettes": {
             "algorithm": style.algorithm_colours(one["algorithm"] for one in both),
             "disability": style.disability_colours(one["disability"] for one in both),
@@ -51,7 +60,9 @@ def matrix_data(
 
 def _axis(pairs: pl.DataFrame, seat: str) -> list[dict[str, Any]]:
     traits = ("team", "algorithm", "disability")
-    found = pairs.select(seat, *(f"{seat}_{trait}" for trait in traits)).unique(seat, maintain_order=True)
+    found = pairs.select(seat, *(f"{seat}_{trait}" for trait in traits)).unique(
+        seat, maintain_order=True
+    )
     shorts = short_names(found[seat].to_list())
     return [
         {"name": row[seat], "short": short, **{trait: row[f"{seat}_{trait}"] for trait in traits}}
@@ -77,7 +88,9 @@ def _orders(
     orders["separate"] = {
         "label": "clustered, each axis by itself",
         **by_row,
-        **_places("column", columns, "name", order["columns"]["order"], order["columns"]["clusters"]),
+        **_places(
+            "column", columns, "name", order["columns"]["order"], order["columns"]["clusters"]
+        ),
     }
     if strategies:
         members = [name for cluster in strategies["clusters"] for name in cluster["members"]]
@@ -97,7 +110,11 @@ def _orders(
 
 
 def _places(
-    axis: str, policies: list[dict[str, Any]], key: str, order: Sequence[str], clusters: Sequence[Mapping[str, Any]]
+    axis: str,
+    policies: list[dict[str, Any]],
+    key: str,
+    order: Sequence[str],
+    clusters: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
     place = {one[key]: i for i, one in enumerate(policies)}
     breaks = np.cumsum([len(cluster["members"]) for cluster in clusters])[:-1].tolist()

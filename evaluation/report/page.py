@@ -23,11 +23,17 @@ def write_report(folder: Path, path: Path) -> None:
     """
     summary = tables.read_json(folder / tables.SUMMARY_FILE)
     if "m_test" in summary:
-        title, sections = f"Zero-shot evaluation: {summary['task']}", evaluation_sections(folder, summary)
+        title, sections = (
+            f"Zero-shot evaluation: {summary['task']}",
+            evaluation_sections(folder, summary),
+        )
     elif "cross_play" in summary:
         title, sections = f"Cross-play: {summary['task']}", crossplay_sections(folder, summary)
     else:
-        raise ValueError(f"{folder} holds neither an evaluation nor a cross-play; see `assistax-zoo evaluate --help`")
+        raise ValueError(
+            f"{folder} holds neither an evaluation nor a cross-play; see `assistax-zoo evaluate "
+            "--help`"
+        )
     text = _page(title, _head(title, folder, summary), [*sections, _origin(folder, summary)])
     with tables.atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -35,7 +41,9 @@ def write_report(folder: Path, path: Path) -> None:
 
 def _page(title: str, head: str, sections: list[str]) -> str:
     assets = resources.files("evaluation.report") / "assets"
-    css, sorting, matrix = ((assets / name).read_text("utf-8") for name in ("report.css", "tables.js", "matrix.js"))
+    css, sorting, matrix = (
+        (assets / name).read_text("utf-8") for name in ("report.css", "tables.js", "matrix.js")
+    )
     body = "\n".join(sections)
     scripts = [sorting, matrix] if 'id="matrix-data"' in body else [sorting]
     return f"""<!doctype html>
@@ -78,35 +86,59 @@ def _head(title: str, folder: Path, summary: Mapping[str, Any]) -> str:
 def _origin(folder: Path, summary: Mapping[str, Any]) -> str:
     """Return how the figures came about: command, versions, hashes."""
     run = _run(folder)
-    manifest = tables.read_json(folder / MANIFEST_FILE) if (folder / MANIFEST_FILE).is_file() else {}
+    manifest = (
+        tables.read_json(folder / MANIFEST_FILE) if (folder / MANIFEST_FILE).is_file() else {}
+    )
     parts = ["<h2>How to repeat it</h2>"]
     if run:
         parts.append(f"<pre>{escape(run['command'])}</pre>")
         machine = f"Python {run['python']}, {run['platform']}, {', '.join(run['devices'])}; finished {run['date']}"
         parts.append(f'<p class="muted">{escape(machine)}</p>')
-        parts.append(html.table([("package", ""), ("version", "")], [list(row) for row in run["versions"].items()]))
+        parts.append(
+            html.table(
+                [("package", ""), ("version", "")], [list(row) for row in run["versions"].items()]
+            )
+        )
     if manifest:
         settings = ("backend", "episodes", "seed", "stochastic", "max_envs", "format")
-        rows: list[list[html.Cell]] = [[name, str(manifest[name])] for name in settings if name in manifest]
+        rows: list[list[html.Cell]] = [
+            [name, str(manifest[name])] for name in settings if name in manifest
+        ]
         parts += ["<h3>Settings</h3>", html.table([("setting", ""), ("value", "")], rows)]
-    hashes: list[list[html.Cell]] = [[name, digest] for name, digest in _hashes(folder, summary, manifest).items()]
+    hashes: list[list[html.Cell]] = [
+        [name, digest] for name, digest in _hashes(folder, summary, manifest).items()
+    ]
     parts += ["<h3>Hashes (sha256)</h3>", html.table([("what", ""), ("sha256", "")], hashes)]
     if manifest:
         members: list[list[html.Cell]] = [["robot", row[0], row[-1]] for row in manifest["egos"]]
         members += [["human", row[0], row[-1]] for row in manifest["partners"]]
         listed = html.table([("seat", ""), ("policy", ""), ("sha256", "")], members, sortable=True)
-        parts.append(f"<details><summary>{len(members)} policies with their hashes</summary>{listed}</details>")
-    parts.append("<footer>Made by assistax-zoo from saved tables; this page loads nothing from elsewhere.</footer>")
+        parts.append(
+            f"<details><summary>{len(members)} policies with their "
+            f"hashes</summary>{listed}</details>"
+        )
+    parts.append(
+        "<footer>Made by assistax-zoo from saved tables; this page loads nothing from "
+        "elsewhere.</footer>"
+    )
     return "\n".join(parts)
 
 
-def _hashes(folder: Path, summary: Mapping[str, Any], manifest: Mapping[str, Any]) -> dict[str, str]:
+def _hashes(
+    folder: Path, summary: Mapping[str, Any], manifest: Mapping[str, Any]
+) -> dict[str, str]:
     hashes = {}
     if summary["split"]:
         hashes[f"split {summary['split']['id']}"] = summary["split"]["sha256"]
     if manifest:
         hashes["job: policies, settings and software"] = manifest["job"]
-    names = (tables.EPISODES_FILE, tables.PAIRS_FILE, tables.REFERENCES_FILE, tables.BOUNDS_FILE, tables.SUMMARY_FILE)
+    names = (
+        tables.EPISODES_FILE,
+        tables.PAIRS_FILE,
+        tables.REFERENCES_FILE,
+        tables.BOUNDS_FILE,
+        tables.SUMMARY_FILE,
+    )
     for name in names:
         if (folder / name).is_file():
             hashes[name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()

@@ -17,11 +17,17 @@ from evaluation.results.measures import (
 
 Outcome = Literal["met", "not met", "undecided"]
 
-CLUSTERED = ("scratch", "bed_bath")  # tasks in which the paper sees groups that do not fit each other
+CLUSTERED = (
+    "scratch",
+    "bed_bath",
+)  # tasks in which the paper sees groups that do not fit each other
 LEVEL = 0.05  # of the permutation test
-EXCHANGE_LOSS = 0.25  # of the return; two groups that lose this with each other follow different strategies
+EXCHANGE_LOSS = (
+    0.25  # of the return; two groups that lose this with each other follow different strategies
+)
 INCOMPATIBLE = 0.05  # of the pairs of a robot and another team's human
-FRACTION = 0.5  # of the lesser self-play return; below it a pair is incompatible, as in the paper's Figure 5
+# Of the lesser self-play return; below it a pair is incompatible, as in the paper's Figure 5.
+FRACTION = 0.5
 HUMAN_SHARE, ROBOT_SHARE = 0.1, 0.5  # of the variance of returns over pairs
 SMALL_GAP = 0.1  # of M_train, or of self-play
 EVEN = 0.5  # chance that one method's seed beats the other's
@@ -77,7 +83,9 @@ def check_claims(results: Results) -> list[Claim]:
         claims += [Claim(title, task, figure, _self_play(results, task, name)) for task in TASKS]
     for method in METHODS:
         title, figure = f"Small train-test gap, {method.upper()} egos", "gap / M_train"
-        claims += [Claim(title, task, figure, _gap(results.egos.get((task, method)))) for task in TASKS]
+        claims += [
+            Claim(title, task, figure, _gap(results.egos.get((task, method)))) for task in TASKS
+        ]
     title, figure = "PPO egos above SAC egos", "P(PPO > SAC)"
     pairs = {task: [results.egos.get((task, method)) for method in METHODS] for task in TASKS}
     return claims + [Claim(title, task, figure, _egos(*pair)) for task, pair in pairs.items()]
@@ -116,8 +124,14 @@ def _human(played: CrossPlayed | None) -> list[Criterion]:
         return []
     shares = variance_shares(played.matrix)
     gap = played.summary["relative_gap"]
-    lost = Interval(gap["value"], tuple(gap["ci"]) if gap["ci"] else None, gap["n"], "teams") if gap else None
-    criteria = [_against("return lost with another's human", lost, SMALL_GAP, above=False)] if lost else []
+    lost = (
+        Interval(gap["value"], tuple(gap["ci"]) if gap["ci"] else None, gap["n"], "teams")
+        if gap
+        else None
+    )
+    criteria = (
+        [_against("return lost with another's human", lost, SMALL_GAP, above=False)] if lost else []
+    )
     return [
         *criteria,
         _against("variance explained by the human", shares.human, HUMAN_SHARE, above=False),
@@ -153,7 +167,8 @@ def _egos(ppo: Egos | None, sac: Egos | None) -> list[Criterion]:
         return []
     if not ppo.partners.equals(sac.partners):
         raise ValueError(
-            f"PPO and SAC egos on {ppo.summary['task']} met different partners; evaluate both with one split"
+            f"PPO and SAC egos on {ppo.summary['task']} met different partners; evaluate both with "
+            "one split"
         )
     test = (ppo.partners["side"] == "test").to_numpy()
     chance = improvement(ppo.scores[:, test], sac.scores[:, test])

@@ -2,9 +2,10 @@
 
 | folder of | becomes |
 |---|---|
-| `assistax-zoo crossplay --out` | `crossplay/TASK/`: a row a pair, order, strategies, summary, run |
-| `assistax-zoo evaluate --split both --out` | `egos/TASK-METHOD/`: a row a pair, summary, run |
-| `assistax-zoo train-ego --out` | `egos/TASK-METHOD/training.json`: steps, device and seconds of the egos |
+| `assistax-zoo crossplay --out` | `crossplay/TASK/`: a row a pair, order, strategies, summary, run
+| | `assistax-zoo evaluate --split both --out` | `egos/TASK-METHOD/`: a row a pair, summary, run |
+| `assistax-zoo train-ego --out` | `egos/TASK-METHOD/training.json`: steps, device and seconds of
+the egos |
 """
 
 import re
@@ -36,8 +37,8 @@ def collect(folder: Path, data: Path) -> Path:
         return _collect_training(folder, data)
     if not (folder / tables.SUMMARY_FILE).is_file():
         raise ValueError(
-            f"{folder} holds no {tables.SUMMARY_FILE} and no policies; give a finished folder of crossplay, of "
-            "evaluate --split both, or of train-ego"
+            f"{folder} holds no {tables.SUMMARY_FILE} and no policies; give a finished folder of "
+            "crossplay, of evaluate --split both, or of train-ego"
         )
     summary = tables.read_json(folder / tables.SUMMARY_FILE)
     if "self_play" in summary:
@@ -45,7 +46,8 @@ def collect(folder: Path, data: Path) -> Path:
     if "m_test" in summary:
         return _collect_evaluation(folder, summary, data)
     raise ValueError(
-        f"{folder / tables.SUMMARY_FILE} is of neither crossplay nor evaluate; give a finished folder of one"
+        f"{folder / tables.SUMMARY_FILE} is of neither crossplay nor evaluate; give a finished "
+        "folder of one"
     )
 
 
@@ -53,7 +55,9 @@ def _collect_crossplay(folder: Path, summary: dict[str, Any], data: Path) -> Pat
     out = data / CROSSPLAY / summary["task"]
     pairs = tables.read_parquet(folder / tables.PAIRS_FILE)
     if pairs["ego_team"].null_count() or pairs["partner_team"].null_count():
-        raise ValueError(f"{folder} has policies from outside the zoo; give a cross-play of published teams")
+        raise ValueError(
+            f"{folder} has policies from outside the zoo; give a cross-play of published teams"
+        )
     tables.write_parquet(_small(pairs), out / tables.PAIRS_FILE)
     for name in (tables.ORDER_FILE, tables.STRATEGIES_FILE):
         tables.write_json(tables.read_json(folder / name), out / name)
@@ -71,9 +75,13 @@ def _collect_evaluation(folder: Path, summary: dict[str, Any], data: Path) -> Pa
     pairs = pairs.select(*EGO_COLUMNS, *PARTNER_COLUMNS, *_EGO_MEASURES).with_columns(
         pl.col("ego").replace_strict({ego: name for ego, (name, _) in names.items()}),
         pl.lit(method).alias("ego_algorithm"),
-        pl.col("ego").replace_strict({ego: seed for ego, (_, seed) in names.items()}).alias("ego_seed"),
+        pl.col("ego")
+        .replace_strict({ego: seed for ego, (_, seed) in names.items()})
+        .alias("ego_seed"),
     )
-    tables.write_parquet(_small(pairs.sort("ego_seed", maintain_order=True)), out / tables.PAIRS_FILE)
+    tables.write_parquet(
+        _small(pairs.sort("ego_seed", maintain_order=True)), out / tables.PAIRS_FILE
+    )
     egos = [names[ego][0] for ego in summary["egos"]]
     tables.write_json({**summary, "egos": egos}, out / tables.SUMMARY_FILE)
     tables.write_json(_run(folder, summary), out / tables.RUN_FILE)
@@ -89,7 +97,9 @@ def _collect_training(folder: Path, data: Path) -> Path:
         raise ValueError(f"{folder}/policies holds no finished egos; let train-ego run to its end")
     first = told[0]
     out = data / EGOS / f"{first['task']}-{first['algorithm']}"
-    training = {name: first["training"][name] for name in _TOLD_OF_TRAINING if name in first["training"]}
+    training = {
+        name: first["training"][name] for name in _TOLD_OF_TRAINING if name in first["training"]
+    }
     content = {"egos": len(told), "split": first.get("split"), **training}
     tables.write_json(content, out / TRAINING_FILE)
     return out
@@ -101,20 +111,32 @@ def _egos(references: list[str], folder: Path) -> tuple[str, dict[str, tuple[str
     methods = {match["method"] for match in found.values() if match}
     if None in found.values() or len(methods) != 1:
         raise ValueError(
-            f"{folder} evaluated {', '.join(references[:3])}; expected the policies of one train-ego run, such as "
-            "runs/scratch-ppo/policies/ppo-s0.safetensors"
+            f"{folder} evaluated {', '.join(references[:3])}; expected the policies of one "
+            "train-ego run, such as runs/scratch-ppo/policies/ppo-s0.safetensors"
         )
-    return methods.pop(), {name: (match[0], int(match["seed"])) for name, match in found.items() if match}
+    return methods.pop(), {
+        name: (match[0], int(match["seed"])) for name, match in found.items() if match
+    }
 
 
 def _run(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     """Return how the folder came about, without this machine's paths, and with the seconds of simulation."""
     path = folder / tables.RUN_FILE
     run = tables.read_json(path) if path.is_file() else {}
-    steps = pl.scan_parquet(folder / tables.EPISODES_FILE).select(pl.col("steps").sum()).collect().item()
+    steps = (
+        pl.scan_parquet(folder / tables.EPISODES_FILE)
+        .select(pl.col("steps").sum())
+        .collect()
+        .item()
+    )
     rate = summary["env_steps_per_second"]
     command = _ABSOLUTE.sub(lambda found: PurePath(found[0]).name, run.get("command", ""))
-    return {**run, "command": command, "env_steps": int(steps), "seconds": steps / rate if rate else None}
+    return {
+        **run,
+        "command": command,
+        "env_steps": int(steps),
+        "seconds": steps / rate if rate else None,
+    }
 
 
 def _small(pairs: pl.DataFrame) -> pl.DataFrame:

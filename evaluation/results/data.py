@@ -21,7 +21,16 @@ from zoo.schema import PolicyEntry
 METHODS = ("ppo", "sac")  # of the egos
 CURVES = "curves"  # folder of the learning curves
 NOTES_FILE = "notes.md"
-NOTES = ("summary", "population", "self-play", "curves", "cross-play", "zsc", "claims", "made")  # sections with a place
+NOTES = (
+    "summary",
+    "population",
+    "self-play",
+    "curves",
+    "cross-play",
+    "zsc",
+    "claims",
+    "made",
+)  # sections with a place
 _CURVE_COLUMNS = {
     **dict.fromkeys(("task", "algorithm", "disability"), pl.String),
     **{"seed": pl.Int64, "steps": pl.Int64, "return": pl.Float64},
@@ -42,7 +51,9 @@ class CrossPlayed:
     def matrix(self) -> np.ndarray:
         """Mean returns [T, T], the teams of `teams` on both axes."""
         wide = self.pairs.pivot("partner_team", index="ego_team", values="return")
-        rows = pl.DataFrame({"ego_team": self.teams}).join(wide, on="ego_team", how="left", maintain_order="left")
+        rows = pl.DataFrame({"ego_team": self.teams}).join(
+            wide, on="ego_team", how="left", maintain_order="left"
+        )
         return rows.select(self.teams).to_numpy().astype(float)
 
     @property
@@ -54,7 +65,10 @@ class CrossPlayed:
     def clusters(self) -> list[list[int]]:
         """Members of each cluster, as rows of `matrix`."""
         places = {team: place for place, team in enumerate(self.teams)}
-        return [[places[team] for team in cluster["members"]] for cluster in self.order["teams"]["clusters"]]
+        return [
+            [places[team] for team in cluster["members"]]
+            for cluster in self.order["teams"]["clusters"]
+        ]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,8 +106,14 @@ class Results:
 
     def self_play(self, task: str, algorithm: str, disability: str = "d1") -> np.ndarray:
         """Return the mean self-play returns [S] of a setting's teams, in order of seeds."""
-        found = [human for human in self.humans if (human.task, human.algorithm) == (task, algorithm)]
-        found = sorted((human.seed, human) for human in found if human.disability == disability and human.self_play)
+        found = [
+            human for human in self.humans if (human.task, human.algorithm) == (task, algorithm)
+        ]
+        found = sorted(
+            (human.seed, human)
+            for human in found
+            if human.disability == disability and human.self_play
+        )
         return np.array([human.self_play.mean for _, human in found if human.self_play])
 
     @property
@@ -105,14 +125,35 @@ class Results:
     def missing(self) -> list[str]:
         """Name what is not measured yet."""
         wanted = sum(planned(kinds) for kinds in self.paper["population"].values())
-        lacks = [] if len(self.humans) >= wanted else [f"{wanted - len(self.humans)} of {wanted} teams of Table 6"]
+        lacks = (
+            []
+            if len(self.humans) >= wanted
+            else [f"{wanted - len(self.humans)} of {wanted} teams of Table 6"]
+        )
         unimpaired = None if self.curves is None else self.curves.filter(disability="d1")
-        drawn = set() if unimpaired is None else set(unimpaired.select("task", "algorithm").unique().rows())
-        kinds = [(task, algorithm) for task in TASKS for algorithm in self.paper["population"][task]]
-        lacks += [f"learning curves of {name} on {task}" for task, name in kinds if (task, name) not in drawn]
+        drawn = (
+            set()
+            if unimpaired is None
+            else set(unimpaired.select("task", "algorithm").unique().rows())
+        )
+        kinds = [
+            (task, algorithm) for task in TASKS for algorithm in self.paper["population"][task]
+        ]
+        lacks += [
+            f"learning curves of {name} on {task}"
+            for task, name in kinds
+            if (task, name) not in drawn
+        ]
         lacks += [f"cross-play of {self._unplayed(task)}" for task in TASKS if self._unplayed(task)]
         pairs = [(task, method) for task in TASKS for method in METHODS]
-        return [*lacks, *(f"{method} egos on {task}" for task, method in pairs if (task, method) not in self.egos)]
+        return [
+            *lacks,
+            *(
+                f"{method} egos on {task}"
+                for task, method in pairs
+                if (task, method) not in self.egos
+            ),
+        ]
 
     def _unplayed(self, task: str) -> str:
         """Say what of a task's cross-play is missing; nothing if it holds every team."""
@@ -134,16 +175,30 @@ def read_results(registry: Registry, release: str, data: Path) -> Results:
     Raises:
         ValueError: a table is malformed, or is of another release.
     """
-    humans = [entry for entry in registry.policies if entry.role == "human" and entry.release == release]
+    humans = [
+        entry for entry in registry.policies if entry.role == "human" and entry.release == release
+    ]
     crossplay = {
-        task: _read_crossplay(folder) for task in TASKS if (folder := data / collect.CROSSPLAY / task).is_dir()
+        task: _read_crossplay(folder)
+        for task in TASKS
+        if (folder := data / collect.CROSSPLAY / task).is_dir()
     }
     keys = [(task, method) for task in TASKS for method in METHODS]
-    egos = {key: _read_egos(path) for key in keys if _evaluated(path := data / collect.EGOS / "-".join(key))}
+    egos = {
+        key: _read_egos(path)
+        for key in keys
+        if _evaluated(path := data / collect.EGOS / "-".join(key))
+    }
     for found in (*crossplay.values(), *egos.values()):
         _check_release(found, release, {human.team for human in humans}, data)
     return Results(
-        release, humans, _read_curves(data / CURVES), crossplay, egos, read_paper(), read_notes(data / NOTES_FILE)
+        release,
+        humans,
+        _read_curves(data / CURVES),
+        crossplay,
+        egos,
+        read_paper(),
+        read_notes(data / NOTES_FILE),
     )
 
 
@@ -167,24 +222,32 @@ def _check_release(found: CrossPlayed | Egos, release: str, teams: set[str], dat
     told = found.summary
     if told["release"] != release:
         raise ValueError(
-            f"{data} holds {told['task']} of release {told['release']}, and the page is of {release}; give the data "
-            f"of {release}"
+            f"{data} holds {told['task']} of release {told['release']}, and the page is of "
+            f"{release}; give the data of {release}"
         )
     others = sorted(set(found.pairs["partner_team"]) - teams)
     if others:
         raise ValueError(
-            f"{data} has {len(others)} partners on {told['task']} that are not in release {release}, first "
-            f"{others[0]}; play the teams of one release, such as --partners '{told['task']}/*-{release}'"
+            f"{data} has {len(others)} partners on {told['task']} that are not in release "
+            f"{release}, first {others[0]}; play the teams of one release, such as --partners "
+            f"'{told['task']}/*-{release}'"
         )
 
 
 def _read_crossplay(folder: Path) -> CrossPlayed:
     order, strategies, summary, run = (
         tables.read_json(folder / name)
-        for name in (tables.ORDER_FILE, tables.STRATEGIES_FILE, tables.SUMMARY_FILE, tables.RUN_FILE)
+        for name in (
+            tables.ORDER_FILE,
+            tables.STRATEGIES_FILE,
+            tables.SUMMARY_FILE,
+            tables.RUN_FILE,
+        )
     )
     if order["teams"] is None:
-        raise ValueError(f"{folder} has other teams on its rows than on its columns; collect a whole cross-play")
+        raise ValueError(
+            f"{folder} has other teams on its rows than on its columns; collect a whole cross-play"
+        )
     return CrossPlayed(_read_pairs(folder), order, strategies, summary, run)
 
 
@@ -211,9 +274,16 @@ def _read_curves(folder: Path) -> pl.DataFrame | None:
     found = [tables.read_parquet(path) for path in files]
     for path, table in zip(files, found, strict=True):
         if lacking := [name for name in _CURVE_COLUMNS if name not in table.columns]:
-            raise ValueError(f"{path} lacks {', '.join(lacking)}; a curve has {', '.join(_CURVE_COLUMNS)}")
+            raise ValueError(
+                f"{path} lacks {', '.join(lacking)}; a curve has {', '.join(_CURVE_COLUMNS)}"
+            )
     return (
-        pl.concat([table.select(pl.col(name).cast(kind) for name, kind in _CURVE_COLUMNS.items()) for table in found])
+        pl.concat(
+            [
+                table.select(pl.col(name).cast(kind) for name, kind in _CURVE_COLUMNS.items())
+                for table in found
+            ]
+        )
         if found
         else None
     )

@@ -35,7 +35,10 @@ def draw_figures(results: Results, folder: Path) -> list[Path]:
 
 
 def _treemap(results: Results) -> Figure:
-    rows = [{"task": e.task, "algorithm": e.algorithm, "disability": e.disability} for e in results.humans]
+    rows = [
+        {"task": e.task, "algorithm": e.algorithm, "disability": e.disability}
+        for e in results.humans
+    ]
     caption = f"n = {len(rows)} human partners of release {results.release}. Areas are numbers of partners."
     return population_treemap(pl.DataFrame(rows), caption=caption)
 
@@ -47,8 +50,9 @@ def _curves(results: Results) -> Figure:
         for task, found in results.paper["self_play"].items()
     }
     caption = (
-        f"Release {results.release}, setting d1. IQM of the training return over seeds and its pointwise 95% bootstrap "
-        "band; a single seed has none. Dotted: the paper's final IQM of that algorithm (its Table 2)."
+        f"Release {results.release}, setting d1. IQM of the training return over seeds and its "
+        "pointwise 95% bootstrap band; a single seed has none. Dotted: the paper's final IQM of "
+        "that algorithm (its Table 2)."
     )
     return training_panels(curves, final, caption=caption)
 

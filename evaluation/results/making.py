@@ -17,7 +17,9 @@ def made(results: Results, command: str) -> str:
     if not rows:
         return f"{MISSING.capitalize()}.\n\n{code(command)}"
     headings = ["what", "how much", "device", "backend", "device minutes"]
-    commands = [found.run["command"] for found in (*results.crossplay.values(), *results.egos.values())]
+    commands = [
+        found.run["command"] for found in (*results.crossplay.values(), *results.egos.values())
+    ]
     lines = [_shortened(one) for one in commands if one]
     return f"{table(headings, rows, (4,))}\n\n{code(chr(10).join([*lines, command]))}"
 
@@ -25,19 +27,36 @@ def made(results: Results, command: str) -> str:
 def _trained(results: Results) -> list[list[object]]:
     """Return a row for each task and algorithm of the registry, and for the egos."""
     rows: list[list[object]] = []
-    kinds = sorted({(h.task, h.algorithm) for h in results.humans}, key=lambda kind: (TASKS.index(kind[0]), kind[1]))
+    kinds = sorted(
+        {(h.task, h.algorithm) for h in results.humans},
+        key=lambda kind: (TASKS.index(kind[0]), kind[1]),
+    )
     for task, algorithm in kinds:
-        humans = [human for human in results.humans if (human.task, human.algorithm) == (task, algorithm)]
+        humans = [
+            human for human in results.humans if (human.task, human.algorithm) == (task, algorithm)
+        ]
         runs = {human.run: human.training for human in humans}
         what = f"training {spoken(task)} {algorithm.upper()}"
         much = f"{len(humans)} teams, {_steps(list(runs.values()))} steps each"
-        rows.append([what, much, *_where(list(runs.values())), _minutes([run.seconds for run in runs.values()])])
+        rows.append(
+            [
+                what,
+                much,
+                *_where(list(runs.values())),
+                _minutes([run.seconds for run in runs.values()]),
+            ]
+        )
     for (task, method), egos in results.egos.items():
         if told := egos.training:
             much = f"{told['egos']} egos, {told['steps'] / 1e6:.3g} M steps each"
             place = [told.get("device") or "–", told.get("backend") or "–"]
             rows.append(
-                [f"training {spoken(task)} {method.upper()} egos", much, *place, _minutes([told.get("seconds")])]
+                [
+                    f"training {spoken(task)} {method.upper()} egos",
+                    much,
+                    *place,
+                    _minutes([told.get("seconds")]),
+                ]
             )
     return rows
 
@@ -46,7 +65,10 @@ def _played(results: Results) -> list[list[object]]:
     named: dict[str, CrossPlayed | Egos] = {
         f"cross-play of {spoken(task)}": played for task, played in results.crossplay.items()
     }
-    named |= {f"evaluation of {m.upper()} egos, {spoken(t)}": egos for (t, m), egos in results.egos.items()}
+    named |= {
+        f"evaluation of {m.upper()} egos, {spoken(t)}": egos
+        for (t, m), egos in results.egos.items()
+    }
     rows: list[list[object]] = []
     for what, found in named.items():
         run, told = found.run, found.summary
@@ -70,7 +92,9 @@ def _minutes(seconds: Sequence[float | None]) -> str:
     known = [value for value in seconds if value is not None]
     if not known:
         return "–"
-    return f"{sum(known) / 60:.1f}" + ("" if len(known) == len(seconds) else f", {len(seconds) - len(known)} unknown")
+    return f"{sum(known) / 60:.1f}" + (
+        "" if len(known) == len(seconds) else f", {len(seconds) - len(known)} unknown"
+    )
 
 
 def _shortened(command: str) -> str:

@@ -6,14 +6,18 @@ from typing import Any
 MISSING = "not measured yet"
 
 
-def table(headings: Sequence[str], rows: Sequence[Sequence[object]], numbers: Sequence[int] = ()) -> str:
+def table(
+    headings: Sequence[str], rows: Sequence[Sequence[object]], numbers: Sequence[int] = ()
+) -> str:
     """Return a table; the columns `numbers` are aligned to the right."""
     rule = ["---:" if i in numbers else "---" for i in range(len(headings))]
     lines = [headings, rule, *([str(cell) for cell in row] for row in rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def figure(value: Mapping[str, Any] | None, digits: int = 1, key: str = "iqm", ci: str = "ci") -> str:
+def figure(
+    value: Mapping[str, Any] | None, digits: int = 1, key: str = "iqm", ci: str = "ci"
+) -> str:
     """Return a point with its 95% interval, such as `939.5 [934.0, 958.0]`."""
     if value is None:
         return MISSING

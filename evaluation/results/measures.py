@@ -23,7 +23,9 @@ class Exchange:
     """The two branches of the tree of teams that lose the most with each other, and whether chance does as much."""
 
     loss: float  # share of the return; 0 if no two branches lose
-    groups: tuple[np.ndarray, ...]  # members of either branch, as rows of the matrix; none if no two lose
+    groups: tuple[
+        np.ndarray, ...
+    ]  # members of either branch, as rows of the matrix; none if no two lose
     null: float  # 95th percentile of the losses under permutation
     p: float  # share of permutations that reach the loss
 
@@ -40,8 +42,8 @@ class VarianceShares:
 def incompatible_share(matrix: np.ndarray, fraction: float = 0.5) -> float:
     """Share of robots with other teams' humans, [T, T] without self-play, that earn less than a fraction of self-play.
 
-    The yardstick is the lesser of the two teams' self-play returns: a poor team is no evidence of incompatibility.
-    Where it is not positive, a pair is counted as compatible.
+    The yardstick is the lesser of the two teams' self-play returns: a poor team is no evidence of
+    incompatibility. Where it is not positive, a pair is counted as compatible.
     """
     own = np.diag(matrix)
     lesser = np.minimum(own[:, None], own[None])
@@ -49,14 +51,19 @@ def incompatible_share(matrix: np.ndarray, fraction: float = 0.5) -> float:
     return float(np.mean(((lesser > 0) & (matrix < fraction * lesser))[apart]))
 
 
-def largest_exchange_loss(matrix: np.ndarray, *, permutations: int = PERMUTATIONS, seed: int = 0) -> Exchange:
+def largest_exchange_loss(
+    matrix: np.ndarray, *, permutations: int = PERMUTATIONS, seed: int = 0
+) -> Exchange:
     """Find the two branches of the tree of Figure 4, 5% of the teams or more each, that lose the most with each other.
 
-    Two branches lose `1 - max(A's robots with B's humans, B's with A's) / min(within A, within B)`, of mean cross-play
-    returns: both lose against the poorer of the two, which branches of merely better and poorer teams do not.
+    Two branches lose `1 - max(A's robots with B's humans, B's with A's) / min(within A, within B)`,
+    of mean cross-play
+    returns: both lose against the poorer of the two, which branches of merely better and poorer
+        teams do not.
 
-    Chance is what is left when the interactions, which are what remains of returns without the robots' and the humans'
-    means, are permuted among each human's robots; self-play is left out. Every permutation gets a tree of its own.
+    Chance is what is left when the interactions, which are what remains of returns without the
+    robots' and the humans' means, are permuted among each human's robots; self-play is left out.
+    Every permutation gets a tree of its own.
 
     Args:
         matrix: returns [T, T].
@@ -68,21 +75,28 @@ def largest_exchange_loss(matrix: np.ndarray, *, permutations: int = PERMUTATION
     rest = _interactions(filled)
     rng = np.random.default_rng(seed)
     apart = ~np.eye(len(rest), dtype=bool)
-    null = np.array([_exchange(filled - rest + _shuffled(rest, apart, rng))[0] for _ in range(permutations)])
+    null = np.array(
+        [_exchange(filled - rest + _shuffled(rest, apart, rng))[0] for _ in range(permutations)]
+    )
     p = (1 + np.count_nonzero(null >= loss)) / (1 + permutations)
     return Exchange(loss, groups, float(np.quantile(null, 0.95)), float(p))
 
 
-def variance_shares(matrix: np.ndarray, *, resamples: int = _RESAMPLED_MATRICES, seed: int = 0) -> VarianceShares:
+def variance_shares(
+    matrix: np.ndarray, *, resamples: int = _RESAMPLED_MATRICES, seed: int = 0
+) -> VarianceShares:
     """Split the variance of cross-play returns into robots, humans and the rest, with intervals over teams.
 
-    Two-way analysis of variance of [T, T]; the diagonal, self-play, is replaced by what the means predict. Resampling
-    adds about 1 / T of the rest to either mean's share, so that one near 0 may lie below its interval.
+    Two-way analysis of variance of [T, T]; the diagonal, self-play, is replaced by what the means
+    predict. Resampling adds about 1 / T of the rest to either mean's share, so that one near 0 may
+    lie below its interval.
     """
     filled = _fill_diagonal(matrix)
     rng = np.random.default_rng(seed)
     teams = len(filled)
-    draws = np.array([_shares(filled[np.ix_(i, i)]) for i in rng.integers(0, teams, (resamples, teams))])
+    draws = np.array(
+        [_shares(filled[np.ix_(i, i)]) for i in rng.integers(0, teams, (resamples, teams))]
+    )
     n = teams * (teams - 1)
     found = [
         Interval(value, interval(column, "teams"), n, "teams")
@@ -92,15 +106,20 @@ def variance_shares(matrix: np.ndarray, *, resamples: int = _RESAMPLED_MATRICES,
 
 
 def improvement(
-    x: np.ndarray, y: np.ndarray, *, stratified: bool = False, resamples: int = RESAMPLES, seed: int = 0
+    x: np.ndarray,
+    y: np.ndarray,
+    *,
+    stratified: bool = False,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
 ) -> Interval:
     """Probability that a seed of x beats a seed of y with the same partner, with its 95% interval.
 
     Args:
         x: scores [S, P].
         y: scores [S', P] with the same partners.
-        stratified: columns are independent runs, and only the seeds within each are resampled; else a seed is one
-            policy that meets every partner: whole seeds, then partners are resampled.
+        stratified: columns are independent runs, and only the seeds within each are resampled; else
+            a seed is one policy that meets every partner: whole seeds, then partners are resampled.
         resamples: number of bootstrap draws.
         seed: seed of the draws.
     """
@@ -119,7 +138,9 @@ def improvement(
         to = "seeds and partners"
     sums = np.zeros((resamples, partners))
     for s, row in enumerate(wins):
-        sums += a[:, s] * np.einsum("btp,tp->bp", np.broadcast_to(b, (resamples, len(y), partners)), row)
+        sums += a[:, s] * np.einsum(
+            "btp,tp->bp", np.broadcast_to(b, (resamples, len(y), partners)), row
+        )
     draws = (sums * columns).sum(axis=1) / wins.size
     return Interval(point, interval(draws, to), wins.size, to)
 
@@ -154,11 +175,18 @@ def _fill_diagonal(matrix: np.ndarray) -> np.ndarray:
 
 
 def _interactions(filled: np.ndarray) -> np.ndarray:
-    return filled - filled.mean(axis=1, keepdims=True) - filled.mean(axis=0, keepdims=True) + filled.mean()
+    return (
+        filled
+        - filled.mean(axis=1, keepdims=True)
+        - filled.mean(axis=0, keepdims=True)
+        + filled.mean()
+    )
 
 
 def _exchange(matrix: np.ndarray) -> tuple[float, tuple[np.ndarray, ...]]:
-    large = [group for group in team_branches(matrix)[:-1] if len(group) >= least_members(len(matrix))]
+    large = [
+        group for group in team_branches(matrix)[:-1] if len(group) >= least_members(len(matrix))
+    ]
     if len(large) < 2:
         return 0.0, ()
     members = np.zeros((len(large), len(matrix)))
@@ -188,11 +216,17 @@ def _shares(matrix: np.ndarray) -> tuple[float, float, float]:
     total = float(np.square(matrix - matrix.mean()).sum())
     if total <= 0:
         return float("nan"), float("nan"), float("nan")
-    means = [np.square(matrix.mean(axis=axis) - matrix.mean()).sum() * len(matrix) for axis in (1, 0)]
+    means = [
+        np.square(matrix.mean(axis=axis) - matrix.mean()).sum() * len(matrix) for axis in (1, 0)
+    ]
     robot, human = (float(part / total) for part in means)
     return robot, human, 1 - robot - human
 
 
-def _counts_by_column(seeds: int, columns: int, resamples: int, rng: np.random.Generator) -> np.ndarray:
+def _counts_by_column(
+    seeds: int, columns: int, resamples: int, rng: np.random.Generator
+) -> np.ndarray:
     """Counts [B, S, P] of seeds resampled for each column by itself."""
-    return rng.multinomial(seeds, np.full(seeds, 1.0 / seeds), size=(resamples, columns)).transpose(0, 2, 1)
+    return rng.multinomial(seeds, np.full(seeds, 1.0 / seeds), size=(resamples, columns)).transpose(
+        0, 2, 1
+    )

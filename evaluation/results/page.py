@@ -26,7 +26,10 @@ def make_page(results: Results, pictures: str, command: str) -> str:
 
     parts = {
         "summary": ("In short", sections.summary(results, claims)),
-        "population": ("The population: Table 6 and Figure 2", sections.population(results, picture)),
+        "population": (
+            "The population: Table 6 and Figure 2",
+            sections.population(results, picture),
+        ),
         "self-play": ("Self-play: Table 2", sections.self_play(results)),
         "curves": ("Learning curves: Figure 3", sections.curves(results, picture)),
         "cross-play": ("Cross-play: Figures 4 and 5", sections.cross_play(results, picture)),
@@ -59,7 +62,7 @@ def first_difference(found: str, wanted: str) -> str:
 def _head(results: Results) -> str:
     return (
         f"# Release {results.release} beside the paper\n\n"
-        f"Our figures beside those of *{results.paper['source']}*. IQM and 95% bootstrap interval unless it says "
-        "otherwise. This page is made from committed tables by the command at its end; only what begins with **Why** "
-        "or **Note** is written by hand."
+        f"Our figures beside those of *{results.paper['source']}*. IQM and 95% bootstrap interval "
+        "unless it says otherwise. This page is made from committed tables by the command at its "
+        "end; only what begins with **Why** or **Note** is written by hand."
     )

@@ -9,4 +9,8 @@ def picture_names(results: Results) -> list[str]:
     names = ["population.png"] if results.humans else []
     names += ["curves.png"] if results.has_curves else []
     names += [f"crossplay_{task}.png" for task in TASKS if task in results.crossplay]
-    return names + [f"zsc_{task}.png" for task in TASKS if any((task, method) in results.egos for method in METHODS)]
+    return names + [
+        f"zsc_{task}.png"
+        for task in TASKS
+        if any((task, method) in results.egos for method in METHODS)
+    ]

@@ -58,18 +58,31 @@ def population(results: Results, picture: Picture) -> str:
         cells = []
         for task in TASKS:
             each = {setting: n for (t, a, setting), n in settings.items() if (t, a) == (task, name)}
-            cells += [_made_of(each), f"{planned({name: paper[task][name]})} = {_planned_of(paper[task][name])}"]
+            cells += [
+                _made_of(each),
+                f"{planned({name: paper[task][name]})} = {_planned_of(paper[task][name])}",
+            ]
         rows.append([name.upper(), *cells])
-    totals = [(sum(n for (t, _), n in counts.items() if t == task), planned(paper[task])) for task in TASKS]
+    totals = [
+        (sum(n for (t, _), n in counts.items() if t == task), planned(paper[task]))
+        for task in TASKS
+    ]
     rows.append(["**Total**", *(f"**{n}**" for pair in totals for n in pair)])
-    headings = ["settings × seeds", *(f"{spoken(task)}{of}" for task in TASKS for of in ("", ", paper"))]
+    headings = [
+        "settings × seeds",
+        *(f"{spoken(task)}{of}" for task in TASKS for of in ("", ", paper")),
+    ]
     ours, wanted = (sum(column) for column in zip(*totals, strict=True))
     same = (
         "The composition is the paper's."
         if not _differences(settings, paper)
         else (f"Different from the paper's: {'; '.join(_differences(settings, paper))}.")
     )
-    drawn = image(picture("population.png"), "Treemap of the population") if ours else f"Figure 2: {MISSING}."
+    drawn = (
+        image(picture("population.png"), "Treemap of the population")
+        if ours
+        else f"Figure 2: {MISSING}."
+    )
     return f"{table(headings, rows)}\n\n{ours} of {wanted} teams. {same}\n\n{drawn}"
 
 
@@ -81,15 +94,27 @@ def self_play(results: Results) -> str:
             theirs = results.paper["self_play"][task][name]
             ours = _self_play(results, task, name)
             if ours is None and name == "isac":
-                rows.append([spoken(task), "ISAC", "not in the population", "–", figure(theirs), "–", "–"])
+                rows.append(
+                    [spoken(task), "ISAC", "not in the population", "–", figure(theirs), "–", "–"]
+                )
                 continue
             ratio = f"{ours['iqm'] / theirs['iqm']:.2f}" if ours else "–"
             seeds = ours["n"] if ours else "–"
             rows.append(
-                [spoken(task), name.upper(), figure(ours), seeds, figure(theirs), ratio, _agreement(ours, theirs)]
+                [
+                    spoken(task),
+                    name.upper(),
+                    figure(ours),
+                    seeds,
+                    figure(theirs),
+                    ratio,
+                    _agreement(ours, theirs),
+                ]
             )
     headings = ["task", "algorithm", "IQM [95%]", "seeds", "paper, 16 seeds", "ratio", "intervals"]
-    bounds = ", ".join(f"{spoken(task)} {bound:,}" for task, bound in results.paper["upper_bound"].items())
+    bounds = ", ".join(
+        f"{spoken(task)} {bound:,}" for task, bound in results.paper["upper_bound"].items()
+    )
     orders = "\n".join(f"- {spoken(task)}: {_orders(results, task)}" for task in TASKS)
     return (
         f"{table(headings, rows, (2, 3, 4, 5))}\n\nUpper bounds of a return: {bounds}. "
@@ -121,7 +146,15 @@ def curves(results: Results, picture: Picture) -> str:
                 rising,
             ]
         )
-    headings = ["task", "algorithm", "seeds", "steps", "last IQM [95%]", "gain of the last fifth", "still rising"]
+    headings = [
+        "task",
+        "algorithm",
+        "seeds",
+        "steps",
+        "last IQM [95%]",
+        "gain of the last fifth",
+        "still rising",
+    ]
     drawn = image(picture("curves.png"), "Learning curves")
     return f"{drawn}\n\n{table(headings, rows, (2, 3, 4, 5))}\n\nStill rising: a gain of more than {RISING:.0%}."
 
@@ -148,7 +181,13 @@ def cross_play(results: Results, picture: Picture) -> str:
         return text
     split = table(["task", "robot", "human", "who fits whom, and noise"], shares, (1, 2, 3))
     exchanged = table(
-        ["task", "two partners", "return, each with its best robot", "robots exchanged", "paper (Figure 5)"],
+        [
+            "task",
+            "two partners",
+            "return, each with its best robot",
+            "robots exchanged",
+            "paper (Figure 5)",
+        ],
         pairs,
         (2, 3),
     )
@@ -180,7 +219,11 @@ def zero_shot(results: Results, picture: Picture) -> str:
                 continue
             told = egos.summary
             worst = told["worst_partner"]
-            figures = [figure(told["m_train"]), figure(told["m_test"]), figure(told["gap"], key="mean", ci="mean_ci")]
+            figures = [
+                figure(told["m_train"]),
+                figure(told["m_test"]),
+                figure(told["gap"], key="mean", ci="mean_ci"),
+            ]
             rows.append(
                 [
                     spoken(task),
@@ -200,10 +243,13 @@ def zero_shot(results: Results, picture: Picture) -> str:
         "worst test partner",
     ]
     found = [task for task in TASKS if any((task, method) in results.egos for method in METHODS)]
-    drawn = [image(picture(f"zsc_{task}.png"), f"Returns of egos on {spoken(task)}", "60%") for task in found]
+    drawn = [
+        image(picture(f"zsc_{task}.png"), f"Returns of egos on {spoken(task)}", "60%")
+        for task in found
+    ]
     about = (
-        "Intervals here resample seeds and partners, so they speak about new ones of both; the gap is "
-        "M_train - M_test. The paper shows these returns as bars without figures."
+        "Intervals here resample seeds and partners, so they speak about new ones of both; the gap "
+        "is M_train - M_test. The paper shows these returns as bars without figures."
     )
     return "\n\n".join([table(headings, rows, (2, 3, 4, 5)), about, *drawn])
 
@@ -248,7 +294,9 @@ def _agreement(ours: Mapping[str, Any] | None, theirs: Mapping[str, Any]) -> str
 
 def _orders(results: Results, task: str) -> str:
     theirs = {name: results.paper["self_play"][task][name]["iqm"] for name in _ALGORITHMS}
-    ours = {name: found["iqm"] for name in _ALGORITHMS if (found := _self_play(results, task, name))}
+    ours = {
+        name: found["iqm"] for name in _ALGORITHMS if (found := _self_play(results, task, name))
+    }
     if len(ours) < len(_ALGORITHMS):
         return MISSING
     first, second = (
@@ -272,7 +320,9 @@ def _planned_of(kind: Mapping[str, int]) -> str:
     return f"{kind['settings']} × {kind['seeds']}"
 
 
-def _differences(settings: Mapping[tuple[str, str, str], int], paper: Mapping[str, Any]) -> list[str]:
+def _differences(
+    settings: Mapping[tuple[str, str, str], int], paper: Mapping[str, Any]
+) -> list[str]:
     """Name the task and algorithm where a setting's number of seeds is not the paper's."""
     wanted = {
         (task, name, f"d{i + 1}"): kind["seeds"]
@@ -280,7 +330,9 @@ def _differences(settings: Mapping[tuple[str, str, str], int], paper: Mapping[st
         for name, kind in kinds.items()
         for i in range(kind["settings"])
     }
-    differing = {key[:2] for key in {*wanted, *settings} if wanted.get(key, 0) != settings.get(key, 0)}
+    differing = {
+        key[:2] for key in {*wanted, *settings} if wanted.get(key, 0) != settings.get(key, 0)
+    }
     return [f"{spoken(task)} {name.upper()}" for task, name in sorted(differing)]
 
 
@@ -289,7 +341,14 @@ def _matrix_figures(played: CrossPlayed) -> list[object]:
     gap = told["relative_gap"]
     lost = "–" if gap is None else f"{gap['value']:.1%} [{gap['ci'][0]:.1%}, {gap['ci'][1]:.1%}]"
     fit = "–" if order["silhouette"] is None else f"{order['silhouette']:.2f}"
-    return [told["egos"], figure(told["self_play"]), figure(told["cross_play"]), lost, len(played.clusters), fit]
+    return [
+        told["egos"],
+        figure(told["self_play"]),
+        figure(told["cross_play"]),
+        lost,
+        len(played.clusters),
+        fit,
+    ]
 
 
 def _shares(played: CrossPlayed) -> list[str]:
@@ -309,7 +368,10 @@ def _exchange(task: str, played: CrossPlayed, paper: Mapping[str, Any]) -> list[
     if pair is None:
         return [spoken(task), "none loses both ways", "–", "–", theirs]
     names = ", ".join(name.split("/")[1] for name in pair["partners"])
-    own, exchanged = (" and ".join(f"{value:,.1f}" for value in pair[key]) for key in ("returns", "returns_exchanged"))
+    own, exchanged = (
+        " and ".join(f"{value:,.1f}" for value in pair[key])
+        for key in ("returns", "returns_exchanged")
+    )
     return [spoken(task), names, own, exchanged, theirs]
 
 

@@ -17,8 +17,12 @@ def training_curves(results: Results) -> pl.DataFrame:
         assert results.curves is not None
         table = learning_curves(_of_kind(results.curves, task, algorithm), points=POINTS)
         last = _of_kind(results.curves, task, algorithm)["steps"].to_numpy().max()
-        table = table.with_columns(pl.col("steps").clip(upper_bound=float(last)))  # the last bin may end beyond it
-        curves.append(table.drop("disability").insert_column(0, pl.lit(algorithm).alias("algorithm")))
+        table = table.with_columns(
+            pl.col("steps").clip(upper_bound=float(last))
+        )  # the last bin may end beyond it
+        curves.append(
+            table.drop("disability").insert_column(0, pl.lit(algorithm).alias("algorithm"))
+        )
         curves[-1].insert_column(0, pl.lit(task).alias("task"))
     return pl.concat(curves)
 

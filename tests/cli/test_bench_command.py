@@ -22,7 +22,23 @@ def test_env_prints_steps_per_second_of_each_batch_size(capfd: pytest.CaptureFix
 
 
 def test_env_prints_a_line_for_people(capfd: pytest.CaptureFixture[str]):
-    assert run(["bench", "env", "--task", "scratch", "--backend", "native", "--batch", "2", "--seconds", "0.03"]) == 0
+    assert (
+        run(
+            [
+                "bench",
+                "env",
+                "--task",
+                "scratch",
+                "--backend",
+                "native",
+                "--batch",
+                "2",
+                "--seconds",
+                "0.03",
+            ]
+        )
+        == 0
+    )
     told = capfd.readouterr().out
     assert "compilation not counted" in told
     assert "env steps/s" in told
@@ -47,7 +63,9 @@ def test_crossplay_compares_the_evaluator_with_the_environment(capfd: pytest.Cap
         (["--seconds", "0"], "seconds is 0"),
     ],
 )
-def test_bad_input_gets_one_clear_line(words: list[str], told: str, capfd: pytest.CaptureFixture[str]):
+def test_bad_input_gets_one_clear_line(
+    words: list[str], told: str, capfd: pytest.CaptureFixture[str]
+):
     assert run(["bench", "env", *words]) == 1
     lines = capfd.readouterr()
     assert told in lines.err
@@ -63,7 +81,16 @@ def test_a_shape_needs_three_numbers(capfd: Any):
 @pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["ippo", "isac"])
 def test_train_tells_where_the_time_goes(algorithm: str, capfd: pytest.CaptureFixture[str]):
-    words = ["--backend", "native", "--num-envs", "4", "--set", "rollout_steps=8", "--seconds", "0.1"]
+    words = [
+        "--backend",
+        "native",
+        "--num-envs",
+        "4",
+        "--set",
+        "rollout_steps=8",
+        "--seconds",
+        "0.1",
+    ]
     extra = ["--set", "replay_size=64"] if algorithm == "isac" else []
     assert run(["bench", "train", "--algorithm", algorithm, *words, *extra, "--json"]) == 0
     row = json.loads(capfd.readouterr().out)
@@ -71,12 +98,17 @@ def test_train_tells_where_the_time_goes(algorithm: str, capfd: pytest.CaptureFi
     assert row["physics_share"] + row["networks_share"] + row["updates_share"] == pytest.approx(1.0)
 
 
-def test_zoo_measures_whole_commands(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+def test_zoo_measures_whole_commands(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.setattr("zoo.benchmark.REPEATS", 1)
     assert run(["bench", "zoo", "--policies", "8", "--json"]) == 0
     row = json.loads(capfd.readouterr().out)
     assert (row["policies"], row["shards"]) == (8, 8)
-    assert row["list_seconds"] > row["python_seconds"] > 0 and row["list_terminal_seconds"] > row["python_seconds"]
+    assert (
+        row["list_seconds"] > row["python_seconds"] > 0
+        and row["list_terminal_seconds"] > row["python_seconds"]
+    )
     assert row["verify_seconds"] > 0 and row["fetch_mb_per_second"] > 0
     assert run(["bench", "zoo", "--policies", "1"]) == 1
     assert "policies is 1; allowed is 2 to 20000" in capfd.readouterr().err

@@ -67,7 +67,17 @@ def test_json_is_the_object_of_the_design(registry: Path, capfd: pytest.CaptureF
     assert evaluate(registry, "--json") == 0
     summary = json.loads(capfd.readouterr().out)
     expected = {
-        *("task", "split", "m_test", "m_train", "gap", "by_algorithm", "by_disability", "worst_partner", "episodes"),
+        *(
+            "task",
+            "split",
+            "m_test",
+            "m_train",
+            "gap",
+            "by_algorithm",
+            "by_disability",
+            "worst_partner",
+            "episodes",
+        ),
         *("nonfinite", "env_steps_per_second", "release", "env_version", "backend"),
     }
     assert expected <= set(summary)
@@ -79,10 +89,15 @@ def test_json_is_the_object_of_the_design(registry: Path, capfd: pytest.CaptureF
     assert (summary["release"], summary["env_version"], summary["backend"]) == ("v0", 1, "native")
 
 
-def test_both_sides_give_the_gap_and_keep_the_tables(registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+def test_both_sides_give_the_gap_and_keep_the_tables(
+    registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
     assert evaluate(registry, "--split", "both", "--out", tmp_path / "out") == 0
     told = capfd.readouterr().out
-    assert all(word in told for word in ("M_test", "M_train - M_test", "d9", "worst partner", str(tmp_path / "out")))
+    assert all(
+        word in told
+        for word in ("M_test", "M_train - M_test", "d9", "worst partner", str(tmp_path / "out"))
+    )
     assert "not new to it: scratch/ippo-d1-s0-v0/human" in told.replace("\n", " ")
     table = pl.read_parquet(tmp_path / "out" / "episodes.parquet")
     assert table.height == 16
@@ -93,18 +108,31 @@ def test_both_sides_give_the_gap_and_keep_the_tables(registry: Path, tmp_path: P
 
 @pytest.mark.slow
 def test_references_and_a_crossplay_put_returns_on_a_scale(
-    registry: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    registry: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     words = ["--task", "scratch", "--episodes", 1, "--backend", "native", "--registry", registry]
     for i in (2, 1, 2):
-        assert call("crossplay", *words, "--out", tmp_path / "xp", *(["--block", f"{i}/2"] if i else [])) == 0
+        assert (
+            call(
+                "crossplay", *words, "--out", tmp_path / "xp", *(["--block", f"{i}/2"] if i else [])
+            )
+            == 0
+        )
     assert call("crossplay", *words, "--out", tmp_path / "xp", "--json") == 0
     capfd.readouterr()
     given = ["--references", "--crossplay", tmp_path / "xp", "--out", tmp_path / "out"]
     assert evaluate(registry, *given, "--json") == 0
     found = json.loads(capfd.readouterr().out)
-    assert set(found["references"]) == {"zero_action", "uniform_random", "self_play", "best_response"}
+    assert set(found["references"]) == {
+        "zero_action",
+        "uniform_random",
+        "self_play",
+        "best_response",
+    }
     assert all(figure["n"] == 4 for figure in found["references"].values())
     assert found["references"]["best_response"]["mean"] >= found["references"]["self_play"]["mean"]
     assert sum(found["relative"]["bounds"]["best"].values()) == 4
@@ -112,7 +140,9 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
     assert bounds.height == 4
     assert pl.read_parquet(tmp_path / "out" / "references.parquet").height == 3 * 4 * 2
     assert len(list((tmp_path / "cache" / "assistax-zoo" / "references").iterdir())) == 2
-    assert json.loads((tmp_path / "out" / "run.json").read_text())["command"].startswith("assistax-zoo evaluate")
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["command"].startswith(
+        "assistax-zoo evaluate"
+    )
     assert evaluate(registry, *given[:3], policy="zoo:scratch/ippo-d9-s0-v0/robot") == 0
     told = capfd.readouterr()
     assert "zero action" in told.out
@@ -120,13 +150,34 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
 
 
 @pytest.mark.parametrize("block", ["0/2", "3/2", "1", "a/b"])
-def test_a_block_is_one_of_n(registry: Path, tmp_path: Path, block: str, capfd: pytest.CaptureFixture[str]):
-    code = call("crossplay", "--task", "scratch", "--registry", registry, "--out", tmp_path / "x", "--block", block)
+def test_a_block_is_one_of_n(
+    registry: Path, tmp_path: Path, block: str, capfd: pytest.CaptureFixture[str]
+):
+    code = call(
+        "crossplay",
+        "--task",
+        "scratch",
+        "--registry",
+        registry,
+        "--out",
+        tmp_path / "x",
+        "--block",
+        block,
+    )
     assert "expected i/n with i from 1 to n" in failure(capfd, code)
 
 
-def test_several_policies_are_seeds_of_one_method(registry: Path, capfd: pytest.CaptureFixture[str]):
-    words = ["--policy", "zoo:scratch/ippo-d1-s1-v0/robot", "--partners", "scratch/ippo-d9-*", "--split", "test"]
+def test_several_policies_are_seeds_of_one_method(
+    registry: Path, capfd: pytest.CaptureFixture[str]
+):
+    words = [
+        "--policy",
+        "zoo:scratch/ippo-d1-s1-v0/robot",
+        "--partners",
+        "scratch/ippo-d9-*",
+        "--split",
+        "test",
+    ]
     assert evaluate(registry, *words, "--json") == 0
     summary = json.loads(capfd.readouterr().out)
     assert len(summary["egos"]) == 2
@@ -145,14 +196,24 @@ def test_crossplay_fills_its_folder_with_self_play_on_the_diagonal(
     summary = json.loads(capfd.readouterr().out)
     assert set(summary["self_play"]) >= FIGURE
     assert (summary["egos"], summary["partners"], summary["episodes"]) == (4, 4, 32)
-    for name in ("episodes.parquet", "pairs.parquet", "order.json", "summary.json", "crossplay.png"):
+    for name in (
+        "episodes.parquet",
+        "pairs.parquet",
+        "order.json",
+        "summary.json",
+        "crossplay.png",
+    ):
         assert (out / name).stat().st_size > 0
     pairs = pl.read_parquet(out / "pairs.parquet")
     own = pairs.filter(pl.col("ego_team") == pl.col("partner_team"))
     assert own["return"].mean() == pytest.approx(summary["self_play"]["mean"])
-    assert sorted(json.loads((out / "order.json").read_text())["teams"]["order"]) == sorted(own["ego_team"])
+    assert sorted(json.loads((out / "order.json").read_text())["teams"]["order"]) == sorted(
+        own["ego_team"]
+    )
     team = "scratch/ippo-d9-s1-v0"
-    assert evaluate(registry, "--partners", f"{team}/human", "--json", policy=f"zoo:{team}/robot") == 0
+    assert (
+        evaluate(registry, "--partners", f"{team}/human", "--json", policy=f"zoo:{team}/robot") == 0
+    )
     alone = json.loads(capfd.readouterr().out)["worst_partner"]["mean"]
     assert own.filter(pl.col("ego_team") == team)["return"].item() == pytest.approx(alone, rel=1e-6)
 
@@ -182,7 +243,9 @@ def test_a_finished_crossplay_is_summarised_again_without_running(
     assert "holds another job (episodes 1 there, 3 here)" in capfd.readouterr().err
 
 
-def test_a_robot_in_plain_numpy(registry: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any):
+def test_a_robot_in_plain_numpy(
+    registry: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
+):
     (tmp_path / "numpy_robot_of_a_test.py").write_text(
         "import numpy as np\n"
         "def zero():\n    return lambda obs: np.zeros((len(obs), 7))\n"
@@ -198,14 +261,19 @@ def test_a_robot_in_plain_numpy(registry: Path, tmp_path: Path, monkeypatch: pyt
     assert "scratch/ippo-" in told
 
 
-def test_a_policy_file_is_evaluated_and_one_of_another_task_refused(registry: Path, tmp_path: Path, capfd: Any):
+def test_a_policy_file_is_evaluated_and_one_of_another_task_refused(
+    registry: Path, tmp_path: Path, capfd: Any
+):
     write_policy_file(tmp_path / "mine.safetensors", ROBOT, params_of(ROBOT, 1))
     assert evaluate(registry, "--json", policy=tmp_path / "mine.safetensors") == 0
     capfd.readouterr()
     other = PolicySpec("robot", observation_size=47, action_size=7, hidden=(8,))
     write_policy_file(tmp_path / "other.safetensors", other, params_of(other, 1))
     told = failure(capfd, evaluate(registry, policy=tmp_path / "other.safetensors"))
-    assert "other.safetensors reads observations of 47 numbers; the robot of task scratch has 34" in told
+    assert (
+        "other.safetensors reads observations of 47 numbers; the robot of task scratch has 34"
+        in told
+    )
 
 
 @pytest.mark.parametrize(
@@ -224,14 +292,20 @@ def test_a_policy_file_is_evaluated_and_one_of_another_task_refused(registry: Pa
         (["--policy", "robot.onnx"], "unknown form; allowed are zoo:ID"),
     ],
 )
-def test_bad_input_gets_one_clear_line(registry: Path, words: list[str], told: str, capfd: pytest.CaptureFixture[str]):
+def test_bad_input_gets_one_clear_line(
+    registry: Path, words: list[str], told: str, capfd: pytest.CaptureFixture[str]
+):
     assert told in failure(capfd, evaluate(registry, *words))
 
 
-def test_a_corrupted_shard_is_told_with_both_hashes(registry: Path, capfd: pytest.CaptureFixture[str]):
+def test_a_corrupted_shard_is_told_with_both_hashes(
+    registry: Path, capfd: pytest.CaptureFixture[str]
+):
     shard = next((registry.parent / "zoo").rglob("*human*.safetensors"))
     data = bytearray(shard.read_bytes())
-    expected = json.loads(registry.read_text())["shards"][shard.relative_to(registry.parent).as_posix()]["sha256"]
+    expected = json.loads(registry.read_text())["shards"][
+        shard.relative_to(registry.parent).as_posix()
+    ]["sha256"]
     data[-5] ^= 1
     shard.chmod(0o644)
     shard.write_bytes(bytes(data))
@@ -240,7 +314,9 @@ def test_a_corrupted_shard_is_told_with_both_hashes(registry: Path, capfd: pytes
     assert shard.name in told
 
 
-def test_a_release_of_another_environment_version_is_refused(registry: Path, capfd: pytest.CaptureFixture[str]):
+def test_a_release_of_another_environment_version_is_refused(
+    registry: Path, capfd: pytest.CaptureFixture[str]
+):
     text = registry.read_text()
     changed = text.replace('"environments": {"scratch": 1}', '"environments": {"scratch": 2}')
     assert changed != text
@@ -250,9 +326,14 @@ def test_a_release_of_another_environment_version_is_refused(registry: Path, cap
     assert "release v0, trained on version 2" in told
 
 
-def test_an_output_folder_that_cannot_be_written_is_found_first(registry: Path, tmp_path: Path, capfd: Any):
+def test_an_output_folder_that_cannot_be_written_is_found_first(
+    registry: Path, tmp_path: Path, capfd: Any
+):
     (tmp_path / "file").write_text("in the way")
-    told = failure(capfd, evaluate(registry, "--out", tmp_path / "file" / "out", policy="python:never_imported:f"))
+    told = failure(
+        capfd,
+        evaluate(registry, "--out", tmp_path / "file" / "out", policy="python:never_imported:f"),
+    )
     assert "cannot write to" in told
     assert "--out" in told
 
@@ -270,7 +351,15 @@ def test_standard_output_of_a_process_is_one_json_object(published: Path, tmp_pa
         "from assistax_zoo.main import run\n"
         "sys.exit(run(sys.argv[1:]))\n"
     )
-    words = ["evaluate", "--task", "scratch", "--policy", "zoo:scratch/ippo-d9-s2-v0/robot", "--episodes", "1"]
+    words = [
+        "evaluate",
+        "--task",
+        "scratch",
+        "--policy",
+        "zoo:scratch/ippo-d9-s2-v0/robot",
+        "--episodes",
+        "1",
+    ]
     words += ["--registry", str(published), "--backend", "native", "--json"]
     root = Path(__file__).parents[2]
     done = subprocess.run(

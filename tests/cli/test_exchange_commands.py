@@ -21,11 +21,18 @@ V0_TEAM = "scratch/ippo-d1-s0-v0"
 
 
 @pytest.fixture
-def zoo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Path:
+def zoo(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Path:
     """A published registry, named by the environment variable."""
     path = tmp_path / "zoo" / "registry.json"
     monkeypatch.setenv("ASSISTAX_ZOO_REGISTRY", str(path))
-    assert run(["publish", str(write_run(tmp_path / "run")), "--release", "v0", "--date", "2027-01-31"]) == 0
+    assert (
+        run(
+            ["publish", str(write_run(tmp_path / "run")), "--release", "v0", "--date", "2027-01-31"]
+        )
+        == 0
+    )
     capsys.readouterr()
     return path
 
@@ -43,7 +50,9 @@ def test_an_imported_zoo_is_listed_shown_and_verified(zoo: Path, tmp_path: Path,
     assert run(["import", str(archive)]) == 0
     assert "nothing new" in capsys.readouterr().out
     rows = answer(capsys, "list", "foreign/*", "--role", "human", "--task", "scratch")
-    assert [row["id"] for row in rows] == [PUBLIC] and rows[0]["disability"]["joint_strength"] == 0.4
+    assert [row["id"] for row in rows] == [PUBLIC] and rows[0]["disability"][
+        "joint_strength"
+    ] == 0.4
     assert len(answer(capsys, "list", "--foreign")) == 4 and len(answer(capsys, "list")) == 16
     assert run(["list", "foreign/*"]) == 0
     assert "range 0.7, strength 0.4, tremor 0.1" in capsys.readouterr().out
@@ -72,7 +81,9 @@ def test_foreign_policies_are_refused_where_policies_act(zoo: Path, tmp_path: Pa
 
 def test_import_refuses_in_one_line(zoo: Path, tmp_path: Path, capsys) -> None:
     assert "no such file" in refusal(capsys, "import", str(tmp_path / "none"))
-    assert "lower-case" in refusal(capsys, "import", str(write_zoo(tmp_path / "z")), "--name", "a/b")
+    assert "lower-case" in refusal(
+        capsys, "import", str(write_zoo(tmp_path / "z")), "--name", "a/b"
+    )
     (tmp_path / "z" / "params" / f"{UUIDS[0]}.safetensors").unlink()
     assert "nothing was imported" in refusal(capsys, "import", str(tmp_path / "z"))
     assert "import some with `assistax-zoo import" in refusal(capsys, "list", "--foreign")
@@ -84,27 +95,54 @@ def test_export_to_safetensors_and_torch(zoo: Path, tmp_path: Path, capsys) -> N
     done = answer(capsys, "export", f"{FIRST}/robot", "--format", "safetensors", "--out", str(out))
     found = read_policy_file(out)
     assert done["bytes"] == out.stat().st_size and found.metadata["id"] == f"{FIRST}/robot"
-    assert found.params["Dense_0"]["kernel"].shape == (5, 4) and found.metadata["disability"] == "d1"
-    assert "--force" in refusal(capsys, "export", f"{FIRST}/robot", "--format", "torch", "--out", str(out))
+    assert (
+        found.params["Dense_0"]["kernel"].shape == (5, 4) and found.metadata["disability"] == "d1"
+    )
+    assert "--force" in refusal(
+        capsys, "export", f"{FIRST}/robot", "--format", "torch", "--out", str(out)
+    )
     assert read_policy_file(out).metadata == found.metadata
-    assert run(["export", str(out), "--format", "torch", "--out", str(tmp_path / "torch.safetensors")]) == 0
+    assert (
+        run(["export", str(out), "--format", "torch", "--out", str(tmp_path / "torch.safetensors")])
+        == 0
+    )
     assert run(["export", f"{FIRST}/robot", "--format", "torch", "--out", str(out), "--force"]) == 0
-    assert out.read_bytes() == (tmp_path / "torch.safetensors").read_bytes()  # the file knows its origin
+    assert (
+        out.read_bytes() == (tmp_path / "torch.safetensors").read_bytes()
+    )  # the file knows its origin
     capsys.readouterr()
-    assert f"{FIRST}/robot" in refusal(capsys, "export", FIRST, "--format", "torch", "--out", str(tmp_path / "x"))
-    refusal(capsys, "export", f"{FIRST}/robot", "--format", "pickle", "--out", str(tmp_path / "x"), code=2)
+    assert f"{FIRST}/robot" in refusal(
+        capsys, "export", FIRST, "--format", "torch", "--out", str(tmp_path / "x")
+    )
+    refusal(
+        capsys,
+        "export",
+        f"{FIRST}/robot",
+        "--format",
+        "pickle",
+        "--out",
+        str(tmp_path / "x"),
+        code=2,
+    )
 
 
-def test_an_exported_onnx_robot_can_be_evaluated_by_its_file(zoo: Path, tmp_path: Path, capsys) -> None:
+def test_an_exported_onnx_robot_can_be_evaluated_by_its_file(
+    zoo: Path, tmp_path: Path, capsys
+) -> None:
     pytest.importorskip("onnx")
     onnxruntime = pytest.importorskip("onnxruntime")
     out = tmp_path / "robot.onnx"
-    assert answer(capsys, "export", f"{FIRST}/robot", "--format", "onnx", "--out", str(out))["format"] == "onnx"
+    assert (
+        answer(capsys, "export", f"{FIRST}/robot", "--format", "onnx", "--out", str(out))["format"]
+        == "onnx"
+    )
     session = onnxruntime.InferenceSession(str(out), providers=["CPUExecutionProvider"])
     assert session.run(["action"], {"obs": np.zeros((3, 5), np.float32)})[0].shape == (3, 2)
 
 
-def test_export_without_onnx_says_what_to_install(zoo: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_export_without_onnx_says_what_to_install(
+    zoo: Path, tmp_path: Path, capsys, monkeypatch
+) -> None:
     monkeypatch.setitem(sys.modules, "onnx", None)
     words = ("export", f"{FIRST}/robot", "--format", "onnx", "--out", str(tmp_path / "x"))
     assert "pip install 'assistax-zoo[export]'" in refusal(capsys, *words)
@@ -119,14 +157,19 @@ def test_a_card_is_written_with_its_picture(zoo: Path, tmp_path: Path, capsys) -
     capsys.readouterr()
     text = card.read_text()
     assert f"![{FIRST}](<../robot.png>)" in text and f"export {FIRST}/human" in text
-    assert "no picture at" in refusal(capsys, "show", FIRST, "--card", str(card), "--image", "none.png")
+    assert "no picture at" in refusal(
+        capsys, "show", FIRST, "--card", str(card), "--image", "none.png"
+    )
     assert "--card" in refusal(capsys, "show", FIRST, "--image", str(tmp_path / "robot.png"))
 
 
 def test_a_robot_of_one_s_own_is_shared_in_two_commands(tmp_path: Path, capsys) -> None:
     """As docs/share.md says."""
     mine = tmp_path / "my-zoo"
-    assert run(["publish", str(write_run(tmp_path / "run")), "--release", "v0", "--to", str(mine)]) == 0
+    assert (
+        run(["publish", str(write_run(tmp_path / "run")), "--release", "v0", "--to", str(mine)])
+        == 0
+    )
     registry = ("--registry", str(mine / "registry.json"))
     assert run(["show", FIRST, *registry, "--card", str(mine / "cards" / "first.md")]) == 0
     assert f"zoo:{FIRST}/robot" in (mine / "cards" / "first.md").read_text()
@@ -143,12 +186,18 @@ def test_deep_names_policies_that_do_not_fit_the_environment(zoo: Path, capsys) 
     with pytest.raises(SystemExit, match="1"):
         run(["verify", FIRST, "--deep", "--json"])
     report = json.loads(capsys.readouterr().out)
-    assert report["ok"] is False and report["problems"] == [] and "found (5, 2)" in report["deep"]["problems"][0]
+    assert (
+        report["ok"] is False
+        and report["problems"] == []
+        and "found (5, 2)" in report["deep"]["problems"][0]
+    )
 
 
 def test_split_verify_reports_partners_that_act_alike(zoo: Path, capsys, monkeypatch) -> None:
     assert answer(capsys, "split", "verify")["problems"] == {}
-    monkeypatch.setattr("zoo.behaviour.similar_pairs", lambda registry, split: similar_pairs(registry, split, 10.0))
+    monkeypatch.setattr(
+        "zoo.behaviour.similar_pairs", lambda registry, split: similar_pairs(registry, split, 10.0)
+    )
     with pytest.raises(SystemExit, match="1"):
         run(["split", "verify"])
     assert "16 nearly alike" in capsys.readouterr().out
@@ -157,7 +206,21 @@ def test_split_verify_reports_partners_that_act_alike(zoo: Path, capsys, monkeyp
 def test_split_create_names_the_twins_that_it_leaves_out(zoo: Path, capsys, monkeypatch) -> None:
     twin = Pair("scratch/ippo-d1-s2-v0", "scratch/ippo-d9-s0-v0", 0.01)
     monkeypatch.setattr("zoo.behaviour.similar_pairs", lambda registry, split: [twin])
-    assert run(["split", "create", "--task", "scratch", "--rule", "leave-one-disability-out", "--held-out", "d9"]) == 0
+    assert (
+        run(
+            [
+                "split",
+                "create",
+                "--task",
+                "scratch",
+                "--rule",
+                "leave-one-disability-out",
+                "--held-out",
+                "d9",
+            ]
+        )
+        == 0
+    )
     assert f"as a test partner does: {twin.train}\n" in capsys.readouterr().out
 
 
@@ -172,11 +235,15 @@ def test_looking_at_foreign_policies_imports_nothing_heavy(zoo: Path, tmp_path: 
     write_zoo(tmp_path / "public")
     code = (
         "import sys\nfrom assistax_zoo.main import run\n"
-        f"for words in (['import', {str(tmp_path / 'public')!r}], ['list', 'foreign/*'], ['show', {PUBLIC!r}],"
-        f" ['verify'], ['show', {FIRST!r}, '--card', {str(tmp_path / 'c.md')!r}]): assert run(words) == 0\n"
-        "print(sorted({'jax', 'mujoco', 'flax', 'matplotlib', 'polars', 'scipy'} & set(sys.modules)))"
+        f"for words in (['import', {str(tmp_path / 'public')!r}], ['list', 'foreign/*'], ['show', "
+        f"{PUBLIC!r}], ['verify'], ['show', {FIRST!r}, '--card', {str(tmp_path / 'c.md')!r}]): "
+        "assert run(words) == "
+        "0\nprint(sorted({'jax', 'mujoco', 'flax', 'matplotlib', 'polars', 'scipy'} & "
+        "set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
     assert done.stdout.splitlines()[-1] == "[]"
 
 
@@ -185,11 +252,17 @@ def test_deep_replays_a_published_team(capsys, monkeypatch) -> None:
     monkeypatch.delenv("ASSISTAX_ZOO_REGISTRY", raising=False)
     assert run(["verify", V0_TEAM, "--deep", "--episodes", "1"]) == 0
     out = capsys.readouterr().out
-    assert "mujoco 3." in out and f"ok      {V0_TEAM}" in out and "replayed 1 teams of 1 episodes on native" in out
+    assert (
+        "mujoco 3." in out
+        and f"ok      {V0_TEAM}" in out
+        and "replayed 1 teams of 1 episodes on native" in out
+    )
 
 
 @pytest.mark.slow
-def test_an_onnx_robot_of_release_v0_reaches_what_its_original_does(tmp_path: Path, capsys, monkeypatch) -> None:
+def test_an_onnx_robot_of_release_v0_reaches_what_its_original_does(
+    tmp_path: Path, capsys, monkeypatch
+) -> None:
     pytest.importorskip("onnxruntime")
     monkeypatch.delenv("ASSISTAX_ZOO_REGISTRY", raising=False)
     robot = tmp_path / "robot.onnx"
@@ -201,5 +274,7 @@ def test_an_onnx_robot_of_release_v0_reaches_what_its_original_does(tmp_path: Pa
         answer(capsys, "evaluate", *common, "--policy", policy, "--out", str(tmp_path / name))
         for name, policy in (("ours", f"zoo:{V0_TEAM}/robot"), ("onnx", f"onnx:{robot}"))
     ]
-    ours, theirs = (next(one[side]["mean"] for side in ("m_train", "m_test") if one[side]) for one in means)
+    ours, theirs = (
+        next(one[side]["mean"] for side in ("m_train", "m_test") if one[side]) for one in means
+    )
     assert theirs == pytest.approx(ours, rel=0.02)

@@ -45,7 +45,9 @@ def raises(error: BaseException) -> Callable[[], None]:
     return work
 
 
-def test_a_command_that_ends_well_exits_0(fake: Callable, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_command_that_ends_well_exits_0(
+    fake: Callable, capsys: pytest.CaptureFixture[str]
+) -> None:
     fake(lambda: print("done"))
     assert main.run(["fake"]) == 0
     assert capsys.readouterr() == ("done\n", "")
@@ -54,7 +56,10 @@ def test_a_command_that_ends_well_exits_0(fake: Callable, capsys: pytest.Capture
 @pytest.mark.parametrize(
     ("error", "message"),
     [
-        (ValueError("--episodes is 0; 1 or more is needed"), "error: --episodes is 0; 1 or more is needed\n"),
+        (
+            ValueError("--episodes is 0; 1 or more is needed"),
+            "error: --episodes is 0; 1 or more is needed\n",
+        ),
         (TypeError("a list is needed"), "error: a list is needed\n"),
         (OSError("the folder is full"), "error: the folder is full\n"),
         (PermissionError(13, "Permission denied", "/out"), "error: Permission denied: /out\n"),
@@ -68,8 +73,12 @@ def test_an_expected_error_is_its_message(
     assert capsys.readouterr() == ("", message)
 
 
-def test_an_error_of_the_zoo_is_its_message(fake: Callable, capsys: pytest.CaptureFixture[str]) -> None:
-    error = ZooError("unknown policy", expected="an id", found="x", done="nothing was done", next_step="run list")
+def test_an_error_of_the_zoo_is_its_message(
+    fake: Callable, capsys: pytest.CaptureFixture[str]
+) -> None:
+    error = ZooError(
+        "unknown policy", expected="an id", found="x", done="nothing was done", next_step="run list"
+    )
     fake(raises(error))
     assert main.run(["fake"]) == 1
     assert capsys.readouterr() == ("", f"error: {error}\n")
@@ -128,7 +137,9 @@ def test_a_reader_that_leaves_is_no_error() -> None:
         "main.COMMANDS['fake'] = 'fakes:fake'; sys.exit(main.run(['fake']))"
     )
     command = [sys.executable, "-c", script]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None
         assert process.stderr is not None
         assert process.stdout.readline() == "0\n"
@@ -146,7 +157,9 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("command", ALL_COMMANDS, ids=" ".join)
-def test_help_of_a_command_ends_with_an_example(command: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_of_a_command_ends_with_an_example(
+    command: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main.run([*command, "--help"]) == 0
     usage, _, rest = capsys.readouterr().out.partition("\n")
     assert usage.startswith(f"Usage: assistax-zoo {' '.join(command)}")
@@ -158,7 +171,9 @@ def test_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.strip()
 
 
-def test_the_compilation_cache_is_set_but_never_overridden(fake: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_compilation_cache_is_set_but_never_overridden(
+    fake: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fake(lambda: None)
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "/mine")
     main.run(["fake"])
@@ -170,14 +185,28 @@ def test_the_compilation_cache_is_set_but_never_overridden(fake: Callable, monke
 
 
 def test_print_json_prints_one_document(capsys: pytest.CaptureFixture[str]) -> None:
-    value = {"mean": np.float32(1.5), "ci": np.array([0, 1]), "none": float("nan"), "path": Path("a"), 1: ("é", {2, 1})}
+    value = {
+        "mean": np.float32(1.5),
+        "ci": np.array([0, 1]),
+        "none": float("nan"),
+        "path": Path("a"),
+        1: ("é", {2, 1}),
+    }
     console.print_json(value)
     out = capsys.readouterr().out
-    assert json.loads(out) == {"mean": 1.5, "ci": [0, 1], "none": None, "path": "a", "1": ["é", [1, 2]]}
+    assert json.loads(out) == {
+        "mean": 1.5,
+        "ci": [0, 1],
+        "none": None,
+        "path": "a",
+        "1": ["é", [1, 2]],
+    }
     assert "NaN" not in out
 
 
-def test_noise_goes_to_standard_error_while_stdout_is_data(capfd: pytest.CaptureFixture[str]) -> None:
+def test_noise_goes_to_standard_error_while_stdout_is_data(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
     with console.stdout_is_data():
         print("from Python")
         os.write(1, b"from a descriptor\n")
@@ -204,4 +233,7 @@ def test_progress_off_a_terminal_is_lines_on_standard_error(
         advance(3)
     out, err = capsys.readouterr()
     assert out == ""
-    assert [line.split(",")[0] for line in err.splitlines()] == ["evaluate scratch: 1/4", "evaluate scratch: 4/4"]
+    assert [line.split(",")[0] for line in err.splitlines()] == [
+        "evaluate scratch: 1/4",
+        "evaluate scratch: 4/4",
+    ]

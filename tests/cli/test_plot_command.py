@@ -19,7 +19,9 @@ from zoo.publish import publish
 def crossplay_folder(tmp_path: Path) -> Path:
     population = teams(6, ("ippo",), ("d1", "d9"))
     folder = tmp_path / "xp"
-    summary.save_crossplay(folder, episode_table(clustered_matrix(6, 2)[:, :, None], population, population), **CONTEXT)
+    summary.save_crossplay(
+        folder, episode_table(clustered_matrix(6, 2)[:, :, None], population, population), **CONTEXT
+    )
     return folder
 
 
@@ -38,7 +40,11 @@ def call(*words: object) -> int:
 @pytest.mark.parametrize("ending", ["png", "pdf"])
 @pytest.mark.parametrize("order", [(), ("--order", "separate")])
 def test_crossplay_draws_the_saved_matrix_and_says_where(
-    crossplay_folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], ending: str, order: tuple[str, ...]
+    crossplay_folder: Path,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    ending: str,
+    order: tuple[str, ...],
 ):
     out = tmp_path / "figures" / f"matrix.{ending}"
     assert call("crossplay", crossplay_folder, "--out", out, *order) == 0
@@ -46,7 +52,9 @@ def test_crossplay_draws_the_saved_matrix_and_says_where(
     assert capfd.readouterr().out == f"{out}\n"
 
 
-def test_crossplay_reads_only_the_saved_order_matrix_and_summary(crossplay_folder: Path, tmp_path: Path):
+def test_crossplay_reads_only_the_saved_order_matrix_and_summary(
+    crossplay_folder: Path, tmp_path: Path
+):
     for path in crossplay_folder.iterdir():
         if path.name not in (tables.PAIRS_FILE, tables.ORDER_FILE, tables.SUMMARY_FILE):
             path.unlink()
@@ -63,7 +71,10 @@ def failure(capfd: pytest.CaptureFixture[str], code: int) -> str:
 
 
 def test_wrong_folders_and_names_get_one_line(
-    crossplay_folder: Path, evaluation_folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    crossplay_folder: Path,
+    evaluation_folder: Path,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
 ):
     out = tmp_path / "x.png"
     gone = tmp_path / "gone"
@@ -77,11 +88,15 @@ def test_wrong_folders_and_names_get_one_line(
         capfd, call("crossplay", crossplay_folder, "--out", tmp_path / "x.jpg")
     )
     (crossplay_folder / tables.ORDER_FILE).write_text("{")
-    assert "order.json is not readable JSON" in failure(capfd, call("crossplay", crossplay_folder, "--out", out))
+    assert "order.json is not readable JSON" in failure(
+        capfd, call("crossplay", crossplay_folder, "--out", out)
+    )
     assert not out.exists()
 
 
-def test_a_place_that_cannot_be_written_gets_one_line(crossplay_folder: Path, capfd: pytest.CaptureFixture[str]):
+def test_a_place_that_cannot_be_written_gets_one_line(
+    crossplay_folder: Path, capfd: pytest.CaptureFixture[str]
+):
     out = crossplay_folder / tables.SUMMARY_FILE / "x.png"
     assert "summary.json" in failure(capfd, call("crossplay", crossplay_folder, "--out", out))
 
@@ -104,7 +119,9 @@ def test_evaluations_are_drawn_by_method(draw, evaluation_folder: Path, tmp_path
 
 
 def test_a_crossplay_is_not_an_evaluation(crossplay_folder: Path, tmp_path: Path):
-    with pytest.raises(ValueError, match="xp holds no evaluation; give a folder that `assistax-zoo evaluate"):
+    with pytest.raises(
+        ValueError, match="xp holds no evaluation; give a folder that `assistax-zoo evaluate"
+    ):
         plot.zsc((crossplay_folder,), out=tmp_path / "x.png")
 
 
@@ -120,7 +137,9 @@ def test_curves_of_a_run(tmp_path: Path):
     assert (tmp_path / "curves.png").stat().st_size > 5_000
 
 
-@pytest.mark.parametrize("command", ["crossplay", "zsc", "disability", "profile", "curves", "population"])
+@pytest.mark.parametrize(
+    "command", ["crossplay", "zsc", "disability", "profile", "curves", "population"]
+)
 def test_every_command_has_an_example(command: str):
     docstring = inspect.getdoc(getattr(plot, command)) or ""
     assert f"Example:\n    assistax-zoo plot {command}" in docstring
@@ -128,7 +147,11 @@ def test_every_command_has_an_example(command: str):
 
 def test_population_of_a_registry(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
     registry = tmp_path / "registry.json"
-    population = [trained_team(disability=disability, seed=seed) for disability in ("d1", "d9") for seed in range(2)]
+    population = [
+        trained_team(disability=disability, seed=seed)
+        for disability in ("d1", "d9")
+        for seed in range(2)
+    ]
     publish(population, registry, "v0", date="2026-01-01")
     plot.population(out=tmp_path / "population.png", registry=registry)
     assert (tmp_path / "population.png").stat().st_size > 5_000

@@ -17,7 +17,13 @@ from zoo.verify import verify
 ROOT = Path(__file__).parents[2]
 TINY = {"num_envs": 4, "rollout_steps": 8, "minibatches": 2, "epochs": 1, "hidden": [4, 4]}
 # Two members and the same shapes everywhere: one compilation serves every test.
-ONE: dict[str, Any] = {"name": "toy-one", "task": "scratch", "algorithm": "ippo", "disabilities": ["d1"], "seeds": 2}
+ONE: dict[str, Any] = {
+    "name": "toy-one",
+    "task": "scratch",
+    "algorithm": "ippo",
+    "disabilities": ["d1"],
+    "seeds": 2,
+}
 ONE |= {"steps": 96, "set": TINY, "self_play_episodes": 2}
 OTHER = {**ONE, "name": "toy-other", "disabilities": ["d3"], "seeds": [0, 5]}
 
@@ -45,7 +51,9 @@ def words(place, *more, out="runs"):
 
 
 def contents(place):
-    return {path.relative_to(place): path.read_bytes() for path in place.rglob("*") if path.is_file()}
+    return {
+        path.relative_to(place): path.read_bytes() for path in place.rglob("*") if path.is_file()
+    }
 
 
 def rows(capsys, place, *more):
@@ -65,7 +73,8 @@ def test_a_plan_is_trained_and_published_once(place, capsys):
         "scratch/ippo-d1-s0-v1", "scratch/ippo-d1-s1-v1", "scratch/ippo-d3-s0-v1", "scratch/ippo-d3-s5-v1",
     ]  # fmt: skip
     assert verify(registry).ok
-    # Reward 1 a step whatever is done: nothing can be learned, and the teams are in the zoo with what they earn.
+    # Reward 1 a step whatever is done: nothing can be learned, and the teams are in the zoo with
+    # what they earn.
     assert {entry.self_play and entry.self_play.mean for entry in registry.policies} == {8.0}
 
     progress = json.loads((place / "plan.progress.json").read_text())
@@ -77,7 +86,11 @@ def test_a_plan_is_trained_and_published_once(place, capsys):
 
     curve = pl.read_parquet(place / "curves" / "toy-one.parquet")
     assert curve.columns == ["task", "algorithm", "disability", "seed", "steps", "return"]
-    assert curve.filter(pl.col("seed") == 1, pl.col("disability") == "d1")["steps"].to_list() == [32, 64, 96]
+    assert curve.filter(pl.col("seed") == 1, pl.col("disability") == "d1")["steps"].to_list() == [
+        32,
+        64,
+        96,
+    ]
 
     old = contents(place)
     assert run(words(place, "--curves", str(place / "curves"))) == 0
@@ -93,7 +106,9 @@ def test_a_finished_run_is_only_published_even_without_its_checkpoints(place, mo
     waiting = rows(capsys, place)["toy-other"]
     assert (waiting["trained"], waiting["published"], waiting["steps_to_train"]) == (2, 0, 0)
     progress = json.loads((place / "plan.progress.json").read_text())["groups"]["toy-other"]
-    assert (progress["state"], progress["published"]) == ("trained", 0) and progress["device_minutes"] >= 0
+    assert (progress["state"], progress["published"]) == ("trained", 0) and progress[
+        "device_minutes"
+    ] >= 0
     for path in (place / "runs" / "toy-other" / "checkpoints").rglob("*"):
         if path.is_file():
             path.unlink()
@@ -123,13 +138,22 @@ def test_an_interrupted_run_goes_on_as_it_was_begun(place, monkeypatch, capsys):
     monkeypatch.undo()
     use_toy(monkeypatch)
     begun = json.loads((place / "runs" / "toy-one" / "config.json").read_text())
-    assert json.loads((place / "plan.progress.json").read_text())["groups"]["toy-one"]["state"] == "training"
+    assert (
+        json.loads((place / "plan.progress.json").read_text())["groups"]["toy-one"]["state"]
+        == "training"
+    )
 
     write_plan(place, {**group, "steps": 64, "disabilities": ["d9", "d1"]})
     assert run(words(place)) == 0
-    assert "toy-one goes on as it was begun: steps is 96 there and 64 in the plan" in capsys.readouterr().err
+    assert (
+        "toy-one goes on as it was begun: steps is 96 there and 64 in the plan"
+        in capsys.readouterr().err
+    )
     assert json.loads((place / "runs" / "toy-one" / "config.json").read_text()) == begun
-    trained = {entry.team: entry.training.steps for entry in load_registry(place / "registry.json").policies}
+    trained = {
+        entry.team: entry.training.steps
+        for entry in load_registry(place / "registry.json").policies
+    }
     assert trained == {
         "scratch/ippo-d1-s0-v1": 96, "scratch/ippo-d1-s1-v1": 96,
         "scratch/ippo-d9-s0-v1": 64, "scratch/ippo-d9-s1-v1": 64,
@@ -167,7 +191,9 @@ def test_parameters_of_another_team_are_still_refused(place):
         team["team"]["disability"] = "d4"
     (place / "runs" / "toy-other-2").mkdir()
     for name in ("robot.safetensors", "human.safetensors"):
-        (place / "runs" / "toy-other-2" / name).write_bytes((place / "runs" / "toy-other" / name).read_bytes())
+        (place / "runs" / "toy-other-2" / name).write_bytes(
+            (place / "runs" / "toy-other" / name).read_bytes()
+        )
     (place / "runs" / "toy-other-2" / "teams.json").write_text(json.dumps(teams))
     write_plan(place, {**OTHER, "disabilities": ["d3", "d4"]})
     before = (place / "registry.json").read_bytes()
@@ -176,14 +202,20 @@ def test_parameters_of_another_team_are_still_refused(place):
 
 
 def test_one_failure_leaves_the_other_groups_alone(place, capsys):
-    write_plan(place, {**ONE, "set": {**TINY, "rollout_steps": 9, "num_envs": 2}}, OTHER)  # episodes have 8 steps
+    write_plan(
+        place, {**ONE, "set": {**TINY, "rollout_steps": 9, "num_envs": 2}}, OTHER
+    )  # episodes have 8 steps
     assert run(words(place, "--json")) == 1
     captured = capsys.readouterr()
     found = {row["group"]: row["published"] for row in json.loads(captured.out)["groups"]}
     assert found == {"toy-one": 0, "toy-other": 2}
-    assert captured.err.splitlines()[-1].startswith("error: 1 failed, and the same command tries again: toy-one:")
+    assert captured.err.splitlines()[-1].startswith(
+        "error: 1 failed, and the same command tries again: toy-one:"
+    )
     progress = json.loads((place / "plan.progress.json").read_text())["groups"]
-    assert progress["toy-one"]["state"] == "failed" and progress["toy-other"]["state"] == "published"
+    assert (
+        progress["toy-one"]["state"] == "failed" and progress["toy-other"]["state"] == "published"
+    )
     [failed] = progress["toy-one"]["runs"].values()
     assert "rollout_steps is 9" in failed["error"]
 
@@ -196,7 +228,9 @@ def test_a_run_that_another_process_holds_is_left_to_it(place, monkeypatch, caps
         "    print('held', flush=True); time.sleep(60)"
     )
     write_plan(place, OTHER)
-    with subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, stdout=subprocess.PIPE, text=True) as other:
+    with subprocess.Popen(
+        [sys.executable, "-c", script], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    ) as other:
         assert other.stdout and other.stdout.readline() == "held\n"
         with monkeypatch.context() as patch:
             patch.setattr("assistax_envs.make", unwanted)
@@ -214,14 +248,18 @@ def test_what_another_process_wrote_of_its_runs_stays_in_the_file(place):
     write_plan(place, ONE, OTHER)
     assert run(words(place, "--groups", "*-one", out="there")) == 0
     groups = json.loads((place / "plan.progress.json").read_text())["groups"]
-    assert {name: group["state"] for name, group in groups.items()} == {"toy-one": "published", "toy-other": "trained"}
+    assert {name: group["state"] for name, group in groups.items()} == {
+        "toy-one": "published",
+        "toy-other": "trained",
+    }
 
 
 def test_a_plan_that_adopts_needs_the_registry(place, capsys):
     write_plan(place, {**ONE, "adopt": "v0"})
     assert run(words(place, "--no-publish")) == 1
     assert (
-        "adopts teams of release v0, but there is no registry; name the registry that has it" in capsys.readouterr().err
+        "adopts teams of release v0, but there is no registry; name the registry that has it"
+        in capsys.readouterr().err
     )
     assert run(words(place, "--groups", "swim")) == 1
     assert "no group matches 'swim'; the plan has toy-one" in capsys.readouterr().err
@@ -233,7 +271,9 @@ def test_train_stays_a_command_of_its_own(capsys):
     assert run(["train", "population", "--out", "x"]) == 2
     assert capsys.readouterr().err.endswith("try: assistax-zoo train population --help\n")
     assert run(["train", "--help"]) == 0
-    assert "population  Train and publish what is missing of a plan" in " ".join(capsys.readouterr().out.split(" │"))
+    assert "population  Train and publish what is missing of a plan" in " ".join(
+        capsys.readouterr().out.split(" │")
+    )
     assert run(["train", "population", "--help"]) == 0
     usage, _, rest = capsys.readouterr().out.partition("\n")
     assert usage.startswith("Usage: assistax-zoo train population --plan PATH")
@@ -243,7 +283,9 @@ def test_train_stays_a_command_of_its_own(capsys):
 def use_toy(monkeypatch):
     """Train on a toy in 4 seconds, whatever the machine."""
     monkeypatch.setattr("population.train.round", lambda seconds, digits: 4.0, raising=False)
-    monkeypatch.setattr("assistax_envs.make", lambda task, backend: ToyScratch(constant, episode_length=8))
+    monkeypatch.setattr(
+        "assistax_envs.make", lambda task, backend: ToyScratch(constant, episode_length=8)
+    )
 
 
 def unwanted(task, backend):

@@ -21,8 +21,12 @@ ROBOT = PolicySpec("robot", observation_size=34, action_size=7, hidden=(8,))
 SMALL = ("--width", "160", "--height", "120")
 
 
-def call(*words: object, robot: object = "random", human: object = "zero", task: str = "scratch") -> int:
-    return run(["render", "--task", task, "--robot", str(robot), "--human", str(human), *map(str, words)])
+def call(
+    *words: object, robot: object = "random", human: object = "zero", task: str = "scratch"
+) -> int:
+    return run(
+        ["render", "--task", task, "--robot", str(robot), "--human", str(human), *map(str, words)]
+    )
 
 
 def failure(capfd: pytest.CaptureFixture[str], code: int) -> str:
@@ -47,19 +51,36 @@ def test_a_png_is_a_strip_of_four_moments(tmp_path: Path, capfd: pytest.CaptureF
 
 def test_a_gif_runs_in_real_time_with_a_policy_from_a_file(tmp_path: Path):
     path = tmp_path / "robot.safetensors"
-    params = jax.tree.map(lambda leaf: np.array(leaf), jax.jit(Policy(ROBOT).init)(jax.random.key(0)))
+    params = jax.tree.map(
+        lambda leaf: np.array(leaf), jax.jit(Policy(ROBOT).init)(jax.random.key(0))
+    )
     write_policy_file(path, ROBOT, params)
     out = tmp_path / "film.gif"
-    assert call("--out", out, "--steps", 20, "--fps", 10, "--camera", "close", *SMALL, robot=path) == 0
+    assert (
+        call("--out", out, "--steps", 20, "--fps", 10, "--camera", "close", *SMALL, robot=path) == 0
+    )
     with Image.open(out) as film:
-        assert (getattr(film, "n_frames", 1), film.info["duration"], film.size) == (5, 100, (160, 120))
+        assert (getattr(film, "n_frames", 1), film.info["duration"], film.size) == (
+            5,
+            100,
+            (160, 120),
+        )
 
 
 def test_an_mp4_holds_every_frame(tmp_path: Path):
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
     out = tmp_path / "film.mp4"
     assert call("--out", out, "--steps", 20, "--fps", 50, *SMALL) == 0
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", out, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    command = [
+        imageio_ffmpeg.get_ffmpeg_exe(),
+        "-i",
+        out,
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-",
+    ]
     raw = subprocess.run(command, check=True, capture_output=True)
     assert "50 fps" in raw.stderr.decode()
     frames = np.frombuffer(raw.stdout, np.uint8).reshape(-1, 120, 160, 3)
@@ -87,7 +108,11 @@ def test_the_same_seed_gives_the_same_picture(tmp_path: Path):
     ],
 )
 def test_wrong_values_get_one_line(
-    words: tuple, message: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    words: tuple,
+    message: str,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ):
     monkeypatch.chdir(tmp_path)
     assert message in failure(capfd, call(*words))
@@ -96,8 +121,12 @@ def test_wrong_values_get_one_line(
 
 def test_unknown_policies_and_tasks_get_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
     out = ("--out", tmp_path / "x.png")
-    assert "policy 'best' has an unknown form; allowed are zoo:ID" in failure(capfd, call(*out, robot="best"))
-    assert "unknown policy 'scratch/ippo-d1-s0-v99'" in failure(capfd, call(*out, human="zoo:scratch/ippo-d1-s0-v99"))
+    assert "policy 'best' has an unknown form; allowed are zoo:ID" in failure(
+        capfd, call(*out, robot="best")
+    )
+    assert "unknown policy 'scratch/ippo-d1-s0-v99'" in failure(
+        capfd, call(*out, human="zoo:scratch/ippo-d1-s0-v99")
+    )
     assert "task is 'swim'; allowed are scratch" in failure(capfd, call(*out, task="swim"))
 
 
@@ -108,14 +137,18 @@ def test_a_place_that_cannot_be_written_is_refused_before_any_work(
     (tmp_path / "file").touch()
     assert "x.png cannot be written" in failure(capfd, call("--out", tmp_path / "file" / "x.png"))
     (tmp_path / "folder.gif").mkdir()
-    assert "folder.gif cannot be written (it is a folder)" in failure(capfd, call("--out", tmp_path / "folder.gif"))
+    assert "folder.gif cannot be written (it is a folder)" in failure(
+        capfd, call("--out", tmp_path / "folder.gif")
+    )
 
 
 def test_an_mp4_without_its_package_names_the_extra(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    assert "pip install 'assistax-zoo[video]', or write .gif" in failure(capfd, call("--out", tmp_path / "x.mp4"))
+    assert "pip install 'assistax-zoo[video]', or write .gif" in failure(
+        capfd, call("--out", tmp_path / "x.mp4")
+    )
 
 
 def test_an_mp4_of_odd_size_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
@@ -134,7 +167,9 @@ def test_a_machine_without_opengl_gets_one_line(
         raise gl.RenderError(f"this machine cannot draw; apt-get install {gl.PACKAGES}")
 
     monkeypatch.setattr("assistax_envs.render.open_context", broken)
-    assert "apt-get install libegl1" in failure(capfd, call("--out", tmp_path / "x.png", "--steps", 2))
+    assert "apt-get install libegl1" in failure(
+        capfd, call("--out", tmp_path / "x.png", "--steps", 2)
+    )
     assert os.listdir(tmp_path) == []
 
 
@@ -150,15 +185,31 @@ def test_collisions_need_no_episode(tmp_path: Path, capfd: pytest.CaptureFixture
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--task", "scratch", "--out", "x.png"), "robot is missing; an episode needs --robot and --human"),
+        (
+            ("--task", "scratch", "--out", "x.png"),
+            "robot is missing; an episode needs --robot and --human",
+        ),
         (("--task", "scratch", "--robot", "zero", "--out", "x.png"), "human is missing"),
-        (("--task", "swim", "--collisions", "--out", "x.png"), "task is 'swim'; allowed are all, scratch"),
-        (("--task", "all", "--collisions", "--out", "x.gif"), "x.gif ends in '.gif'; collisions are drawn as a .png"),
-        (("--task", "scratch", "--collisions", "--out", "x.png", "--width", "3"), "width is 3; allowed are 16 to 4096"),
+        (
+            ("--task", "swim", "--collisions", "--out", "x.png"),
+            "task is 'swim'; allowed are all, scratch",
+        ),
+        (
+            ("--task", "all", "--collisions", "--out", "x.gif"),
+            "x.gif ends in '.gif'; collisions are drawn as a .png",
+        ),
+        (
+            ("--task", "scratch", "--collisions", "--out", "x.png", "--width", "3"),
+            "width is 3; allowed are 16 to 4096",
+        ),
     ],
 )
 def test_an_episode_needs_both_players_and_collisions_a_png(
-    words: tuple, message: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    words: tuple,
+    message: str,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ):
     monkeypatch.chdir(tmp_path)
     assert message in failure(capfd, run(["render", *words]))

@@ -49,7 +49,11 @@ def test_compare_prints_the_paired_difference(tmp_path: Path, capfd: pytest.Capt
 
 def test_methods_evaluated_unlike_are_not_compared(tmp_path: Path, crossplay: Path, capfd: Any):
     a, b = evaluated(tmp_path / "a"), evaluated(tmp_path / "b", backend="mjx")
-    for other, told in ((b, "backend is native in"), (crossplay, "holds no evaluation"), (tmp_path / "c", "not exist")):
+    for other, told in (
+        (b, "backend is native in"),
+        (crossplay, "holds no evaluation"),
+        (tmp_path / "c", "not exist"),
+    ):
         assert call("compare", a, other) == 1
         error = capfd.readouterr().err
         assert told in error
@@ -68,7 +72,9 @@ def test_strategies_of_a_crossplay(crossplay: Path, capfd: pytest.CaptureFixture
     assert "does not exist" in capfd.readouterr().err
 
 
-def test_report_writes_a_page_and_says_where(crossplay: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+def test_report_writes_a_page_and_says_where(
+    crossplay: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
     assert call("report", crossplay, "--out", tmp_path / "r.html") == 0
     assert capfd.readouterr().out == f"{tmp_path / 'r.html'}\n"
     assert (tmp_path / "r.html").read_text().startswith("<!doctype html>")

@@ -2,15 +2,31 @@ import json
 
 import pytest
 
-from assistax_zoo.commands.train import LiveLine, parse_changes, parse_seeds, parse_steps, read_preset
+from assistax_zoo.commands.train import (
+    LiveLine,
+    parse_changes,
+    parse_seeds,
+    parse_steps,
+    read_preset,
+)
 from assistax_zoo.main import run
 
-TINY = ["--num-envs", "4", "--set", "rollout_steps=8", "--set", "minibatches=2", "--set", "hidden=(8, 8)"]
+TINY = [
+    "--num-envs",
+    "4",
+    "--set",
+    "rollout_steps=8",
+    "--set",
+    "minibatches=2",
+    "--set",
+    "hidden=(8, 8)",
+]
 TINY += ["--self-play-episodes", "0"]
 
 
 @pytest.mark.parametrize(
-    ("text", "steps"), [("250000", 250_000), ("500k", 500_000), ("10M", 10**7), ("1.5e6", 1_500_000)]
+    ("text", "steps"),
+    [("250000", 250_000), ("500k", 500_000), ("10M", 10**7), ("1.5e6", 1_500_000)],
 )
 def test_steps_are_read_with_units(text, steps):
     assert parse_steps(text) == steps
@@ -36,7 +52,9 @@ def test_bad_seeds_say_what_is_allowed(text):
 
 
 def test_hyperparameters_are_read_as_values():
-    changes = parse_changes(["learning_rate=3e-4", "torso=gru", "anneal_lr=true", "hidden=(64, 64)"])
+    changes = parse_changes(
+        ["learning_rate=3e-4", "torso=gru", "anneal_lr=true", "hidden=(64, 64)"]
+    )
     assert changes == {"learning_rate": 3e-4, "torso": "gru", "anneal_lr": True, "hidden": (64, 64)}
     with pytest.raises(ValueError, match="give name=value"):
         parse_changes(["gru"])
@@ -50,7 +68,9 @@ def test_a_preset_file_stands_for_algorithm_and_hyperparameters(tmp_path):
     with pytest.raises(ValueError, match="is a preset of mappo; leave --algorithm out"):
         read_preset(path, "ippo")
     path.write_text("[1]")
-    with pytest.raises(ValueError, match=r"preset\.json is no preset .* give a JSON object with algorithm"):
+    with pytest.raises(
+        ValueError, match=r"preset\.json is no preset .* give a JSON object with algorithm"
+    ):
         read_preset(path, None)
 
 
@@ -58,11 +78,20 @@ def test_a_preset_file_stands_for_algorithm_and_hyperparameters(tmp_path):
     ("words", "message"),
     [
         (["--task", "swim"], "task is 'swim'; allowed are scratch"),
-        (["--task", "scratch", "--algorithm", "sac"], "algorithm is 'sac'; allowed are ippo, mappo, isac, masac"),
-        (["--task", "scratch", "--disability", "d1,d10"], "disability is 'd10'; allowed are d1, d2"),
+        (
+            ["--task", "scratch", "--algorithm", "sac"],
+            "algorithm is 'sac'; allowed are ippo, mappo, isac, masac",
+        ),
+        (
+            ["--task", "scratch", "--disability", "d1,d10"],
+            "disability is 'd10'; allowed are d1, d2",
+        ),
         (["--task", "scratch", "--steps", "0"], "steps is '0'"),
         (["--task", "scratch", "--num-envs", "7"], "choose num_envs as a multiple of minibatches"),
-        (["--task", "scratch", "--set", "speed=9"], "unknown hyperparameter speed of ippo; allowed are"),
+        (
+            ["--task", "scratch", "--set", "speed=9"],
+            "unknown hyperparameter speed of ippo; allowed are",
+        ),
     ],
 )
 def test_wrong_values_get_one_line(words, message, tmp_path, capsys):
@@ -84,26 +113,52 @@ def test_a_live_line_says_how_far_the_run_is(capsys):
     line = LiveLine(TrainConfig("scratch", "ippo", make_members([0], ["d1"]), 10), sys.stderr)
     line(
         Progress(
-            3, 4, 1_500_000, 2_000_000, 15_200.4, 33.0, pl.DataFrame({"return": [480.25, None], "reward": [0.5, 0.5]})
+            3,
+            4,
+            1_500_000,
+            2_000_000,
+            15_200.4,
+            33.0,
+            pl.DataFrame({"return": [480.25, None], "reward": [0.5, 0.5]}),
         )
     )
-    assert capsys.readouterr().err == ("scratch ippo: 1.50M of 2.00M steps, 15,200 steps/s, return 480.2, 33 s left\n")
+    assert capsys.readouterr().err == (
+        "scratch ippo: 1.50M of 2.00M steps, 15,200 steps/s, return 480.2, 33 s left\n"
+    )
 
 
 @pytest.mark.slow
 def test_a_tiny_run_on_the_real_task_can_be_published(tmp_path, capfd):
     from zoo.runs import read_run
 
-    words = ["train", "--task", "scratch", "--disability", "d1,d9", "--seeds", "0,4", "--steps", "96", *TINY]
+    words = [
+        "train",
+        "--task",
+        "scratch",
+        "--disability",
+        "d1,d9",
+        "--seeds",
+        "0,4",
+        "--steps",
+        "96",
+        *TINY,
+    ]
     assert run([*words, "--out", str(tmp_path / "run"), "--json-lines"]) == 0
     lines = [json.loads(line) for line in capfd.readouterr().out.splitlines()]
     assert [line["update"] for line in lines[:-1]] == [1, 2, 3]
     assert [team["seed"] for team in lines[-1]["teams"]] == [0, 4, 0, 4]
     teams = read_run(tmp_path / "run")
-    assert [(team.disability, team.seed) for team in teams] == [("d1", 0), ("d1", 4), ("d9", 0), ("d9", 4)]
+    assert [(team.disability, team.seed) for team in teams] == [
+        ("d1", 0),
+        ("d1", 4),
+        ("d9", 0),
+        ("d9", 4),
+    ]
     assert teams[0].specs["robot"].observation_size == 34
     events = tmp_path / "events"
-    assert run([*words, "--out", str(tmp_path / "run"), "--json", "--tensorboard", str(events)]) == 0
+    assert (
+        run([*words, "--out", str(tmp_path / "run"), "--json", "--tensorboard", str(events)]) == 0
+    )
     assert len(json.loads(capfd.readouterr().out)["teams"]) == 4
     wanted = [f"scratch-ippo-{setting}-s{seed}" for setting in ("d1", "d9") for seed in (0, 4)]
     assert sorted(path.name for path in events.iterdir() if any(path.iterdir())) == wanted

@@ -9,7 +9,16 @@ from population.config import preset
 from zoo import storage
 from zoo.registry import load_registry
 
-TINY = ["--num-envs", "16", "--set", "rollout_steps=4", "--set", "minibatches=2", "--set", "hidden=(8, 8)"]
+TINY = [
+    "--num-envs",
+    "16",
+    "--set",
+    "rollout_steps=4",
+    "--set",
+    "minibatches=2",
+    "--set",
+    "hidden=(8, 8)",
+]
 
 
 def unreadable(test, loaded):
@@ -32,8 +41,12 @@ def test_only_the_training_half_is_loaded(monkeypatch):
     monkeypatch.setattr(storage, "_verified_row", unreadable(split.test, loaded))
     partners = load_partners(registry, split)
     assert sorted(partners.names) == sorted(loaded) == [f"{team}/human" for team in split.train]
-    assert list(partners.disabilities) == [name.split("/")[1].split("-")[1] for name in partners.names]
-    with pytest.raises(OSError, match="is unreadable"):  # the guard bites: other halves would be seen
+    assert list(partners.disabilities) == [
+        name.split("/")[1].split("-")[1] for name in partners.names
+    ]
+    with pytest.raises(
+        OSError, match="is unreadable"
+    ):  # the guard bites: other halves would be seen
         load_partners(registry, split.model_copy(update={"train": split.test}))
 
 
@@ -41,7 +54,10 @@ def test_only_the_training_half_is_loaded(monkeypatch):
     ("words", "message"),
     [
         (["--algorithm", "ippo"], "algorithm is 'ippo'; allowed are ppo, sac"),
-        (["--num-envs", "20", "--set", "minibatches=4"], "num_envs is 20 with 99 partners; .* choose 396, or leave"),
+        (
+            ["--num-envs", "20", "--set", "minibatches=4"],
+            "num_envs is 20 with 99 partners; .* choose 396, or leave",
+        ),
         (["--split", "halves"], "expected one split"),
         (["--set", "shared=true"], "leave shared out"),
         (["--algorithm", "sac", "--set", "critic=central"], "choose local"),
@@ -56,7 +72,11 @@ def test_wrong_values_get_one_line(words, message, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("algorithm", "partners", "told"),
     [
-        ("ippo", 99, "99 partners of half, 12 simulations each, 1188 in place of the preset's 1024\n"),
+        (
+            "ippo",
+            99,
+            "99 partners of half, 12 simulations each, 1188 in place of the preset's 1024\n",
+        ),
         ("isac", 99, "99 partners of half, 1 simulation each, 99 in place of the preset's 64\n"),
         ("isac", 59, "59 partners of half, 1 simulation each, 59 in place of the preset's 64\n"),
         ("ippo", 16, "16 partners of half, 64 simulations each\n"),
@@ -72,16 +92,40 @@ def test_the_preset_is_fitted_to_the_partners_and_says_so(algorithm, partners, t
 def test_trained_robots_are_policy_files_that_can_be_evaluated(tmp_path, capfd):
     from evaluation.egos import read_egos
 
-    words = ["train-ego", "--task", "scratch", "--split", "half-s0-v0", "--seeds", "2", "--steps", "128", *TINY]
+    words = [
+        "train-ego",
+        "--task",
+        "scratch",
+        "--split",
+        "half-s0-v0",
+        "--seeds",
+        "2",
+        "--steps",
+        "128",
+        *TINY,
+    ]
     assert run([*words, "--out", str(tmp_path / "ego"), "--backend", "native", "--json"]) == 0
     result = json.loads(capfd.readouterr().out)
     assert result["partners"] == 16
-    assert [path.rpartition("/")[2] for path in result["policies"]] == ["ppo-s0.safetensors", "ppo-s1.safetensors"]
+    assert [path.rpartition("/")[2] for path in result["policies"]] == [
+        "ppo-s0.safetensors",
+        "ppo-s1.safetensors",
+    ]
     (group,) = read_egos(result["policies"], load_registry(), "scratch")
     assert len(group.members) == 2
     spec, _, metadata = storage.read_policy_file(result["policies"][1])
     assert (spec.role, metadata["seed"], metadata["training"]["steps"]) == ("robot", 1, 128)
     assert metadata["split"].startswith("scratch/half-s0-v0")
-    words = ["publish", str(tmp_path / "ego"), "--release", "v9", "--registry", str(tmp_path / "registry.json")]
+    words = [
+        "publish",
+        str(tmp_path / "ego"),
+        "--release",
+        "v9",
+        "--registry",
+        str(tmp_path / "registry.json"),
+    ]
     assert run(words) == 1 and not (tmp_path / "registry.json").exists()
-    assert "found mixed (a robot that was trained with frozen partners is no team" in capfd.readouterr().err
+    assert (
+        "found mixed (a robot that was trained with frozen partners is no team"
+        in capfd.readouterr().err
+    )

@@ -11,7 +11,10 @@ from population.spec import PolicySpec
 from zoo.tensors import encode
 
 ROOT = Path(__file__).parents[2]
-SPECS = {"robot": PolicySpec("robot", 5, 2, hidden=(4,)), "human": PolicySpec("human", 6, 3, hidden=(4,))}
+SPECS = {
+    "robot": PolicySpec("robot", 5, 2, hidden=(4,)),
+    "human": PolicySpec("human", 6, 3, hidden=(4,)),
+}
 COMMANDS = (
     "list",
     "show",
@@ -34,18 +37,32 @@ def write_run(folder: Path, disabilities=("d1", "d9"), seeds=4) -> Path:
     rng = np.random.default_rng(0)
     for role, spec in SPECS.items():
         sizes = (spec.observation_size, 4, spec.action_size)
-        shapes: dict[str, tuple[int, ...]] = {f"Dense_{i}/kernel": (sizes[i], sizes[i + 1]) for i in range(2)}
+        shapes: dict[str, tuple[int, ...]] = {
+            f"Dense_{i}/kernel": (sizes[i], sizes[i + 1]) for i in range(2)
+        }
         shapes |= {f"Dense_{i}/bias": (sizes[i + 1],) for i in range(2)}
         shapes |= {"log_std": sizes[2:], "normaliser/mean": sizes[:1], "normaliser/std": sizes[:1]}
-        leaves = {name: rng.random((len(names), *shape), np.float32) for name, shape in shapes.items()}
+        leaves = {
+            name: rng.random((len(names), *shape), np.float32) for name, shape in shapes.items()
+        }
         data = encode(leaves, {"spec": spec.to_json(), "rows": [f"{d}-{s}" for d, s in names]})
         (folder / f"{role}.safetensors").write_bytes(data)
     teams = [
         {
-            "team": {"task": "scratch", "algorithm": "ippo", "disability": disability, "seed": seed},
-            "roles": {r: {"spec": s.to_json(), "file": f"{r}.safetensors", "row": row} for r, s in SPECS.items()},
+            "team": {
+                "task": "scratch",
+                "algorithm": "ippo",
+                "disability": disability,
+                "seed": seed,
+            },
+            "roles": {
+                r: {"spec": s.to_json(), "file": f"{r}.safetensors", "row": row}
+                for r, s in SPECS.items()
+            },
             "training": {"steps": 1000, "env_version": 1, "backend": "native"},
-            "self_play": {"mean": 900.0, "iqm": 910.0, "ci": [890.0, 915.0], "n": 8} if seed else None,
+            "self_play": {"mean": 900.0, "iqm": 910.0, "ci": [890.0, 915.0], "n": 8}
+            if seed
+            else None,
         }
         for row, (disability, seed) in enumerate(names)
     ]
@@ -54,11 +71,18 @@ def write_run(folder: Path, disabilities=("d1", "d9"), seeds=4) -> Path:
 
 
 @pytest.fixture
-def zoo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Path:
+def zoo(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Path:
     """A published registry, named by the environment variable."""
     path = tmp_path / "zoo" / "registry.json"
     monkeypatch.setenv("ASSISTAX_ZOO_REGISTRY", str(path))
-    assert run(["publish", str(write_run(tmp_path / "run")), "--release", "v0", "--date", "2027-01-31"]) == 0
+    assert (
+        run(
+            ["publish", str(write_run(tmp_path / "run")), "--release", "v0", "--date", "2027-01-31"]
+        )
+        == 0
+    )
     assert "published 16 new policies" in capsys.readouterr().out
     return path
 
@@ -97,7 +121,10 @@ def test_show(zoo: Path, capsys) -> None:
     assert card["spec"] == SPECS["human"].to_json() and card["training"]["steps"] == 1000
     assert card["training"]["run"] == "run" and card["disability"]["strength"] == 1.0
     assert next(iter(card["splits"].values())) in ("train", "test")
-    assert [card["id"] for card in answer(capsys, "show", FIRST)] == [f"{FIRST}/robot", f"{FIRST}/human"]
+    assert [card["id"] for card in answer(capsys, "show", FIRST)] == [
+        f"{FIRST}/robot",
+        f"{FIRST}/human",
+    ]
     assert run(["show", FIRST]) == 0
     assert "not measured" in capsys.readouterr().out
     assert f"{FIRST}/human" in refusal(capsys, "show", f"{FIRST}/humen")
@@ -118,7 +145,9 @@ def test_verify_passes_then_fails_with_both_hashes(zoo: Path, capsys) -> None:
     assert json.loads(capsys.readouterr().out)["ok"] is False
 
 
-def test_publish_twice_is_a_no_op_and_changed_bytes_are_refused(zoo: Path, tmp_path: Path, capsys) -> None:
+def test_publish_twice_is_a_no_op_and_changed_bytes_are_refused(
+    zoo: Path, tmp_path: Path, capsys
+) -> None:
     before = zoo.read_bytes()
     assert answer(capsys, "publish", str(tmp_path / "run"), "--release", "v0")["added"] == []
     other = write_run(tmp_path / "other", ("d1",), 1)
@@ -136,7 +165,15 @@ def test_splits(zoo: Path, capsys) -> None:
     shown = answer(capsys, "split", "show", "scratch")
     assert shown["id"] == default["id"] and len(shown["test"]) == 4
     made = answer(
-        capsys, "split", "create", "--task", "scratch", "--rule", "leave-one-disability-out", "--held-out", "d9"
+        capsys,
+        "split",
+        "create",
+        "--task",
+        "scratch",
+        "--rule",
+        "leave-one-disability-out",
+        "--held-out",
+        "d9",
     )
     assert made["held_out"] == "d9" and answer(capsys, "split", "show", made["id"]) == made
     sides = ("--train", "scratch/*-s[01]-*", "--test", "scratch/*-s2-*")
@@ -155,8 +192,12 @@ def test_splits(zoo: Path, capsys) -> None:
 
 def test_bad_splits_are_refused(zoo: Path, capsys) -> None:
     same = ("--train", "*", "--test", "*-s0-*")
-    assert "on both" in refusal(capsys, "split", "create", "--task", "scratch", "--rule", "custom", *same)
-    assert "d1, d9" in refusal(capsys, "split", "create", "--task", "scratch", "--rule", "leave-one-disability-out")
+    assert "on both" in refusal(
+        capsys, "split", "create", "--task", "scratch", "--rule", "custom", *same
+    )
+    assert "d1, d9" in refusal(
+        capsys, "split", "create", "--task", "scratch", "--rule", "leave-one-disability-out"
+    )
     assert "no partners" in refusal(capsys, "split", "create", "--task", "bed_bath")
     assert "split create" in refusal(capsys, "split", "show", "scratch/half-s7")
     data = json.loads(zoo.read_text())
@@ -169,8 +210,16 @@ def test_bad_splits_are_refused(zoo: Path, capsys) -> None:
 
 
 def test_a_registry_that_is_not_there_gives_one_line(tmp_path: Path, capsys) -> None:
-    for command in (["list"], ["show", FIRST], ["verify"], ["split", "list"], ["split", "create", "--task", "scratch"]):
-        assert "no such file" in refusal(capsys, *command, "--registry", str(tmp_path / "none.json"))
+    for command in (
+        ["list"],
+        ["show", FIRST],
+        ["verify"],
+        ["split", "list"],
+        ["split", "create", "--task", "scratch"],
+    ):
+        assert "no such file" in refusal(
+            capsys, *command, "--registry", str(tmp_path / "none.json")
+        )
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -183,8 +232,11 @@ def test_help_has_an_example_and_describes_every_option(command: str, capsys) ->
 def test_reading_commands_import_nothing_heavy(zoo: Path) -> None:
     code = (
         "import sys\nfrom assistax_zoo.main import run\n"
-        f"for words in (['list'], ['show', '{FIRST}'], ['verify'], ['split', 'list']): assert run(words) == 0\n"
-        "print(sorted({'jax', 'mujoco', 'flax', 'matplotlib', 'polars', 'scipy'} & set(sys.modules)))"
+        f"for words in (['list'], ['show', '{FIRST}'], ['verify'], ['split', 'list']): assert "
+        "run(words) == 0\nprint(sorted({'jax', 'mujoco', 'flax', 'matplotlib', 'polars', 'scipy'} "
+        "& set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
     assert done.stdout.splitlines()[-1] == "[]"

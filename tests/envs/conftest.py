@@ -40,12 +40,16 @@ def random_actions(size: int, steps: int, seed: int = 0) -> list[dict[str, jax.A
     ]
 
 
-def constant_actions(size: int, steps: int, robot: float, human: float) -> list[dict[str, jax.Array]]:
+def constant_actions(
+    size: int, steps: int, robot: float, human: float
+) -> list[dict[str, jax.Array]]:
     action = {"robot": jnp.full((size, 7), robot), "human": jnp.full((size, 3), human)}
     return [action] * steps
 
 
-def play(task: str, backend: str, state: EnvState, actions: list[dict[str, jax.Array]]) -> list[EnvState]:
+def play(
+    task: str, backend: str, state: EnvState, actions: list[dict[str, jax.Array]]
+) -> list[EnvState]:
     """Return the state after each action."""
     step = compiled(task, backend)[1]
     states = []

@@ -9,7 +9,9 @@ from assistax_envs import EnvState
 from population.policy import Policy
 from zoo import load_group, load_registry
 
-Players = Callable[[EnvState, jax.Array], dict[str, jax.Array]]  # from a state and the time to both roles' actions
+Players = Callable[
+    [EnvState, jax.Array], dict[str, jax.Array]
+]  # from a state and the time to both roles' actions
 
 
 def team(identifier: str, size: int) -> Players:
@@ -34,7 +36,9 @@ def random_players(size: int, hold: int, seed: int) -> Players:
     """Return players of full torques whose signs are drawn anew every `hold` steps."""
 
     def act(state: EnvState, time: jax.Array) -> dict[str, jax.Array]:
-        signs = jax.random.rademacher(jax.random.fold_in(jax.random.key(seed), time // hold), (size, 10), jnp.float32)
+        signs = jax.random.rademacher(
+            jax.random.fold_in(jax.random.key(seed), time // hold), (size, 10), jnp.float32
+        )
         return {"robot": signs[:, :7], "human": signs[:, 7:]}
 
     return act

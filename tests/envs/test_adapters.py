@@ -41,7 +41,9 @@ def test_jaxmarl_is_the_environment_on_one_simulation(marl: AssistaxMarlEnv, mak
     expected = marl.env.reset(jax.random.key(1)[None], params)
     np.testing.assert_array_equal(obs["robot"], expected.obs["robot"][0])
     obs, state, rewards, dones, infos = jax.jit(marl.step)(make_key(2), state, ZERO)
-    expected = jax.jit(marl.env.step)(expected, {role: action[None] for role, action in ZERO.items()})
+    expected = jax.jit(marl.env.step)(
+        expected, {role: action[None] for role, action in ZERO.items()}
+    )
     np.testing.assert_allclose(obs["human"], expected.obs["human"][0], atol=1e-6)
     assert set(rewards) == set(dones) == {"robot", "human", "__all__"}
     np.testing.assert_allclose(rewards["__all__"], expected.reward[0], rtol=1e-5)
@@ -60,14 +62,18 @@ def test_jaxmarl_under_vmap_is_its_batch(marl: AssistaxMarlEnv):
 
     mapped = jax.jit(lambda: play(jax.vmap(marl.reset), jax.vmap(marl.step)))()
     batch = jax.jit(lambda: play(marl.reset_batch, marl.step_batch))()
-    for one, other in zip(jax.tree.leaves((mapped[0], mapped[2])), jax.tree.leaves((batch[0], batch[2])), strict=True):
+    for one, other in zip(
+        jax.tree.leaves((mapped[0], mapped[2])), jax.tree.leaves((batch[0], batch[2])), strict=True
+    ):
         np.testing.assert_allclose(one, other, atol=1e-6)
 
 
 def test_jaxmarl_resets_the_done_and_only_them(marl: AssistaxMarlEnv):
     def play(key):
         def body(state, key):
-            obs, state, _, dones, _ = jax.vmap(marl.step, in_axes=(0, 0, None))(jax.random.split(key, 2), state, ZERO)
+            obs, state, _, dones, _ = jax.vmap(marl.step, in_axes=(0, 0, None))(
+                jax.random.split(key, 2), state, ZERO
+            )
             return state, (state.step, dones["__all__"], obs["robot"])
 
         _, state = jax.vmap(marl.reset)(jax.random.split(key, 2))
@@ -133,7 +139,11 @@ def test_pettingzoo_is_truncated_at_the_horizon_and_reproducible(short: int):
         obs, rewards, terminated, truncated, infos = env.step(actions)
         assert truncated == dict.fromkeys(env.possible_agents, step == short - 1)
     assert terminated == dict.fromkeys(env.possible_agents, False)
-    assert rewards["robot"] == rewards["human"] == pytest.approx(sum(infos["robot"]["terms"].values()), rel=1e-5)
+    assert (
+        rewards["robot"]
+        == rewards["human"]
+        == pytest.approx(sum(infos["robot"]["terms"].values()), rel=1e-5)
+    )
     assert env.state().shape == (52,)
     assert all(env.observation_space(agent).contains(obs[agent]) for agent in env.possible_agents)
     assert env.agents == [] and env.step(actions) == ({}, {}, {}, {}, {})
@@ -145,7 +155,9 @@ def test_gymnasium_passes_its_own_check():
     from assistax_envs.adapters.gymnasium import AssistaxEnv
 
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*(infinity|spec)")  # observations are unbounded, as MuJoCo's are
+        warnings.filterwarnings(
+            "ignore", message=".*(infinity|spec)"
+        )  # observations are unbounded, as MuJoCo's are
         check_env(AssistaxEnv(TASK, lambda obs: np.full(3, 0.1)), skip_render_check=True)
 
 
@@ -205,7 +217,9 @@ def test_wrong_arguments_say_what_is_allowed(short: int):
     from assistax_envs.adapters.gymnasium import AssistaxEnv
     from assistax_envs.adapters.pettingzoo import AssistaxParallelEnv
 
-    with pytest.raises(ValueError, match="render_mode is 'human'; allowed are None and 'rgb_array'"):
+    with pytest.raises(
+        ValueError, match="render_mode is 'human'; allowed are None and 'rgb_array'"
+    ):
         AssistaxEnv(TASK, render_mode="human")
     with pytest.raises(ValueError, match="render_mode is 'ansi'"):
         AssistaxParallelEnv(TASK, render_mode="ansi")
@@ -225,11 +239,14 @@ def test_wrong_arguments_say_what_is_allowed(short: int):
 )
 def test_a_missing_package_names_the_extra(module: str, missing: str):
     script = f"import sys; sys.modules[{missing!r}] = None; import assistax_envs.adapters.{module}"
-    result = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
+    result = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True
+    )
     assert result.returncode == 1
     last = result.stderr.strip().splitlines()[-1]
     assert last == (
-        f"ImportError: this adapter needs the package {missing}; install it with: pip install 'assistax-zoo[adapters]'"
+        f"ImportError: this adapter needs the package {missing}; install it with: pip install "
+        "'assistax-zoo[adapters]'"
     )
 
 
@@ -238,7 +255,9 @@ def test_stable_baselines3_trains():
     sb3 = pytest.importorskip("stable_baselines3")
     from assistax_envs.adapters.gymnasium import AssistaxEnv
 
-    model = sb3.PPO("MlpPolicy", AssistaxEnv(TASK, Partner()), n_steps=128, batch_size=64, n_epochs=2, seed=0)
+    model = sb3.PPO(
+        "MlpPolicy", AssistaxEnv(TASK, Partner()), n_steps=128, batch_size=64, n_epochs=2, seed=0
+    )
     before = [parameter.detach().clone() for parameter in model.policy.parameters()]
     model.learn(384)
     after = list(model.policy.parameters())

@@ -19,7 +19,9 @@ WEIGHTS = {"reach_target": 1.0, "reach_waist": 10.0, "rotation": 0.1}
 @pytest.mark.parametrize(("rotation", "norm"), [("aligned", 0.0), ("printed", LARGEST_NORM)])
 def test_a_perfect_episode_earns_the_papers_bound(rotation: str, norm: float) -> None:
     terms = arm_assist_terms(jnp.zeros(1), jnp.zeros(1), jnp.full(1, norm), rotation)
-    assert round(1000 * sum(WEIGHTS[name] * float(term[0]) for name, term in terms.items())) == 11346
+    assert (
+        round(1000 * sum(WEIGHTS[name] * float(term[0]) for name, term in terms.items())) == 11346
+    )
 
 
 def test_the_rotation_term_as_printed_grows_with_misalignment_and_the_aligned_one_falls() -> None:
@@ -74,7 +76,10 @@ def test_a_human_at_full_torque_cannot_do_it_alone() -> None:
         still = jnp.zeros((SIZE, 7))
         hold = jnp.broadcast_to(signs, (8, 3))
         phase = jax.random.fold_in(jax.random.key(5), time // 25)
-        return {"robot": still, "human": jnp.concatenate([hold, jax.random.rademacher(phase, (8, 3), jnp.float32)])}
+        return {
+            "robot": still,
+            "human": jnp.concatenate([hold, jax.random.rademacher(phase, (8, 3), jnp.float32)]),
+        }
 
     assert _distances(push).min() > 2.0 * ARRIVED
 

@@ -1,7 +1,8 @@
 """Backends earn the same: returns of a published team over 64 episodes, paired by start, on MuJoCo and on MJX.
 
-The team touches and presses, or lifts, for a third of the time or more, which is where float32 and float64 part: single
-episodes differ, and what must not differ is their mean, because policies trained on one backend are judged on another.
+The team touches and presses, or lifts, for a third of the time or more, which is where float32 and
+float64 part: single episodes differ, and what must not differ is their mean, because policies
+trained on one backend are judged on another.
 """
 
 import functools
@@ -21,13 +22,19 @@ TEAMS = {
     "arm_assist": "arm_assist/ippo-d1-s1-v1",
 }
 EPISODES = 64
-STEPS = {"scratch": 200, "bed_bath": 200, "arm_assist": 50}  # an arm is lifted in half a second, and then it lies
+STEPS = {
+    "scratch": 200,
+    "bed_bath": 200,
+    "arm_assist": 50,
+}  # an arm is lifted in half a second, and then it lies
 SURE = 3.0  # standard errors on each side: an interval of 99.6% for 63 degrees of freedom
 SMALL = 0.005  # of the mean return: a difference that is sure, but does not matter
 
 
 @functools.cache
-def returns(task: str, backend: str, gravity: float = 1.0, setting: str | None = None) -> tuple[np.ndarray, float]:
+def returns(
+    task: str, backend: str, gravity: float = 1.0, setting: str | None = None
+) -> tuple[np.ndarray, float]:
     """Return what each episode earned [64], and the share of steps with the tool on the arm or the goal reached."""
     env = assistax_envs.make(task, backend)
     env._physics.model.opt.gravity[:] *= gravity
@@ -39,7 +46,9 @@ def returns(task: str, backend: str, gravity: float = 1.0, setting: str | None =
         state = env.step(state, act(state, time))
         return state, (state.reward, (state.measures.force > 0) | state.measures.success)
 
-    last, (reward, busy) = jax.jit(lambda state: jax.lax.scan(step, state, jnp.arange(STEPS[task])))(start)
+    last, (reward, busy) = jax.jit(
+        lambda state: jax.lax.scan(step, state, jnp.arange(STEPS[task]))
+    )(start)
     assert not bool(last.nonfinite.any())
     return np.asarray(reward, np.float64).sum(axis=0), float(np.asarray(busy).mean())
 
@@ -48,7 +57,10 @@ def differ(ours: np.ndarray, theirs: np.ndarray) -> bool:
     """Return whether the mean of the paired differences is surely not 0, and large enough to matter."""
     difference = ours - theirs
     error = difference.std(ddof=1) / np.sqrt(difference.size)
-    return bool(abs(difference.mean()) > SURE * error and abs(difference.mean()) > SMALL * abs(theirs.mean()))
+    return bool(
+        abs(difference.mean()) > SURE * error
+        and abs(difference.mean()) > SMALL * abs(theirs.mean())
+    )
 
 
 @pytest.mark.slow
@@ -58,7 +70,9 @@ def test_mean_returns_agree(task: str) -> None:
     mjx, also_busy = returns(task, "mjx")
     assert min(busy, also_busy) > 0.3
     assert not differ(mjx, native)
-    assert abs(mjx.mean() - native.mean()) < SMALL * abs(native.mean())  # a wide interval hides nothing either
+    assert abs(mjx.mean() - native.mean()) < SMALL * abs(
+        native.mean()
+    )  # a wide interval hides nothing either
 
 
 @pytest.mark.slow

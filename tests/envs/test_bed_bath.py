@@ -25,7 +25,9 @@ def _task() -> BedBath:
 
 
 def _touching(readings: Readings, point: jax.Array, force: float) -> Readings:
-    return dataclasses.replace(readings, tool_position=point, tool_force=jnp.array([[force, 0.0, 0.0]]))
+    return dataclasses.replace(
+        readings, tool_position=point, tool_force=jnp.array([[force, 0.0, 0.0]])
+    )
 
 
 def test_all_52_points_lie_on_the_skin_from_shoulder_to_wrist() -> None:
@@ -38,7 +40,9 @@ def test_all_52_points_lie_on_the_skin_from_shoulder_to_wrist() -> None:
         axis = rotate(readings.arm_orientation[0, row], jnp.array([0.0, 0.0, 1.0]))
         part = np.asarray(points[row * 26 : row * 26 + 26] - readings.arm_position[0, row][None])
         along = part @ np.asarray(axis)
-        np.testing.assert_allclose(np.linalg.norm(part - along[:, None] * np.asarray(axis), axis=-1), radius, atol=1e-5)
+        np.testing.assert_allclose(
+            np.linalg.norm(part - along[:, None] * np.asarray(axis), axis=-1), radius, atol=1e-5
+        )
         np.testing.assert_allclose(along, np.linspace(-half, half, 26), atol=1e-5)
 
 
@@ -57,7 +61,9 @@ def test_a_perfect_bath_earns_the_papers_bound() -> None:
     assert success[:, 0].tolist() == [False] * (POINTS - 1) + [True] * (1000 - POINTS + 1)
 
 
-@pytest.mark.parametrize(("away", "force", "wiped"), [(0.0, 1.0, 1), (0.0, 0.0, 0), (REACH + 0.01, 1.0, 0)])
+@pytest.mark.parametrize(
+    ("away", "force", "wiped"), [(0.0, 1.0, 1), (0.0, 0.0, 0), (REACH + 0.01, 1.0, 0)]
+)
 def test_a_point_is_wiped_by_touch_within_reach_only(away: float, force: float, wiped: int) -> None:
     task, readings = _task(), _readings()
     state = BedBathState(jnp.zeros(1, jnp.int32))
@@ -65,4 +71,6 @@ def test_a_point_is_wiped_by_touch_within_reach_only(away: float, force: float, 
     state, obs, terms, _ = task.transition(state, _touching(readings, point, force))
     assert (int(state.wiped[0]), float(terms["wipe"][0])) == (wiped, float(wiped))
     after = task.targets(state, readings)["next"][:, 0]
-    np.testing.assert_allclose(obs["robot"][:, 30:33], after - point, atol=1e-6)  # the next target is seen at once
+    np.testing.assert_allclose(
+        obs["robot"][:, 30:33], after - point, atol=1e-6
+    )  # the next target is seen at once

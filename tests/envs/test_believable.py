@@ -26,7 +26,9 @@ def _settled(task: str, seconds: float = 4.0) -> tuple[mujoco.MjModel, mujoco.Mj
 
 @pytest.mark.parametrize("task", TASKS)
 def test_a_human_at_rest_stays_at_rest(task: str) -> None:
-    states = play(task, "native", start(task, "native", ["d1"] * 4), constant_actions(4, 1200, 0.0, 0.0))
+    states = play(
+        task, "native", start(task, "native", ["d1"] * 4), constant_actions(4, 1200, 0.0, 0.0)
+    )
     drift = np.abs(states[-1].physics.qpos - states[199].physics.qpos)  # 20 s after 4 s of settling
     assert float(drift.max()) < 0.05
 
@@ -41,7 +43,9 @@ def test_steady_contacts_barely_penetrate_and_carry_the_arm(task: str) -> None:
     limits = data.qfrc_constraint[dofs] - carried[dofs]  # what the elbow's stop adds
     balance = carried[dofs] + limits + data.qfrc_passive[dofs] - weight[dofs]
     assert np.abs(balance).max() < 0.1 * np.abs(weight[dofs]).max()
-    assert np.abs(carried[dofs]).max() > 0.3 * np.abs(weight[dofs]).max()  # the furniture does carry it
+    assert (
+        np.abs(carried[dofs]).max() > 0.3 * np.abs(weight[dofs]).max()
+    )  # the furniture does carry it
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -57,7 +61,9 @@ def test_a_falling_arm_gains_no_energy_and_falls_through_nothing(task: str) -> N
         energies.append(sum(data.energy))
     assert np.diff(energies[::20]).max() < 0.02  # J in 0.1 s
     assert energies[-1] < energies[0] - 0.5
-    below = {"scratch": 0.6, "bed_bath": 0.62, "arm_assist": 0.45}[task]  # m: by the thigh, mattress, over its edge
+    below = {"scratch": 0.6, "bed_bath": 0.62, "arm_assist": 0.45}[
+        task
+    ]  # m: by the thigh, mattress, over its edge
     assert data.site("human_right_lower_arm").xpos[2] > below
 
 

@@ -15,8 +15,12 @@ def shown(model: mujoco.MjModel) -> set[str]:
     mujoco.mj_forward(model, data)
     scene = mujoco.MjvScene(model, maxgeom=1000)
     everything = mujoco.mjtCatBit.mjCAT_ALL
-    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
-    drawn = [geom for geom in scene.geoms[: scene.ngeom] if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM]
+    mujoco.mjv_updateScene(
+        model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene
+    )
+    drawn = [
+        geom for geom in scene.geoms[: scene.ngeom] if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM
+    ]
     return {model.geom(geom.objid).name for geom in drawn if geom.rgba[3] > 0}
 
 
@@ -36,7 +40,9 @@ def test_it_shows_exactly_the_geoms_of_the_contact_pairs(task: str) -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_the_caption_has_every_pair_once(task: str) -> None:
     model = build_model(task)
-    told = [frozenset((first, other)) for first, others in touches(model).items() for other in others]
+    told = [
+        frozenset((first, other)) for first, others in touches(model).items() for other in others
+    ]
     assert len(told) == model.npair
     assert set(told) == paired(model)
 
@@ -44,8 +50,8 @@ def test_the_caption_has_every_pair_once(task: str) -> None:
 def test_a_pair_that_is_added_is_shown() -> None:
     """What is drawn follows the model: a geom outside every pair appears with its first one."""
     spec = mujoco.MjSpec.from_string(
-        "<mujoco><worldbody><geom name='a' size='.1'/><geom name='b' size='.1'/><geom name='c' size='.1'/></worldbody>"
-        "<contact><pair geom1='a' geom2='b'/></contact></mujoco>"
+        "<mujoco><worldbody><geom name='a' size='.1'/><geom name='b' size='.1'/><geom name='c' "
+        "size='.1'/></worldbody><contact><pair geom1='a' geom2='b'/></contact></mujoco>"
     )
     assert shown(collision_model(spec.compile())) == {"a", "b"}
     spec.add_pair(geomname1="a", geomname2="c")
@@ -57,13 +63,19 @@ def test_owners_have_their_colours() -> None:
     assert {owner: sum(each == owner for each in owners.values()) for owner in COLOURS} == {
         "robot": 2, "human": 7, "furniture": 2,
     }  # fmt: skip
-    assert (owners["robot_tool"], owners["right_thigh"], owners["right_rail_inner"]) == ("robot", "human", "furniture")
+    assert (owners["robot_tool"], owners["right_thigh"], owners["right_rail_inner"]) == (
+        "robot",
+        "human",
+        "furniture",
+    )
 
 
 def test_the_picture_puts_the_scene_beside_its_collisions() -> None:
     rows = picture(["scratch"], width=320, height=240)
     assert rows.shape[1:] == (640, 3) and rows.shape[0] > 240
     scene, collisions = rows[:240, :320].astype(int), rows[:240, 320:].astype(int)
-    blue = [((pane[..., 2] - pane[..., 0]) > 80).sum() for pane in (scene, collisions)]  # the human's colour
+    blue = [
+        ((pane[..., 2] - pane[..., 0]) > 80).sum() for pane in (scene, collisions)
+    ]  # the human's colour
     assert blue[1] > 500 > blue[0]
     assert np.unique(rows[240:].reshape(-1, 3), axis=0).shape[0] > 20  # words, in several colours

@@ -17,8 +17,9 @@ WIDTHS = {
     "bed_bath": {"robot": 34, "human": 38, "global": 52},
     "arm_assist": {"robot": 47, "human": 51, "global": 65},
 }
-# Over 20 control steps of random torques, float32 against float64: rad, and reward. The largest differences are of an
-# elbow that strikes its stop; the mean tells apart what the largest lets pass.
+# Over 20 control steps of random torques, float32 against float64: rad, and reward. The largest
+# differences are of an elbow that strikes its stop; the mean tells apart what the largest lets
+# pass.
 LARGEST_DIFFERENCE, MEAN_DIFFERENCE = 3e-2, 1e-3
 
 each_task_and_backend = pytest.mark.parametrize(
@@ -34,17 +35,23 @@ def test_shapes_and_types(task: str, backend: str) -> None:
     assert env.observation_size == WIDTHS[task]
     assert env.action_size == {"robot": 7, "human": 3}
     for each in (state, after):
-        assert {name: obs.shape for name, obs in each.obs.items()} == {n: (4, w) for n, w in WIDTHS[task].items()}
+        assert {name: obs.shape for name, obs in each.obs.items()} == {
+            n: (4, w) for n, w in WIDTHS[task].items()
+        }
         assert each.reward.shape == (4,)
         assert set(each.terms) == set(env.term_names)
         assert {leaf.shape[0] for leaf in jax.tree.leaves(each)} == {4}
     assert jax.tree.structure(state) == jax.tree.structure(after)
-    assert [leaf.dtype for leaf in jax.tree.leaves(state)] == [leaf.dtype for leaf in jax.tree.leaves(after)]
+    assert [leaf.dtype for leaf in jax.tree.leaves(state)] == [
+        leaf.dtype for leaf in jax.tree.leaves(after)
+    ]
 
 
 @each_task_and_backend
 @pytest.mark.parametrize("actions", ["random", "full", "opposed"])
-def test_a_whole_episode_stays_finite_and_ends_by_time(task: str, backend: str, actions: str) -> None:
+def test_a_whole_episode_stays_finite_and_ends_by_time(
+    task: str, backend: str, actions: str
+) -> None:
     env = environment(task, backend)
     rows = {
         "random": random_actions(4, 1000, seed=1),
@@ -73,14 +80,18 @@ def test_resets_are_the_same_bits_on_every_backend(task: str) -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_backends_agree_over_the_first_steps(task: str) -> None:
     actions = random_actions(4, 20, seed=2)
-    native, mjx = (play(task, backend, start(task, backend, SETTINGS, seed=3), actions) for backend in BACKENDS)
+    native, mjx = (
+        play(task, backend, start(task, backend, SETTINGS, seed=3), actions) for backend in BACKENDS
+    )
     other = play(task, "native", start(task, "native", SETTINGS, seed=4), actions)
     assert _agree(native, mjx)
     assert not _agree(native, other)  # the bounds tell another start apart
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_a_diverged_simulation_is_frozen_earns_nothing_and_leaves_the_others_alone(task: str) -> None:
+def test_a_diverged_simulation_is_frozen_earns_nothing_and_leaves_the_others_alone(
+    task: str,
+) -> None:
     state = start(task, "native", SETTINGS)
     actions = random_actions(4, 5)
     calm = play(task, "native", state, actions)[-1]
@@ -101,23 +112,40 @@ def test_an_action_that_is_not_a_number_is_counted() -> None:
 
 
 def test_select_takes_whole_simulations() -> None:
-    fresh, old = start("scratch", "native", SETTINGS, seed=5), start("scratch", "native", SETTINGS, seed=6)
+    fresh, old = (
+        start("scratch", "native", SETTINGS, seed=5),
+        start("scratch", "native", SETTINGS, seed=6),
+    )
     mixed = select(jnp.array([True, False, False, True]), fresh, old)
     for i, source in enumerate((fresh, old, old, fresh)):
-        jax.tree.map(lambda a, b, i=i: np.testing.assert_array_equal(a[i], b[i]), _raw(mixed), _raw(source))
+        jax.tree.map(
+            lambda a, b, i=i: np.testing.assert_array_equal(a[i], b[i]), _raw(mixed), _raw(source)
+        )
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: assistax_envs.make("scrath"), "task is 'scrath'; allowed are scratch, bed_bath, arm_assist"),
-        (lambda: assistax_envs.make("scratch", "cuda"), "backend is 'cuda'; allowed are auto, native"),
-        (lambda: assistax_envs.make("scratch", "native", {"wipe": 2.0}), r"unknown terms \['wipe'\]; scratch has"),
+        (
+            lambda: assistax_envs.make("scrath"),
+            "task is 'scrath'; allowed are scratch, bed_bath, arm_assist",
+        ),
+        (
+            lambda: assistax_envs.make("scratch", "cuda"),
+            "backend is 'cuda'; allowed are auto, native",
+        ),
+        (
+            lambda: assistax_envs.make("scratch", "native", {"wipe": 2.0}),
+            r"unknown terms \['wipe'\]; scratch has",
+        ),
         (
             lambda: assistax_envs.make("arm_assist", "native", rotation="up"),
             "rotation is 'up'; allowed are printed, al",
         ),
-        (lambda: assistax_envs.disability_params(["d10"]), "disability setting is 'd10'; allowed are d1, d2"),
+        (
+            lambda: assistax_envs.disability_params(["d10"]),
+            "disability setting is 'd10'; allowed are d1, d2",
+        ),
         (lambda: assistax_envs.make("scratch", "mjx-warp"), "backend 'mjx-warp' needs"),
     ],
 )

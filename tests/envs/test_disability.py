@@ -26,13 +26,18 @@ def test_d9_narrows_the_elbows_reach_in_the_same_batch(backend: str) -> None:
     model = environment("scratch", backend).model
     elbow = model.joint(ELBOW)
     state = start("scratch", backend, ["d1", "d9", "d3", "d7"])
-    pushed = [play("scratch", backend, state, constant_actions(4, 60, 0.0, push))[-1] for push in (-1.0, 1.0)]
+    pushed = [
+        play("scratch", backend, state, constant_actions(4, 60, 0.0, push))[-1]
+        for push in (-1.0, 1.0)
+    ]
     lows, highs = (np.asarray(last.physics.qpos)[:, elbow.qposadr[0]] for last in pushed)
     rest = environment("scratch", "native")._task.pose.angle[elbow.qposadr[0]]
     low, high = elbow.range
     assert highs[0] == pytest.approx(high, abs=0.06)
     assert highs[1] == pytest.approx(rest + 0.4 * (high - rest), abs=0.06)
-    assert highs[3] == pytest.approx(rest + 0.4 * (high - rest), abs=0.06)  # d7: narrow, at full strength
+    assert highs[3] == pytest.approx(
+        rest + 0.4 * (high - rest), abs=0.06
+    )  # d7: narrow, at full strength
     assert highs[2] > highs[1] + 0.3  # d3: weak, but with its whole range
     assert lows[0] < rest + 0.4 * (low - rest) - 0.05
     assert lows[1] == pytest.approx(rest + 0.4 * (low - rest), abs=0.06)
@@ -41,10 +46,20 @@ def test_d9_narrows_the_elbows_reach_in_the_same_batch(backend: str) -> None:
 @pytest.mark.parametrize("backend", ["native", "mjx"])
 def test_d9_weakens_every_joint_it_moves(backend: str) -> None:
     model = environment("scratch", backend).model
-    dofs = [model.joint(f"human_{name}").dofadr[0] for name in ("right_shoulder1", "right_shoulder2", "right_elbow")]
-    same = jax.random.split(jax.random.key(0), 4)[jnp.zeros(4, jnp.int32)]  # one start, four settings
-    state = compiled("scratch", backend)[0](same, assistax_envs.disability_params(["d1", "d9", "d3", "d7"]))
-    after = [play("scratch", backend, state, constant_actions(4, 1, 0.0, push))[-1] for push in (0.0, 0.5)]
+    dofs = [
+        model.joint(f"human_{name}").dofadr[0]
+        for name in ("right_shoulder1", "right_shoulder2", "right_elbow")
+    ]
+    same = jax.random.split(jax.random.key(0), 4)[
+        jnp.zeros(4, jnp.int32)
+    ]  # one start, four settings
+    state = compiled("scratch", backend)[0](
+        same, assistax_envs.disability_params(["d1", "d9", "d3", "d7"])
+    )
+    after = [
+        play("scratch", backend, state, constant_actions(4, 1, 0.0, push))[-1]
+        for push in (0.0, 0.5)
+    ]
     idle, pushed = (np.asarray(last.physics.qvel)[:, dofs] for last in after)
     change = pushed - idle
     ratio = np.linalg.norm(change, axis=-1) / np.linalg.norm(change[0])
@@ -64,10 +79,14 @@ def test_tremor_is_zero_mean_and_lies_between_4_and_12_hz() -> None:
     state = jax.jit(env.reset)(jax.random.split(jax.random.key(0), size), params)
 
     def body(state: EnvState, step: jax.Array) -> tuple[EnvState, jax.Array]:
-        filtered, share = env._shake(dataclasses.replace(state, step=jnp.full(size, step, jnp.int32)))
+        filtered, share = env._shake(
+            dataclasses.replace(state, step=jnp.full(size, step, jnp.int32))
+        )
         return dataclasses.replace(state, tremor=filtered), share
 
-    torque = np.asarray(jax.jit(lambda state: jax.lax.scan(body, state, jnp.arange(steps))[1])(state))  # [T, N, 3]
+    torque = np.asarray(
+        jax.jit(lambda state: jax.lax.scan(body, state, jnp.arange(steps))[1])(state)
+    )  # [T, N, 3]
     assert np.all(torque[:, -1] == 0.0)  # the simulation without tremor stays calm
     shaking = torque[50:, :-1]
     spread = shaking.std()

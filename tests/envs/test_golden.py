@@ -1,7 +1,7 @@
 """Golden trajectories guard the environment's version: what they pin changes only together with `VERSIONS`.
 
-Fixed keys, fixed actions, the first 50 steps: where joints and tools went and what was earned. To renew them after a
-version was raised: `python -m tests.envs.test_golden`.
+Fixed keys, fixed actions, the first 50 steps: where joints and tools went and what was earned. To
+renew them after a version was raised: `python -m tests.envs.test_golden`.
 """
 
 import json
@@ -17,20 +17,33 @@ FOLDER = Path(__file__).parent / "golden"
 SETTINGS = ["d1", "d9", "d3", "d7"]
 STEPS = (1, 10, 25, 50)
 ANGLES = [*range(7), *range(21, 30)]  # columns of "global": joint angles of robot and human, rad
-# MJX's float32 parts from MuJoCo by millimetres once the arm touches, and sooner in velocities and forces.
-TOLERANCES = {"native": {"global": 1e-4, "reward": 1e-4, "return": 1e-4}, "mjx": {"reward": 3e-2, "return": 0.2}}
+# MJX's float32 parts from MuJoCo by millimetres once the arm touches, and sooner in velocities and
+# forces.
+TOLERANCES = {
+    "native": {"global": 1e-4, "reward": 1e-4, "return": 1e-4},
+    "mjx": {"reward": 3e-2, "return": 0.2},
+}
 FIRST_ANGLES = 5e-3  # rad, of either backend over the first 10 steps
 
 
 def trajectory(task: str, backend: str) -> dict:
     """Return observations and rewards at `STEPS`, and the return so far, rounded to what is pinned."""
-    states = play(task, backend, start(task, backend, SETTINGS, seed=20), random_actions(4, max(STEPS), seed=20))
+    states = play(
+        task,
+        backend,
+        start(task, backend, SETTINGS, seed=20),
+        random_actions(4, max(STEPS), seed=20),
+    )
     picked = [states[step - 1] for step in STEPS]
     return {
         "version": VERSIONS[task],
-        "global": [np.asarray(state.obs["global"], np.float64).round(6).tolist() for state in picked],
+        "global": [
+            np.asarray(state.obs["global"], np.float64).round(6).tolist() for state in picked
+        ],
         "reward": [np.asarray(state.reward, np.float64).round(6).tolist() for state in picked],
-        "return": np.sum([np.asarray(state.reward, np.float64) for state in states], axis=0).round(5).tolist(),
+        "return": np.sum([np.asarray(state.reward, np.float64) for state in states], axis=0)
+        .round(5)
+        .tolist(),
     }
 
 
@@ -38,7 +51,9 @@ def trajectory(task: str, backend: str) -> dict:
 @pytest.mark.parametrize("task", TASKS)
 def test_behaviour_changes_only_with_the_version(task: str, backend: str) -> None:
     golden = json.loads((FOLDER / f"{task}.json").read_text())
-    assert golden["version"] == VERSIONS[task], "the version was raised: renew the golden trajectory"
+    assert golden["version"] == VERSIONS[task], (
+        "the version was raised: renew the golden trajectory"
+    )
     now = trajectory(task, backend)
     for name, tolerance in TOLERANCES[backend].items():
         np.testing.assert_allclose(np.array(now[name]), np.array(golden[name]), atol=tolerance)

@@ -13,7 +13,9 @@ SETTINGS = ["d1", "d9", "d3", "d7"]
 @pytest.mark.parametrize("backend", ["native", "mjx"])
 def test_observation_slices_are_the_joints_of_mujoco_itself(backend: str) -> None:
     env = environment("scratch", backend)
-    moving = play("scratch", backend, start("scratch", backend, SETTINGS), random_actions(4, 25))[-1]
+    moving = play("scratch", backend, start("scratch", backend, SETTINGS), random_actions(4, 25))[
+        -1
+    ]
     state = start("scratch", backend, SETTINGS)
     robot = [env.model.joint(name).qposadr[0] for name in ROBOT_JOINTS]
     human = [env.model.joint(name).qposadr[0] for name in HUMAN_JOINTS]
@@ -26,7 +28,9 @@ def test_observation_slices_are_the_joints_of_mujoco_itself(backend: str) -> Non
     np.testing.assert_allclose(moving.obs["human"][:, :9], past[:, human], atol=1e-3)
     speeds = [env.model.joint(name).dofadr[0] for name in ROBOT_JOINTS]
     assert (
-        np.corrcoef(moving.obs["robot"][:, 7:14].ravel(), np.asarray(moving.physics.qvel)[:, speeds].ravel())[0, 1]
+        np.corrcoef(
+            moving.obs["robot"][:, 7:14].ravel(), np.asarray(moving.physics.qvel)[:, speeds].ravel()
+        )[0, 1]
         > 0.9
     )
 
@@ -54,8 +58,11 @@ def test_the_target_lies_on_the_skin_and_moves_with_the_arm() -> None:
     assert set(segment.tolist()) == {0, 1}
     centre = np.where(segment[:, None] == 1, obs[:, 24:27], obs[:, 27:30])
     radius, half = (
-        np.array([env.model.site(f"human_right_{s}_arm").size[i] for s in ("upper", "lower")]) for i in (0, 1)
+        np.array([env.model.site(f"human_right_{s}_arm").size[i] for s in ("upper", "lower")])
+        for i in (0, 1)
     )
-    along = np.sqrt(np.sum((target - centre) ** 2, -1) - radius[segment] ** 2)  # Pythagoras on the capsule's side
+    along = np.sqrt(
+        np.sum((target - centre) ** 2, -1) - radius[segment] ** 2
+    )  # Pythagoras on the capsule's side
     assert np.all(along <= half[segment] + 1e-4)
     assert along.max() > 0.8 * half.max()

@@ -57,7 +57,9 @@ def test_the_same_state_gives_the_same_bytes_and_another_other_ones(two: EnvStat
 def test_the_target_is_seen(two: EnvState, monkeypatch: pytest.MonkeyPatch):
     env = environment(TASK, "native")
     assert coloured(env.render(two, **SIZE), "target") > 20
-    monkeypatch.setattr(env._task, "targets", lambda state, readings: {"itch": jnp.full((1, 1, 3), jnp.nan)})
+    monkeypatch.setattr(
+        env._task, "targets", lambda state, readings: {"itch": jnp.full((1, 1, 3), jnp.nan)}
+    )
     assert coloured(Renderer(env.model, env._task, **SIZE).frame(two), "target") == 0
 
 
@@ -67,7 +69,10 @@ def test_the_force_is_an_arrow_that_grows(two: EnvState, monkeypatch: pytest.Mon
 
     def arrow(newtons: float) -> int:
         measures = dataclasses.replace(touching.measures, force=jnp.full(2, newtons))
-        return coloured(env.render(dataclasses.replace(touching, measures=measures), camera="close", **SIZE), "force")
+        return coloured(
+            env.render(dataclasses.replace(touching, measures=measures), camera="close", **SIZE),
+            "force",
+        )
 
     assert arrow(0.0) == 0
     assert 0 < arrow(2.0) < arrow(15.0)
@@ -86,7 +91,9 @@ def pressed(env, state: EnvState) -> EnvState:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(env.model, data)
         if -0.01 < mujoco.mj_geomDistance(env.model, data, tool, arm, 0.1, None) < -0.001:
-            physics = dataclasses.replace(state.physics, qpos=jnp.asarray(np.stack([qpos, qpos]), jnp.float32))
+            physics = dataclasses.replace(
+                state.physics, qpos=jnp.asarray(np.stack([qpos, qpos]), jnp.float32)
+            )
             return dataclasses.replace(state, physics=physics)
     raise AssertionError("no pose with contact was found")
 
@@ -96,7 +103,11 @@ def test_figures_are_written_on_a_copy():
     figures = Figures("scratch", {"reach_target": 0.5, "scratch": float("nan")}, 2.5, 0.1, True)
     written = write(plain, figures, ("robot zero",))
     assert (plain == 128).all() and (written != plain).any()
-    fuller = write(plain, dataclasses.replace(figures, terms={"reach_target": 1.0, "scratch": 0.0}), ("robot zero",))
+    fuller = write(
+        plain,
+        dataclasses.replace(figures, terms={"reach_target": 1.0, "scratch": 0.0}),
+        ("robot zero",),
+    )
     assert coloured(fuller, "force") > coloured(written, "force") > 0
 
 
@@ -120,7 +131,10 @@ def test_a_machine_without_opengl_says_what_to_install(monkeypatch: pytest.Monke
             raise RuntimeError("no such\nlibrary")
 
     monkeypatch.setattr(importlib, "import_module", lambda name: Broken())
-    with pytest.raises(gl.RenderError, match=r"\(egl: no such library; osmesa: .*apt-get install libegl1 .*libosmesa6"):
+    with pytest.raises(
+        gl.RenderError,
+        match=r"\(egl: no such library; osmesa: .*apt-get install libegl1 .*libosmesa6",
+    ):
         gl.open_context(64, 64)
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
     with pytest.raises(gl.RenderError, match=r"\(osmesa: no such library\)"):
@@ -137,7 +151,11 @@ def test_osmesa_steps_in_for_egl_and_draws_the_same(tmp_path: Path):
         f"np.save(sys.argv[1], env.render(state, **{SIZE!r}))\n"
         "print(sys.modules['OpenGL.platform'].PLATFORM.__class__.__name__)\n"
     )
-    variables = {name: value for name, value in os.environ.items() if name not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
+    variables = {
+        name: value
+        for name, value in os.environ.items()
+        if name not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")
+    }
     result = subprocess.run(
         [sys.executable, "-c", script, str(tmp_path / "frame.npy")],
         cwd=ROOT, capture_output=True, text=True, env=variables | {"MUJOCO_EGL_DEVICE_ID": "99"},

@@ -14,7 +14,8 @@ def test_a_perfect_episode_earns_the_papers_bound() -> None:
 
 def test_no_step_earns_more_than_the_bound() -> None:
     distance, speed, force = (
-        axis.ravel() for axis in jnp.meshgrid(*(jnp.linspace(0.0, top, 40) for top in (0.3, 1.0, 30.0)))
+        axis.ravel()
+        for axis in jnp.meshgrid(*(jnp.linspace(0.0, top, 40) for top in (0.3, 1.0, 30.0)))
     )
     terms = scratch_terms(distance, speed, force)
     assert float((terms["reach_target"] + terms["scratch"]).max()) <= 1.0 + np.exp(-2.0) + 1e-6

@@ -28,7 +28,9 @@ def advance(physics, task: str, steps: int = 12) -> tuple[PhysicsState, jax.Arra
     """Return the state and the sensor values after constant torques, the arm's included."""
     env = environment(task, "native")
     state = start(task, "native", ["d1", "d9", "d3", "d7"])
-    control = jnp.asarray(np.random.default_rng(0).uniform(-0.7, 0.7, (SIZE, env.model.nu)), jnp.float32)
+    control = jnp.asarray(
+        np.random.default_rng(0).uniform(-0.7, 0.7, (SIZE, env.model.nu)), jnp.float32
+    )
     limits = env._joint_range(state.params)
     step = jax.jit(physics.step)
     physics_state, values = step(state.physics, control, limits)

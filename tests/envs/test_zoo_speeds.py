@@ -1,6 +1,7 @@
 """Trained robots keep to the datasheet: what full torques on all joints could exceed, no published robot does.
 
-docs/environments.md has the figures of four teams a task; here is the fastest team of scratch, over two episodes.
+docs/environments.md has the figures of four teams a task; here is the fastest team of scratch, over
+two episodes.
 """
 
 import jax
@@ -21,7 +22,9 @@ def fastest(act: Players) -> float:
     """Return the largest joint speed of the robot, as a share of its limit."""
     env = environment("scratch", "native")
     joints = np.array([env.model.joint(name).dofadr[0] for name in ROBOT_JOINTS])
-    start = env.reset(jax.random.split(jax.random.key(3), EPISODES), disability_params(["d1"] * EPISODES))
+    start = env.reset(
+        jax.random.split(jax.random.key(3), EPISODES), disability_params(["d1"] * EPISODES)
+    )
 
     def step(state, time):
         state = env.step(state, act(state, time))

@@ -22,7 +22,9 @@ def team_id(team: Team) -> str:
     return f"scratch/{team[0]}-{team[1]}-s{team[2]}-v0"
 
 
-def teams(count: int, algorithms: Sequence[str] = ("ippo",), disabilities: Sequence[str] = ("d1",)) -> list[Team]:
+def teams(
+    count: int, algorithms: Sequence[str] = ("ippo",), disabilities: Sequence[str] = ("d1",)
+) -> list[Team]:
     """Return teams with every algorithm and disability in turn."""
     kinds = itertools.cycle(itertools.product(algorithms, disabilities))
     return [(*next(kinds), seed) for seed in range(count)]
@@ -49,7 +51,9 @@ def episode_table(
                     "partner": f"{team_id(partner)}/human",
                     **{
                         f"partner_{name}": v
-                        for name, v in zip(("team", "algorithm", "disability", "seed"), human, strict=True)
+                        for name, v in zip(
+                            ("team", "algorithm", "disability", "seed"), human, strict=True
+                        )
                     },
                     "side": sides[p] if sides else None,
                     "episode": k,

@@ -1,7 +1,8 @@
 """A 2x2 matrix game in the environment's protocol, and policies that always choose one row or column.
 
-Reward of a step: PAYOFF[row, column] times the partner's strength ("payoff"), and a draw of the episode's key ("luck").
-Row and column are the signs of the actions. Human observations hold the step, so that a policy can depend on it.
+Reward of a step: PAYOFF[row, column] times the partner's strength ("payoff"), and a draw of the
+episode's key ("luck"). Row and column are the signs of the actions. Human observations hold the
+step, so that a policy can depend on it.
 """
 
 import dataclasses
@@ -61,7 +62,16 @@ class MatrixGame:
         step = jnp.zeros(count, jnp.int32)
         terms = {"payoff": zero, "luck": zero}
         return State(
-            self._obs(luck, step), zero, terms, Measures(zero, zero, false), false, false, step, false, params, luck
+            self._obs(luck, step),
+            zero,
+            terms,
+            Measures(zero, zero, false),
+            false,
+            false,
+            step,
+            false,
+            params,
+            luck,
         )
 
     def step(self, state: State, actions: dict[str, jax.Array]) -> State:
@@ -70,12 +80,16 @@ class MatrixGame:
         broken = step > self.broken_from
         payoff = jnp.where(broken, 0.0, jnp.asarray(PAYOFF)[row, column] * state.params.strength)
         luck = jnp.where(broken, 0.0, state.luck)
-        force = jnp.where(broken, jnp.nan, jnp.abs(actions["robot"][:, 1]) + step.astype(jnp.float32))
+        force = jnp.where(
+            broken, jnp.nan, jnp.abs(actions["robot"][:, 1]) + step.astype(jnp.float32)
+        )
         return state._replace(
             obs=self._obs(state.luck, step),
             reward=payoff + luck,
             terms={"payoff": payoff, "luck": luck},
-            measures=Measures(force, jnp.zeros_like(force), (row == 1) & (column == 1) & (step == 2)),
+            measures=Measures(
+                force, jnp.zeros_like(force), (row == 1) & (column == 1) & (step == 2)
+            ),
             truncated=step == self.episode_length,
             step=step,
             nonfinite=broken,
@@ -111,7 +125,9 @@ def constant_params(spec: PolicySpec, values: list[float]) -> dict[str, Any]:
 def robots(*values: float) -> Group:
     """Return egos that always act `values[e]`: row 1 where positive, else row 0."""
     members = tuple(
-        Member(f"matrix/hand-d1-s{i}-v0/robot", f"r{value}", f"matrix/hand-d1-s{i}-v0", "hand", "d1", i)
+        Member(
+            f"matrix/hand-d1-s{i}-v0/robot", f"r{value}", f"matrix/hand-d1-s{i}-v0", "hand", "d1", i
+        )
         for i, value in enumerate(values)
     )
     return Group(ROBOT, members, constant_params(ROBOT, list(values)))
@@ -121,7 +137,9 @@ def humans(*values: float, disabilities: tuple[str, ...] = ()) -> Group:
     """Return partners that always act `values[p]`, each with its own disability setting."""
     settings = disabilities or ("d1",) * len(values)
     members = tuple(
-        Member(f"matrix/hand-{d}-s{i}-v0/human", f"h{value}", f"matrix/hand-{d}-s{i}-v0", "hand", d, i)
+        Member(
+            f"matrix/hand-{d}-s{i}-v0/human", f"h{value}", f"matrix/hand-{d}-s{i}-v0", "hand", d, i
+        )
         for i, (value, d) in enumerate(zip(values, settings, strict=True))
     )
     return Group(HUMAN, members, constant_params(HUMAN, list(values)))
@@ -130,12 +148,20 @@ def humans(*values: float, disabilities: tuple[str, ...] = ()) -> Group:
 @functools.cache
 def random_group(spec: PolicySpec, count: int, seed: int) -> Group:
     """Return randomly initialised policies whose actions depend on what they see."""
-    # Not `vmap`: batches of QR factorisations, of which orthogonal initialisation is made, can deadlock on two cores.
+    # Not `vmap`: batches of QR factorisations, of which orthogonal initialisation is made, can
+    # deadlock on two cores.
     params = jax.lax.map(Policy(spec).init, jax.random.split(jax.random.key(seed), count))
     params = jax.tree.map(lambda leaf: np.asarray(leaf) * 3.0, params)
     role = spec.role
     members = tuple(
-        Member(f"matrix/random-d{1 + i % 9}-s{i}-v0/{role}", f"{seed}-{i}", None, "random", f"d{1 + i % 9}", i)
+        Member(
+            f"matrix/random-d{1 + i % 9}-s{i}-v0/{role}",
+            f"{seed}-{i}",
+            None,
+            "random",
+            f"d{1 + i % 9}",
+            i,
+        )
         for i in range(count)
     )
     return Group(spec, members, params)

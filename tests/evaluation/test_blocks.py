@@ -31,7 +31,9 @@ def test_blocks_of_several_hosts_merge_to_the_table_of_one_run(tmp_path: Path):
         shutil.copytree(host / PARTS_FOLDER, hosts[0] / PARTS_FOLDER, dirs_exist_ok=True)
     merged = run_job(MatrixGame(), job, hosts[0], max_envs=7)
     assert merged.env_steps_per_second is None  # nothing was simulated again
-    assert (hosts[0] / tables.EPISODES_FILE).read_bytes() == (tmp_path / "whole" / tables.EPISODES_FILE).read_bytes()
+    assert (hosts[0] / tables.EPISODES_FILE).read_bytes() == (
+        tmp_path / "whole" / tables.EPISODES_FILE
+    ).read_bytes()
     assert merged.table.equals(whole.table)
 
 
@@ -40,7 +42,9 @@ def test_blocks_may_share_a_folder(tmp_path: Path):
     first, second = (run_block(MatrixGame(), job, tmp_path, (i, 2), max_envs=3) for i in (1, 2))
     assert (first.missing, second.missing) == (first.all_chunks - first.chunks, 0)
     assert run_job(MatrixGame(), job, tmp_path).table.height == job.rows
-    assert run_block(MatrixGame(), job, tmp_path, (1, 2), max_envs=3).chunks == first.chunks  # merged: nothing to do
+    assert (
+        run_block(MatrixGame(), job, tmp_path, (1, 2), max_envs=3).chunks == first.chunks
+    )  # merged: nothing to do
 
 
 @pytest.mark.parametrize("block", [(0, 2), (3, 2)])
@@ -52,9 +56,15 @@ def test_a_block_that_is_none_is_refused(tmp_path: Path, block: tuple[int, int])
 def test_a_folder_has_one_writer(tmp_path: Path):
     with locked(tmp_path):
         for run in (run_job, lambda *given: run_block(*given, (1, 2))):
-            with pytest.raises(ValueError, match=r"another process is writing to .*; wait until it is done"):
+            with pytest.raises(
+                ValueError, match=r"another process is writing to .*; wait until it is done"
+            ):
                 run(MatrixGame(), make_job(), tmp_path)
-    with locked(tmp_path, shared=True), locked(tmp_path, shared=True), pytest.raises(ValueError, match="another"):
+    with (
+        locked(tmp_path, shared=True),
+        locked(tmp_path, shared=True),
+        pytest.raises(ValueError, match="another"),
+    ):
         run_job(MatrixGame(), make_job(), tmp_path)
     assert run_job(MatrixGame(), make_job(), tmp_path).table.height == make_job().rows
 

@@ -10,7 +10,9 @@ from evaluation import bootstrap
 from evaluation.bootstrap import Estimate
 
 
-def crossed(rng: np.random.Generator, seeds: int, partners: int, spread: tuple[float, float, float]) -> np.ndarray:
+def crossed(
+    rng: np.random.Generator, seeds: int, partners: int, spread: tuple[float, float, float]
+) -> np.ndarray:
     """Scores [S, P] about 0: an effect of the seed, one of the partner, and one of the pair."""
     seed, partner, pair = spread
     return (
@@ -20,11 +22,16 @@ def crossed(rng: np.random.Generator, seeds: int, partners: int, spread: tuple[f
     )
 
 
-def coverage(figure: Callable[[np.random.Generator, int], Estimate], repetitions: int) -> dict[str, float]:
+def coverage(
+    figure: Callable[[np.random.Generator, int], Estimate], repetitions: int
+) -> dict[str, float]:
     """Share of the IQM's and of the mean's intervals that hold the truth, 0."""
     rng = np.random.default_rng(1)
     figures = [figure(rng, seed) for seed in range(repetitions)]
-    return {name: float(np.mean([holds(getattr(one, name), 0.0) for one in figures])) for name in ("ci", "mean_ci")}
+    return {
+        name: float(np.mean([holds(getattr(one, name), 0.0) for one in figures]))
+        for name in ("ci", "mean_ci")
+    }
 
 
 def holds(interval: tuple[float, float] | None, truth: float) -> bool:
@@ -48,7 +55,10 @@ def test_cluster_draws_equal_resampling_whole_seeds_then_partners():
     seed_counts, partner_counts = bootstrap.cluster_counts(scores.shape, 50, seed=3)
     draws = bootstrap.replicate_crossed(scores, seed_counts, partner_counts, "seeds and partners")
     for b in range(50):
-        rows, columns = np.repeat(np.arange(4), seed_counts[b]), np.repeat(np.arange(6), partner_counts[b])
+        rows, columns = (
+            np.repeat(np.arange(4), seed_counts[b]),
+            np.repeat(np.arange(6), partner_counts[b]),
+        )
         assert (len(rows), len(columns)) == (4, 6)
         resampled = scores[np.ix_(rows, columns)].ravel()
         assert draws.means[b] == pytest.approx(resampled.mean())
@@ -65,19 +75,27 @@ def test_stratified_agrees_with_a_plain_loop():
     rng = np.random.default_rng(0)
     scores = rng.normal(size=(8, 5)) + np.arange(5)
     draws = [
-        scipy.stats.trim_mean(np.take_along_axis(scores, rng.integers(0, 8, (8, 5)), axis=0).ravel(), 0.25)
+        scipy.stats.trim_mean(
+            np.take_along_axis(scores, rng.integers(0, 8, (8, 5)), axis=0).ravel(), 0.25
+        )
         for _ in range(4000)
     ]
     figure = bootstrap.estimate(scores, method="stratified", resamples=4000)
     assert figure.ci == pytest.approx(tuple(np.quantile(draws, (0.025, 0.975))), abs=0.03)
 
 
-def test_the_same_seed_gives_the_same_interval_however_draws_are_chunked(monkeypatch: pytest.MonkeyPatch):
+def test_the_same_seed_gives_the_same_interval_however_draws_are_chunked(
+    monkeypatch: pytest.MonkeyPatch,
+):
     scores = np.random.default_rng(0).normal(size=(5, 9))
-    whole = {method: bootstrap.estimate(scores, method=method, seed=4).ci for method in bootstrap.METHODS}
+    whole = {
+        method: bootstrap.estimate(scores, method=method, seed=4).ci for method in bootstrap.METHODS
+    }
     monkeypatch.setattr(bootstrap, "_ENTRIES_AT_ONCE", 700)
     for method in bootstrap.METHODS:
-        assert bootstrap.estimate(scores, method=method, seed=4).ci == pytest.approx(whole[method], rel=1e-12)
+        assert bootstrap.estimate(scores, method=method, seed=4).ci == pytest.approx(
+            whole[method], rel=1e-12
+        )
         assert bootstrap.estimate(scores, method=method, seed=5).ci != whole[method]
 
 
@@ -102,14 +120,18 @@ def test_every_figure_says_what_it_generalises_to(
 def test_of_a_single_seed_only_partners_are_resampled():
     scores = np.random.default_rng(0).normal(size=(1, 30))
     figure = bootstrap.estimate(scores, resamples=4000)
-    plain = scipy.stats.bootstrap(scores, np.mean, method="percentile", n_resamples=4000, rng=np.random.default_rng(0))
+    plain = scipy.stats.bootstrap(
+        scores, np.mean, method="percentile", n_resamples=4000, rng=np.random.default_rng(0)
+    )
     assert figure.mean_ci == pytest.approx(tuple(plain.confidence_interval), abs=0.03)
 
 
 def test_wrong_use_is_refused():
     with pytest.raises(ValueError, match="resamples seeds and there is only one"):
         bootstrap.estimate(np.zeros((1, 4)), method="stratified")
-    with pytest.raises(ValueError, match=r"shape \(2, 3, 4\); expected \[seeds, partners\].*episodes are not seeds"):
+    with pytest.raises(
+        ValueError, match=r"shape \(2, 3, 4\); expected \[seeds, partners\].*episodes are not seeds"
+    ):
         bootstrap.estimate(np.zeros((2, 3, 4)))
     with pytest.raises(ValueError, match=r"returns has shape \(2, 3\); expected \[episodes\]"):
         bootstrap.estimate_episodes(np.zeros((2, 3)))
@@ -125,7 +147,10 @@ def test_draws_on_the_same_resamples_subtract_to_a_paired_difference():
     rng = np.random.default_rng(0)
     scores = rng.normal(size=(10, 20))
     counts = bootstrap.cluster_counts(scores.shape, 500, seed=0)
-    base, better = (bootstrap.replicate_crossed(x, *counts, "seeds and partners") for x in (scores, scores + 1.0))
+    base, better = (
+        bootstrap.replicate_crossed(x, *counts, "seeds and partners")
+        for x in (scores, scores + 1.0)
+    )
     figure = (better - base).estimate()
     assert figure.mean_ci == pytest.approx((1.0, 1.0))
     assert figure.mean == pytest.approx(1.0)
@@ -146,10 +171,13 @@ def test_a_band_holds_its_curve():
 
 
 @pytest.mark.parametrize(
-    ("seeds", "partners", "spread"), [(1, 64, (0.0, 1.0, 1.0)), (32, 32, (1.0, 1.0, 1.0)), (32, 32, (1.0, 0.3, 0.3))]
+    ("seeds", "partners", "spread"),
+    [(1, 64, (0.0, 1.0, 1.0)), (32, 32, (1.0, 1.0, 1.0)), (32, 32, (1.0, 0.3, 0.3))],
 )
 @pytest.mark.parametrize("repetitions", [300, pytest.param(2000, marks=pytest.mark.slow)])
-def test_cluster_intervals_cover(seeds: int, partners: int, spread: tuple[float, float, float], repetitions: int):
+def test_cluster_intervals_cover(
+    seeds: int, partners: int, spread: tuple[float, float, float], repetitions: int
+):
     def figure(rng: np.random.Generator, seed: int) -> Estimate:
         return bootstrap.estimate(crossed(rng, seeds, partners, spread), resamples=300, seed=seed)
 
@@ -163,7 +191,9 @@ def test_stratified_intervals_cover_for_fixed_tasks_with_independent_runs(repeti
     tasks = np.linspace(-1, 1, 8)
 
     def figure(rng: np.random.Generator, seed: int) -> Estimate:
-        return bootstrap.estimate(tasks + rng.normal(size=(32, 8)), method="stratified", resamples=300, seed=seed)
+        return bootstrap.estimate(
+            tasks + rng.normal(size=(32, 8)), method="stratified", resamples=300, seed=seed
+        )
 
     margin = 0.0 if repetitions == 2000 else 0.02
     for name, covered in coverage(figure, repetitions).items():
@@ -193,6 +223,8 @@ def test_planted_defect_stratified_for_one_ego_with_every_partner_is_caught():
     """A seed's effect is common to its whole row; resampling columns apart averages it away."""
 
     def wrong(rng: np.random.Generator, seed: int) -> Estimate:
-        return bootstrap.estimate(crossed(rng, 16, 16, (1.0, 0.0, 1.0)), method="stratified", resamples=200, seed=seed)
+        return bootstrap.estimate(
+            crossed(rng, 16, 16, (1.0, 0.0, 1.0)), method="stratified", resamples=200, seed=seed
+        )
 
     assert max(coverage(wrong, 200).values()) < 0.7

@@ -30,19 +30,27 @@ def test_medoid_is_the_member_nearest_to_all_others():
 def test_outliers_alone_are_no_structure():
     """One point far from all others, which form two groups: the groups are found, not the outlier alone."""
     points = np.concatenate([np.linspace(0, 1, 6), np.linspace(5, 6, 6), [100.0]])[:, None]
-    assert [len(np.flatnonzero(clustering.cluster_profiles(points).labels == i)) for i in range(3)] == [1, 6, 6]
+    assert [
+        len(np.flatnonzero(clustering.cluster_profiles(points).labels == i)) for i in range(3)
+    ] == [1, 6, 6]
 
 
 def test_fewer_than_a_twentieth_are_outliers():
     """Two points far from all others, which form two groups: enough for a cluster of 13, but not of 60."""
     for count, sizes in ((6, [2, 12]), (29, [2, 29, 29])):
-        points = np.concatenate([np.linspace(0, 1, count), np.linspace(5, 6, count), [100.0, 100.1]])[:, None]
+        points = np.concatenate(
+            [np.linspace(0, 1, count), np.linspace(5, 6, count), [100.0, 100.1]]
+        )[:, None]
         assert sorted(np.bincount(clustering.cluster_profiles(points).labels)) == sizes
 
 
 def test_branches_are_the_leaves_below_each_node():
     tree = hierarchy.average(np.array([[0.0], [1.0], [10.0], [12.0]]))
-    assert [sorted(branch) for branch in clustering.branches(tree)] == [[0, 1], [2, 3], [0, 1, 2, 3]]
+    assert [sorted(branch) for branch in clustering.branches(tree)] == [
+        [0, 1],
+        [2, 3],
+        [0, 1, 2, 3],
+    ]
 
 
 def test_without_structure_all_are_one_cluster():
@@ -91,7 +99,9 @@ def test_wrong_matrices_are_refused():
 
 
 def test_json_names_policies_in_order():
-    found = clustering.cluster_profiles(np.array([[0.0], [10.0], [0.5], [10.5]])).to_json(["a", "b", "c", "d"])
+    found = clustering.cluster_profiles(np.array([[0.0], [10.0], [0.5], [10.5]])).to_json(
+        ["a", "b", "c", "d"]
+    )
     assert set(found["order"][:2]) == {"b", "d"}
     assert [set(cluster["members"]) for cluster in found["clusters"]] == [{"b", "d"}, {"a", "c"}]
     assert found["leaves"] == ["a", "b", "c", "d"]

@@ -9,7 +9,12 @@ from evaluation.curves import learning_curves
 def metrics(seeds: int = 8) -> pl.DataFrame:
     """Updates of 100 steps; episodes end at every second update; the return is 10 x update + seed."""
     rows = [
-        {"steps": 100 * u, "disability": d, "seed": s, "return": float(10 * u + s) if u % 2 == 0 else None}
+        {
+            "steps": 100 * u,
+            "disability": d,
+            "seed": s,
+            "return": float(10 * u + s) if u % 2 == 0 else None,
+        }
         for u in range(1, 41)
         for d in ("d1", "d9")
         for s in range(seeds)
@@ -21,7 +26,9 @@ def test_a_point_is_the_iqm_over_seeds_of_the_means_in_its_bin():
     curves = learning_curves(metrics(), points=10)
     assert curves["disability"].unique().sort().to_list() == ["d1", "d9"]
     first = curves.filter(disability="d9").row(0, named=True)
-    expected = [np.mean([20 + s, 40 + s]) for s in range(8)]  # updates 2 and 4 end in the first 400 steps
+    expected = [
+        np.mean([20 + s, 40 + s]) for s in range(8)
+    ]  # updates 2 and 4 end in the first 400 steps
     assert first["steps"] == 400.0
     assert first["iqm"] == pytest.approx(scipy.stats.trim_mean(expected, 0.25))
     assert first["low"] < first["iqm"] < first["high"]

@@ -21,21 +21,31 @@ from zoo.schema import SelfPlay
 ROOT = Path(__file__).parents[2]
 RETURN = 20.0  # of the toy environment: 20 steps at reward 1
 RECORDED = {"mean": RETURN, "iqm": RETURN, "ci": [19.5, 20.5], "n": 16}
-SPECS = {"robot": PolicySpec("robot", 2, 1, hidden=(4,)), "human": PolicySpec("human", 3, 2, hidden=(4,))}
+SPECS = {
+    "robot": PolicySpec("robot", 2, 1, hidden=(4,)),
+    "human": PolicySpec("human", 3, 2, hidden=(4,)),
+}
 
 
 def random_params(spec: PolicySpec, seed: int) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
     params: dict[str, Any] = {
         f"Dense_{i}": {"kernel": rng.random((a, b), np.float32), "bias": rng.random(b, np.float32)}
-        for i, (a, b) in enumerate(itertools.pairwise((spec.observation_size, *spec.hidden, spec.action_size)))
+        for i, (a, b) in enumerate(
+            itertools.pairwise((spec.observation_size, *spec.hidden, spec.action_size))
+        )
     }
     size = spec.observation_size
     params["log_std"] = np.zeros(spec.action_size, np.float32)
-    return {**params, "normaliser": {"mean": np.zeros(size, np.float32), "std": np.ones(size, np.float32)}}
+    return {
+        **params,
+        "normaliser": {"mean": np.zeros(size, np.float32), "std": np.ones(size, np.float32)},
+    }
 
 
-def trained(seed: int, disability: str = "d1", specs: Any = SPECS, self_play: Any = RECORDED) -> TrainedTeam:
+def trained(
+    seed: int, disability: str = "d1", specs: Any = SPECS, self_play: Any = RECORDED
+) -> TrainedTeam:
     params = {role: random_params(spec, 10 * seed + len(role)) for role, spec in specs.items()}
     training = {"run": "r", "steps": 1, "env_version": 1, "backend": "jax"}
     return TrainedTeam("scratch", "ippo", disability, seed, specs, params, training, self_play)
@@ -45,13 +55,29 @@ def trained(seed: int, disability: str = "d1", specs: Any = SPECS, self_play: An
 def registry(tmp_path: Path) -> Registry:
     lone = {"robot": SPECS["robot"]}
     wide = {**SPECS, "robot": PolicySpec("robot", 2, 1, hidden=(6,))}
-    teams = [trained(0), trained(1, "d9"), trained(2, self_play=None), trained(3, specs=lone), trained(4, specs=wide)]
-    return publish(teams, tmp_path / "registry.json", "v0", environments={"scratch": 1}, date="2027-01-31")
+    teams = [
+        trained(0),
+        trained(1, "d9"),
+        trained(2, self_play=None),
+        trained(3, specs=lone),
+        trained(4, specs=wide),
+    ]
+    return publish(
+        teams, tmp_path / "registry.json", "v0", environments={"scratch": 1}, date="2027-01-31"
+    )
 
 
-def check(registry: Registry, pattern: str | None = None, env: Any = None, **arguments: Any) -> DeepReport:
+def check(
+    registry: Registry, pattern: str | None = None, env: Any = None, **arguments: Any
+) -> DeepReport:
     made = env or ToyEnv(constant)
-    return verify_deep(registry, registry.select(pattern), episodes=2, make_env=lambda task, backend: made, **arguments)
+    return verify_deep(
+        registry,
+        registry.select(pattern),
+        episodes=2,
+        make_env=lambda task, backend: made,
+        **arguments,
+    )
 
 
 def test_whole_teams_are_replayed_and_every_policy_is_stepped(registry: Registry) -> None:
@@ -59,10 +85,17 @@ def test_whole_teams_are_replayed_and_every_policy_is_stepped(registry: Registry
     report = check(registry, on_progress=told.append)
     assert report.ok and report.policies == 9 and sum(told) == 4 and report.backend == "jax"
     found = {team.team: team for team in report.teams}
-    assert set(found) == {f"scratch/ippo-{name}-v0" for name in ("d1-s0", "d9-s1", "d1-s2", "d1-s4")}
+    assert set(found) == {
+        f"scratch/ippo-{name}-v0" for name in ("d1-s0", "d9-s1", "d1-s2", "d1-s4")
+    }
     assert all(team.found == RETURN for team in report.teams)
-    assert found["scratch/ippo-d1-s2-v0"].expected is None and found["scratch/ippo-d1-s0-v0"].expected == RETURN
-    assert [drift.found for drift in report.drifts] == [0.0] and json.loads(json.dumps(report.to_json()))["ok"] is True
+    assert (
+        found["scratch/ippo-d1-s2-v0"].expected is None
+        and found["scratch/ippo-d1-s0-v0"].expected == RETURN
+    )
+    assert [drift.found for drift in report.drifts] == [0.0] and json.loads(
+        json.dumps(report.to_json())
+    )["ok"] is True
     assert len(check(registry, "*-s0-*").teams) == 1 and check(registry, "*/robot").teams == ()
 
 
@@ -72,8 +105,13 @@ def test_another_return_is_a_problem_of_its_team(registry: Registry) -> None:
     registry.path.write_text(json.dumps(data))
     report = check(load_registry(registry.path))
     assert [team.team for team in report.teams if not team.ok] == ["scratch/ippo-d9-s1-v0"]
-    assert "expected a self-play return of 26.0 within" in report.problems[0] and "found 20.0" in report.problems[0]
-    assert {team.team: team.episodes for team in report.teams if team.episodes != 2} == {"scratch/ippo-d9-s1-v0": 32}
+    assert (
+        "expected a self-play return of 26.0 within" in report.problems[0]
+        and "found 20.0" in report.problems[0]
+    )
+    assert {team.team: team.episodes for team in report.teams if team.episodes != 2} == {
+        "scratch/ippo-d9-s1-v0": 32
+    }
 
 
 def test_a_team_whose_few_episodes_hold_a_failure_is_judged_by_more(
@@ -125,30 +163,42 @@ def test_damage_and_misfits_are_problems_and_the_others_are_replayed(registry: R
     report = check(registry)
     assert not report.ok and "bytes, found" in report.problems[0] and len(report.teams) == 3
     other = check(registry, "*-s[01]-*", ToyEnv(constant, observation_size=(5, 3, 4)))
-    assert not other.teams and "expected observation and action sizes (5, 1) of toy, found (2, 1)" in other.problems[0]
+    assert (
+        not other.teams
+        and "expected observation and action sizes (5, 1) of toy, found (2, 1)" in other.problems[0]
+    )
 
 
 def test_parameters_that_are_not_of_their_spec_are_a_problem(tmp_path: Path) -> None:
     team = trained(0)
     human = {name: value for name, value in team.params["human"].items() if name != "Dense_1"}
     team = dataclasses.replace(team, params={**team.params, "human": human})
-    registry = publish([team], tmp_path / "registry.json", "v0", check=lambda spec, leaves, source: None)
+    registry = publish(
+        [team], tmp_path / "registry.json", "v0", check=lambda spec, leaves, source: None
+    )
     report = check(registry)
     assert "cannot be stepped" in report.problems[0] and report.teams == ()
 
 
-def test_teams_of_another_environment_version_are_stepped_and_named_not_replayed(tmp_path: Path) -> None:
+def test_teams_of_another_environment_version_are_stepped_and_named_not_replayed(
+    tmp_path: Path,
+) -> None:
     teams = [
-        dataclasses.replace(team, training={**team.training, "env_version": 7}) for team in (trained(0), trained(1))
+        dataclasses.replace(team, training={**team.training, "env_version": 7})
+        for team in (trained(0), trained(1))
     ]
-    old = publish(teams, tmp_path / "registry.json", "v0", environments={"scratch": 7}, date="2027-01-31")
+    old = publish(
+        teams, tmp_path / "registry.json", "v0", environments={"scratch": 7}, date="2027-01-31"
+    )
     report = check(old)
     assert report.ok and report.policies == 4 and report.teams == ()
     assert report.outdated == ("scratch/ippo-d1-s0-v0", "scratch/ippo-d1-s1-v0")
 
 
 def test_the_tolerance_is_the_documented_one() -> None:
-    recorded = SelfPlay(mean=1000.0, iqm=1000.0, ci=(990.2, 1009.8), n=16)  # standard error 5, deviation 20
+    recorded = SelfPlay(
+        mean=1000.0, iqm=1000.0, ci=(990.2, 1009.8), n=16
+    )  # standard error 5, deviation 20
     assert tolerance(recorded, 4) == pytest.approx(50.0 + 4.0 * 20.0 * np.sqrt(1 / 16 + 1 / 4))
     with pytest.raises(ValueError, match="episodes is 0"):
         verify_deep(Registry(None, Path(), []), [], episodes=0)
@@ -162,4 +212,7 @@ def test_a_team_of_release_v0_gives_its_recorded_return() -> None:
     report = verify_deep(registry, entries, episodes=2)
     assert report.ok and report.policies == 2 and report.backend == "native"
     halved = dataclasses.replace(report.teams[0], found=report.teams[0].found / 2)
-    assert halved.tolerance is not None and abs(halved.found - (halved.expected or 0)) > halved.tolerance
+    assert (
+        halved.tolerance is not None
+        and abs(halved.found - (halved.expected or 0)) > halved.tolerance
+    )

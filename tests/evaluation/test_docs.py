@@ -15,7 +15,9 @@ GUIDE = Path(__file__).parents[2] / "docs" / "evaluation.md"
 
 def printed(name: str) -> str:
     """Return the code block that follows the file's name."""
-    found = re.search(rf"`{name}\.py`:\n\n```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
+    found = re.search(
+        rf"`{name}\.py`:\n\n```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL
+    )
     assert found is not None
     return found.group(1)
 
@@ -26,14 +28,34 @@ def test_my_robot_against_the_zoo_in_ten_lines(
 ):
     if name == "torch_robot":
         pytest.importorskip("torch", reason="the same with PyTorch, where it is installed")
-    lines = [line for line in printed(name).splitlines() if line.strip() and not line.strip().startswith("#")]
+    lines = [
+        line
+        for line in printed(name).splitlines()
+        if line.strip() and not line.strip().startswith("#")
+    ]
     assert len(lines) <= 10
     (tmp_path / f"{name}.py").write_text(printed(name))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 10)
-    words = ["--task", "scratch", "--policy", f"python:{name}:make", "--episodes", "1", "--backend", "native"]
-    words += ["--partners", "scratch/ippo-d1-s[01]-v1/human", "--split", "both", "--no-references", "--json"]
+    words = [
+        "--task",
+        "scratch",
+        "--policy",
+        f"python:{name}:make",
+        "--episodes",
+        "1",
+        "--backend",
+        "native",
+    ]
+    words += [
+        "--partners",
+        "scratch/ippo-d1-s[01]-v1/human",
+        "--split",
+        "both",
+        "--no-references",
+        "--json",
+    ]
     assert run(["evaluate", *words]) == 0
     summary = json.loads(capfd.readouterr().out)
     assert summary["egos"] == [f"python:{name}:make"]

@@ -53,7 +53,10 @@ def test_a_missing_file_is_a_zoo_error(tmp_path: Path):
 
 @pytest.mark.parametrize("reference", ["robot.pt", "zo:scratch", "scratch/ippo-d1-s0-v0/robot"])
 def test_an_unknown_form_lists_the_known_ones(reference: str):
-    with pytest.raises(ValueError, match=r"unknown form; allowed are zoo:ID, .*safetensors.*, onnx:FILE, or python:"):
+    with pytest.raises(
+        ValueError,
+        match=r"unknown form; allowed are zoo:ID, .*safetensors.*, onnx:FILE, or python:",
+    ):
         read_egos([reference], EMPTY, "scratch")
 
 
@@ -94,7 +97,10 @@ def test_a_python_factory_of_the_working_folder_is_found(module: str):
         ("python:unimportable_robot:f", "surely_not_installed_anywhere"),
         ("python:my_robot_under_test:nothing", "has no function 'nothing'"),
         ("python:my_robot_under_test:number", "has no function 'number'"),
-        ("python:my_robot_under_test:broken", r"broken\(\) failed: KeyError: 'weights' \(my_robot_under_test.py:5\)"),
+        (
+            "python:my_robot_under_test:broken",
+            r"broken\(\) failed: KeyError: 'weights' \(my_robot_under_test.py:5\)",
+        ),
         ("python:my_robot_under_test:wrong", r"wrong\(\) returned int; expected a callable"),
     ],
 )
@@ -117,16 +123,23 @@ def test_answers_of_any_framework_become_float32():
         assert ask(answer).tolist() == [[1.0, 1.0]] * 4
 
 
-@pytest.mark.parametrize("answer", [np.zeros((4, 3)), np.zeros(4), np.zeros((2, 4, 2)), [["a", "b"]] * 4, None])
+@pytest.mark.parametrize(
+    "answer", [np.zeros((4, 3)), np.zeros(4), np.zeros((2, 4, 2)), [["a", "b"]] * 4, None]
+)
 def test_a_wrong_answer_is_told_with_what_was_expected(answer: Any):
-    with pytest.raises(EgoError, match=r"2 partners from .*s0.* to .*s1.*, step 7: .*shape.*expected .*\(4, 2\)"):
+    with pytest.raises(
+        EgoError, match=r"2 partners from .*s0.* to .*s1.*, step 7: .*shape.*expected .*\(4, 2\)"
+    ):
         ask(answer)
 
 
 def test_a_nan_is_told_with_its_partner_and_episode():
     answer = np.zeros((4, 2))
     answer[3, 1] = np.nan
-    with pytest.raises(EgoError, match=rf"with {PARTNERS[1]}, step 7: the action of episode 1 is not finite \(1 of 4"):
+    with pytest.raises(
+        EgoError,
+        match=rf"with {PARTNERS[1]}, step 7: the action of episode 1 is not finite \(1 of 4",
+    ):
         ask(answer)
 
 
@@ -134,5 +147,7 @@ def test_an_exception_is_told_in_one_line():
     def act(obs: np.ndarray) -> np.ndarray:
         raise ZeroDivisionError("two\nlines")
 
-    with pytest.raises(EgoError, match=r"step 0: ZeroDivisionError: two lines \(test_egos.py:\d+\)"):
+    with pytest.raises(
+        EgoError, match=r"step 0: ZeroDivisionError: two lines \(test_egos.py:\d+\)"
+    ):
         call_ego(HostEgo(Member("m", "x"), act), PARTNERS, 2, 2)(np.zeros((4, 3), np.float32), 0)

@@ -16,14 +16,29 @@ from evaluation import tables
 from evaluation.egos import EgoError
 from evaluation.evaluator import MANIFEST_FILE, PARTS_FOLDER, Progress, check_folder, run_job
 from evaluation.jobs import Group, HostEgo, Job, Member, plan, tile_shape
-from tests.evaluation.matrix_game import HUMAN, PAYOFF, ROBOT, MatrixGame, humans, random_group, robots
+from tests.evaluation.matrix_game import (
+    HUMAN,
+    PAYOFF,
+    ROBOT,
+    MatrixGame,
+    humans,
+    random_group,
+    robots,
+)
 
 
 def make_job(egos: Any = None, partners: Any = None, **changes: Any) -> Job:
     egos = egos or (robots(-0.5, 0.5),)
     partners = partners or (humans(-0.5, 0.5, -0.5, disabilities=("d1", "d2", "d3")),)
-    # Not "native", so that `max_envs` cuts even jobs as small as these: see test_invariance.py for that backend.
-    options: dict[str, Any] = {"task": "matrix", "env_version": 1, "backend": "mjx", "episodes": 3, **changes}
+    # Not "native", so that `max_envs` cuts even jobs as small as these: see test_invariance.py for
+    # that backend.
+    options: dict[str, Any] = {
+        "task": "matrix",
+        "env_version": 1,
+        "backend": "mjx",
+        "episodes": 3,
+        **changes,
+    }
     return Job(egos=egos, partners=partners, **options)
 
 
@@ -34,16 +49,22 @@ def mixed_job(**changes: Any) -> Job:
 
 
 def _renamed(group: Group, prefix: str) -> Group:
-    members = tuple(dataclasses.replace(member, id=f"{prefix}/{member.id}") for member in group.members)
+    members = tuple(
+        dataclasses.replace(member, id=f"{prefix}/{member.id}") for member in group.members
+    )
     return dataclasses.replace(group, members=members)
 
 
 def test_crossplay_of_the_matrix_game_is_its_payoff_matrix(tmp_path: Path):
-    table = run_job(MatrixGame(), make_job(sides={"matrix/hand-d1-s0-v0/human": "train"}), tmp_path).table
+    table = run_job(
+        MatrixGame(), make_job(sides={"matrix/hand-d1-s0-v0/human": "train"}), tmp_path
+    ).table
     tables.validate_episodes(table)
     strength = {"d1": 1.0, "d2": 0.7, "d3": 0.4}
     for row in table.iter_rows(named=True):
-        payoff = PAYOFF[row["ego_seed"], row["partner_seed"] % 2] * strength[row["partner_disability"]]
+        payoff = (
+            PAYOFF[row["ego_seed"], row["partner_seed"] % 2] * strength[row["partner_disability"]]
+        )
         assert row["term_payoff"] == pytest.approx(4 * payoff)
         assert row["return"] == pytest.approx(row["term_payoff"] + row["term_luck"])
         assert row["side"] == ("train" if row["partner_seed"] == 0 else None)
@@ -53,12 +74,16 @@ def test_crossplay_of_the_matrix_game_is_its_payoff_matrix(tmp_path: Path):
     assert table.group_by("episode").agg(pl.col("key").n_unique())["key"].to_list() == [1, 1, 1]
 
 
-@pytest.mark.parametrize("job", [mixed_job(), make_job(stochastic=True)], ids=["two specs", "stochastic"])
+@pytest.mark.parametrize(
+    "job", [mixed_job(), make_job(stochastic=True)], ids=["two specs", "stochastic"]
+)
 def test_chunk_size_does_not_change_a_value(tmp_path: Path, job: Job):
     whole = run_job(MatrixGame(), job, tmp_path / "whole", max_envs=1000).table
     assert len(set(whole["force_mean"].to_list())) > 2
     for max_envs in (1, 7):
-        assert run_job(MatrixGame(), job, tmp_path / str(max_envs), max_envs=max_envs).table.equals(whole)
+        assert run_job(MatrixGame(), job, tmp_path / str(max_envs), max_envs=max_envs).table.equals(
+            whole
+        )
 
 
 def test_padded_chunks_drop_what_was_padded(tmp_path: Path):
@@ -71,7 +96,9 @@ def test_padded_chunks_drop_what_was_padded(tmp_path: Path):
 
 @pytest.mark.parametrize("sizes", [(1, 99, 8), (198, 198, 16), (3, 5, 2), (7, 1, 40), (1, 1, 1)])
 @pytest.mark.parametrize("max_envs", [1, 30, 2048])
-def test_a_plan_covers_every_episode_once_within_its_bound(sizes: tuple[int, int, int], max_envs: int):
+def test_a_plan_covers_every_episode_once_within_its_bound(
+    sizes: tuple[int, int, int], max_envs: int
+):
     e, p, k = shape = tile_shape(*sizes, max_envs)
     assert e * p * k <= max_envs
     assert all(1 <= width <= size for width, size in zip(shape, sizes, strict=True))
@@ -108,11 +135,15 @@ def test_a_killed_run_resumes_to_the_same_file(tmp_path: Path):
         "tables.write_parquet = deadly\n"
         "run_job(MatrixGame(), mixed_job(), Path(sys.argv[1]), max_envs=7)\n"
     )
-    killed = subprocess.run([sys.executable, "-c", script, str(tmp_path / "killed")], cwd=Path(__file__).parents[2])
+    killed = subprocess.run(
+        [sys.executable, "-c", script, str(tmp_path / "killed")], cwd=Path(__file__).parents[2]
+    )
     assert killed.returncode == -signal.SIGKILL
     assert len(list((tmp_path / "killed" / PARTS_FOLDER).glob("part-*"))) == 2
     seen: list[Progress] = []
-    resumed = run_job(MatrixGame(), mixed_job(), tmp_path / "killed", max_envs=1000, on_progress=seen.append)
+    resumed = run_job(
+        MatrixGame(), mixed_job(), tmp_path / "killed", max_envs=1000, on_progress=seen.append
+    )
     whole = run_job(MatrixGame(), mixed_job(), tmp_path / "whole", max_envs=7)
     assert 0 < seen[-1].total < mixed_job().rows * 4
     assert seen[-1].done == seen[-1].total
@@ -147,7 +178,10 @@ def test_a_finished_folder_is_read_not_run_again(tmp_path: Path):
         ({"episodes": 4}, "episodes 3 there, 4 here"),
         ({"seed": 1}, "seed 0 there, 1 here"),
         ({"egos": (robots(-0.5, 0.25),)}, "other egos"),
-        ({"partners": (humans(-0.5, 0.5, -0.5, disabilities=("d1", "d2", "d4")),)}, "other partners"),
+        (
+            {"partners": (humans(-0.5, 0.5, -0.5, disabilities=("d1", "d2", "d4")),)},
+            "other partners",
+        ),
     ],
 )
 def test_a_folder_of_another_job_is_refused(tmp_path: Path, changes: dict[str, Any], told: str):
@@ -175,7 +209,10 @@ def test_a_folder_that_cannot_be_written_is_found_before_the_run(tmp_path: Path)
         ({"episodes": 0}, "episodes is 0"),
         ({"seed": -1}, "seed is -1"),
         ({"egos": ((robots(0.5), robots(0.5)))}, "given 2 times"),
-        ({"partners": (dataclasses.replace(humans(0.5), members=(Member("x", "y"),)),)}, "no disability setting"),
+        (
+            {"partners": (dataclasses.replace(humans(0.5), members=(Member("x", "y"),)),)},
+            "no disability setting",
+        ),
     ],
 )
 def test_a_job_that_makes_no_sense_is_refused(changes: dict[str, Any], told: str):
@@ -190,7 +227,10 @@ def test_max_envs_below_one_is_refused(tmp_path: Path):
 
 def test_policies_of_another_task_or_seat_are_refused(tmp_path: Path):
     other = random_group(dataclasses.replace(ROBOT, observation_size=47), 1, 0)
-    with pytest.raises(ValueError, match=r"observations of 47 numbers; the robot of task matrix has 3: .*another task"):
+    with pytest.raises(
+        ValueError,
+        match=r"observations of 47 numbers; the robot of task matrix has 3: .*another task",
+    ):
         run_job(MatrixGame(), make_job((other,)), tmp_path)
     with pytest.raises(ValueError, match="is a human policy; the ego is the robot"):
         run_job(MatrixGame(), make_job((humans(0.5),)), tmp_path)
@@ -238,20 +278,28 @@ def test_errors_of_a_host_ego_name_partner_and_step_and_keep_chunks(tmp_path: Pa
             raise RuntimeError("boom")
         return np.zeros((len(obs), 2))
 
-    with pytest.raises(EgoError, match=r"python:mine:robot with matrix/.*s1-v0/human, step 2: RuntimeError: boom"):
+    with pytest.raises(
+        EgoError, match=r"python:mine:robot with matrix/.*s1-v0/human, step 2: RuntimeError: boom"
+    ):
         run_job(MatrixGame(), make_job((host(breaks),)), tmp_path, max_envs=3)
     assert len(list((tmp_path / PARTS_FOLDER).glob("part-*"))) == 1
-    finished = run_job(MatrixGame(), make_job((host(lambda obs: np.zeros((len(obs), 2))),)), tmp_path, max_envs=3)
+    finished = run_job(
+        MatrixGame(), make_job((host(lambda obs: np.zeros((len(obs), 2))),)), tmp_path, max_envs=3
+    )
     assert finished.table.height == 9
 
 
-def test_memory_that_runs_out_is_told_and_smaller_chunks_then_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_memory_that_runs_out_is_told_and_smaller_chunks_then_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     def exhausted(*args: Any, **options: Any) -> None:
         raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: out of memory allocating")
 
     with monkeypatch.context() as patch:
         patch.setattr("evaluation.rollout.Rollout.run", exhausted)
-        with pytest.raises(ValueError, match="out of memory with 18 simulations; use --max-envs 9 or less"):
+        with pytest.raises(
+            ValueError, match="out of memory with 18 simulations; use --max-envs 9 or less"
+        ):
             run_job(MatrixGame(), make_job(), tmp_path)
     run_job(MatrixGame(), make_job(), tmp_path, max_envs=9)
     assert json.loads((tmp_path / MANIFEST_FILE).read_text())["max_envs"] == 9

@@ -42,14 +42,18 @@ def scratch(length: int) -> Env:
 def real_job(sizes: tuple[int, int, int] = SIZES, **changes: Any) -> Job:
     registry = load_registry()
     egos, partners = (
-        registry_groups(registry, registry.select("scratch/ippo-*", role=role, release="v1")[:count])
+        registry_groups(
+            registry, registry.select("scratch/ippo-*", role=role, release="v1")[:count]
+        )
         for role, count in zip(("robot", "human"), sizes, strict=False)
     )
     options: dict[str, Any] = {"egos": egos, "partners": partners, "backend": "native", **changes}
     return Job("scratch", 1, episodes=sizes[2], **options)
 
 
-def played(runner: Runner, job: Job, max_envs: int, order: Callable[[list], Sequence] = list) -> pl.DataFrame:
+def played(
+    runner: Runner, job: Job, max_envs: int, order: Callable[[list], Sequence] = list
+) -> pl.DataFrame:
     """Return the episode table of a job in memory; compiles nothing that `runner` has compiled."""
     parts: list[pl.DataFrame] = []
     runner.run(order(plan(job, max_envs)), lambda chunk, rows: parts.append(rows))
@@ -59,7 +63,10 @@ def played(runner: Runner, job: Job, max_envs: int, order: Callable[[list], Sequ
 def differing(one: pl.DataFrame, other: pl.DataFrame) -> int:
     """Return how many episodes differ in any value, of those that both tables have."""
     keys = ["ego", "partner", "episode"]
-    shared = one.join(other, on=keys, how="semi").sort(keys), other.join(one, on=keys, how="semi").sort(keys)
+    shared = (
+        one.join(other, on=keys, how="semi").sort(keys),
+        other.join(one, on=keys, how="semi").sort(keys),
+    )
     assert shared[0].height == shared[1].height > 0
     same = [(shared[0][name].eq_missing(shared[1][name])).to_numpy() for name in one.columns]
     return int((~np.all(same, axis=0)).sum())
@@ -121,7 +128,9 @@ def test_batches_of_a_robot_from_outside_are_the_jobs_own():
     assert len(set(sizes)) == 1
 
 
-def run_in_process(script: str, *arguments: object, devices: int = 1) -> subprocess.CompletedProcess:
+def run_in_process(
+    script: str, *arguments: object, devices: int = 1
+) -> subprocess.CompletedProcess:
     """Run a script as a user would: with XLA's own defaults, not those of tests."""
     flags = f"--xla_force_host_platform_device_count={devices}"
     head = "from tests.evaluation.test_invariance import *\njobs.TILE_ENVS = TILE\n"
@@ -130,10 +139,13 @@ def run_in_process(script: str, *arguments: object, devices: int = 1) -> subproc
     return subprocess.run(command, cwd=ROOT, env=environment, timeout=900)
 
 
-WHOLE = "run_job(scratch(int(sys.argv[2])), real_job(), Path(sys.argv[1]), max_envs=int(sys.argv[3]))\n"
+WHOLE = (
+    "run_job(scratch(int(sys.argv[2])), real_job(), Path(sys.argv[1]), max_envs=int(sys.argv[3]))\n"
+)
 BLOCKS = (
     "for i in (3, 2, 1):\n"
-    "    run_block(scratch(int(sys.argv[2])), real_job(), Path(sys.argv[1]), (i, 3), max_envs=int(sys.argv[3]))\n"
+    "    run_block(scratch(int(sys.argv[2])), real_job(), Path(sys.argv[1]), (i, 3), "
+    "max_envs=int(sys.argv[3]))\n"
 ) + WHOLE
 KILLED = (
     "import os, signal\n"

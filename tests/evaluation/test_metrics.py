@@ -10,7 +10,9 @@ from evaluation.metrics import Bounds, Traits
 from evaluation.statistics import iqm
 
 
-def same_traits(teams: list[str], algorithms: list[str] | None = None, disabilities: list[str] | None = None) -> Traits:
+def same_traits(
+    teams: list[str], algorithms: list[str] | None = None, disabilities: list[str] | None = None
+) -> Traits:
     return Traits(teams, algorithms or ["ippo"] * len(teams), disabilities or ["d1"] * len(teams))
 
 
@@ -66,7 +68,9 @@ def test_cross_play_of_two_teams_by_hand():
     assert (figures.self_play.n, figures.cross_play.n) == (2, 2)
     assert figures.within_algorithm is None
     assert figures.across_algorithms == figures.within_disability
-    assert figures.cross_play.ci is None  # half of the draws are one team twice, which has no cross-play
+    assert (
+        figures.cross_play.ci is None
+    )  # half of the draws are one team twice, which has no cross-play
 
 
 def test_cross_play_within_and_across_is_the_loop_over_pairs():
@@ -99,7 +103,9 @@ def test_teams_are_found_wherever_they_stand_and_outsiders_have_no_self_play():
     assert (figures.self_play.mean, figures.cross_play.n) == ((2 + 5) / 2, 4)
     assert figures.within_algorithm is not None
     assert figures.within_algorithm.n == 2  # pairs of an outsider are neither within nor across
-    apart = metrics.cross_play(matrix, Traits([None] * 3, [None] * 3, [None] * 3), same_traits(["a", "b"]))
+    apart = metrics.cross_play(
+        matrix, Traits([None] * 3, [None] * 3, [None] * 3), same_traits(["a", "b"])
+    )
     assert (apart.self_play, apart.gap) == (None, None)
     assert apart.cross_play is not None
     assert apart.cross_play.generalises_to == "egos and partners"
@@ -118,7 +124,12 @@ def test_intervals_over_teams_cover(repetitions: int):
     hits = {"self_play": 0, "cross_play": 0, "gap": 0}
     truth = {"self_play": 2.0, "cross_play": 0.0, "gap": 2.0}
     for i in range(repetitions):
-        matrix = rng.normal(size=(24, 1)) + rng.normal(size=24) + rng.normal(size=(24, 24)) + 2 * np.eye(24)
+        matrix = (
+            rng.normal(size=(24, 1))
+            + rng.normal(size=24)
+            + rng.normal(size=(24, 24))
+            + 2 * np.eye(24)
+        )
         figures = metrics.cross_play(matrix, teams, teams, resamples=200, seed=i)
         for name in hits:
             low, high = getattr(figures, name).mean_ci
@@ -129,10 +140,14 @@ def test_intervals_over_teams_cover(repetitions: int):
 
 def test_normalised_return_is_not_clipped_and_unscorable_partners_are_named():
     bounds = Bounds(
-        np.array([100.0, 50, 10]), np.array([0.0, 0, 10]), ("self-play", "trained best response", "self-play")
+        np.array([100.0, 50, 10]),
+        np.array([0.0, 0, 10]),
+        ("self-play", "trained best response", "self-play"),
     )
     scores = np.array([[50.0, 60, 10], [-10, 25, 10]])
-    np.testing.assert_allclose(metrics.normalised_return(scores, bounds), [[0.5, 1.2, np.nan], [-0.1, 0.5, np.nan]])
+    np.testing.assert_allclose(
+        metrics.normalised_return(scores, bounds), [[0.5, 1.2, np.nan], [-0.1, 0.5, np.nan]]
+    )
     np.testing.assert_allclose(metrics.regret(scores, bounds), [80.0, 7.5, 0.0])
     prox = metrics.br_prox(scores, bounds)
     assert prox.unscorable == (2,)
@@ -150,7 +165,9 @@ def test_no_scorable_partner_gives_no_figure_rather_than_one():
 
 
 def test_bounds_are_checked_and_taken_from_a_matrix_with_their_source():
-    found = metrics.best_in_matrix(np.array([[4.0, 1], [0.5, 0.7]]), ["a", "b"], ["a", "b"], np.zeros(2))
+    found = metrics.best_in_matrix(
+        np.array([[4.0, 1], [0.5, 0.7]]), ["a", "b"], ["a", "b"], np.zeros(2)
+    )
     np.testing.assert_allclose(found.best, [4.0, 1.0])
     assert found.source == ("self-play", "cross-play")
     with pytest.raises(ValueError, match="2 sources differ"):
@@ -219,10 +236,20 @@ def test_rank_stability_of_a_clear_order_is_one_and_of_noise_nothing():
 
 
 def test_diversity_by_hand():
-    found = metrics.br_diversity(np.array([[0.0, 5.0], [2.0, 3.0]]))  # scaled to the rows (0, 1) and (1, 0)
-    assert (found.log_determinant, found.rank, found.participation_ratio) == (pytest.approx(0.0), 2, pytest.approx(2.0))
+    found = metrics.br_diversity(
+        np.array([[0.0, 5.0], [2.0, 3.0]])
+    )  # scaled to the rows (0, 1) and (1, 0)
+    assert (found.log_determinant, found.rank, found.participation_ratio) == (
+        pytest.approx(0.0),
+        2,
+        pytest.approx(2.0),
+    )
     twice = metrics.br_diversity(np.array([[0.0, 5.0], [2.0, 3.0], [2.0, 3.0]]))
-    assert (twice.log_determinant, twice.rank, twice.to_json()["log_determinant"]) == (-math.inf, 2, None)
+    assert (twice.log_determinant, twice.rank, twice.to_json()["log_determinant"]) == (
+        -math.inf,
+        2,
+        None,
+    )
     alike = metrics.br_diversity(np.ones((3, 2)))
     assert (alike.rank, alike.participation_ratio) == (0, 0.0)
 
@@ -234,7 +261,8 @@ def test_greedy_subset_raises_the_log_determinant_the_most_at_every_step():
     for step in range(1, 5):
         before = picked[: step - 1]
         gains = [
-            np.linalg.det(phi[[*before, i]] @ phi[[*before, i]].T) if i not in before else -1.0 for i in range(len(phi))
+            np.linalg.det(phi[[*before, i]] @ phi[[*before, i]].T) if i not in before else -1.0
+            for i in range(len(phi))
         ]
         assert int(np.argmax(gains)) == picked[step - 1]
     with pytest.raises(ValueError, match="size is 6; the features have rank 5"):

@@ -44,7 +44,9 @@ def test_two_episodes_are_those_of_the_policy(tmp_path: Path, spec: PolicySpec) 
         carry = Policy(spec).initial_carry((6,))
         for step in range(4):
             obs = rng.normal(size=(6, 5)).astype(np.float32)
-            carry, expected = Policy(spec).act(params, carry, jnp.asarray(obs), jnp.full(6, step == 0))
+            carry, expected = Policy(spec).act(
+                params, carry, jnp.asarray(obs), jnp.full(6, step == 0)
+            )
             np.testing.assert_allclose(act(obs, step), expected, atol=1e-5)
 
 
@@ -89,6 +91,12 @@ def test_a_model_cannot_name_other_files(tmp_path: Path) -> None:
     """Weights in a file of their own would escape the digest, and read what they like."""
     write(tmp_path / "robot.onnx", MLP)
     model = onnx.load(str(tmp_path / "robot.onnx"))
-    onnx.save(model, str(tmp_path / "apart.onnx"), save_as_external_data=True, location="weights", size_threshold=0)
+    onnx.save(
+        model,
+        str(tmp_path / "apart.onnx"),
+        save_as_external_data=True,
+        location="weights",
+        size_threshold=0,
+    )
     with pytest.raises(ValueError, match="not an ONNX model that onnxruntime runs"):
         load(tmp_path / "apart.onnx")

@@ -28,13 +28,17 @@ class Seats:
 
 
 def params_of(spec: PolicySpec, seed: int) -> dict[str, Any]:
-    return jax.tree.map(lambda leaf: leaf + 0.3, untrained.params_of(spec, seed))  # an untrained head acts around zero
+    return jax.tree.map(
+        lambda leaf: leaf + 0.3, untrained.params_of(spec, seed)
+    )  # an untrained head acts around zero
 
 
 @pytest.fixture(scope="module")
 def registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
     teams = [
-        untrained_team("d9", seed, robot=(ROBOT, params_of(ROBOT, seed)), human=(HUMAN, params_of(HUMAN, seed)))
+        untrained_team(
+            "d9", seed, robot=(ROBOT, params_of(ROBOT, seed)), human=(HUMAN, params_of(HUMAN, seed))
+        )
         for seed in range(4)
     ]
     return load_registry(untrained.published(teams, tmp_path_factory.mktemp("zoo")))
@@ -87,12 +91,18 @@ def test_every_form_takes_its_seat(registry: Registry, tmp_path: Path):
 def test_a_robot_from_outside_is_called_on_batches_of_one(
     registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    lines = ["import numpy as np", "def make():", "    return lambda obs: np.ones((len(obs), 2)) * obs[:, :1]"]
+    lines = [
+        "import numpy as np",
+        "def make():",
+        "    return lambda obs: np.ones((len(obs), 2)) * obs[:, :1]",
+    ]
     (tmp_path / "outside_robot.py").write_text("\n".join(lines))
     monkeypatch.syspath_prepend(str(tmp_path))
     robot = seat("python:outside_robot:make", "robot", registry)
     for value in (0.5, -0.25):
-        np.testing.assert_array_equal(robot(np.full(6, value, np.float32)), np.full(2, value, np.float32))
+        np.testing.assert_array_equal(
+            robot(np.full(6, value, np.float32)), np.full(2, value, np.float32)
+        )
 
 
 def test_refusals(registry: Registry, tmp_path: Path):
@@ -102,7 +112,9 @@ def test_refusals(registry: Registry, tmp_path: Path):
         seat("python:a:b", "human", registry)
     with pytest.raises(UnknownIdError, match="nearest: scratch/ippo-d9-s0-v0"):
         seat("zoo:scratch/ippo-d9-s0-v9/robot", "robot", registry)
-    with pytest.raises(UnknownIdError, match="is not one policy: expected the id of one policy, found 4"):
+    with pytest.raises(
+        UnknownIdError, match="is not one policy: expected the id of one policy, found 4"
+    ):
         zoo_partner(registry, "scratch/ippo-*")
     with pytest.raises(ZooError, match="no such file"):
         seat(str(tmp_path / "gone.safetensors"), "robot", registry)
@@ -112,7 +124,9 @@ def test_refusals(registry: Registry, tmp_path: Path):
         seat(str(path), "human", registry)
     other = PolicySpec("robot", observation_size=9, action_size=2, hidden=(4,))
     write_policy_file(path, other, params_of(other, 0))
-    with pytest.raises(ValueError, match="takes 9 observations to 2 actions; the robot of this task has 6 and 2"):
+    with pytest.raises(
+        ValueError, match="takes 9 observations to 2 actions; the robot of this task has 6 and 2"
+    ):
         seat(str(path), "robot", registry)
     with pytest.raises(ValueError, match=r"got observations \(4,\); expected \[..., 5\]"):
         zoo_partner(registry, "scratch/ippo-d9-s0-v0")(np.zeros(4))

@@ -24,21 +24,38 @@ from evaluation.plots.lines import learning_curves, performance_profile, speed
 from evaluation.plots.matrix import Matrix, arrange, short_names
 from evaluation.plots.panels import training_panels
 from evaluation.plots.treemap import population_treemap
-from tests.evaluation.episode_tables import CONTEXT, Team, clustered_matrix, episode_table, team_id, teams
+from tests.evaluation.episode_tables import (
+    CONTEXT,
+    Team,
+    clustered_matrix,
+    episode_table,
+    team_id,
+    teams,
+)
 
 # Machado et al. (2009), full severity, on linear RGB.
 COLOUR_VISION = {
     "normal": np.eye(3),
-    "deuteranopia": np.array([[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]]),
-    "protanopia": np.array([[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]]),
-    "tritanopia": np.array([[1.256, -0.077, -0.179], [-0.078, 0.931, 0.148], [0.005, 0.691, 0.304]]),
+    "deuteranopia": np.array(
+        [[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]]
+    ),
+    "protanopia": np.array(
+        [[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]]
+    ),
+    "tritanopia": np.array(
+        [[1.256, -0.077, -0.179], [-0.078, 0.931, 0.148], [0.005, 0.691, 0.304]]
+    ),
 }
 XYZ = np.array([[0.4125, 0.3576, 0.1804], [0.2127, 0.7152, 0.0722], [0.0193, 0.1192, 0.9503]])
 
 
-def saved(population: list[Team], clusters: int = 3) -> tuple[pl.DataFrame, dict[str, Any], dict[str, Any]]:
+def saved(
+    population: list[Team], clusters: int = 3
+) -> tuple[pl.DataFrame, dict[str, Any], dict[str, Any]]:
     """What crossplay saves: pairs, order and summary."""
-    table = episode_table(clustered_matrix(len(population), clusters)[:, :, None], population, population)
+    table = episode_table(
+        clustered_matrix(len(population), clusters)[:, :, None], population, population
+    )
     pairs, order = summary.crossplay_matrix(table)
     return pairs, order, summary.summarise_crossplay(table, **CONTEXT)
 
@@ -54,7 +71,9 @@ def axes_by_label(figure: Figure) -> dict[str, Any]:
 
 
 def texts(figure: Figure) -> list[str]:
-    return [text.get_text() for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+    return [
+        text.get_text() for text in figure.findobj(Text) if text.get_text() and text.get_visible()
+    ]
 
 
 def test_shared_order_keeps_self_play_on_the_diagonal():
@@ -73,8 +92,12 @@ def test_separate_orders_move_rows_and_columns_with_their_values():
     matrix, _ = draw(population, "separate")
     assert not matrix.shared
     names = [team_id(team) for team in population]
-    rows, columns = ([names.index(str(team)) for team in side.teams] for side in (matrix.rows, matrix.columns))
-    np.testing.assert_allclose(matrix.values, clustered_matrix(12, 3)[np.ix_(rows, columns)], rtol=1e-6)
+    rows, columns = (
+        [names.index(str(team)) for team in side.teams] for side in (matrix.rows, matrix.columns)
+    )
+    np.testing.assert_allclose(
+        matrix.values, clustered_matrix(12, 3)[np.ix_(rows, columns)], rtol=1e-6
+    )
     assert matrix.self_play.sum() == 12
 
 
@@ -83,8 +106,20 @@ def test_heatmap_has_its_parts_and_says_what_it_shows():
     matrix, figure = draw(population, clusters=4)
     parts = axes_by_label(figure)
     assert set(parts) == {
-        *("matrix", "colourbar", "legend", "tree:ego", "tree:partner", "clusters:ego", "clusters:partner"),
-        *(f"strip:{seat}:{trait}" for seat in ("ego", "partner") for trait in ("algorithm", "disability")),
+        *(
+            "matrix",
+            "colourbar",
+            "legend",
+            "tree:ego",
+            "tree:partner",
+            "clusters:ego",
+            "clusters:partner",
+        ),
+        *(
+            f"strip:{seat}:{trait}"
+            for seat in ("ego", "partner")
+            for trait in ("algorithm", "disability")
+        ),
     }
     assert parts["matrix"].get_xlabel() == "human (partner)"
     assert parts["tree:ego"].get_ylabel() == "robot (ego)"
@@ -135,10 +170,13 @@ def test_strips_and_dendrograms_are_aligned_with_the_matrix():
 
 
 @pytest.mark.parametrize(
-    ("count", "how"), [(1, None), (2, None), (8, "separate"), (32, None), (80, "separate"), (80, "shared")]
+    ("count", "how"),
+    [(1, None), (2, None), (8, "separate"), (32, None), (80, "separate"), (80, "shared")],
 )
 def test_nothing_is_cut_off_or_written_over_something_else(count: int, how: Any):
-    population = teams(count, ("ippo", "isac", "mappo", "masac"), tuple(f"d{i}" for i in range(1, 10)))
+    population = teams(
+        count, ("ippo", "isac", "mappo", "masac"), tuple(f"d{i}" for i in range(1, 10))
+    )
     _, figure = draw(population, how, clusters=min(4, count))
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
@@ -149,8 +187,14 @@ def test_nothing_is_cut_off_or_written_over_something_else(count: int, how: Any)
         for label in bar.get_yticklabels()
         if not bar.get_ylim()[0] <= label.get_position()[1] <= bar.get_ylim()[1]
     ]
-    found = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible() and text not in unseen]
-    boxes = [(text.get_text(), np.array(text.get_window_extent(renderer).extents)) for text in found]
+    found = [
+        text
+        for text in figure.findobj(Text)
+        if text.get_text() and text.get_visible() and text not in unseen
+    ]
+    boxes = [
+        (text.get_text(), np.array(text.get_window_extent(renderer).extents)) for text in found
+    ]
     size = figure.get_size_inches() * figure.dpi
     for words, box in boxes:
         assert np.all(box[:2] >= -1), words
@@ -171,7 +215,9 @@ def test_a_large_matrix_names_clusters_instead_of_policies():
 def test_a_small_matrix_shows_its_numbers_with_self_play_in_bold():
     matrix, figure = draw(teams(4), clusters=2)
     shown = axes_by_label(figure)["matrix"].texts
-    assert [text.get_text() for text in shown] == [f"{value:.0f}" for value in matrix.values.ravel()]
+    assert [text.get_text() for text in shown] == [
+        f"{value:.0f}" for value in matrix.values.ravel()
+    ]
     bold = np.array([text.get_weight() == "bold" for text in shown]).reshape(4, 4)
     np.testing.assert_array_equal(bold, np.eye(4, dtype=bool))
 
@@ -183,7 +229,9 @@ def test_an_outsider_is_drawn_without_self_play():
     figure = crossplay_heatmap(matrix, summary.summarise_crossplay(table, **CONTEXT))
     assert not matrix.self_play.any()
     assert "from outside the zoo" in texts(figure)
-    with pytest.raises(ValueError, match="not the same teams, so they share no order; use --order separate"):
+    with pytest.raises(
+        ValueError, match="not the same teams, so they share no order; use --order separate"
+    ):
         arrange(pairs, order, "shared")
 
 
@@ -204,7 +252,9 @@ def test_files_are_written_whole_and_equal_for_equal_figures(tmp_path: Path, end
     assert paths[0].read_bytes() == paths[1].read_bytes()
     assert paths[0].read_bytes().startswith(b"\x89PNG" if ending == "png" else b"%PDF")
     assert len(list(tmp_path.iterdir())) == 2
-    with pytest.raises(ValueError, match=r"x\.svg ends in '\.svg'; figures are written as \.png or \.pdf"):
+    with pytest.raises(
+        ValueError, match=r"x\.svg ends in '\.svg'; figures are written as \.png or \.pdf"
+    ):
         style.save_figure(Figure(), tmp_path / "x.svg")
 
 
@@ -256,7 +306,12 @@ def evaluations() -> dict[str, dict[str, Any]]:
     sides = ["test", "train", "train", "test"] * 2
     return {
         name: summary.summarise_evaluation(
-            episode_table(rng.normal(500, 50, (egos, 8, 2)), [f"{name}{i}" for i in range(egos)], partners, sides),
+            episode_table(
+                rng.normal(500, 50, (egos, 8, 2)),
+                [f"{name}{i}" for i in range(egos)],
+                partners,
+                sides,
+            ),
             **CONTEXT,
         )
         for name, egos in (("ppo", 3), ("fcp", 1))
@@ -268,9 +323,13 @@ def test_bars_are_as_high_as_the_iqm_and_whiskers_as_long_as_the_interval():
     figure = zsc_bars(found)
     axes = axes_by_label(figure)["returns"]
     heights = sorted(bar.get_height() for bar in axes.patches)
-    assert heights == pytest.approx(sorted(one[key]["iqm"] for one in found.values() for key in ("m_test", "m_train")))
+    assert heights == pytest.approx(
+        sorted(one[key]["iqm"] for one in found.values() for key in ("m_test", "m_train"))
+    )
     whiskers = sorted(tuple(line.get_ydata()) for line in axes.lines if len(line.get_ydata()) == 2)
-    expected = sorted(tuple(one[key]["ci"]) for one in found.values() for key in ("m_test", "m_train"))
+    expected = sorted(
+        tuple(one[key]["ci"]) for one in found.values() for key in ("m_test", "m_train")
+    )
     np.testing.assert_allclose([pair for pair in whiskers if pair != (0, 0)], expected)
     written = " ".join("\n".join(texts(figure)).split())
     assert "ppo: 3 seeds × 4 train, 4 test partners × 2 episodes; scratch, release v0" in written
@@ -294,11 +353,17 @@ def test_disability_points_and_mixed_tasks():
 
 
 def test_lines_are_the_saved_tables():
-    profile = pl.DataFrame({"threshold": [0.0, 1.0], "share": [1.0, 0.0], "low": [None, None], "high": [None, None]})
-    axes = axes_by_label(performance_profile({"ppo": profile}, task="scratch", caption="n"))["lines"]
+    profile = pl.DataFrame(
+        {"threshold": [0.0, 1.0], "share": [1.0, 0.0], "low": [None, None], "high": [None, None]}
+    )
+    axes = axes_by_label(performance_profile({"ppo": profile}, task="scratch", caption="n"))[
+        "lines"
+    ]
     np.testing.assert_array_equal(axes.lines[0].get_ydata(), [1.0, 0.0])
     assert not axes.collections  # no band without an interval
-    curves = pl.DataFrame({"disability": ["d1"], "steps": [1e6], "iqm": [5.0], "low": [4.0], "high": [6.0]})
+    curves = pl.DataFrame(
+        {"disability": ["d1"], "steps": [1e6], "iqm": [5.0], "low": [4.0], "high": [6.0]}
+    )
     axes = axes_by_label(learning_curves(curves, title="t", caption="n"))["lines"]
     assert len(axes.collections) == 1
     assert axes.get_legend().get_texts()[0].get_text() == "d1"
@@ -309,12 +374,17 @@ LONG = "IQM of the training return over seeds and its 95% interval. " * 4
 
 def training(tasks: int) -> Figure:
     columns = {"algorithm": "ippo", "steps": 1e6, "iqm": 5.0, "low": 4.0, "high": 6.0}
-    return training_panels(pl.DataFrame([{"task": f"task {i}"} | columns for i in range(tasks)]), {}, caption=LONG)
+    return training_panels(
+        pl.DataFrame([{"task": f"task {i}"} | columns for i in range(tasks)]), {}, caption=LONG
+    )
 
 
 def speeds() -> Figure:
     columns = ["task", "backend", "device", "batch", "env_steps_per_second"]
-    return speed(pl.DataFrame([("scratch", "native", "cpu", 64, 1e4)], schema=columns, orient="row"), caption=LONG)
+    return speed(
+        pl.DataFrame([("scratch", "native", "cpu", 64, 1e4)], schema=columns, orient="row"),
+        caption=LONG,
+    )
 
 
 def bars(draw: Callable[[dict], Figure]) -> Figure:
@@ -342,7 +412,11 @@ def test_the_caption_is_as_wide_as_the_figure_at_most(draw: Callable[[], Figure]
 
 
 def test_treemap_areas_are_numbers_of_partners():
-    rows = [("scratch", "ippo", "d1")] * 6 + [("scratch", "ippo", "d9")] * 3 + [("scratch", "isac", "d1")] * 3
+    rows = (
+        [("scratch", "ippo", "d1")] * 6
+        + [("scratch", "ippo", "d9")] * 3
+        + [("scratch", "isac", "d1")] * 3
+    )
     figure = population_treemap(
         pl.DataFrame(rows, schema=["task", "algorithm", "disability"], orient="row"), caption="n"
     )
@@ -358,5 +432,8 @@ def test_saved_matrix_survives_its_files(tmp_path: Path):
     pairs, order, _ = saved(teams(6), 2)
     tables.write_parquet(pairs, tmp_path / tables.PAIRS_FILE)
     tables.write_json(order, tmp_path / tables.ORDER_FILE)
-    found = arrange(tables.read_parquet(tmp_path / tables.PAIRS_FILE), tables.read_json(tmp_path / tables.ORDER_FILE))
+    found = arrange(
+        tables.read_parquet(tmp_path / tables.PAIRS_FILE),
+        tables.read_json(tmp_path / tables.ORDER_FILE),
+    )
     np.testing.assert_array_equal(found.values, arrange(pairs, order).values)

@@ -10,7 +10,14 @@ from evaluation import references
 from evaluation.evaluator import run_job
 from evaluation.jobs import Group, Job, ReferenceSpec
 from evaluation.reference_egos import RANDOM, ZERO, ReferencePolicy
-from evaluation.references import CROSS_PLAY, NONE, SELF_PLAY, bounds_table, play_references, summarise_references
+from evaluation.references import (
+    CROSS_PLAY,
+    NONE,
+    SELF_PLAY,
+    bounds_table,
+    play_references,
+    summarise_references,
+)
 from tests.evaluation.episode_tables import Team, episode_table, team_id, teams
 from tests.evaluation.matrix_game import HUMAN, ROBOT, MatrixGame, humans, random_group, robots
 
@@ -22,11 +29,15 @@ def job_of(egos: Group, partners: Group, **options: Any) -> Job:
 @pytest.mark.parametrize("stochastic", [False, True])
 def test_own_robots_earn_what_the_diagonal_of_the_matrix_has(tmp_path: Path, stochastic: bool):
     egos, partners = random_group(ROBOT, 5, 1), random_group(HUMAN, 5, 2)
-    whole = run_job(MatrixGame(), job_of(egos, partners, stochastic=stochastic), tmp_path / "all").table
+    whole = run_job(
+        MatrixGame(), job_of(egos, partners, stochastic=stochastic), tmp_path / "all"
+    ).table
     diagonal = whole.filter(pl.col("ego_seed") == pl.col("partner_seed"))
     for max_envs in (1000, 4):
         paired = job_of(egos, partners, paired=True, stochastic=stochastic)
-        assert run_job(MatrixGame(), paired, tmp_path / str(max_envs), max_envs=max_envs).table.equals(diagonal)
+        assert run_job(
+            MatrixGame(), paired, tmp_path / str(max_envs), max_envs=max_envs
+        ).table.equals(diagonal)
     assert whole.height == 5 * diagonal.height == 75
 
 
@@ -41,7 +52,9 @@ def test_random_actions_are_uniform_and_depend_on_nothing_but_the_observation():
     first = jnp.zeros(len(obs), bool)
     _, actions = policy.act({"amplitude": jnp.float32(1.0)}, (), obs, first)
     assert actions.shape == (4000, 3)
-    np.testing.assert_allclose(np.quantile(actions, [0.0, 0.25, 0.5, 0.75, 1.0]), [-1, -0.5, 0, 0.5, 1], atol=0.03)
+    np.testing.assert_allclose(
+        np.quantile(actions, [0.0, 0.25, 0.5, 0.75, 1.0]), [-1, -0.5, 0, 0.5, 1], atol=0.03
+    )
     assert np.abs(np.corrcoef(np.asarray(actions).T) - np.eye(3)).max() < 0.06
     _, some = policy.act({"amplitude": jnp.float32(1.0)}, (), obs[7:9], first[:2])
     np.testing.assert_array_equal(some, actions[7:9])
@@ -52,8 +65,12 @@ def test_random_actions_are_uniform_and_depend_on_nothing_but_the_observation():
 def test_references_are_played_once_for_all_policies(tmp_path: Path):
     own = [(robots(-0.5, 0.5), humans(-0.5, 0.5))]
     seen: list[str] = []
-    options: dict[str, Any] = {"on_progress": lambda state: seen.append(f"{state.what} {state.total}")}
-    one = play_references(MatrixGame(), job_of(robots(0.3), humans(-0.5, 0.5)), own, tmp_path, **options)
+    options: dict[str, Any] = {
+        "on_progress": lambda state: seen.append(f"{state.what} {state.total}")
+    }
+    one = play_references(
+        MatrixGame(), job_of(robots(0.3), humans(-0.5, 0.5)), own, tmp_path, **options
+    )
     assert one.group_by(references.COLUMN).len().sort(references.COLUMN).rows() == [
         (SELF_PLAY, 6),
         (RANDOM, 6),
@@ -61,7 +78,9 @@ def test_references_are_played_once_for_all_policies(tmp_path: Path):
     ]
     assert set(seen) == {"reference egos 48", "reference egos 24"}
     seen.clear()
-    again = play_references(MatrixGame(), job_of(robots(-0.9), humans(-0.5, 0.5)), own, tmp_path, **options)
+    again = play_references(
+        MatrixGame(), job_of(robots(-0.9), humans(-0.5, 0.5)), own, tmp_path, **options
+    )
     assert again.equals(one)
     assert set(seen) == {"reference egos 0"}
 
@@ -71,7 +90,9 @@ PARTNERS: list[Team] = teams(4)
 
 def played(low: list[float], own: list[float | None]) -> pl.DataFrame:
     """Two episodes of each reference ego with each partner."""
-    zero = episode_table(np.array(low)[None, :, None] + np.array([-1.0, 1.0]), [ZERO], PARTNERS, ["test"] * 4)
+    zero = episode_table(
+        np.array(low)[None, :, None] + np.array([-1.0, 1.0]), [ZERO], PARTNERS, ["test"] * 4
+    )
     parts = [zero.with_columns(pl.lit(ZERO).alias("reference"))]
     for i, value in enumerate(own):
         if value is not None:
@@ -82,12 +103,24 @@ def played(low: list[float], own: list[float | None]) -> pl.DataFrame:
 
 def crossplay_pairs() -> pl.DataFrame:
     rows: list[dict[str, Any]] = [
-        {"ego": "best", "ego_team": None, "partner": f"{team_id(PARTNERS[1])}/human", "return": 90.0},
-        {"ego": "weak", "ego_team": None, "partner": f"{team_id(PARTNERS[0])}/human", "return": 20.0},
+        {
+            "ego": "best",
+            "ego_team": None,
+            "partner": f"{team_id(PARTNERS[1])}/human",
+            "return": 90.0,
+        },
+        {
+            "ego": "weak",
+            "ego_team": None,
+            "partner": f"{team_id(PARTNERS[0])}/human",
+            "return": 20.0,
+        },
     ]
     partners = [row["partner"].rpartition("/")[0] for row in rows]
     return pl.DataFrame(rows).with_columns(
-        pl.Series("partner_team", partners), pl.col("ego_team").cast(pl.String), pl.lit(8, pl.Int64).alias("episodes")
+        pl.Series("partner_team", partners),
+        pl.col("ego_team").cast(pl.String),
+        pl.lit(8, pl.Int64).alias("episodes"),
     )
 
 
@@ -102,7 +135,9 @@ def test_bounds_take_the_best_robot_known_and_say_where_it_is_from():
 
 
 def test_relative_figures_leave_out_and_name_the_unscorable():
-    table = episode_table(np.array([[25.0, 90.0, 7.0, 7.0]])[..., None], ["mine"], PARTNERS, ["test"] * 4)
+    table = episode_table(
+        np.array([[25.0, 90.0, 7.0, 7.0]])[..., None], ["mine"], PARTNERS, ["test"] * 4
+    )
     reference = played([0, 0, 10, 10], [50, 50, 5, None])
     found = summarise_references(table, reference, bounds_table(reference, crossplay_pairs()))
     relative = found["relative"]
@@ -112,7 +147,11 @@ def test_relative_figures_leave_out_and_name_the_unscorable():
     assert relative["worst_regret"] == {"partner": f"{team_id(PARTNERS[0])}/human", "regret": 25.0}
     assert relative["coverage"]["value"] == 0.5
     assert relative["unscorable"] == [f"{team_id(team)}/human" for team in PARTNERS[2:]]
-    assert relative["bounds"] == {"low": ZERO, "best": {CROSS_PLAY: 1, NONE: 1, SELF_PLAY: 2}, "episodes": 2}
+    assert relative["bounds"] == {
+        "low": ZERO,
+        "best": {CROSS_PLAY: 1, NONE: 1, SELF_PLAY: 2},
+        "episodes": 2,
+    }
     assert found["references"]["zero_action"]["mean"] == 5.0
     assert found["references"]["uniform_random"] is None
 
@@ -121,5 +160,11 @@ def test_without_any_scorable_partner_there_is_no_figure():
     table = episode_table(np.ones((1, 4, 1)), ["mine"], PARTNERS, ["test"] * 4)
     reference = played([10] * 4, [None] * 4)
     relative = summarise_references(table, reference, bounds_table(reference))["relative"]
-    assert relative["br_prox"] is relative["coverage"] is relative["regret"] is relative["worst_regret"] is None
+    assert (
+        relative["br_prox"]
+        is relative["coverage"]
+        is relative["regret"]
+        is relative["worst_regret"]
+        is None
+    )
     assert len(relative["unscorable"]) == 4

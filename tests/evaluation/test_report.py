@@ -20,7 +20,12 @@ from evaluation.report.matrix_data import matrix_data
 from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, team_id, teams
 
 CHROMIUM = next(
-    (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
+    (
+        found
+        for name in ("chromium", "chromium-browser", "google-chrome")
+        if (found := shutil.which(name))
+    ),
+    None,
 )
 HOSTILE = "python:my</script><script>alert(1)</script>&amp;:f"
 COMMAND = "assistax-zoo crossplay --task scratch --out 'x & <y>'"
@@ -30,7 +35,9 @@ COMMAND = "assistax-zoo crossplay --task scratch --out 'x & <y>'"
 def crossplay(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("xp")
     population = teams(12, ("ippo", "isac"), ("d1", "d9"))
-    table = episode_table(clustered_matrix(12, 3)[:, :, None] + np.array([-1.0, 1.0]), population, population)
+    table = episode_table(
+        clustered_matrix(12, 3)[:, :, None] + np.array([-1.0, 1.0]), population, population
+    )
     context: dict[str, Any] = CONTEXT
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
     write_run(folder, COMMAND, summary.save_crossplay(folder, table, **context))
@@ -42,7 +49,9 @@ def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("mine")
     partners = teams(6, ("ippo",), ("d1", "d9"))
     sides = ["test", "train"] * 3
-    table = episode_table(np.random.default_rng(0).normal(500, 50, (2, 6, 2)), [HOSTILE, "b"], partners, sides)
+    table = episode_table(
+        np.random.default_rng(0).normal(500, 50, (2, 6, 2)), [HOSTILE, "b"], partners, sides
+    )
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
     context: dict[str, Any] = CONTEXT
     found = summary.save_evaluation(folder, table, **context)
@@ -71,25 +80,42 @@ class Links(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
-        self.loaded += [str(value) for name, value in attrs if name in ("src", "href", "action", "data", "srcset")]
+        self.loaded += [
+            str(value)
+            for name, value in attrs
+            if name in ("src", "href", "action", "data", "srcset")
+        ]
 
 
 def loads_from_elsewhere(text: str) -> list[str]:
     css = re.findall(r"url\(([^)]*)\)|@import\s+(\S+)", text)
     calls = re.findall(r"\b(fetch|XMLHttpRequest|WebSocket|import)\s*\(", text)
-    return [link for link in Links(text).loaded if not link.startswith(("data:", "#"))] + [*css, *calls]
+    return [link for link in Links(text).loaded if not link.startswith(("data:", "#"))] + [
+        *css,
+        *calls,
+    ]
 
 
 def test_a_report_loads_nothing_from_elsewhere(crossplay: Path, evaluation: Path, tmp_path: Path):
     for folder in (crossplay, evaluation):
         assert loads_from_elsewhere(page_of(folder, tmp_path)) == []
-    assert loads_from_elsewhere('<img src="https://example.org/x.png"><script>fetch("/x")</script>') != []
+    assert (
+        loads_from_elsewhere('<img src="https://example.org/x.png"><script>fetch("/x")</script>')
+        != []
+    )
 
 
 def test_a_crossplay_is_told_with_command_versions_and_hashes(crossplay: Path, tmp_path: Path):
     text = page_of(crossplay, tmp_path)
     assert "assistax-zoo crossplay --task scratch --out &#x27;x &amp; &lt;y&gt;&#x27;" in text
-    for told in ("Cross-play: scratch", "scratch-half-v0", "release v0", "jax", "sha256", "Strategies of the humans"):
+    for told in (
+        "Cross-play: scratch",
+        "scratch-half-v0",
+        "release v0",
+        "jax",
+        "sha256",
+        "Strategies of the humans",
+    ):
         assert told in text
     assert text.count("<tr>") > 20
     assert page_of(crossplay, tmp_path) == text
@@ -111,7 +137,10 @@ def test_ids_cannot_break_out_of_the_page(evaluation: Path, tmp_path: Path):
 
 
 def test_the_matrix_holds_the_saved_pairs_in_every_order(crossplay: Path):
-    pairs, order = tables.read_parquet(crossplay / tables.PAIRS_FILE), tables.read_json(crossplay / tables.ORDER_FILE)
+    pairs, order = (
+        tables.read_parquet(crossplay / tables.PAIRS_FILE),
+        tables.read_json(crossplay / tables.ORDER_FILE),
+    )
     data = matrix_data(pairs, order, tables.read_json(crossplay / tables.STRATEGIES_FILE))
     expected = {(row["ego"], row["partner"]): row["return"] for row in pairs.iter_rows(named=True)}
     for r, row in enumerate(data["rows"]):
@@ -121,7 +150,9 @@ def test_the_matrix_holds_the_saved_pairs_in_every_order(crossplay: Path):
     for one in data["orders"].values():
         assert sorted(one["rows"]) == sorted(one["columns"]) == list(range(12))
     shared = data["orders"]["teams"]
-    assert [data["rows"][i]["team"] for i in shared["rows"]] == [data["columns"][i]["team"] for i in shared["columns"]]
+    assert [data["rows"][i]["team"] for i in shared["rows"]] == [
+        data["columns"][i]["team"] for i in shared["columns"]
+    ]
 
 
 def test_a_folder_of_neither_kind_is_refused(tmp_path: Path):
@@ -135,9 +166,22 @@ def test_a_folder_of_neither_kind_is_refused(tmp_path: Path):
 
 def browse(page: str, home: Path, *options: str) -> str:
     assert CHROMIUM is not None
-    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run"]
-    flags += [f"--user-data-dir={home}", "--virtual-time-budget=4000", "--window-size=1280,1400", *options]
-    return subprocess.run([CHROMIUM, *flags, page], capture_output=True, text=True, timeout=120, check=True).stdout
+    flags = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-background-networking",
+        "--no-first-run",
+    ]
+    flags += [
+        f"--user-data-dir={home}",
+        "--virtual-time-budget=4000",
+        "--window-size=1280,1400",
+        *options,
+    ]
+    return subprocess.run(
+        [CHROMIUM, *flags, page], capture_output=True, text=True, timeout=120, check=True
+    ).stdout
 
 
 def coloured(address: str, folder: Path) -> float:
@@ -161,10 +205,14 @@ def test_a_browser_draws_the_matrix_and_finds_a_pair(crossplay: Path, tmp_path: 
     tip = re.search(r'<div id="tip".*?</div></div>', seen, re.DOTALL)
     assert tip is not None
     pairs = tables.read_parquet(crossplay / tables.PAIRS_FILE)
-    value = pairs.filter((pairs["ego"] == f"{robot}/robot") & (pairs["partner"] == f"{human}/human"))["return"].item()
+    value = pairs.filter(
+        (pairs["ego"] == f"{robot}/robot") & (pairs["partner"] == f"{human}/human")
+    )["return"].item()
     assert f"cross-play: {value:.0f}" in tip.group()
     assert f"robot {robot}/robot" in tip.group()
     assert coloured(address, tmp_path) > 0.1
     broken = tmp_path / "broken.html"
-    broken.write_text((tmp_path / "report.html").read_text().replace("const data =", "throw 1; const data ="))
+    broken.write_text(
+        (tmp_path / "report.html").read_text().replace("const data =", "throw 1; const data =")
+    )
     assert coloured(broken.as_uri(), tmp_path) < 0.05

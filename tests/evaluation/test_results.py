@@ -22,14 +22,23 @@ from evaluation.results.pictures import picture_names
 from evaluation.statistics import probability_of_improvement
 from evaluation.strategies import summarise_strategies
 from population.spec import PolicySpec
-from tests.evaluation.episode_tables import CONTEXT, Team, clustered_matrix, episode_table, team_id, teams
+from tests.evaluation.episode_tables import (
+    CONTEXT,
+    Team,
+    clustered_matrix,
+    episode_table,
+    team_id,
+    teams,
+)
 from tests.zoo.conftest import put, trained_team
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, SelfPlay, Training
 
 ROOT = Path(__file__).parents[2]
 POPULATION = teams(20)
-PUBLISHED: list[Team] = [(a, d, s) for a in ("ippo", "masac") for d in ("d1", "d9") for s in range(3)]
+PUBLISHED: list[Team] = [
+    (a, d, s) for a in ("ippo", "masac") for d in ("d1", "d9") for s in range(3)
+]
 SEEDS, PARTNERS = 6, 20
 
 
@@ -55,7 +64,9 @@ def additive(robots: float, humans: float, count: int = 20, noise: float = 10.0)
 def poor_half(count: int = 20) -> np.ndarray:
     """Return = quality of the robot x quality of the human: half of the teams are poor, none is incompatible."""
     quality = np.where(np.arange(count) % 2, 1.0, 0.3)
-    return 900 * quality[:, None] * quality[None] + np.random.default_rng(2).normal(0, 10, (count, count))
+    return 900 * quality[:, None] * quality[None] + np.random.default_rng(2).normal(
+        0, 10, (count, count)
+    )
 
 
 def test_incompatible_pairs_are_counted():
@@ -75,7 +86,10 @@ def test_poor_teams_are_not_taken_for_incompatible_ones():
 def test_two_groups_that_lose_with_each_other_are_found():
     found = measures.largest_exchange_loss(blocks(120), permutations=39)
     assert found.loss == pytest.approx(0.6, abs=0.02)
-    assert [set(group % 2) for group in sorted(found.groups, key=lambda group: group[0] % 2)] == [{0}, {1}]
+    assert [set(group % 2) for group in sorted(found.groups, key=lambda group: group[0] % 2)] == [
+        {0},
+        {1},
+    ]
     assert found.p == pytest.approx(1 / 40)
     assert found.null < 0.3
     one_way = blocks()
@@ -96,7 +110,9 @@ def test_a_few_outliers_are_no_group():
 
 
 def test_loss_without_groups_is_chance():
-    chance = [measures.largest_exchange_loss(additive(200, 200 * i), permutations=39).p for i in range(4)]
+    chance = [
+        measures.largest_exchange_loss(additive(200, 200 * i), permutations=39).p for i in range(4)
+    ]
     assert min(chance) > 0.05
     alone = additive(50, 50) + 500 * np.eye(20)  # self-play
     assert measures.largest_exchange_loss(alone, permutations=39).p > 0.05
@@ -105,7 +121,9 @@ def test_loss_without_groups_is_chance():
 
 def test_variance_is_split_between_robots_and_humans():
     for robots, humans in ((100, 0), (0, 100), (100, 100)):
-        found = measures.variance_shares(additive(robots, humans, count=60, noise=1) + 400 * np.eye(60))
+        found = measures.variance_shares(
+            additive(robots, humans, count=60, noise=1) + 400 * np.eye(60)
+        )
         total = robots**2 + humans**2
         assert found.robot.value == pytest.approx(robots**2 / total, abs=0.02)
         assert found.human.value == pytest.approx(humans**2 / total, abs=0.02)
@@ -142,7 +160,9 @@ def test_improvement_interval_is_that_of_plain_resampling():
     columns = []
     for _ in range(3000):
         a, b = rng.integers(0, 5, (5, 7)), rng.integers(0, 4, (4, 7))
-        columns.append(probability_of_improvement(np.take_along_axis(x, a, 0), np.take_along_axis(y, b, 0)))
+        columns.append(
+            probability_of_improvement(np.take_along_axis(x, a, 0), np.take_along_axis(y, b, 0))
+        )
     found = measures.improvement(x, y, stratified=True, resamples=3000)
     assert found.ci is not None
     np.testing.assert_allclose(found.ci, np.quantile(columns, (0.025, 0.975)), atol=0.02)
@@ -173,21 +193,40 @@ def egos(train: float, test: float, spread: float = 5.0) -> Egos:
     returns = means + np.random.default_rng(5).normal(0, spread, (SEEDS, PARTNERS))
     names = [f"ppo-s{seed}.safetensors" for seed in range(SEEDS)]
     table = episode_table(np.repeat(returns[:, :, None], 2, axis=2), names, teams(PARTNERS), sides)
-    pairs = tables.pair_table(table).with_columns(pl.Series("ego_seed", np.repeat(np.arange(SEEDS), PARTNERS)))
+    pairs = tables.pair_table(table).with_columns(
+        pl.Series("ego_seed", np.repeat(np.arange(SEEDS), PARTNERS))
+    )
     told = summary.summarise_evaluation(table, **CONTEXT)
     return Egos(pairs, told, {"command": "assistax-zoo evaluate", "seconds": None}, None)
 
 
-def humans(returns: dict[str, list[float]], task: str = "scratch", disability: str = "d1") -> list[PolicyEntry]:
+def humans(
+    returns: dict[str, list[float]], task: str = "scratch", disability: str = "d1"
+) -> list[PolicyEntry]:
     found = []
     for algorithm, means in returns.items():
         for seed, mean in enumerate(means):
             team = f"{task}/{algorithm}-{disability}-s{seed}-v0"
-            training = Training(steps=10_000_000, env_version=1, backend="native", device="cpu", seconds=30.0)
+            training = Training(
+                steps=10_000_000, env_version=1, backend="native", device="cpu", seconds=30.0
+            )
             own = SelfPlay(mean=mean, iqm=mean, ci=(mean - 1, mean + 1), n=16)
             spec = PolicySpec("human", 38, 3)
-            place = (task, algorithm, "human", disability, seed, "v0", spec, "shard", seed, "0" * 64)
-            found.append(PolicyEntry(f"{team}/human", team, *place, f"{task}-{algorithm}", training, own))
+            place = (
+                task,
+                algorithm,
+                "human",
+                disability,
+                seed,
+                "v0",
+                spec,
+                "shard",
+                seed,
+                "0" * 64,
+            )
+            found.append(
+                PolicyEntry(f"{team}/human", team, *place, f"{task}-{algorithm}", training, own)
+            )
     return found
 
 
@@ -197,7 +236,9 @@ def results(**changes: Any) -> Results:
 
 
 def verdict(found: Results, title: str, task: str) -> str:
-    [claim] = [claim for claim in check_claims(found) if title in claim.title and claim.task == task]
+    [claim] = [
+        claim for claim in check_claims(found) if title in claim.title and claim.task == task
+    ]
     return claim.verdict
 
 
@@ -211,7 +252,10 @@ def test_nothing_is_claimed_of_what_was_not_measured():
     ("matrix", "wanted"),
     [
         (blocks(), "holds"),
-        (blocks(across=0.65), "holds in part"),  # clusters that lose a third, but no pair falls below one half
+        (
+            blocks(across=0.65),
+            "holds in part",
+        ),  # clusters that lose a third, but no pair falls below one half
         (additive(60, 60), "does not hold"),
         (additive(300, 0), "does not hold"),
     ],
@@ -238,7 +282,12 @@ def test_the_human_contributes_little(matrix: np.ndarray, wanted: str):
 
 @pytest.mark.parametrize(
     ("train", "test", "wanted"),
-    [(800, 795, "holds"), (800, 500, "does not hold"), (500, 800, "does not hold"), (800, 720, "undecided")],
+    [
+        (800, 795, "holds"),
+        (800, 500, "does not hold"),
+        (500, 800, "does not hold"),
+        (800, 720, "undecided"),
+    ],
 )
 def test_small_gap(train: float, test: float, wanted: str):
     spread = 60.0 if wanted == "undecided" else 5.0
@@ -265,7 +314,11 @@ def test_egos_that_met_other_partners_are_not_compared():
 
 
 def test_ppo_above_sac_in_self_play():
-    rising = {"ippo": [930.0, 940, 950, 960], "mappo": [600.0, 700, 800, 900], "masac": [650.0, 700, 750, 800]}
+    rising = {
+        "ippo": [930.0, 940, 950, 960],
+        "mappo": [600.0, 700, 800, 900],
+        "masac": [650.0, 700, 750, 800],
+    }
     found = results(humans=humans(rising))
     assert verdict(found, "IPPO above", "scratch") == "holds"
     assert verdict(found, "MAPPO above", "scratch") == "undecided"
@@ -278,12 +331,19 @@ def test_verdict_of_mixed_criteria():
     def told(*outcomes: Any) -> str:
         from evaluation.results.claims import Criterion
 
-        return Claim("c", "scratch", "f", [Criterion("w", "v", "t", outcome) for outcome in outcomes]).verdict
+        return Claim(
+            "c", "scratch", "f", [Criterion("w", "v", "t", outcome) for outcome in outcomes]
+        ).verdict
 
     assert told("met", "met") == "holds"
     assert told("met", "not met") == "does not hold"
     assert told("not met", "met") == "holds in part"
-    assert told("undecided", "met") == told("met", "undecided") == told("not met", "undecided") == "undecided"
+    assert (
+        told("undecided", "met")
+        == told("met", "undecided")
+        == told("not met", "undecided")
+        == "undecided"
+    )
 
 
 # Collecting
@@ -291,7 +351,9 @@ def test_verdict_of_mixed_criteria():
 
 @pytest.fixture
 def crossplay_folder(tmp_path: Path) -> Path:
-    table = episode_table(np.repeat(clustered_matrix(12, 2)[:, :, None], 2, axis=2), PUBLISHED, PUBLISHED)
+    table = episode_table(
+        np.repeat(clustered_matrix(12, 2)[:, :, None], 2, axis=2), PUBLISHED, PUBLISHED
+    )
     folder = tmp_path / "xp"
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
     summary.save_crossplay(folder, table, **CONTEXT)
@@ -305,14 +367,18 @@ def crossplay_folder(tmp_path: Path) -> Path:
     return folder
 
 
-def evaluation_folder(tmp_path: Path, method: str, shift: float, sides: tuple[str, str] = ("train", "test")) -> Path:
+def evaluation_folder(
+    tmp_path: Path, method: str, shift: float, sides: tuple[str, str] = ("train", "test")
+) -> Path:
     returns = np.random.default_rng(6).normal(500 + shift, 5, (3, 4, 2))
     names = [f"/mnt/runs/{method}/policies/{method}-s{seed}.safetensors" for seed in range(3)]
     table = episode_table(returns, names, PUBLISHED[:4], list(sides) * 2)
     folder = tmp_path / f"evaluated-{method}"
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
     summary.save_evaluation(folder, table, **CONTEXT)
-    command = " ".join(["assistax-zoo evaluate --split both", *(f"--policy {name}" for name in names)])
+    command = " ".join(
+        ["assistax-zoo evaluate --split both", *(f"--policy {name}" for name in names)]
+    )
     tables.write_json({"command": command}, folder / "run.json")
     return folder
 
@@ -336,7 +402,9 @@ def test_the_matrix_is_the_one_that_was_played(crossplay_folder: Path, tmp_path:
     collect(crossplay_folder, tmp_path / "data")
     found = read_results(published(tmp_path), "v0", tmp_path / "data").crossplay["scratch"]
     places = [[team_id(team) for team in PUBLISHED].index(name) for name in found.teams]
-    np.testing.assert_allclose(found.matrix, clustered_matrix(12, 2)[np.ix_(places, places)], rtol=1e-6)
+    np.testing.assert_allclose(
+        found.matrix, clustered_matrix(12, 2)[np.ix_(places, places)], rtol=1e-6
+    )
     assert sorted(place for cluster in found.clusters for place in cluster) == list(range(12))
 
 
@@ -350,8 +418,12 @@ def test_an_evaluation_is_condensed_under_its_method(tmp_path: Path):
     assert pairs["episodes"].unique().to_list() == [2]
     assert "/mnt" not in "".join(path.read_text() for path in out.glob("*.json"))
     found = read_results(published(tmp_path), "v0", tmp_path / "data").egos["scratch", "sac"]
-    whole = summary.dense_block(tables.read_episodes(tmp_path / "evaluated-sac" / tables.EPISODES_FILE)).scores
-    np.testing.assert_allclose(np.sort(found.scores, axis=None), np.sort(whole, axis=None), rtol=1e-6)
+    whole = summary.dense_block(
+        tables.read_episodes(tmp_path / "evaluated-sac" / tables.EPISODES_FILE)
+    ).scores
+    np.testing.assert_allclose(
+        np.sort(found.scores, axis=None), np.sort(whole, axis=None), rtol=1e-6
+    )
     assert found.scores.shape == (3, 4)
 
 
@@ -361,11 +433,26 @@ def test_training_of_egos_is_condensed(tmp_path: Path):
 
     folder = tmp_path / "runs" / "policies"
     folder.mkdir(parents=True)
-    training = {"steps": 5000, "seconds": 90.0, "device": "cpu", "backend": "native", "secret": "/home/me"}
+    training = {
+        "steps": 5000,
+        "seconds": 90.0,
+        "device": "cpu",
+        "backend": "native",
+        "secret": "/home/me",
+    }
     for seed in range(2):
-        told = {"task": "scratch", "algorithm": "ppo", "seed": seed, "split": "half", "training": training}
+        told = {
+            "task": "scratch",
+            "algorithm": "ppo",
+            "seed": seed,
+            "split": "half",
+            "training": training,
+        }
         write_policy_file(
-            folder / f"ppo-s{seed}.safetensors", SPECS["robot"], random_params(SPECS["robot"], seed), told
+            folder / f"ppo-s{seed}.safetensors",
+            SPECS["robot"],
+            random_params(SPECS["robot"], seed),
+            told,
         )
     out = collect(folder.parent, tmp_path / "data")
     found = tables.read_json(out / "training.json")
@@ -378,11 +465,16 @@ def test_training_of_egos_is_condensed(tmp_path: Path):
     ("spoil", "message"),
     [
         (lambda folder: (folder / "summary.json").unlink(), "holds no summary.json"),
-        (lambda folder: tables.write_json({"task": "scratch"}, folder / "summary.json"), "neither crossplay nor"),
+        (
+            lambda folder: tables.write_json({"task": "scratch"}, folder / "summary.json"),
+            "neither crossplay nor",
+        ),
         (lambda folder: (folder / "strategies.json").unlink(), "strategies.json does not exist"),
     ],
 )
-def test_a_folder_that_is_no_finished_one_is_refused(crossplay_folder: Path, tmp_path: Path, spoil: Any, message: str):
+def test_a_folder_that_is_no_finished_one_is_refused(
+    crossplay_folder: Path, tmp_path: Path, spoil: Any, message: str
+):
     spoil(crossplay_folder)
     with pytest.raises((ValueError, FileNotFoundError), match=message):
         collect(crossplay_folder, tmp_path / "data")
@@ -393,7 +485,9 @@ def test_one_side_or_several_methods_are_refused(tmp_path: Path):
         collect(evaluation_folder(tmp_path, "ppo", 0, ("test", "test")), tmp_path / "data")
     folder = evaluation_folder(tmp_path, "sac", 0)
     told = tables.read_json(folder / "summary.json")
-    tables.write_json({**told, "egos": ["zoo:scratch/ippo-d1-s0-v0/robot"]}, folder / "summary.json")
+    tables.write_json(
+        {**told, "egos": ["zoo:scratch/ippo-d1-s0-v0/robot"]}, folder / "summary.json"
+    )
     with pytest.raises(ValueError, match="expected the policies of one train-ego run"):
         collect(folder, tmp_path / "data")
 
@@ -409,19 +503,32 @@ def published(tmp_path: Path) -> Registry:
 def words(tmp_path: Path, crossplay_folder: Path) -> list[str]:
     """Data of a partial release: cross-play, egos and curves of scratch; and the command for its page."""
     data = tmp_path / "data"
-    folders = [crossplay_folder, evaluation_folder(tmp_path, "ppo", 50), evaluation_folder(tmp_path, "sac", 0)]
+    folders = [
+        crossplay_folder,
+        evaluation_folder(tmp_path, "ppo", 50),
+        evaluation_folder(tmp_path, "sac", 0),
+    ]
     assert run(["results", "collect", *map(str, folders), "--out", str(data)]) == 0
     published(tmp_path)
     steps = np.tile(np.arange(1, 101) * 100_000, 3)
-    curve = {"task": "scratch", "algorithm": "ippo", "disability": "d1", "seed": np.repeat(np.arange(3), 100)}
+    curve = {
+        "task": "scratch",
+        "algorithm": "ippo",
+        "disability": "d1",
+        "seed": np.repeat(np.arange(3), 100),
+    }
     curves = pl.DataFrame({**curve, "steps": steps, "return": 1000 * (1 - np.exp(-steps / 2e6))})
     tables.write_parquet(curves, data / "curves" / "scratch-ippo.parquet")
-    (data / "notes.md").write_text("## self-play\n\nOurs plays its most likely actions.\n\n## zsc\n\n")
+    (data / "notes.md").write_text(
+        "## self-play\n\nOurs plays its most likely actions.\n\n## zsc\n\n"
+    )
     common = ["--release", "v0", "--data", str(data), "--out", str(tmp_path / "page.md")]
     return ["results", "page", *common, "--registry", str(tmp_path / "registry.json")]
 
 
-def test_the_page_of_a_partial_release(words: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+def test_the_page_of_a_partial_release(
+    words: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
     assert run(words) == 0
     text = (tmp_path / "page.md").read_text()
     told = capfd.readouterr().err
@@ -449,7 +556,9 @@ def test_every_table_has_as_many_cells_in_each_row():
         egos={("scratch", "ppo"): egos(800, 790), ("bed_bath", "sac"): egos(700, 690)},
     )
     for found in (everything, results()):
-        blocks_of_lines = re.findall(r"(?:^\|.*\n)+", make_page(found, "images", "make results"), re.MULTILINE)
+        blocks_of_lines = re.findall(
+            r"(?:^\|.*\n)+", make_page(found, "images", "make results"), re.MULTILINE
+        )
         assert len(blocks_of_lines) >= 5
         for block in blocks_of_lines:
             assert len({line.count(" | ") for line in block.splitlines()}) == 1
@@ -457,13 +566,21 @@ def test_every_table_has_as_many_cells_in_each_row():
 
 def test_the_same_tables_give_the_same_page(words: list[str], tmp_path: Path):
     assert run(words) == 0
-    first = (tmp_path / "page.md").read_bytes(), (tmp_path / "images" / "v0" / "zsc_scratch.png").read_bytes()
+    first = (
+        (tmp_path / "page.md").read_bytes(),
+        (tmp_path / "images" / "v0" / "zsc_scratch.png").read_bytes(),
+    )
     assert run(words) == 0
-    second = (tmp_path / "page.md").read_bytes(), (tmp_path / "images" / "v0" / "zsc_scratch.png").read_bytes()
+    second = (
+        (tmp_path / "page.md").read_bytes(),
+        (tmp_path / "images" / "v0" / "zsc_scratch.png").read_bytes(),
+    )
     assert first == second
 
 
-def test_check_finds_a_page_that_is_out_of_date(words: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+def test_check_finds_a_page_that_is_out_of_date(
+    words: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
     assert run([*words, "--check"]) == 1
     assert "does not exist" in capfd.readouterr().err
     assert run(words) == 0
@@ -498,7 +615,10 @@ def test_partners_from_outside_the_release_are_refused_and_absent_ones_named(
     registry.unlink()
     put([trained_team(*team) for team in PUBLISHED[1:]], registry)
     assert run(words) == 1
-    assert "1 partners on scratch that are not in release v0, first scratch/ippo-d1-s0-v0" in capfd.readouterr().err
+    assert (
+        "1 partners on scratch that are not in release v0, first scratch/ippo-d1-s0-v0"
+        in capfd.readouterr().err
+    )
 
 
 def test_a_note_on_an_unknown_section_is_refused(tmp_path: Path):
@@ -524,20 +644,34 @@ def test_the_paper_s_population_is_complete_only_with_every_team():
     assert "434 of 434 teams. The composition is the paper's." in page
     assert not [name for name in results(humans=whole).missing if "Table 6" in name]
     moved = [dataclasses.replace(whole[0], disability="d2"), *whole[1:]]
-    assert "Different from the paper's: scratch IPPO." in make_page(results(humans=moved), "images", "make results")
+    assert "Different from the paper's: scratch IPPO." in make_page(
+        results(humans=moved), "images", "make results"
+    )
 
 
-@pytest.mark.parametrize(("mean", "wanted"), [(940.0, "agree"), (700.0, "below"), (1100.0, "above")])
+@pytest.mark.parametrize(
+    ("mean", "wanted"), [(940.0, "agree"), (700.0, "below"), (1100.0, "above")]
+)
 def test_self_play_beside_the_paper_s(mean: float, wanted: str):
-    page = make_page(results(humans=humans({"ippo": [mean - 1, mean, mean + 1]})), "images", "make results")
-    [line] = [line for line in page.splitlines() if line.startswith("| scratch | IPPO | ") and "939.5 [" in line]
+    page = make_page(
+        results(humans=humans({"ippo": [mean - 1, mean, mean + 1]})), "images", "make results"
+    )
+    [line] = [
+        line
+        for line in page.splitlines()
+        if line.startswith("| scratch | IPPO | ") and "939.5 [" in line
+    ]
     assert line.endswith(f"| {wanted} |")
 
 
 def test_pictures_are_those_that_are_drawn(tmp_path: Path):
     found = results(humans=humans({"ippo": [900.0]}), egos={("bed_bath", "sac"): egos(700, 690)})
     drawn = draw_figures(found, tmp_path)
-    assert [path.name for path in drawn] == picture_names(found) == ["population.png", "zsc_bed_bath.png"]
+    assert (
+        [path.name for path in drawn]
+        == picture_names(found)
+        == ["population.png", "zsc_bed_bath.png"]
+    )
     assert not picture_names(results())
 
 
@@ -545,7 +679,16 @@ def test_the_committed_page_is_what_the_committed_tables_give(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ):
     monkeypatch.chdir(ROOT)
-    words = ["--release", "v1", "--data", "docs/data/v1", "--out", "docs/results.md", "--registry", "registry.json"]
+    words = [
+        "--release",
+        "v1",
+        "--data",
+        "docs/data/v1",
+        "--out",
+        "docs/results.md",
+        "--registry",
+        "registry.json",
+    ]
     assert run(["results", "page", *words, "--check"]) == 0, capfd.readouterr().err
 
 

@@ -9,8 +9,12 @@ import pytest
 from evaluation import statistics
 from evaluation.bootstrap import estimate
 
-metrics = pytest.importorskip("rliable.metrics", reason="an optional cross-check: pip install rliable")
-library = pytest.importorskip("rliable.library", reason="an optional cross-check: pip install rliable")
+metrics = pytest.importorskip(
+    "rliable.metrics", reason="an optional cross-check: pip install rliable"
+)
+library = pytest.importorskip(
+    "rliable.library", reason="an optional cross-check: pip install rliable"
+)
 SCORES = np.random.default_rng(0).normal(0.5, 0.2, (10, 16))  # [seeds, partners]
 
 
@@ -18,7 +22,9 @@ def test_aggregates_are_those_of_rliable():
     assert statistics.iqm(SCORES) == pytest.approx(metrics.aggregate_iqm(SCORES))
     assert statistics.mean(SCORES) == pytest.approx(metrics.aggregate_mean(SCORES))
     assert statistics.median(SCORES) == pytest.approx(metrics.aggregate_median(SCORES))
-    assert statistics.optimality_gap(SCORES) == pytest.approx(metrics.aggregate_optimality_gap(SCORES))
+    assert statistics.optimality_gap(SCORES) == pytest.approx(
+        metrics.aggregate_optimality_gap(SCORES)
+    )
     other = SCORES + 0.05
     expected = metrics.probability_of_improvement(SCORES, other)
     assert statistics.probability_of_improvement(SCORES, other) == pytest.approx(expected, abs=1e-6)
@@ -39,7 +45,9 @@ def arch_of_any_release(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(base, "__init__", renamed)
 
 
-@pytest.mark.filterwarnings("ignore:random_state is deprecated:FutureWarning")  # rliable's own call of arch
+@pytest.mark.filterwarnings(
+    "ignore:random_state is deprecated:FutureWarning"
+)  # rliable's own call of arch
 @pytest.mark.usefixtures("arch_of_any_release")
 def test_stratified_intervals_agree_within_monte_carlo_error():
     ours = estimate(SCORES, method="stratified", resamples=5000, seed=0)

@@ -10,22 +10,37 @@ from assistax_envs import disability_params
 from evaluation.rollout import GAMMA, Rollout, Tally, _start, episode_seeds, segment_length
 from population.policy import Policy
 from population.spec import PolicySpec
-from tests.evaluation.matrix_game import GRU, HUMAN, PAYOFF, ROBOT, MatrixGame, humans, random_group, robots
+from tests.evaluation.matrix_game import (
+    GRU,
+    HUMAN,
+    PAYOFF,
+    ROBOT,
+    MatrixGame,
+    humans,
+    random_group,
+    robots,
+)
 
 SETTINGS = ["d1", "d2", "d3"]
 
 
-def play(robot: Any, human: Any, episodes: int = 3, env: MatrixGame | None = None, **options: Any) -> Tally:
+def play(
+    robot: Any, human: Any, episodes: int = 3, env: MatrixGame | None = None, **options: Any
+) -> Tally:
     rollout = Rollout(env or MatrixGame(), Policy(robot.spec), Policy(human.spec), **options)
     settings = [member.disability for member in human.members]
-    return rollout.run(robot.params, human.params, disability_params(settings), episode_seeds(7, range(episodes)))
+    return rollout.run(
+        robot.params, human.params, disability_params(settings), episode_seeds(7, range(episodes))
+    )
 
 
 def test_returns_of_the_matrix_game_are_its_payoffs():
     tally = play(robots(-0.5, 0.5), humans(-0.5, 0.5, -0.5))
     luck = tally.terms["luck"]
     expected = 4 * PAYOFF[[0, 1]][:, [0, 1, 0]]
-    np.testing.assert_allclose(tally.terms["payoff"], np.repeat(expected[:, :, None], 3, axis=2), rtol=1e-6)
+    np.testing.assert_allclose(
+        tally.terms["payoff"], np.repeat(expected[:, :, None], 3, axis=2), rtol=1e-6
+    )
     np.testing.assert_allclose(tally.returns, tally.terms["payoff"] + luck, rtol=1e-6)
     assert (tally.steps == 4).all()
     assert not tally.nonfinite.any()
@@ -34,7 +49,9 @@ def test_returns_of_the_matrix_game_are_its_payoffs():
 def test_discounting_force_and_success_follow_their_definitions():
     tally = play(robots(-0.5, 0.5), humans(0.5))
     step_reward = tally.returns / 4
-    np.testing.assert_allclose(tally.discounted, step_reward * sum(GAMMA**t for t in range(4)), rtol=1e-6)
+    np.testing.assert_allclose(
+        tally.discounted, step_reward * sum(GAMMA**t for t in range(4)), rtol=1e-6
+    )
     np.testing.assert_allclose(tally.force_sum, 4 * 0.5 + 1 + 2 + 3 + 4)
     np.testing.assert_allclose(tally.force_peak, 4.5)
     assert tally.success.tolist() == [[[False] * 3], [[True] * 3]]  # (1, 1) at the second step only
@@ -67,13 +84,18 @@ def strengths(state: Any, shape: tuple[int, int, int]) -> np.ndarray:
 
 
 def carries_its_own_setting(started: np.ndarray) -> bool:
-    return np.array_equal(started, np.broadcast_to(np.array([1.0, 0.7, 0.4], np.float32)[None, :, None], started.shape))
+    return np.array_equal(
+        started,
+        np.broadcast_to(np.array([1.0, 0.7, 0.4], np.float32)[None, :, None], started.shape),
+    )
 
 
 def test_every_partner_plays_under_its_own_disability():
     tally = play(robots(-0.5, 0.5), humans(-0.5, -0.5, -0.5, disabilities=tuple(SETTINGS)))
     expected = 4 * PAYOFF[:, 0, None] * np.array([1.0, 0.7, 0.4])[None, :]
-    np.testing.assert_allclose(tally.terms["payoff"], np.repeat(expected[:, :, None], 3, axis=2), rtol=1e-6)
+    np.testing.assert_allclose(
+        tally.terms["payoff"], np.repeat(expected[:, :, None], 3, axis=2), rtol=1e-6
+    )
 
 
 def test_the_disability_check_sees_one_setting_for_all():
@@ -108,14 +130,19 @@ def test_a_block_is_what_each_pair_gives_alone(spec: PolicySpec):
     block = rollout.run(robot.params, human.params, settings, seeds)
     for e, p, k in np.ndindex(block.returns.shape):
         mine, theirs = row_of(robot, e), row_of(human, p)
-        state = env.reset(jax.random.key(seeds[k])[None], jax.tree.map(lambda leaf, p=p: leaf[p : p + 1], settings))
+        state = env.reset(
+            jax.random.key(seeds[k])[None],
+            jax.tree.map(lambda leaf, p=p: leaf[p : p + 1], settings),
+        )
         policies = {"robot": (Policy(spec), mine), "human": (Policy(HUMAN), theirs)}
         carries = {role: policy.initial_carry((1,)) for role, (policy, _) in policies.items()}
         total = 0.0
         for t in range(env.episode_length):
             actions = {}
             for role, (policy, params) in policies.items():
-                carries[role], actions[role] = policy.act(params, carries[role], state.obs[role], jnp.array([t == 0]))
+                carries[role], actions[role] = policy.act(
+                    params, carries[role], state.obs[role], jnp.array([t == 0])
+                )
             state = env.step(state, actions)
             total += float(state.reward[0])
         assert block.returns[e, p, k] == pytest.approx(total, rel=1e-5)
@@ -130,9 +157,19 @@ def test_drawn_actions_are_common_to_pairs_and_differ_by_episode_step_and_role()
     chosen = tally.terms["payoff"][0, 0]  # all four cells come up: the roles draw apart
     assert {round(float(value), 3) for value in chosen} == {4.0, 1.0, 0.5, 3.0}
     np.testing.assert_array_equal(
-        play(robots(0.0), humans(0.0), episodes=8, env=env, stochastic=True).returns[0, 0], tally.returns[0, 0, :8]
+        play(robots(0.0), humans(0.0), episodes=8, env=env, stochastic=True).returns[0, 0],
+        tally.returns[0, 0, :8],
     )
-    assert len(set((play(robots(0.0), humans(0.0), episodes=8, stochastic=True).force_sum[0, 0]).tolist())) == 8
+    assert (
+        len(
+            set(
+                (
+                    play(robots(0.0), humans(0.0), episodes=8, stochastic=True).force_sum[0, 0]
+                ).tolist()
+            )
+        )
+        == 8
+    )
 
 
 def test_segments_divide_the_episode():
@@ -147,9 +184,12 @@ def test_values_do_not_depend_on_the_block(stochastic: bool):
     rollout = Rollout(MatrixGame(), Policy(wide), Policy(HUMAN), stochastic=stochastic)
     for e, p, k in np.ndindex(3, 5, 2):
         mine, theirs = (
-            jax.tree.map(lambda leaf: leaf[None], row_of(group, row)) for group, row in ((robot, e), (human, p))
+            jax.tree.map(lambda leaf: leaf[None], row_of(group, row))
+            for group, row in ((robot, e), (human, p))
         )
-        alone = rollout.run(mine, theirs, disability_params([f"d{1 + p}"]), episode_seeds(7, range(k, k + 1)))
+        alone = rollout.run(
+            mine, theirs, disability_params([f"d{1 + p}"]), episode_seeds(7, range(k, k + 1))
+        )
         assert alone.returns[0, 0, 0] == whole.returns[e, p, k]
         assert alone.force_sum[0, 0, 0] == whole.force_sum[e, p, k]
 
@@ -161,7 +201,9 @@ def parameters_per_simulation(program: Any, simulations: int, kernel: int) -> li
         for value in equation.outvars:
             if math.prod(getattr(value.aval, "shape", ())) >= simulations * kernel:
                 found.append(str(equation.primitive))
-        for inner in jax.tree.leaves(list(equation.params.values()), is_leaf=lambda x: hasattr(x, "eqns")):
+        for inner in jax.tree.leaves(
+            list(equation.params.values()), is_leaf=lambda x: hasattr(x, "eqns")
+        ):
             inner = getattr(inner, "jaxpr", inner)
             if hasattr(inner, "eqns"):
                 found += parameters_per_simulation(inner, simulations, kernel)

@@ -24,7 +24,9 @@ def test_iqm_by_hand():
 @settings(max_examples=100, deadline=None)
 @given(arrays(np.float64, st.integers(1, 40), elements=FINITE))
 def test_iqm_is_scipys_trimmed_mean(values: np.ndarray):
-    assert statistics.iqm(values) == pytest.approx(scipy.stats.trim_mean(values, 0.25), rel=1e-9, abs=1e-6)
+    assert statistics.iqm(values) == pytest.approx(
+        scipy.stats.trim_mean(values, 0.25), rel=1e-9, abs=1e-6
+    )
 
 
 def test_weighted_forms_equal_the_resampled_lists():
@@ -32,7 +34,9 @@ def test_weighted_forms_equal_the_resampled_lists():
     values = rng.normal(1000, 50, 17)
     counts = rng.integers(0, 4, (20, 17))
     lists = [np.repeat(values, row) for row in counts]
-    np.testing.assert_allclose(statistics.weighted_mean(values, counts), [entry.mean() for entry in lists])
+    np.testing.assert_allclose(
+        statistics.weighted_mean(values, counts), [entry.mean() for entry in lists]
+    )
     expected = [scipy.stats.trim_mean(entry, 0.25) for entry in lists]
     np.testing.assert_allclose(statistics.weighted_iqm(values, counts), expected)
 
@@ -46,7 +50,9 @@ def test_a_resample_without_entries_has_no_figure():
 def test_cvar_by_hand():
     values = np.arange(1.0, 11.0)[::-1]
     assert statistics.cvar(values, 0.1) == 1.0
-    assert statistics.cvar(values, 0.25) == pytest.approx((1 + 2 + 0.5 * 3) / 2.5)  # half of the third
+    assert statistics.cvar(values, 0.25) == pytest.approx(
+        (1 + 2 + 0.5 * 3) / 2.5
+    )  # half of the third
     assert statistics.cvar(values, 0.05) == 1.0
     assert statistics.cvar(values, 1.0) == pytest.approx(values.mean())
     with pytest.raises(ValueError, match=r"alpha is 0\.0; allowed is a share"):
@@ -63,15 +69,24 @@ def test_median_is_over_partners_of_means_over_seeds():
 
 
 def test_optimality_gap_by_hand():
-    assert statistics.optimality_gap(np.array([0.5, 1.5, 0.8])) == pytest.approx((0.5 + 0 + 0.2) / 3)
-    assert statistics.optimality_gap(np.array([900.0, 1200.0]), target=1135.0) == pytest.approx(235 / 2)
+    assert statistics.optimality_gap(np.array([0.5, 1.5, 0.8])) == pytest.approx(
+        (0.5 + 0 + 0.2) / 3
+    )
+    assert statistics.optimality_gap(np.array([900.0, 1200.0]), target=1135.0) == pytest.approx(
+        235 / 2
+    )
 
 
 def test_probability_of_improvement_is_the_loop_over_pairs():
     rng = np.random.default_rng(0)
     x, y = rng.integers(0, 4, (3, 5)), rng.integers(0, 4, (4, 5))
     wins = [
-        np.mean([1.0 if a > b else 0.5 if a == b else 0.0 for a, b in itertools.product(x[:, p], y[:, p])])
+        np.mean(
+            [
+                1.0 if a > b else 0.5 if a == b else 0.0
+                for a, b in itertools.product(x[:, p], y[:, p])
+            ]
+        )
         for p in range(5)
     ]
     assert statistics.probability_of_improvement(x, y) == pytest.approx(np.mean(wins))
@@ -80,7 +95,9 @@ def test_probability_of_improvement_is_the_loop_over_pairs():
 
 
 def test_performance_profile_by_hand():
-    shares = statistics.performance_profile(np.array([[1.0, 2], [3, 4]]), np.array([0.0, 1.0, 2.5, 4.0]))
+    shares = statistics.performance_profile(
+        np.array([[1.0, 2], [3, 4]]), np.array([0.0, 1.0, 2.5, 4.0])
+    )
     np.testing.assert_allclose(shares, [1.0, 0.75, 0.5, 0.0])
 
 

@@ -27,7 +27,10 @@ def planted() -> pl.DataFrame:
 def test_planted_groups_of_behaviour_are_found_with_a_member_as_medoid():
     found = summarise_strategies(planted())
     assert json.loads(json.dumps(found, allow_nan=False)) == found
-    groups = [{int(name.split("-s")[1].split("-")[0]) % 3 for name in one["members"]} for one in found["clusters"]]
+    groups = [
+        {int(name.split("-s")[1].split("-")[0]) % 3 for name in one["members"]}
+        for one in found["clusters"]
+    ]
     assert sorted(groups, key=min) == [{0}, {1}, {2}]
     assert all(one["medoid"] in one["members"] for one in found["clusters"])
     assert [len(one["members"]) for one in found["clusters"]] == [4, 4, 4]
@@ -36,7 +39,9 @@ def test_planted_groups_of_behaviour_are_found_with_a_member_as_medoid():
 def test_a_partner_is_described_with_its_best_robot():
     pairs = planted()
     found = best_responses(pairs)
-    assert found.robots == [f"{team_id(team)}/robot" for team in TEAMS]  # self-play is planted highest
+    assert found.robots == [
+        f"{team_id(team)}/robot" for team in TEAMS
+    ]  # self-play is planted highest
     own = pairs.filter(pl.col("ego_team") == pl.col("partner_team"))
     np.testing.assert_allclose(found.features[:, 2], own["force_mean"])
     matrix = clustered_matrix(12, 3)
@@ -45,7 +50,9 @@ def test_a_partner_is_described_with_its_best_robot():
 
 def test_the_incompatible_two_lose_when_robots_are_exchanged():
     found = summarise_strategies(planted())
-    seeds = [int(name.split("-s")[1].split("-")[0]) % 3 for name in found["incompatible"]["partners"]]
+    seeds = [
+        int(name.split("-s")[1].split("-")[0]) % 3 for name in found["incompatible"]["partners"]
+    ]
     assert seeds[0] != seeds[1]
     own, exchanged = found["incompatible"]["returns"], found["incompatible"]["returns_exchanged"]
     assert min(own) - 200 > max(exchanged)

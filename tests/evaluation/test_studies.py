@@ -8,7 +8,10 @@ from zoo.registry import load_registry
 
 
 def humans(pattern, release):
-    return {entry.release for entry in in_release(load_registry(), pattern, release, task="scratch", role="human")}
+    return {
+        entry.release
+        for entry in in_release(load_registry(), pattern, release, task="scratch", role="human")
+    }
 
 
 def test_a_glob_is_looked_up_in_one_release_unless_it_names_its_own() -> None:
@@ -23,7 +26,9 @@ def test_a_glob_is_looked_up_in_one_release_unless_it_names_its_own() -> None:
 def test_policies_of_another_environment_version_are_refused_with_the_releases_that_fit() -> None:
     registry = load_registry()
     check_env_version(registry, registry.select("arm_assist/*", release="v1"))
-    with pytest.raises(RegistryVersionError, match=r"version 2 .* trained on version 1; .* \(here v1\)"):
+    with pytest.raises(
+        RegistryVersionError, match=r"version 2 .* trained on version 1; .* \(here v1\)"
+    ):
         check_env_version(registry, registry.select("arm_assist/*", release="v0"))
 
 
@@ -33,8 +38,11 @@ def test_partners_bring_the_default_split_of_their_release() -> None:
     assert newest.release == registry.release and {entry.team for entry in test} == set(newest.test)
     older, both = choose_partners(registry, "scratch", None, "scratch/ippo-d1-s?-v0/human")
     assert older == registry.split("scratch", release="v0") and len(both) == 8
-    assert choose_partners(registry, "scratch", "train", "scratch/ippo-d1-*")[0] == newest  # of both releases
+    assert (
+        choose_partners(registry, "scratch", "train", "scratch/ippo-d1-*")[0] == newest
+    )  # of both releases
     with pytest.raises(
-        ValueError, match=r"none of the 8 partners that match is on the train or test side of .*half-s0-v1"
+        ValueError,
+        match=r"none of the 8 partners that match is on the train or test side of .*half-s0-v1",
     ):
         choose_partners(registry, "scratch", "half-s0-v1:both", "scratch/ippo-d1-*-v0")

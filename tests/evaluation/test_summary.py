@@ -39,9 +39,14 @@ def test_groups_and_the_worst_partner_are_about_the_test_partners():
     table = evaluation_table()
     found = summary.summarise_evaluation(table, **CONTEXT)
     test = table.filter(side="test")
-    for column, key in (("partner_algorithm", "by_algorithm"), ("partner_disability", "by_disability")):
+    for column, key in (
+        ("partner_algorithm", "by_algorithm"),
+        ("partner_disability", "by_disability"),
+    ):
         expected = dict(test.group_by(column).agg(pl.col("return").mean()).iter_rows())
-        assert {name: figure["mean"] for name, figure in found[key].items()} == pytest.approx(expected)
+        assert {name: figure["mean"] for name, figure in found[key].items()} == pytest.approx(
+            expected
+        )
     worst = test.group_by("partner").agg(pl.col("return").mean()).sort("return").row(0, named=True)
     assert found["worst_partner"]["partner"] == worst["partner"]
     assert found["worst_partner"]["mean"] == pytest.approx(worst["return"])
@@ -69,13 +74,18 @@ def test_one_ego_and_one_episode_are_said_to_be_so():
 def test_nonfinite_episodes_are_counted_and_never_left_out():
     table = evaluation_table().with_columns(
         (pl.col("episode").eq(0) & pl.col("partner_seed").eq(0)).alias("nonfinite"),
-        pl.when(pl.col("episode").eq(0) & pl.col("partner_seed").eq(0)).then(0.0).otherwise("return").alias("return"),
+        pl.when(pl.col("episode").eq(0) & pl.col("partner_seed").eq(0))
+        .then(0.0)
+        .otherwise("return")
+        .alias("return"),
     )
     found = summary.summarise_evaluation(table, **CONTEXT)
     assert found["nonfinite"] == 3
     assert found["episodes"] == 144
     assert found["m_test"]["mean"] == pytest.approx(table.filter(side="test")["return"].mean())
-    assert "3 of 144 episodes became non-finite and earn 0 from then on; they count" in found["notes"]
+    assert (
+        "3 of 144 episodes became non-finite and earn 0 from then on; they count" in found["notes"]
+    )
     assert summary.partner_table(table)["nonfinite"].sum() == 3
 
 
@@ -110,7 +120,9 @@ def test_crossplay_keeps_self_play_on_the_diagonal_of_the_shared_order():
     shuffled = np.random.default_rng(0).permutation(12)
     table = episode_table(matrix[:, shuffled, None], population, [population[i] for i in shuffled])
     pairs, order = summary.crossplay_matrix(table)
-    by_team = {(row["ego_team"], row["partner_team"]): row["return"] for row in pairs.iter_rows(named=True)}
+    by_team = {
+        (row["ego_team"], row["partner_team"]): row["return"] for row in pairs.iter_rows(named=True)
+    }
     shared = order["teams"]["order"]
     assert sorted(shared) == sorted(team_id(team) for team in population)
     diagonal = [by_team[team, team] for team in shared]

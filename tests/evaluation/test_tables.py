@@ -14,7 +14,9 @@ def small(k: int = 2) -> pl.DataFrame:
 
 def test_dense_block_puts_every_return_in_its_cell_whatever_the_order_of_rows():
     returns = np.random.default_rng(0).normal(size=(3, 4, 5))
-    block = tables.dense_block(episode_table(returns, teams(3), teams(4)).sample(fraction=1.0, shuffle=True, seed=1))
+    block = tables.dense_block(
+        episode_table(returns, teams(3), teams(4)).sample(fraction=1.0, shuffle=True, seed=1)
+    )
     np.testing.assert_array_equal(block.returns, returns)
     np.testing.assert_allclose(block.scores, returns.mean(axis=2))
     assert block.egos["ego_seed"].to_list() == [0, 1, 2]
@@ -25,16 +27,24 @@ def test_dense_block_puts_every_return_in_its_cell_whatever_the_order_of_rows():
 def test_seeds_are_ordered_as_numbers_and_external_egos_come_last():
     egos = ["mine", ("ippo", "d1", 10), ("ippo", "d1", 9)]
     block = tables.dense_block(episode_table(np.zeros((3, 1, 1)), egos, teams(1)))
-    assert block.egos["ego"].to_list() == ["scratch/ippo-d1-s9-v0/robot", "scratch/ippo-d1-s10-v0/robot", "mine"]
+    assert block.egos["ego"].to_list() == [
+        "scratch/ippo-d1-s9-v0/robot",
+        "scratch/ippo-d1-s10-v0/robot",
+        "mine",
+    ]
 
 
 def test_keys_that_differ_between_pairs_are_noticed():
-    table = small().with_columns(pl.when(pl.col("ego_seed") == 1).then(7).otherwise("key").alias("key"))
+    table = small().with_columns(
+        pl.when(pl.col("ego_seed") == 1).then(7).otherwise("key").alias("key")
+    )
     assert tables.dense_block(table).keys is None
 
 
 def test_missing_and_doubled_episodes_are_refused():
-    with pytest.raises(ValueError, match=r"1 of 12 episodes .*s1-v0/robot .* episode 1: found 0 times"):
+    with pytest.raises(
+        ValueError, match=r"1 of 12 episodes .*s1-v0/robot .* episode 1: found 0 times"
+    ):
         tables.dense_block(small()[:-1])
     with pytest.raises(ValueError, match=r"s0-v0/human, episode 0: found 2 times"):
         tables.dense_block(pl.concat([small(), small()[:1]]))
@@ -48,7 +58,8 @@ def test_two_descriptions_of_one_partner_are_refused():
         .alias("partner_disability")
     )
     with pytest.raises(
-        ValueError, match=r"partner scratch/ippo-d1-s2-v0/human has several values of partner_disability"
+        ValueError,
+        match=r"partner scratch/ippo-d1-s2-v0/human has several values of partner_disability",
     ):
         tables.dense_block(table)
 
@@ -59,13 +70,28 @@ def test_two_descriptions_of_one_partner_are_refused():
         (lambda t: t.drop("side", "key"), "lacks the columns side, key"),
         (lambda t: t.with_columns(colour=1), "unknown columns colour"),
         (lambda t: t[:0], "no rows"),
-        (lambda t: t.with_columns(pl.col("return").cast(pl.String)), "column return is String; expected Float32"),
-        (lambda t: t.with_columns(pl.col("success").cast(pl.Int8)), "column success is Int8; expected Boolean"),
-        (lambda t: t.with_columns(pl.lit("left").alias("side")), "side holds 'left'; allowed are 'train', 'test'"),
-        (lambda t: t.with_columns(pl.lit(None, pl.String).alias("partner")), "column partner has 12 empty values"),
         (
-            lambda t: t.with_columns(pl.when(pl.col("return") == 3).then(np.nan).otherwise("return").alias("return")),
-            r"return has 1 values that are not finite, first nan for ego .*s0-v0/robot with .*s1-v0/human, episode 1",
+            lambda t: t.with_columns(pl.col("return").cast(pl.String)),
+            "column return is String; expected Float32",
+        ),
+        (
+            lambda t: t.with_columns(pl.col("success").cast(pl.Int8)),
+            "column success is Int8; expected Boolean",
+        ),
+        (
+            lambda t: t.with_columns(pl.lit("left").alias("side")),
+            "side holds 'left'; allowed are 'train', 'test'",
+        ),
+        (
+            lambda t: t.with_columns(pl.lit(None, pl.String).alias("partner")),
+            "column partner has 12 empty values",
+        ),
+        (
+            lambda t: t.with_columns(
+                pl.when(pl.col("return") == 3).then(np.nan).otherwise("return").alias("return")
+            ),
+            r"return has 1 values that are not finite, first nan for ego .*s0-v0/robot with "
+            r".*s1-v0/human, episode 1",
         ),
         (
             lambda t: t.with_columns((pl.col("term_scratch") / 0).alias("term_scratch")),
@@ -82,8 +108,12 @@ def test_parquet_gives_the_table_back(tmp_path: Path):
     path = tmp_path / "run" / tables.EPISODES_FILE
     tables.write_episodes(small(), path)
     found = tables.read_episodes(path)
-    assert {name: dtype for name, dtype in found.schema.items() if name in tables.SCHEMA} == tables.SCHEMA
-    np.testing.assert_array_equal(tables.dense_block(found).returns, tables.dense_block(small()).returns)
+    assert {
+        name: dtype for name, dtype in found.schema.items() if name in tables.SCHEMA
+    } == tables.SCHEMA
+    np.testing.assert_array_equal(
+        tables.dense_block(found).returns, tables.dense_block(small()).returns
+    )
     assert [file.name for file in path.parent.iterdir()] == [tables.EPISODES_FILE]
 
 
@@ -112,7 +142,9 @@ def test_missing_and_damaged_files_are_named(tmp_path: Path):
         tables.read_json(tmp_path / "gone.json")
     for name, read in (("bad.parquet", tables.read_parquet), ("bad.json", tables.read_json)):
         (tmp_path / name).write_text("garbage that is neither")
-        with pytest.raises(ValueError, match=rf"{name} is not (a )?readable .*; delete it and run again"):
+        with pytest.raises(
+            ValueError, match=rf"{name} is not (a )?readable .*; delete it and run again"
+        ):
             read(tmp_path / name)
 
 
@@ -120,6 +152,8 @@ def test_pair_table_averages_the_episodes_of_a_pair():
     returns = np.random.default_rng(0).normal(size=(2, 3, 4))
     pairs = tables.pair_table(episode_table(returns, teams(2), teams(3)))
     np.testing.assert_allclose(pairs["return"].to_numpy().reshape(2, 3), returns.mean(axis=2))
-    np.testing.assert_allclose(pairs["return_sd"].to_numpy().reshape(2, 3), returns.std(axis=2, ddof=1))
+    np.testing.assert_allclose(
+        pairs["return_sd"].to_numpy().reshape(2, 3), returns.std(axis=2, ddof=1)
+    )
     assert pairs["episodes"].unique().to_list() == [4]
     assert pairs["ego_seed"].to_list() == [0, 0, 0, 1, 1, 1]

@@ -49,12 +49,16 @@ def test_bad_hyperparameters_are_named(changes, message):
 
 
 def test_unknown_algorithm_lists_the_allowed():
-    with pytest.raises(ValueError, match="algorithm is 'sac'; allowed are ippo, mappo, isac, masac"):
+    with pytest.raises(
+        ValueError, match="algorithm is 'sac'; allowed are ippo, mappo, isac, masac"
+    ):
         preset("sac")
 
 
 def test_train_config_survives_json():
-    config = TrainConfig("scratch", "ippo", (TeamMember(3, "d1", {"gamma": 0.9}),), 1000, preset("ippo", hidden=(8,)))
+    config = TrainConfig(
+        "scratch", "ippo", (TeamMember(3, "d1", {"gamma": 0.9}),), 1000, preset("ippo", hidden=(8,))
+    )
     assert TrainConfig.from_json(json.loads(json.dumps(config.to_json()))) == config
 
 
@@ -66,5 +70,7 @@ def test_steps_are_rounded_up_to_whole_updates():
 def test_a_member_appears_once_and_overrides_what_is_traced():
     with pytest.raises(ValueError, match="two members of a run are identical"):
         TrainConfig("scratch", "ippo", make_members([0, 0], ["d1"]), 1000)
-    with pytest.raises(ValueError, match="a member overrides epochs; members may differ in learning_rate"):
+    with pytest.raises(
+        ValueError, match="a member overrides epochs; members may differ in learning_rate"
+    ):
         TrainConfig("scratch", "ippo", (TeamMember(0, "d1", {"epochs": 2}),), 1000)

@@ -61,13 +61,20 @@ def test_a_sweep_goes_on_after_a_failed_block_and_ends_as_a_local_one(two_cpus, 
 @pytest.mark.slow
 def test_a_lost_worker_is_reported_and_the_others_go_on(two_cpus, tmp_path):
     with pytest.raises(BlocksFailedError, match="1 of 3 blocks failed: b1: WorkerCrashedError: "):
-        run_blocks(RayCluster(cpus=1), lambda slots: [f"b{number}" for number in range(slots + 1)], work, (tmp_path,))
+        run_blocks(
+            RayCluster(cpus=1),
+            lambda slots: [f"b{number}" for number in range(slots + 1)],
+            work,
+            (tmp_path,),
+        )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["0", "2"]
 
 
 @pytest.mark.slow
 def test_what_a_cluster_can_never_give_is_refused(two_cpus, tmp_path):
-    with pytest.raises(ValueError, match=r"the Ray cluster has 2 CPUs and 0 GPUs, and a block takes 1 and 0\.5"):
+    with pytest.raises(
+        ValueError, match=r"the Ray cluster has 2 CPUs and 0 GPUs, and a block takes 1 and 0\.5"
+    ):
         run_blocks(RayCluster(gpus=0.5), lambda _: ["b0"], work, (tmp_path,))
 
 
@@ -82,9 +89,12 @@ def test_a_block_takes_a_whole_machine_unless_it_has_a_gpu(two_cpus):
 
 
 def test_results_that_are_not_here_are_missed(tmp_path, monkeypatch):
-    monkeypatch.setattr(sweeps, "run_blocks", lambda *_: None)  # workers that wrote to a disk of their own
+    monkeypatch.setattr(
+        sweeps, "run_blocks", lambda *_: None
+    )  # workers that wrote to a disk of their own
     with pytest.raises(
-        ValueError, match=r"lacks block-000, block-001, block-002 here; give an --out that all machines"
+        ValueError,
+        match=r"lacks block-000, block-001, block-002 here; give an --out that all machines",
     ):
         run_sweep_on_ray(plan(), partial(ToyEnv, match), tmp_path / "ray", RayCluster())
 
@@ -94,7 +104,9 @@ def test_a_cluster_that_does_not_answer_is_named(tmp_path, monkeypatch):
 
     monkeypatch.setattr(ray, "is_initialized", lambda: False)
     monkeypatch.setattr(ray, "shutdown", lambda: None)
-    with pytest.raises(ValueError, match=r"no Ray cluster answers at '127\.0\.0\.1:1' \(.*refused\); start one"):
+    with pytest.raises(
+        ValueError, match=r"no Ray cluster answers at '127\.0\.0\.1:1' \(.*refused\); start one"
+    ):
         run_blocks(RayCluster("127.0.0.1:1"), lambda _: ["b0"], work, (tmp_path,))
 
 
@@ -104,7 +116,9 @@ def test_without_ray_it_says_what_to_install(tmp_path, monkeypatch):
         run_blocks(RayCluster(), lambda _: ["b0"], work, (tmp_path,))
 
 
-@pytest.mark.parametrize("wrong", [{"cpus": -1}, {"cpus": 0}, {"gpus": 1.5}, {"gpus": float("nan")}])
+@pytest.mark.parametrize(
+    "wrong", [{"cpus": -1}, {"cpus": 0}, {"gpus": 1.5}, {"gpus": float("nan")}]
+)
 def test_a_share_that_is_none_is_refused(wrong):
     with pytest.raises(ValueError, match="a block takes"):
         RayCluster(**wrong)

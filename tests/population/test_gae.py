@@ -29,7 +29,9 @@ def test_advantages_are_those_of_the_definition(chunk, wrap):
 def test_a_missing_bootstrap_differs(chunk):
     """The planted defect: a time limit treated as termination."""
     reward, value, next_value, terminated, truncated = map(jnp.asarray, chunk)
-    defective = gae.advantages(reward, value, next_value, terminated | truncated, jnp.zeros_like(truncated), 0.97, 0.9)
+    defective = gae.advantages(
+        reward, value, next_value, terminated | truncated, jnp.zeros_like(truncated), 0.97, 0.9
+    )
     assert np.abs(defective - numpy_gae(*chunk, 0.97, 0.9)).max() > 0.1
 
 

@@ -17,12 +17,21 @@ def test_ippo_learns_to_scratch(tmp_path):
     """The second member is the start, and the planted defect: all the same but a learning rate of 0."""
     members = (Member(0, "d1"), Member(0, "d1", {"learning_rate": 0.0}))
     trainer = preset("ippo", num_envs=128, rollout_steps=64)
-    config = TrainConfig("scratch", "ippo", members, STEPS, trainer, checkpoint_every=1000, self_play_episodes=4)
+    config = TrainConfig(
+        "scratch", "ippo", members, STEPS, trainer, checkpoint_every=1000, self_play_episodes=4
+    )
     run = train(config, make("scratch", backend="native"), tmp_path / "run")
     metrics = pl.read_parquet(run / "metrics.parquet")
-    returns = [metrics.filter(pl.col("member") == member)["return"].drop_nulls().to_numpy() for member in (0, 1)]
+    returns = [
+        metrics.filter(pl.col("member") == member)["return"].drop_nulls().to_numpy()
+        for member in (0, 1)
+    ]
     learned, start = (last.mean() for last in (returns[0][-3:], returns[1][-3:]))
-    played, idle = (team["self_play"]["mean"] for team in json.loads((run / "teams.json").read_text()))
+    played, idle = (
+        team["self_play"]["mean"] for team in json.loads((run / "teams.json").read_text())
+    )
     assert learned > max(400.0, 3.0 * start)
-    assert played > max(400.0, 2.0 * idle)  # without exploration: doing nothing earns more than trembling
+    assert played > max(
+        400.0, 2.0 * idle
+    )  # without exploration: doing nothing earns more than trembling
     assert max(start, idle) < 400.0

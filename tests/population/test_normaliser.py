@@ -5,14 +5,18 @@ from population import normaliser
 
 
 def test_merged_batches_have_the_statistics_of_all():
-    batches = [np.random.default_rng(seed).normal(3.0, 2.0 + seed, (50 + seed, 4, 3)) for seed in range(4)]
+    batches = [
+        np.random.default_rng(seed).normal(3.0, 2.0 + seed, (50 + seed, 4, 3)) for seed in range(4)
+    ]
     statistics = normaliser.empty(3)
     for batch in batches:
         statistics = normaliser.update(statistics, jnp.asarray(batch, jnp.float32))
     everything = np.concatenate([batch.reshape(-1, 3) for batch in batches])
     np.testing.assert_allclose(statistics.mean, everything.mean(0), rtol=1e-4)
     np.testing.assert_allclose(statistics.variance, everything.var(0), rtol=1e-4)
-    np.testing.assert_allclose(normaliser.to_params(statistics)["std"], everything.std(0), rtol=1e-4)
+    np.testing.assert_allclose(
+        normaliser.to_params(statistics)["std"], everything.std(0), rtol=1e-4
+    )
 
 
 def test_a_feature_that_never_moves_is_not_blown_up():

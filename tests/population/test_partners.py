@@ -34,7 +34,9 @@ def group(spec, names, disabilities, seed=0):
 
 
 def population():
-    return Partners([group(PLAIN, ("a", "b"), ("d1", "d3")), group(SQUASHED, ("c",), ("d9",), seed=1)])
+    return Partners(
+        [group(PLAIN, ("a", "b"), ("d1", "d3")), group(SQUASHED, ("c",), ("d9",), seed=1)]
+    )
 
 
 def config(kind, members=2, **changes):
@@ -44,7 +46,9 @@ def config(kind, members=2, **changes):
         else SACConfig(**{**test_sac.SMALL, "num_envs": 12, "replay_size": 3000, **changes})
     )
     team = tuple(Member(seed, MIXED) for seed in range(members))
-    return TrainConfig("toy", "ego", team, trainer.batch_steps * 100, trainer, partners=("a", "b", "c"))
+    return TrainConfig(
+        "toy", "ego", team, trainer.batch_steps * 100, trainer, partners=("a", "b", "c")
+    )
 
 
 @pytest.mark.parametrize("platform", ["cpu", "gpu"])
@@ -74,7 +78,9 @@ def test_every_partner_plays_under_its_own_disability():
     state = initial_state(run, PPO(run.trainer, env, 1, population()))
     wanted = disability_params([s for _ in range(2) for s in ("d1", "d3", "d9") for _ in range(4)])
     for name in ("strength", "elbow_range"):
-        np.testing.assert_array_equal(getattr(state.simulations.env.params, name), getattr(wanted, name))
+        np.testing.assert_array_equal(
+            getattr(state.simulations.env.params, name), getattr(wanted, name)
+        )
 
 
 @pytest.mark.parametrize("kind", [PPO, pytest.param(SAC, marks=pytest.mark.slow)])
@@ -85,17 +91,30 @@ def test_an_ego_learns_its_role_and_partners_stay_as_they_are(kind):
     assert list(trainer.specs) == ["robot"]
     state, hyper = initial_state(run, trainer), trainer.hyper(run.members)
     step = lambda state, _: trainer.update(state, hyper, partners.params)  # noqa: E731
-    state, metrics = jax.jit(partial(jax.lax.scan, step, length=updates), compiler_options=FAST_COMPILE)(state)
+    state, metrics = jax.jit(
+        partial(jax.lax.scan, step, length=updates), compiler_options=FAST_COMPILE
+    )(state)
     assert list(state.members.learners) == ["robot"]
     earned = np.asarray(metrics["term_robot"])[np.asarray(metrics["episodes"]) > 0]
-    assert earned[-10:].mean() > 0.8 * 0.5 * env.episode_length > earned[0] + 1.0  # with the policy's own noise
+    assert (
+        earned[-10:].mean() > 0.8 * 0.5 * env.episode_length > earned[0] + 1.0
+    )  # with the policy's own noise
 
 
 @pytest.mark.parametrize(
     ("preset", "partners", "minibatches", "fitting"),
-    [(1024, 16, 4, 1024), (1024, 99, 4, 1188), (1024, 59, 4, 944), (64, 99, 1, 99), (64, 59, 1, 59), (8, 99, 4, 396)],
+    [
+        (1024, 16, 4, 1024),
+        (1024, 99, 4, 1188),
+        (1024, 59, 4, 944),
+        (64, 99, 1, 99),
+        (64, 59, 1, 59),
+        (8, 99, 4, 396),
+    ],
 )
-def test_simulations_are_as_near_to_the_preset_as_equal_shares_allow(preset, partners, minibatches, fitting):
+def test_simulations_are_as_near_to_the_preset_as_equal_shares_allow(
+    preset, partners, minibatches, fitting
+):
     assert fitting_envs(preset, partners, minibatches) == fitting
 
 
@@ -114,7 +133,9 @@ def test_with_more_partners_than_simulations_each_has_one():
     _, action = partners.act(partners.params, carry, obs, jnp.zeros(len(obs), bool), 2)
     for row in (0, 32, 33, 98, 99, 197):
         spec, params = specs[row % 99 // 33], groups[row % 99 // 33].params
-        _, wanted = Policy(spec).act(jax.tree.map(itemgetter(row % 33), params), (), obs[row], jnp.zeros((), bool))
+        _, wanted = Policy(spec).act(
+            jax.tree.map(itemgetter(row % 33), params), (), obs[row], jnp.zeros((), bool)
+        )
         np.testing.assert_allclose(action[row], wanted, rtol=1e-5, atol=1e-6)
 
 
@@ -123,24 +144,39 @@ def test_a_run_of_egos_is_written_without_self_play(tmp_path):
     run = dataclasses.replace(config(PPO), steps=240, checkpoint_every=1)
     folder = train(run, ToyEnv(match), tmp_path / "run", partners=population())
     egos = json.loads((folder / "teams.json").read_text())
-    assert [(ego["team"]["seed"], ego["team"]["disability"]) for ego in egos] == [(0, MIXED), (1, MIXED)]
+    assert [(ego["team"]["seed"], ego["team"]["disability"]) for ego in egos] == [
+        (0, MIXED),
+        (1, MIXED),
+    ]
     assert list(egos[0]["roles"]) == ["robot"] and egos[0]["self_play"] is None
     with pytest.raises(ValueError, match="another configuration: partners"):
-        other = Partners([group(PLAIN, ("x", "b"), ("d1", "d3")), group(SQUASHED, ("c",), ("d9",), seed=1)])
+        other = Partners(
+            [group(PLAIN, ("x", "b"), ("d1", "d3")), group(SQUASHED, ("c",), ("d9",), seed=1)]
+        )
         train(dataclasses.replace(run, partners=other.names), ToyEnv(match), folder, partners=other)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda run: dataclasses.replace(run, partners=()), "are not those that the configuration names"),
-        (lambda run: dataclasses.replace(run, members=(Member(0, "d1"),)), "an ego with partners has 'mixed'"),
         (
-            lambda run: dataclasses.replace(run, trainer=dataclasses.replace(run.trainer, num_envs=32)),
+            lambda run: dataclasses.replace(run, partners=()),
+            "are not those that the configuration names",
+        ),
+        (
+            lambda run: dataclasses.replace(run, members=(Member(0, "d1"),)),
+            "an ego with partners has 'mixed'",
+        ),
+        (
+            lambda run: dataclasses.replace(
+                run, trainer=dataclasses.replace(run.trainer, num_envs=32)
+            ),
             "num_envs is 32 with 3 partners; .* choose a multiple of 3, such as 33",
         ),
         (
-            lambda run: dataclasses.replace(run, trainer=dataclasses.replace(run.trainer, shared=True)),
+            lambda run: dataclasses.replace(
+                run, trainer=dataclasses.replace(run.trainer, shared=True)
+            ),
             "partners are frozen and one role learns",
         ),
         (
@@ -159,4 +195,9 @@ def test_what_does_not_fit_is_refused(change, message, tmp_path):
 
 def test_partners_of_another_task_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"partner a has observation and action size \(3, 2\)"):
-        train(config(PPO), ToyEnv(match, observation_size=(2, 4, 4)), tmp_path / "run", partners=population())
+        train(
+            config(PPO),
+            ToyEnv(match, observation_size=(2, 4, 4)),
+            tmp_path / "run",
+            partners=population(),
+        )

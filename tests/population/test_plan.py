@@ -12,19 +12,37 @@ from population.runs import RunFolder
 from population.thinning import thin, write_curves
 
 V1 = Path(__file__).parents[2] / "zoo" / "plans" / "v1.json"
-GROUP = {"name": "scratch-ippo", "task": "scratch", "algorithm": "ippo", "disabilities": ["d1", "d3"], "seeds": 3}
+GROUP = {
+    "name": "scratch-ippo",
+    "task": "scratch",
+    "algorithm": "ippo",
+    "disabilities": ["d1", "d3"],
+    "seeds": 3,
+}
 GROUP |= {"steps": 1000}
 
 
 def test_the_first_release_is_the_papers_table_6():
     counts = collections.Counter(
-        (group.task, group.algorithm, member.disability) for group in read_plan(V1).groups for member in group.members
+        (group.task, group.algorithm, member.disability)
+        for group in read_plan(V1).groups
+        for member in group.members
     )
     every, first_four = [f"d{n}" for n in range(1, 10)], ["d1", "d2", "d3", "d4"]
-    table = {("scratch", "ippo"): (every, 8), ("scratch", "mappo"): (every, 8), ("scratch", "masac"): (every, 6)}
+    table = {
+        ("scratch", "ippo"): (every, 8),
+        ("scratch", "mappo"): (every, 8),
+        ("scratch", "masac"): (every, 6),
+    }
     for task in ("bed_bath", "arm_assist"):
-        table |= {(task, "ippo"): (first_four, 8), (task, "mappo"): (first_four, 8), (task, "masac"): (every, 6)}
-    assert counts == {(*row, setting): seeds for row, (settings, seeds) in table.items() for setting in settings}
+        table |= {
+            (task, "ippo"): (first_four, 8),
+            (task, "mappo"): (first_four, 8),
+            (task, "masac"): (every, 6),
+        }
+    assert counts == {
+        (*row, setting): seeds for row, (settings, seeds) in table.items() for setting in settings
+    }
     tasks = collections.Counter(task for task, _, _ in counts.elements())
     assert tasks == {"scratch": 198, "bed_bath": 118, "arm_assist": 118} and counts.total() == 434
 
@@ -43,7 +61,11 @@ def plan(tmp_path, *groups, **changes):
 
 
 def test_numbers_of_seeds_and_lists_of_them(tmp_path):
-    path = plan(tmp_path, GROUP, {**GROUP, "name": "more", "seeds": [3, 7], "set": {"gamma": 0.9, "hidden": [8, 8]}})
+    path = plan(
+        tmp_path,
+        GROUP,
+        {**GROUP, "name": "more", "seeds": [3, 7], "set": {"gamma": 0.9, "hidden": [8, 8]}},
+    )
     first, more = read_plan(path).groups
     assert (first.seeds, more.seeds) == ((0, 1, 2), (3, 7))
     assert [member.label for member in more.members] == ["d1-s3", "d1-s7", "d3-s3", "d3-s7"]
@@ -112,7 +134,9 @@ def test_text_that_is_no_json(tmp_path):
 
 
 def labels(blocks):
-    return {block.name: (block.state, [member.label for member in block.members]) for block in blocks}
+    return {
+        block.name: (block.state, [member.label for member in block.members]) for block in blocks
+    }
 
 
 def begin(group, folder, members):
@@ -121,7 +145,14 @@ def begin(group, folder, members):
 
 def finish(folder, members, task="scratch", algorithm="ippo"):
     teams = [
-        {"team": {"task": task, "algorithm": algorithm, "disability": member.disability, "seed": member.seed}}
+        {
+            "team": {
+                "task": task,
+                "algorithm": algorithm,
+                "disability": member.disability,
+                "seed": member.seed,
+            }
+        }
         for member in members
     ]
     folder.mkdir(parents=True, exist_ok=True)
@@ -161,7 +192,9 @@ def test_what_a_folder_holds_does_not_depend_on_what_is_published(tmp_path):
 
 def test_a_folder_of_another_task_is_refused(tmp_path):
     finish(tmp_path / "scratch-ippo", make_members([0], ["d1"]), task="bed_bath")
-    with pytest.raises(ValueError, match="holds a run of bed_bath ippo, but group scratch-ippo is scratch ippo"):
+    with pytest.raises(
+        ValueError, match="holds a run of bed_bath ippo, but group scratch-ippo is scratch ippo"
+    ):
         find_blocks(Group(**GROUP), tmp_path)
 
 
@@ -172,14 +205,23 @@ def test_groups_with_names_that_begin_alike_keep_their_folders(tmp_path):
 
 def curves_config(updates):
     members = make_members([0, 4], ["d1"])
-    return TrainConfig("scratch", "ippo", members, updates * 32, preset("ippo", num_envs=4, rollout_steps=8))
+    return TrainConfig(
+        "scratch", "ippo", members, updates * 32, preset("ippo", num_envs=4, rollout_steps=8)
+    )
 
 
 def metrics(config, returns, episodes):
     """A table as `metrics_table` writes it: both members have the same values."""
     updates = range(1, config.updates + 1)
     rows = [
-        {"update": update, "steps": 32 * update, "disability": "d1", "seed": seed, "episodes": n, "return": value}
+        {
+            "update": update,
+            "steps": 32 * update,
+            "disability": "d1",
+            "seed": seed,
+            "episodes": n,
+            "return": value,
+        }
         for update, value, n in zip(updates, returns, episodes, strict=True)
         for seed in (0, 4)
     ]
@@ -188,7 +230,9 @@ def metrics(config, returns, episodes):
 
 def test_curves_are_means_over_the_episodes_of_a_stretch():
     config = curves_config(6)
-    table = thin(metrics(config, [None, None, 10.0, 40.0, 7.0, 7.0], [0, 0, 1, 3, 2, 2]), config, points=3)
+    table = thin(
+        metrics(config, [None, None, 10.0, 40.0, 7.0, 7.0], [0, 0, 1, 3, 2, 2]), config, points=3
+    )
     assert table.columns == ["task", "algorithm", "disability", "seed", "steps", "return"]
     own = table.filter(pl.col("seed") == 4)
     assert own["steps"].to_list() == [64, 128, 192]
@@ -211,6 +255,12 @@ def test_curves_of_other_members_stay_in_the_file(tmp_path):
     before = path.read_bytes()
     write_curves(path, [(table.filter(pl.col("seed") == 4), config)])
     assert path.read_bytes() == before
-    write_curves(path, [(table.filter(pl.col("seed") == 4).with_columns(pl.lit(9.0).alias("return")), config)])
+    write_curves(
+        path,
+        [(table.filter(pl.col("seed") == 4).with_columns(pl.lit(9.0).alias("return")), config)],
+    )
     found = pl.read_parquet(path)
-    assert {seed: set(rows["return"]) for (seed,), rows in found.group_by("seed")} == {0: {1.0, 2.0}, 4: {9.0}}
+    assert {seed: set(rows["return"]) for (seed,), rows in found.group_by("seed")} == {
+        0: {1.0, 2.0},
+        4: {9.0},
+    }

@@ -8,7 +8,9 @@ from population.policy import Gaussian, Policy
 from population.spec import PolicySpec
 
 SPECS = [
-    PolicySpec("robot", 5, 2, torso=torso, hidden=(16, 8), squash=squash, std=std, normalise=normalise)
+    PolicySpec(
+        "robot", 5, 2, torso=torso, hidden=(16, 8), squash=squash, std=std, normalise=normalise
+    )
     for torso, squash, std, normalise in [
         ("mlp", "clip", "parameter", True),
         ("mlp", "tanh", "state", False),

@@ -17,8 +17,16 @@ from population.self_play import self_play
 from population.train import member_key
 from tests.population.toy_env import ToyEnv, constant, match, together
 
-FAST_COMPILE = {"xla_backend_optimization_level": 0}  # programs this small take longer to compile than to run
-SMALL: dict[str, Any] = {"num_envs": 32, "rollout_steps": 10, "hidden": (16, 16), "learning_rate": 1e-2, "gamma": 0.9}
+FAST_COMPILE = {
+    "xla_backend_optimization_level": 0
+}  # programs this small take longer to compile than to run
+SMALL: dict[str, Any] = {
+    "num_envs": 32,
+    "rollout_steps": 10,
+    "hidden": (16, 16),
+    "learning_rate": 1e-2,
+    "gamma": 0.9,
+}
 MEMBER = Member(0, "d1")
 
 
@@ -45,7 +53,14 @@ def assert_same(left, right):
 
 def deterministic_return(env, ppo, state, count=1):
     keys = jax.random.split(jax.random.key(7), count)
-    return self_play(env, ppo.policies, ppo.policy_params(state.members), disability_params(["d1"] * count), keys, 8)
+    return self_play(
+        env,
+        ppo.policies,
+        ppo.policy_params(state.members),
+        disability_params(["d1"] * count),
+        keys,
+        8,
+    )
 
 
 @pytest.mark.parametrize("terminates", [False, True], ids=["time-limit", "planted-termination"])
@@ -63,14 +78,21 @@ def test_value_of_a_constant_reward_bootstraps_through_the_time_limit(terminates
     else:
         np.testing.assert_allclose(value, 10.0, atol=0.5)
     finished = np.asarray(metrics["return"])[np.asarray(metrics["episodes"]) > 0]
-    np.testing.assert_array_equal(finished, float(env.episode_length))  # partial first episodes are not counted
+    np.testing.assert_array_equal(
+        finished, float(env.episode_length)
+    )  # partial first episodes are not counted
 
 
 @pytest.mark.parametrize(
     ("algorithm", "reward", "changes"),
     [
         ("ippo", match, {}),
-        pytest.param("ippo", match, {"squash": "tanh", "std": "state", "normalise": False}, marks=pytest.mark.slow),
+        pytest.param(
+            "ippo",
+            match,
+            {"squash": "tanh", "std": "state", "normalise": False},
+            marks=pytest.mark.slow,
+        ),
         ("mappo", together, {"clip_eps": 0.2}),
     ],
     ids=["ippo-match", "ippo-match-tanh", "mappo-together"],
@@ -86,7 +108,9 @@ def test_both_roles_learn_to_act_on_what_they_see(algorithm, reward, changes):
 @pytest.mark.slow
 def test_a_recurrent_team_remembers_what_a_feed_forward_one_cannot():
     env = ToyEnv(match, episode_length=12, memory=True)
-    ppo, state, _ = run(env, PPOConfig(**{**SMALL, "learning_rate": 3e-3}, torso="gru"), updates=150)
+    ppo, state, _ = run(
+        env, PPOConfig(**{**SMALL, "learning_rate": 3e-3}, torso="gru"), updates=150
+    )
     (figures,) = deterministic_return(env, ppo, state)
     assert figures["mean"] > 0.9 * env.episode_length  # without memory the best is half of it
 
@@ -96,7 +120,11 @@ def test_learning_replays_the_policy_that_acted(planted, monkeypatch):
     """The first ratios of an update are 1: carries and `first` flags are those of the rollout."""
     if planted:
         unroll = Policy.unroll
-        monkeypatch.setattr(Policy, "unroll", lambda self, p, c, o, first: unroll(self, p, c, o, jnp.roll(first, 1, 0)))
+        monkeypatch.setattr(
+            Policy,
+            "unroll",
+            lambda self, p, c, o, first: unroll(self, p, c, o, jnp.roll(first, 1, 0)),
+        )
     config = PPOConfig(**SMALL, torso="gru", epochs=1, minibatches=1)
     _, _, metrics = run(ToyEnv(match, episode_length=13, memory=True), config, updates=30)
     largest = np.abs(metrics["approx_kl_robot"]).max()
@@ -120,11 +148,16 @@ def test_a_role_learns_the_same_whatever_the_others_gradients_are(kind):
     robot = state.members.learners["robot"]
     critic = jax.tree.map(lambda leaf: 1000.0 * leaf, robot.networks["critic"])
     louder = dataclasses.replace(robot, networks={**robot.networks, "critic": critic})
-    members = dataclasses.replace(state.members, learners={**state.members.learners, "robot": louder})
+    members = dataclasses.replace(
+        state.members, learners={**state.members.learners, "robot": louder}
+    )
     update = jax.jit(ppo.update, compiler_options=FAST_COMPILE)
     after, _ = update(state, hyper)
     after_louder, _ = update(dataclasses.replace(state, members=members), hyper)
-    same = [after.members.learners["human"].networks, after_louder.members.learners["human"].networks]
+    same = [
+        after.members.learners["human"].networks,
+        after_louder.members.learners["human"].networks,
+    ]
     if kind is PPO:
         assert_same(*same)
     else:
@@ -136,13 +169,22 @@ def test_a_role_learns_the_same_whatever_the_others_gradients_are(kind):
 def test_a_member_learns_the_same_whoever_trains_beside_it(platform, monkeypatch):
     """Taken in turn, as on a CPU, or vectorised, as on an accelerator."""
     config = PPOConfig(**SMALL)
-    members = (Member(0, "d1"), Member(4, "d9", {"learning_rate": 3e-3, "gamma": 0.8}), Member(4, "d1"))
+    members = (
+        Member(0, "d1"),
+        Member(4, "d9", {"learning_rate": 3e-3, "gamma": 0.8}),
+        Member(4, "d1"),
+    )
     alone_config = dataclasses.replace(config, learning_rate=3e-3, gamma=0.8)
     _, alone, _ = run(ToyEnv(match), alone_config, (Member(4, "d9"),), updates=3)
     monkeypatch.setattr(jax, "default_backend", lambda: platform)
     _, beside, _ = run(ToyEnv(match), config, members, updates=3)
-    networks = [{role: learner.networks for role, learner in x.members.learners.items()} for x in (beside, alone)]
-    assert_close = partial(np.testing.assert_allclose, rtol=1e-3, atol=1e-5)  # two programs round differently
+    networks = [
+        {role: learner.networks for role, learner in x.members.learners.items()}
+        for x in (beside, alone)
+    ]
+    assert_close = partial(
+        np.testing.assert_allclose, rtol=1e-3, atol=1e-5
+    )  # two programs round differently
     jax.tree.map(lambda many, one: assert_close(many[1:2], one), *networks)
     with pytest.raises(AssertionError):
         jax.tree.map(lambda many, one: assert_close(many[2:3], one), *networks)
@@ -154,7 +196,9 @@ class Diverging(ToyEnv):
     def step(self, state, action):
         after = super().step(state, action)
         nonfinite = state.nonfinite | ((after.step == 3) & (after.cue["robot"] > 0))
-        return dataclasses.replace(after, nonfinite=nonfinite, reward=jnp.where(nonfinite, 0.0, after.reward))
+        return dataclasses.replace(
+            after, nonfinite=nonfinite, reward=jnp.where(nonfinite, 0.0, after.reward)
+        )
 
 
 def test_simulations_that_diverge_are_counted_and_start_again():

@@ -15,7 +15,9 @@ from population.self_play import self_play
 from population.train import member_key
 from tests.population.toy_env import ToyEnv, constant, match, together
 
-FAST_COMPILE = {"xla_backend_optimization_level": 0}  # programs this small take longer to compile than to run
+FAST_COMPILE = {
+    "xla_backend_optimization_level": 0
+}  # programs this small take longer to compile than to run
 SMALL: dict[str, Any] = {
     "num_envs": 8,
     "rollout_steps": 5,
@@ -51,7 +53,9 @@ def run(env, config, members=(MEMBER,), updates=200, kind=SAC):
 def values(sac, state, role, action):
     """Return what the first member's critics say of its simulations' observations under an action [N, A]."""
     member = jax.tree.map(lambda leaf: leaf[0], state.members)
-    return sac._values(role, member.learners[role].networks["critic"], member, state.simulations.env.obs, action)
+    return sac._values(
+        role, member.learners[role].networks["critic"], member, state.simulations.env.obs, action
+    )
 
 
 @pytest.mark.parametrize(
@@ -77,7 +81,9 @@ def unsquashed(raw):
 
 
 @pytest.mark.parametrize(
-    "planted", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["squashed", "planted-unsquashed"]
+    "planted",
+    [False, pytest.param(True, marks=pytest.mark.slow)],
+    ids=["squashed", "planted-unsquashed"],
 )
 def test_without_a_task_the_policy_becomes_uniform_over_its_actions(planted, monkeypatch):
     """Largest entropy in [-1, 1] is that of the uniform density: mean |a| is 1/2, and log 2 a dimension."""
@@ -98,7 +104,9 @@ def test_the_temperature_drives_the_entropy_to_its_target():
     config = SACConfig(**{**SMALL, "alpha_lr": 3e-2}, target_entropy_scale=0.5)
     _, _, metrics = run(ToyEnv(match), config, updates=250)
     for role, size in (("robot", 1), ("human", 2)):
-        assert np.asarray(metrics[f"entropy_{role}"])[-50:].mean() == pytest.approx(-0.5 * size, abs=0.25)
+        assert np.asarray(metrics[f"entropy_{role}"])[-50:].mean() == pytest.approx(
+            -0.5 * size, abs=0.25
+        )
 
 
 @pytest.mark.parametrize(
@@ -108,7 +116,9 @@ def test_the_temperature_drives_the_entropy_to_its_target():
 )
 def test_both_roles_learn_to_act_on_what_they_see(algorithm, reward):
     env = ToyEnv(reward)
-    sac, state, _ = run(env, preset(algorithm, **{**SMALL, "target_entropy_scale": 2.0}), updates=250)
+    sac, state, _ = run(
+        env, preset(algorithm, **{**SMALL, "target_entropy_scale": 2.0}), updates=250
+    )
     keys = jax.random.split(jax.random.key(7), 1)
     params = sac.policy_params(state.members)
     (figures,) = self_play(env, sac.policies, params, disability_params(["d1"]), keys, 8)
@@ -165,12 +175,20 @@ def test_a_replayed_successor_is_the_observation_that_was_reached(kind):
 def test_a_member_learns_the_same_whoever_trains_beside_it(platform, monkeypatch):
     """Taken in turn, as on a CPU, or vectorised, as on an accelerator."""
     config = SACConfig(**SMALL)
-    _, alone, _ = run(ToyEnv(match), dataclasses.replace(config, q_lr=3e-3), (Member(4, "d9"),), updates=7)
+    _, alone, _ = run(
+        ToyEnv(match), dataclasses.replace(config, q_lr=3e-3), (Member(4, "d9"),), updates=7
+    )
     monkeypatch.setattr(jax, "default_backend", lambda: platform)
     members = (Member(0, "d1"), Member(4, "d9", {"q_lr": 3e-3}))
     _, beside, _ = run(ToyEnv(match), config, members, updates=7)
-    networks = [{role: learner.networks for role, learner in x.members.learners.items()} for x in (beside, alone)]
-    jax.tree.map(lambda many, one: np.testing.assert_allclose(many[1:2], one, rtol=1e-3, atol=1e-5), *networks)
+    networks = [
+        {role: learner.networks for role, learner in x.members.learners.items()}
+        for x in (beside, alone)
+    ]
+    jax.tree.map(
+        lambda many, one: np.testing.assert_allclose(many[1:2], one, rtol=1e-3, atol=1e-5),
+        *networks,
+    )
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,14 @@ TEAMS = 3
 def play(reward, episodes=16, **changes):
     keys = jax.random.split(jax.random.key(0), TEAMS)
     params = {role: jax.vmap(policy.init)(keys) for role, policy in POLICIES.items()}
-    return self_play(ToyEnv(reward, **changes), POLICIES, params, disability_params(["d1"] * TEAMS), keys, episodes)
+    return self_play(
+        ToyEnv(reward, **changes),
+        POLICIES,
+        params,
+        disability_params(["d1"] * TEAMS),
+        keys,
+        episodes,
+    )
 
 
 @pytest.mark.parametrize("terminates", [False, True])
@@ -40,6 +47,11 @@ def test_teams_are_played_with_their_own_parameters():
     keys = jax.random.split(jax.random.key(0), TEAMS)
     params = {role: jax.vmap(policy.init)(keys) for role, policy in POLICIES.items()}
     alone = self_play(
-        ToyEnv(match), POLICIES, jax.tree.map(lambda leaf: leaf[1:2], params), disability_params(["d1"]), keys[1:2], 16
+        ToyEnv(match),
+        POLICIES,
+        jax.tree.map(lambda leaf: leaf[1:2], params),
+        disability_params(["d1"]),
+        keys[1:2],
+        16,
     )
     np.testing.assert_allclose(alone[0]["mean"], play(match)[1]["mean"], rtol=1e-5)

@@ -25,7 +25,9 @@ from population.train import initial_state, make_trainer, train
 from tests.population.toy_env import ToyEnv, match
 
 HOST_DEVICES = 4
-ROUNDING = 1e-5  # shares of another size are another program to XLA, which may add in another order: about 1e-7 here
+# Shares of another size are another program to XLA, which may add in another order: about 1e-7
+# here.
+ROUNDING = 1e-5
 TRAINERS = {
     "ippo": preset("ippo", num_envs=8, rollout_steps=10, hidden=(8, 8), minibatches=2, epochs=1),
     "ego": preset("ippo", num_envs=8, rollout_steps=10, torso="gru", hidden=(8,), minibatches=2, epochs=1),
@@ -42,12 +44,21 @@ class Killed(Exception):
 
 def population():
     """Return two recurrent partners and one that is not: carries of [partner, member x simulation], and none."""
-    specs = [PolicySpec("human", 3, 2, torso="gru", hidden=(8,)), PolicySpec("human", 3, 2, hidden=(4,))]
+    specs = [
+        PolicySpec("human", 3, 2, torso="gru", hidden=(8,)),
+        PolicySpec("human", 3, 2, hidden=(4,)),
+    ]
     names = [("a", "b"), ("c", "d")]
     groups = []
     for seed, (spec, pair) in enumerate(zip(specs, names, strict=True)):
-        trees = [Policy(spec).init(key) for key in jax.random.split(jax.random.key(seed), len(pair))]
-        groups.append(PartnerGroup(spec, pair, ("d1", "d3"), jax.tree.map(lambda *leaves: np.stack(leaves), *trees)))
+        trees = [
+            Policy(spec).init(key) for key in jax.random.split(jax.random.key(seed), len(pair))
+        ]
+        groups.append(
+            PartnerGroup(
+                spec, pair, ("d1", "d3"), jax.tree.map(lambda *leaves: np.stack(leaves), *trees)
+            )
+        )
     return Partners(groups)
 
 
@@ -57,7 +68,14 @@ def arguments(case, members=4):
     team = tuple(Member(seed, MIXED if partners else f"d{1 + seed % 9}") for seed in range(members))
     names = partners.names if partners else ()
     config = TrainConfig(
-        "toy", case, team, 480, TRAINERS[case], checkpoint_every=2, self_play_episodes=0, partners=names
+        "toy",
+        case,
+        team,
+        480,
+        TRAINERS[case],
+        checkpoint_every=2,
+        self_play_episodes=0,
+        partners=names,
     )
     return config, partners
 
@@ -65,7 +83,9 @@ def arguments(case, members=4):
 def in_another_order(config, trainer, shares=None):
     """Return the initial state with a planted defect: simulations lie with another member, and so on another device."""
     state = initial_state(config, trainer, shares)
-    moved = jax.tree.map(lambda leaf: jax.numpy.roll(leaf, trainer.config.num_envs, axis=0), state.simulations.env)
+    moved = jax.tree.map(
+        lambda leaf: jax.numpy.roll(leaf, trainer.config.num_envs, axis=0), state.simulations.env
+    )
     return dataclasses.replace(state, simulations=dataclasses.replace(state.simulations, env=moved))
 
 
@@ -84,7 +104,14 @@ def train_each(case, runs):
         with contextlib.suppress(Killed), pytest.MonkeyPatch.context() as patch:
             if given["planted"]:
                 patch.setattr(training, "initial_state", in_another_order)
-            train(config, ToyEnv(match), given["folder"], partners=partners, progress=progress, devices=devices)
+            train(
+                config,
+                ToyEnv(match),
+                given["folder"],
+                partners=partners,
+                progress=progress,
+                devices=devices,
+            )
 
 
 def save_and_restore(case, folder):
@@ -92,18 +119,23 @@ def save_and_restore(case, folder):
     config, partners = arguments(case)
     trainer = make_trainer(config, ToyEnv(match), partners)
     states = {
-        count: initial_state(config, trainer, Shares(len(config.members), jax.devices()[:count])) for count in (1, 2, 4)
+        count: initial_state(config, trainer, Shares(len(config.members), jax.devices()[:count]))
+        for count in (1, 2, 4)
     }
     checkpoints = Checkpoints(Path(folder))
     checkpoints.save(1, states[2])
     rows = {}
     for count, like in states.items():
         restored = checkpoints.restore(1, like)
-        for path, leaf, begun, saved in zip(*leaves(restored), leaves(like)[1], leaves(states[2])[1], strict=True):
+        for path, leaf, begun, saved in zip(
+            *leaves(restored), leaves(like)[1], leaves(states[2])[1], strict=True
+        ):
             assert len(leaf.sharding.device_set) == count, path
             np.testing.assert_array_equal(leaf, saved, err_msg=path)
             np.testing.assert_allclose(begun, saved, rtol=ROUNDING, atol=ROUNDING, err_msg=path)
-        rows[count] = [shard.data.shape[0] for shard in restored.simulations.first.addressable_shards]
+        rows[count] = [
+            shard.data.shape[0] for shard in restored.simulations.first.addressable_shards
+        ]
     checkpoints.close()
     print(json.dumps(rows))
 
@@ -113,7 +145,8 @@ def leaves(state):
     paths, values = zip(*jax.tree_util.tree_leaves_with_path(state), strict=True)
     keys = [jax.numpy.issubdtype(value.dtype, jax.dtypes.prng_key) for value in values]
     return [jax.tree_util.keystr(path) for path in paths], [
-        jax.random.key_data(value) if key else value for key, value in zip(keys, values, strict=True)
+        jax.random.key_data(value) if key else value
+        for key, value in zip(keys, values, strict=True)
     ]
 
 
@@ -123,8 +156,11 @@ def count_shares(cases):
 
 def on_several_devices(function, *given):
     """Call a function of this module where the CPU is several devices; return what it printed."""
-    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={HOST_DEVICES}"
-    flags += " --xla_backend_optimization_level=0"  # programs this small take longer to compile than to run
+    flags = (
+        f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={HOST_DEVICES}"
+    )
+    # Programs this small take longer to compile than to run.
+    flags += " --xla_backend_optimization_level=0"
     code = "import json, sys; from tests.population import test_sharding as tests; "
     code += f"tests.{function.__name__}(*json.loads(sys.argv[1]))"
     process = subprocess.run(
@@ -161,13 +197,24 @@ def test_members_end_on_several_devices_as_on_one(case, tmp_path):
 
     def run(name, devices, *, until=None, copy_of=None, planted=False):
         source = str(tmp_path / copy_of) if copy_of else None
-        given = {"folder": str(tmp_path / name), "devices": devices, "until": until, "copy_of": source}
+        given = {
+            "folder": str(tmp_path / name),
+            "devices": devices,
+            "until": until,
+            "copy_of": source,
+        }
         return {**given, "planted": planted}
 
     runs = [run("one", 1), run("two", 2), run("four", 4), run("planted", 2, planted=True)]
-    runs += [run("killed", 2, until=3), run("resumed", 2, copy_of="killed"), run("moved", 1, copy_of="killed")]
+    runs += [
+        run("killed", 2, until=3),
+        run("resumed", 2, copy_of="killed"),
+        run("moved", 1, copy_of="killed"),
+    ]
     on_several_devices(train_each, case, runs)
-    found = {name: devices_of(tmp_path / name) for name in ("one", "two", "four", "resumed", "moved")}
+    found = {
+        name: devices_of(tmp_path / name) for name in ("one", "two", "four", "resumed", "moved")
+    }
     assert found == {"one": 1, "two": 2, "four": 4, "resumed": 2, "moved": 1}
     one, two = (tmp_path / name for name in ("one", "two"))
     assert difference(tmp_path / "resumed", two) == 0.0
@@ -175,7 +222,9 @@ def test_members_end_on_several_devices_as_on_one(case, tmp_path):
     assert difference(tmp_path / "planted", one) > 100 * ROUNDING
 
 
-@pytest.mark.parametrize("case", ["ippo", *(pytest.param(case, marks=pytest.mark.slow) for case in ("ego", "isac"))])
+@pytest.mark.parametrize(
+    "case", ["ippo", *(pytest.param(case, marks=pytest.mark.slow) for case in ("ego", "isac"))]
+)
 def test_a_checkpoint_of_two_devices_is_read_on_any_number(case, tmp_path):
     found = on_several_devices(save_and_restore, case, str(tmp_path / "state"))
     assert found == {"1": [32], "2": [16, 16], "4": [8, 8, 8, 8]}

@@ -29,22 +29,35 @@ def test_an_exported_policy_acts_as_the_shared_network_does(role, variant):
     observation, action = SIZES[role]
     width = sharing.padded_size({role: sizes[0] for role, sizes in SIZES.items()})
     assert width == 9
-    shared = Policy(PolicySpec("robot", width, 3, hidden=(8, 6), normalise=False, **VARIANTS[variant]))
-    own = Policy(PolicySpec(role, observation, action, hidden=(8, 6), normalise=False, **VARIANTS[variant]))
+    shared = Policy(
+        PolicySpec("robot", width, 3, hidden=(8, 6), normalise=False, **VARIANTS[variant])
+    )
+    own = Policy(
+        PolicySpec(role, observation, action, hidden=(8, 6), normalise=False, **VARIANTS[variant])
+    )
     keys = jax.random.split(jax.random.key(2), 3)
     template = jax.eval_shape(shared.init, keys[0])
     leaves, tree = jax.tree.flatten(template)
-    draws = [jax.random.normal(k, leaf.shape) for k, leaf in zip(jax.random.split(keys[1], 99), leaves, strict=False)]
+    draws = [
+        jax.random.normal(k, leaf.shape)
+        for k, leaf in zip(jax.random.split(keys[1], 99), leaves, strict=False)
+    ]
     params = jax.tree.unflatten(tree, draws)
     folded = sharing.fold(params, role, observation, action)
-    assert jax.tree.map(jnp.shape, folded) == jax.tree.map(lambda leaf: leaf.shape, jax.eval_shape(own.init, keys[0]))
+    assert jax.tree.map(jnp.shape, folded) == jax.tree.map(
+        lambda leaf: leaf.shape, jax.eval_shape(own.init, keys[0])
+    )
     obs, first = jax.random.normal(keys[2], (4, observation)), jnp.zeros(4, bool)
-    _, wanted = shared.step(params, shared.initial_carry((4,)), sharing.pad(obs, role, width), first)
+    _, wanted = shared.step(
+        params, shared.initial_carry((4,)), sharing.pad(obs, role, width), first
+    )
     _, found = own.step(folded, own.initial_carry((4,)), obs, first)
     np.testing.assert_allclose(found.mean, wanted.mean[:, :action], rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(found.log_std, wanted.log_std[:, :action], rtol=1e-4, atol=1e-5)
     other = "human" if role == "robot" else "robot"
-    _, different = shared.step(params, shared.initial_carry((4,)), sharing.pad(obs, other, width), first)
+    _, different = shared.step(
+        params, shared.initial_carry((4,)), sharing.pad(obs, other, width), first
+    )
     assert not np.allclose(found.mean, different.mean[:, :action], atol=1e-3)
 
 
@@ -66,7 +79,9 @@ def test_roles_share_one_network_and_keep_their_specs():
     [
         ("ippo", match, {}),
         pytest.param("mappo", together, {"clip_eps": 0.2}, marks=pytest.mark.slow),
-        pytest.param("ippo", match, {"torso": "gru", "learning_rate": 3e-3}, marks=pytest.mark.slow),
+        pytest.param(
+            "ippo", match, {"torso": "gru", "learning_rate": 3e-3}, marks=pytest.mark.slow
+        ),
     ],
     ids=["ippo-match", "mappo-together", "ippo-gru-match"],
 )

@@ -8,7 +8,11 @@ from population.sweep import Range, Sweep, best, read_space, run_sweep, score
 from tests.population.toy_env import ToyEnv, match
 
 FIXED = {"num_envs": 8, "rollout_steps": 10, "hidden": (8, 8), "epochs": 1}
-SPACE = {"learning_rate": Range(1e-3, 1e-2), "gamma": Range(0.8, 0.95, log=False), "minibatches": (1, 2)}
+SPACE = {
+    "learning_rate": Range(1e-3, 1e-2),
+    "gamma": Range(0.8, 0.95, log=False),
+    "minibatches": (1, 2),
+}
 
 
 def plan(**changes):
@@ -49,7 +53,9 @@ def test_a_sweep_ends_with_a_table_and_a_preset(tmp_path):
     found = vars(preset("ippo", **content["hyperparameters"]))
     mean = results.group_by("configuration").agg(pl.col("final_return").mean()).sort("final_return")
     assert found["learning_rate"] == sweep.points()[mean["configuration"][-1]]["learning_rate"]
-    assert run_sweep(sweep, ToyEnv(match), tmp_path).equals(results)  # finished blocks are not trained again
+    assert run_sweep(sweep, ToyEnv(match), tmp_path).equals(
+        results
+    )  # finished blocks are not trained again
 
 
 def test_scores_are_of_the_last_tenth_and_of_all_and_divergence_is_told():
@@ -86,7 +92,9 @@ def test_a_bad_space_is_named(data, message):
 
 
 def test_a_sweep_that_cannot_run_is_refused_before_it_starts():
-    assert read_space({"gamma": {"low": 0.9, "high": 0.99}, "hidden": [[8, 8], [16]]})["hidden"] == ((8, 8), (16,))
+    assert read_space({"gamma": {"low": 0.9, "high": 0.99}, "hidden": [[8, 8], [16]]})[
+        "hidden"
+    ] == ((8, 8), (16,))
     with pytest.raises(ValueError, match="epochs has a range; ranges are for learning_rate"):
         Sweep("toy", "ippo", {"epochs": Range(1, 4)})
     with pytest.raises(ValueError, match="multiple of minibatches"):

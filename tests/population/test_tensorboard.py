@@ -22,8 +22,13 @@ MEMBERS = ("toy-ippo-d1-s0", "toy-ippo-d1-s3", "toy-ippo-d9-s0", "toy-ippo-d9-s3
 
 def scalars(folder: Path) -> dict[str, list[tuple[int, float]]]:
     """Return every (step, value) of a member's files by tag; what was written twice is there twice."""
-    reader = EventAccumulator(str(folder), size_guidance={"scalars": 0}, purge_orphaned_data=False).Reload()
-    return {name: [(event.step, event.value) for event in reader.Scalars(name)] for name in reader.Tags()["scalars"]}
+    reader = EventAccumulator(
+        str(folder), size_guidance={"scalars": 0}, purge_orphaned_data=False
+    ).Reload()
+    return {
+        name: [(event.step, event.value) for event in reader.Scalars(name)]
+        for name in reader.Tags()["scalars"]
+    }
 
 
 def run(folder, events, killed_at=None):
@@ -56,7 +61,13 @@ def check(events, metrics, speeds):
         assert len(found.pop("speed/steps_per_second")) == speeds
         logged = [column for column in rows.columns if tag(column) in found]
         assert set(map(tag, logged)) == set(found)
-        assert {"return", "term_robot", "term_human", "policy_loss_robot", "value_loss_human"} <= set(logged)
+        assert {
+            "return",
+            "term_robot",
+            "term_human",
+            "policy_loss_robot",
+            "value_loss_human",
+        } <= set(logged)
         for column in logged:
             wanted = rows.select("steps", column).drop_nulls().to_numpy()
             np.testing.assert_allclose(found[tag(column)], wanted, rtol=1e-6, err_msg=column)
@@ -66,14 +77,18 @@ def test_event_files_hold_what_the_metrics_hold(whole):
     check(whole / "tb", whole / "run" / "metrics.parquet", speeds=6)
 
 
-@pytest.mark.parametrize(("update", "speeds"), [(1, 6), (2, 5), (3, 6)])  # the first checkpoint is of update 2
+@pytest.mark.parametrize(
+    ("update", "speeds"), [(1, 6), (2, 5), (3, 6)]
+)  # the first checkpoint is of update 2
 def test_a_run_that_goes_on_writes_no_step_twice_and_leaves_none_out(tmp_path, update, speeds):
     with pytest.raises(Killed):
         run(tmp_path / "run", tmp_path / "tb", killed_at=update)
     for path in (tmp_path / "tb").rglob("events.*"):
         path.write_bytes(path.read_bytes()[:-5])  # killed in the middle of the last record
     run(tmp_path / "run", tmp_path / "tb")
-    check(tmp_path / "tb", tmp_path / "run" / "metrics.parquet", speeds)  # of update 2 the metrics know no speed
+    check(
+        tmp_path / "tb", tmp_path / "run" / "metrics.parquet", speeds
+    )  # of update 2 the metrics know no speed
 
 
 def test_the_reader_sees_what_is_written_twice(tmp_path, monkeypatch):
@@ -92,7 +107,10 @@ def test_a_run_without_files_gets_its_past_written(whole, tmp_path):
 
 
 def test_files_of_another_run_are_refused(whole, tmp_path):
-    with pytest.raises(ValueError, match="holds event files of another run of toy-ippo-d1-s0; choose another --tensor"):
+    with pytest.raises(
+        ValueError,
+        match="holds event files of another run of toy-ippo-d1-s0; choose another --tensor",
+    ):
         EventFiles(CONFIG, tmp_path / "new", whole / "tb")
     EventFiles(CONFIG, whole / "run", whole / "tb").close()  # the run itself
 
@@ -101,7 +119,14 @@ def test_a_loss_that_is_not_finite_is_written_as_it_is(tmp_path):
     from population.train import Progress
 
     files = EventFiles(CONFIG, tmp_path / "run", tmp_path / "tb")
-    row = {"update": 1, "steps": 80, "seconds": 1.0, "member": 0, "return": None, "policy_loss_robot": math.nan}
+    row = {
+        "update": 1,
+        "steps": 80,
+        "seconds": 1.0,
+        "member": 0,
+        "return": None,
+        "policy_loss_robot": math.nan,
+    }
     files(Progress(1, 6, 320, 1920, 100.0, 16.0, pl.DataFrame([row])))
     files.close()
     found = scalars(tmp_path / "tb" / MEMBERS[0])
@@ -111,5 +136,7 @@ def test_a_loss_that_is_not_finite_is_written_as_it_is(tmp_path):
 
 def test_without_the_library_it_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "tensorboardX.event_file_writer", None)
-    with pytest.raises(ValueError, match=r"install it with: pip install 'assistax-zoo\[tensorboard\]'"):
+    with pytest.raises(
+        ValueError, match=r"install it with: pip install 'assistax-zoo\[tensorboard\]'"
+    ):
         EventFiles(CONFIG, tmp_path / "run", tmp_path / "tb")

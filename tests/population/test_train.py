@@ -23,7 +23,13 @@ from tests.population.toy_env import ToyEnv, match
 
 PPO = preset("ippo", num_envs=8, rollout_steps=10, hidden=(8, 8), minibatches=2, epochs=1)
 CONFIG = TrainConfig(
-    "toy", "ippo", make_members([0, 3], ["d1", "d9"]), 480, PPO, checkpoint_every=2, self_play_episodes=3
+    "toy",
+    "ippo",
+    make_members([0, 3], ["d1", "d9"]),
+    480,
+    PPO,
+    checkpoint_every=2,
+    self_play_episodes=3,
 )
 
 
@@ -61,7 +67,12 @@ def test_a_run_holds_teams_and_their_stacked_parameters(finished):
             assert list(file.metadata()) == ["assistax"]
             metadata = json.loads(file.metadata()["assistax"])
         assert (spec.role, PolicySpec(**metadata["spec"])) == (role, spec)
-        assert metadata["rows"] == ["toy/ippo-d1-s0", "toy/ippo-d1-s3", "toy/ippo-d9-s0", "toy/ippo-d9-s3"]
+        assert metadata["rows"] == [
+            "toy/ippo-d1-s0",
+            "toy/ippo-d1-s3",
+            "toy/ippo-d9-s0",
+            "toy/ippo-d9-s3",
+        ]
     leaves = safetensors.numpy.load_file(finished / "robot.safetensors")
     assert leaves["Dense_0/kernel"].shape == (4, 2, 8)
     assert set(leaves) >= {"log_std", "normaliser/mean", "normaliser/std"}
@@ -78,7 +89,9 @@ def test_exported_rows_are_distinct_and_act(finished):
             node = node.setdefault(part, {})
         node[name.split("/")[-1]] = value
     act = jax.vmap(policy.act, in_axes=(0, None, None, None))
-    _, action = act(jax.tree.map(jax.numpy.asarray, params), (), jax.numpy.ones((1, 3)), jax.numpy.ones(1, bool))
+    _, action = act(
+        jax.tree.map(jax.numpy.asarray, params), (), jax.numpy.ones((1, 3)), jax.numpy.ones(1, bool)
+    )
     assert len(np.unique(np.asarray(action)[:, 0, 0])) == 4
 
 
@@ -105,7 +118,9 @@ def test_a_killed_run_goes_on_to_the_same_bits(finished, tmp_path, update):
     assert updates == list(range(update - update % 2 + 1, 7))
     for name in ("robot.safetensors", "human.safetensors"):
         assert (folder / name).read_bytes() == (finished / name).read_bytes()
-    kept, whole = (pl.read_parquet(path / "metrics.parquet").drop("seconds") for path in (folder, finished))
+    kept, whole = (
+        pl.read_parquet(path / "metrics.parquet").drop("seconds") for path in (folder, finished)
+    )
     assert kept.equals(whole)
 
 
@@ -117,16 +132,25 @@ def test_a_killed_run_of_sac_goes_on_to_the_same_bits(tmp_path):
         policy_delay=1, hidden=(8, 8),
     )  # fmt: skip
     members = make_members([0, 3], ["d1"])
-    config = TrainConfig("toy", "masac", members, 160, trainer, checkpoint_every=2, self_play_episodes=0)
+    config = TrainConfig(
+        "toy", "masac", members, 160, trainer, checkpoint_every=2, self_play_episodes=0
+    )
     whole = train(config, ToyEnv(match), tmp_path / "whole")
     with pytest.raises(Killed):
         train(config, ToyEnv(match), tmp_path / "killed", progress=kill_after(5))
     updates = []
-    train(config, ToyEnv(match), tmp_path / "killed", progress=lambda report: updates.append(report.update))
+    train(
+        config,
+        ToyEnv(match),
+        tmp_path / "killed",
+        progress=lambda report: updates.append(report.update),
+    )
     assert updates == [5, 6, 7, 8]
     for name in ("robot.safetensors", "human.safetensors"):
         assert (whole / name).read_bytes() == (tmp_path / "killed" / name).read_bytes()
-    assert not any((folder / "checkpoints").exists() for folder in (whole, tmp_path / "killed"))  # only PPO goes on
+    assert not any(
+        (folder / "checkpoints").exists() for folder in (whole, tmp_path / "killed")
+    )  # only PPO goes on
     train(config, ToyEnv(match), whole, progress=kill_after(1))  # finished: left alone
     assert RunFolder(whole).config() == config
 
@@ -135,17 +159,25 @@ def test_a_finished_run_is_left_alone_and_can_be_extended(finished, tmp_path):
     before = (finished / "teams.json").stat().st_mtime_ns
     train(CONFIG, ToyEnv(match), finished, progress=kill_after(1))
     assert (finished / "teams.json").stat().st_mtime_ns == before
-    shorter = TrainConfig("toy", "ippo", CONFIG.members, 160, PPO, checkpoint_every=2, self_play_episodes=3)
+    shorter = TrainConfig(
+        "toy", "ippo", CONFIG.members, 160, PPO, checkpoint_every=2, self_play_episodes=3
+    )
     folder = train(shorter, ToyEnv(match), tmp_path / "run")
     train(CONFIG, ToyEnv(match), folder)
-    assert (folder / "robot.safetensors").read_bytes() == (finished / "robot.safetensors").read_bytes()
+    assert (folder / "robot.safetensors").read_bytes() == (
+        finished / "robot.safetensors"
+    ).read_bytes()
     with pytest.raises(ValueError, match="has already trained 480 steps"):
         train(shorter, ToyEnv(match), folder)
 
 
 def test_another_configuration_is_refused_by_name(finished):
-    other = TrainConfig("toy", "ippo", CONFIG.members, 480, preset("ippo", **{**vars(PPO), "gamma": 0.5}))
-    with pytest.raises(ValueError, match=r"another configuration: trainer\.gamma is 0\.99 there and 0\.5 here"):
+    other = TrainConfig(
+        "toy", "ippo", CONFIG.members, 480, preset("ippo", **{**vars(PPO), "gamma": 0.5})
+    )
+    with pytest.raises(
+        ValueError, match=r"another configuration: trainer\.gamma is 0\.99 there and 0\.5 here"
+    ):
         train(other, ToyEnv(match), finished)
     with pytest.raises(ValueError, match="already holds a run; resume it, or choose a new folder"):
         train(CONFIG, ToyEnv(match), finished, resume=False)
@@ -162,7 +194,9 @@ def test_a_folder_with_other_things_is_refused(tmp_path):
 def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_checkpoint(tmp_path):
     members = (Member(0, "d1"), Member(1, "d1", {"learning_rate": 1e38}))
     config = TrainConfig("toy", "ippo", members, 480, PPO, checkpoint_every=1)
-    with pytest.raises(DivergedError, match=r"training diverged: \w+ of member d1-s1 is (nan|inf|-inf) by update") as e:
+    with pytest.raises(
+        DivergedError, match=r"training diverged: \w+ of member d1-s1 is (nan|inf|-inf) by update"
+    ) as e:
         train(config, ToyEnv(match), tmp_path / "run")
     assert "start a new run with a learning_rate below 1e+38" in str(e.value)
     last = Checkpoints(tmp_path / "run" / "checkpoints").latest()
@@ -170,7 +204,9 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_checkpoint(tmp_
     assert not (tmp_path / "run" / "teams.json").exists()
 
 
-def test_a_full_disk_stops_with_a_message_and_the_run_goes_on_later(finished, tmp_path, monkeypatch):
+def test_a_full_disk_stops_with_a_message_and_the_run_goes_on_later(
+    finished, tmp_path, monkeypatch
+):
     save = Checkpoints.save
 
     def full(self, update, state):
@@ -182,11 +218,16 @@ def test_a_full_disk_stops_with_a_message_and_the_run_goes_on_later(finished, tm
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(Checkpoints, "save", full)
-    with pytest.raises(OSError, match=r"cannot write the checkpoint of update 4 .* last good one is of update 2; free"):
+    with pytest.raises(
+        OSError,
+        match=r"cannot write the checkpoint of update 4 .* last good one is of update 2; free",
+    ):
         train(CONFIG, ToyEnv(match), tmp_path / "run")
     monkeypatch.undo()
     train(CONFIG, ToyEnv(match), tmp_path / "run")
-    assert (tmp_path / "run" / "human.safetensors").read_bytes() == (finished / "human.safetensors").read_bytes()
+    assert (tmp_path / "run" / "human.safetensors").read_bytes() == (
+        finished / "human.safetensors"
+    ).read_bytes()
 
 
 def test_the_environment_must_be_the_runs(tmp_path):
@@ -204,7 +245,9 @@ def test_a_process_killed_by_the_system_goes_on_to_the_same_bits(finished, tmp_p
         train(CONFIG, ToyEnv(match), {str(tmp_path / "run")!r}, progress=report)
         """
     )
-    process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=os.getcwd())
+    process = subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=os.getcwd()
+    )
     assert process.stdout is not None
     for line in process.stdout:
         if line.strip() == "3":
@@ -213,4 +256,6 @@ def test_a_process_killed_by_the_system_goes_on_to_the_same_bits(finished, tmp_p
     process.stdout.close()
     assert process.wait() == -signal.SIGKILL
     train(CONFIG, ToyEnv(match), tmp_path / "run")
-    assert (tmp_path / "run" / "robot.safetensors").read_bytes() == (finished / "robot.safetensors").read_bytes()
+    assert (tmp_path / "run" / "robot.safetensors").read_bytes() == (
+        finished / "robot.safetensors"
+    ).read_bytes()

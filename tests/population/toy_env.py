@@ -41,7 +41,8 @@ class ToyEnv:
         episode_length: Steps of an episode.
         memory: Whether a cue is shown on an episode's first step only and then stays the same.
         terminates: Whether episodes end by termination instead of the time limit.
-        observation_size, action_size: Widths; what is beyond the first column is noise and has no effect.
+        observation_size, action_size: Widths; what is beyond the first column is noise and has no
+        effect.
     """
 
     task = "toy"
@@ -61,9 +62,13 @@ class ToyEnv:
         self.episode_length = episode_length
         self.memory = memory
         self.terminates = terminates
-        self.observation_size = dict(zip(("robot", "human", "global"), observation_size, strict=True))
+        self.observation_size = dict(
+            zip(("robot", "human", "global"), observation_size, strict=True)
+        )
         self.action_size = dict(zip(("robot", "human"), action_size, strict=True))
-        self.term_names = tuple(jax.eval_shape(self._blank, jax.random.split(jax.random.key(0), 2), None).terms)
+        self.term_names = tuple(
+            jax.eval_shape(self._blank, jax.random.split(jax.random.key(0), 2), None).terms
+        )
 
     def reset(self, keys: jax.Array, params: Any) -> ToyState:
         return self._blank(keys, params)
@@ -108,7 +113,11 @@ class ToyEnv:
         return dataclasses.replace(state, terms=dict.fromkeys(terms, jnp.zeros(n)))
 
     def _cues(self, keys: jax.Array, step: jax.Array) -> dict[str, jax.Array]:
-        draw = jax.vmap(lambda key, step: jax.random.rademacher(jax.random.fold_in(key, step), (2,), jnp.float32))
+        draw = jax.vmap(
+            lambda key, step: jax.random.rademacher(
+                jax.random.fold_in(key, step), (2,), jnp.float32
+            )
+        )
         cues = draw(keys, step)
         return {"robot": cues[:, 0], "human": cues[:, 1]}
 
@@ -117,9 +126,13 @@ class ToyEnv:
     ) -> dict[str, jax.Array]:
         n, width = keys.shape[0], max(self.observation_size.values())
         noise = jnp.broadcast_to(jnp.sin(step.astype(jnp.float32))[:, None], (n, width))
-        columns = {role: [cue[role] * shown] for role in cue} | {"global": [cue["robot"] * shown, cue["human"] * shown]}
+        columns = {role: [cue[role] * shown] for role in cue} | {
+            "global": [cue["robot"] * shown, cue["human"] * shown]
+        }
         return {
-            name: jnp.concatenate([jnp.stack(first, 1), noise[:, len(first) : self.observation_size[name]]], 1)
+            name: jnp.concatenate(
+                [jnp.stack(first, 1), noise[:, len(first) : self.observation_size[name]]], 1
+            )
             for name, first in columns.items()
         }
 
@@ -131,7 +144,9 @@ def constant(state: ToyState, action: dict[str, jax.Array]) -> dict[str, jax.Arr
 
 def match(state: ToyState, action: dict[str, jax.Array]) -> dict[str, jax.Array]:
     """Reward at most 1 a step, when each role's action is half its own cue."""
-    return {role: 0.5 - jnp.square(action[role] - 0.5 * state.cue[role]) for role in ("robot", "human")}
+    return {
+        role: 0.5 - jnp.square(action[role] - 0.5 * state.cue[role]) for role in ("robot", "human")
+    }
 
 
 def together(state: ToyState, action: dict[str, jax.Array]) -> dict[str, jax.Array]:

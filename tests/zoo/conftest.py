@@ -41,7 +41,9 @@ def random_params(spec: PolicySpec, seed: int, dtype: type = np.float32) -> dict
     return params
 
 
-def trained_team(algorithm: str = "ippo", disability: str = "d1", seed: int = 0, **changes: Any) -> TrainedTeam:
+def trained_team(
+    algorithm: str = "ippo", disability: str = "d1", seed: int = 0, **changes: Any
+) -> TrainedTeam:
     """Return a team whose parameters follow from its name."""
     noise = zlib.crc32(f"{algorithm}-{disability}-{seed}".encode())
     specs = changes.pop("specs", SPECS)
@@ -51,7 +53,10 @@ def trained_team(algorithm: str = "ippo", disability: str = "d1", seed: int = 0,
         "disability": disability,
         "seed": seed,
         "specs": specs,
-        "params": {role: random_params(spec, noise + index) for index, (role, spec) in enumerate(specs.items())},
+        "params": {
+            role: random_params(spec, noise + index)
+            for index, (role, spec) in enumerate(specs.items())
+        },
         "training": {
             "run": f"scratch-{algorithm}",
             "steps": 10_000_000,
@@ -65,7 +70,9 @@ def trained_team(algorithm: str = "ippo", disability: str = "d1", seed: int = 0,
     return TrainedTeam(**{**fields, **changes})
 
 
-def trained_teams(algorithms=("ippo",), disabilities=("d1", "d9"), seeds=range(4)) -> list[TrainedTeam]:
+def trained_teams(
+    algorithms=("ippo",), disabilities=("d1", "d9"), seeds=range(4)
+) -> list[TrainedTeam]:
     return [trained_team(a, d, s) for a in algorithms for d in disabilities for s in seeds]
 
 

@@ -1,6 +1,7 @@
 """A hub on loopback for the real huggingface_hub client: repositories, commits, tags, large files; faults on demand.
 
-`python tests/zoo/hub_server.py FOLDER` serves a folder as the model repository `loop/zoo`, for measurements.
+`python tests/zoo/hub_server.py FOLDER` serves a folder as the model repository `loop/zoo`, for
+measurements.
 """
 
 import base64
@@ -73,12 +74,18 @@ class Hub(ThreadingHTTPServer):
         self.upload_mode = "regular"
         self.lock = threading.Lock()
         self.url = f"http://127.0.0.1:{self.server_port}"
-        self.thread = threading.Thread(target=self.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True)
+        self.thread = threading.Thread(
+            target=self.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True
+        )
 
     def put(self, name: str, folder: Path, kind: str = "model", tag: str | None = None) -> str:
         """Commit a folder to a repository, and return the commit."""
         repository = self.repositories.setdefault(name, Repository(kind))
-        files = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        files = {
+            str(path.relative_to(folder)): path.read_bytes()
+            for path in folder.rglob("*")
+            if path.is_file()
+        }
         with self.lock:
             oid = repository.commit(files)
             if tag:
@@ -124,7 +131,9 @@ class _Handler(BaseHTTPRequestHandler):
         asked = f"{self.command} {self.route}"
         with self.hub.lock:
             self.hub.log.append(f"{asked} {self.headers.get('Range', '')}".rstrip())
-            self.fault = next((f for f in self.hub.faults if f.times > 0 and re.search(f.match, asked)), Fault(""))
+            self.fault = next(
+                (f for f in self.hub.faults if f.times > 0 and re.search(f.match, asked)), Fault("")
+            )
             self.fault.times -= 1
         if self.fault.status:
             return self._answer({"error": "planned"}, self.fault.status, self.fault.headers)
@@ -145,9 +154,13 @@ class _Handler(BaseHTTPRequestHandler):
         if repository := self._repository(repo, kind):
             oid = repository.resolve(revision or "main")
             if oid is None:
-                return self._answer({"error": "Invalid rev id"}, 404, {"X-Error-Code": "RevisionNotFound"})
+                return self._answer(
+                    {"error": "Invalid rev id"}, 404, {"X-Error-Code": "RevisionNotFound"}
+                )
             siblings = [{"rfilename": name} for name in repository.commits[oid]]
-            self._answer({"id": repo, "sha": oid, "siblings": siblings, "tags": [], "private": False})
+            self._answer(
+                {"id": repo, "sha": oid, "siblings": siblings, "tags": [], "private": False}
+            )
         return None
 
     def refs(self, kind: str, repo: str) -> None:
@@ -155,7 +168,10 @@ class _Handler(BaseHTTPRequestHandler):
             tables = {"branches": ("heads", repository.branches), "tags": ("tags", repository.tags)}
             answer: dict[str, Any] = {"converts": []}
             for name, (folder, table) in tables.items():
-                answer[name] = [{"name": n, "ref": f"refs/{folder}/{n}", "targetCommit": o} for n, o in table.items()]
+                answer[name] = [
+                    {"name": n, "ref": f"refs/{folder}/{n}", "targetCommit": o}
+                    for n, o in table.items()
+                ]
             self._answer(answer)
 
     def create(self) -> None:
@@ -208,7 +224,9 @@ class _Handler(BaseHTTPRequestHandler):
             for line in lines[1:]:
                 value = line["value"]
                 large = line["key"] == "lfsFile"
-                files[value["path"]] = self.hub.large[value["oid"]] if large else base64.b64decode(value["content"])
+                files[value["path"]] = (
+                    self.hub.large[value["oid"]] if large else base64.b64decode(value["content"])
+                )
             oid = repository.commit(files, revision)
         return self._answer({"commitUrl": f"{self.hub.url}/{repo}/commit/{oid}", "commitOid": oid})
 
@@ -225,7 +243,9 @@ class _Handler(BaseHTTPRequestHandler):
         if repository := self._repository(repo):
             oid = repository.resolve(revision)
             if oid is None:
-                return self._answer({"error": "no revision"}, 404, {"X-Error-Code": "RevisionNotFound"})
+                return self._answer(
+                    {"error": "no revision"}, 404, {"X-Error-Code": "RevisionNotFound"}
+                )
             data = repository.commits[oid].get(path)
             if data is None:
                 return self._answer({"error": "no entry"}, 404, {"X-Error-Code": "EntryNotFound"})
@@ -238,10 +258,14 @@ class _Handler(BaseHTTPRequestHandler):
             data = data[: fault.flip] + bytes([data[fault.flip] ^ 1]) + data[fault.flip + 1 :]
         data += fault.longer
         start, stop, status = 0, len(data), 200
-        if (match := re.fullmatch(r"bytes=(\d+)-(\d*)", self.headers.get("Range", ""))) and not fault.whole:
+        if (
+            match := re.fullmatch(r"bytes=(\d+)-(\d*)", self.headers.get("Range", ""))
+        ) and not fault.whole:
             start, stop, status = int(match[1]), int(match[2]) + 1 if match[2] else len(data), 206
             if start >= len(data):
-                return self._answer({"error": "range"}, 416, {"Content-Range": f"bytes */{len(data)}"})
+                return self._answer(
+                    {"error": "range"}, 416, {"Content-Range": f"bytes */{len(data)}"}
+                )
         body = memoryview(data)[start:stop]
         body = body if fault.short is None else body[: fault.short]
         self.send_response(status)

@@ -40,7 +40,9 @@ class Module:
         found: dict[str, Any] = {}
         for name, value in vars(self).items():
             if isinstance(value, Module):
-                found |= {f"{name}.{inner}": place for inner, place in value.parameters_by_name().items()}
+                found |= {
+                    f"{name}.{inner}": place for inner, place in value.parameters_by_name().items()
+                }
             elif isinstance(value, Tensor):
                 found[name] = (self, name)
         return found
@@ -73,15 +75,23 @@ class GRUCell(Module):
 
     def __init__(self, inputs: int, width: int) -> None:
         super().__init__()
-        self.weight_ih, self.bias_ih = Tensor(np.zeros((3 * width, inputs))), Tensor(np.zeros(3 * width))
-        self.weight_hh, self.bias_hh = Tensor(np.zeros((3 * width, width))), Tensor(np.zeros(3 * width))
+        self.weight_ih, self.bias_ih = (
+            Tensor(np.zeros((3 * width, inputs))),
+            Tensor(np.zeros(3 * width)),
+        )
+        self.weight_hh, self.bias_hh = (
+            Tensor(np.zeros((3 * width, width))),
+            Tensor(np.zeros(3 * width)),
+        )
 
     def forward(self, *inputs: Any) -> Tensor:
         x, h = inputs[0].value, inputs[1]
         h = np.zeros((len(x), self.weight_hh.shape[1]), np.float32) if h is None else h.value
         from_x = np.split(x @ self.weight_ih.value.T + self.bias_ih.value, 3, axis=1)
         from_h = np.split(h @ self.weight_hh.value.T + self.bias_hh.value, 3, axis=1)
-        reset, update = (0.5 + 0.5 * np.tanh((a + b) / 2) for a, b in zip(from_x[:2], from_h[:2], strict=True))
+        reset, update = (
+            0.5 + 0.5 * np.tanh((a + b) / 2) for a, b in zip(from_x[:2], from_h[:2], strict=True)
+        )
         new = np.tanh(from_x[2] + reset * from_h[2])
         return Tensor((1 - update) * new + update * h)
 

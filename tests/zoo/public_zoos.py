@@ -45,7 +45,9 @@ def leaves(recurrent: bool, joint: str, seed: int) -> dict[str, np.ndarray]:
     }
     if recurrent:
         shapes |= {"GRUCell_0/hn/kernel": (8, 8), "GRUCell_0/hn/bias": (8,)}
-    return {name.replace("/", joint): rng.random(shape, np.float32) for name, shape in shapes.items()}
+    return {
+        name.replace("/", joint): rng.random(shape, np.float32) for name, shape in shapes.items()
+    }
 
 
 def write_zoo(folder: Path, version: int = 1, **changes: Any) -> Path:
@@ -65,14 +67,25 @@ def write_zoo(folder: Path, version: int = 1, **changes: Any) -> Path:
             "rnn_dim": 8 if recurrent else "",
         }
         if version == 2:
-            row |= {"team_uuid": f"team-{number // 2}", "w_speed": 1.0, "w_force": 0.5, "w_touch": ""}
+            row |= {
+                "team_uuid": f"team-{number // 2}",
+                "w_speed": 1.0,
+                "w_force": 0.5,
+                "w_touch": "",
+            }
         rows.append({**row, **changes})
         disability = "" if number == 3 else DISABILITY.format(joint=[3, 4] if number else 3)
         width = "gru_hidden_dim" if recurrent else "actor_hidden_dim"
-        values = {"algorithm": row["algorithm"], "scenario": scenario, "recurrent": str(recurrent).lower()}
+        values = {
+            "algorithm": row["algorithm"],
+            "scenario": scenario,
+            "recurrent": str(recurrent).lower(),
+        }
         config = CONFIG.format(disability=disability, width=width, **values)
         (folder / "config" / f"{uuid}.yaml").write_text(config)
-        data = safetensors.numpy.save(leaves(recurrent, "," if number == 1 else "/", number), {"format": "np"})
+        data = safetensors.numpy.save(
+            leaves(recurrent, "," if number == 1 else "/", number), {"format": "np"}
+        )
         (folder / "params" / f"{uuid}.safetensors").write_bytes(data)
     text = io.StringIO()
     writer = csv.DictWriter(text, rows[0].keys())

@@ -24,7 +24,10 @@ def noisy(params: dict[str, Any], noise: float) -> dict[str, Any]:
     rng = np.random.default_rng(0)
     if not isinstance(params, dict):
         return (params * (1 + noise * rng.standard_normal(params.shape))).astype(np.float32)
-    return {name: value if name == "normaliser" else noisy(value, noise) for name, value in params.items()}
+    return {
+        name: value if name == "normaliser" else noisy(value, noise)
+        for name, value in params.items()
+    }
 
 
 @pytest.fixture
@@ -33,7 +36,10 @@ def with_copy(registry: Registry, team, publish_to) -> Callable[[float], Registr
 
     def plant(noise: float) -> Registry:
         original: TrainedTeam = team("ippo", "d1", 0)
-        params = {"robot": team("ippo", "d1", 9).params["robot"], "human": noisy(dict(original.params["human"]), noise)}
+        params = {
+            "robot": team("ippo", "d1", 9).params["robot"],
+            "human": noisy(dict(original.params["human"]), noise),
+        }
         return publish_to([team("ippo", "d1", 9, params=params)], registry.path)
 
     return plant
@@ -64,7 +70,9 @@ def test_a_leave_one_out_split_trains_without_those_who_act_as_the_held_out_do(
         "human": noisy(team("ippo", "d1", 0).params["human"], 1e-3),
     }
     registry = publish_to([team("ippo", "d9", 9, params=params)], registry.path)
-    split = create_split(registry.path, task="scratch", rule="leave-one-disability-out", held_out="d9")
+    split = create_split(
+        registry.path, task="scratch", rule="leave-one-disability-out", held_out="d9"
+    )
     everyone = set(registry.data.teams)
     assert set(split.test) == {name for name in everyone if "-d9-" in name} and len(split.test) > 1
     assert set(split.train) == everyone - set(split.test) - {ORIGINAL}
@@ -92,9 +100,13 @@ def test_recurrent_partners_are_told_apart_by_their_memory_alone() -> None:
     from population.policy import Policy
 
     spec = PolicySpec("human", 4, 2, "gru", hidden=(8,))
-    params = jax.tree.map(lambda leaf: np.asarray(leaf) * 20 + 0.1, Policy(spec).init(jax.random.key(0)))
+    params = jax.tree.map(
+        lambda leaf: np.asarray(leaf) * 20 + 0.1, Policy(spec).init(jax.random.key(0))
+    )
     other = json.loads(json.dumps(jax.tree.map(np.ndarray.tolist, params)))
-    other = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), other, is_leaf=lambda x: isinstance(x, list))
+    other = jax.tree.map(
+        lambda leaf: np.asarray(leaf, np.float32), other, is_leaf=lambda x: isinstance(x, list)
+    )
     other["GRUCell_0"]["hn"]["kernel"] = -other["GRUCell_0"]["hn"]["kernel"]
     stacked = jax.tree.map(lambda a, b: np.stack([a, b]).astype(np.float32), params, other)
     actions = probe_actions(PolicyGroup(spec, ("a", "b"), stacked))
@@ -104,7 +116,9 @@ def test_recurrent_partners_are_told_apart_by_their_memory_alone() -> None:
 
 def test_differences_are_means_of_absolute_differences() -> None:
     actions = np.array([[[0.0, 1.0]], [[0.5, 1.0]], [[-1.0, -1.0]]])
-    np.testing.assert_allclose(differences(actions), [[0, 0.25, 1.5], [0.25, 0, 1.75], [1.5, 1.75, 0]])
+    np.testing.assert_allclose(
+        differences(actions), [[0, 0.25, 1.5], [0.25, 0, 1.75], [1.5, 1.75, 0]]
+    )
 
 
 def test_the_threshold_stands_between_copies_and_training_seeds_of_release_v0() -> None:

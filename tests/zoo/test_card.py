@@ -19,13 +19,25 @@ CARD: dict[str, Any] = {
     "splits": {"scratch/half-s0-v0-f4c7b97d": "train"},
     "sha256": "a" * 64,
 }  # fmt: skip
-HUMAN = {**CARD, "id": "scratch/ippo-d3-s5-v0/human", "spec": {**CARD["spec"], "role": "human"}, "sha256": "b" * 64}
+HUMAN = {
+    **CARD,
+    "id": "scratch/ippo-d3-s5-v0/human",
+    "spec": {**CARD["spec"], "role": "human"},
+    "sha256": "b" * 64,
+}
 
 
 def test_a_team_s_card_has_all_that_is_known() -> None:
     text = markdown_card([CARD, HUMAN], "pictures/robot at work.png")
-    assert text.startswith("# scratch/ippo-d3-s5-v0\n\n![scratch/ippo-d3-s5-v0](<pictures/robot at work.png>)\n")
-    facts = ("strength 0.4", "999.1, 95% interval 994.6 to 1003.6 over 64", "| versions.jax | 0.10.2 |", "128, 128")
+    assert text.startswith(
+        "# scratch/ippo-d3-s5-v0\n\n![scratch/ippo-d3-s5-v0](<pictures/robot at work.png>)\n"
+    )
+    facts = (
+        "strength 0.4",
+        "999.1, 95% interval 994.6 to 1003.6 over 64",
+        "| versions.jax | 0.10.2 |",
+        "128, 128",
+    )
     use = "evaluate --task scratch --policy zoo:scratch/ippo-d3-s5-v0/robot"
     for words in (*facts, "f4c7b97d | train", "a" * 64, "b" * 64, use):
         assert words in text
@@ -34,7 +46,11 @@ def test_a_team_s_card_has_all_that_is_known() -> None:
 
 def test_a_policy_s_card_stands_alone_and_unmeasured() -> None:
     text = markdown_card([{**CARD, "self_play": None, "splits": {}}])
-    assert text.startswith("# scratch/ippo-d3-s5-v0/robot\n\n|") and "not measured" in text and "human" not in text
+    assert (
+        text.startswith("# scratch/ippo-d3-s5-v0/robot\n\n|")
+        and "not measured" in text
+        and "human" not in text
+    )
 
 
 def test_text_from_elsewhere_stays_in_its_cell() -> None:
@@ -43,8 +59,12 @@ def test_text_from_elsewhere_stays_in_its_cell() -> None:
     assert "| run | a \\| b # heading &lt;script> |" in text and "(<x)img.png>)" in text
 
 
-def test_a_remote_s_card_has_the_newest_release_s_figures(registry: Registry, team, publish_to) -> None:
+def test_a_remote_s_card_has_the_newest_release_s_figures(
+    registry: Registry, team, publish_to
+) -> None:
     assert "| scratch | ippo | d1 | 4 | " in model_card(registry, "org/zoo")
-    one = dataclasses.replace(team("ippo", "d1", 0), self_play={"mean": 7.0, "iqm": 7.0, "ci": [6.0, 8.0], "n": 16})
+    one = dataclasses.replace(
+        team("ippo", "d1", 0), self_play={"mean": 7.0, "iqm": 7.0, "ci": [6.0, 8.0], "n": 16}
+    )
     text = model_card(publish_to([one], registry.path, release="v1"), "org/zoo")
     assert "| scratch | ippo | d1 | 1 | 7.0 |" in text and "| scratch | ippo | d9 | 4 | " in text

@@ -44,9 +44,13 @@ def trained(spec: PolicySpec, seed: int = 0) -> dict[str, Any]:
     """Return parameters with nothing at its initial value, so that no part can be left out unseen."""
     rng = np.random.default_rng(seed)
     params = jax.tree.map(lambda leaf: np.asarray(leaf), Policy(spec).init(jax.random.key(seed)))
-    params = jax.tree.map(lambda leaf: (leaf + 0.4 * rng.normal(size=leaf.shape)).astype(np.float32), params)
+    params = jax.tree.map(
+        lambda leaf: (leaf + 0.4 * rng.normal(size=leaf.shape)).astype(np.float32), params
+    )
     if spec.normalise:
-        params["normaliser"]["std"] = rng.uniform(0.1, 2.0, spec.observation_size).astype(np.float32)
+        params["normaliser"]["std"] = rng.uniform(0.1, 2.0, spec.observation_size).astype(
+            np.float32
+        )
     return params
 
 
@@ -73,7 +77,9 @@ def play_onnx(data: bytes, obs: np.ndarray, first: np.ndarray) -> np.ndarray:
         fed: dict[str, Any] = {"obs": obs[step]}
         if len(names) == 3:
             if carry is None:
-                carry = np.full((ROWS, session.get_inputs()[1].shape[1]), np.float32(7.0))  # `first` clears it
+                carry = np.full(
+                    (ROWS, session.get_inputs()[1].shape[1]), np.float32(7.0)
+                )  # `first` clears it
             fed |= {"carry": carry, "first": first[step]}
         action, *rest = session.run(None, fed)
         carry = rest[0] if rest else None
@@ -92,7 +98,8 @@ def test_onnx_gives_the_same_actions(spec: PolicySpec) -> None:
 
 
 @pytest.mark.parametrize(
-    "leaf", ["normaliser/mean", "Dense_0/bias", "GRUCell_0/hn/bias", "GRUCell_0/iz/bias", "Dense_1/kernel"]
+    "leaf",
+    ["normaliser/mean", "Dense_0/bias", "GRUCell_0/hn/bias", "GRUCell_0/iz/bias", "Dense_1/kernel"],
 )
 def test_a_changed_parameter_would_be_seen(leaf: str) -> None:
     """The comparison can fail, for every part of the network."""
@@ -122,12 +129,16 @@ def test_onnx_files_say_what_they_are_and_are_stable() -> None:
     model = onnx.load_from_string(data)
     (kept,) = model.metadata_props
     assert json.loads(kept.value) == {"spec": V0.to_json(), "id": "scratch/ippo-d1-s0-v0/robot"}
-    assert {node.domain for node in model.graph.node} == {""} and {o.domain for o in model.opset_import} == {""}
+    assert {node.domain for node in model.graph.node} == {""} and {
+        o.domain for o in model.opset_import
+    } == {""}
 
 
 def documented_policy(path: Path) -> Any:
     """Return the module of docs/export.md, loaded: with torch where it is installed, else with its stand-in."""
-    (code,) = re.findall(r"## PyTorch\n\n```python\n(.*?)```", (ROOT / "docs/export.md").read_text(), re.DOTALL)
+    (code,) = re.findall(
+        r"## PyTorch\n\n```python\n(.*?)```", (ROOT / "docs/export.md").read_text(), re.DOTALL
+    )
     assert len(code.splitlines()) < 40
     code = code.replace("import json, torch\nfrom safetensors import safe_open\n", "import json\n")
     names: dict[str, Any] = {"torch": numpy_torch.torch, "safe_open": numpy_torch.safe_open}
@@ -136,7 +147,9 @@ def documented_policy(path: Path) -> Any:
 
 
 @pytest.mark.parametrize("spec", SPECS, ids=NAMES)
-def test_the_documented_torch_module_gives_the_same_actions(tmp_path: Path, spec: PolicySpec) -> None:
+def test_the_documented_torch_module_gives_the_same_actions(
+    tmp_path: Path, spec: PolicySpec
+) -> None:
     params = trained(spec)
     path = tmp_path / "robot.safetensors"
     path.write_bytes(to_torch(spec, params))
@@ -151,7 +164,9 @@ def test_the_documented_torch_module_gives_the_same_actions(tmp_path: Path, spec
 
 def test_the_documented_torch_module_with_torch_itself(tmp_path: Path) -> None:
     torch = pytest.importorskip("torch")
-    (code,) = re.findall(r"## PyTorch\n\n```python\n(.*?)```", (ROOT / "docs/export.md").read_text(), re.DOTALL)
+    (code,) = re.findall(
+        r"## PyTorch\n\n```python\n(.*?)```", (ROOT / "docs/export.md").read_text(), re.DOTALL
+    )
     names: dict[str, Any] = {}
     exec(code, names)
     for spec in SPECS:
@@ -190,7 +205,10 @@ def test_exported_files_run_without_this_project(tmp_path: Path) -> None:
         "import sys, numpy, onnxruntime\n"
         "session = onnxruntime.InferenceSession('robot.onnx', providers=['CPUExecutionProvider'])\n"
         "print(session.run(['action'], {'obs': numpy.zeros((3, 34), numpy.float32)})[0].shape)\n"
-        "print(sorted({'zoo', 'population', 'evaluation', 'assistax_envs', 'jax', 'flax'} & set(sys.modules)))"
+        "print(sorted({'zoo', 'population', 'evaluation', 'assistax_envs', 'jax', 'flax'} & "
+        "set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-I", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-I", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
     assert done.stdout.split("\n")[:2] == ["(3, 7)", "[]"]

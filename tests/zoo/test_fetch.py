@@ -39,7 +39,9 @@ def same_parameters(one: Registry, other: Registry, pattern: str = "*") -> bool:
 
 
 @pytest.mark.parametrize("kind", ["folder", "file", "hub", "tag", "web"])
-def test_everything_comes_from_every_kind_of_remote(kind: str, registry: Registry, cache: Path, hub: Hub) -> None:
+def test_everything_comes_from_every_kind_of_remote(
+    kind: str, registry: Registry, cache: Path, hub: Hub
+) -> None:
     commit = hub.put("org/zoo", registry.path.parent, tag="v0")
     name = {
         "folder": registry.path.parent,
@@ -52,13 +54,17 @@ def test_everything_comes_from_every_kind_of_remote(kind: str, registry: Registr
     assert (report.policies, report.shards, report.present) == (16, 2, 0)
     assert report.bytes == sum(shard.bytes for shard in registry.data.shards.values())
     assert report.revision == (commit if kind in ("hub", "tag") else None)
-    assert fetched.path == load_registry(cached_registry(str(name))).path and fetched.path.is_relative_to(cache)
+    assert fetched.path == load_registry(
+        cached_registry(str(name))
+    ).path and fetched.path.is_relative_to(cache)
     assert verify(fetched).ok and same_parameters(registry, fetched)
     assert get(name)[1].bytes == 0
     assert not list(cache.rglob(".*"))
 
 
-def test_a_registry_without_shards_finds_them_in_the_cache(registry: Registry, cache: Path, tmp_path: Path) -> None:
+def test_a_registry_without_shards_finds_them_in_the_cache(
+    registry: Registry, cache: Path, tmp_path: Path
+) -> None:
     alone = tmp_path / "wheel" / "registry.json"
     alone.parent.mkdir()
     alone.write_bytes(registry.path.read_bytes())
@@ -72,9 +78,13 @@ def test_a_registry_without_shards_finds_them_in_the_cache(registry: Registry, c
     assert fetch(bare, bare.policies, None).present == 2
 
 
-def test_one_policy_is_cut_out_of_its_shard(large: Registry, cache: Path, hub: Hub, monkeypatch) -> None:
+def test_one_policy_is_cut_out_of_its_shard(
+    large: Registry, cache: Path, hub: Hub, monkeypatch
+) -> None:
     monkeypatch.setattr(slices, "REQUEST_BYTES", 0)
-    monkeypatch.setattr(slices, "FIRST_BYTES", 100)  # so that the rest of the header takes another request
+    monkeypatch.setattr(
+        slices, "FIRST_BYTES", 100
+    )  # so that the rest of the header takes another request
     hub.put("org/zoo", large.path.parent)
     fetched, report = get("hf://org/zoo", "scratch/ippo-d1-s[35]-v0/human")
     shard = large.data.shards[fetched.policies[1].shard]
@@ -92,7 +102,9 @@ def test_one_policy_is_cut_out_of_its_shard(large: Registry, cache: Path, hub: H
         load_group(fetched, fetched.select("*/human"))
 
 
-def test_without_ranges_the_whole_shard_comes(large: Registry, cache: Path, hub: Hub, monkeypatch) -> None:
+def test_without_ranges_the_whole_shard_comes(
+    large: Registry, cache: Path, hub: Hub, monkeypatch
+) -> None:
     monkeypatch.setattr(slices, "REQUEST_BYTES", 0)
     hub.put("org/zoo", large.path.parent)
     hub.faults = [Fault(FILES, whole=True)]
@@ -101,12 +113,17 @@ def test_without_ranges_the_whole_shard_comes(large: Registry, cache: Path, hub:
 
 
 @pytest.mark.parametrize("offset", [3, 20, 500_000])
-def test_a_tampered_slice_is_refused(offset: int, large: Registry, cache: Path, hub: Hub, monkeypatch) -> None:
+def test_a_tampered_slice_is_refused(
+    offset: int, large: Registry, cache: Path, hub: Hub, monkeypatch
+) -> None:
     monkeypatch.setattr(slices, "REQUEST_BYTES", 0)
     hub.put("org/zoo", large.path.parent)
     hub.faults = [Fault(FILES, flip=offset)]
     with pytest.raises(IntegrityError, match="thrown away"):
-        get("hf://org/zoo", "scratch/ippo-d1-s*-v0/human" if offset > 100 else "scratch/ippo-d1-s1-v0/human")
+        get(
+            "hf://org/zoo",
+            "scratch/ippo-d1-s*-v0/human" if offset > 100 else "scratch/ippo-d1-s1-v0/human",
+        )
     assert visible(cache) == set()
 
 
@@ -150,12 +167,16 @@ def test_a_remote_may_not_change_what_it_published(
     log_std = {**changed[0].params["human"], "log_std": np.ones(3, np.float32)}
     changed[0].params["human"] = log_std
     hub.put("org/zoo", publish_to(changed, tmp_path / "changed" / "registry.json").path.parent)
-    with pytest.raises(IntegrityError, match=r"published bytes never change.*scratch/ippo-d1-s0-v0/human"):
+    with pytest.raises(
+        IntegrityError, match=r"published bytes never change.*scratch/ippo-d1-s0-v0/human"
+    ):
         get("hf://org/zoo")
     assert len(load_registry(cached_registry("hf://org/zoo")).policies) == 16
 
 
-def test_a_growing_remote_is_followed(registry: Registry, cache: Path, hub: Hub, teams, publish_to) -> None:
+def test_a_growing_remote_is_followed(
+    registry: Registry, cache: Path, hub: Hub, teams, publish_to
+) -> None:
     hub.put("org/zoo", registry.path.parent)
     get("hf://org/zoo")
     publish_to(teams(seeds=range(6)), registry.path)
@@ -176,16 +197,22 @@ def test_a_growing_remote_is_followed(registry: Registry, cache: Path, hub: Hub,
         ("hf://org/zoo@v9", r"expected a branch, tag or commit \(v0\), found no revision 'v9'"),
     ],
 )
-def test_a_wrong_remote_is_named(name: str, told: str, registry: Registry, cache: Path, hub: Hub) -> None:
+def test_a_wrong_remote_is_named(
+    name: str, told: str, registry: Registry, cache: Path, hub: Hub
+) -> None:
     hub.put("org/zoo", registry.path.parent, tag="v0")
     hub.put("org/data", registry.path.parent, kind="dataset")
     with pytest.raises(RemoteError, match=told) as caught:
         get(name)
-    assert all(word in str(caught.value) for word in ("expected", "found", "nothing was fetched", "next: "))
+    assert all(
+        word in str(caught.value) for word in ("expected", "found", "nothing was fetched", "next: ")
+    )
     assert not cache.exists()
 
 
-def test_a_remote_without_a_registry_is_refused(registry: Registry, cache: Path, hub: Hub, tmp_path: Path) -> None:
+def test_a_remote_without_a_registry_is_refused(
+    registry: Registry, cache: Path, hub: Hub, tmp_path: Path
+) -> None:
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "config.json").write_text("{}")
     hub.put("org/other", tmp_path / "other")
@@ -194,13 +221,17 @@ def test_a_remote_without_a_registry_is_refused(registry: Registry, cache: Path,
     (tmp_path / "other" / "registry.json").write_bytes(b"\xff\xfe")
     with pytest.raises(RegistryError, match="not a registry"):
         get(tmp_path / "other")
-    (tmp_path / "other" / "registry.json").write_text(registry.path.read_text().replace('"seed"', '"sead"'))
+    (tmp_path / "other" / "registry.json").write_text(
+        registry.path.read_text().replace('"seed"', '"sead"')
+    )
     with pytest.raises(RegistryError, match=r"unknown field|required"):
         get(tmp_path / "other")
     assert not cache.exists()
 
 
-def test_shards_come_in_parallel(registry: Registry, cache: Path, hub: Hub, teams, publish_to, monkeypatch) -> None:
+def test_shards_come_in_parallel(
+    registry: Registry, cache: Path, hub: Hub, teams, publish_to, monkeypatch
+) -> None:
     publish_to(teams(("mappo",)), registry.path)
     hub.put("org/zoo", registry.path.parent)
     together, now = threading.Barrier(4), remotes.HttpRemote.open
@@ -232,7 +263,11 @@ def test_command(registry: Registry, cache: Path, hub: Hub, capsys, monkeypatch)
     hub.put("org/zoo", registry.path.parent, tag="v0")
     assert run(["fetch", "scratch/*/human", "--from", "hf://org/zoo@v0"]) == 0
     told = capsys.readouterr()
-    assert "verified 8 policies in 1 shards" in told.out and "commit" in told.out and "--registry" in told.out
+    assert (
+        "verified 8 policies in 1 shards" in told.out
+        and "commit" in told.out
+        and "--registry" in told.out
+    )
     assert "MB" in told.err
     assert run(["fetch", "--from", "hf://org/zoo@v9"]) == 1
     assert capsys.readouterr().err.count("\n") == 1

@@ -45,10 +45,14 @@ def get(registry: Registry, pattern: str | None = None) -> Report:
 
 
 def visible(folder: Path) -> list[str]:
-    return sorted(path.name for path in folder.rglob("*.safetensors") if not path.name.startswith("."))
+    return sorted(
+        path.name for path in folder.rglob("*.safetensors") if not path.name.startswith(".")
+    )
 
 
-def refused(registry: Registry, cache: Path, kind: type[ZooError], *told: str, pattern: str = "*/robot") -> str:
+def refused(
+    registry: Registry, cache: Path, kind: type[ZooError], *told: str, pattern: str = "*/robot"
+) -> str:
     """Fetch, and hold the error against what every error says."""
     with pytest.raises(kind) as caught:
         get(registry, pattern)
@@ -115,8 +119,12 @@ def test_wrong_bytes_are_thrown_away(bare: Registry, hub: Hub, cache: Path) -> N
     assert list((cache / "shards").iterdir()) == []
 
 
-def test_a_fetch_that_would_not_look_is_caught_on_loading(bare: Registry, hub: Hub, cache: Path, monkeypatch) -> None:
-    monkeypatch.setattr(_Transfer, "run", lambda self, retry: self._complete(retry))  # the planted defect
+def test_a_fetch_that_would_not_look_is_caught_on_loading(
+    bare: Registry, hub: Hub, cache: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr(
+        _Transfer, "run", lambda self, retry: self._complete(retry)
+    )  # the planted defect
     hub.faults = [Fault(SHARDS, flip=300_000)]
     get(bare)
     assert len(visible(cache)) == 2 and len(verify(bare).problems) == 2
@@ -165,12 +173,18 @@ def test_a_hub_that_hangs(bare: Registry, hub: Hub, cache: Path, monkeypatch) ->
     refused(bare, cache, RemoteError, "ReadTimeout", "3 times")
 
 
-@pytest.mark.parametrize(("sent", "code"), [(signal.SIGKILL, -signal.SIGKILL), (signal.SIGINT, 130)])
-def test_a_fetch_that_is_killed(sent: signal.Signals, code: int, bare: Registry, hub: Hub, cache: Path) -> None:
+@pytest.mark.parametrize(
+    ("sent", "code"), [(signal.SIGKILL, -signal.SIGKILL), (signal.SIGINT, 130)]
+)
+def test_a_fetch_that_is_killed(
+    sent: signal.Signals, code: int, bare: Registry, hub: Hub, cache: Path
+) -> None:
     hub.faults = [Fault(ROBOT, pause=0.05, slice=10_000)]
     words = ["fetch", "*/robot", "--from", "hf://org/zoo", "--registry", str(bare.path)]
     environment = {**os.environ, "HF_ENDPOINT": hub.url}
-    with subprocess.Popen([sys.executable, "-m", "assistax_zoo", *words], cwd=ROOT, env=environment) as process:
+    with subprocess.Popen(
+        [sys.executable, "-m", "assistax_zoo", *words], cwd=ROOT, env=environment
+    ) as process:
         shard = bare.data.shards[bare.policies[0].shard]
         partial = cached_shard(shard.sha256).with_name(f".{shard.sha256}.safetensors.partial")
         wait_for(lambda: partial.is_file() and partial.stat().st_size >= 20_000)
@@ -191,7 +205,9 @@ def test_two_fetches_at_once(bare: Registry, hub: Hub, cache: Path) -> None:
     for thread in threads:
         thread.join(timeout=60)
     assert len(reports) == 3 and hub.count(SHARDS) == 2
-    assert sum(report.bytes for report in reports) == sum(shard.bytes for shard in bare.data.shards.values())
+    assert sum(report.bytes for report in reports) == sum(
+        shard.bytes for shard in bare.data.shards.values()
+    )
     assert len(visible(cache)) == 2 and not list(cache.rglob(".*"))
 
 

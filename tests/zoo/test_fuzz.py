@@ -1,7 +1,8 @@
 """Ten thousand damaged registries and shards: one line for the user, and never a byte that was not published.
 
-What may be loaded is decided here, apart from the code under test: a policy's parameters must have the sha256 that the
-undamaged registry records for some policy, under an id whose damaged registry still names that sha256.
+What may be loaded is decided here, apart from the code under test: a policy's parameters must have
+the sha256 that the undamaged registry records for some policy, under an id whose damaged registry
+still names that sha256.
 """
 
 import json
@@ -26,7 +27,9 @@ Damage = Callable[[random.Random, bytes], bytes]
 
 def flip(rng: random.Random, data: bytes) -> bytes:
     position = rng.randrange(len(data))
-    return data[:position] + bytes([data[position] ^ (1 << rng.randrange(8))]) + data[position + 1 :]
+    return (
+        data[:position] + bytes([data[position] ^ (1 << rng.randrange(8))]) + data[position + 1 :]
+    )
 
 
 def cut(rng: random.Random, data: bytes) -> bytes:
@@ -65,7 +68,22 @@ def token(rng: random.Random, data: bytes) -> bytes:
     while isinstance(node[key], dict | list) and node[key] and rng.random() < 0.8:
         node = node[key]
         key = rng.choice(list(node)) if isinstance(node, dict) else rng.randrange(len(node))
-    values = (None, True, -1, 2**70, 1.5, "", "x", "../../etc/passwd", [], {}, [[]], {"a": {}}, "\x00\n", 1e308)
+    values = (
+        None,
+        True,
+        -1,
+        2**70,
+        1.5,
+        "",
+        "x",
+        "../../etc/passwd",
+        [],
+        {},
+        [[]],
+        {"a": {}},
+        "\x00\n",
+        1e308,
+    )
     if isinstance(node, dict) and rng.random() < 0.3:
         node[rng.choice(["x", "", "scratch/ippo-d1-s0-v1", "../a"])] = node.pop(key)
     else:
@@ -116,7 +134,9 @@ def damaged_registries(registry: Registry, genuine: dict[str, str], cases: int) 
     for _ in range(cases):
         data = rng.choice((*BYTES, number, token))(rng, text)
         try:
-            damaged = build_registry(parse_registry(data.decode("utf-8", errors="replace"), "test"), registry.path)
+            damaged = build_registry(
+                parse_registry(data.decode("utf-8", errors="replace"), "test"), registry.path
+            )
         except ZooError as error:
             one_line(error)
             refused += 1
@@ -152,7 +172,9 @@ def forged_shards(registry: Registry, genuine: dict[str, str], cases: int) -> in
     for _ in range(cases):
         data = rng.choice(BYTES)(rng, whole)
         path.write_bytes(data)
-        record = registry.data.shards[shard].model_copy(update={"sha256": sha256(data), "bytes": len(data)})
+        record = registry.data.shards[shard].model_copy(
+            update={"sha256": sha256(data), "bytes": len(data)}
+        )
         shards = {**registry.data.shards, shard: record}
         forged = build_registry(registry.data.model_copy(update={"shards": shards}), registry.path)
         passed += loads_only_what_was_published(forged, genuine)

@@ -26,9 +26,13 @@ COMMITS = "POST /api/models/org/zoo/commit/"
 pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
 
 
-def put(teams: list[TrainedTeam], to: str = ZOO, release: str = "v0", **arguments: Any) -> Publication:
+def put(
+    teams: list[TrainedTeam], to: str = ZOO, release: str = "v0", **arguments: Any
+) -> Publication:
     """Publish without asking JAX for the leaves of each spec."""
-    return publish_to(teams, to, release, date="2027-01-31", check=lambda spec, leaves, source: None, **arguments)
+    return publish_to(
+        teams, to, release, date="2027-01-31", check=lambda spec, leaves, source: None, **arguments
+    )
 
 
 def files(hub: Hub, revision: str = "main") -> dict[str, bytes]:
@@ -73,7 +77,9 @@ def test_a_growing_release_gets_another_tag(hub: Hub, cache: Path, teams) -> Non
     grown = put(teams(seeds=range(6)))
     assert (grown.tag, len(grown.added)) == ("v0.1", 8)
     assert hub.repositories["org/zoo"].tags == {"v0": first.commit, "v0.1": grown.commit}
-    assert all(files(hub)[name] == data for name, data in before.items() if name.endswith(".safetensors"))
+    assert all(
+        files(hub)[name] == data for name, data in before.items() if name.endswith(".safetensors")
+    )
     assert put(teams(("mappo",)), release="v1").tag == "v1"
     assert (fetched_and_verified(), fetched_and_verified("hf://org/zoo@v0")) == (40, 16)
 
@@ -122,7 +128,8 @@ def test_published_bytes_never_change(hub: Hub, cache: Path, teams, team) -> Non
             [
                 team(
                     params={
-                        role: {**params, "log_std": params["log_std"] + 1} for role, params in team().params.items()
+                        role: {**params, "log_std": params["log_std"] + 1}
+                        for role, params in team().params.items()
                     }
                 )
             ]
@@ -130,7 +137,9 @@ def test_published_bytes_never_change(hub: Hub, cache: Path, teams, team) -> Non
     assert hub.count(COMMITS) == 1
 
 
-def test_two_publishers_do_not_overwrite_each_other(hub: Hub, cache: Path, teams, monkeypatch) -> None:
+def test_two_publishers_do_not_overwrite_each_other(
+    hub: Hub, cache: Path, teams, monkeypatch
+) -> None:
     put(teams())
     real = zoo.hub_publish.publish
 
@@ -140,19 +149,29 @@ def test_two_publishers_do_not_overwrite_each_other(hub: Hub, cache: Path, teams
         return real(*words, **arguments)
 
     monkeypatch.setattr(zoo.hub_publish, "publish", slow)
-    with pytest.raises(PublishError, match="somebody published meanwhile; nothing was published; next: publish again"):
+    with pytest.raises(
+        PublishError,
+        match="somebody published meanwhile; nothing was published; next: publish again",
+    ):
         put(teams(("isac",)))
     assert put(teams(("isac",))).policies == 48
     assert fetched_and_verified() == 48
 
 
 def test_a_lost_answer_is_looked_up(hub: Hub, cache: Path, teams) -> None:
-    hub.faults = [Fault(COMMITS, lose_answer=True, times=1), Fault("POST .*/tag/", lose_answer=True, times=1)]
+    hub.faults = [
+        Fault(COMMITS, lose_answer=True, times=1),
+        Fault("POST .*/tag/", lose_answer=True, times=1),
+    ]
     assert put(teams()).tag == "v0"
-    assert len(hub.repositories["org/zoo"].commits) == 2 and len(hub.repositories["org/zoo"].tags) == 1
+    assert (
+        len(hub.repositories["org/zoo"].commits) == 2 and len(hub.repositories["org/zoo"].tags) == 1
+    )
 
 
-@pytest.mark.parametrize("route", ["POST .*/repos/create", COMMITS, "POST .*/preupload/", "POST .*/tag/", "PUT /lfs/"])
+@pytest.mark.parametrize(
+    "route", ["POST .*/repos/create", COMMITS, "POST .*/preupload/", "POST .*/tag/", "PUT /lfs/"]
+)
 def test_a_busy_hub_is_asked_again(route: str, hub: Hub, cache: Path, teams, monkeypatch) -> None:
     monkeypatch.setattr("huggingface_hub.utils._http.time.sleep", lambda seconds: None)
     hub.upload_mode = "lfs"
@@ -164,7 +183,9 @@ def test_a_hub_that_stays_busy_shows_nothing_new(hub: Hub, cache: Path, teams) -
     put(teams())
     before = files(hub)
     hub.faults = [Fault(COMMITS, status=503)]
-    with pytest.raises(PublishError, match="status 503, 3 times; nothing was published; next: publish again"):
+    with pytest.raises(
+        PublishError, match="status 503, 3 times; nothing was published; next: publish again"
+    ):
         put(teams(("mappo",)))
     assert files(hub) == before
 
@@ -201,7 +222,9 @@ def test_a_publication_that_is_killed(route: str, hub: Hub, cache: Path, teams) 
     assert put(teams(("mappo",))).tag == "v0.1" and fetched_and_verified() == 32
 
 
-def test_wrong_places_are_refused(hub: Hub, cache: Path, teams, tmp_path: Path, monkeypatch) -> None:
+def test_wrong_places_are_refused(
+    hub: Hub, cache: Path, teams, tmp_path: Path, monkeypatch
+) -> None:
     from huggingface_hub import constants
 
     hub.put("org/data", tmp_path, kind="dataset")

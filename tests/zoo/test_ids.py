@@ -38,7 +38,10 @@ def test_policy_ids_are_inverse_too(policy: PolicyId) -> None:
 
 @seed(2)
 @settings(deadline=None)
-@given(st.text(max_size=40) | st.from_regex(r"[a-z]+/[a-z]+-d[0-9]+-s[0-9]+-v[0-9]+(/[a-z]+)?", fullmatch=True))
+@given(
+    st.text(max_size=40)
+    | st.from_regex(r"[a-z]+/[a-z]+-d[0-9]+-s[0-9]+-v[0-9]+(/[a-z]+)?", fullmatch=True)
+)
 def test_any_text_is_an_id_that_formats_back_or_an_error(text: str) -> None:
     for parse in (parse_team, parse_policy):
         try:
@@ -76,10 +79,17 @@ def test_bad_team_ids_are_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "field", [{"task": "bed-bath"}, {"disability": "3"}, {"seed": -1}, {"seed": True}, {"release": "1"}]
+    "field",
+    [{"task": "bed-bath"}, {"disability": "3"}, {"seed": -1}, {"seed": True}, {"release": "1"}],
 )
 def test_a_team_id_that_would_not_parse_cannot_be_built(field: dict) -> None:
-    parts: dict[str, Any] = {"task": "scratch", "algorithm": "ippo", "disability": "d3", "seed": 5, "release": "v1"}
+    parts: dict[str, Any] = {
+        "task": "scratch",
+        "algorithm": "ippo",
+        "disability": "d3",
+        "seed": 5,
+        "release": "v1",
+    }
     with pytest.raises(IdError):
         TeamId(**{**parts, **field})
 
@@ -87,12 +97,23 @@ def test_a_team_id_that_would_not_parse_cannot_be_built(field: dict) -> None:
 def test_order_counts_numbers() -> None:
     ids = [f"scratch/ippo-d{d}-s{s}-v1" for d in (10, 2) for s in (10, 9)]
     ordered = sorted(map(parse_team, ids), key=lambda team: team.order)
-    assert [(team.disability, team.seed) for team in ordered] == [("d2", 9), ("d2", 10), ("d10", 9), ("d10", 10)]
+    assert [(team.disability, team.seed) for team in ordered] == [
+        ("d2", 9),
+        ("d2", 10),
+        ("d10", 9),
+        ("d10", 10),
+    ]
 
 
 def test_globs_see_whole_ids() -> None:
     human = "scratch/ippo-d3-s5-v1/human"
-    for pattern in ("scratch/ippo-*/human", "scratch/*", "*/human", "scratch/ippo-d[1-3]-s?-v1/*", human):
+    for pattern in (
+        "scratch/ippo-*/human",
+        "scratch/*",
+        "*/human",
+        "scratch/ippo-d[1-3]-s?-v1/*",
+        human,
+    ):
         assert compile_pattern(pattern).match(human)
     for pattern in ("ippo-*", "scratch/ippo-d3-s5-v1", "scratch/IPPO-*", "*/robot"):
         assert not compile_pattern(pattern).match(human)

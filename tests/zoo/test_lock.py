@@ -36,7 +36,9 @@ def test_a_lock_pins_bytes_and_split(registry: Registry, lock: Lock) -> None:
     assert lock.splits["scratch"].sha256 == registry.split("scratch").sha256
     narrowed = apply_lock(registry, lock, task="scratch")
     assert narrowed.lock == lock.sha256
-    assert narrowed.policies == registry.policies and narrowed.split("scratch") == registry.split("scratch")
+    assert narrowed.policies == registry.policies and narrowed.split("scratch") == registry.split(
+        "scratch"
+    )
     assert [group.ids for group in load_group(narrowed, narrowed.policies)]
 
 
@@ -53,7 +55,9 @@ def test_a_registry_that_grew_is_as_good(registry: Registry, lock: Lock, teams, 
         narrowed.select("scratch/mappo-*")
 
 
-def test_the_same_lock_loads_the_same_bytes_elsewhere(registry: Registry, lock: Lock, cache: Path) -> None:
+def test_the_same_lock_loads_the_same_bytes_elsewhere(
+    registry: Registry, lock: Lock, cache: Path
+) -> None:
     remote = remote_registry(open_remote(registry.path.parent))
     assert locked_entries(remote, lock) == locked_entries(registry, lock)
 
@@ -73,7 +77,9 @@ def test_anything_else_is_refused(registry: Registry, lock: Lock) -> None:
         apply_lock(registry, lock, task="scratch").split("scratch", other.id)
 
 
-def test_a_registry_that_differs_is_refused(registry: Registry, lock: Lock, teams, publish_to, tmp_path) -> None:
+def test_a_registry_that_differs_is_refused(
+    registry: Registry, lock: Lock, teams, publish_to, tmp_path
+) -> None:
     team = next(iter(registry.data.teams))
     original = registry.path.read_text()
 
@@ -96,7 +102,9 @@ def test_a_registry_that_differs_is_refused(registry: Registry, lock: Lock, team
         ("releases", other_version, "environment version of scratch 1"),
     ):
         registry.path.write_text(original)
-        with pytest.raises(LockError, match=f"expected {told}.*as locked, found .*; nothing was done; next: fetch"):
+        with pytest.raises(
+            LockError, match=f"expected {told}.*as locked, found .*; nothing was done; next: fetch"
+        ):
             apply_lock(changed(registry, table, edit), lock, task="scratch")
     smaller = publish_to(teams(seeds=range(2)), tmp_path / "smaller" / "registry.json")
     with pytest.raises(LockError, match="as locked"):
@@ -153,10 +161,16 @@ def test_commands(registry: Registry, cache: Path, tmp_path: Path, capsys, monke
     assert run(["evaluate", *words, "--split", "scratch/small-5"]) == 1
     assert "expected the locked one" in capsys.readouterr().err
     data = registry.data.model_copy(
-        update={"splits": (), "releases": {"v0": registry.data.releases["v0"].model_copy(update={"splits": {}})}}
+        update={
+            "splits": (),
+            "releases": {"v0": registry.data.releases["v0"].model_copy(update={"splits": {}})},
+        }
     )
     save_registry(data, registry.path)
     assert run(["evaluate", *words]) == 1
     assert "as locked, found none" in capsys.readouterr().err
-    assert run(["crossplay", "--task", "scratch", "--out", str(tmp_path / "xp"), "--lock", str(out)]) == 1
+    assert (
+        run(["crossplay", "--task", "scratch", "--out", str(tmp_path / "xp"), "--lock", str(out)])
+        == 1
+    )
     assert "as locked" in capsys.readouterr().err

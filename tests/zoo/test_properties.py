@@ -29,7 +29,10 @@ TEAMS = st.builds(
 )
 POPULATIONS = st.lists(TEAMS, min_size=1, max_size=30, unique=True)
 GLOBS = st.lists(
-    st.sampled_from(["*", "?", "scratch/", "ippo-", "d[19]", "-s1", "-v0", "/human", "/robot", "x"]), max_size=5
+    st.sampled_from(
+        ["*", "?", "scratch/", "ippo-", "d[19]", "-s1", "-v0", "/human", "/robot", "x"]
+    ),
+    max_size=5,
 )
 VALUES = st.sampled_from(["d1", "ippo", "v0", "scratch", "human"])
 FILTERS = st.dictionaries(st.sampled_from(FIELDS), VALUES, max_size=2)
@@ -53,8 +56,13 @@ def registry_of(teams: list[TeamId]) -> Registry:
     data = {
         "schema_version": SCHEMA_VERSION,
         "release": max(released),
-        "releases": {name: {"date": "2027-01-31", "environments": {"scratch": 1, "bed_bath": 1}} for name in released},
-        "disability_settings": {d: {"strength": 1.0, "elbow_range": 1.0, "tremor": 0.0} for d in ("d1", "d2", "d9")},
+        "releases": {
+            name: {"date": "2027-01-31", "environments": {"scratch": 1, "bed_bath": 1}}
+            for name in released
+        },
+        "disability_settings": {
+            d: {"strength": 1.0, "elbow_range": 1.0, "tremor": 0.0} for d in ("d1", "d2", "d9")
+        },
         "runs": {"r": {"steps": 1, "env_version": 1, "backend": "native"}},
         "shards": shards,
         "teams": entries,
@@ -65,7 +73,9 @@ def registry_of(teams: list[TeamId]) -> Registry:
 @SETTINGS
 @seed(1)
 @given(POPULATIONS, GLOBS.map("".join), FILTERS)
-def test_selection_is_the_plain_filter(teams: list[TeamId], pattern: str, fields: dict[str, str]) -> None:
+def test_selection_is_the_plain_filter(
+    teams: list[TeamId], pattern: str, fields: dict[str, str]
+) -> None:
     entries = registry_of(teams).policies
     expected = [
         entry
@@ -90,13 +100,17 @@ def test_several_patterns_are_their_union(teams: list[TeamId], patterns: list[st
         found = select(entries, patterns)
     except UnknownIdError:
         return
-    assert {entry.id for entry in found} == {entry.id for one in patterns for entry in select(entries, one)}
+    assert {entry.id for entry in found} == {
+        entry.id for one in patterns for entry in select(entries, one)
+    }
 
 
 @SETTINGS
 @seed(3)
 @given(POPULATIONS, st.randoms(use_true_random=False))
-def test_registries_round_trip_whatever_their_order(teams: list[TeamId], rng: random.Random) -> None:
+def test_registries_round_trip_whatever_their_order(
+    teams: list[TeamId], rng: random.Random
+) -> None:
     registry = registry_of(teams)
     text = dump_registry(registry.data)
     again = parse_registry(text, "test")
@@ -119,17 +133,30 @@ def test_registries_round_trip_whatever_their_order(teams: list[TeamId], rng: ra
     st.integers(0, 5),
     st.randoms(use_true_random=False),
 )
-def test_every_rule_covers_ignores_order_and_other_releases(teams, rule: str, number: int, rng: random.Random) -> None:
+def test_every_rule_covers_ignores_order_and_other_releases(
+    teams, rule: str, number: int, rng: random.Random
+) -> None:
     held_out = {"leave-one-algorithm-out": "ippo", "leave-one-disability-out": "d9"}.get(rule)
     ids = [str(team) for team in teams]
-    arguments = {"task": "scratch", "release": "v0", "rule": rule, "seed": number, "held_out": held_out, "n": 1}
+    arguments = {
+        "task": "scratch",
+        "release": "v0",
+        "rule": rule,
+        "seed": number,
+        "held_out": held_out,
+        "n": 1,
+    }
     try:
         split = make_split(ids, **arguments)
     except ZooError as error:
         assert str(error).isprintable()
         return
     check_split(split)
-    own = {text for text in ids if parse_team(text).task == "scratch" and parse_team(text).release == "v0"}
+    own = {
+        text
+        for text in ids
+        if parse_team(text).task == "scratch" and parse_team(text).release == "v0"
+    }
     assert not set(split.train) & set(split.test) and {*split.train, *split.test} <= own
     assert rule == "small-train" or {*split.train, *split.test} == own
     shuffled = [text for text in ids if text in own]
@@ -138,7 +165,9 @@ def test_every_rule_covers_ignores_order_and_other_releases(teams, rule: str, nu
 
 
 NAMES = st.from_regex(r"[0-9A-Za-z][0-9A-Za-z_-]{0,20}", fullmatch=True)
-NUMBERS = st.none() | st.floats(allow_nan=False, allow_infinity=False) | st.integers(-5, 5).map(float)
+NUMBERS = (
+    st.none() | st.floats(allow_nan=False, allow_infinity=False) | st.integers(-5, 5).map(float)
+)
 FOREIGN = st.tuples(NAMES, NUMBERS, st.lists(st.integers(0, 40), max_size=3), st.text(max_size=8))
 
 

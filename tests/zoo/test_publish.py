@@ -25,13 +25,19 @@ SELF_PLAY = {"mean": 950.5, "iqm": 952.25, "ci": [940.0, 960.0], "n": 16, "succe
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
 
 
 def with_log_std(team: TrainedTeam, value: float, roles=("robot",)) -> dict[str, Any]:
     """Return the team's parameters, those of the roles changed."""
     return {
-        role: {**params, "log_std": np.full_like(params["log_std"], value)} if role in roles else params
+        role: {**params, "log_std": np.full_like(params["log_std"], value)}
+        if role in roles
+        else params
         for role, params in team.params.items()
     }
 
@@ -42,14 +48,22 @@ def test_publication_is_complete_and_verified(registry: Registry) -> None:
     assert (report.shards, report.policies, report.splits) == (2, 16, 1)
     assert set(contents(registry.path.parent)) == {"registry.json", *registry.data.shards}
     shard = registry.policies[0].shard
-    assert shard == f"zoo/shards/v0/scratch-ippo-robot-{registry.policies[0].spec.digest}.safetensors"
+    assert (
+        shard == f"zoo/shards/v0/scratch-ippo-robot-{registry.policies[0].spec.digest}.safetensors"
+    )
     assert [entry.row for entry in registry.select(role="robot")] == list(range(8))
 
 
-def test_bytes_do_not_depend_on_the_order_of_the_teams(registry: Registry, teams, publish_to, tmp_path: Path) -> None:
+def test_bytes_do_not_depend_on_the_order_of_the_teams(
+    registry: Registry, teams, publish_to, tmp_path: Path
+) -> None:
     publish_to(list(reversed(teams())), tmp_path / "other" / "registry.json")
     other = contents(tmp_path / "other")
-    assert all(other[name] == data for name, data in contents(tmp_path).items() if not name.startswith("other"))
+    assert all(
+        other[name] == data
+        for name, data in contents(tmp_path).items()
+        if not name.startswith("other")
+    )
 
 
 def test_publishing_again_changes_nothing(registry: Registry, teams, publish_to) -> None:
@@ -58,7 +72,9 @@ def test_publishing_again_changes_nothing(registry: Registry, teams, publish_to)
     assert again == registry and contents(registry.path.parent) == before
 
 
-def test_a_growing_release_leaves_what_is_published(registry: Registry, teams, team, publish_to) -> None:
+def test_a_growing_release_leaves_what_is_published(
+    registry: Registry, teams, team, publish_to
+) -> None:
     before = contents(registry.path.parent)
     split = registry.split("scratch")
     grown = publish_to(teams(("ippo", "mappo"), ("d1", "d9"), range(6)), registry.path)
@@ -74,11 +90,20 @@ def test_a_growing_release_leaves_what_is_published(registry: Registry, teams, t
     assert np.array_equal(load_group(grown, [entry])[0].params["log_std"][0], expected)
 
 
-def test_a_release_in_the_making_is_not_the_default(registry: Registry, teams, team, publish_to) -> None:
-    nine = [team(seed=seed, params=with_log_std(team(), 0.25 + seed, ("robot", "human"))) for seed in range(2)]
+def test_a_release_in_the_making_is_not_the_default(
+    registry: Registry, teams, team, publish_to
+) -> None:
+    nine = [
+        team(seed=seed, params=with_log_std(team(), 0.25 + seed, ("robot", "human")))
+        for seed in range(2)
+    ]
     for part in nine:
         opened = publish_to([part], registry.path, "v1", complete=False)
-    assert opened.release == "v0" and opened.splits == registry.splits and not opened.data.releases["v1"].splits
+    assert (
+        opened.release == "v0"
+        and opened.splits == registry.splits
+        and not opened.data.releases["v1"].splits
+    )
     assert len(opened.select(release="v1", role="human")) == 2 and verify(opened).ok
     whole = complete_release(registry.path, "v1")
     assert whole.release == "v1" and len(whole.split("scratch").train) == 1
@@ -89,7 +114,10 @@ def test_a_release_in_the_making_is_not_the_default(registry: Registry, teams, t
 
 
 def test_another_release_stands_beside_the_first(registry: Registry, team, publish_to) -> None:
-    nine = team(params=with_log_std(team(), 0.25, ("robot", "human")), training={**team().training, "steps": 7})
+    nine = team(
+        params=with_log_std(team(), 0.25, ("robot", "human")),
+        training={**team().training, "steps": 7},
+    )
     two = publish_to([nine], registry.path, "v1", date="2028-02-29", description="longer")
     assert two.release == "v1" and two.data.releases["v1"].date == "2028-02-29"
     assert two.split("scratch", release="v0") == registry.split("scratch")
@@ -101,13 +129,20 @@ def test_another_release_stands_beside_the_first(registry: Registry, team, publi
 def test_changed_bytes_are_refused(registry: Registry, team, publish_to) -> None:
     before = contents(registry.path.parent)
     changed = team(params=with_log_std(team(), 0.5))
-    with pytest.raises(ImmutableError, match=r"ippo-d1-s0-v0: expected the published sha256 .* --release v1"):
+    with pytest.raises(
+        ImmutableError, match=r"ippo-d1-s0-v0: expected the published sha256 .* --release v1"
+    ):
         publish_to([changed], registry.path)
     with pytest.raises(ImmutableError, match="self-play"):
-        publish_to([team(self_play={"mean": 1.0, "iqm": 1.0, "ci": [0.0, 2.0], "n": 8})], registry.path)
+        publish_to(
+            [team(self_play={"mean": 1.0, "iqm": 1.0, "ci": [0.0, 2.0], "n": 8})], registry.path
+        )
     with pytest.raises(ImmutableError, match="version 1 of scratch"):
         publish_to([team(seed=9)], registry.path, environments={"scratch": 2})
-    only_robot = {"specs": {"robot": team().specs["robot"]}, "params": {"robot": team().params["robot"]}}
+    only_robot = {
+        "specs": {"robot": team().specs["robot"]},
+        "params": {"robot": team().params["robot"]},
+    }
     with pytest.raises(ImmutableError):
         publish_to([team(**only_robot)], registry.path)
     assert contents(registry.path.parent) == before
@@ -141,7 +176,9 @@ def test_what_cannot_be_published_is_refused(registry: Registry, team, publish_t
 def test_parameters_of_another_network_are_refused(tmp_path: Path, team) -> None:
     lacking = {name: value for name, value in team().params["robot"].items() if name != "log_std"}
     with pytest.raises(FormatError, match="log_std"):
-        publish([team(params={**team().params, "robot": lacking})], tmp_path / "registry.json", "v0")
+        publish(
+            [team(params={**team().params, "robot": lacking})], tmp_path / "registry.json", "v0"
+        )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -153,7 +190,12 @@ def test_a_team_needs_specs_and_params_of_the_same_roles(team) -> None:
 
 
 def test_unknown_provenance_is_kept_as_notes(tmp_path: Path, team, publish_to) -> None:
-    training = {**team().training, "seed": 0, "final": {"return": 950.0, "widths": [128, 128]}, "seconds": 60.0}
+    training = {
+        **team().training,
+        "seed": 0,
+        "final": {"return": 950.0, "widths": [128, 128]},
+        "seconds": 60.0,
+    }
     entry = publish_to([team(training=training)], tmp_path / "registry.json").policies[0]
     assert entry.training.notes == {"final.return": 950.0, "final.widths": "128,128"}
     assert entry.training.seconds == 60.0 and entry.run == "scratch-ippo"
@@ -176,7 +218,9 @@ def test_a_failure_between_shards_and_registry_leaves_the_old_registry(
     assert contents(registry.path.parent) == before
 
 
-def test_a_kill_between_shards_and_registry_leaves_the_old_registry(registry: Registry, team, publish_to) -> None:
+def test_a_kill_between_shards_and_registry_leaves_the_old_registry(
+    registry: Registry, team, publish_to
+) -> None:
     text = registry.path.read_bytes()
     code = """
 import os, runpy, sys
@@ -198,7 +242,9 @@ sample["put"]([sample["trained_team"]("mappo")], Path(sys.argv[3]))
     stray = sorted(registry.path.parent.rglob("scratch-mappo-*.safetensors"))
     report = verify(load_registry(registry.path))
     assert len(stray) == 2 and report.ok and "interrupted publication" in report.notes[0]
-    assert verify(publish_to([team("mappo")], registry.path)).ok  # the next publication takes their place
+    assert verify(
+        publish_to([team("mappo")], registry.path)
+    ).ok  # the next publication takes their place
     assert sorted(registry.path.parent.rglob("scratch-mappo-*.safetensors")) == stray
 
 
@@ -212,7 +258,12 @@ def test_two_publications_at_once_both_arrive(registry: Registry, team, publish_
     for thread in threads:
         thread.join()
     after = load_registry(registry.path)
-    assert {entry.algorithm for entry in after.policies} == {"ippo", "mappo", "isac", "masac"} and verify(after).ok
+    assert {entry.algorithm for entry in after.policies} == {
+        "ippo",
+        "mappo",
+        "isac",
+        "masac",
+    } and verify(after).ok
 
 
 def test_a_broken_registry_is_not_overwritten(tmp_path: Path, team, publish_to) -> None:
@@ -233,9 +284,15 @@ def write_run(folder: Path, teams: list[TrainedTeam], change=lambda items: None)
         (folder / f"{role}.safetensors").write_bytes(encode(stacked, metadata))
     items = [
         {
-            "team": {name: getattr(team, name) for name in ("task", "algorithm", "disability", "seed")},
+            "team": {
+                name: getattr(team, name) for name in ("task", "algorithm", "disability", "seed")
+            },
             "roles": {
-                role: {"spec": team.specs[role].to_json(), "file": f"{role}.safetensors", "row": row}
+                role: {
+                    "spec": team.specs[role].to_json(),
+                    "file": f"{role}.safetensors",
+                    "row": row,
+                }
                 for role in ("robot", "human")
             },
             "training": {name: value for name, value in team.training.items() if name != "run"},
@@ -254,16 +311,27 @@ def test_a_run_folder_is_read_as_it_was_written(tmp_path: Path, teams, publish_t
         write_run(tmp_path / place, teams())
         direct = publish_to(teams(), run / "direct" / "registry.json")
         through = publish_to(read_run(run), run / "through" / "registry.json")
-        assert [entry.sha256 for entry in direct.policies] == [entry.sha256 for entry in through.policies]
+        assert [entry.sha256 for entry in direct.policies] == [
+            entry.sha256 for entry in through.policies
+        ]
         assert through.policies[0].run == run.name
 
 
 def test_what_the_trainer_writes_can_be_published(tmp_path: Path, specs, params) -> None:
     members = make_members((0, 1), ("d1", "d9"))
     config = TrainConfig("scratch", "ippo", members, steps=100, trainer=PPOConfig(hidden=(4,)))
-    rows = {role: [params(spec, 10 * n + len(role)) for n in range(4)] for role, spec in specs.items()}
-    stacked = {role: jax.tree.map(lambda *leaves: np.stack(leaves), *trees) for role, trees in rows.items()}
-    training = {"steps": 100, "env_version": 1, "backend": "native", "hyperparameters": config.to_json()["trainer"]}
+    rows = {
+        role: [params(spec, 10 * n + len(role)) for n in range(4)] for role, spec in specs.items()
+    }
+    stacked = {
+        role: jax.tree.map(lambda *leaves: np.stack(leaves), *trees) for role, trees in rows.items()
+    }
+    training = {
+        "steps": 100,
+        "env_version": 1,
+        "backend": "native",
+        "hyperparameters": config.to_json()["trainer"],
+    }
     run = RunFolder(tmp_path / "run")
     run.open(config, {"env_version": 1}, resume=False)
     run.write_teams(config, specs, stacked, training, [SELF_PLAY, SELF_PLAY, SELF_PLAY, None])
@@ -283,8 +351,14 @@ def test_what_the_trainer_writes_can_be_published(tmp_path: Path, specs, params)
         (lambda items: items[0].update(roles=3), "AttributeError"),
         (lambda items: items[0]["roles"]["robot"].update(row=8), "a row from 0 to 7"),
         (lambda items: items[0]["roles"]["robot"].update(row=-1), "a row from 0 to 7"),
-        (lambda items: items[0]["roles"]["robot"].update(file="../robot.safetensors"), "without a folder"),
-        (lambda items: items[0]["roles"]["robot"].update(file="absent.safetensors"), "no such file"),
+        (
+            lambda items: items[0]["roles"]["robot"].update(file="../robot.safetensors"),
+            "without a folder",
+        ),
+        (
+            lambda items: items[0]["roles"]["robot"].update(file="absent.safetensors"),
+            "no such file",
+        ),
         (lambda items: items[0]["roles"]["robot"].update(file="human.safetensors"), "spec"),
         (lambda items: items[0]["roles"]["robot"]["spec"].update(torso="cnn"), "torso"),
     ],

@@ -43,7 +43,10 @@ def test_entries_carry_what_the_evaluator_reads(registry: Registry, specs) -> No
     assert entry.spec == specs["human"] and entry.training.steps == 10_000_000
     assert entry.training.hyperparameters == {"anneal_lr": False, "learning_rate": 1e-3}
     assert entry.self_play is not None and entry.self_play.ci == (940.0, 960.0)
-    assert [e.id for e in registry.policies[:2]] == ["scratch/ippo-d1-s0-v0/robot", "scratch/ippo-d1-s0-v0/human"]
+    assert [e.id for e in registry.policies[:2]] == [
+        "scratch/ippo-d1-s0-v0/robot",
+        "scratch/ippo-d1-s0-v0/human",
+    ]
     assert len(registry.data.runs) == 1  # provenance is stored once
 
 
@@ -54,7 +57,9 @@ def test_selection_by_glob_and_field(registry: Registry) -> None:
     assert [e.role for e in registry.select("scratch/ippo-d1-s0-v0")] == ["robot", "human"]
     both = registry.select(["*-d9-s1-*/robot", "scratch/ippo-d1-s3-v0/robot"])
     assert [e.id for e in both] == ["scratch/ippo-d1-s3-v0/robot", "scratch/ippo-d9-s1-v0/robot"]
-    assert len(registry.select(disability="d9", release="v0", task="scratch", algorithm="ippo")) == 8
+    assert (
+        len(registry.select(disability="d9", release="v0", task="scratch", algorithm="ippo")) == 8
+    )
 
 
 @pytest.mark.parametrize(
@@ -70,7 +75,9 @@ def test_selection_by_glob_and_field(registry: Registry) -> None:
         ({"role": "nurse"}, "human, robot"),
     ],
 )
-def test_what_matches_nothing_names_the_nearest(registry: Registry, arguments: dict, hint: str) -> None:
+def test_what_matches_nothing_names_the_nearest(
+    registry: Registry, arguments: dict, hint: str
+) -> None:
     with pytest.raises(UnknownIdError, match=hint):
         registry.select(**arguments)
 
@@ -87,17 +94,47 @@ def test_unknown_ids_name_the_nearest(registry: Registry) -> None:
     [
         (lambda d: d.update(colour="red"), "unknown field at colour"),
         (lambda d: d["shards"].popitem(), "shard .* is not among"),
-        (lambda d: d["teams"]["scratch/ippo-d1-s0-v0"].update(mood=1), "unknown field at teams.*mood"),
-        (lambda d: d["teams"].update({"scratch/ippo-d1-s0": d["teams"]["scratch/ippo-d1-s0-v0"]}), "team id"),
-        (lambda d: d["teams"].update({"scratch/ippo-d1-s9-v7": d["teams"]["scratch/ippo-d1-s0-v0"]}), "release 'v7'"),
-        (lambda d: d["teams"].update({"scratch/isac-d1-s0-v0": d["teams"]["scratch/ippo-d1-s0-v0"]}), "points to a"),
-        (lambda d: d["teams"]["scratch/ippo-d1-s0-v0"]["policies"]["robot"].update(row=99), "row 99"),
-        (lambda d: d["teams"]["scratch/ippo-d1-s0-v0"]["policies"]["robot"].update(row="0"), "valid integer"),
+        (
+            lambda d: d["teams"]["scratch/ippo-d1-s0-v0"].update(mood=1),
+            "unknown field at teams.*mood",
+        ),
+        (
+            lambda d: d["teams"].update(
+                {"scratch/ippo-d1-s0": d["teams"]["scratch/ippo-d1-s0-v0"]}
+            ),
+            "team id",
+        ),
+        (
+            lambda d: d["teams"].update(
+                {"scratch/ippo-d1-s9-v7": d["teams"]["scratch/ippo-d1-s0-v0"]}
+            ),
+            "release 'v7'",
+        ),
+        (
+            lambda d: d["teams"].update(
+                {"scratch/isac-d1-s0-v0": d["teams"]["scratch/ippo-d1-s0-v0"]}
+            ),
+            "points to a",
+        ),
+        (
+            lambda d: d["teams"]["scratch/ippo-d1-s0-v0"]["policies"]["robot"].update(row=99),
+            "row 99",
+        ),
+        (
+            lambda d: d["teams"]["scratch/ippo-d1-s0-v0"]["policies"]["robot"].update(row="0"),
+            "valid integer",
+        ),
         (lambda d: d["teams"]["scratch/ippo-d1-s0-v0"].update(policies={}), "at least 1"),
         (lambda d: d["disability_settings"].pop("d9"), "'d9' is not among"),
-        (lambda d: d["releases"]["v0"]["splits"].update(scratch="scratch/half-s0-v0-00000000"), "is not among"),
+        (
+            lambda d: d["releases"]["v0"]["splits"].update(scratch="scratch/half-s0-v0-00000000"),
+            "is not among",
+        ),
         (lambda d: d["splits"].append(d["splits"][0]), "stands twice"),
-        (lambda d: d["releases"]["v0"].update(splits={"bed_bath": d["splits"][0]["id"]}), "a split of"),
+        (
+            lambda d: d["releases"]["v0"].update(splits={"bed_bath": d["splits"][0]["id"]}),
+            "a split of",
+        ),
         (lambda d: d.pop("teams"), "Field required at teams"),
         (lambda d: d.update(release="v9"), "release 'v9'"),
         (lambda d: d.update(schema_version=0), "schema_version is 0"),
@@ -110,7 +147,9 @@ def test_planted_defects_are_refused_in_one_line(registry: Registry, change, wor
     assert "\n" not in str(caught.value) and "restore" in str(caught.value)
 
 
-@pytest.mark.parametrize("path", ["../outside.safetensors", "/etc/shadow.safetensors", "a/../b.safetensors", "x.pkl"])
+@pytest.mark.parametrize(
+    "path", ["../outside.safetensors", "/etc/shadow.safetensors", "a/../b.safetensors", "x.pkl"]
+)
 def test_shard_paths_stay_below_the_registry(registry: Registry, path: str) -> None:
     shard = registry.policies[0].shard
 
@@ -130,7 +169,16 @@ def test_newer_schema_says_upgrade(registry: Registry) -> None:
 
 @pytest.mark.parametrize(
     "data",
-    [b"", b"[]", b"{", b"null", b"\xff\xfe", b"[" * 100_000, b'{"schema_version": 1, "schema_version": 1}', b"{}"],
+    [
+        b"",
+        b"[]",
+        b"{",
+        b"null",
+        b"\xff\xfe",
+        b"[" * 100_000,
+        b'{"schema_version": 1, "schema_version": 1}',
+        b"{}",
+    ],
 )
 def test_what_is_no_registry_is_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "registry.json"
@@ -140,7 +188,9 @@ def test_what_is_no_registry_is_refused(tmp_path: Path, data: bytes) -> None:
             load(path)
 
 
-def test_missing_registry_and_the_environment_variable(registry: Registry, tmp_path: Path, monkeypatch) -> None:
+def test_missing_registry_and_the_environment_variable(
+    registry: Registry, tmp_path: Path, monkeypatch
+) -> None:
     with pytest.raises(RegistryError, match="no such file"):
         load_registry(tmp_path / "absent.json")
     monkeypatch.setenv("ASSISTAX_ZOO_REGISTRY", str(registry.path))
@@ -164,7 +214,14 @@ def test_a_damaged_registry_loads_or_gives_one_line(data: st.DataObject) -> None
 def _sample_text() -> str:
     digest = "a" * 64
     spec = {"role": "human", "observation_size": 6, "action_size": 3}
-    shard = {"sha256": digest, "bytes": 9, "task": "scratch", "algorithm": "ippo", "role": "human", "release": "v0"}
+    shard = {
+        "sha256": digest,
+        "bytes": 9,
+        "task": "scratch",
+        "algorithm": "ippo",
+        "role": "human",
+        "release": "v0",
+    }
     row = {"shard": "a.safetensors", "row": 0, "sha256": digest}
     return json.dumps(
         {
@@ -241,7 +298,8 @@ def test_split_lookup(registry: Registry) -> None:
 def test_reading_the_registry_imports_nothing_heavy(registry: Registry) -> None:
     code = (
         "import sys, zoo; zoo.load_registry(sys.argv[1]).select('scratch/*')\n"
-        "print(sorted({'jax', 'mujoco', 'flax', 'matplotlib', 'polars', 'numpy'} & set(sys.modules)))"
+        "print(sorted({'jax', 'mujoco', 'flax', 'matplotlib', 'polars', 'numpy'} & "
+        "set(sys.modules)))"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, str(registry.path)], capture_output=True, text=True, check=True,

@@ -14,7 +14,9 @@ REGISTRY = load_registry(ROOT / "registry.json")
 
 @pytest.mark.parametrize("role", ["human", "robot"])
 def test_release_v1_is_table_6(role: str) -> None:
-    found = Counter((e.task, e.algorithm, e.disability) for e in REGISTRY.select(release="v1", role=role))
+    found = Counter(
+        (e.task, e.algorithm, e.disability) for e in REGISTRY.select(release="v1", role=role)
+    )
     wanted = {
         (task, algorithm, f"d{setting}"): told["seeds"]
         for task, algorithms in read_paper()["population"].items()
@@ -30,11 +32,21 @@ def test_every_task_has_its_default_and_leave_one_out_splits() -> None:
     splits = [split for split in REGISTRY.splits if split.release == "v1"]
     held_out = {(split.task, split.held_out) for split in splits if split.held_out}
     names = ["ippo", "mappo", "masac", *(f"d{setting}" for setting in range(1, 10))]
-    assert held_out == {(task, name) for task in ("scratch", "bed_bath", "arm_assist") for name in names}
+    assert held_out == {
+        (task, name) for task in ("scratch", "bed_bath", "arm_assist") for name in names
+    }
     for split in splits:
-        assert REGISTRY.split(split.task, split.id) == split  # intact, and no parameters on both sides
+        assert (
+            REGISTRY.split(split.task, split.id) == split
+        )  # intact, and no parameters on both sides
         if split.held_out:
-            assert all(f"-{split.held_out}-" in team or f"/{split.held_out}-" in team for team in split.test)
-            assert not any(f"-{split.held_out}-" in team or f"/{split.held_out}-" in team for team in split.train)
+            assert all(
+                f"-{split.held_out}-" in team or f"/{split.held_out}-" in team
+                for team in split.test
+            )
+            assert not any(
+                f"-{split.held_out}-" in team or f"/{split.held_out}-" in team
+                for team in split.train
+            )
     sizes = {task: len(REGISTRY.split(task).test) for task in ("scratch", "bed_bath", "arm_assist")}
     assert sizes == {"scratch": 99, "bed_bath": 59, "arm_assist": 59}

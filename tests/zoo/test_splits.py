@@ -12,8 +12,12 @@ from zoo.release import create_split
 from zoo.splits import RULES, check_split, half_side, make_split, shared_parameters
 
 
-def ids(algorithms=("ippo", "mappo"), disabilities=range(1, 10), seeds=range(8), release="v1") -> list[str]:
-    return [f"scratch/{a}-d{d}-s{s}-{release}" for a in algorithms for d in disabilities for s in seeds]
+def ids(
+    algorithms=("ippo", "mappo"), disabilities=range(1, 10), seeds=range(8), release="v1"
+) -> list[str]:
+    return [
+        f"scratch/{a}-d{d}-s{s}-{release}" for a in algorithms for d in disabilities for s in seeds
+    ]
 
 
 def make(teams, rule="half", **arguments):
@@ -31,7 +35,9 @@ def test_half_is_exact_in_every_stratum() -> None:
 
 @seed(4)
 @settings(deadline=None, max_examples=60)
-@given(st.integers(0, 99), st.integers(1, 12), st.lists(st.integers(0, 11), unique=True), st.randoms())
+@given(
+    st.integers(0, 99), st.integers(1, 12), st.lists(st.integers(0, 11), unique=True), st.randoms()
+)
 def test_half_ignores_order_and_is_stable_when_the_registry_grows(
     split_seed: int, seeds: int, later: list[int], shuffle: random.Random
 ) -> None:
@@ -62,15 +68,21 @@ def test_half_is_random_in_the_seed() -> None:
     sides = [make(ids(("ippo",), (1,)), seed=n).train for n in range(20)]
     assert len(set(sides)) > 5
     odd = [len(make(ids(("ippo",), range(1, 10), range(5)), seed=n).train) for n in range(40)]
-    assert 18 <= min(odd) < 22 and 23 < max(odd) <= 27  # the odd team of each stratum falls to either side
+    assert (
+        18 <= min(odd) < 22 and 23 < max(odd) <= 27
+    )  # the odd team of each stratum falls to either side
 
 
 def test_leave_one_out() -> None:
     split = make(ids(), "leave-one-algorithm-out", held_out="mappo")
     assert split.id.startswith("scratch/without-mappo-s0-v1-")
-    assert {parse_team(team).algorithm for team in split.test} == {"mappo"} and len(split.test) == 72
+    assert {parse_team(team).algorithm for team in split.test} == {"mappo"} and len(
+        split.test
+    ) == 72
     split = make(ids(), "leave-one-disability-out", held_out="d9")
-    assert {parse_team(team).disability for team in split.test} == {"d9"} and len(split.train) == 128
+    assert {parse_team(team).disability for team in split.test} == {"d9"} and len(
+        split.train
+    ) == 128
 
 
 def test_small_train_keeps_the_test_side_of_half() -> None:
@@ -130,7 +142,9 @@ def test_identical_parameters_on_both_sides_leak(registry: Registry) -> None:
     assert shared_parameters(split.train, split.test, registry.data.teams) == []
     data = json.loads(registry.path.read_text())
     train, test = split.train[0], split.test[0]
-    data["teams"][test]["policies"]["human"]["sha256"] = data["teams"][train]["policies"]["human"]["sha256"]
+    data["teams"][test]["policies"]["human"]["sha256"] = data["teams"][train]["policies"]["human"][
+        "sha256"
+    ]
     registry.path.write_text(json.dumps(data))
     with pytest.raises(LeakageError, match=f"{train} = {test}"):
         load_registry(registry.path).split("scratch")
@@ -138,19 +152,29 @@ def test_identical_parameters_on_both_sides_leak(registry: Registry) -> None:
         create_split(registry.path, task="scratch", rule="custom", train=[train], test=[test])
 
 
-def test_the_beginning_of_a_name_means_the_newest_release(registry: Registry, team, publish_to) -> None:
+def test_the_beginning_of_a_name_means_the_newest_release(
+    registry: Registry, team, publish_to
+) -> None:
     older = registry.split("scratch", "half")
     grown = publish_to([team("ippo", "d1", seed) for seed in range(2)], registry.path, release="v1")
-    assert grown.split("scratch", "half").release == "v1" and grown.split("scratch", "half-s0-v0") == older
+    assert (
+        grown.split("scratch", "half").release == "v1"
+        and grown.split("scratch", "half-s0-v0") == older
+    )
     with pytest.raises(SplitError, match="found 3 that begin so"):
         create_split(registry.path, task="scratch", rule="half", seed=1, release="v1")
         load_registry(registry.path).split("scratch", "half")
 
 
 def test_create_writes_once(registry: Registry) -> None:
-    split = create_split(registry.path, task="scratch", rule="leave-one-disability-out", held_out="d9")
+    split = create_split(
+        registry.path, task="scratch", rule="leave-one-disability-out", held_out="d9"
+    )
     text = registry.path.read_text()
-    assert create_split(registry.path, task="scratch", rule="leave-one-disability-out", held_out="d9") == split
+    assert (
+        create_split(registry.path, task="scratch", rule="leave-one-disability-out", held_out="d9")
+        == split
+    )
     assert registry.path.read_text() == text
     loaded = load_registry(registry.path)
     assert loaded.split("scratch", "without-d9") == split and loaded.split("scratch").rule == "half"

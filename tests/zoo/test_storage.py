@@ -25,7 +25,9 @@ from zoo.tensors import MAX_HEADER_BYTES, decode, encode, flatten, row_sha256, u
 
 def leaves_equal(one, other) -> bool:
     one, other = flatten(one), flatten(other)
-    return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
+    return one.keys() == other.keys() and all(
+        np.array_equal(one[name], other[name]) for name in one
+    )
 
 
 def header(content: object, body: bytes = b"") -> bytes:
@@ -33,8 +35,14 @@ def header(content: object, body: bytes = b"") -> bytes:
     return struct.pack("<Q", len(text)) + text + body
 
 
-def test_groups_hold_the_published_parameters_in_the_order_asked(registry: Registry, team, params) -> None:
-    names = ["scratch/ippo-d9-s3-v0/human", "scratch/ippo-d1-s2-v0/robot", "scratch/ippo-d1-s0-v0/human"]
+def test_groups_hold_the_published_parameters_in_the_order_asked(
+    registry: Registry, team, params
+) -> None:
+    names = [
+        "scratch/ippo-d9-s3-v0/human",
+        "scratch/ippo-d1-s2-v0/robot",
+        "scratch/ippo-d1-s0-v0/human",
+    ]
     human, robot = load_group(registry, [registry.policy(name) for name in names])
     assert human.ids == (names[0], names[2]) and robot.ids == (names[1],)
     assert human.spec.role == "human" and robot.spec.role == "robot"
@@ -43,12 +51,21 @@ def test_groups_hold_the_published_parameters_in_the_order_asked(registry: Regis
             entry = registry.policy(name)
             expected = team(entry.algorithm, entry.disability, entry.seed).params[entry.role]
             stacked = flatten(group.params)
-            assert all(value.dtype == np.float32 and value.flags.c_contiguous for value in stacked.values())
-            assert leaves_equal(unflatten({leaf: value[row] for leaf, value in stacked.items()}), expected)
+            assert all(
+                value.dtype == np.float32 and value.flags.c_contiguous for value in stacked.values()
+            )
+            assert leaves_equal(
+                unflatten({leaf: value[row] for leaf, value in stacked.items()}), expected
+            )
 
 
-def test_shards_of_one_spec_merge_and_specs_do_not(registry: Registry, team, params, publish_to) -> None:
-    wide = {"robot": PolicySpec("robot", 5, 2, hidden=(8,)), "human": PolicySpec("human", 6, 3, hidden=(4,))}
+def test_shards_of_one_spec_merge_and_specs_do_not(
+    registry: Registry, team, params, publish_to
+) -> None:
+    wide = {
+        "robot": PolicySpec("robot", 5, 2, hidden=(8,)),
+        "human": PolicySpec("human", 6, 3, hidden=(4,)),
+    }
     grown = publish_to([team("mappo", "d1", 0, specs=wide)], registry.path)
     groups = load_group(grown, grown.select("*-s0-*"))
     assert [(group.spec.role, group.spec.hidden, len(group.ids)) for group in groups] == [
@@ -67,7 +84,9 @@ def test_half_precision_is_stored_as_it_is_and_returned_as_float32(
     assert "F16" in registry.shard_path(entry.shard).read_bytes()[:400].decode(errors="replace")
     group = load_group(registry, [entry])[0]
     kernel = group.params["Dense_0"]["kernel"]
-    assert kernel.dtype == np.float32 and np.array_equal(kernel[0], half["robot"]["Dense_0"]["kernel"])
+    assert kernel.dtype == np.float32 and np.array_equal(
+        kernel[0], half["robot"]["Dense_0"]["kernel"]
+    )
 
 
 def test_row_hash_is_over_names_dtypes_shapes_and_bytes(params, specs) -> None:
@@ -79,7 +98,10 @@ def test_row_hash_is_over_names_dtypes_shapes_and_bytes(params, specs) -> None:
         {**leaves, name: leaves[name].T},
         {**leaves, name: leaves[name].reshape(-1)},
         {**leaves, name: np.asfortranarray(leaves[name]) + np.float32(1e-6)},
-        {**{key: value for key, value in leaves.items() if key != name}, "Dense_0/kernels": leaves[name]},
+        {
+            **{key: value for key, value in leaves.items() if key != name},
+            "Dense_0/kernels": leaves[name],
+        },
         {key: value.astype(np.float16) for key, value in leaves.items()},
     ]
     assert len({digest, *map(row_sha256, changes)}) == 6
@@ -90,7 +112,10 @@ def test_bytes_are_stable(params, specs) -> None:
     policies = [(f"p{n}", flatten(params(specs["human"], n))) for n in range(3)]
     assert encode_shard(specs["human"], policies) == encode_shard(specs["human"], policies)
     stacked = parse_stacked(encode_shard(specs["human"], policies)[0], "test")
-    assert all(row_sha256(take_row(stacked, n)) == row_sha256(leaves) for n, (_, leaves) in enumerate(policies))
+    assert all(
+        row_sha256(take_row(stacked, n)) == row_sha256(leaves)
+        for n, (_, leaves) in enumerate(policies)
+    )
 
 
 def test_a_flipped_byte_is_refused_with_both_hashes(registry: Registry) -> None:
@@ -111,10 +136,14 @@ def test_a_row_that_is_not_the_registrys_is_refused(registry: Registry) -> None:
     entry, other = registry.policies[0], registry.policies[2]
     team = registry.data.teams[entry.team]
     swapped = team.policies["robot"].model_copy(update={"sha256": other.sha256})
-    teams = {**registry.data.teams, entry.team: team.model_copy(update={"policies": {"robot": swapped}})}
+    teams = {
+        **registry.data.teams,
+        entry.team: team.model_copy(update={"policies": {"robot": swapped}}),
+    }
     tampered = save_registry(registry.data.model_copy(update={"teams": teams}), registry.path)
     with pytest.raises(
-        IntegrityError, match=f"{entry.id}: expected sha256 {other.sha256}, found sha256 {entry.sha256}"
+        IntegrityError,
+        match=f"{entry.id}: expected sha256 {other.sha256}, found sha256 {entry.sha256}",
     ):
         load_group(tampered, [tampered.policy(entry.id)])
 
@@ -125,7 +154,9 @@ def test_truncated_missing_and_grown_shards_are_refused(registry: Registry) -> N
     whole = path.read_bytes()
     for data in (whole[:-1], whole[:7], b"", whole + b"\0"):
         path.write_bytes(data)
-        with pytest.raises(IntegrityError, match=f"expected {len(whole)} bytes, found {len(data)} bytes"):
+        with pytest.raises(
+            IntegrityError, match=f"expected {len(whole)} bytes, found {len(data)} bytes"
+        ):
             load_group(registry, [entry])
     path.unlink()
     with pytest.raises(IntegrityError, match="no file at"):
@@ -200,7 +231,9 @@ def test_stacked_metadata_must_say_what_the_rows_are(metadata: dict, words: str)
 @seed(5)
 @settings(deadline=None, max_examples=300)
 @given(st.integers(0, 10_000), st.binary(max_size=9), st.integers(0, 30))
-def test_a_damaged_policy_file_gives_one_line_or_the_same_parameters(position: int, patch: bytes, cut: int) -> None:
+def test_a_damaged_policy_file_gives_one_line_or_the_same_parameters(
+    position: int, patch: bytes, cut: int
+) -> None:
     leaves = {"a": np.arange(6, dtype=np.float32), "b/c": np.ones((2, 3), np.float32)}
     whole = encode(leaves, {"spec": SPEC, "sha256": row_sha256(leaves)})
     position %= len(whole)
@@ -212,14 +245,20 @@ def test_a_damaged_policy_file_gives_one_line_or_the_same_parameters(position: i
         return
     if metadata.get("sha256") == row_sha256(leaves) and set(found) == set(leaves):
         same = all(np.array_equal(found[name], leaves[name]) for name in leaves)
-        assert same == (row_sha256(found) == metadata["sha256"])  # only the hash tells a flipped byte
+        assert same == (
+            row_sha256(found) == metadata["sha256"]
+        )  # only the hash tells a flipped byte
 
 
 def test_policy_files_round_trip(tmp_path: Path, params, specs) -> None:
     path, tree = tmp_path / "mine.safetensors", params(specs["robot"], 1)
     write_policy_file(path, specs["robot"], tree, {"author": "me", "steps": 3})
     spec, found, metadata = read_policy_file(path)
-    assert spec == specs["robot"] and metadata == {"author": "me", "steps": 3} and leaves_equal(found, tree)
+    assert (
+        spec == specs["robot"]
+        and metadata == {"author": "me", "steps": 3}
+        and leaves_equal(found, tree)
+    )
     data = path.read_bytes()
     path.write_bytes(data.replace(b"tanh", b"relu"))
     with pytest.raises(IntegrityError):

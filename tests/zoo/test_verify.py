@@ -43,7 +43,10 @@ def test_rows_are_held_against_the_registry(registry: Registry) -> None:
         one["row"], two["row"] = two["row"], one["row"]
 
     problems = verify(replant(registry, swap)).problems
-    assert any(f"parameters of {entry.id}: expected sha256 {entry.sha256}" in problem for problem in problems)
+    assert any(
+        f"parameters of {entry.id}: expected sha256 {entry.sha256}" in problem
+        for problem in problems
+    )
     assert any("records" in problem for problem in problems)
 
 
@@ -55,7 +58,9 @@ def test_a_shard_rewritten_with_its_hash_is_caught_by_the_rows(registry: Registr
     rows[0][1]["log_std"] = rows[0][1]["log_std"] + 1
     data, _ = encode_shard(stacked.spec, rows)
     registry.shard_path(entry.shard).write_bytes(data)
-    forged = replant(registry, lambda d: d["shards"][entry.shard].update(sha256=sha256(data), bytes=len(data)))
+    forged = replant(
+        registry, lambda d: d["shards"][entry.shard].update(sha256=sha256(data), bytes=len(data))
+    )
     problems = verify(forged).problems
     assert len(problems) == 2 and entry.id in problems[0]
 
@@ -81,7 +86,9 @@ def test_changed_splits_and_settings_are_found(registry: Registry) -> None:
         assert words in problems
 
 
-def test_another_environment_version_is_a_note(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_environment_version_is_a_note(
+    registry: Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(VERSIONS, "scratch", 2)
     report = verify(registry)
     assert report.ok and "scratch version 1; installed is 2" in report.notes[0]
