@@ -1,0 +1,48 @@
+"""The fixed words of the service: states, reasons and scopes.
+
+Whatever a submitter reads about a submission is chosen from these tables. Free text could carry a
+value of a hidden partner; a word of a table cannot.
+"""
+
+from typing import Literal
+
+SubmissionState = Literal["queued", "running", "scored", "refused", "failed"]
+JobState = Literal["waiting", "leased", "done", "cancelled"]
+SeasonState = Literal["draft", "open", "closed"]
+PanelName = Literal["public", "A", "B"]
+Kind = Literal["file", "live"]
+AttemptState = Literal["free", "reserved", "spent", "refunded"]
+Scope = Literal["submit", "work", "organise"]
+
+FINAL_STATES: tuple[SubmissionState, ...] = ("scored", "refused", "failed")
+HIDDEN_PANELS: tuple[PanelName, ...] = ("A", "B")
+SCOPES: tuple[Scope, ...] = ("submit", "work", "organise")
+
+# Why a submission was refused: something about the file, which the submitter can mend.
+REFUSALS = {
+    "too_large": "the file is larger than 16 MiB",
+    "unknown_format": "the file is neither .safetensors of this project nor ONNX",
+    "malformed": "the file is damaged, or is not what its format says",
+    "wrong_role": "the policy is not one of a robot",
+    "wrong_sizes": "its observations or actions have another width than this task's",
+    "wrong_parameters": "its parameters are not those of its spec",
+    "not_finite": "it holds or returns numbers that are not finite",
+    "wrong_interface": "its inputs and outputs are not obs [N, O] (carry [N, H], first [N]) and "
+    "action [N, A] (next carry [N, H])",
+    "operator_not_allowed": "it uses an operator, or a form of one, that is not on the list",
+    "opset_not_allowed": "it uses operator sets other than the standard one, 13 to 22",
+    "external_data": "it keeps weights outside of the file",
+    "subgraph": "it has functions or subgraphs",
+    "graph_too_large": "it has too many nodes, or values that are too large",
+    "shape_unknown": "a shape depends on something other than the number of rows",
+}
+
+# Why a submission failed: none of these costs an attempt, but for the last.
+FAILURES = {
+    "worker_errors": "the workers failed several times; the organiser has been told",
+    "withdrawn": "its submitter took it back",
+    "client_gone": "the live robot did not come back within the time allowed",
+    "season_closed": "the season closed before it was played",
+    "time_bank": "the live robot used up its time for thinking after it had met hidden partners",
+}
+REASONS = {**REFUSALS, **FAILURES}
