@@ -4,12 +4,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo results test test-slow lint types install lock clean
+.PHONY: help demo results bench test test-slow lint types install lock clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo 'make demo       evaluate a robot on partners it never saw, and plot a cross-play matrix'
 	@echo 'make results    write docs/results.md and its figures from the tables in docs/data/v1'
+	@echo 'make bench      speed of environments, training, evaluator and registry on this machine'
 	@echo 'make test       lint, types, tests'
 	@echo 'make test-slow  the tests marked slow'
 	@echo 'make lint       ruff, rules and format'
@@ -28,6 +29,12 @@ demo: $(STAMP)
 
 results: $(STAMP)
 	$(BIN)/assistax-zoo results page --release v1 --data docs/data/v1 --out docs/results.md
+
+bench: $(STAMP)
+	$(BIN)/python -m benchmarks env
+	$(BIN)/python -m benchmarks evaluate
+	$(BIN)/python -m benchmarks train
+	$(BIN)/python -m benchmarks fetch
 
 test: lint types
 	$(BIN)/python -m pytest -n 2 -m "not slow"

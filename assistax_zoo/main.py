@@ -67,15 +67,6 @@ GROUPS = {
             "collect": "assistax_zoo.commands.results:collect",
         },
     ),
-    "bench": (
-        "Speed on this machine.",
-        {
-            "env": "assistax_zoo.commands.bench:env",
-            "crossplay": "assistax_zoo.commands.bench:crossplay",
-            "train": "assistax_zoo.commands.bench:train",
-            "zoo": "assistax_zoo.commands.bench:zoo",
-        },
-    ),
 }
 SUBCOMMANDS = {
     "train": {"population": "assistax_zoo.commands.population:population"}

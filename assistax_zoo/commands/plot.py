@@ -128,7 +128,7 @@ def speed(measured: tuple[Path, ...], /, *, out: Path) -> None:
     """Draw environment steps per second against the batch size.
 
     Args:
-        measured: Files with what `assistax-zoo bench env --json` printed.
+        measured: Files with what `python -m benchmarks env --json` printed.
         out: Figure to write, .png or .pdf.
 
     Example:
@@ -142,13 +142,13 @@ def speed(measured: tuple[Path, ...], /, *, out: Path) -> None:
     check_path(out)
     if not measured:
         raise ValueError(
-            "no file was given; give one or more that `assistax-zoo bench env --json` printed"
+            "no file was given; give one or more that `python -m benchmarks env --json` printed"
         )
     names = ("task", "backend", "device", "batch", "env_steps_per_second")
     rows = [row for path in measured for row in json.loads(path.read_text(encoding="utf-8"))]
     if bad := [row for row in rows if not isinstance(row, dict) or set(names) - set(row)]:
         raise ValueError(
-            f"{bad[0]!r} is not a row of `assistax-zoo bench env --json`; it needs "
+            f"{bad[0]!r} is not a row of `python -m benchmarks env --json`; it needs "
             f"{', '.join(names)}"
         )
     table = pl.DataFrame([{name: row[name] for name in names} for row in rows])

@@ -59,8 +59,8 @@ def speed(measured: pl.DataFrame, *, caption: str) -> Figure:
     """Draw environment steps per second against the batch size, both axes logarithmic.
 
     Args:
-        measured: columns task, backend, device, batch and env_steps_per_second, as `bench env
-            --json` prints them.
+        measured: columns task, backend, device, batch and env_steps_per_second, as
+            `python -m benchmarks env --json` prints them.
         caption: written below.
     """
     figure, axes = _canvas("Open loop: environment steps per second", caption)

@@ -1,4 +1,4 @@
-"""Measure speed: the raw environment open loop, and the evaluator beside it. Compilation is never counted."""
+"""Speed of simulation: the raw environment, and the evaluator. Compilation is never counted."""
 
 import dataclasses
 import functools
@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs import DISABILITY_SETTINGS, disability_params
+from benchmarks.timing import REPEATS, calls_within, timed
 from evaluation.jobs import Group, Job, Member, plan
 from evaluation.runner import Runner
 from population.policy import Policy
 from population.spec import PolicySpec
 
-REPEATS = 3  # of each measurement; the median is the figure
 CALL = 10  # steps in one program
 
 
@@ -52,13 +52,13 @@ class EvaluatorSpeed:
 
 
 def measure_env(env: Any, batch: int, seconds: float = 3.0) -> EnvSpeed:
-    """Measure env steps/s with uniform random actions, all disability settings mixed, from fresh episodes."""
+    """Measure env steps/s with uniform random actions, disability settings mixed."""
     began = time.perf_counter()
     run = _open_loop(env, batch)
     jax.block_until_ready(run(1))
     compile_seconds = time.perf_counter() - began
-    calls = _calls(run, seconds / REPEATS, env.episode_length // CALL)
-    speeds = [calls * CALL * batch / _timed(run, calls) for _ in range(REPEATS)]
+    calls = _calls(env, run, seconds)
+    speeds = [calls * CALL * batch / timed(run, calls) for _ in range(REPEATS)]
     return EnvSpeed(
         task=env.task,
         backend=env.backend,
@@ -74,7 +74,7 @@ def measure_env(env: Any, batch: int, seconds: float = 3.0) -> EnvSpeed:
 def measure_evaluator(
     env: Any, shape: tuple[int, int, int], seconds: float = 3.0
 ) -> EvaluatorSpeed:
-    """Measure the evaluator with untrained policies, E x P pairs and K episodes, against the raw environment.
+    """Measure the evaluator against the raw environment: untrained policies, E x P pairs, K episodes.
 
     The evaluator cuts the job as it would any other; the environment steps all simulations at once.
     """
@@ -82,7 +82,7 @@ def measure_evaluator(
     simulations = egos * partners * episodes
     run = _open_loop(env, simulations)
     jax.block_until_ready(run(1))
-    steps = _calls(run, seconds / REPEATS, env.episode_length // CALL) * CALL
+    steps = _calls(env, run, seconds) * CALL
     job = _untrained_job(env, shape)
     runner, chunks = Runner(env, job, jax.local_devices()[:1], length=steps), plan(job, simulations)
 
@@ -93,7 +93,7 @@ def measure_evaluator(
 
     evaluate()
     evaluated, raw = zip(
-        *((evaluate(), _timed(run, steps // CALL)) for _ in range(REPEATS)), strict=True
+        *((evaluate(), timed(run, steps // CALL)) for _ in range(REPEATS)), strict=True
     )
     speed = simulations * steps / statistics.median(evaluated)
     return EvaluatorSpeed(
@@ -118,7 +118,7 @@ def device_name(backend: str) -> str:
 
 
 def _open_loop(env: Any, batch: int) -> Any:
-    """Return a function that plays `calls` times `CALL` steps of random actions from a fresh reset."""
+    """Return a function that plays `calls` x `CALL` steps of random actions from a fresh reset."""
 
     @jax.jit
     def advance(state: Any, key: jax.Array) -> Any:
@@ -150,15 +150,9 @@ def _open_loop(env: Any, batch: int) -> Any:
     return run
 
 
-def _calls(run: Any, seconds: float, most: int) -> int:
-    """Return how many calls take about `seconds`."""
-    return int(np.clip(seconds / _timed(run, 1), 1, max(most, 1)))
-
-
-def _timed(run: Any, calls: int) -> float:
-    began = time.perf_counter()
-    jax.block_until_ready(run(calls))
-    return time.perf_counter() - began
+def _calls(env: Any, run: Any, seconds: float) -> int:
+    """Return how many calls of a repeat take its share of the time, within an episode."""
+    return min(calls_within(run, seconds / REPEATS), max(env.episode_length // CALL, 1))
 
 
 def _untrained_job(env: Any, shape: tuple[int, int, int]) -> Job:

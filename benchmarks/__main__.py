@@ -1,11 +1,29 @@
-"""Speed on this machine: the raw environment, the evaluator beside it, and the zoo's commands."""
+"""The command line of the benchmarks: parse, call one function, print."""
 
 import dataclasses
+import sys
+from collections.abc import Sequence
 from typing import Annotated
 
-from cyclopts import Parameter
+from cyclopts import App, CycloptsError, Parameter
 
 from assistax_zoo.console import print_json, stdout_is_data
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one benchmark and return its exit code: 0 done, 1 error, 2 wrong usage."""
+    app = App(name="python -m benchmarks", help="Speed on this machine.")
+    for command in (env, evaluate, train, fetch):
+        app.command(command)
+    try:
+        app(arguments, print_error=False, exit_on_error=False, result_action="return_value")
+    except CycloptsError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except (ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
 
 
 def env(
@@ -28,13 +46,13 @@ def env(
         json: Print JSON.
 
     Example:
-        assistax-zoo bench env --task scratch --backend native --batch 64,512,4096
+        python -m benchmarks env --task scratch --backend native --batch 64,512,4096
     """
     tasks, sizes = _tasks(task), _sizes(batch, "batch")
     _check_seconds(seconds)
     with stdout_is_data():
         from assistax_envs import make
-        from evaluation.benchmark import measure_env
+        from benchmarks.simulation import measure_env
 
         rows = []
         for name in tasks:
@@ -56,7 +74,7 @@ def env(
         )
 
 
-def crossplay(
+def evaluate(
     *,
     task: str = "all",
     backend: str = "auto",
@@ -74,7 +92,7 @@ def crossplay(
         json: Print JSON.
 
     Example:
-        assistax-zoo bench crossplay --backend native --shape 8,16,4
+        python -m benchmarks evaluate --backend native --shape 8,16,4
     """
     tasks, sizes = _tasks(task), _sizes(shape, "shape")
     if len(sizes) != 3:
@@ -83,7 +101,7 @@ def crossplay(
     block = sizes[0], sizes[1], sizes[2]
     with stdout_is_data():
         from assistax_envs import make
-        from evaluation.benchmark import measure_evaluator
+        from benchmarks.simulation import measure_evaluator
 
         rows = [
             dataclasses.asdict(measure_evaluator(make(name, backend=backend), block, seconds))
@@ -119,9 +137,9 @@ def train(
     seconds: float = 20.0,
     json: bool = False,
 ) -> None:
-    """Measure environment steps per second of training, and the shares of physics, networks and updates.
+    """Measure environment steps per second of training, and where its time goes.
 
-    Whole updates, rollouts alone and physics alone are timed in turns; medians of three,
+    The shares are of physics, networks and updates. Whole updates, rollouts alone and physics alone are timed in turns; medians of three,
     compilation not counted.
 
     Args:
@@ -135,7 +153,7 @@ def train(
         json: Print JSON.
 
     Example:
-        assistax-zoo bench train --task scratch --algorithm ippo --seeds 8
+        python -m benchmarks train --task scratch --algorithm ippo --seeds 8
     """
     from assistax_zoo.commands.train import check_names, parse_changes
 
@@ -146,7 +164,7 @@ def train(
     changes = parse_changes(set_) | ({} if num_envs is None else {"num_envs": num_envs})
     with stdout_is_data():
         from assistax_envs import make
-        from population.benchmark import measure_training
+        from benchmarks.training import measure_training
         from population.config import preset
 
         config = preset(algorithm, **changes)
@@ -166,8 +184,8 @@ def train(
         print(f"  {name:9} {row[f'{name}_share']:12.0%} of the time")
 
 
-def zoo(*, policies: int = 1000, json: bool = False) -> None:
-    """Measure list, verify and fetch on a synthetic registry, the latter from a web server on loopback.
+def fetch(*, policies: int = 1000, json: bool = False) -> None:
+    """Measure list, verify and fetch on a synthetic registry, served on loopback.
 
     Args:
         policies: Policies of the registry, which is made in a temporary folder: some 90 kB each,
@@ -175,16 +193,15 @@ def zoo(*, policies: int = 1000, json: bool = False) -> None:
         json: Print JSON.
 
     Example:
-        assistax-zoo bench zoo --policies 1000
+        python -m benchmarks fetch --policies 1000
     """
-    import sys
     import tempfile
     from pathlib import Path
 
     if not 2 <= policies <= 20_000:
         raise ValueError(f"policies is {policies}; allowed is 2 to 20000")
     with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as folder:
-        from zoo.benchmark import measure_zoo
+        from benchmarks.registry import measure_zoo
 
         row = dataclasses.asdict(
             measure_zoo(Path(folder), policies, [sys.executable, "-m", "assistax_zoo"])
@@ -235,3 +252,7 @@ def _sizes(text: str, name: str) -> list[int]:
 def _check_seconds(seconds: float) -> None:
     if not 0 < seconds < 3600:
         raise ValueError(f"seconds is {seconds}; allowed is more than 0 and less than 3600")
+
+
+if __name__ == "__main__":
+    sys.exit(run(sys.argv[1:]))

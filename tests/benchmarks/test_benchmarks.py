@@ -3,13 +3,13 @@ from typing import Any
 
 import pytest
 
-from assistax_zoo.commands import bench
-from assistax_zoo.main import run
+from benchmarks import __main__ as bench
+from benchmarks.__main__ import run
 
 
 def test_env_prints_steps_per_second_of_each_batch_size(capfd: pytest.CaptureFixture[str]):
     words = ["--task", "scratch", "--backend", "native", "--batch", "1,3", "--seconds", "0.03"]
-    assert run(["bench", "env", *words, "--json"]) == 0
+    assert run(["env", *words, "--json"]) == 0
     rows = json.loads(capfd.readouterr().out)
     assert [(row["task"], row["backend"], row["batch"]) for row in rows] == [
         ("scratch", "native", 1),
@@ -25,7 +25,6 @@ def test_env_prints_a_line_for_people(capfd: pytest.CaptureFixture[str]):
     assert (
         run(
             [
-                "bench",
                 "env",
                 "--task",
                 "scratch",
@@ -44,8 +43,8 @@ def test_env_prints_a_line_for_people(capfd: pytest.CaptureFixture[str]):
     assert "env steps/s" in told
 
 
-def test_crossplay_compares_the_evaluator_with_the_environment(capfd: pytest.CaptureFixture[str]):
-    bench.crossplay(task="scratch", backend="native", shape="1,2,2", seconds=0.03, json=True)
+def test_evaluate_compares_the_evaluator_with_the_environment(capfd: pytest.CaptureFixture[str]):
+    bench.evaluate(task="scratch", backend="native", shape="1,2,2", seconds=0.03, json=True)
     (row,) = json.loads(capfd.readouterr().out)
     assert row["ratio"] > 0
     assert (row["egos"], row["partners"], row["episodes"]) == (1, 2, 2)
@@ -66,7 +65,7 @@ def test_crossplay_compares_the_evaluator_with_the_environment(capfd: pytest.Cap
 def test_bad_input_gets_one_clear_line(
     words: list[str], told: str, capfd: pytest.CaptureFixture[str]
 ):
-    assert run(["bench", "env", *words]) == 1
+    assert run(["env", *words]) == 1
     lines = capfd.readouterr()
     assert told in lines.err
     assert lines.err.count("\n") == 1
@@ -75,7 +74,7 @@ def test_bad_input_gets_one_clear_line(
 
 def test_a_shape_needs_three_numbers(capfd: Any):
     with pytest.raises(ValueError, match="three numbers"):
-        bench.crossplay(shape="1,2")
+        bench.evaluate(shape="1,2")
 
 
 @pytest.mark.slow
@@ -92,17 +91,17 @@ def test_train_tells_where_the_time_goes(algorithm: str, capfd: pytest.CaptureFi
         "0.1",
     ]
     extra = ["--set", "replay_size=64"] if algorithm == "isac" else []
-    assert run(["bench", "train", "--algorithm", algorithm, *words, *extra, "--json"]) == 0
+    assert run(["train", "--algorithm", algorithm, *words, *extra, "--json"]) == 0
     row = json.loads(capfd.readouterr().out)
     assert row["env_steps_per_second"] > 0
     assert row["physics_share"] + row["networks_share"] + row["updates_share"] == pytest.approx(1.0)
 
 
-def test_zoo_measures_whole_commands(
+def test_fetch_measures_whole_commands(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("zoo.benchmark.REPEATS", 1)
-    assert run(["bench", "zoo", "--policies", "8", "--json"]) == 0
+    monkeypatch.setattr("benchmarks.registry.REPEATS", 1)
+    assert run(["fetch", "--policies", "8", "--json"]) == 0
     row = json.loads(capfd.readouterr().out)
     assert (row["policies"], row["shards"]) == (8, 8)
     assert (
@@ -110,5 +109,5 @@ def test_zoo_measures_whole_commands(
         and row["list_terminal_seconds"] > row["python_seconds"]
     )
     assert row["verify_seconds"] > 0 and row["fetch_mb_per_second"] > 0
-    assert run(["bench", "zoo", "--policies", "1"]) == 1
+    assert run(["fetch", "--policies", "1"]) == 1
     assert "policies is 1; allowed is 2 to 20000" in capfd.readouterr().err

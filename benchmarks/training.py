@@ -2,7 +2,6 @@
 
 import dataclasses
 import statistics
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -10,16 +9,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from benchmarks.timing import REPEATS, calls_within, timed
 from population.config import Member, SACConfig, TrainConfig, TrainerConfig
 from population.rollout import Environment
-from population.train import initial_state, make_trainer
-
-REPEATS = 3  # of each measurement; the median is the figure
+from population.train import Trainer, initial_state, make_trainer
 
 
 @dataclasses.dataclass(frozen=True)
 class TrainSpeed:
-    """Training of several members, and the same work taken apart: shares are of the whole update's time."""
+    """Training of several members; the shares are of a whole update's time."""
 
     task: str
     backend: str
@@ -49,33 +47,15 @@ def measure_training(
         state = dataclasses.replace(
             state, update=jnp.asarray(config.exploration_steps // steps + 1, jnp.int32)
         )
-    update = jax.jit(trainer.update, donate_argnums=0)
-    # What learning reads is returned, so that nothing of acting is optimised away.
-    collect = jax.jit(lambda state: _used(trainer.collect(state)))
-    physics = jax.jit(partial(_physics, env, config.rollout_steps))
-    times: dict[str, list[float]] = {"update": [], "collect": [], "physics": []}
-
-    def one_update(calls: int) -> None:
-        nonlocal state
-        for _ in range(calls):
-            state, metrics = update(state, hyper)
-        jax.block_until_ready(metrics)
-
-    def one_collect(calls: int) -> None:
-        jax.block_until_ready([collect(_light(state)) for _ in range(calls)])
-
-    def one_physics(calls: int) -> None:
-        jax.block_until_ready([physics(state.simulations.env) for _ in range(calls)])
-
-    work = {"update": one_update, "collect": one_collect, "physics": one_physics}
+    work = _work(trainer, config.rollout_steps, state, hyper)
     for function in work.values():
         function(1)
-    calls = {
-        name: _calls(function, seconds / (REPEATS * len(work))) for name, function in work.items()
-    }
+    share = seconds / (REPEATS * len(work))
+    calls = {name: calls_within(function, share) for name, function in work.items()}
+    times: dict[str, list[float]] = {name: [] for name in work}
     for _ in range(REPEATS):
         for name, function in work.items():
-            times[name].append(_timed(function, calls[name]) / calls[name])
+            times[name].append(timed(function, calls[name]) / calls[name])
     whole, collected, stepped = (statistics.median(times[name]) for name in work)
     return TrainSpeed(
         task=env.task,
@@ -91,6 +71,28 @@ def measure_training(
         updates_share=1.0 - collected / whole,
         device=jax.devices()[0].device_kind,
     )
+
+
+def _work(
+    trainer: Trainer, rollout_steps: int, state: Any, hyper: Any
+) -> dict[str, Callable[[int], Any]]:
+    """Return what is timed, by name: each does its work a number of times."""
+    update = jax.jit(trainer.update, donate_argnums=0)
+    # What learning reads is returned, so that nothing of acting is optimised away.
+    collect = jax.jit(lambda state: _used(trainer.collect(state)))
+    physics = jax.jit(partial(_physics, trainer.env, rollout_steps))
+
+    def updates(calls: int) -> Any:
+        nonlocal state
+        for _ in range(calls):
+            state, metrics = update(state, hyper)
+        return metrics
+
+    return {
+        "update": updates,
+        "collect": lambda calls: [collect(_light(state)) for _ in range(calls)],
+        "physics": lambda calls: [physics(state.simulations.env) for _ in range(calls)],
+    }
 
 
 def _light(state: Any) -> Any:
@@ -112,13 +114,3 @@ def _physics(env: Environment, steps: int, state: Any) -> Any:
         lambda state, _: ((after := env.step(state, action)), after.reward), state, length=steps
     )
     return state.step, reward, fresh.reward
-
-
-def _calls(function: Callable[[int], None], seconds: float) -> int:
-    return max(1, int(seconds / _timed(function, 1)))
-
-
-def _timed(function: Callable[[int], None], calls: int) -> float:
-    began = time.perf_counter()
-    function(calls)
-    return time.perf_counter() - began

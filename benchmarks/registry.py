@@ -1,4 +1,4 @@
-"""Measure the zoo's commands on a synthetic registry: list, verify, and fetch from a web server on loopback."""
+"""Speed of the zoo's commands on a synthetic registry: list, verify, and fetch over loopback."""
 
 import contextlib
 import dataclasses
@@ -157,17 +157,8 @@ def _fetch_seconds(command: Sequence[str], url: str, cache: Path) -> float:
 
 @contextlib.contextmanager
 def _web_server(folder: Path) -> Generator[str]:
-    words = [
-        sys.executable,
-        "-u",
-        "-m",
-        "http.server",
-        "0",
-        "--bind",
-        "127.0.0.1",
-        "--directory",
-        str(folder),
-    ]
+    options = ["--bind", "127.0.0.1", "--directory", str(folder)]
+    words = [sys.executable, "-u", "-m", "http.server", "0", *options]
     with subprocess.Popen(
         words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as process:
