@@ -28,7 +28,7 @@ demo: $(STAMP)
 	@echo 'the cross-play matrix, clustered:          demo/crossplay.png'
 
 results: $(STAMP)
-	$(BIN)/assistax-zoo results page --release v1 --data docs/data/v1 --out docs/results.md
+	$(BIN)/python -m tools.paper_page page --release v1 --data docs/data/v1 --out docs/results.md
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks env

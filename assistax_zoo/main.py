@@ -60,13 +60,6 @@ GROUPS = {
             "population": "assistax_zoo.commands.plot:population",
         },
     ),
-    "results": (
-        "The page of a release's results beside the paper's.",
-        {
-            "page": "assistax_zoo.commands.results:page",
-            "collect": "assistax_zoo.commands.results:collect",
-        },
-    ),
 }
 SUBCOMMANDS = {
     "train": {"population": "assistax_zoo.commands.population:population"}

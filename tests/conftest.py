@@ -16,7 +16,7 @@ from beartype import BeartypeConf, beartype
 from beartype.roar import BeartypeClawDecorWarning
 from jaxtyping import install_import_hook
 
-PACKAGES = ("assistax_envs", "population", "zoo", "evaluation", "assistax_zoo")
+PACKAGES = ("assistax_envs", "population", "zoo", "evaluation", "assistax_zoo", "tools")
 
 # Through the environment, not `jax.config`: tests that never import JAX stay quick, and
 # subprocesses are strict too.

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from evaluation.results.data import read_paper
+from tools.paper_page.data import read_paper
 from zoo.registry import load_registry
 
 ROOT = Path(__file__).parents[2]

@@ -6,11 +6,11 @@ from typing import Any
 
 from assistax_envs.versions import TASKS
 from evaluation.bootstrap import estimate
-from evaluation.results.claims import Claim
-from evaluation.results.data import METHODS, CrossPlayed, Results, planned
-from evaluation.results.markdown import MISSING, figure, image, spoken, table
-from evaluation.results.measures import variance_shares
-from evaluation.results.training import RISING, gained_last, training_curves
+from tools.paper_page.claims import Claim
+from tools.paper_page.data import METHODS, CrossPlayed, Results, planned
+from tools.paper_page.markdown import MISSING, figure, image, spoken, table
+from tools.paper_page.measures import variance_shares
+from tools.paper_page.training import RISING, gained_last, training_curves
 
 Picture = Callable[[str], str]  # from a figure's file name to its link
 

@@ -10,15 +10,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from assistax_zoo.main import run
 from evaluation import summary, tables
-from evaluation.results import measures
-from evaluation.results.claims import Claim, check_claims
-from evaluation.results.collect import collect
-from evaluation.results.data import CrossPlayed, Egos, Results, read_notes, read_paper, read_results
-from evaluation.results.figures import draw_figures
-from evaluation.results.page import make_page
-from evaluation.results.pictures import picture_names
 from evaluation.statistics import probability_of_improvement
 from evaluation.strategies import summarise_strategies
 from population.spec import PolicySpec
@@ -30,9 +22,18 @@ from tests.evaluation.episode_tables import (
     team_id,
     teams,
 )
-from tests.zoo.conftest import put, trained_team
+from tests.zoo.conftest import SPECS, put, random_params, trained_team
+from tools.paper_page import measures
+from tools.paper_page.__main__ import run
+from tools.paper_page.claims import Claim, check_claims
+from tools.paper_page.collect import collect
+from tools.paper_page.data import CrossPlayed, Egos, Results, read_notes, read_paper, read_results
+from tools.paper_page.figures import draw_figures
+from tools.paper_page.page import make_page
+from tools.paper_page.pictures import picture_names
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, SelfPlay, Training
+from zoo.storage import write_policy_file
 
 ROOT = Path(__file__).parents[2]
 POPULATION = teams(20)
@@ -329,7 +330,7 @@ def test_ppo_above_sac_in_self_play():
 
 def test_verdict_of_mixed_criteria():
     def told(*outcomes: Any) -> str:
-        from evaluation.results.claims import Criterion
+        from tools.paper_page.claims import Criterion
 
         return Claim(
             "c", "scratch", "f", [Criterion("w", "v", "t", outcome) for outcome in outcomes]
@@ -428,9 +429,6 @@ def test_an_evaluation_is_condensed_under_its_method(tmp_path: Path):
 
 
 def test_training_of_egos_is_condensed(tmp_path: Path):
-    from tests.zoo.conftest import SPECS, random_params
-    from zoo.storage import write_policy_file
-
     folder = tmp_path / "runs" / "policies"
     folder.mkdir(parents=True)
     training = {
@@ -480,6 +478,39 @@ def test_a_folder_that_is_no_finished_one_is_refused(
         collect(crossplay_folder, tmp_path / "data")
 
 
+@pytest.mark.parametrize("task", ["../../x", "/tmp/x", "scratch/..", ["scratch"], None])
+def test_a_received_folder_cannot_write_outside(
+    crossplay_folder: Path, tmp_path: Path, task: Any
+) -> None:
+    """Its summary or its policies name the task, and the task names a folder."""
+    data = tmp_path / "a" / "b" / "data"
+    played = evaluation_folder(tmp_path, "ppo", 0)
+    for folder in (crossplay_folder, played):
+        told = tables.read_json(folder / "summary.json")
+        tables.write_json({**told, "task": task}, folder / "summary.json")
+    trained = tmp_path / "run" / "policies"
+    trained.mkdir(parents=True)
+    metadata = {"task": task, "algorithm": "ppo", "training": {}}
+    params = random_params(SPECS["robot"], 0)
+    write_policy_file(trained / "ppo-s0.safetensors", SPECS["robot"], params, metadata)
+    before = sorted(tmp_path.rglob("*"))
+    for folder in (crossplay_folder, played, trained.parent):
+        with pytest.raises(ValueError, match=r"names the task .*allowed are scratch"):
+            collect(folder, data)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_an_algorithm_cannot_name_a_place(tmp_path: Path) -> None:
+    folder = tmp_path / "run" / "policies"
+    folder.mkdir(parents=True)
+    told = {"task": "scratch", "algorithm": "../../x", "training": {}}
+    params = random_params(SPECS["robot"], 0)
+    write_policy_file(folder / "ppo-s0.safetensors", SPECS["robot"], params, told)
+    with pytest.raises(ValueError, match="names the algorithm"):
+        collect(folder.parent, tmp_path / "data")
+    assert not (tmp_path / "data").exists()
+
+
 def test_one_side_or_several_methods_are_refused(tmp_path: Path):
     with pytest.raises(ValueError, match="--split both"):
         collect(evaluation_folder(tmp_path, "ppo", 0, ("test", "test")), tmp_path / "data")
@@ -508,7 +539,7 @@ def words(tmp_path: Path, crossplay_folder: Path) -> list[str]:
         evaluation_folder(tmp_path, "ppo", 50),
         evaluation_folder(tmp_path, "sac", 0),
     ]
-    assert run(["results", "collect", *map(str, folders), "--out", str(data)]) == 0
+    assert run(["collect", *map(str, folders), "--out", str(data)]) == 0
     published(tmp_path)
     steps = np.tile(np.arange(1, 101) * 100_000, 3)
     curve = {
@@ -523,7 +554,7 @@ def words(tmp_path: Path, crossplay_folder: Path) -> list[str]:
         "## self-play\n\nOurs plays its most likely actions.\n\n## zsc\n\n"
     )
     common = ["--release", "v0", "--data", str(data), "--out", str(tmp_path / "page.md")]
-    return ["results", "page", *common, "--registry", str(tmp_path / "registry.json")]
+    return ["page", *common, "--registry", str(tmp_path / "registry.json")]
 
 
 def test_the_page_of_a_partial_release(
@@ -689,7 +720,7 @@ def test_the_committed_page_is_what_the_committed_tables_give(
         "--registry",
         "registry.json",
     ]
-    assert run(["results", "page", *words, "--check"]) == 0, capfd.readouterr().err
+    assert run(["page", *words, "--check"]) == 0, capfd.readouterr().err
 
 
 def test_committed_tables_name_no_place_of_a_machine():

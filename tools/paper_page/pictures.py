@@ -1,7 +1,7 @@
 """Names of the page's figures, without drawing them."""
 
 from assistax_envs.versions import TASKS
-from evaluation.results.data import METHODS, Results
+from tools.paper_page.data import METHODS, Results
 
 
 def picture_names(results: Results) -> list[str]:

@@ -3,10 +3,10 @@
 import os
 from pathlib import Path
 
-from evaluation.results import sections
-from evaluation.results.claims import check_claims
-from evaluation.results.data import Results
-from evaluation.results.making import made
+from tools.paper_page import sections
+from tools.paper_page.claims import check_claims
+from tools.paper_page.data import Results
+from tools.paper_page.making import made
 
 _NO_REASONS = ("summary", "made")  # sections that set nothing beside the paper's figures
 

@@ -4,8 +4,8 @@ import re
 from collections.abc import Sequence
 
 from assistax_envs.versions import TASKS
-from evaluation.results.data import CrossPlayed, Egos, Results
-from evaluation.results.markdown import MISSING, code, spoken, table
+from tools.paper_page.data import CrossPlayed, Egos, Results
+from tools.paper_page.markdown import MISSING, code, spoken, table
 from zoo.schema import Training
 
 _POLICY = re.compile(r"--policy[ =](\S+)")

@@ -14,7 +14,7 @@ import polars.selectors as cs
 
 from assistax_envs.versions import TASKS
 from evaluation import tables
-from evaluation.results import collect
+from tools.paper_page import collect
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 

@@ -6,8 +6,8 @@ from typing import Literal
 
 from assistax_envs.versions import TASKS
 from evaluation.bootstrap import Interval
-from evaluation.results.data import METHODS, CrossPlayed, Egos, Results
-from evaluation.results.measures import (
+from tools.paper_page.data import METHODS, CrossPlayed, Egos, Results
+from tools.paper_page.measures import (
     improvement,
     incompatible_share,
     largest_exchange_loss,

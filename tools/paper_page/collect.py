@@ -2,10 +2,12 @@
 
 | folder of | becomes |
 |---|---|
-| `assistax-zoo crossplay --out` | `crossplay/TASK/`: a row a pair, order, strategies, summary, run
-| | `assistax-zoo evaluate --split both --out` | `egos/TASK-METHOD/`: a row a pair, summary, run |
-| `assistax-zoo train-ego --out` | `egos/TASK-METHOD/training.json`: steps, device and seconds of
-the egos |
+| `assistax-zoo crossplay --out` | `crossplay/TASK/`: a row a pair, order, strategies, summary, run |
+| `assistax-zoo evaluate --split both --out` | `egos/TASK-METHOD/`: a row a pair, summary, run |
+| `assistax-zoo train-ego --out` | `egos/TASK-METHOD/training.json`: steps, device and seconds |
+
+Folders may have been received from anybody: what they say never decides where is written, beyond
+the name of one of our tasks and of a method.
 """
 
 import re
@@ -16,12 +18,14 @@ from typing import Any
 import polars as pl
 import polars.selectors as cs
 
+from assistax_envs.versions import TASKS
 from evaluation import tables
 from evaluation.tables import EGO_COLUMNS, PARTNER_COLUMNS
 
 TRAINING_FILE = "training.json"
 CROSSPLAY, EGOS = "crossplay", "egos"  # folders of the data
-_EGO_FILE = re.compile(r"(?P<method>[a-z][a-z0-9_]*)-s(?P<seed>\d+)\.safetensors")
+_METHOD = re.compile(r"[a-z][a-z0-9_]*")
+_EGO_FILE = re.compile(rf"(?P<method>{_METHOD.pattern})-s(?P<seed>\d+)\.safetensors")
 _ABSOLUTE = re.compile(r"(?<![^\s'\"=])/[^\s'\"]+")  # a path from the root, as a word of a command
 _EGO_MEASURES = ("return", "return_sd", "success", "episodes", "nonfinite")
 _TOLD_OF_TRAINING = ("steps", "device", "seconds", "backend", "date", "commit")
@@ -52,7 +56,7 @@ def collect(folder: Path, data: Path) -> Path:
 
 
 def _collect_crossplay(folder: Path, summary: dict[str, Any], data: Path) -> Path:
-    out = data / CROSSPLAY / summary["task"]
+    out = data / CROSSPLAY / _known_task(summary, folder)
     pairs = tables.read_parquet(folder / tables.PAIRS_FILE)
     if pairs["ego_team"].null_count() or pairs["partner_team"].null_count():
         raise ValueError(
@@ -70,7 +74,7 @@ def _collect_evaluation(folder: Path, summary: dict[str, Any], data: Path) -> Pa
     if not summary["m_test"] or not summary["m_train"]:
         raise ValueError(f"{folder} has only one side of the split; run evaluate with --split both")
     method, names = _egos(summary["egos"], folder)
-    out = data / EGOS / f"{summary['task']}-{method}"
+    out = data / EGOS / f"{_known_task(summary, folder)}-{method}"
     pairs = tables.pair_table(tables.read_episodes(folder / tables.EPISODES_FILE))
     pairs = pairs.select(*EGO_COLUMNS, *PARTNER_COLUMNS, *_EGO_MEASURES).with_columns(
         pl.col("ego").replace_strict({ego: name for ego, (name, _) in names.items()}),
@@ -96,13 +100,25 @@ def _collect_training(folder: Path, data: Path) -> Path:
     if not told or any({"task", "algorithm", "training"} - set(one) for one in told):
         raise ValueError(f"{folder}/policies holds no finished egos; let train-ego run to its end")
     first = told[0]
-    out = data / EGOS / f"{first['task']}-{first['algorithm']}"
+    method = first["algorithm"]
+    if not (isinstance(method, str) and _METHOD.fullmatch(method)):
+        raise ValueError(f"{folder} names the algorithm {method!r}; expected a name such as ppo")
+    out = data / EGOS / f"{_known_task(first, folder)}-{method}"
     training = {
         name: first["training"][name] for name in _TOLD_OF_TRAINING if name in first["training"]
     }
     content = {"egos": len(told), "split": first.get("split"), **training}
     tables.write_json(content, out / TRAINING_FILE)
     return out
+
+
+def _known_task(told: Mapping[str, Any], folder: Path) -> str:
+    """Return the task that a received folder names: it becomes a folder's name, so it must be one of ours."""
+    if told.get("task") not in TASKS:
+        raise ValueError(
+            f"{folder} names the task {told.get('task')!r}; allowed are {', '.join(TASKS)}"
+        )
+    return told["task"]
 
 
 def _egos(references: list[str], folder: Path) -> tuple[str, dict[str, tuple[str, int]]]:

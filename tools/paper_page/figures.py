@@ -13,9 +13,9 @@ from evaluation.plots.matrix import arrange
 from evaluation.plots.panels import training_panels
 from evaluation.plots.style import save_figure
 from evaluation.plots.treemap import population_treemap
-from evaluation.results.data import METHODS, Results
-from evaluation.results.pictures import picture_names
-from evaluation.results.training import training_curves
+from tools.paper_page.data import METHODS, Results
+from tools.paper_page.pictures import picture_names
+from tools.paper_page.training import training_curves
 
 DPI = 130  # a 198 x 198 matrix keeps more than three points a cell
 

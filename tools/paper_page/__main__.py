@@ -1,7 +1,33 @@
-"""The results of a release: condensed tables, and the page that shows them beside the paper's."""
+"""The results of a release: condensed tables, and the page that shows them beside the paper's.
+
+Run from a checkout: `python -m tools.paper_page page` and `python -m tools.paper_page collect`.
+"""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+
+from cyclopts import App
+from cyclopts.exceptions import CycloptsError
+
+PROGRAM = "python -m tools.paper_page"
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run `page` or `collect`; return 0 when done, 1 after an error, 2 after wrong usage."""
+    app = App(name=PROGRAM, help=__doc__)
+    app.command(page)
+    app.command(collect)
+    words = sys.argv[1:] if arguments is None else arguments
+    try:
+        app(words, print_error=False, exit_on_error=False, result_action="return_value")
+    except CycloptsError as error:
+        print(f"error: {error}\ntry: {PROGRAM} --help", file=sys.stderr)
+        return 2
+    except (ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
 
 
 def page(
@@ -19,18 +45,18 @@ def page(
 
     Args:
         release: Release, such as v1.
-        data: Folder of the release's tables, which `assistax-zoo results collect` fills.
+        data: Folder of the release's tables, which `collect` fills.
         out: Page to write, .md.
         images: Folder for the figures; default images/RELEASE beside the page.
         check: Write nothing; fail if the page or one of its figures is not what would be written.
         registry: Registry to read instead of the installed one.
 
     Example:
-        assistax-zoo results page --release v1 --data docs/data/v1 --out docs/results.md
+        python -m tools.paper_page page --release v1 --data docs/data/v1 --out docs/results.md
     """
-    from evaluation.results.data import read_results
-    from evaluation.results.page import first_difference, make_page, relative_folder
-    from evaluation.results.pictures import picture_names
+    from tools.paper_page.data import read_results
+    from tools.paper_page.page import first_difference, make_page, relative_folder
+    from tools.paper_page.pictures import picture_names
     from zoo.registry import load_registry
 
     if out.suffix.lower() != ".md":
@@ -39,7 +65,8 @@ def page(
         )
     folder = images or out.parent / "images" / release
     results = read_results(load_registry(registry), release, data)
-    command = f"assistax-zoo results page --release {release} --data {data.as_posix()} --out {out.as_posix()}"
+    places = f"--data {data.as_posix()} --out {out.as_posix()}"
+    command = f"{PROGRAM} page --release {release} {places}"
     text = make_page(results, relative_folder(folder, out), command)
     again = f"run `{command}`"
     if check:
@@ -52,8 +79,8 @@ def page(
         if missing := [name for name in picture_names(results) if not (folder / name).is_file()]:
             raise ValueError(f"{folder} lacks {', '.join(missing)}; {again}")
     else:
-        from evaluation.results.figures import draw_figures
         from evaluation.tables import atomic_path
+        from tools.paper_page.figures import draw_figures
 
         draw_figures(results, folder)
         with atomic_path(out) as temporary:
@@ -73,10 +100,10 @@ def collect(folders: tuple[Path, ...], /, *, out: Path) -> None:
         out: Folder of the release's tables.
 
     Example:
-        assistax-zoo results collect runs/xp-scratch runs/eval-scratch-ppo runs/scratch-ppo --out
-        docs/data/v1
+        python -m tools.paper_page collect runs/xp-scratch runs/eval-scratch-ppo runs/scratch-ppo
+        --out docs/data/v1
     """
-    from evaluation.results.collect import collect as condense
+    from tools.paper_page.collect import collect as condense
 
     if not folders:
         raise ValueError(
@@ -93,3 +120,7 @@ def _warn(missing: list[str]) -> None:
         print(f"warning: not measured yet: {what}", file=sys.stderr)
     if missing:
         print(f"{len(missing)} warnings", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(run())
