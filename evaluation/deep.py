@@ -30,10 +30,11 @@ from typing import Any
 import numpy as np
 
 from assistax_envs.versions import VERSIONS
+from population.stack import PolicyStack
 from zoo.errors import ZooError
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, SelfPlay
-from zoo.storage import PolicyGroup, load_group
+from zoo.storage import load_stacks
 
 STANDARD_ERRORS = 4.0
 LONGER = 16  # times the episodes
@@ -178,25 +179,25 @@ def _standard_error(recorded: SelfPlay, episodes: int) -> float:
 
 def _load(
     registry: Registry, entries: Sequence[PolicyEntry]
-) -> tuple[list[PolicyGroup], list[str]]:
+) -> tuple[list[PolicyStack], list[str]]:
     """Load shard by shard, so that a damaged one leaves the others to be replayed; groups are of one task."""
     problems: list[str] = []
     sound: set[str] = set()
     for shard in dict.fromkeys(entry.shard for entry in entries):
         members = [entry for entry in entries if entry.shard == shard]
         try:
-            load_group(registry, members)
+            load_stacks(registry, members)
             sound |= {entry.id for entry in members}
         except ZooError as error:
             problems.append(str(error))
     kept = [entry for entry in entries if entry.id in sound]
     tasks = dict.fromkeys(entry.task for entry in kept)
     return [
-        g for task in tasks for g in load_group(registry, [e for e in kept if e.task == task])
+        g for task in tasks for g in load_stacks(registry, [e for e in kept if e.task == task])
     ], problems
 
 
-def _step_problems(group: PolicyGroup) -> list[str]:
+def _step_problems(group: PolicyStack) -> list[str]:
     """Step every policy once from a zero observation; name those that fail or leave the action's range."""
     import jax
     import jax.numpy as jnp
@@ -224,8 +225,8 @@ def _step_problems(group: PolicyGroup) -> list[str]:
 
 
 def _team_blocks(
-    groups: Sequence[PolicyGroup], without: Collection[str]
-) -> dict[str, list[tuple[PolicyGroup, PolicyGroup]]]:
+    groups: Sequence[PolicyStack], without: Collection[str]
+) -> dict[str, list[tuple[PolicyStack, PolicyStack]]]:
     """Return, by task, the whole teams of each pair of specs: robots and humans in the same order."""
     home = {
         name: index
@@ -240,22 +241,18 @@ def _team_blocks(
             members.setdefault((team.partition("/")[0], index, home[f"{team}/human"]), []).append(
                 team
             )
-    blocks: dict[str, list[tuple[PolicyGroup, PolicyGroup]]] = {}
+    blocks: dict[str, list[tuple[PolicyStack, PolicyStack]]] = {}
     for (task, robots, humans), teams in members.items():
         pair = (_take(groups[robots], teams, "robot"), _take(groups[humans], teams, "human"))
         blocks.setdefault(task, []).append(pair)
     return blocks
 
 
-def _take(group: PolicyGroup, teams: Sequence[str], role: str) -> PolicyGroup:
-    import jax
-
-    ids = tuple(f"{team}/{role}" for team in teams)
-    rows = np.array([group.ids.index(name) for name in ids])
-    return PolicyGroup(group.spec, ids, jax.tree.map(lambda leaf: leaf[rows], group.params))
+def _take(group: PolicyStack, teams: Sequence[str], role: str) -> PolicyStack:
+    return group.take([group.ids.index(f"{team}/{role}") for team in teams])
 
 
-def _misfit(env: Any, *groups: PolicyGroup) -> str | None:
+def _misfit(env: Any, *groups: PolicyStack) -> str | None:
     """Say which policies read or act in other widths than the environment has."""
     for group in groups:
         role, found = group.spec.role, (group.spec.observation_size, group.spec.action_size)
@@ -266,7 +263,7 @@ def _misfit(env: Any, *groups: PolicyGroup) -> str | None:
 
 
 def _replay(
-    registry: Registry, env: Any, robots: PolicyGroup, humans: PolicyGroup, episodes: int, seed: int
+    registry: Registry, env: Any, robots: PolicyStack, humans: PolicyStack, episodes: int, seed: int
 ) -> list[TeamReplay]:
     """Play the teams, and those that differ once more and for longer."""
     teams = _play(registry, env, robots, humans, episodes, seed)
@@ -281,7 +278,7 @@ def _replay(
 
 
 def _play(
-    registry: Registry, env: Any, robots: PolicyGroup, humans: PolicyGroup, episodes: int, seed: int
+    registry: Registry, env: Any, robots: PolicyStack, humans: PolicyStack, episodes: int, seed: int
 ) -> list[TeamReplay]:
     import jax
 
@@ -294,7 +291,7 @@ def _play(
         env,
         {role: Policy(group.spec) for role, group in groups.items()},
         {role: group.params for role, group in groups.items()},
-        disability_params([registry.policy(name).disability for name in humans.ids]),
+        disability_params([registry.policy(name).setting for name in humans.ids]),
         jax.random.split(jax.random.key(seed), len(robots.ids)),
         episodes,
     )

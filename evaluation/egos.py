@@ -16,7 +16,7 @@ from evaluation.jobs import Ego, Group, HostEgo, Member
 from population.spec import PolicySpec
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
-from zoo.storage import load_group, read_policy_file
+from zoo.storage import load_stacks, read_policy_file
 
 FORMS = "zoo:ID, a path to a .safetensors file, onnx:FILE, or python:package.module:factory"
 
@@ -59,7 +59,7 @@ def registry_groups(registry: Registry, entries: Sequence[PolicyEntry]) -> tuple
     by_id = {entry.id: entry for entry in entries}
     return tuple(
         Group(group.spec, tuple(_member(by_id[name]) for name in group.ids), group.params)
-        for group in load_group(registry, entries)
+        for group in load_stacks(registry, entries)
     )
 
 
@@ -145,7 +145,15 @@ def _from_file(reference: str) -> tuple[PolicySpec, Member, Any]:
 
 
 def _member(entry: PolicyEntry) -> Member:
-    return Member(entry.id, entry.sha256, entry.team, entry.algorithm, entry.disability, entry.seed)
+    return Member(
+        entry.id,
+        entry.sha256,
+        entry.team,
+        entry.algorithm,
+        entry.disability,
+        entry.seed,
+        entry.setting,
+    )
 
 
 def _stack(single: Sequence[tuple[PolicySpec, Member, Any]]) -> tuple[Group, ...]:

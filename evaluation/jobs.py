@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from assistax_envs.disability import Disability
 from population.spec import PolicySpec
 
 MANIFEST_FORMAT = (
@@ -29,6 +30,7 @@ class Member:
     algorithm: str | None = None
     disability: str | None = None
     seed: int | None = None
+    setting: Disability | None = None  # what a human's setting is; the installed one of its name
 
 
 @dataclasses.dataclass(frozen=True)

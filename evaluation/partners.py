@@ -16,7 +16,7 @@ from population.policy import Policy
 from population.spec import PolicySpec
 from zoo.errors import UnknownIdError
 from zoo.registry import Registry
-from zoo.storage import load_group, read_policy_file
+from zoo.storage import load_stacks, read_policy_file
 
 FORMS = "zoo:ID, a path to a .safetensors file, zero, or random; for the robot also python:... and onnx:FILE"
 
@@ -87,9 +87,8 @@ def zoo_partner(registry: Registry, policy: str, role: str = "human") -> FrozenP
             done="nothing was loaded",
             next_step="name one; `assistax-zoo list` prints every id",
         )
-    [group], [entry] = load_group(registry, entries), entries
-    params = jax.tree.map(lambda leaf: leaf[0], group.params)
-    return FrozenPolicy(entry.id, group.spec, params, DISABILITY_SETTINGS.get(entry.disability))
+    [group], [entry] = load_stacks(registry, entries), entries
+    return FrozenPolicy(entry.id, group.spec, group.row(0), entry.setting)
 
 
 def seat_policy(

@@ -172,7 +172,7 @@ class Runner:
             tile,
             None if host else _take(ego.params, tile.egos, p if tile.paired else e),
             _take(partner.params, tile.partners, p),
-            disability_params([str(member.disability) for member in partners]),
+            disability_params([member.setting or str(member.disability) for member in partners]),
             episode_seeds(job.seed, _padded(tile.episodes, k)),
             act=call_ego(ego, [member.id for member in partners], k, self._env.action_size["robot"])
             if host

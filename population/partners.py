@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import jax
 import jax.numpy as jnp
 
+from assistax_envs.disability import Disability
 from population.mapping import member_map
 from population.networks import Carry
 from population.policy import Policy
@@ -28,7 +29,7 @@ class PartnerGroup:
 
     spec: PolicySpec
     names: tuple[str, ...]  # [P]
-    disabilities: tuple[str, ...]  # of each [P]
+    disabilities: tuple[str | Disability, ...]  # of each [P]
     params: Any  # leaves [P, ...]
 
 
@@ -89,7 +90,7 @@ class Partners:
                 f"share, so choose a multiple of {len(self)}, such as {fitting}"
             )
 
-    def settings(self, num_envs: int) -> list[str]:
+    def settings(self, num_envs: int) -> list[str | Disability]:
         """Return the disability setting of each simulation of a member."""
         return [setting for setting in self.disabilities for _ in range(num_envs // len(self))]
 

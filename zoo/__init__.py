@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from zoo.schema import Split as Split
     from zoo.splits import make_split as make_split
     from zoo.storage import PolicyFile as PolicyFile
-    from zoo.storage import PolicyGroup as PolicyGroup
-    from zoo.storage import load_group as load_group
+    from zoo.storage import load_stacks as load_stacks
     from zoo.storage import read_policy_file as read_policy_file
     from zoo.storage import write_policy_file as write_policy_file
 
@@ -36,8 +35,7 @@ _HOMES = {
     "Split": "zoo.schema",
     "make_split": "zoo.splits",
     "PolicyFile": "zoo.storage",
-    "PolicyGroup": "zoo.storage",
-    "load_group": "zoo.storage",
+    "load_stacks": "zoo.storage",
     "read_policy_file": "zoo.storage",
     "write_policy_file": "zoo.storage",
 }

@@ -22,10 +22,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from population.stack import PolicyStack
 from zoo.errors import LeakageError, listing
 from zoo.registry import Registry
 from zoo.schema import Split
-from zoo.storage import PolicyGroup, load_group
+from zoo.storage import load_stacks
 
 THRESHOLD = 0.1
 _SEQUENCES, _STEPS = 32, 8  # 256 probes
@@ -54,7 +55,7 @@ def similar_pairs(registry: Registry, split: Split, threshold: float = THRESHOLD
     teams = {*split.train, *split.test}
     humans = [entry for entry in registry.policies if entry.role == "human" and entry.team in teams]
     pairs: list[Pair] = []
-    for group in load_group(registry, humans):
+    for group in load_stacks(registry, humans):
         names = [policy.rpartition("/")[0] for policy in group.ids]
         train, test = (
             [i for i, name in enumerate(names) if name in side]
@@ -69,7 +70,7 @@ def similar_pairs(registry: Registry, split: Split, threshold: float = THRESHOLD
     return sorted(pairs, key=lambda pair: pair.difference)
 
 
-def probe_actions(group: PolicyGroup) -> np.ndarray:
+def probe_actions(group: PolicyStack) -> np.ndarray:
     """Return the deterministic actions [P, T, B, A] of a group's policies on the fixed probes."""
     import jax
     import jax.numpy as jnp
@@ -87,7 +88,7 @@ def probe_actions(group: PolicyGroup) -> np.ndarray:
     return np.asarray(jax.jit(lambda params: jax.lax.map(play, params))(group.params))
 
 
-def probes(group: PolicyGroup) -> np.ndarray:
+def probes(group: PolicyStack) -> np.ndarray:
     """Return observations [T, B, O]: fixed draws, at the median scale of the group's normalisers."""
     size = group.spec.observation_size
     draws = np.random.default_rng(_SEED).standard_normal((_STEPS, _SEQUENCES, size))

@@ -198,6 +198,7 @@ def build_registry(data: RegistryFile, path: Path) -> Registry:
         ((parse_team(team), entry) for team, entry in data.teams.items()),
         key=lambda pair: pair[0].order,
     )
+    settings = {name: setting.value() for name, setting in data.disability_settings.items()}
     policies = []
     for team, entry in teams:
         for role, place in sorted(entry.policies.items(), reverse=True):
@@ -208,6 +209,7 @@ def build_registry(data: RegistryFile, path: Path) -> Registry:
                 algorithm=team.algorithm,
                 role=role,
                 disability=team.disability,
+                setting=settings[team.disability],
                 seed=team.seed,
                 release=team.release,
                 spec=data.shards[place.shard].spec,

@@ -19,6 +19,7 @@ from pydantic import (
     model_validator,
 )
 
+from assistax_envs.disability import Disability
 from population.spec import PolicySpec, Role
 from zoo.ids import parse_team
 
@@ -113,6 +114,19 @@ class DisabilitySetting(_Model):
     strength: float
     elbow_range: float
     tremor: float
+
+    @model_validator(mode="after")
+    def _possible(self) -> "DisabilitySetting":
+        self.value()
+        return self
+
+    def value(self) -> Disability:
+        """Return it as what a simulation takes.
+
+        Raises:
+            ValueError: A number is none that a human can have.
+        """
+        return Disability(**self.model_dump())
 
 
 class Shard(_Model):
@@ -224,6 +238,7 @@ class PolicyEntry:
     algorithm: str
     role: Role
     disability: str  # "d3"
+    setting: Disability  # what "d3" is, as the registry has it
     seed: int
     release: str  # "v1"
     spec: PolicySpec

@@ -1,6 +1,5 @@
 """Stacked shards and single-policy files: written once, hashed by row and by file, verified on every load."""
 
-import dataclasses
 import functools
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -10,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from population.spec import PolicySpec
+from population.stack import PolicyStack, stack_policies
 from zoo.cache import cached_row
 from zoo.errors import FormatError, IntegrityError, shorten
 from zoo.files import atomic_write, sha256
@@ -25,15 +25,6 @@ from zoo.tensors import (
     row_sha256,
     unflatten,
 )
-
-
-@dataclasses.dataclass(frozen=True)
-class PolicyGroup:
-    """Policies of one spec, stacked: every leaf of `params` is float32 [P, ...] in the order of `ids`."""
-
-    spec: PolicySpec
-    ids: tuple[str, ...]
-    params: dict[str, Any]
 
 
 class PolicyFile(NamedTuple):
@@ -52,10 +43,10 @@ class StackedFile(NamedTuple):
     rows: list[Any]
 
 
-def load_group(registry: Registry, entries: Iterable[PolicyEntry]) -> list[PolicyGroup]:
-    """Return the parameters of the entries, one group for each spec, in the order requested.
+def load_stacks(registry: Registry, entries: Iterable[PolicyEntry]) -> tuple[PolicyStack, ...]:
+    """Return the parameters of the entries as float32, one stack for each spec, in the order asked.
 
-    Groups come in the order in which their specs first occur. Every shard's sha256 and every
+    Stacks come in the order in which their specs first occur. Every shard's sha256 and every
     returned row's sha256 is held against the registry. Of a shard that is not on this machine,
     policies that were fetched on their own do.
 
@@ -64,15 +55,18 @@ def load_group(registry: Registry, entries: Iterable[PolicyEntry]) -> list[Polic
         FormatError: A shard's content contradicts the registry.
     """
     entries = list(entries)
-    places = _read_places(registry, entries)
-    groups: dict[PolicySpec, list[PolicyEntry]] = {}
+    leaves = load_leaves(registry, entries)
+    forms: dict[PolicySpec, tuple[str, dict[str, tuple[int, ...]]]] = {}
     for entry in entries:
-        groups.setdefault(entry.spec, []).append(entry)
-    return [_merge(spec, members, places) for spec, members in groups.items()]
+        form = {name: value.shape for name, value in leaves[entry.id].items()}
+        first, expected = forms.setdefault(entry.spec, (entry.id, form))
+        if form != expected:
+            raise _format_error(f"parameters of {entry.id}", f"the leaves of {first}", "others")
+    return stack_policies((entry.id, entry.spec, _float32(leaves[entry.id])) for entry in entries)
 
 
 def load_leaves(registry: Registry, entries: Iterable[PolicyEntry]) -> dict[str, Leaves]:
-    """Return the leaves of each entry by its id, in the dtype that is stored; verified as `load_group` does."""
+    """Return the leaves of each entry by its id, in the dtype that is stored; verified."""
     entries = list(entries)
     places = _read_places(registry, entries)
     return {entry.id: _verified_row(*places[entry.id], entry) for entry in entries}
@@ -249,23 +243,6 @@ def _expected_shapes(spec: PolicySpec) -> dict[str, tuple[int, ...]]:
     tree = jax.eval_shape(Policy(spec).init, jax.random.key(0))
     paths = jax.tree_util.tree_flatten_with_path(tree)[0]
     return {"/".join(key.key for key in path): tuple(leaf.shape) for path, leaf in paths}
-
-
-def _merge(
-    spec: PolicySpec, members: Sequence[PolicyEntry], places: Mapping[str, tuple[StackedFile, int]]
-) -> PolicyGroup:
-    rows = [_verified_row(*places[entry.id], entry) for entry in members]
-    forms = [{name: value.shape for name, value in row.items()} for row in rows]
-    for entry, form in zip(members, forms, strict=True):
-        if form != forms[0]:
-            raise _format_error(
-                f"parameters of {entry.id}", f"the leaves of {members[0].id}", "other leaves"
-            )
-    stacked = {
-        name: np.stack([row[name] for row in rows]).astype(np.float32, copy=False)
-        for name in forms[0]
-    }
-    return PolicyGroup(spec, tuple(entry.id for entry in members), unflatten(stacked))
 
 
 def _verified_row(stacked: StackedFile, row: int, entry: PolicyEntry) -> Leaves:

@@ -199,13 +199,13 @@ def foreign_entries(
 def _read_policy(id: str, registry: Path | None) -> tuple[Any, Any, dict[str, Any]]:
     """Return spec, parameters and metadata of a policy of the registry or of a file."""
     from zoo.registry import load_registry
-    from zoo.storage import load_group, read_policy_file
+    from zoo.storage import load_stacks, read_policy_file
 
     if id.endswith(".safetensors"):
         return read_policy_file(id)
     loaded = load_registry(registry)
     entry = loaded.policy(id)
-    (group,) = load_group(loaded, [entry])
+    (group,) = load_stacks(loaded, [entry])
     metadata = {
         "id": entry.id,
         "sha256": entry.sha256,
@@ -213,12 +213,4 @@ def _read_policy(id: str, registry: Path | None) -> tuple[Any, Any, dict[str, An
         "env_version": loaded.env_version(entry),
         "self_play": entry.self_play.model_dump(mode="json") if entry.self_play else None,
     }
-    return group.spec, _first_row(group.params), metadata
-
-
-def _first_row(params: Any) -> Any:
-    return (
-        {name: _first_row(value) for name, value in params.items()}
-        if isinstance(params, dict)
-        else params[0]
-    )
+    return group.spec, group.row(0), metadata

@@ -150,16 +150,16 @@ def shared_out(trainer: "TrainerConfig", partners: int, split: str, keep: bool) 
 def load_partners(registry: "Registry", split: "Split") -> "Partners":
     """Return the humans of a split's training half; no row of the test half is taken from any shard."""
     from population.partners import PartnerGroup, Partners
-    from zoo.storage import load_group
+    from zoo.storage import load_stacks
 
     entries = [registry.policy(f"{team}/human") for team in split.train]
-    settings = {entry.id: entry.disability for entry in entries}
+    settings = {entry.id: entry.setting for entry in entries}
     return Partners(
         [
             PartnerGroup(
                 group.spec, group.ids, tuple(settings[name] for name in group.ids), group.params
             )
-            for group in load_group(registry, entries)
+            for group in load_stacks(registry, entries)
         ]
     )
 

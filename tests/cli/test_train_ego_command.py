@@ -3,6 +3,7 @@ import re
 
 import pytest
 
+from assistax_envs.disability import DISABILITY_SETTINGS
 from assistax_zoo.commands.train_ego import load_partners, shared_out
 from assistax_zoo.main import run
 from population.config import preset
@@ -42,7 +43,7 @@ def test_only_the_training_half_is_loaded(monkeypatch):
     partners = load_partners(registry, split)
     assert sorted(partners.names) == sorted(loaded) == [f"{team}/human" for team in split.train]
     assert list(partners.disabilities) == [
-        name.split("/")[1].split("-")[1] for name in partners.names
+        DISABILITY_SETTINGS[name.split("/")[1].split("-")[1]] for name in partners.names
     ]
     with pytest.raises(
         OSError, match="is unreadable"

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from assistax_envs import EnvState
 from population.policy import Policy
-from zoo import load_group, load_registry
+from zoo import load_registry, load_stacks
 
 Players = Callable[
     [EnvState, jax.Array], dict[str, jax.Array]
@@ -19,7 +19,7 @@ def team(identifier: str, size: int) -> Players:
     registry = load_registry()
     players = {}
     for role in ("robot", "human"):
-        group = load_group(registry, registry.select(f"{identifier}/{role}"))[0]
+        group = load_stacks(registry, registry.select(f"{identifier}/{role}"))[0]
         players[role] = Policy(group.spec), jax.tree.map(lambda leaf: leaf[0], group.params)
     first = jnp.zeros(size, bool)
 

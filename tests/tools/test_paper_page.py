@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from assistax_envs.disability import DISABILITY_SETTINGS
 from evaluation import summary, tables
 from evaluation.statistics import probability_of_improvement
 from evaluation.strategies import summarise_strategies
@@ -218,6 +219,7 @@ def humans(
                 algorithm,
                 "human",
                 disability,
+                DISABILITY_SETTINGS[disability],
                 seed,
                 "v0",
                 spec,

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from population.spec import PolicySpec
+from population.stack import PolicyStack
 from zoo.behaviour import THRESHOLD, differences, probe_actions, similar_pairs
 from zoo.errors import IntegrityError, LeakageError
 from zoo.registry import Registry, load_registry
 from zoo.release import create_split
 from zoo.runs import TrainedTeam
-from zoo.storage import PolicyGroup, load_group
+from zoo.storage import load_stacks
 
 ROOT = Path(__file__).parents[2]
 ORIGINAL, COPY = "scratch/ippo-d1-s0-v0", "scratch/ippo-d1-s9-v0"
@@ -109,7 +110,7 @@ def test_recurrent_partners_are_told_apart_by_their_memory_alone() -> None:
     )
     other["GRUCell_0"]["hn"]["kernel"] = -other["GRUCell_0"]["hn"]["kernel"]
     stacked = jax.tree.map(lambda a, b: np.stack([a, b]).astype(np.float32), params, other)
-    actions = probe_actions(PolicyGroup(spec, ("a", "b"), stacked))
+    actions = probe_actions(PolicyStack(spec, ("a", "b"), stacked))
     np.testing.assert_array_equal(actions[0, 0], actions[1, 0])
     assert differences(actions)[0, 1] > 0.01
 
@@ -123,7 +124,7 @@ def test_differences_are_means_of_absolute_differences() -> None:
 
 def test_the_threshold_stands_between_copies_and_training_seeds_of_release_v0() -> None:
     registry = load_registry(ROOT / "registry.json")
-    (group,) = load_group(registry, registry.select("scratch/ippo-*-v0/human"))
+    (group,) = load_stacks(registry, registry.select("scratch/ippo-*-v0/human"))
     actions = probe_actions(group)
     found = differences(actions)[np.triu_indices(len(group.ids), 1)]
     assert found.min() > 2.5 * THRESHOLD

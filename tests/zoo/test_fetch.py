@@ -13,7 +13,7 @@ from zoo.errors import IntegrityError, OfflineError, RegistryError, RemoteError
 from zoo.fetch import Report, fetch, remote_registry
 from zoo.registry import Registry, load_registry
 from zoo.remotes import open_remote
-from zoo.storage import load_group
+from zoo.storage import load_stacks
 from zoo.verify import verify
 
 FILES = "GET /org/zoo/resolve/.*safetensors"
@@ -31,7 +31,7 @@ def visible(folder: Path) -> set[str]:
 
 
 def same_parameters(one: Registry, other: Registry, pattern: str = "*") -> bool:
-    groups = [load_group(registry, registry.select(pattern)) for registry in (one, other)]
+    groups = [load_stacks(registry, registry.select(pattern)) for registry in (one, other)]
     for a, b in zip(*groups, strict=True):
         assert a.ids == b.ids
         assert np.array_equal(a.params["Dense_0"]["kernel"], b.params["Dense_0"]["kernel"])
@@ -72,7 +72,7 @@ def test_a_registry_without_shards_finds_them_in_the_cache(
     with pytest.raises(RemoteError, match=r"2 missing .*--from"):
         fetch(bare, bare.policies, None)
     with pytest.raises(IntegrityError, match="assistax-zoo fetch"):
-        load_group(bare, bare.policies)
+        load_stacks(bare, bare.policies)
     fetch(bare, bare.policies, open_remote(registry.path.parent))
     assert same_parameters(registry, bare)
     assert fetch(bare, bare.policies, None).present == 2
@@ -95,11 +95,11 @@ def test_one_policy_is_cut_out_of_its_shard(
     row = cached_row(large.policy("scratch/ippo-d1-s3-v0/human").sha256)
     row.write_bytes(row.read_bytes()[:-1] + b"\0")
     with pytest.raises(IntegrityError, match="found sha256"):
-        load_group(fetched, fetched.select("*-s3-v0/human"))
+        load_stacks(fetched, fetched.select("*-s3-v0/human"))
     assert get("hf://org/zoo", "scratch/ippo-d1-s[35]-v0/human")[1].bytes > 0
     assert same_parameters(large, fetched, "scratch/ippo-d1-s[35]-v0/human")
     with pytest.raises(IntegrityError, match="no file at"):
-        load_group(fetched, fetched.select("*/human"))
+        load_stacks(fetched, fetched.select("*/human"))
 
 
 def test_without_ranges_the_whole_shard_comes(

@@ -19,7 +19,7 @@ from zoo.errors import CacheError, IntegrityError, RemoteError, ZooError
 from zoo.fetch import Report, fetch
 from zoo.registry import Registry
 from zoo.remotes import open_remote
-from zoo.storage import load_group
+from zoo.storage import load_stacks
 from zoo.transfer import _Transfer
 from zoo.verify import verify
 
@@ -129,7 +129,7 @@ def test_a_fetch_that_would_not_look_is_caught_on_loading(
     get(bare)
     assert len(visible(cache)) == 2 and len(verify(bare).problems) == 2
     with pytest.raises(IntegrityError, match="found sha256"):
-        load_group(bare, bare.policies)
+        load_stacks(bare, bare.policies)
 
 
 def test_a_shard_that_is_too_long_or_too_short(bare: Registry, hub: Hub, cache: Path) -> None:

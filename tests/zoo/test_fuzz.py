@@ -17,7 +17,7 @@ import pytest
 from zoo.errors import ZooError
 from zoo.files import sha256
 from zoo.registry import Registry, build_registry, load_registry, parse_registry
-from zoo.storage import load_group, parse_stacked
+from zoo.storage import load_stacks, parse_stacked
 from zoo.tensors import flatten, row_sha256
 from zoo.verify import verify
 
@@ -98,7 +98,7 @@ BYTES: tuple[Damage, ...] = (flip, cut, grow, splice, zero)
 def genuine(registry: Registry) -> dict[str, str]:
     """Row hashes of the undamaged release, recomputed from its bytes."""
     found: dict[str, str] = {}
-    for group in load_group(registry, registry.policies):
+    for group in load_stacks(registry, registry.policies):
         leaves = flatten(group.params)
         for row, name in enumerate(group.ids):
             found[name] = row_sha256({leaf: value[row] for leaf, value in leaves.items()})
@@ -116,7 +116,7 @@ def loads_only_what_was_published(registry: Registry, genuine: dict[str, str]) -
     loaded = 0
     for entry in registry.policies:
         try:
-            (group,) = load_group(registry, [entry])
+            (group,) = load_stacks(registry, [entry])
         except ZooError as error:
             one_line(error)
             continue
@@ -154,7 +154,7 @@ def damaged_shards(registry: Registry, genuine: dict[str, str], cases: int) -> i
         data = rng.choice(BYTES)(rng, whole)
         path.write_bytes(data)
         try:
-            load_group(registry, [entry])
+            load_stacks(registry, [entry])
         except ZooError as error:
             one_line(error)
             refused += 1

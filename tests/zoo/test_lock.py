@@ -12,7 +12,7 @@ from zoo.lock import Lock, apply_lock, locked_entries, make_lock, read_lock, wri
 from zoo.registry import Registry, load_registry, save_registry
 from zoo.release import create_split
 from zoo.remotes import open_remote
-from zoo.storage import load_group
+from zoo.storage import load_stacks
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def test_a_lock_pins_bytes_and_split(registry: Registry, lock: Lock) -> None:
     assert narrowed.policies == registry.policies and narrowed.split("scratch") == registry.split(
         "scratch"
     )
-    assert [group.ids for group in load_group(narrowed, narrowed.policies)]
+    assert [group.ids for group in load_stacks(narrowed, narrowed.policies)]
 
 
 def test_a_registry_that_grew_is_as_good(registry: Registry, lock: Lock, teams, publish_to) -> None:

@@ -17,7 +17,7 @@ from zoo.publish import publish
 from zoo.registry import Registry, load_registry
 from zoo.release import complete_release
 from zoo.runs import TrainedTeam, read_run
-from zoo.storage import load_group
+from zoo.storage import load_stacks
 from zoo.tensors import encode, flatten
 from zoo.verify import verify
 
@@ -87,7 +87,7 @@ def test_a_growing_release_leaves_what_is_published(
     assert set(split.train) < set(default.train) and set(split.test) < set(default.test)
     entry = grown.policy("scratch/ippo-d9-s5-v0/human")
     expected = team("ippo", "d9", 5).params["human"]["log_std"]
-    assert np.array_equal(load_group(grown, [entry])[0].params["log_std"][0], expected)
+    assert np.array_equal(load_stacks(grown, [entry])[0].params["log_std"][0], expected)
 
 
 def test_a_release_in_the_making_is_not_the_default(
@@ -336,7 +336,7 @@ def test_what_the_trainer_writes_can_be_published(tmp_path: Path, specs, params)
     run.open(config, {"env_version": 1}, resume=False)
     run.write_teams(config, specs, stacked, training, [SELF_PLAY, SELF_PLAY, SELF_PLAY, None])
     registry = publish(read_run(run.folder), tmp_path / "registry.json", "v0")
-    group = load_group(registry, registry.select(role="human"))[0]
+    group = load_stacks(registry, registry.select(role="human"))[0]
     assert group.ids[-1] == "scratch/ippo-d9-s1-v0/human"
     assert np.array_equal(group.params["Dense_1"]["kernel"], stacked["human"]["Dense_1"]["kernel"])
     entry = registry.policy(group.ids[0])

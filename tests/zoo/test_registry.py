@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
+from assistax_envs.disability import DISABILITY_SETTINGS
 from zoo.errors import RegistryError, RegistryVersionError, SplitError, UnknownIdError, ZooError
 from zoo.index import read_index
 from zoo.registry import Registry, load_registry, parse_registry, save_registry
@@ -48,6 +49,23 @@ def test_entries_carry_what_the_evaluator_reads(registry: Registry, specs) -> No
         "scratch/ippo-d1-s0-v0/human",
     ]
     assert len(registry.data.runs) == 1  # provenance is stored once
+
+
+def test_entries_carry_the_numbers_of_their_setting_not_the_installed_ones(
+    registry: Registry,
+) -> None:
+    def weaken(data: dict) -> None:
+        data["disability_settings"]["d9"]["strength"] = 0.125
+
+    changed = load_registry(edit(registry, weaken))
+    assert changed.policy("scratch/ippo-d9-s2-v0/human").setting.strength == 0.125
+    assert changed.policy("scratch/ippo-d1-s2-v0/human").setting == DISABILITY_SETTINGS["d1"]
+
+    def impossible(data: dict) -> None:
+        data["disability_settings"]["d9"]["strength"] = 0.0
+
+    with pytest.raises(RegistryError, match=r"share in \(0, 1\] at disability_settings.d9"):
+        load_registry(edit(registry, impossible))
 
 
 def test_selection_by_glob_and_field(registry: Registry) -> None:

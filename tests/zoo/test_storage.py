@@ -14,7 +14,7 @@ from zoo.registry import Registry, save_registry
 from zoo.storage import (
     check_params,
     encode_shard,
-    load_group,
+    load_stacks,
     parse_stacked,
     read_policy_file,
     take_row,
@@ -43,7 +43,7 @@ def test_groups_hold_the_published_parameters_in_the_order_asked(
         "scratch/ippo-d1-s2-v0/robot",
         "scratch/ippo-d1-s0-v0/human",
     ]
-    human, robot = load_group(registry, [registry.policy(name) for name in names])
+    human, robot = load_stacks(registry, [registry.policy(name) for name in names])
     assert human.ids == (names[0], names[2]) and robot.ids == (names[1],)
     assert human.spec.role == "human" and robot.spec.role == "robot"
     for group in (human, robot):
@@ -67,7 +67,7 @@ def test_shards_of_one_spec_merge_and_specs_do_not(
         "human": PolicySpec("human", 6, 3, hidden=(4,)),
     }
     grown = publish_to([team("mappo", "d1", 0, specs=wide)], registry.path)
-    groups = load_group(grown, grown.select("*-s0-*"))
+    groups = load_stacks(grown, grown.select("*-s0-*"))
     assert [(group.spec.role, group.spec.hidden, len(group.ids)) for group in groups] == [
         ("robot", (4,), 2),
         ("human", (4,), 3),
@@ -82,7 +82,7 @@ def test_half_precision_is_stored_as_it_is_and_returned_as_float32(
     registry = publish_to([team(params=half)], tmp_path / "registry.json")
     entry = registry.policies[0]
     assert "F16" in registry.shard_path(entry.shard).read_bytes()[:400].decode(errors="replace")
-    group = load_group(registry, [entry])[0]
+    group = load_stacks(registry, [entry])[0]
     kernel = group.params["Dense_0"]["kernel"]
     assert kernel.dtype == np.float32 and np.array_equal(
         kernel[0], half["robot"]["Dense_0"]["kernel"]
@@ -125,11 +125,13 @@ def test_a_flipped_byte_is_refused_with_both_hashes(registry: Registry) -> None:
     data[-3] ^= 1
     path.write_bytes(data)
     with pytest.raises(IntegrityError) as caught:
-        load_group(registry, [entry])
+        load_stacks(registry, [entry])
     message = str(caught.value)
     assert f"expected sha256 {registry.data.shards[entry.shard].sha256}, found sha256 " in message
     assert entry.shard in message and "nothing was loaded" in message and "git checkout" in message
-    assert len(load_group(registry, registry.select(role="human"))) == 1  # the other shard is whole
+    assert (
+        len(load_stacks(registry, registry.select(role="human"))) == 1
+    )  # the other shard is whole
 
 
 def test_a_row_that_is_not_the_registrys_is_refused(registry: Registry) -> None:
@@ -145,7 +147,7 @@ def test_a_row_that_is_not_the_registrys_is_refused(registry: Registry) -> None:
         IntegrityError,
         match=f"{entry.id}: expected sha256 {other.sha256}, found sha256 {entry.sha256}",
     ):
-        load_group(tampered, [tampered.policy(entry.id)])
+        load_stacks(tampered, [tampered.policy(entry.id)])
 
 
 def test_truncated_missing_and_grown_shards_are_refused(registry: Registry) -> None:
@@ -157,10 +159,10 @@ def test_truncated_missing_and_grown_shards_are_refused(registry: Registry) -> N
         with pytest.raises(
             IntegrityError, match=f"expected {len(whole)} bytes, found {len(data)} bytes"
         ):
-            load_group(registry, [entry])
+            load_stacks(registry, [entry])
     path.unlink()
     with pytest.raises(IntegrityError, match="no file at"):
-        load_group(registry, [entry])
+        load_stacks(registry, [entry])
 
 
 SPEC = {"role": "robot", "observation_size": 1, "action_size": 1}

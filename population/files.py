@@ -1,0 +1,61 @@
+"""Files that are seen whole or not at all: the one home of atomic writes. Imports nothing heavy.
+
+`atomic_write` takes bytes, `atomic_path` lends a path for writers that want one (Polars, a zip).
+Both flush to disk before the rename, so that a power cut leaves the old file or the new one.
+A killed writer leaves a hidden `.NAME.*.tmp`; the next write of the same name removes it once it
+is an hour old, since a younger one may be another process's.
+"""
+
+import contextlib
+import glob
+import os
+import secrets
+import time
+from collections.abc import Generator
+from pathlib import Path
+
+STALE_SECONDS = 3600.0
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path) -> Generator[Path]:
+    """Lend a hidden sibling of `path` to write; on leaving without an error it becomes `path`.
+
+    Raises:
+        OSError: The folder or the file cannot be written; `path` is as it was.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.exists() and not path.is_file():
+        raise OSError(f"{path} is no regular file; it is not replaced")
+    remove_stale(path.parent, f".{glob.escape(path.name)}.*.tmp")
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
+    try:
+        yield temporary
+        _flush(temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # Windows cannot open folders; there is nothing to flush
+        _flush(path.parent)
+
+
+def atomic_write(path: Path, data: bytes) -> None:
+    """Replace the content of `path` by `data`, whole or not at all."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def remove_stale(folder: Path, pattern: str, age: float = STALE_SECONDS) -> None:
+    """Remove temporary files that a killed process left, by their glob, once they are old."""
+    for file in folder.glob(pattern):
+        with contextlib.suppress(OSError):
+            if time.time() - file.stat().st_mtime > age:
+                file.unlink()
+
+
+def _flush(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
