@@ -290,7 +290,7 @@ def _play(
     figures = self_play(
         env,
         {role: Policy(group.spec) for role, group in groups.items()},
-        {role: group.params for role, group in groups.items()},
+        {role: dict(group.params) for role, group in groups.items()},
         disability_params([registry.policy(name).setting for name in humans.ids]),
         jax.random.split(jax.random.key(seed), len(robots.ids)),
         episodes,
