@@ -1,0 +1,134 @@
+"""The rows of a board: every method's figures, and the place they earn it."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from assistax_zoo.service.statistics_ranks import rank_methods
+from evaluation.bootstrap import (
+    RESAMPLES,
+    Estimate,
+    Interval,
+    cluster_counts,
+    estimate,
+    generalises_to,
+    interval,
+)
+from evaluation.metrics import (
+    Bounds,
+    Fairness,
+    cvar_crossfit,
+    fairness,
+    group_draws,
+    normalised_return,
+)
+
+TAIL = 0.1  # share of partners in the lower tail
+
+
+@dataclasses.dataclass(frozen=True)
+class Panel:
+    """The partners that every method of a board meets."""
+
+    disabilities: tuple[str | None, ...]  # [P]
+    bounds: Bounds | None = None  # of a random robot and of the best response; None if unknown
+
+
+@dataclasses.dataclass(frozen=True)
+class Method:
+    """One method's episodes on the panel."""
+
+    name: str
+    returns: np.ndarray  # [S, P, K]: its seeds, the panel's partners, the panel's episodes
+
+
+@dataclasses.dataclass(frozen=True)
+class Standing:
+    """One row of a board."""
+
+    name: str
+    place: int  # shared by methods that cannot be told apart
+    lowest: int  # rank no lower than this, at 95% for the whole board
+    m_test: Estimate
+    worst_tenth: Interval  # one partner in ten earns less
+    cvar: Interval | None  # mean of the lowest tenth of partners; None with one episode a pair
+    fairness: Fairness | None  # None if no partner's disability is known
+    normalised: Estimate | None  # 0 is a random robot, 1 the best response; None without bounds
+
+
+def standings(
+    methods: Sequence[Method], panel: Panel, *, resamples: int = RESAMPLES, seed: int = 0
+) -> tuple[Standing, ...]:
+    """Return the board, the highest M_test first.
+
+    Raises:
+        ValueError: there are no methods, or one has not played the whole panel.
+    """
+    _check(methods, panel)
+    scores = [method.returns.mean(axis=2) for method in methods]
+    ranks = rank_methods(scores, resamples=resamples, seed=seed)
+    rows = [
+        _standing(method, panel, int(place), int(lowest), resamples, seed)
+        for method, place, lowest in zip(methods, ranks.places, ranks.lowest, strict=True)
+    ]
+    return tuple(sorted(rows, key=lambda row: (-row.m_test.mean, row.name)))
+
+
+def _standing(
+    method: Method, panel: Panel, place: int, lowest: int, resamples: int, seed: int
+) -> Standing:
+    scores = method.returns.mean(axis=2)
+    groups = group_draws(scores, panel.disabilities, resamples=resamples, seed=seed)
+    has_halves = method.returns.shape[2] > 1
+    return Standing(
+        name=method.name,
+        place=place,
+        lowest=lowest,
+        m_test=estimate(scores, resamples=resamples, seed=seed),
+        worst_tenth=worst_tenth(scores, resamples=resamples, seed=seed),
+        cvar=cvar_crossfit(method.returns, TAIL, resamples=resamples, seed=seed)
+        if has_halves
+        else None,
+        fairness=fairness(groups) if groups else None,
+        normalised=_normalised(scores, panel.bounds, resamples, seed),
+    )
+
+
+def worst_tenth(scores: np.ndarray, *, resamples: int = RESAMPLES, seed: int = 0) -> Interval:
+    """Return that one partner in ten does not exceed: the 10% quantile over P of scores [S, P]."""
+    seeds, partners = scores.shape
+    seed_counts, partner_counts = cluster_counts((seeds, partners), resamples, seed)
+    replicates = _lower_quantile(seed_counts @ scores / seeds, partner_counts)
+    point = _lower_quantile(scores.mean(axis=0)[None], np.ones((1, partners), int))
+    to = generalises_to((seeds, partners))
+    return Interval(float(point[0]), interval(replicates, to), seeds * partners, to)
+
+
+def _lower_quantile(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Smallest value [B] that a tenth of the entries [B, n] with their counts do not exceed."""
+    order = np.argsort(values, axis=1, kind="stable")
+    reached = np.cumsum(np.take_along_axis(counts, order, axis=1), axis=1, dtype=float)
+    first = np.argmax(reached >= TAIL * reached[:, -1:], axis=1)
+    return np.take_along_axis(values, order, axis=1)[np.arange(len(values)), first]
+
+
+def _normalised(
+    scores: np.ndarray, bounds: Bounds | None, resamples: int, seed: int
+) -> Estimate | None:
+    if bounds is None or not bounds.scorable.any():
+        return None
+    shares = normalised_return(scores, bounds)[:, bounds.scorable]
+    return estimate(shares, resamples=resamples, seed=seed)
+
+
+def _check(methods: Sequence[Method], panel: Panel) -> None:
+    if not methods:
+        raise ValueError("there are no methods; a board needs one or more")
+    expected = (len(panel.disabilities), methods[0].returns.shape[-1])
+    for method in methods:
+        if method.returns.ndim != 3 or method.returns.shape[1:] != expected:
+            raise ValueError(
+                f"{method.name} has returns of shape {method.returns.shape}; expected [seeds, "
+                f"{expected[0]} partners, {expected[1]} episodes], as the others have"
+            )
