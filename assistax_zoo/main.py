@@ -25,7 +25,6 @@ COMMANDS = {
     "fetch": "assistax_zoo.commands.remote:fetch",
     "publish": "assistax_zoo.commands.remote:publish",
     "lock": "assistax_zoo.commands.remote:lock",
-    "import": "assistax_zoo.commands.exchange:import_zoo",
     "export": "assistax_zoo.commands.exchange:export",
     "evaluate": "assistax_zoo.commands.evaluate:evaluate",
     "crossplay": "assistax_zoo.commands.evaluate:crossplay",

@@ -63,10 +63,6 @@ class ImmutableError(PublishError):
     """A publication that would change what is already published."""
 
 
-class ForeignError(ZooError):
-    """A foreign policy that was asked for as if it were one of ours, or an import that was refused."""
-
-
 class RemoteError(ZooError):
     """A remote that cannot be reached, or does not hold what was asked of it."""
 

@@ -3,13 +3,10 @@
 from collections.abc import Iterable, Sequence
 from typing import NoReturn, Protocol, TypeVar
 
-from zoo.errors import ForeignError, UnknownIdError, listing, nearest, shorten
+from zoo.errors import UnknownIdError, listing, nearest, shorten
 from zoo.ids import compile_pattern
 
 FIELDS = ("task", "algorithm", "disability", "role", "release")
-FOREIGN_PREFIX = (
-    "foreign/"  # of the ids of imported policies: no team id begins so and ends in a role
-)
 
 
 class Selectable(Protocol):
@@ -95,8 +92,6 @@ def _matching(pattern: str, entries: list[T], everything: list[T]) -> set[str]:
 
 def refuse_unknown(wanted: str, known: Sequence[str], what: str = "policy") -> NoReturn:
     """Raise the error for an id or glob that matches none of the known ids, naming the nearest."""
-    if wanted.startswith(FOREIGN_PREFIX):
-        refuse_foreign(wanted)
     close = nearest(wanted, known)
     raise UnknownIdError(
         f"unknown {what} {shorten(wanted)}",
@@ -106,17 +101,6 @@ def refuse_unknown(wanted: str, known: Sequence[str], what: str = "policy") -> N
         next_step=(
             f"nearest: {', '.join(close)}" if close else "`assistax-zoo list` prints every policy"
         ),
-    )
-
-
-def refuse_foreign(wanted: str) -> NoReturn:
-    """Raise the error for a foreign policy where one of this registry is needed."""
-    raise ForeignError(
-        f"policy {shorten(wanted)}",
-        expected="a policy trained on the observations of these environments",
-        found="a foreign one: it was imported, and trained on other observations and another scene",
-        done="nothing was loaded",
-        next_step="`assistax-zoo show ID` inspects it; to play, choose one that `assistax-zoo list` prints",
     )
 
 

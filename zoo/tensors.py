@@ -97,19 +97,6 @@ def decode(data: bytes, source: str) -> tuple[Leaves, dict[str, Any]]:
     return _leaves(tensors, source), metadata
 
 
-def decode_foreign(data: bytes, source: str) -> Leaves:
-    """Return the leaves of safetensors bytes that another program wrote: any metadata, paths joined by '/' or ','.
-
-    Raises:
-        FormatError: The bytes are truncated, malformed, of another dtype, or not finite.
-    """
-    _, tensors = _deserialize(data, source)
-    renamed = [(name.replace(",", "/"), tensor) for name, tensor in tensors]
-    if len(dict(renamed)) != len(renamed):
-        raise _error(source, "one leaf of each name", "two that differ in '/' and ',' alone")
-    return _leaves(renamed, source)
-
-
 def _deserialize(data: bytes, source: str) -> tuple[dict[str, Any], list[tuple[str, Any]]]:
     length = int.from_bytes(data[:8], "little")
     if len(data) < 8 or length > min(MAX_HEADER_BYTES, len(data) - 8):

@@ -7,7 +7,6 @@ from typing import Any
 from assistax_envs.versions import VERSIONS
 from zoo.errors import ZooError, listing, shorten
 from zoo.files import shard_root
-from zoo.foreign import foreign_problems
 from zoo.ids import parse_team, release_number, same_team
 from zoo.publish import installed_settings
 from zoo.registry import Registry
@@ -26,7 +25,6 @@ class Report:
     bytes: int
     policies: int
     splits: int
-    foreign: int  # imported policies beside the registry
     problems: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -52,8 +50,6 @@ def verify(registry: Registry, progress: Callable[[str], None] = lambda shard: N
         problem for shard in data.shards for problem in _shard_problems(registry, shard, progress)
     ]
     problems += [*_duplicates(registry), *_split_problems(registry)]
-    foreign, found = foreign_problems(registry.path, progress)
-    problems += found
     if data.disability_settings != installed_settings():
         problems.append(
             "disability settings of the registry differ from those of the installed environments"
@@ -65,7 +61,6 @@ def verify(registry: Registry, progress: Callable[[str], None] = lambda shard: N
         bytes=sum(shard.bytes for shard in data.shards.values()),
         policies=len(registry.policies),
         splits=len(data.splits),
-        foreign=foreign,
         problems=tuple(problems),
         notes=tuple(_notes(registry)),
     )

@@ -1,6 +1,5 @@
-"""Commands that bring policies in and out: import, export; and what `show --card` and `verify --deep` do."""
+"""Commands that bring policies in and out: export; and what `show --card` and `verify --deep` do."""
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -9,47 +8,9 @@ from assistax_zoo.console import print_json, progress, stdout_is_data
 
 if TYPE_CHECKING:
     from evaluation.deep import DeepReport
-    from zoo.foreign import ForeignEntry
     from zoo.registry import Registry
 
 FormatName = Literal["safetensors", "onnx", "torch"]
-
-
-def import_zoo(
-    path: Path,
-    *,
-    name: str | None = None,
-    partial: bool = False,
-    registry: Path | None = None,
-    json: bool = False,
-) -> None:
-    """Import a public Assistax zoo, version 1 or 2, as foreign policies: listed, shown and verified, never played.
-
-    Args:
-        path: The zoo's folder (with index.csv, config/, params/) or its .tar.gz.
-        name: Name of the zoo in its policies' ids, foreign/NAME/UUID; default the file's own name.
-        partial: Leave out policies whose files are missing or damaged, instead of refusing the zoo.
-        registry: Registry that the zoo is to lie beside instead of the installed one.
-        json: Print JSON.
-
-    Example:
-        assistax-zoo import zoo.tar.gz --name public-v1
-    """
-    from zoo.foreign_import import import_zoo as import_into
-
-    name = name or path.resolve().name.removesuffix(".tar.gz").removesuffix(".tgz").lower()
-    done = import_into(path, name, registry, partial=partial)
-    if json:
-        print_json(done.to_json())
-        return
-    for problem in done.left_out:
-        print(f"left out: {problem}", file=sys.stderr)
-    count, noted = len(done.zoo.policies), sum(bool(policy.notes) for policy in done.zoo.policies)
-    print(
-        f"{'imported' if done.fresh else 'nothing new:'} {count} foreign policies "
-        f"({done.zoo.format}) in {done.folder}; {noted} with notes, {len(done.left_out)} left out; "
-        f"next: assistax-zoo list 'foreign/{name}/*'"
-    )
 
 
 def export(
@@ -172,28 +133,6 @@ def print_replay(result: "DeepReport") -> None:
         f"teams of {result.episodes} episodes on {result.backend}, {result.policies} policies "
         "stepped"
     )
-
-
-def foreign_entries(
-    pattern: str | None, registry: Path | None, fields: dict[str, Any]
-) -> "list[ForeignEntry]":
-    """Return the foreign policies that match, as `zoo.selection.select` does."""
-    from zoo.errors import ForeignError
-    from zoo.foreign import foreign_root, read_foreign
-    from zoo.selection import select
-
-    entries = read_foreign(registry)
-    if not entries:
-        raise ValueError(
-            f"no foreign policies in {foreign_root(registry)}; import some with `assistax-zoo "
-            "import PATH`"
-        )
-    try:
-        return select(entries, pattern, **fields)
-    except ForeignError:
-        raise ValueError(
-            f"no foreign policy matches {pattern!r}; `assistax-zoo list --foreign` prints all"
-        ) from None
 
 
 def _read_policy(id: str, registry: Path | None) -> tuple[Any, Any, dict[str, Any]]:

@@ -24,7 +24,6 @@ def list_policies(
     disability: str | None = None,
     role: RoleName | None = None,
     release: str | None = None,
-    foreign: bool = False,
     registry: Path | None = None,
     json: bool = False,
 ) -> None:
@@ -38,8 +37,6 @@ def list_policies(
         disability: Only this disability setting, such as d3.
         role: Only this role.
         release: Only this release, such as v0.
-        foreign: List the policies that `assistax-zoo import` brought instead, as a pattern
-            'foreign/*' does.
         registry: Registry to read instead of the installed one.
         json: Print JSON.
 
@@ -50,8 +47,6 @@ def list_policies(
     from zoo.selection import select
 
     fields = {"algorithm": algorithm, "disability": disability, "role": role, "release": release}
-    if foreign or (pattern or "").startswith("foreign/"):
-        return _list_foreign(pattern, registry, {"task": task, **fields}, json)
     entries = select(read_index(registry), pattern, task=task, **fields)
     if json:
         print_json([entry.to_json() for entry in entries])
@@ -73,7 +68,7 @@ def show(
     """Show the card of a policy or a team: spec, provenance, self-play, splits, bytes.
 
     Args:
-        id: A policy's id, or a team's for both its policies; also a foreign policy's.
+        id: A policy's id, or a team's for both its policies.
         card: Write the card to this file too, as Markdown to be shared.
         image: Picture that stands in the written card.
         registry: Registry to read instead of the installed one.
@@ -84,8 +79,6 @@ def show(
     """
     from zoo.registry import load_registry
 
-    if id.startswith("foreign/"):
-        return _show_foreign(id, registry, card, json)
     loaded = load_registry(registry)
     members = [entry.id for entry in loaded.policies if id in (entry.id, entry.team)]
     cards = [_card(loaded, policy) for policy in members or [loaded.policy(id).id]]
@@ -155,39 +148,12 @@ def verify(
         raise SystemExit(1)
 
 
-def _list_foreign(
-    pattern: str | None, registry: Path | None, fields: dict[str, Any], json: bool
-) -> None:
-    from assistax_zoo.commands.exchange import foreign_entries
-
-    entries = foreign_entries(pattern, registry, fields)
-    if json:
-        print_json([entry.to_json() for entry in entries])
-        return
-    rows = [
-        (e.id, e.task, e.algorithm, e.role, e.disability, "; ".join(e.policy.notes))
-        for e in entries
-    ]
-    columns = ("policy", "task", "algorithm", "role", "disability", "notes")
-    print_table(columns, rows, f"{len(entries)} foreign policies: for looking at, not for playing")
-
-
-def _show_foreign(id: str, registry: Path | None, card: Path | None, json: bool) -> None:
-    from zoo.foreign import find_foreign
-
-    if card:
-        raise ValueError("a foreign policy has no Markdown card; leave --card out")
-    content = find_foreign(id, registry).to_json()
-    print_json(content) if json else _print_card(content)
-
-
 def _print_report(report: "Report") -> None:
     for problem in report.problems:
         print(f"problem: {problem}")
     for note in report.notes:
         print(f"note: {note}")
     counts = f"{report.shards} shards ({report.bytes} bytes), {report.policies} policies, {report.splits} splits"
-    counts += f", {report.foreign} foreign policies" if report.foreign else ""
     print(
         f"{'verified' if report.ok else f'{len(report.problems)} problems in'} {counts} of "
         f"{report.registry}"

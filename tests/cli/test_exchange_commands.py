@@ -1,4 +1,4 @@
-"""import, export, show --card, verify --deep, and foreign policies in the other commands."""
+"""export, show --card, verify --deep."""
 
 import json
 import shutil
@@ -11,12 +11,10 @@ import pytest
 
 from assistax_zoo.main import run
 from tests.cli.test_zoo_commands import FIRST, answer, refusal, write_run
-from tests.zoo.public_zoos import UUIDS, pack, write_zoo
 from zoo.behaviour import Pair, similar_pairs
 from zoo.storage import read_policy_file
 
 ROOT = Path(__file__).parents[2]
-PUBLIC = f"foreign/public/{UUIDS[1]}"
 V0_TEAM = "scratch/ippo-d1-s0-v0"
 
 
@@ -35,59 +33,6 @@ def zoo(
     )
     capsys.readouterr()
     return path
-
-
-def test_an_imported_zoo_is_listed_shown_and_verified(zoo: Path, tmp_path: Path, capsys) -> None:
-    archive = pack(write_zoo(tmp_path / "public"), tmp_path / "public.tar.gz")
-    done = answer(capsys, "import", str(archive))
-    assert (done["name"], done["format"], done["policies"], done["new"], done["left_out"]) == (
-        "public",
-        "v1",
-        4,
-        True,
-        [],
-    )
-    assert run(["import", str(archive)]) == 0
-    assert "nothing new" in capsys.readouterr().out
-    rows = answer(capsys, "list", "foreign/*", "--role", "human", "--task", "scratch")
-    assert [row["id"] for row in rows] == [PUBLIC] and rows[0]["disability"][
-        "joint_strength"
-    ] == 0.4
-    assert len(answer(capsys, "list", "--foreign")) == 4 and len(answer(capsys, "list")) == 16
-    assert run(["list", "foreign/*"]) == 0
-    assert "range 0.7, strength 0.4, tremor 0.1" in capsys.readouterr().out
-    shown = answer(capsys, "show", PUBLIC)
-    assert shown["foreign"] is True and shown["leaves"]["Dense_0/kernel"] == [6, 8]
-    assert run(["show", PUBLIC]) == 0
-    assert "joint_restriction_factor" in capsys.readouterr().out
-    assert answer(capsys, "verify")["foreign"] == 4
-
-
-def test_foreign_policies_are_refused_where_policies_act(zoo: Path, tmp_path: Path, capsys) -> None:
-    assert run(["import", str(write_zoo(tmp_path / "public"))]) == 0
-    capsys.readouterr()
-    out = ("--out", str(tmp_path / "out"))
-    for command in (
-        ("evaluate", "--task", "scratch", "--policy", f"zoo:foreign/public/{UUIDS[0]}", *out),
-        ("crossplay", "--task", "scratch", "--egos", "foreign/*", "--partners", "*", *out),
-        ("export", PUBLIC, "--format", "torch", "--out", str(tmp_path / "robot.safetensors")),
-        ("verify", "foreign/*", "--deep"),
-    ):
-        assert "trained on other observations" in refusal(capsys, *command)
-    assert "no foreign policy matches" in refusal(capsys, "list", "foreign/public/x*")
-    assert PUBLIC[:-1] in refusal(capsys, "show", PUBLIC[:-1] + "9")
-    assert "no Markdown card" in refusal(capsys, "show", PUBLIC, "--card", str(tmp_path / "c.md"))
-
-
-def test_import_refuses_in_one_line(zoo: Path, tmp_path: Path, capsys) -> None:
-    assert "no such file" in refusal(capsys, "import", str(tmp_path / "none"))
-    assert "lower-case" in refusal(
-        capsys, "import", str(write_zoo(tmp_path / "z")), "--name", "a/b"
-    )
-    (tmp_path / "z" / "params" / f"{UUIDS[0]}.safetensors").unlink()
-    assert "nothing was imported" in refusal(capsys, "import", str(tmp_path / "z"))
-    assert "import some with `assistax-zoo import" in refusal(capsys, "list", "--foreign")
-    assert answer(capsys, "import", str(tmp_path / "z"), "--partial")["policies"] == 3
 
 
 def test_export_to_safetensors_and_torch(zoo: Path, tmp_path: Path, capsys) -> None:
@@ -224,19 +169,16 @@ def test_split_create_names_the_twins_that_it_leaves_out(zoo: Path, capsys, monk
     assert f"as a test partner does: {twin.train}\n" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("command", ["import", "export"])
-def test_help_has_an_example(command: str, capsys) -> None:
-    assert run([command, "--help"]) == 0
+def test_help_has_an_example(capsys) -> None:
+    assert run(["export", "--help"]) == 0
     out = capsys.readouterr().out
-    assert "Example" in out and f"assistax-zoo {command}" in out and "--json" in out
+    assert "Example" in out and "assistax-zoo export" in out and "--json" in out
 
 
-def test_looking_at_foreign_policies_imports_nothing_heavy(zoo: Path, tmp_path: Path) -> None:
-    write_zoo(tmp_path / "public")
+def test_looking_at_policies_imports_nothing_heavy(zoo: Path, tmp_path: Path) -> None:
     code = (
         "import sys\nfrom assistax_zoo.main import run\n"
-        f"for words in (['import', {str(tmp_path / 'public')!r}], ['list', 'foreign/*'], ['show', "
-        f"{PUBLIC!r}], ['verify'], ['show', {FIRST!r}, '--card', {str(tmp_path / 'c.md')!r}]): "
+        f"for words in (['list'], ['verify'], ['show', {FIRST!r}, '--card', {str(tmp_path / 'c.md')!r}]): "
         "assert run(words) == "
         "0\nprint(sorted({'jax', 'mujoco', 'flax', 'matplotlib', 'polars', 'scipy'} & "
         "set(sys.modules)))"

@@ -1,4 +1,4 @@
-"""Selection, registries, splits and foreign zoos, over populations drawn at random and against plain re-statements."""
+"""Selection, registries and splits, over populations drawn at random and against plain re-statements."""
 
 import fnmatch
 import json
@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from population.spec import PolicySpec
 from zoo.errors import UnknownIdError, ZooError
-from zoo.foreign import ForeignDisability, ForeignPolicy, ForeignZoo
 from zoo.ids import TeamId, parse_team
 from zoo.registry import Registry, build_registry, parse_registry
 from zoo.schema import SCHEMA_VERSION, RegistryFile, dump_registry
@@ -162,26 +161,3 @@ def test_every_rule_covers_ignores_order_and_other_releases(
     shuffled = [text for text in ids if text in own]
     rng.shuffle(shuffled)
     assert make_split(shuffled, **arguments) == split
-
-
-NAMES = st.from_regex(r"[0-9A-Za-z][0-9A-Za-z_-]{0,20}", fullmatch=True)
-NUMBERS = (
-    st.none() | st.floats(allow_nan=False, allow_infinity=False) | st.integers(-5, 5).map(float)
-)
-FOREIGN = st.tuples(NAMES, NUMBERS, st.lists(st.integers(0, 40), max_size=3), st.text(max_size=8))
-
-
-@SETTINGS
-@seed(5)
-@given(st.lists(FOREIGN, unique_by=lambda item: item[0], max_size=5))
-def test_foreign_indices_round_trip(items: list) -> None:
-    policies = tuple(
-        ForeignPolicy(
-            uuid=uuid, scenario="scratchitch", task="scratch", role="human", algorithm="ippo", recurrent=False,
-            disability=ForeignDisability(joint_idx=tuple(joints), joint_strength=strength),
-            network={"activation": text}, bytes=1, sha256="a" * 64, leaves={"a": tuple(joints)}, notes=(text,),
-        )
-        for uuid, strength, joints, text in items
-    )  # fmt: skip
-    zoo = ForeignZoo(schema_version=1, name="public", format="v1", policies=policies)
-    assert ForeignZoo.model_validate_json(zoo.model_dump_json(exclude_defaults=True)) == zoo
