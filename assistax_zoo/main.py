@@ -14,9 +14,10 @@ from pathlib import Path
 from cyclopts import App, CycloptsError, Parameter
 
 from assistax_zoo.console import remember_command
+from assistax_zoo.interrupts import EXIT_INTERRUPT, end_now, ended_by_interrupts, interrupted
 
 DEBUG_VARIABLE = "ASSISTAX_ZOO_DEBUG"
-EXIT_ERROR, EXIT_USAGE, EXIT_INTERRUPT, EXIT_BROKEN_PIPE = 1, 2, 130, 141
+EXIT_ERROR, EXIT_USAGE, EXIT_BROKEN_PIPE = 1, 2, 141
 
 COMMANDS = {
     "list": "assistax_zoo.commands.zoo:list_policies",
@@ -72,12 +73,24 @@ def run(arguments: Sequence[str] | None = None) -> int:
     traceback.
 
     Args:
-        arguments: Words of the command line after the program's name; default `sys.argv[1:]`.
+        arguments: Words of the command line after the program's name. Without them they are
+            `sys.argv[1:]`, this process is the command's own, and Ctrl-C ends it.
     """
+    if arguments is not None:
+        code = _run(arguments)
+        return _fail("interrupted", code) if code == EXIT_INTERRUPT else code
+    with ended_by_interrupts():
+        code = _run(sys.argv[1:])
+        if code == EXIT_INTERRUPT:
+            end_now()
+        return code
+
+
+def _run(arguments: Sequence[str]) -> int:
     _use_compilation_cache()
     try:
+        _check_stdout()
         app = build_app()
-        arguments = sys.argv[1:] if arguments is None else arguments
         _add_subcommands(app, arguments)
         _complete_help(app, arguments)
         remember_command(arguments)
@@ -89,11 +102,13 @@ def run(arguments: Sequence[str] | None = None) -> int:
             EXIT_USAGE,
         )
     except KeyboardInterrupt:
-        return _fail("interrupted", EXIT_INTERRUPT)
+        return EXIT_INTERRUPT
     except BrokenPipeError:
         _silence_stdout()
         return EXIT_BROKEN_PIPE
     except Exception as error:
+        if interrupted():
+            return EXIT_INTERRUPT
         if os.environ.get(DEBUG_VARIABLE):
             raise
         return _fail(_message(error), EXIT_ERROR)
@@ -167,6 +182,16 @@ def _message(error: Exception) -> str:
 def _fail(message: str, code: int) -> int:
     print(f"error: {message}", file=sys.stderr)
     return code
+
+
+def _check_stdout() -> None:
+    """Say it now, not after the work, that there is nowhere to print to."""
+    try:
+        os.fstat(1)
+    except OSError:
+        raise ValueError(
+            "standard output is closed; direct it to a file, or to /dev/null"
+        ) from None
 
 
 def _silence_stdout() -> None:

@@ -17,6 +17,7 @@ import numpy as np
 import polars as pl
 
 from assistax_envs import disability_params
+from assistax_envs.interrupts import wait_for
 from evaluation import tables
 from evaluation.egos import call_ego
 from evaluation.jobs import Chunk, Ego, Group, HostEgo, Job, Member, ReferenceSpec, Tile
@@ -123,16 +124,13 @@ class Runner:
     ) -> None:
         """Simulate chunks and `save` the rows of each, padding dropped, when it is done."""
         queue, meter = iter(chunks), meter or Meter(0)
-        if len(self._devices) == 1:
-            self._work(self._devices[0], queue, save, meter)
-            return
+        # In threads even for one device: see `assistax_envs.interrupts`.
         with concurrent.futures.ThreadPoolExecutor(len(self._devices)) as pool:
             works = [
                 pool.submit(self._work, device, queue, save, meter) for device in self._devices
             ]
             try:
-                for work in concurrent.futures.as_completed(works):
-                    work.result()
+                wait_for(works)
             except BaseException:
                 meter.stop()
                 raise

@@ -17,6 +17,7 @@ import numpy as np
 import polars as pl
 
 from assistax_envs import disability_params
+from assistax_envs.interrupts import interruptible
 from population.checkpoints import Checkpoints
 from population.config import MIXED, Member, PPOConfig, TrainConfig
 from population.networks import Params
@@ -156,19 +157,16 @@ def train(
     run.open(config, {"version": env.version, "backend": env.backend}, resume)
     if run.finished(config):
         return run.folder
-    checkpoints = Checkpoints(run.checkpoints)
-    try:
-        state, metrics = _load(config, trainer, shares, run, checkpoints)
-        state, metrics = _loop(
-            config, trainer, shares, state, metrics, run, checkpoints, progress, stop_on_divergence
-        )
-    finally:
-        checkpoints.close()
-    _finish(config, trainer, shares, state, metrics, run)
-    if not extends(config.trainer):
-        shutil.rmtree(
-            run.checkpoints, ignore_errors=True
-        )  # a replay for each member, and nothing can go on from them
+
+    def work(check: Callable[[], None]) -> None:
+        def report(state: Progress) -> None:
+            check()
+            if progress is not None:
+                progress(state)
+
+        _run(config, trainer, shares, run, report, stop_on_divergence)
+
+    interruptible(work)
     return run.folder
 
 
@@ -197,6 +195,29 @@ def initial_state(config: TrainConfig, trainer: Trainer, shares: Shares | None =
     initial = shares.jit(trainer.initial, state_specs(jax.eval_shape(trainer.initial, *start)))
     # Copied, so that no two leaves share a buffer: each is donated to the first update.
     return jax.tree.map(jnp.copy, initial(*start))
+
+
+def _run(
+    config: TrainConfig,
+    trainer: Trainer,
+    shares: Shares,
+    run: RunFolder,
+    progress: Callable[[Progress], None],
+    stop_on_divergence: bool,
+) -> None:
+    """Train from the newest checkpoint, or the beginning, to the finished teams."""
+    checkpoints = Checkpoints(run.checkpoints)
+    try:
+        state, metrics = _load(config, trainer, shares, run, checkpoints)
+        state, metrics = _loop(
+            config, trainer, shares, state, metrics, run, checkpoints, progress, stop_on_divergence
+        )
+    finally:
+        checkpoints.close()
+    _finish(config, trainer, shares, state, metrics, run)
+    if not extends(config.trainer):
+        # A replay for each member, and nothing can go on from them.
+        shutil.rmtree(run.checkpoints, ignore_errors=True)
 
 
 def member_key(member: Member) -> jax.Array:
@@ -228,7 +249,7 @@ def _loop(
     metrics: list[pl.DataFrame],
     run: RunFolder,
     checkpoints: Checkpoints,
-    progress: Callable[[Progress], None] | None,
+    progress: Callable[[Progress], None],
     stop_on_divergence: bool,
 ) -> tuple[State, pl.DataFrame]:
     """Update until the run is done, saving metrics and then the state every `checkpoint_every` updates.
@@ -265,8 +286,7 @@ def _loop(
             run.write_metrics(metrics[0])
         if extends(config.trainer) if ending else saving:
             checkpoints.save(done, state)
-        if progress is not None:
-            progress(clock.progress(config, done, rows))
+        progress(clock.progress(config, done, rows))
     return state, pl.concat(metrics)
 
 

@@ -1,5 +1,6 @@
 """Pictures: what must be seen is seen, the same state gives the same bytes, and a machine that cannot draw says so."""
 
+import ctypes.util
 import dataclasses
 import importlib
 import os
@@ -18,6 +19,7 @@ from assistax_envs.overlay import Figures, write
 from assistax_envs.render import Renderer
 from assistax_envs.tasks import TASK_CLASSES
 from tests.envs.conftest import environment, start
+from tests.system import needs
 
 ROOT = Path(__file__).parents[2]
 TASK = "scratch"
@@ -141,6 +143,7 @@ def test_a_machine_without_opengl_says_what_to_install(monkeypatch: pytest.Monke
         gl.open_context(64, 64)
 
 
+@needs("libosmesa6", ctypes.util.find_library("OSMesa"))
 def test_osmesa_steps_in_for_egl_and_draws_the_same(tmp_path: Path):
     """In a process of its own, because PyOpenGL takes one platform a process; EGL fails there for want of a device."""
     script = (

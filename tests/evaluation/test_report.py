@@ -18,6 +18,7 @@ from evaluation.report import write_report
 from evaluation.report.html import embedded
 from evaluation.report.matrix_data import matrix_data
 from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, team_id, teams
+from tests.system import needs
 
 CHROMIUM = next(
     (
@@ -194,7 +195,7 @@ def coloured(address: str, folder: Path) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium (Debian: apt-get install chromium)")
+@needs("chromium", CHROMIUM)
 def test_a_browser_draws_the_matrix_and_finds_a_pair(crossplay: Path, tmp_path: Path):
     page_of(crossplay, tmp_path)
     robot, human = (f"{team_id(teams(12, ('ippo', 'isac'), ('d1', 'd9'))[i])}" for i in (3, 7))

@@ -1,0 +1,67 @@
+"""Ctrl-C ends a command soon, whatever runs at that moment."""
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Generator
+
+EXIT_INTERRUPT = 130
+GRACE = 1.0  # seconds for the command to stop by itself; a compilation may take ten times that
+
+_interrupted = threading.Event()
+_ending = threading.Lock()
+
+
+def interrupted() -> bool:
+    """Return whether Ctrl-C was pressed; XLA may have made another error of the interrupt."""
+    return _interrupted.is_set()
+
+
+@contextlib.contextmanager
+def ended_by_interrupts() -> Generator[None]:
+    """End this process at Ctrl-C, within a little more than `GRACE` seconds.
+
+    The main thread gets its KeyboardInterrupt as always, but not before XLA's or MuJoCo's C++ code
+    returns. So a thread is told of the signal too, through a pipe that C code writes to. What is
+    finished is kept: every file is written beside its place, then renamed.
+    """
+    told, tell = os.pipe()
+    os.set_blocking(tell, False)
+    before = signal.set_wakeup_fd(tell, warn_on_full_buffer=False)
+    sys.unraisablehook = _hide_interrupts
+    threading.Thread(target=_watch, args=(told,), name="interrupts", daemon=True).start()
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(before)
+        sys.unraisablehook = sys.__unraisablehook__
+        os.close(tell)  # the thread reads the pipe's end, and is gone
+
+
+def end_now() -> None:
+    """End this process as interrupted, without the interpreter's shutdown.
+
+    That would unload modules under XLA's threads, which still call into them: a crash.
+    """
+    _ending.acquire()  # never released: one line, whoever is first
+    with contextlib.suppress(OSError, ValueError):
+        print("error: interrupted", file=sys.stderr, flush=True)
+    os._exit(EXIT_INTERRUPT)
+
+
+def _hide_interrupts(unraisable: "sys.UnraisableHookArgs") -> None:
+    """Say nothing where Ctrl-C struck in a destructor and was lost: `_watch` ends the process."""
+    if unraisable.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(unraisable)
+
+
+def _watch(told: int) -> None:
+    while number := os.read(told, 1):
+        if number[0] == signal.SIGINT:
+            _interrupted.set()
+            time.sleep(GRACE)
+            end_now()
+    os.close(told)

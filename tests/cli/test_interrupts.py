@@ -1,0 +1,126 @@
+"""Ctrl-C: a command ends with one line and code 130, a function raises and leaves the interpreter alive."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+EVALUATE = [
+    "evaluate",
+    "--task",
+    "scratch",
+    "--policy",
+    "zoo:scratch/ippo-d1-s0-v1/robot",
+    "--backend",
+    "native",
+]
+TRAIN = ["train", "--task", "scratch", "--steps", "2M", "--num-envs", "64", "--backend", "native"]
+CROSSPLAY = ["crossplay", "--task", "scratch", "--episodes", "8", "--backend", "native"]
+RENDER = [
+    "render",
+    "--task",
+    "scratch",
+    "--robot",
+    "random",
+    "--human",
+    "zoo:scratch/ippo-d1-s0-v1/human",
+]
+COMMANDS = {
+    "evaluate": [*EVALUATE, "--episodes", "200", "--no-references", "--out"],
+    "crossplay": [*CROSSPLAY, "--out"],
+    "train": [*TRAIN, "--out"],
+    "render": [*RENDER, "--out"],
+}
+SOON = 2.0  # seconds from the key press to the end of the process
+
+
+def begin(words: list[str], folder: Path) -> subprocess.Popen:
+    # As from a terminal: a shell's background jobs ignore the signal.
+    return subprocess.Popen(
+        [sys.executable, "-m", "assistax_zoo", *words],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        env={**os.environ, "XDG_CACHE_HOME": str(folder / "cache")},
+    )
+
+
+def interrupt(command: str, seconds: float, folder: Path) -> None:
+    name = "film.gif" if command == "render" else "out"
+    with begin([*COMMANDS[command], str(folder / name)], folder) as process:
+        time.sleep(seconds)
+        assert process.poll() is None, f"{command} was done before the key press"
+        process.send_signal(signal.SIGINT)
+        pressed = time.monotonic()
+        out, err = process.communicate(timeout=30)
+        spent = time.monotonic() - pressed
+    assert (process.returncode, out) == (130, ""), err
+    assert err.splitlines()[-1] == "error: interrupted"
+    assert err.count("error") == 1 and "Traceback" not in err
+    assert spent < SOON
+
+
+@pytest.mark.parametrize("command", ["evaluate", "train"])
+def test_a_command_ends_soon_with_one_line(command: str, tmp_path: Path) -> None:
+    interrupt(command, random.Random(command).uniform(1.5, 5.0), tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("trial", range(8))
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_ends_soon_at_any_moment(command: str, trial: int, tmp_path: Path) -> None:
+    interrupt(command, random.Random(f"{command} {trial}").uniform(1.0, 12.0), tmp_path)
+
+
+FUNCTION = """
+import os, signal, sys, threading, time
+import jax
+from pathlib import Path
+from evaluation.studies import Settings, evaluate_policies
+from zoo.registry import load_registry
+
+folder = Path(sys.argv[1])
+
+def press():
+    os.kill(os.getpid(), signal.SIGINT)
+
+def evaluate(episodes, on_progress=None):
+    settings = Settings("scratch", episodes, backend="native")
+    return evaluate_policies(load_registry(), ["zoo:scratch/ippo-d1-s0-v1/robot"], settings,
+        folder / str(episodes), partners="scratch/ippo-d1-s[0-3]-v1/human", on_progress=on_progress)
+
+for seconds in map(float, sys.argv[2:]):
+    timers = []
+    def begin(state):
+        if not timers:
+            timers.append(threading.Timer(seconds, press))
+            timers[0].start()
+    try:
+        evaluate(400, begin)
+        print("swallowed")
+    except KeyboardInterrupt:
+        print("interrupted")
+print(jax.numpy.arange(3).sum(), len([t for t in threading.enumerate() if "interruptible" in t.name]))
+"""
+
+
+def test_a_function_raises_and_leaves_the_interpreter_alive(tmp_path: Path) -> None:
+    rng = random.Random(0)
+    moments = [str(rng.uniform(0.1, 4.0)) for _ in range(2)]
+    done = subprocess.run(
+        [sys.executable, "-c", FUNCTION, str(tmp_path), *moments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == "interrupted\n" * 2 + "3 0\n"
