@@ -1,0 +1,92 @@
+"""The compiled step on NVIDIA GPUs: a thread for each simulation, launched from a custom call of XLA."""
+
+import ctypes
+import functools
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+
+from assistax_envs.physics.fused.runtime import cache, toolchain
+from assistax_envs.physics.fused.runtime.xla import HERE, declarations, register_call
+
+
+def register(name: str, key: str, source: Callable[[], str]) -> None:
+    """Compile a program, or find it compiled, and make it the custom call `name` on GPUs.
+
+    Args:
+        name: of the call.
+        key: of what the program's text is made from.
+        source: makes the text; called only if it must be compiled.
+    """
+    kernel = _load_kernel(build_cubin(key, source, architecture()))
+    step, bind = toolchain.load(build_handler(), f"{name}_gpu", ["fused_step", "fused_bind"])
+    launch = ctypes.cast(_driver().cuLaunchKernel, ctypes.c_void_p)
+    ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(bind)(launch, kernel)
+    register_call(name, step, "CUDA")
+
+
+def architecture() -> int:
+    """Return the compute capability of the GPUs that JAX has, 90 for 9.0."""
+    found = {device.compute_capability for device in jax.local_devices(backend="gpu")}
+    if len(found) > 1:
+        raise ValueError(
+            f"backend 'fused' needs GPUs of one kind, and there are {', '.join(sorted(found))}; "
+            "choose with CUDA_VISIBLE_DEVICES"
+        )
+    return int(found.pop().replace(".", ""))
+
+
+def build_cubin(key: str, source: Callable[[], str], architecture: int) -> Path:
+    """Return the machine code of a program for an architecture; needs no GPU."""
+    before = "#define W 1\n"
+    after = "".join((HERE / file).read_text() for file in ("arrays.h", "step.h", "gpu_kernel.h"))
+    parts = (key, before, after, toolchain.WARP, str(architecture))
+    return cache.cached(
+        cache.key(part.encode() for part in parts),
+        ".cubin",
+        lambda output: toolchain.compile_cuda(before + source() + after, output, architecture),
+    )
+
+
+def build_handler() -> Path:
+    """Return the machine code, for the CPU, of what launches a kernel; it is the same for all."""
+    texts = [(HERE / file).read_text() for file in ("arrays.h", "xla.h", "gpu_handler.h")]
+    text = declarations() + "".join(texts)
+    return cache.cached(
+        cache.key(part.encode() for part in (text, toolchain.WARP, toolchain.host_cpu())),
+        ".o",
+        lambda output: toolchain.compile_cpp(text, output, ["-w"]),
+    )
+
+
+def _load_kernel(path: Path) -> int:
+    """Return a handle of the kernel that is good on every GPU; the driver copies it there on first use."""
+    library, kernel = ctypes.c_void_p(), ctypes.c_void_p()
+    image = path.read_bytes()
+    driver = _driver()
+    _check(driver.cuInit(0))
+    options = [None, None, 0, None, None, 0]
+    _check(driver.cuLibraryLoadData(ctypes.byref(library), image, *options))
+    _check(driver.cuLibraryGetKernel(ctypes.byref(kernel), library, b"fused_kernel"))
+    assert kernel.value is not None
+    return kernel.value
+
+
+@functools.cache
+def _driver() -> ctypes.CDLL:
+    try:
+        driver = ctypes.CDLL("libcuda.so.1")
+    except OSError as error:
+        raise ValueError("backend 'fused' needs NVIDIA's driver for this GPU") from error
+    if not hasattr(driver, "cuLibraryLoadData"):
+        raise ValueError("backend 'fused' needs an NVIDIA driver for CUDA 12 or newer")
+    return driver
+
+
+def _check(status: int) -> None:
+    if status:
+        text = ctypes.c_char_p()
+        _driver().cuGetErrorString(status, ctypes.byref(text))
+        reason = (text.value or b"unknown").decode()
+        raise RuntimeError(f"NVIDIA's driver refused the fused engine: {reason} ({status})")

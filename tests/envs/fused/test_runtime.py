@@ -1,0 +1,221 @@
+"""Compiling, caching and calling, with a program small enough to be checked by hand."""
+
+import ctypes
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from assistax_envs.physics.fused.runtime import cache, cpu, gpu, toolchain
+
+# A mass on a line, a motor on it and two sensors; beyond its range it "cannot be solved".
+TOY = """
+#if W == 1
+typedef float real;
+#else
+typedef float real __attribute__((vector_size(4 * W)));
+#endif
+#ifdef __CUDACC__
+#define FN static __device__ __forceinline__
+#else
+#define FN static inline
+#endif
+#define LANES(l) for (int l = 0; l < W; ++l)
+FN float& lane(real& x, int l) { return ((float*)&x)[l]; }
+FN float lane(const real& x, int l) { return ((const float*)&x)[l]; }
+enum { NV = 1, NU = 1, NSENS = 2, NWARM = 1 };
+template <class Sensors>
+FN void substep(real* q, real* qd, const real* u, const real* lo, const real* hi,
+                Sensors& sensors, bool last, unsigned* warm, int* failed) {
+  if (last) {
+    sensors(0, q[0]);
+    sensors(1, qd[0] * 1e-30f);
+  }
+  LANES(l) failed[l] |= lane(q[0], l) < lane(lo[0], l) || lane(q[0], l) > lane(hi[0], l);
+  qd[0] = qd[0] + 0.5f * u[0];
+  q[0] = q[0] + 0.25f * qd[0];
+}
+"""
+WIDTHS = 1, 1, 2  # of what a call returns
+
+
+@pytest.fixture(scope="module")
+def call() -> str:
+    cpu.register("toy_step", "toy", lambda: TOY)
+    return "toy_step"
+
+
+@pytest.fixture
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "assistax-zoo" / "fused"
+
+
+def run(call: str, q, qd, u, substeps: int = 4):
+    n = q.shape[0]
+    shapes = [jax.ShapeDtypeStruct((n, width), jnp.float32) for width in WIDTHS]
+    bounds = jnp.tile(jnp.array([[[-100.0, 100.0]]]), (n, 1, 1))
+    return jax.ffi.ffi_call(call, shapes)(q, qd, u, bounds, substeps=np.int32(substeps))
+
+
+def by_hand(q: np.ndarray, qd: np.ndarray, u: np.ndarray, substeps: int = 4):
+    for _ in range(substeps):
+        before = q, qd * np.float32(1e-30)
+        qd = qd + np.float32(0.5) * u
+        q = q + np.float32(0.25) * qd
+    return q, qd, np.concatenate(before, axis=1)
+
+
+def states(n: int) -> list[jax.Array]:
+    rng = np.random.default_rng(n)
+    return [jnp.asarray(rng.normal(size=(n, 1)), jnp.float32) for _ in range(3)]
+
+
+@pytest.mark.parametrize("n", [1, 7, 8, 9, 1000])
+@pytest.mark.parametrize("substeps", [1, 4])
+def test_a_batch_of_any_size(call: str, n: int, substeps: int) -> None:
+    given = states(n)
+    found = run(call, *given, substeps=substeps)
+    for a, b in zip(found, by_hand(*map(np.asarray, given), substeps), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_inside_jit_and_scan(call: str) -> None:
+    q, qd, u = states(300)
+
+    @jax.jit
+    def play(q, qd):
+        return jax.lax.scan(lambda s, _: (tuple(run(call, *s, u)[:2]), None), (q, qd), length=5)[0]
+
+    expected = np.asarray(q), np.asarray(qd)
+    for _ in range(5):
+        expected = by_hand(*expected, np.asarray(u))[:2]
+    for a, b in zip(play(q, qd), expected, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_calls_from_more_threads_than_there_are_cores_end(call: str) -> None:
+    given = states(5000)
+    step = jax.jit(lambda *args: run(call, *args))
+    expected = step(*given)
+    wrong: list[int] = []
+
+    def work(k: int) -> None:
+        for _ in range(20):
+            if not np.array_equal(step(*given)[0], expected[0]):
+                wrong.append(k)
+
+    threads = [threading.Thread(target=work, args=(k,)) for k in range(16)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(timeout=60)
+        assert not thread.is_alive()
+    assert not wrong
+
+
+def test_what_could_not_be_solved_is_not_a_number_and_its_neighbours_are(call: str) -> None:
+    q, qd, u = states(16)
+    found = run(call, q.at[5].set(200.0), qd, u)
+    expected = run(call, q, qd, u)
+    assert np.isnan(found[1][5]).all()
+    for a, b in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(np.delete(a, 5, 0), np.delete(b, 5, 0))
+
+
+def test_numbers_below_the_normal_ones_are_kept(call: str) -> None:
+    q, qd, u = states(40)
+    small = np.asarray(run(call, q, qd * 1e-10, u * 0)[2])[:, 1]
+    np.testing.assert_array_equal(small, np.asarray(qd * 1e-10)[:, 0] * np.float32(1e-30))
+    assert (np.abs(small) < 1e-38).all()
+    assert (small != 0).all()
+
+
+@pytest.mark.parametrize(("lanes", "features"), [(1, ()), (4, ()), (8, ()), (16, cpu.NATIVE)])
+def test_every_width_and_processor_gives_the_same_bits(call: str, lanes: int, features) -> None:
+    name = f"toy_step_{lanes}"
+    cpu.register(name, "toy", lambda: TOY, lanes, features)
+    given = states(37)
+    for a, b in zip(run(name, *given), run(call, *given), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_kernel_is_compiled_for_a_gpu_that_is_not_here(own_cache: Path) -> None:
+    path = gpu.build_cubin("toy", lambda: TOY, 90)
+    assert path.read_bytes()[:4] == b"\x7fELF"
+
+
+def test_the_handler_of_gpus_takes_the_drivers_functions() -> None:
+    step, bind = toolchain.load(gpu.build_handler(), "toy_gpu", ["fused_step", "fused_bind"])
+    ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(bind)(None, None)
+    assert step
+
+
+def damaged(data: bytes) -> bytes:
+    return data[:100] + bytes([data[100] ^ 1]) + data[101:]
+
+
+@pytest.mark.parametrize("harm", [damaged, lambda data: data[:-1], lambda data: b""])
+def test_a_harmed_file_is_built_anew(own_cache: Path, harm) -> None:
+    whole = bytes(range(200))
+    path = cache.cached("key", ".o", lambda output: output.write_bytes(whole) and None)
+    assert cache.cached("key", ".o", lambda output: pytest.fail("built twice")) == path
+    path.write_bytes(harm(whole))
+    again = cache.cached("key", ".o", lambda output: output.write_bytes(whole) and None)
+    assert again.read_bytes() == whole
+    assert list(own_cache.iterdir()) == [again]
+
+
+def test_a_file_of_another_key_is_not_taken(own_cache: Path) -> None:
+    path = cache.cached("one", ".o", lambda output: output.write_bytes(b"one") and None)
+    path.rename(path.with_name(path.name.replace("one-", "two-")))
+    found = cache.cached("two", ".o", lambda output: output.write_bytes(b"two") and None)
+    assert found.read_bytes() == b"two"
+
+
+def test_a_folder_that_others_may_write_to_is_refused(own_cache: Path) -> None:
+    own_cache.mkdir(parents=True)
+    own_cache.chmod(0o777)
+    with pytest.raises(ValueError, match="may be written by others"):
+        cache.cached("key", ".o", lambda output: pytest.fail("built"))
+
+
+def test_parts_of_a_key_do_not_run_together() -> None:
+    assert cache.key([b"ab", b"c"]) != cache.key([b"a", b"bc"])
+    assert cache.key([b"ab", b"c"]) == cache.key([b"ab", b"c"])
+
+
+def test_another_release_of_warp_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert toolchain.unavailable() is None
+    monkeypatch.setattr(toolchain, "WARP", "1.17.0")
+    assert "warp-lang 1.18.0 is installed; pip install warp-lang==1.17.0" in str(
+        toolchain.unavailable()
+    )
+
+
+def test_processes_that_build_at_once_are_quiet_and_import_no_warp(own_cache: Path) -> None:
+    code = (
+        "import sys; from tests.envs.fused.test_runtime import TOY, cpu;"
+        "cpu.register('toy', 'toy', lambda: TOY); assert 'warp' not in sys.modules"
+    )
+    environ = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-c", code],
+            env=environ,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            cwd=Path(__file__).parents[3],
+        )
+        for _ in range(2)
+    ]
+    for process in processes:
+        output, _ = process.communicate(timeout=120)
+        assert (process.returncode, output) == (0, b"")
+    assert len(list(own_cache.glob("*.o"))) in (1, 2)
