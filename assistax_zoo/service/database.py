@@ -12,6 +12,8 @@ from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy import event
+from sqlalchemy.dialects.postgresql import insert as postgresql_insert
+from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 BUSY_SECONDS = 30  # a writer waits so long for the one before it
 MIGRATIONS = Path(__file__).parent / "migrations"
@@ -69,6 +71,12 @@ class Database:
     def close(self) -> None:
         """Give all connections back."""
         self.engine.dispose()
+
+
+def insert_once(connection: sa.Connection, table: sa.Table, row: dict[str, Any]) -> bool:
+    """Insert a row unless one of its identity is there; return whether it was inserted."""
+    insert: Any = sqlite_insert if connection.dialect.name == "sqlite" else postgresql_insert
+    return connection.execute(insert(table).values(row).on_conflict_do_nothing()).rowcount == 1
 
 
 def alembic_config(url: sa.URL) -> Any:

@@ -7,7 +7,8 @@ value of a hidden partner; a word of a table cannot.
 from typing import Literal
 
 SubmissionState = Literal["queued", "running", "scored", "refused", "failed"]
-JobState = Literal["waiting", "leased", "done", "cancelled"]
+# "held" jobs wait until the public panel of their submission is done.
+JobState = Literal["held", "waiting", "leased", "done", "cancelled"]
 SeasonState = Literal["draft", "open", "closed"]
 PanelName = Literal["public", "A", "B"]
 Kind = Literal["file", "live"]
@@ -37,12 +38,16 @@ REFUSALS = {
     "shape_unknown": "a shape depends on something other than the number of rows",
 }
 
-# Why a submission failed: none of these costs an attempt, but for the last.
+# Why a submission failed.
 FAILURES = {
     "worker_errors": "the workers failed several times; the organiser has been told",
     "withdrawn": "its submitter took it back",
     "client_gone": "the live robot did not come back within the time allowed",
     "season_closed": "the season closed before it was played",
-    "time_bank": "the live robot used up its time for thinking after it had met hidden partners",
+    "time_bank": "the live robot used up its time for thinking",
+    "broke_down": "it returned numbers that are not finite to hidden partners",
 }
+# Failures by the robot's own doing: after it met hidden partners they cost the attempt, or each
+# would be a free answer about them.
+OWN_FAILURES = ("withdrawn", "client_gone", "time_bank", "broke_down")
 REASONS = {**REFUSALS, **FAILURES}

@@ -1,0 +1,87 @@
+"""What the service scores with: tasks, public panels and the version of everything that plays."""
+
+import dataclasses
+import functools
+from typing import Any, Protocol
+
+from assistax_zoo.service.canonical import digest
+
+EPISODES = 8  # with each partner of the public panel
+HIDDEN_EPISODES = 16  # with each partner of panels A and B
+CHUNK = 25  # partners in a job: about 200 simulations, seconds of two cores
+PUBLIC_SEED = 0  # of the public half's episodes, the same for all
+
+
+@dataclasses.dataclass(frozen=True)
+class Partner:
+    """A partner as the board shows it."""
+
+    id: str
+    algorithm: str
+    disability: str
+
+
+class Catalogue(Protocol):
+    """What the service knows about tasks. Tests have a small one that needs no registry."""
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The tasks that have a board."""
+        ...
+
+    def public_panel(self, task: str) -> tuple[Partner, ...]:
+        """Return the public test partners, in the order in which they are cut into jobs."""
+        ...
+
+    def identity(self, task: str) -> dict[str, Any]:
+        """Return what decides a score's value besides the robot: see `version_id`."""
+        ...
+
+
+def version_id(identity: dict[str, Any]) -> str:
+    """Return the id of a version: scores of two are never mixed."""
+    return digest(identity)
+
+
+class ZooCatalogue:
+    """The catalogue of a registry, as it is installed here. Imports no JAX."""
+
+    def __init__(self, registry: Any, backend: str) -> None:
+        self._registry, self._backend = registry, backend
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The tasks that have a board."""
+        return tuple(self._registry.data.releases[self._registry.release].splits)
+
+    @functools.cache  # noqa: B019
+    def public_panel(self, task: str) -> tuple[Partner, ...]:
+        """Return the public test partners: one spec after another, so that few programs compile."""
+        entries = self._entries(task)
+        return tuple(Partner(entry.id, entry.algorithm, entry.disability) for entry in entries)
+
+    @functools.cache  # noqa: B019
+    def identity(self, task: str) -> dict[str, Any]:
+        """Return evaluator, environment, engine and public panel."""
+        from importlib.metadata import version
+
+        from assistax_envs.versions import VERSIONS
+        from evaluation.jobs import MANIFEST_FORMAT
+
+        return {
+            "task": task,
+            "env_version": VERSIONS[task],
+            "evaluator": MANIFEST_FORMAT,
+            "engine": {"name": self._backend, "version": version("mujoco")},
+            "jax": version("jax"),
+            "panel": digest([[entry.id, entry.sha256] for entry in self._entries(task)]),
+            "episodes": EPISODES,
+            "chunk": CHUNK,
+            "seed": PUBLIC_SEED,
+        }
+
+    def _entries(self, task: str) -> list[Any]:
+        split = self._registry.split(task)
+        humans = self._registry.select(task=task, role="human")
+        chosen = [entry for entry in humans if split.side(entry.team) == "test"]
+        return sorted(chosen, key=lambda entry: (entry.spec.digest, entry.id))
