@@ -22,7 +22,7 @@ class Artefacts:
         self._is_folder = "file" in self._files.protocol
 
     def put(self, data: bytes) -> str:
-        """Keep bytes and return their sha256; bytes that are there already are not written again."""
+        """Keep bytes and return their sha256; bytes that are there are not written again."""
         name = sha256(data)
         try:
             if not self._files.exists(self._path(name)):

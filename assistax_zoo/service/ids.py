@@ -1,4 +1,4 @@
-"""Random words that name things: they tell nothing, neither how many there are nor who made them."""
+"""Random words that name things: they do not tell how many there are, nor who made them."""
 
 import secrets
 

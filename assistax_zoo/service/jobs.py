@@ -66,7 +66,7 @@ def lease_job(
     """Take the next job that a worker of these versions can do.
 
     Returns:
-        The lease, or None where nothing waits; and the submissions whose jobs have failed too often.
+        The lease, or None where nothing waits; and the submissions that have failed too often.
     """
     with database.write() as connection:
         exhausted = expire_leases(database, connection, now)
@@ -97,7 +97,9 @@ def expire_leases(database: Database, connection: sa.Connection, now: float) -> 
     it is, so it is over.
     """
     broken = (c.expires_at < now) | (c.leased_at > now)
-    query = database.take(sa.select(c.id, c.submission, c.failures).where(c.state == "leased", broken))
+    query = database.take(
+        sa.select(c.id, c.submission, c.failures).where(c.state == "leased", broken)
+    )
     rows = connection.execute(query).all()
     for row in rows:
         _put_back(connection, row.id, row.failures + 1)
@@ -120,7 +122,7 @@ def give_back(database: Database, job: str, secret: str) -> None:
 
 
 def fail_job(database: Database, job: str, secret: str) -> str | None:
-    """Return a job that a worker could not do; return its submission where that was once too often."""
+    """Put back a job that a worker could not do; name its submission if it failed too often."""
     with database.write() as connection:
         row = connection.execute(sa.select(t.jobs).where(*_held(job, secret))).first()
         if row is None:
@@ -150,7 +152,8 @@ def cancel_jobs(connection: sa.Connection, submission: str, version: str | None 
 
 def _put_back(connection: sa.Connection, job: str, failures: int) -> None:
     # The lease's hash stays: should its worker answer after all, the answer counts.
-    values = {"state": "waiting", "failures": failures, "expires_at": None}
+    state = "cancelled" if failures >= MAX_FAILURES else "waiting"
+    values = {"state": state, "failures": failures, "expires_at": None}
     connection.execute(sa.update(t.jobs).where(c.id == job).values(values))
 
 

@@ -1,4 +1,4 @@
-"""The ledger: every submission, score and act of an organiser, each entry with the hash of the last.
+"""The ledger: every submission, score and act of an organiser, chained by hashes.
 
 Entries hold ids, hashes and released figures, never a name: a person's data can go and the chain
 still holds.
@@ -20,7 +20,7 @@ START = "0" * 64  # the hash before the first entry
 def append(
     database: Database, connection: sa.Connection, at: float, kind: str, body: dict[str, Any]
 ) -> LedgerEntry:
-    """Add an entry within the transaction of what it records, so that neither is without the other."""
+    """Add an entry in the transaction of what it records: neither is without the other."""
     database.one_at_a_time(connection, "ledger")
     query = sa.select(ledger.c.seq, ledger.c.hash).order_by(ledger.c.seq.desc()).limit(1)
     last = connection.execute(query).first()

@@ -32,7 +32,7 @@ CODES = {
 }
 
 
-class Refusal(ValueError):  # noqa: N818
+class Refusal(ValueError):
     """A robot that cannot be scored; `code` is a word of `vocabulary.REFUSALS`.
 
     `detail` is for the submitter's own eyes, at home; the server keeps and shows the code alone.

@@ -1,4 +1,4 @@
-"""What a worker is asked to play, and who plays it: one small interface, so that tests can inject one."""
+"""What a worker is asked to play, and who plays it: one interface, so that tests inject one."""
 
 import dataclasses
 import io

@@ -56,7 +56,7 @@ def create_token(
         submitter: Name of the lab that submits with it; made if it is new.
         contact: Of a new lab, such as an address for questions.
     """
-    if not scopes or (unknown := set(scopes) - set(SCOPES)):
+    if not scopes or set(scopes) - set(SCOPES):
         raise Problem("invalid", f"scopes {list(scopes)}: give some of {', '.join(SCOPES)}")
     if "submit" in scopes and not submitter:
         raise Problem("invalid", "a token that submits needs the name of a submitter")
@@ -104,7 +104,9 @@ def list_tokens(database: Database) -> list[TokenInfo]:
     """Return every token, the oldest first."""
     c, s = t.tokens.c, t.submitters.c
     query = (
-        sa.select(t.tokens, s.name).outerjoin(t.submitters, s.id == c.submitter).order_by(c.created_at)
+        sa.select(t.tokens, s.name)
+        .outerjoin(t.submitters, s.id == c.submitter)
+        .order_by(c.created_at)
     )
     with database.read() as connection:
         return [

@@ -9,7 +9,7 @@ from typing import Literal
 SubmissionState = Literal["queued", "running", "scored", "refused", "failed"]
 # "held" jobs wait until the public panel of their submission is done.
 JobState = Literal["held", "waiting", "leased", "done", "cancelled"]
-SeasonState = Literal["draft", "open", "closed"]
+SeasonState = Literal["draft", "open", "closing", "closed"]
 PanelName = Literal["public", "A", "B"]
 Kind = Literal["file", "live"]
 AttemptState = Literal["free", "reserved", "spent", "refunded"]

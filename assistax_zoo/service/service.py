@@ -1,0 +1,231 @@
+"""The service as one object: what the API, the pages and the commands call."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+
+from assistax_zoo.service import jobs, ledger, results, seasons, submissions, tokens
+from assistax_zoo.service import schema as t
+from assistax_zoo.service.artefacts import Artefacts
+from assistax_zoo.service.catalogue import (
+    CHUNK,
+    EPISODES,
+    HIDDEN_EPISODES,
+    PUBLIC_SEED,
+    Catalogue,
+    version_id,
+)
+from assistax_zoo.service.clock import Clock, system_clock
+from assistax_zoo.service.contract import Queries
+from assistax_zoo.service.database import Database
+from assistax_zoo.service.problems import Problem
+from assistax_zoo.service.receipts import Signer
+from assistax_zoo.service.scoring import Work
+from assistax_zoo.service.submissions import Draft
+
+Admit = Callable[[bytes, str], str]  # (file, task) -> format; raises Refusal
+
+
+@dataclasses.dataclass(frozen=True)
+class Service:
+    """Everything that happens, happens through here."""
+
+    database: Database
+    artefacts: Artefacts
+    catalogue: Catalogue
+    signer: Signer
+    admit: Admit
+    clock: Clock = system_clock
+
+    @property
+    def queries(self) -> Queries:
+        """What may be shown to anybody."""
+        return Queries(self.database)
+
+    def submit(self, submitter: str, draft: Draft) -> str:
+        """Take a submission in and return its id; `submitter` is an id."""
+        submissions.check_draft(draft, self.catalogue)
+        draft = submissions.admitted(self.admit, draft)
+        args = self.database, self.artefacts, self.catalogue, submitter, draft
+        return submissions.submit(*args, self.clock())
+
+    def withdraw(self, submission: str, submitter: str) -> None:
+        """End a submission because its submitter wants so."""
+        submissions.withdraw(self.database, submission, submitter, self.clock())
+
+    def lease(self, worker: str, versions: Sequence[str]) -> Work | None:
+        """Give a worker the next job that it can do."""
+        lease, exhausted = jobs.lease_job(self.database, worker, versions, self.clock())
+        for submission in exhausted:
+            self._fail(submission, "worker_errors")
+        return None if lease is None else self._work(lease)
+
+    def beat(self, job: str, secret: str) -> bool:
+        """Extend a lease; False where it was lost."""
+        return jobs.beat(self.database, job, secret, self.clock())
+
+    def give_back(self, job: str, secret: str) -> None:
+        """Take a job back that its worker could not finish because it stops."""
+        jobs.give_back(self.database, job, secret)
+
+    def job_failed(self, job: str, secret: str) -> None:
+        """Note that a worker could not do a job; several times are too often."""
+        if submission := jobs.fail_job(self.database, job, secret):
+            self._fail(submission, "worker_errors")
+
+    def job_refused(self, job: str, secret: str, code: str) -> None:
+        """End a submission whose robot a worker could not play."""
+        with self.database.write() as connection:
+            row = jobs.held_job(connection, job, secret)
+            if row is None:
+                raise Problem("lease_lost", "this job is no longer yours; take the next")
+            submissions.refuse(self.database, connection, row.submission, code, self.clock())
+            jobs.cancel_jobs(connection, row.submission, row.version)
+            self._reveal(connection, row.submission)
+
+    def result(self, job: str, secret: str, data: bytes, seconds: float) -> bool:
+        """Take a job's result; False where it was there already."""
+        with self.database.read() as connection:
+            row = connection.execute(sa.select(t.jobs).where(t.jobs.c.id == job)).first()
+            if row is None:
+                raise Problem("not_found", f"no job {job!r}")
+            partners = self._partners(connection, row)
+        desk = results.Desk(self.database, self.artefacts, self.signer)
+        return results.accept(desk, job, secret, data, partners, seconds, self.clock())
+
+    def create_season(self, plan: seasons.Plan, folder: Path, public: Any) -> str:
+        """Make a season of a private release; see `seasons`."""
+        args = self.database, self.artefacts, plan, folder, public
+        return seasons.create_season(*args, self.clock())
+
+    def open_season(self, name: str) -> str:
+        """Open a season and return its Merkle root."""
+        return seasons.open_season(self.database, name, self.clock())
+
+    def close_season(self, name: str) -> None:
+        """Close a season: panel B is played, then everything is revealed."""
+        seasons.close_season(self.database, name, self.clock())
+
+    def create_token(self, scopes: Sequence[Any], **options: Any) -> str:
+        """Make a token; see `tokens.create_token`."""
+        return tokens.create_token(self.database, self.clock(), scopes, **options)
+
+    def erase_submitter(self, submitter: str) -> None:
+        """Remove a lab's name, contact and files; hashes and scores stay, under a pseudonym."""
+        erase_submitter(self, submitter)
+
+    def adopt_version(self) -> int:
+        """Score anew what was scored by other versions; return how many submissions that is."""
+        return adopt_version(self)
+
+    def _fail(self, submission: str, reason: str) -> None:
+        with self.database.write() as connection:
+            submissions.fail(self.database, connection, submission, reason, self.clock())
+            self._reveal(connection, submission)
+
+    def _reveal(self, connection: sa.Connection, submission: str) -> None:
+        """Reveal a closing season whose last job was given up."""
+        season = _season_of(connection, submission)
+        if season is not None:
+            seasons.reveal_if_done(self.database, connection, season.id, self.clock())
+
+    def _work(self, lease: jobs.Lease) -> Work:
+        with self.database.read() as connection:
+            s = t.submissions.c
+            row = connection.execute(sa.select(t.submissions).where(s.id == lease.submission)).one()
+            partners = self._partners(connection, lease)
+            season = _season_of(connection, lease.submission)
+        public = lease.panel == "public"
+        return Work(
+            job=lease.job,
+            lease=lease.secret,
+            submission=row.id,
+            task=row.task,
+            kind=row.kind,
+            format=row.format,
+            artefact=row.artefact,
+            release=None if public else season.release,
+            version=lease.version,
+            panel=lease.panel,
+            chunk=lease.chunk,
+            partners=partners,
+            episodes=EPISODES if public else HIDDEN_EPISODES,
+            seed=f"{PUBLIC_SEED:x}"
+            if public
+            else seasons.panel_seed(season.secret["leaves"], lease.panel),
+        )
+
+    def _partners(self, connection: sa.Connection, job: Any) -> tuple[str, ...]:
+        """Return the partners of a job's chunk."""
+        season = _season_of(connection, job.submission)
+        if job.panel == "public":
+            s = t.submissions.c
+            task = connection.execute(sa.select(s.task).where(s.id == job.submission)).scalar_one()
+            names = [partner.id for partner in self.catalogue.public_panel(task)]
+        else:
+            names = seasons.panel_partners(season.secret["leaves"], job.panel)
+        return tuple(names[job.chunk * CHUNK : (job.chunk + 1) * CHUNK])
+
+
+def erase_submitter(service: Service, submitter: str) -> None:
+    """Remove a person's data; the ledger holds ids and hashes alone, so its chain stays whole."""
+    now, s = service.clock(), t.submissions.c
+    with service.database.write() as connection:
+        where = t.submitters.c.id == submitter
+        row = connection.execute(sa.select(t.submitters).where(where)).first()
+        if row is None:
+            raise Problem("not_found", f"no submitter {submitter!r}")
+        values = {"name": f"erased-{submitter}", "contact": None, "erased_at": now}
+        connection.execute(sa.update(t.submitters).where(where).values(values))
+        open_tokens = sa.update(t.tokens).where(t.tokens.c.submitter == submitter)
+        connection.execute(open_tokens.values(revoked_at=now, label="erased"))
+        mine = connection.execute(sa.select(s.id, s.artefact).where(s.submitter == submitter)).all()
+        for each in mine:
+            submissions.fail(service.database, connection, each.id, "withdrawn", now)
+            update = sa.update(t.submissions).where(s.id == each.id)
+            connection.execute(update.values(method="erased"))
+        others = sa.select(s.artefact).where(s.submitter != submitter, s.artefact.is_not(None))
+        kept = set(connection.execute(others).scalars())
+        gone = {each.artefact for each in mine if each.artefact} - kept
+        a = t.artefacts.c
+        erased = sa.update(t.artefacts).where(a.sha256.in_(gone)).values(erased_at=now)
+        connection.execute(erased)
+        ledger.append(service.database, connection, now, "erase", {"submitter": submitter})
+    for name in gone:
+        service.artefacts.erase(name)
+
+
+def adopt_version(service: Service) -> int:
+    """Cut everything into jobs of the current version that has none: after an upgrade.
+
+    Unfinished jobs of older versions are dropped, since no worker of today can do them. Scores of
+    older versions stay.
+    """
+    now, s, changed = service.clock(), t.submissions.c, 0
+    for task in service.catalogue.tasks:
+        version = version_id(service.catalogue.identity(task))
+        with service.database.write() as connection:
+            planned = sa.select(t.jobs.c.submission).where(t.jobs.c.version == version)
+            stale = sa.select(t.submissions).where(
+                s.task == task,
+                s.state.in_(("queued", "running", "scored")),
+                s.kind == "file",
+                s.id.not_in(planned),
+            )
+            for row in connection.execute(stale).mappings().all():
+                jobs.cancel_jobs(connection, row["id"])
+                season = _season_of(connection, row["id"])
+                season = season if season is not None and season.state == "open" else None
+                submissions.plan_jobs(connection, service.catalogue, row, season, now)
+                changed += 1
+    return changed
+
+
+def _season_of(connection: sa.Connection, submission: str) -> Any:
+    """Return the season of a submission, secrets included: never to be shown."""
+    s = t.submissions.c
+    query = sa.select(t.seasons).join(t.submissions, s.season == t.seasons.c.id)
+    return connection.execute(query.where(s.id == submission)).first()
