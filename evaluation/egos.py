@@ -1,56 +1,64 @@
-"""Find the policies that a job is about: from the registry, from a file, or from anybody's Python code."""
+"""Find the robots that a job is about: in the registry, in files, in anybody's Python code, or in this process."""
 
 import hashlib
-import importlib
-import inspect
-import os
-import sys
-import traceback
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from evaluation import onnx_ego
 from evaluation.jobs import Ego, Group, HostEgo, Member
+from evaluation.policy_process import PolicyError, PolicyProcess
+from evaluation.policy_reference import PolicyReference, parse_reference
+from evaluation.policy_worker import told
+from evaluation.robot_forms import as_robot
 from population.spec import PolicySpec
+from population.stack import stack_policies
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 from zoo.storage import load_stacks, read_policy_file
-
-FORMS = "zoo:ID, a path to a .safetensors file, onnx:FILE, or python:package.module:factory"
 
 
 class EgoError(ValueError):
     """A robot from outside failed: names the partner, the step and what was wrong."""
 
 
-def read_egos(references: Sequence[str], registry: Registry, task: str) -> tuple[Ego, ...]:
-    """Resolve `--policy` references to egos; several of one spec are stacked, in the order given.
+def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> tuple[Ego, ...]:
+    """Resolve references and Python objects to egos; several of one spec are stacked, in the order given.
+
+    Args:
+        robots: Texts of the forms of `evaluation.policy_reference`, paths, and objects of those of
+            `evaluation.robot_forms`.
+        registry: Where ids are looked up.
+        task: Whose robots are meant by a glob.
 
     Raises:
-        ValueError: a reference has none of the known forms, or is given twice.
-        ZooError: an id or a file that is not there or not what it says.
-        EgoError: the factory of a Python reference cannot be imported or fails.
+        ValueError: A reference has none of the known forms, or cannot play the robot.
+        TypeError: An object has none of the known forms.
+        ZooError: An id or a file that is not there or not what it says.
+        EgoError: A robot from a Python module cannot be made.
     """
-    single: list[tuple[PolicySpec, Member, Any]] = []
+    single: list[tuple[Member, PolicySpec, Any]] = []
     host: list[HostEgo] = []
-    for reference in references:
-        scheme, _, rest = reference.partition(":")
-        if scheme == "python":
-            host.append(_from_python(reference, rest))
-        elif scheme == "zoo":
-            for group in registry_groups(registry, registry.select(rest, task=task, role="robot")):
-                single += [
-                    (group.spec, member, _row(group.params, row))
-                    for row, member in enumerate(group.members)
-                ]
-        elif scheme == "onnx":
-            host.append(_from_onnx(reference, rest))
-        elif reference.endswith(".safetensors"):
-            single.append(_from_file(reference))
+    for place, robot in enumerate(robots):
+        if not isinstance(robot, str | Path):
+            host.append(_from_object(robot, place))
+            continue
+        reference = parse_reference(str(robot))
+        reference.check(task, "robot")
+        if reference.kind == "zoo":
+            single += _from_zoo(reference.source, registry, task)
+        elif reference.kind == "file":
+            single.append(_from_file(reference.text))
+        elif reference.kind in ("python", "onnx"):
+            host.append(_from_outside(reference))
         else:
-            raise ValueError(f"policy {reference!r} has an unknown form; allowed are {FORMS}")
+            raise ValueError(
+                f"policy {reference.text!r} is no robot to evaluate; references play it beside "
+                "every robot"
+            )
     return (*_stack(single), *host)
 
 
@@ -70,16 +78,18 @@ def call_ego(
 
     `partners` and `episodes` say who stands in each row: N is partner by partner, K episodes each.
     """
+    robot = as_robot(ego.act)
 
     def act(obs: np.ndarray, step: int) -> np.ndarray:
         place = f"{ego.member.id} with {_span(partners)}, step {step}"
         try:
-            if step == 0 and callable(reset := getattr(ego.act, "reset", None)):
-                reset(len(obs))
-            answer = ego.act(obs)
-            answer = np.asarray(answer.detach().cpu() if hasattr(answer, "detach") else answer)
-        except Exception as error:
-            raise EgoError(f"{place}: {_told(error)}") from error
+            if step == 0:
+                robot.reset(len(obs))
+            answer = robot(obs)
+        except PolicyError as error:
+            raise EgoError(f"{place}: {error}") from error
+        except (Exception, SystemExit, GeneratorExit) as error:  # its code does not end a run
+            raise EgoError(f"{place}: {told(error)}") from error
         if answer.shape != (len(obs), action_size) or answer.dtype.kind not in "fiu":
             raise EgoError(
                 f"{place}: returned {answer.dtype} of shape {answer.shape}; expected floats of "
@@ -99,49 +109,65 @@ def call_ego(
     return act
 
 
-def _from_python(reference: str, rest: str) -> HostEgo:
-    module_name, _, factory_name = rest.partition(":")
-    if not module_name or not factory_name:
-        raise ValueError(
-            f"policy {reference!r} lacks a part; expected python:package.module:factory"
-        )
-    if os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
-    try:
-        module = importlib.import_module(module_name)
-    except Exception as error:
-        raise EgoError(
-            f"policy {reference!r}: cannot import {module_name}: {_told(error)}"
-        ) from error
-    factory = getattr(module, factory_name, None)
-    if not callable(factory):
-        raise EgoError(
-            f"policy {reference!r}: {module_name} has no function {factory_name!r}; name the ego's "
-            "factory"
-        )
-    try:
-        act = factory()
-    except Exception as error:
-        raise EgoError(f"policy {reference!r}: {factory_name}() failed: {_told(error)}") from error
-    if not callable(act):
-        raise EgoError(
-            f"policy {reference!r}: {factory_name}() returned {type(act).__name__}; expected a "
-            "callable"
-        )
-    return HostEgo(Member(reference, _source_digest(module, reference)), act)
+def _from_zoo(
+    pattern: str, registry: Registry, task: str
+) -> Iterable[tuple[Member, PolicySpec, Any]]:
+    entries = registry.select(pattern, task=task, role="robot")
+    members = {entry.id: _member(entry) for entry in entries}
+    for stack in load_stacks(registry, entries):
+        for row, name in enumerate(stack.ids):
+            yield members[name], stack.spec, stack.row(row)
 
 
-def _from_onnx(reference: str, rest: str) -> HostEgo:
-    from evaluation.onnx_ego import OnnxEgo
-
-    act = OnnxEgo(Path(rest), reference)
-    return HostEgo(Member(reference, act.digest), act)
-
-
-def _from_file(reference: str) -> tuple[PolicySpec, Member, Any]:
-    path = Path(reference)
+def _from_file(text: str) -> tuple[Member, PolicySpec, Any]:
+    path = Path(text)
     spec, params, _ = read_policy_file(path)
-    return spec, Member(reference, hashlib.sha256(path.read_bytes()).hexdigest()), params
+    return Member(text, hashlib.sha256(path.read_bytes()).hexdigest()), spec, params
+
+
+def _from_object(robot: Any, place: int) -> HostEgo:
+    """Take a robot of this process; no digest covers what it depends on."""
+    kind = getattr(robot, "__qualname__", type(robot).__qualname__)
+    name = f"object:{kind}-{place}"
+    return HostEgo(Member(name, _digest([name]), reusable=False), as_robot(robot))
+
+
+def _from_outside(reference: PolicyReference) -> HostEgo:
+    """Start the process of a robot from a Python module or an ONNX file."""
+    try:
+        if reference.kind == "onnx":
+            path = Path(reference.source)
+            robot = PolicyProcess(*onnx_ego.factory(path))
+            member = Member(reference.text, hashlib.sha256(path.read_bytes()).hexdigest())
+        else:
+            robot = PolicyProcess(reference.source, reference.factory, reference.arguments)
+            member = _python_member(reference, robot)
+    except (PolicyError, OSError) as error:
+        raise EgoError(f"policy {reference.text!r}: {error}") from None
+    return HostEgo(member, robot)
+
+
+def _python_member(reference: PolicyReference, robot: PolicyProcess) -> Member:
+    """Describe a robot by all that its result is known to depend on.
+
+    That is its code, the files that its arguments name, and those that its module declares, such as
+    `DEPENDS = ["weights.pt"]`, relative to itself. Only with such a list, which may be empty, is
+    the digest taken to cover everything.
+    """
+    folder = Path(robot.files[0]).parent
+    named = [path for value in reference.arguments.values() if (path := Path(value)).is_file()]
+    declared = [folder / name for name in robot.depends or ()]
+    paths = [*map(Path, robot.files), *named, *declared]
+    hashes = [[path.name, hashlib.sha256(path.read_bytes()).hexdigest()] for path in paths]
+    return Member(
+        reference.text,
+        _digest([reference.text, hashes]),
+        reusable=robot.depends is not None,
+    )
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value).encode()).hexdigest()
 
 
 def _member(entry: PolicyEntry) -> Member:
@@ -156,47 +182,12 @@ def _member(entry: PolicyEntry) -> Member:
     )
 
 
-def _stack(single: Sequence[tuple[PolicySpec, Member, Any]]) -> tuple[Group, ...]:
-    groups = []
-    for spec in dict.fromkeys(spec for spec, _, _ in single):
-        members = tuple(member for other, member, _ in single if other == spec)
-        groups.append(
-            Group(
-                spec,
-                members,
-                _stack_trees([params for other, _, params in single if other == spec]),
-            )
-        )
-    return tuple(groups)
-
-
-def _stack_trees(trees: Sequence[Any]) -> Any:
-    if isinstance(trees[0], dict):
-        return {name: _stack_trees([tree[name] for tree in trees]) for name in trees[0]}
-    return np.stack([np.asarray(leaf) for leaf in trees])
-
-
-def _row(params: Any, row: int) -> Any:
-    return (
-        {name: _row(leaf, row) for name, leaf in params.items()}
-        if isinstance(params, dict)
-        else params[row]
-    )
-
-
-def _source_digest(module: Any, reference: str) -> str:
-    source = inspect.getsourcefile(module)
-    content = Path(source).read_bytes() if source else b""
-    return hashlib.sha256(reference.encode() + b"\0" + content).hexdigest()
-
-
-def _told(error: Exception) -> str:
-    """Say an exception in one line, with the place in the user's code."""
-    frames = traceback.extract_tb(error.__traceback__)
-    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-    message = " ".join(str(error).split())
-    return (
-        f"{type(error).__name__}: {message}{place}" if message else f"{type(error).__name__}{place}"
+def _stack(single: Sequence[tuple[Member, PolicySpec, Any]]) -> tuple[Group, ...]:
+    members = {member.id: member for member, _, _ in single}
+    stacks = stack_policies((member.id, spec, params) for member, spec, params in single)
+    return tuple(
+        Group(stack.spec, tuple(members[name] for name in stack.ids), stack.params)
+        for stack in stacks
     )
 
 

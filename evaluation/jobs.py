@@ -31,6 +31,7 @@ class Member:
     disability: str | None = None
     seed: int | None = None
     setting: Disability | None = None  # what a human's setting is; the installed one of its name
+    reusable: bool = True  # False where the digest does not cover all that the policy depends on
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,57 +1,152 @@
-"""A robot from an ONNX file, run by onnxruntime: any exporter's, recurrent or not."""
+"""A robot from an ONNX file, run by onnxruntime in a process of its own: any exporter's, recurrent or not.
 
-import hashlib
+A model is data from a stranger. It is checked operator by operator before onnxruntime sees it, and
+its process may take so much memory and no more.
+"""
+
+import resource
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-MAX_BYTES = 1024 * 1024 * 1024
+MAX_BYTES = 64 * 1024 * 1024  # of a file: 16 million parameters
+MEMORY = 1024 * 1024 * 1024  # that a model may take beside onnxruntime's own
+# Nothing that loops, calls, draws or reads files.
+OPERATORS = frozenset(
+    [
+        "Abs",
+        "Add",
+        "And",
+        "ArgMax",
+        "BatchNormalization",
+        "Cast",
+        "Ceil",
+        "Clip",
+        "Concat",
+        "Constant",
+        "ConstantOfShape",
+        "Cos",
+        "Div",
+        "Dropout",
+        "Elu",
+        "Equal",
+        "Erf",
+        "Exp",
+        "Expand",
+        "Flatten",
+        "Floor",
+        "GRU",
+        "Gather",
+        "Gelu",
+        "Gemm",
+        "Greater",
+        "GreaterOrEqual",
+        "HardSigmoid",
+        "HardSwish",
+        "Identity",
+        "LSTM",
+        "LayerNormalization",
+        "LeakyRelu",
+        "Less",
+        "LessOrEqual",
+        "Log",
+        "LogSoftmax",
+        "MatMul",
+        "Max",
+        "Min",
+        "Mish",
+        "Mul",
+        "Neg",
+        "Not",
+        "Or",
+        "PRelu",
+        "Pow",
+        "RNN",
+        "Reciprocal",
+        "ReduceMax",
+        "ReduceMean",
+        "ReduceMin",
+        "ReduceSum",
+        "Relu",
+        "Reshape",
+        "Round",
+        "Selu",
+        "Shape",
+        "Sigmoid",
+        "Sign",
+        "Sin",
+        "Slice",
+        "Softmax",
+        "Softplus",
+        "Softsign",
+        "Split",
+        "Sqrt",
+        "Squeeze",
+        "Sub",
+        "Sum",
+        "Swish",
+        "Tanh",
+        "Transpose",
+        "Unsqueeze",
+        "Where",
+    ]
+)
+
+
+def factory(path: Path) -> tuple[str, str, dict[str, str]]:
+    """Return module, function and arguments of the robot, for `evaluation.policy_process`."""
+    return __file__, make.__name__, {"path": str(path)}
+
+
+def make(path: str) -> "OnnxEgo":
+    """Load a model, and bound this process's memory first.
+
+    Raises:
+        ValueError: onnxruntime is not installed, or the file is not a model of this form.
+    """
+    try:
+        import onnx
+        import onnxruntime
+    except ImportError:
+        raise ValueError("needs onnxruntime: pip install 'assistax-zoo[export]'") from None
+    file = Path(path)
+    if not file.is_file() or file.stat().st_size > MAX_BYTES:
+        raise ValueError(f"no file of at most {MAX_BYTES} bytes there")
+    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (taken + MEMORY, taken + MEMORY))
+    data = file.read_bytes()
+    try:
+        model = onnx.load_model_from_string(data)
+        _refuse_strangers(model, onnx)
+        return OnnxEgo(data, onnxruntime)
+    except (ValueError, MemoryError):
+        raise
+    except Exception as error:  # each library has an exception class for each of its status codes
+        message = " ".join(str(error).split())
+        raise ValueError(f"is not an ONNX model that onnxruntime runs: {message[:300]}") from None
 
 
 class OnnxEgo:
     """A callable from observations [B, O] to actions [B, A].
 
     The model's first input is the observations and its first output the actions. A recurrent model
-    has two or three
-    inputs: observations, carry [B, H] and, if it wants to be told, a bool [B] that is true on an
-        episode's first step;
-    its second output is the next carry. This is what `assistax-zoo export --format onnx` writes.
+    has two or three inputs: observations, carry [B, H] and, if it wants to be told, a bool [B] that
+    is true on an episode's first step; its second output is the next carry. This is what
+    `assistax-zoo export --format onnx` writes.
     """
 
-    def __init__(self, path: Path, reference: str) -> None:
-        """Load the model.
-
-        Raises:
-            ValueError: onnxruntime is not installed, or the file is not a model of this form.
-        """
-        try:
-            import onnxruntime
-        except ImportError:
-            raise ValueError(
-                f"policy {reference!r} needs onnxruntime: pip install 'assistax-zoo[export]'"
-            ) from None
-        if not path.is_file() or path.stat().st_size > MAX_BYTES:
-            raise ValueError(
-                f"policy {reference!r}: no file of at most {MAX_BYTES} bytes there; give onnx:FILE"
-            )
-        data = path.read_bytes()
-        self.digest = hashlib.sha256(data).hexdigest()
-        onnxruntime.set_default_logger_severity(4)
-        try:
-            # From bytes: a model cannot name other files.
-            self._session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
-        except (
-            Exception
-        ) as error:  # onnxruntime has an exception class for each of its status codes
-            message = " ".join(str(error).split())
-            raise ValueError(
-                f"policy {reference!r} is not an ONNX model that onnxruntime runs: {message[:300]}"
-            ) from None
+    def __init__(self, data: bytes, onnxruntime: Any) -> None:
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.log_severity_level = 4
+        self._session = onnxruntime.InferenceSession(
+            data, options, providers=["CPUExecutionProvider"]
+        )
         self._inputs, self._outputs = self._session.get_inputs(), self._session.get_outputs()
-        self._check_form(reference)
-        self._carry: np.ndarray | None = None
-        self._first = True
+        self.recurrent = len(self._inputs) > 1  # whether it carries a state from step to step
+        _check_form(self._inputs, self._outputs)
+        self.reset(1)
 
     def reset(self, rows: int) -> None:
         """Begin `rows` episodes."""
@@ -59,7 +154,7 @@ class OnnxEgo:
         if self.recurrent:
             self._carry = np.zeros((rows, self._inputs[1].shape[1]), np.float32)
 
-    def __call__(self, obs: np.ndarray) -> np.ndarray:
+    def act(self, obs: np.ndarray) -> np.ndarray:
         """Return the actions for observations [B, O]."""
         width = self._inputs[0].shape[1]
         if isinstance(width, int) and width != obs.shape[1]:
@@ -68,35 +163,57 @@ class OnnxEgo:
             )
         values: list[Any] = [obs.astype(np.float32, copy=False)]
         if self.recurrent:
-            if self._carry is None:
-                self.reset(len(obs))
             values += [self._carry, np.full(len(obs), self._first)]
         fed = {value.name: array for value, array in zip(self._inputs, values, strict=False)}
-        answer: Any = self._session.run(
-            [value.name for value in self._outputs[: 1 + self.recurrent]], fed
-        )
+        names = [value.name for value in self._outputs[: 1 + self.recurrent]]
+        answer = self._session.run(names, fed)
         self._first = False
         if self.recurrent:
             self._carry = answer[1]
         return answer[0]
 
-    @property
-    def recurrent(self) -> bool:
-        """Whether the model carries a state from step to step."""
-        return len(self._inputs) > 1
 
-    def _check_form(self, reference: str) -> None:
-        inputs = [(value.type, len(value.shape)) for value in self._inputs]
-        allowed = [("tensor(float)", 2), ("tensor(float)", 2), ("tensor(bool)", 1)]
-        whole = (
-            bool(inputs)
-            and inputs == allowed[: len(inputs)]
-            and len(self._outputs) >= 1 + (len(inputs) > 1)
+def _refuse_strangers(model: Any, onnx: Any) -> None:
+    """Refuse what is not a plain network in one file."""
+    graph, tensors = model.graph, list(model.graph.initializer)
+    unknown = {"functions of its own"} if model.functions else set()
+    for node in graph.node:
+        tensors += [attribute.t for attribute in node.attribute if attribute.HasField("t")]
+        inner = any(attribute.HasField("g") or attribute.graphs for attribute in node.attribute)
+        if inner or node.domain not in ("", "ai.onnx") or node.op_type not in OPERATORS:
+            unknown.add(f"{node.domain or 'ai.onnx'}.{node.op_type}")
+    if unknown:
+        names = ", ".join(sorted(unknown))[:200]
+        raise ValueError(
+            f"uses {names}; allowed are the operators of plain networks, without loops, branches "
+            "and functions: export the network alone"
         )
-        if not whole or (len(inputs) > 1 and not isinstance(self._inputs[1].shape[1], int)):
-            found = ", ".join(f"{value.name} {value.type}{value.shape}" for value in self._inputs)
-            raise ValueError(
-                f"policy {reference!r} has the inputs {found or 'none'}; expected float "
-                "observations [N, O], or those with a float carry [N, H] and a bool first [N], and "
-                "the next carry as second output"
-            )
+    external = onnx.TensorProto.EXTERNAL
+    if any(tensor.data_location == external or tensor.external_data for tensor in tensors):
+        raise ValueError(
+            "keeps weights in other files, which its sha256 does not cover; save it as one file"
+        )
+
+
+def _check_form(inputs: Any, outputs: Any) -> None:
+    found = [(value.type, len(value.shape)) for value in inputs]
+    allowed = [("tensor(float)", 2), ("tensor(float)", 2), ("tensor(bool)", 1)]
+    whole = bool(found) and found == allowed[: len(found)]
+    whole = whole and len(outputs) >= 1 + (len(found) > 1)
+    if not whole or (len(found) > 1 and not isinstance(inputs[1].shape[1], int)):
+        listed = ", ".join(f"{value.name} {value.type}{value.shape}" for value in inputs)
+        raise ValueError(
+            f"has the inputs {listed or 'none'}; expected float observations [N, O], or those with "
+            "a float carry [N, H] and a bool first [N], and the next carry as second output"
+        )
+    fixed = [value for value in (*inputs, *outputs[: len(inputs) > 1]) if _is_fixed(value)]
+    if fixed:
+        name, shape = fixed[0].name, fixed[0].shape
+        raise ValueError(
+            f"has a fixed batch: the first axis of {name} {shape} must be dynamic, for one row an "
+            f"episode; with torch.onnx.export: dynamic_axes={{{name!r}: {{0: 'batch'}}}}"
+        )
+
+
+def _is_fixed(value: Any) -> bool:
+    return bool(value.shape) and isinstance(value.shape[0], int)

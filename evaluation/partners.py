@@ -1,6 +1,7 @@
 """One frozen policy in one seat of one simulation: NumPy observations in, NumPy actions out."""
 
 import functools
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,13 +13,12 @@ import numpy as np
 from assistax_envs.disability import DISABILITY_SETTINGS, Disability
 from evaluation.egos import call_ego, read_egos
 from evaluation.jobs import HostEgo
+from evaluation.policy_reference import parse_reference
 from population.policy import Policy
 from population.spec import PolicySpec
 from zoo.errors import UnknownIdError
 from zoo.registry import Registry
 from zoo.storage import load_stacks, read_policy_file
-
-FORMS = "zoo:ID, a path to a .safetensors file, zero, or random; for the robot also python:... and onnx:FILE"
 
 
 class Seats(Protocol):
@@ -114,24 +114,21 @@ def seat_policy(
         ValueError: the reference has none of the known forms, or does not fit.
         ZooError: an id or a file that is not there or not what it says.
     """
-    size, scheme = env.action_size[role], reference.partition(":")[0]
-    if reference == "zero":
+    size, named = env.action_size[role], parse_reference(reference)
+    named.check(task, role)
+    if named.kind == "zero":
         return lambda obs: np.zeros(size, np.float32)
-    if reference == "random":
+    if named.kind == "random":
         rng = np.random.default_rng([seed, list(env.action_size).index(role)])
         return lambda obs: rng.uniform(-1.0, 1.0, size).astype(np.float32)
-    if role == "robot" and scheme in ("python", "onnx"):
-        [ego] = read_egos([reference], registry(), task)
-        return _single(ego, size) if isinstance(ego, HostEgo) else _unfit(reference, role, FORMS)
-    if scheme == "zoo":
-        policy = zoo_partner(registry(), reference.removeprefix("zoo:"), role)
-    elif reference.endswith(".safetensors"):
-        spec, params, metadata = read_policy_file(Path(reference))
-        policy = FrozenPolicy(
-            reference, spec, params, DISABILITY_SETTINGS.get(str(metadata.get("disability")))
-        )
+    if named.kind in ("python", "onnx"):
+        return _outside(reference, role, registry(), task, size)
+    if named.kind == "zoo":
+        policy = zoo_partner(registry(), named.source, role)
     else:
-        raise ValueError(f"policy {reference!r} has an unknown form; allowed are {FORMS}")
+        spec, params, metadata = read_policy_file(Path(named.source))
+        setting = DISABILITY_SETTINGS.get(str(metadata.get("disability")))
+        policy = FrozenPolicy(reference, spec, params, setting)
     _check_seat(policy, role, env)
     return policy
 
@@ -154,13 +151,17 @@ def _check_seat(policy: FrozenPolicy, role: str, env: Seats) -> None:
         )
 
 
-def _unfit(reference: str, role: str, allowed: str) -> Any:
-    raise ValueError(f"policy {reference!r} cannot play the {role}; allowed are {allowed}")
-
-
-def _single(ego: HostEgo, size: int) -> Callable[[np.ndarray], np.ndarray]:
+def _outside(
+    reference: str, role: str, registry: Registry, task: str, size: int
+) -> Callable[[np.ndarray], np.ndarray]:
     """Return a robot from outside, which takes batches, as a callable on one observation."""
-    act, steps = call_ego(ego, ["its partner"], 1, size), iter(range(2**31))
+    if role != "robot":
+        raise ValueError(
+            f"policy {reference!r} cannot play the {role}; code and ONNX files play the robot"
+        )
+    [ego] = read_egos([reference], registry, task)
+    assert isinstance(ego, HostEgo)
+    act, steps = call_ego(ego, ["its partner"], 1, size), itertools.count()
     return lambda obs: act(obs[None], next(steps))[0]
 
 

@@ -289,7 +289,10 @@ def test_a_policy_file_is_evaluated_and_one_of_another_task_refused(
         (["--partners", "scratch/ippo-d1-s77-v0/human"], "nearest: scratch/ippo-d1-"),
         (["--policy", "zoo:scratch/ippo-d1-s00-v0/robot"], "nearest: scratch/ippo-d1-s0-v0/robot"),
         (["--policy", "zoo:scratch/ippo-d1-s0-v0/robot"], "is given 2 times"),
-        (["--policy", "robot.onnx"], "unknown form; allowed are zoo:ID"),
+        (["--policy", "robot"], "unknown form; allowed are an id such as"),
+        (["--policy", "robot.py:make"], "did you mean python:robot.py:make?"),
+        (["--policy", "bed_bath/ippo-d1-s0-v0/robot"], "is of task bed_bath, not of scratch"),
+        (["--policy", "robot.onnx"], "no file of at most"),
     ],
 )
 def test_bad_input_gets_one_clear_line(

@@ -121,7 +121,7 @@ def test_wrong_values_get_one_line(
 
 def test_unknown_policies_and_tasks_get_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
     out = ("--out", tmp_path / "x.png")
-    assert "policy 'best' has an unknown form; allowed are zoo:ID" in failure(
+    assert "policy 'best' has an unknown form; allowed are an id such as" in failure(
         capfd, call(*out, robot="best")
     )
     assert "unknown policy 'scratch/ippo-d1-s0-v99'" in failure(

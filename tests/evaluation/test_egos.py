@@ -51,18 +51,22 @@ def test_a_missing_file_is_a_zoo_error(tmp_path: Path):
         read_egos([str(tmp_path / "none.safetensors")], EMPTY, "scratch")
 
 
-@pytest.mark.parametrize("reference", ["robot.pt", "zo:scratch", "scratch/ippo-d1-s0-v0/robot"])
-def test_an_unknown_form_lists_the_known_ones(reference: str):
-    with pytest.raises(
-        ValueError,
-        match=r"unknown form; allowed are zoo:ID, .*safetensors.*, onnx:FILE, or python:",
-    ):
-        read_egos([reference], EMPTY, "scratch")
-
-
 def test_an_onnx_file_that_is_not_there_is_told(tmp_path: Path):
     with pytest.raises(ValueError, match=r"none.onnx.*no file"):
         read_egos([f"onnx:{tmp_path / 'none.onnx'}"], EMPTY, "scratch")
+
+
+@pytest.mark.parametrize(
+    ("reference", "told"),
+    [
+        ("scratch/ippo-d1-s0-v0/robot", "is of task scratch, not of bed_bath; .*--task scratch"),
+        ("bed_bath/ippo-d1-s0-v0/human", "is a human, not a robot; .* bed_bath/.*-v0/robot"),
+        ("zero", "is no robot to evaluate"),
+    ],
+)
+def test_what_cannot_play_says_why(reference: str, told: str):
+    with pytest.raises(ValueError, match=told):
+        read_egos([reference], EMPTY, "bed_bath")
 
 
 @pytest.fixture
@@ -84,7 +88,7 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 def test_a_python_factory_of_the_working_folder_is_found(module: str):
     (ego,) = read_egos([f"python:{module}:zero"], EMPTY, "scratch")
     assert isinstance(ego, HostEgo)
-    assert ego.act(np.zeros((4, 34))).shape == (4, 7)
+    assert ego.act(np.zeros((4, 34), np.float32)).shape == (4, 7)
     assert ego.member.id == f"python:{module}:zero"
     assert ego.member.team is None
 
@@ -93,6 +97,8 @@ def test_a_python_factory_of_the_working_folder_is_found(module: str):
     ("reference", "told"),
     [
         ("python:my_robot_under_test", "lacks a part; expected python:package.module:factory"),
+        ("python:my_robot_under_test.py:", "lacks a part; expected .*python:FILE.py:factory"),
+        ("python:my_robot_under_test:zero?x", "unreadable arguments"),
         ("python:no_such_module_here:f", "cannot import no_such_module_here: ModuleNotFoundError"),
         ("python:unimportable_robot:f", "surely_not_installed_anywhere"),
         ("python:my_robot_under_test:nothing", "has no function 'nothing'"),

@@ -1,5 +1,6 @@
 """A robot from an ONNX file, held against the same policy as ours."""
 
+import re
 from pathlib import Path
 from typing import Any, cast
 
@@ -87,16 +88,98 @@ def test_a_model_of_another_form_is_refused(tmp_path: Path) -> None:
         load(tmp_path / "robot.onnx")
 
 
-def test_a_model_cannot_name_other_files(tmp_path: Path) -> None:
+def save(path: Path, nodes: list[Any], inputs: list[Any] | None = None, **graph: Any) -> None:
+    """Write a model from x [N, 5] to y [N, 5]."""
+    helper, kind = onnx.helper, onnx.TensorProto.FLOAT
+    x, y = (helper.make_tensor_value_info(name, kind, ["N", 5]) for name in ("x", "y"))
+    body = helper.make_graph(nodes, "g", inputs or [x], [y], **graph)
+    sets = [helper.make_opsetid("", 17), helper.make_opsetid("mine", 1)]
+    model = helper.make_model(body, opset_imports=sets, ir_version=8)
+    path.write_bytes(model.SerializeToString())
+
+
+def test_a_fixed_batch_says_which_axis_must_be_dynamic(tmp_path: Path) -> None:
+    helper, kind = onnx.helper, onnx.TensorProto.FLOAT
+    fixed = helper.make_tensor_value_info("obs", kind, [1, 5])
+    save(tmp_path / "robot.onnx", [helper.make_node("Identity", ["obs"], ["y"])], [fixed])
+    told = r"the first axis of obs \[1, 5\] must be dynamic.*dynamic_axes=\{'obs': \{0: 'batch'\}\}"
+    with pytest.raises(ValueError, match=told):
+        load(tmp_path / "robot.onnx")
+
+
+def test_a_model_cannot_name_other_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Weights in a file of their own would escape the digest, and read what they like."""
+    monkeypatch.chdir(tmp_path)
     write(tmp_path / "robot.onnx", MLP)
     model = onnx.load(str(tmp_path / "robot.onnx"))
-    onnx.save(
-        model,
-        str(tmp_path / "apart.onnx"),
-        save_as_external_data=True,
-        location="weights",
-        size_threshold=0,
-    )
-    with pytest.raises(ValueError, match="not an ONNX model that onnxruntime runs"):
+    apart = {"save_as_external_data": True, "location": "weights", "size_threshold": 0}
+    onnx.save(model, str(tmp_path / "apart.onnx"), **apart)
+    with pytest.raises(ValueError, match="keeps weights in other files"):
         load(tmp_path / "apart.onnx")
+
+
+def endless() -> list[Any]:
+    """A loop whose condition stays true."""
+    helper, types = onnx.helper, onnx.TensorProto
+    ends = [helper.make_tensor_value_info(name, types.BOOL, []) for name in ("in", "out")]
+    step = helper.make_tensor_value_info("i", types.INT64, [])
+    node = helper.make_node("Identity", ["in"], ["out"])
+    body = helper.make_graph([node], "body", [step, ends[0]], [ends[1]])
+    true = helper.make_tensor("true", types.BOOL, [], [True])
+    return [
+        helper.make_node("Constant", [], ["on"], value=true),
+        helper.make_node("Loop", ["", "on"], [], body=body),
+        helper.make_node("Identity", ["x"], ["y"]),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("nodes", "named"),
+    [
+        (endless, "ai.onnx.Loop"),
+        (lambda: [onnx.helper.make_node("Relu", ["x"], ["y"], domain="mine")], "mine.Relu"),
+        (
+            lambda: [onnx.helper.make_node("RandomNormalLike", ["x"], ["y"])],
+            "ai.onnx.RandomNormalLike",
+        ),
+    ],
+)
+def test_what_is_no_plain_network_is_refused_by_name(
+    tmp_path: Path, nodes: Any, named: str
+) -> None:
+    save(tmp_path / "robot.onnx", nodes())
+    with pytest.raises(ValueError, match=f"uses {named}; allowed are the operators of plain"):
+        load(tmp_path / "robot.onnx")
+
+
+def test_functions_are_refused(tmp_path: Path) -> None:
+    save(tmp_path / "robot.onnx", [onnx.helper.make_node("Relu", ["x"], ["y"])])
+    model = onnx.load(str(tmp_path / "robot.onnx"))
+    node, sets = onnx.helper.make_node("Relu", ["a"], ["b"]), [onnx.helper.make_opsetid("", 17)]
+    function = onnx.helper.make_function("mine", "Twice", ["a"], ["b"], [node], sets)
+    model.functions.append(function)
+    (tmp_path / "robot.onnx").write_bytes(model.SerializeToString())
+    with pytest.raises(ValueError, match="functions of its own"):
+        load(tmp_path / "robot.onnx")
+
+
+def test_a_small_model_that_asks_for_12_gb_gets_none(tmp_path: Path) -> None:
+    helper = onnx.helper
+    nodes = [
+        helper.make_node("ConstantOfShape", ["shape"], ["big"]),
+        helper.make_node("ReduceSum", ["big"], ["sum"], keepdims=0),
+        helper.make_node("Add", ["x", "sum"], ["y"]),
+    ]
+    shape = onnx.numpy_helper.from_array(np.array([3_000_000_000], np.int64), "shape")
+    save(tmp_path / "robot.onnx", nodes, initializer=[shape])
+    assert (tmp_path / "robot.onnx").stat().st_size < 250
+    with pytest.raises(ValueError, match=r"robot.onnx") as caught:
+        call_ego(load(tmp_path / "robot.onnx"), ("a",), 3, 5)(np.zeros((3, 5), np.float32), 0)
+    assert re.search("alloc|memory", str(caught.value), re.IGNORECASE)
+
+
+def test_a_huge_file_is_not_read(tmp_path: Path) -> None:
+    with (tmp_path / "robot.onnx").open("wb") as file:
+        file.truncate(2**31)
+    with pytest.raises(ValueError, match="no file of at most 67108864 bytes"):
+        load(tmp_path / "robot.onnx")

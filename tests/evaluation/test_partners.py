@@ -106,9 +106,11 @@ def test_a_robot_from_outside_is_called_on_batches_of_one(
 
 
 def test_refusals(registry: Registry, tmp_path: Path):
-    with pytest.raises(ValueError, match="policy 'best' has an unknown form; allowed are zoo:ID"):
+    with pytest.raises(
+        ValueError, match="policy 'best' has an unknown form; allowed are an id such as"
+    ):
         seat("best", "robot", registry)
-    with pytest.raises(ValueError, match="policy 'python:a:b' has an unknown form"):
+    with pytest.raises(ValueError, match="policy 'python:a:b' cannot play the human"):
         seat("python:a:b", "human", registry)
     with pytest.raises(UnknownIdError, match="nearest: scratch/ippo-d9-s0-v0"):
         seat("zoo:scratch/ippo-d9-s0-v9/robot", "robot", registry)

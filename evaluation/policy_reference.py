@@ -1,0 +1,92 @@
+"""The one grammar of references to policies: `--policy`, `--robot`, `--human`, `assistax_zoo.evaluate`."""
+
+import dataclasses
+import re
+import urllib.parse
+from collections.abc import Mapping
+from typing import Literal
+
+from assistax_envs.versions import TASKS
+
+Kind = Literal["zoo", "file", "onnx", "python", "zero", "random"]
+
+FORMS = (
+    "an id such as scratch/ippo-d1-s0-v1/robot, FILE.safetensors, FILE.onnx, "
+    "python:FILE.py:FACTORY, python:package.module:FACTORY, zero, or random"
+)
+# A task's id or glob; a registry that was added stands before it, such as lab:scratch/...
+_ID = re.compile(rf"(?:[a-z][\w.-]*:)?({'|'.join(TASKS)})/.+")
+
+
+@dataclasses.dataclass(frozen=True)
+class PolicyReference:
+    """What a reference says, not yet looked up."""
+
+    text: str  # as it was given
+    kind: Kind
+    source: str = ""  # an id or a glob; a path; or a module, by its name or its file
+    factory: str = ""  # the function of a Python module that makes the robot
+    arguments: Mapping[str, str] = dataclasses.field(default_factory=dict)  # of the factory
+
+    def check(self, task: str, role: str) -> None:
+        """Refuse an id of another task or role, which would only not be found.
+
+        Raises:
+            ValueError: Says which of the two differs.
+        """
+        named = _ID.fullmatch(self.source)
+        if self.kind != "zoo" or named is None:
+            return
+        if named[1] != task:
+            raise ValueError(
+                f"policy {self.text!r} is of task {named[1]}, not of {task}; name a policy of "
+                f"{task}, or --task {named[1]}"
+            )
+        other = "human" if role == "robot" else "robot"
+        if self.source.endswith(f"/{other}"):
+            raise ValueError(
+                f"policy {self.text!r} is a {other}, not a {role}; its team's {role} is "
+                f"{self.source.removesuffix(other)}{role}"
+            )
+
+
+def parse_reference(text: str) -> PolicyReference:
+    """Return what a reference says.
+
+    Raises:
+        ValueError: It has none of the forms; says which it may have been meant to have.
+    """
+    scheme, _, rest = text.partition(":")
+    if text in ("zero", "random"):
+        return PolicyReference(text, "zero" if text == "zero" else "random")
+    if scheme == "python":
+        return _python(text, rest)
+    if scheme in ("zoo", "onnx"):
+        return PolicyReference(text, "zoo" if scheme == "zoo" else "onnx", rest)
+    if text.endswith((".safetensors", ".onnx")):
+        return PolicyReference(text, "file" if text.endswith(".safetensors") else "onnx", text)
+    if _ID.fullmatch(text):
+        return PolicyReference(text, "zoo", text)
+    hint = ""
+    if re.search(r"\.py(:|$)", text):
+        hint = f"; did you mean python:{text if '.py:' in text else f'{text}:FACTORY'}?"
+    elif text.endswith((".pt", ".pth", ".zip", ".msgpack", ".pkl", ".npz")):
+        hint = f"; write a function that loads it: python:FILE.py:FACTORY?weights={text}"
+    raise ValueError(f"policy {text!r} has an unknown form; allowed are {FORMS}{hint}")
+
+
+def _python(text: str, rest: str) -> PolicyReference:
+    body, _, query = rest.partition("?")
+    source, _, factory = body.rpartition(":")
+    if not source or not factory.isidentifier():
+        raise ValueError(
+            f"policy {text!r} lacks a part; expected python:package.module:factory or "
+            "python:FILE.py:factory, arguments behind it as ?name=value&other=value"
+        )
+    try:
+        pairs = urllib.parse.parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
+    except ValueError:
+        raise ValueError(
+            f"policy {text!r} has unreadable arguments; write them ?name=value&other=value"
+        ) from None
+    return PolicyReference(text, "python", source, factory, dict(pairs))

@@ -1,0 +1,185 @@
+"""Robots of Python modules: their own modules, their own files, and nothing they do ends a run."""
+
+import os
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from evaluation.egos import EgoError, call_ego, read_egos
+from evaluation.jobs import HostEgo, Member
+from evaluation.policy_process import PolicyProcess
+from zoo.registry import Registry
+
+EMPTY = Registry(data=cast(Any, None), path=Path("registry.json"), policies=[])
+OBS = np.ones((4, 3), np.float32)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def write(path: Path, text: str) -> None:
+    path.write_text(textwrap.dedent(text))
+
+
+def read(reference: str) -> HostEgo:
+    (ego,) = read_egos([reference], EMPTY, "scratch")
+    assert isinstance(ego, HostEgo)
+    return ego
+
+
+def ask(ego: HostEgo) -> np.ndarray:
+    return call_ego(ego, ["t/a-d1-s0-v0/human"], episodes=4, action_size=3)(OBS, 0)
+
+
+def test_names_of_its_modules_are_its_own(folder: Path) -> None:
+    write(folder / "evaluation.py", "GAIN = 2.0")
+    write(folder / "zoo.py", "import evaluation\nGAIN = evaluation.GAIN + 1.0")
+    write(folder / "mine.py", "import zoo\ndef make():\n    return lambda obs: zoo.GAIN * obs")
+    for reference in ("python:mine:make", "python:mine.py:make", f"python:{folder}/mine.py:make"):
+        np.testing.assert_array_equal(ask(read(reference)), 3.0 * OBS)
+    import zoo
+
+    assert not hasattr(zoo, "GAIN")
+
+
+def test_a_package_and_arguments(folder: Path) -> None:
+    (folder / "pkg").mkdir()
+    write(folder / "pkg" / "__init__.py", "")
+    write(folder / "pkg" / "parts.py", "def scale(gain): return lambda obs: float(gain) * obs")
+    write(folder / "pkg" / "robot.py", "from .parts import scale\nmake = lambda gain: scale(gain)")
+    np.testing.assert_array_equal(ask(read("python:pkg.robot:make?gain=4")), 4.0 * OBS)
+
+
+def digest(reference: str) -> tuple[str, bool]:
+    member = read(reference).member
+    return member.digest, member.reusable
+
+
+def test_its_digest_covers_code_arguments_and_declared_files(folder: Path) -> None:
+    write(folder / "parts.py", "GAIN = 1")
+    code = "import parts\n{}\ndef make(weights='a.pt'): return lambda obs: obs"
+    write(folder / "mine.py", code.format('DEPENDS = ["b.pt"]'))
+    for name in ("a.pt", "b.pt", "c.pt"):
+        (folder / name).write_bytes(b"0")
+    reference = "python:mine.py:make?weights=a.pt"
+    seen = [digest(reference)]
+    assert digest(reference) == seen[0] and seen[0][1]
+    (folder / "c.pt").write_bytes(b"1")  # nothing to do with it
+    assert digest(reference) == seen[0]
+    for change in (
+        lambda: (folder / "a.pt").write_bytes(b"1"),
+        lambda: (folder / "b.pt").write_bytes(b"1"),
+        lambda: write(folder / "parts.py", "GAIN = 3"),
+        lambda: write(folder / "mine.py", code.format('DEPENDS = ["b.pt"] # new')),
+    ):
+        change()
+        seen.append(digest(reference))
+    seen.append(digest("python:mine.py:make?weights=c.pt"))
+    assert len(set(seen)) == len(seen)
+
+
+def test_without_a_declaration_it_is_not_taken_for_known(folder: Path) -> None:
+    write(folder / "mine.py", "def make(): return lambda obs: obs")
+    assert not digest("python:mine.py:make")[1]
+    write(folder / "mine.py", "DEPENDS = []\ndef make(): return lambda obs: obs")
+    assert digest("python:mine.py:make")[1]
+    write(folder / "mine.py", "DEPENDS = ['gone.pt']\ndef make(): return lambda obs: obs")
+    with pytest.raises(EgoError, match=r"gone\.pt"):
+        digest("python:mine.py:make")
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("sys.exit(0)", "SystemExit: 0"),
+        ("raise GeneratorExit", "GeneratorExit"),
+        ("raise KeyboardInterrupt", "KeyboardInterrupt"),
+        ("os._exit(0)", "the robot's process ended by itself, with code 0"),
+        (r"raise ValueError('\x1b[31mred\nline')", r"ValueError: \[31mred line \(mine.py:4\)"),
+        ("return np.array(['a'])", "TypeError: returned <U1 of shape"),
+        ("return obs[:, :2]", r"returned float32 of shape \(4, 2\)"),
+    ],
+)
+def test_whatever_it_does_is_an_error_of_one_line(folder: Path, line: str, told: str) -> None:
+    write(
+        folder / "mine.py",
+        f"""\
+        import os, sys
+        import numpy as np
+        def act(obs):
+            {line}
+        def make(): return act
+        """,
+    )
+    with pytest.raises(EgoError, match=f"step 0: {told}") as caught:
+        ask(read("python:mine.py:make"))
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize("error", [SystemExit(0), GeneratorExit()])
+def test_a_robot_of_this_process_does_not_end_it_either(error: BaseException) -> None:
+    def act(obs: np.ndarray) -> np.ndarray:
+        raise error
+
+    with pytest.raises(EgoError, match=f"step 0: {type(error).__name__}"):
+        ask(HostEgo(Member("m", "x"), act))
+
+
+def test_what_it_prints_is_not_read_as_an_answer(
+    folder: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    code = "print('hello')\ndef act(obs):\n    print('act', flush=True)\n    return obs\n"
+    write(folder / "mine.py", code + "make = lambda: act")
+    np.testing.assert_array_equal(ask(read("python:mine.py:make")), OBS)
+    told = capfd.readouterr()
+    assert told.out == "" and "act" in told.err
+
+
+def test_its_libraries_take_one_thread(folder: Path) -> None:
+    code = "import os\nmake = lambda: lambda obs: obs * float(os.environ['OMP_NUM_THREADS'])"
+    write(folder / "mine.py", code)
+    np.testing.assert_array_equal(ask(read("python:mine.py:make")), OBS)
+
+
+def gone(pid: int) -> bool:
+    for _ in range(50):
+        try:
+            os.kill(pid, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.1)
+    return False
+
+
+def test_its_process_ends_with_it_and_with_its_parent(folder: Path) -> None:
+    write(folder / "mine.py", "import time\nmake = lambda: lambda obs: time.sleep(100)")
+    robot = PolicyProcess("mine.py", "make", {})
+    pid = robot._process.pid
+    robot.close()
+    assert gone(pid)
+    script = (
+        "import os, threading, numpy as np\n"
+        "from evaluation.policy_process import PolicyProcess\n"
+        "robot = PolicyProcess('mine.py', 'make', {})\n"
+        "print(robot._process.pid, flush=True)\n"
+        "threading.Timer(0.5, lambda: os._exit(0)).start()\n"
+        "robot(np.ones((1, 1), np.float32))\n"
+    )
+    root = str(Path(__file__).parents[2])
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env={**os.environ, "PYTHONPATH": root},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert gone(int(done.stdout))
