@@ -1,0 +1,1 @@
+"""HTTP: parse, call one method of `Service`, answer. No rule of the service lives here."""

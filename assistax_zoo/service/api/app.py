@@ -1,0 +1,26 @@
+"""The application: routes, guards, and the pages if they are installed."""
+
+import importlib.util
+
+from fastapi import FastAPI
+
+from assistax_zoo.service.api import operations, public, submitting, working
+from assistax_zoo.service.api.errors import add_error_handlers
+from assistax_zoo.service.api.guards import BodyLimit, Limiter
+from assistax_zoo.service.service import Service
+
+DESCRIPTION = "Submit a robot, and be scored on partners that nobody has."
+
+
+def create_app(service: Service) -> FastAPI:
+    """Return the application that serves the API and the pages."""
+    app = FastAPI(title="assistax-zoo", description=DESCRIPTION, docs_url=None, redoc_url=None)
+    app.state.service, app.state.limiter = service, Limiter()
+    for module in (public, submitting, working, operations):
+        app.include_router(module.router)
+    add_error_handlers(app)
+    operations.add_observation(app)
+    app.add_middleware(BodyLimit)
+    if importlib.util.find_spec("assistax_zoo.service.pages"):
+        importlib.import_module("assistax_zoo.service.pages").add_pages(app, service)
+    return app

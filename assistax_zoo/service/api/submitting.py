@@ -1,0 +1,67 @@
+"""What a submitter may do: hand in and take back."""
+
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Depends, Query, Request
+
+from assistax_zoo.service.api.errors import RESPONSES
+from assistax_zoo.service.api.guards import SUBMIT, Submitter
+from assistax_zoo.service.contract import Submission
+from assistax_zoo.service.problems import Problem
+from assistax_zoo.service.submissions import Draft
+
+router = APIRouter(prefix="/api", tags=["submit"], responses=RESPONSES)
+
+Text = Annotated[str, Query(min_length=1, max_length=80)]
+_FILE = {
+    "requestBody": {
+        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
+    }
+}
+
+
+async def whole_body(request: Request) -> bytes:
+    """Return the body; `BodyLimit` has bounded it."""
+    return await request.body()
+
+
+@router.post("/submissions", status_code=201, openapi_extra=_FILE)
+def submit(
+    request: Request,
+    principal: Submitter,
+    body: Annotated[bytes, Depends(whole_body)],
+    task: Text,
+    method: Text,
+    request_id: Annotated[str, Query(min_length=8, max_length=64)],
+    licence: Text = "evaluation-only",
+    season: Annotated[str | None, Query(max_length=80)] = None,
+    kind: Literal["file", "live"] = "file",
+) -> Submission:
+    """Hand in a robot: the body is its file, empty for a live one.
+
+    `request_id` is chosen by you: if no answer arrives, send the same again, and it is one
+    submission.
+    """
+    request.app.state.limiter.hit(SUBMIT, principal.token)
+    service = request.app.state.service
+    found = service.queries.season(season) if season else None
+    if season and found is None:
+        raise Problem("not_found", f"no season {season!r}; GET /api/seasons lists them")
+    draft = Draft(
+        task=task,
+        method=method,
+        request=request_id,
+        licence=licence,
+        season=found.id if found else None,
+        kind=kind,
+        data=body if body or kind == "file" else None,
+    )
+    return service.queries.submission(service.submit(str(principal.submitter), draft))
+
+
+@router.post("/submissions/{id}/withdraw")
+def withdraw(request: Request, principal: Submitter, id: str) -> Submission:
+    """Take a submission back; its attempt is refunded unless it met hidden partners."""
+    service = request.app.state.service
+    service.withdraw(id, str(principal.submitter))
+    return service.queries.submission(id)

@@ -1,0 +1,143 @@
+"""A worker: takes a job, plays it, brings the table, and takes the next.
+
+It may run anywhere and die at any time: it keeps nothing that the server lacks. Its log says which
+job it does, never with whom.
+"""
+
+import contextlib
+import logging
+import os
+import secrets
+import socket
+import threading
+import time
+from collections.abc import Callable, Generator
+from typing import Any
+
+from assistax_zoo.service.client import Client, fields_of
+from assistax_zoo.service.jobs import LEASE_SECONDS
+from assistax_zoo.service.problems import Problem, Refusal
+from assistax_zoo.service.scoring import Scorer, Work, encode_table
+from zoo.files import sha256
+
+log = logging.getLogger("assistax_zoo.service")
+IDLE_SECONDS = 2.0  # between two looks at an empty queue
+
+LiveRobot = Callable[[Work], Any]  # a callable [N, O] -> [N, A] that asks the live client
+
+
+class Worker:
+    """One worker of one server."""
+
+    def __init__(
+        self,
+        client: Client,
+        scorer: Scorer,
+        *,
+        live: LiveRobot | None = None,
+        idle: float = IDLE_SECONDS,
+        beat: float = LEASE_SECONDS / 4,
+    ) -> None:
+        """Prepare to work.
+
+        Args:
+            client: Of the server, with a token that may work.
+            scorer: Plays.
+            live: Connects to the client of a live submission; None takes no such jobs.
+            idle: Seconds between two looks at an empty queue.
+            beat: Seconds between two beats for a job.
+        """
+        self._client, self._scorer, self._live = client, scorer, live
+        self._idle, self._beat = idle, beat
+        self._name = f"{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(2)}"
+        self._stopping = threading.Event()
+        self._releases: dict[str, bytes] = {}
+
+    def stop(self) -> None:
+        """Stop after this job; its signal handler may call this."""
+        self._stopping.set()
+
+    def run(self, *, until_empty: bool = False) -> int:
+        """Work until told to stop, or until the queue is empty; return how many jobs were done."""
+        done = 0
+        while not self._stopping.is_set():
+            try:
+                work = self._client.lease(self._name, self._scorer.versions())
+            except OSError:
+                log.warning("server does not answer", extra={"fields": {"worker": self._name}})
+                continue
+            if work is not None:
+                done += self._do(work)
+            elif until_empty:
+                break
+            else:
+                self._stopping.wait(self._idle)
+        return done
+
+    def _do(self, work: Work) -> int:
+        """Do one job, and tell the server how it ended; a lost lease is nobody's fault."""
+        began = time.monotonic()
+        fields = {**fields_of(work), "worker": self._name}
+        log.info("job begins", extra={"fields": fields})
+        ended = "done"
+        try:
+            with self._beating(work):
+                table = self._scorer.play(work, self._robot(work), self._release(work))
+            counted = self._client.result(work, encode_table(table), time.monotonic() - began)
+            ended = "done" if counted else "was done already"
+        except Refusal as refusal:
+            ended = f"refused: {refusal.code}"
+            self._tell(self._client.refused, work, refusal.code)
+        except (KeyboardInterrupt, SystemExit):
+            self._tell(self._client.give_back, work)
+            raise
+        except Exception as error:
+            # The message may hold a hidden value; the class is enough for a first look.
+            ended = f"failed: {type(error).__name__}"
+            self._tell(self._client.failed, work)
+            if os.environ.get("ASSISTAX_ZOO_DEBUG"):
+                raise
+        log.info("job ends", extra={"fields": {**fields, "ended": ended}})
+        return ended == "done"
+
+    def _tell(self, function: Callable[..., None], *args: Any) -> None:
+        with contextlib.suppress(Problem, OSError):  # then the lease runs out
+            function(*args)
+
+    @contextlib.contextmanager
+    def _beating(self, work: Work) -> Generator[None]:
+        over = threading.Event()
+
+        def beat() -> None:
+            while not over.wait(self._beat):
+                with contextlib.suppress(Problem, OSError):
+                    self._client.beat(work)
+
+        thread = threading.Thread(target=beat, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
+
+    def _robot(self, work: Work) -> Any:
+        if work.kind == "live":
+            if self._live is None:
+                raise ValueError("this worker takes no live submissions")
+            return self._live(work)
+        return self._fetch(str(work.artefact))
+
+    def _release(self, work: Work) -> bytes | None:
+        """Return the private release that a job is about; it is kept in memory alone."""
+        if work.release is None:
+            return None
+        if work.release not in self._releases:
+            self._releases = {work.release: self._fetch(work.release)}
+        return self._releases[work.release]
+
+    def _fetch(self, name: str) -> bytes:
+        data = self._client.artefact(name)
+        if sha256(data) != name:
+            raise ValueError("an artefact arrived damaged")
+        return data

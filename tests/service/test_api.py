@@ -1,0 +1,149 @@
+"""The API from outside: who may do what, what is refused, and a submission from end to end."""
+
+import logging
+from pathlib import Path
+
+import pytest
+from starlette.testclient import TestClient
+
+from assistax_zoo.service.api.app import create_app
+from assistax_zoo.service.api.guards import MAX_BODY
+from assistax_zoo.service.client import Client
+from assistax_zoo.service.service import Service
+from assistax_zoo.service.worker import Worker
+from tests.service.fakes import TASK, FakeScorer, new_service
+
+FIELDS = {"task": TASK, "method": "mine", "request_id": "request-1"}
+
+
+@pytest.fixture
+def service(tmp_path: Path) -> Service:
+    return new_service(tmp_path)
+
+
+@pytest.fixture
+def http(service: Service) -> TestClient:
+    return TestClient(create_app(service), raise_server_exceptions=False)
+
+
+def client_of(service: Service, http: TestClient, scope: str) -> Client:
+    submitter = "lab" if scope == "submit" else None
+    return Client("", service.create_token((scope,), submitter=submitter), transport=http)
+
+
+def test_a_submission_from_end_to_end(service: Service, http: TestClient) -> None:
+    submitter = client_of(service, http, "submit")
+    id = submitter.submit(b"robot 3.0", **FIELDS)["id"]
+    assert Worker(client_of(service, http, "work"), FakeScorer()).run(until_empty=True) == 3
+    assert submitter.submission(id)["state"] == "scored"
+    [score] = submitter.scores(id)
+    assert 3.0 < score["figures"]["mean"] < 4.0
+    board = http.get(f"/api/boards/{TASK}").json()
+    assert board["scores"] == [score]
+    assert "not validated" in board["statement"]
+    assert submitter.receipt(id)["content"]["submission"] == id
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "scope"),
+    [
+        ("POST", "/api/submissions?task=scratch&method=m&request_id=12345678", "submit"),
+        ("POST", "/api/work/lease", "work"),
+        ("GET", f"/api/work/artefacts/{'0' * 64}", "work"),
+        ("PUT", "/api/work/x/result?seconds=1", "work"),
+    ],
+)
+def test_a_token_does_only_what_it_is_for(
+    service: Service, http: TestClient, method: str, path: str, scope: str
+) -> None:
+    assert http.request(method, path).status_code == 401
+    wrong = {"Authorization": "Bearer azt_wrong"}
+    assert http.request(method, path, headers=wrong).status_code == 401
+    other = service.create_token(("organise",))
+    headers = {"Authorization": f"Bearer {other}"}
+    assert http.request(method, path, headers=headers).status_code == 403
+
+
+def test_a_token_in_the_address_is_not_read(service: Service, http: TestClient) -> None:
+    token = service.create_token(("work",))
+    answer = http.post(f"/api/work/lease?token={token}", json={"worker": "w", "versions": []})
+    assert answer.status_code == 401
+
+
+def test_a_revoked_token_is_worth_nothing(service: Service, http: TestClient) -> None:
+    from assistax_zoo.service.tokens import list_tokens, revoke_token
+
+    token = service.create_token(("work",))
+    headers = {"Authorization": f"Bearer {token}"}
+    body = {"worker": "w", "versions": []}
+    assert http.post("/api/work/lease", json=body, headers=headers).status_code == 204
+    revoke_token(service.database, 0.0, list_tokens(service.database)[0].id)
+    assert http.post("/api/work/lease", json=body, headers=headers).status_code == 401
+
+
+def test_the_database_holds_no_token(service: Service, tmp_path: Path) -> None:
+    token = service.create_token(("work",))
+    service.database.close()
+    assert token.encode() not in (tmp_path / "service.db").read_bytes()
+
+
+def test_a_large_body_is_not_read(service: Service, http: TestClient) -> None:
+    token = service.create_token(("submit",), submitter="lab")
+    headers = {"Authorization": f"Bearer {token}"}
+    answer = http.post(
+        "/api/submissions", params=FIELDS, headers=headers, content=bytes(MAX_BODY + 1)
+    )
+    assert (answer.status_code, answer.json()["error"]["code"]) == (413, "too_large")
+
+
+def test_a_body_that_hides_its_size_is_cut_off(service: Service, http: TestClient) -> None:
+    token = service.create_token(("submit",), submitter="lab")
+    headers = {"Authorization": f"Bearer {token}"}
+    endless = (bytes(1024 * 1024) for _ in range(20))
+    answer = http.post("/api/submissions", params=FIELDS, headers=headers, content=endless)
+    assert answer.status_code >= 400
+    assert service.queries.submissions() == []
+
+
+def test_too_many_requests_are_refused(service: Service, http: TestClient) -> None:
+    for _ in range(30):
+        assert http.post("/api/work/lease").status_code == 401
+    assert http.post("/api/work/lease").status_code == 429
+
+
+def test_an_unexpected_error_tells_nothing(
+    service: Service, http: TestClient, monkeypatch, caplog
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise RuntimeError("hidden-0007 returned 812.5")
+
+    monkeypatch.setattr("assistax_zoo.service.contract.Queries.submissions", broken)
+    with caplog.at_level(logging.INFO, logger="assistax_zoo.service"):
+        answer = http.get("/api/submissions")
+    assert (answer.status_code, answer.json()["error"]["code"]) == (500, "unexpected")
+    assert "812.5" not in answer.text + caplog.text + repr([vars(r) for r in caplog.records])
+
+
+def test_logs_hold_no_secrets(service: Service, http: TestClient, caplog) -> None:
+    token = service.create_token(("submit",), submitter="lab")
+    with caplog.at_level(logging.INFO, logger="assistax_zoo.service"):
+        headers = {"Authorization": f"Bearer {token}"}
+        http.post("/api/submissions", params=FIELDS, headers=headers, content=b"robot 1.0")
+    [record] = [r for r in caplog.records if r.name == "assistax_zoo.service"]
+    assert record.fields["route"] == "/api/submissions"
+    assert token not in repr(vars(record))
+    assert "robot 1.0" not in repr(vars(record))
+
+
+def test_health_and_metrics(service: Service, http: TestClient) -> None:
+    client_of(service, http, "submit").submit(b"robot 1.0", **FIELDS)
+    assert http.get("/api/health").json() == {"status": "ok"}
+    text = http.get("/metrics").text
+    assert 'assistax_service_jobs{state="waiting"} 3.0' in text
+    assert 'assistax_service_submissions{state="queued"} 1.0' in text
+
+
+def test_the_server_imports_nothing_heavy() -> None:
+    from tests.test_layers import heavy_imports
+
+    assert heavy_imports("assistax_zoo.service.api.app", "assistax_zoo.service.worker") == []
