@@ -98,5 +98,6 @@ def log_to_stderr() -> None:
     """Write the service's log to standard error, as lines of JSON."""
     handler = logging.StreamHandler()
     handler.setFormatter(JsonLines())
-    log.handlers, log.propagate = [handler], False
+    log.addHandler(handler)
+    log.propagate = False
     log.setLevel(logging.INFO)

@@ -1,0 +1,123 @@
+"""What may be handed in. The server and `submit --check` at home run this very code."""
+
+import dataclasses
+import tempfile
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from assistax_zoo.service.problems import Refusal
+from assistax_zoo.service.submissions import MAX_BYTES
+
+SAFETENSORS, ONNX = "safetensors", "onnx"
+_PROBES = (0.0, 1.0, -1.0, 10.0, -10.0)  # observations that a robot must survive
+_ONE_AT_A_TIME = threading.Lock()  # bounds the memory that admission takes
+
+
+@dataclasses.dataclass(frozen=True)
+class Robot:
+    """An admitted robot: what plays it, and its parameters."""
+
+    format: str
+    spec: Any  # a `PolicySpec` or an `OnnxProgram`
+    params: dict[str, Any]  # without a stacked axis
+
+
+class Admission:
+    """Admits robots of the tasks of a registry."""
+
+    def __init__(self, sizes: dict[str, tuple[int, int]]) -> None:
+        """Prepare to admit; `sizes` are a robot's observations and actions by task."""
+        self._sizes = sizes
+
+    def __call__(self, data: bytes, task: str) -> str:
+        """Return the format of a robot's file, or raise `Refusal`."""
+        return self.read(data, task).format
+
+    def read(self, data: bytes, task: str) -> Robot:
+        """Return the robot in a file.
+
+        Raises:
+            Refusal: It cannot be scored, and why.
+        """
+        if len(data) > MAX_BYTES:
+            raise Refusal("too_large", f"{len(data)} bytes")
+        observation_size, action_size = self._sizes[task]
+        with _ONE_AT_A_TIME:
+            if is_safetensors(data):
+                robot = _read_safetensors(data, observation_size, action_size)
+            elif is_onnx(data):
+                from assistax_zoo.service.onnx_admission import admit_onnx
+
+                spec, params = admit_onnx(data, observation_size, action_size)
+                robot = Robot(ONNX, dataclasses.replace(spec, action_size=action_size), params)
+            else:
+                raise Refusal("unknown_format")
+            _check_finite(robot)
+        return robot
+
+
+def robot_sizes(registry: Any) -> dict[str, tuple[int, int]]:
+    """Return the widths of a robot's observations and actions by task."""
+    robots = registry.select(role="robot", release=registry.release)
+    return {e.task: (e.spec.observation_size, e.spec.action_size) for e in robots}
+
+
+def is_safetensors(data: bytes) -> bool:
+    """Return whether bytes begin as a safetensors file: a length, then JSON."""
+    return len(data) > 9 and data[8:9] == b"{" and int.from_bytes(data[:8], "little") < len(data)
+
+
+def is_onnx(data: bytes) -> bool:
+    """Return whether bytes begin as an ONNX model: its version, as protobuf's first field."""
+    return data[:1] == b"\x08"
+
+
+def make_policy(spec: Any) -> Any:
+    """Return what plays a robot of this spec."""
+    from population.policy import Policy
+
+    return spec.make_policy() if hasattr(spec, "make_policy") else Policy(spec)
+
+
+def _read_safetensors(data: bytes, observation_size: int, action_size: int) -> Robot:
+    from zoo.errors import ZooError
+    from zoo.storage import check_params, read_policy_file
+    from zoo.tensors import flatten
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "robot.safetensors"
+        path.write_bytes(data)
+        try:
+            spec, params, _ = read_policy_file(path)
+        except (ZooError, ValueError, TypeError) as error:
+            raise Refusal("malformed", str(error)[:300]) from None
+    if spec.role != "robot":
+        raise Refusal("wrong_role", spec.role)
+    if (spec.observation_size, spec.action_size) != (observation_size, action_size):
+        raise Refusal("wrong_sizes", f"{spec.observation_size} and {spec.action_size}")
+    if len(spec.hidden) > 32 or max(spec.hidden) > 65_536:
+        raise Refusal("graph_too_large", f"layers {spec.hidden[:8]}")
+    try:
+        check_params(spec, flatten(params), "this file")
+    except (ZooError, ValueError, TypeError) as error:
+        raise Refusal("wrong_parameters", str(error)[:300]) from None
+    return Robot(SAFETENSORS, spec, params)
+
+
+def _check_finite(robot: Robot) -> None:
+    """Play a few steps of made-up observations; numbers that are not finite are refused now."""
+    import jax.numpy as jnp
+
+    policy = make_policy(robot.spec)
+    obs = jnp.asarray(
+        [np.full(robot.spec.observation_size, value, np.float32) for value in _PROBES]
+    )
+    carry, first = policy.initial_carry((len(_PROBES),)), jnp.ones(len(_PROBES), bool)
+    for _ in range(2):
+        carry, action = policy.act(robot.params, carry, obs, first)
+        if not bool(jnp.isfinite(action).all()):
+            raise Refusal("not_finite", "its actions")
+        first = jnp.zeros(len(_PROBES), bool)

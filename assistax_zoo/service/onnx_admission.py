@@ -1,0 +1,273 @@
+"""From the bytes of an ONNX file to a program, or a refusal. Nothing of the file is ever executed.
+
+Parsed by protobuf; then every operator, attribute and tensor is held against a list; then shapes
+are computed without values, so that a graph that would fill the memory is refused before anything
+is allocated.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from assistax_zoo.service.problems import Refusal
+
+MAX_BYTES = 16 * 1024 * 1024
+MAX_NODES = 2000
+MAX_TENSORS = 2000
+MAX_INTEGERS = 4096  # in all shapes and indices together
+MAX_ELEMENTS = 65_536  # of any value, for one observation
+MAX_PRODUCTS = 20_000_000  # multiplications for one observation
+OPSETS = range(13, 23)
+
+# Attributes of each operator; any other attribute is refused with its operator.
+ATTRIBUTES: dict[str, tuple[str, ...]] = {
+    "Cast": ("to",),
+    "Concat": ("axis",),
+    "Elu": ("alpha",),
+    "Flatten": ("axis",),
+    "Gather": ("axis",),
+    "Gemm": ("alpha", "beta", "transA", "transB"),
+    "LayerNormalization": ("axis", "epsilon", "stash_type"),
+    "LeakyRelu": ("alpha",),
+    "ReduceMean": ("axes", "keepdims"),
+    "Reshape": ("allowzero",),
+    "Softmax": ("axis",),
+    "Split": ("axis", "num_outputs"),
+    "Transpose": ("perm",),
+}
+CONSTANTS = ("value", "value_float", "value_floats", "value_int", "value_ints")
+
+
+def admit_onnx(data: bytes, observation_size: int, action_size: int) -> tuple[Any, dict[str, Any]]:
+    """Return the program of an ONNX file and its parameters.
+
+    Raises:
+        Refusal: It is not a graph of the form and the operators that are allowed.
+    """
+    if len(data) > MAX_BYTES:
+        raise Refusal("too_large", f"{len(data)} bytes")
+    model = _parse(data)
+    _check_model(model)
+    graph = _Graph(model.graph)
+    program, params = graph.program()
+    _check_sizes(program, params, observation_size, action_size)
+    return program, params
+
+
+def _parse(data: bytes) -> Any:
+    import onnx
+    from google.protobuf.message import DecodeError
+
+    model = onnx.ModelProto()
+    try:
+        model.ParseFromString(data)
+    except (DecodeError, RuntimeError, ValueError):
+        raise Refusal("malformed") from None
+    if not model.graph.node:
+        raise Refusal("malformed", "no graph")
+    return model
+
+
+def _check_model(model: Any) -> None:
+    """Refuse whatever is not one plain graph of standard operators."""
+    if model.functions or model.training_info:
+        raise Refusal("subgraph")
+    sets = [(each.domain, each.version) for each in model.opset_import]
+    if any(domain not in ("", "ai.onnx") or version not in OPSETS for domain, version in sets):
+        raise Refusal("opset_not_allowed", str(sets[:4]))
+    graph = model.graph
+    if len(sets) != 1 or graph.sparse_initializer or graph.quantization_annotation:
+        raise Refusal("operator_not_allowed", "sparse or quantised weights, or several opsets")
+    if len(graph.node) > MAX_NODES or len(graph.initializer) > MAX_TENSORS:
+        raise Refusal("graph_too_large", f"{len(graph.node)} nodes")
+
+
+class _Graph:
+    """Reads a graph into a program, refusing what it does not know."""
+
+    def __init__(self, graph: Any) -> None:
+        self._graph = graph
+        self._weights: dict[str, np.ndarray] = {}
+        self._integers: dict[str, int | tuple[int, ...]] = {}
+        self._count = 0  # of integers
+        self._nodes: list[Any] = []
+
+    def program(self) -> tuple[Any, dict[str, Any]]:
+        """Return the program and its parameters."""
+        from assistax_zoo.service.onnx_program import OnnxProgram
+
+        for tensor in self._graph.initializer:
+            self._keep(tensor.name, _array(tensor))
+        inputs = [value for value in self._graph.input if not self._is_known(value.name)]
+        names = {value.name for value in inputs}
+        for node in self._graph.node:
+            self._read(node, names)
+        widths = _check_inputs(inputs)
+        outputs = tuple(value.name for value in self._graph.output)[: 1 + (len(widths) > 1)]
+        if len(outputs) < 1 + (len(widths) > 1) or not set(outputs) <= names:
+            raise Refusal("wrong_interface", "too few outputs")
+        program = OnnxProgram(
+            observation_size=widths[0],
+            action_size=0,  # known when shapes are computed
+            carry_size=widths[1] if len(widths) > 1 else 0,
+            inputs=tuple(value.name for value in inputs),
+            outputs=outputs,
+            weights=tuple(self._weights),
+            constants=tuple(self._integers.items()),
+            nodes=tuple(self._nodes),
+        )
+        return program, {f"w{i}": value for i, value in enumerate(self._weights.values())}
+
+    def _is_known(self, name: str) -> bool:
+        return name in self._weights or name in self._integers
+
+    def _keep(self, name: str, value: np.ndarray) -> None:
+        if not name or self._is_known(name):
+            raise Refusal("malformed", "a name is empty, or given twice")
+        if value.dtype.kind == "f":
+            self._weights[name] = value.astype(np.float32)
+            if not np.isfinite(self._weights[name]).all():
+                raise Refusal("not_finite", "a weight")
+        elif value.dtype == np.int64 and value.ndim <= 1:
+            self._integers[name] = tuple(value.tolist()) if value.ndim else int(value)
+            self._count += value.size
+            if self._count > MAX_INTEGERS:
+                raise Refusal("graph_too_large", "too many integers")
+        else:
+            raise Refusal("operator_not_allowed", f"a tensor of {value.dtype}")
+
+    def _read(self, node: Any, names: set[str]) -> None:
+        from assistax_zoo.service.onnx_program import OPERATORS, Node
+
+        if any(each.type in (5, 10) for each in node.attribute):  # GRAPH, GRAPHS
+            raise Refusal("subgraph", node.op_type[:40])
+        if node.domain not in ("", "ai.onnx"):
+            raise Refusal("operator_not_allowed", "another domain")
+        if node.op_type == "Constant":
+            self._keep(node.output[0], _constant(node))
+            return
+        if node.op_type not in OPERATORS:
+            raise Refusal("operator_not_allowed", node.op_type[:40])
+        attributes = _attributes(node)
+        unknown = [name for name in node.input if name and name not in names]
+        if not all(self._is_known(name) for name in unknown):
+            raise Refusal("malformed", "a node reads what no node before it wrote")
+        fresh = [name for name in node.output if name]
+        if len(fresh) != len(set(fresh)) or any(n in names or self._is_known(n) for n in fresh):
+            raise Refusal("malformed", "a name is given twice")
+        names.update(fresh)
+        inputs, outputs = tuple(node.input), tuple(node.output)
+        if node.op_type == "Split" and len(inputs) == 1:
+            attributes["num_outputs"] = len(outputs)
+        self._nodes.append(Node(node.op_type, inputs, outputs, tuple(attributes.items())))
+
+
+def _attributes(node: Any) -> dict[str, Any]:
+    """Return a node's attributes as numbers and tuples of numbers."""
+    import onnx
+
+    found: dict[str, Any] = {}
+    for each in node.attribute:
+        if each.name not in ATTRIBUTES.get(node.op_type, ()) or each.ref_attr_name:
+            raise Refusal("operator_not_allowed", f"{node.op_type} with {each.name[:40]}")
+        value = onnx.helper.get_attribute_value(each)
+        found[each.name] = (
+            tuple(value) if isinstance(value, list) or hasattr(value, "__len__") else value
+        )
+    if node.op_type == "Cast" and found.get("to") != onnx.TensorProto.FLOAT:
+        raise Refusal("operator_not_allowed", "Cast to anything but float")
+    return found
+
+
+def _constant(node: Any) -> np.ndarray:
+    import onnx
+
+    if len(node.attribute) != 1 or node.attribute[0].name not in CONSTANTS:
+        raise Refusal("operator_not_allowed", "Constant of an unknown form")
+    attribute = node.attribute[0]
+    if attribute.name == "value":
+        return _array(attribute.t)
+    kind = np.float32 if "float" in attribute.name else np.int64
+    return np.asarray(onnx.helper.get_attribute_value(attribute), kind)
+
+
+def _array(tensor: Any) -> np.ndarray:
+    """Return a tensor's values; its size is held against its bytes before anything is allocated."""
+    import onnx
+
+    if tensor.data_location == onnx.TensorProto.EXTERNAL or tensor.external_data:
+        raise Refusal("external_data")
+    kinds = {onnx.TensorProto.FLOAT: 4, onnx.TensorProto.FLOAT16: 2, onnx.TensorProto.INT64: 8}
+    if tensor.data_type not in kinds:
+        raise Refusal("operator_not_allowed", "a tensor that is not float or int64")
+    size = math.prod(tensor.dims)
+    given = len(tensor.raw_data) // kinds[tensor.data_type] if tensor.raw_data else 0
+    given += len(tensor.float_data) + len(tensor.int32_data) + len(tensor.int64_data)
+    if size != given or any(dim < 0 for dim in tensor.dims):
+        raise Refusal("malformed", "a tensor has another size than it says")
+    return onnx.numpy_helper.to_array(tensor)
+
+
+def _check_inputs(inputs: list[Any]) -> list[int]:
+    """Return the widths of observation and carry: obs [N, O], carry [N, H], first [N]."""
+    import onnx
+
+    kinds = [onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT, onnx.TensorProto.BOOL]
+    if not 1 <= len(inputs) <= 3:
+        raise Refusal("wrong_interface", f"{len(inputs)} inputs")
+    widths = []
+    for place, (value, kind) in enumerate(zip(inputs, kinds, strict=False)):
+        tensor = value.type.tensor_type
+        shape = tensor.shape.dim
+        if tensor.elem_type != kind or len(shape) != (1 if place == 2 else 2):
+            raise Refusal("wrong_interface", f"input {value.name[:40]}")
+        if shape[0].HasField("dim_value") and shape[0].dim_value != 1:
+            raise Refusal("wrong_interface", "the number of rows must be free, or 1")
+        if place < 2:
+            if not 0 < shape[1].dim_value <= MAX_ELEMENTS:
+                raise Refusal("wrong_interface", f"the width of {value.name[:40]}")
+            widths.append(shape[1].dim_value)
+    return widths
+
+
+def _check_sizes(
+    program: Any, params: dict[str, Any], observation_size: int, action_size: int
+) -> None:
+    """Compute all shapes without values; refuse what does not fit, or is too large."""
+    import jax
+    import jax.numpy as jnp
+
+    from assistax_zoo.service import onnx_program
+
+    products = 0
+
+    def watch(node: Any, given: list[Any], output: Any) -> None:
+        nonlocal products
+        if output.size > MAX_ELEMENTS and node.operator not in ("Identity", "Transpose"):
+            raise Refusal("graph_too_large", f"{node.operator} makes {output.size} numbers")
+        if node.operator in ("Gemm", "MatMul"):
+            products += output.size * given[0].shape[-1]
+        products += output.size
+        if products > MAX_PRODUCTS:
+            raise Refusal("graph_too_large", "too many operations for one observation")
+
+    shapes = [(1, program.observation_size), (1, program.carry_size)]
+    rows = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
+    rows.append(jax.ShapeDtypeStruct((1,), jnp.bool_))
+    weights = {name: jax.ShapeDtypeStruct(w.shape, w.dtype) for name, w in params.items()}
+    try:
+        outputs = jax.eval_shape(
+            lambda weights, rows: onnx_program.run(program, weights, rows, watch),
+            weights,
+            rows[: len(program.inputs)],
+        )
+    except Refusal:
+        raise
+    except Exception as error:  # whatever a tracer makes of shapes that do not fit
+        raise Refusal("shape_unknown", type(error).__name__) from None
+    if program.observation_size != observation_size:
+        raise Refusal("wrong_sizes", f"reads {program.observation_size} numbers")
+    expected = [(1, action_size), (1, program.carry_size)][: len(outputs)]
+    if [out.shape for out in outputs] != expected:
+        raise Refusal("wrong_sizes", f"gives {[out.shape for out in outputs]}")

@@ -1,0 +1,250 @@
+"""ONNX as JAX: equal to onnxruntime for every operator, and nothing else is let in."""
+
+import contextlib
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from assistax_zoo.service import onnx_admission, onnx_program
+from assistax_zoo.service.onnx_admission import ATTRIBUTES, admit_onnx
+from assistax_zoo.service.problems import Refusal
+from population.onnx_export import to_onnx
+from population.policy import Policy
+from population.spec import PolicySpec
+
+OBS, ACT = 6, 3
+RNG = np.random.default_rng(0)
+
+# Each operator as (nodes from x [1, 6] to y, constants).
+CASES: dict[str, tuple[list[Any], dict[str, Any]]] = {
+    "Gemm": ([("Gemm", "x w b", {"alpha": 0.5, "beta": 2.0})], {"w": (6, 3), "b": (3,)}),
+    "Gemm transposed": ([("Gemm", "x w", {"transB": 1})], {"w": (3, 6)}),
+    "MatMul": ([("MatMul", "x w", {})], {"w": (6, 3)}),
+    **{op: ([(op, "x w", {})], {"w": (6,)}) for op in ("Add", "Sub", "Mul", "Div", "Max", "Min")},
+    **{
+        op: ([(op, "x", {})], {})
+        for op in ("Tanh", "Relu", "Sigmoid", "Abs", "Neg", "Exp", "Identity", "Elu", "LeakyRelu")
+    },
+    "Softplus": ([("Softplus", "x", {})], {}),
+    "Sqrt": ([("Abs", "x", {}), ("Sqrt", "y0", {})], {}),
+    "Clip": ([("Clip", "x low high", {})], {"low": np.float32(-0.2), "high": np.float32(0.3)}),
+    "Clip above": ([("Clip", "x  high", {})], {"high": np.float32(0.3)}),
+    "Concat": ([("Concat", "x x", {"axis": -1})], {}),
+    "Flatten": ([("Reshape", "x s", {}), ("Flatten", "y0", {})], {"s": [1, 2, 3]}),
+    "Reshape": ([("Reshape", "x s", {}), ("Reshape", "y0 r", {})], {"s": [0, 2, -1], "r": [1, -1]}),
+    "Squeeze": ([("Unsqueeze", "x a", {}), ("Squeeze", "y0 a", {})], {"a": [1]}),
+    "Slice": ([("Slice", "x s e a t", {})], {"s": [1], "e": [5], "a": [1], "t": [2]}),
+    "Slice backwards": (
+        [("Slice", "x s e a t", {})],
+        {"s": [-1], "e": [-(2**31)], "a": [1], "t": [-1]},
+    ),
+    "Gather": ([("Gather", "x i", {"axis": 1})], {"i": [4, 0, -1]}),
+    "Gather one": (
+        [("Gather", "x i", {"axis": 1}), ("Unsqueeze", "y0 a", {})],
+        {"i": np.int64(2), "a": [1]},
+    ),
+    "Softmax": ([("Softmax", "x", {"axis": -1})], {}),
+    "Transpose": (
+        [("Reshape", "x s", {}), ("Transpose", "y0", {"perm": [0, 2, 1]}), ("Reshape", "y1 r", {})],
+        {"s": [1, 2, 3], "r": [1, 6]},
+    ),
+    "LayerNormalization": (
+        [("LayerNormalization", "x w b", {"axis": -1, "epsilon": 1e-3})],
+        {"w": (6,), "b": (6,)},
+    ),
+    "ReduceMean": ([("ReduceMean", "x", {"axes": [1], "keepdims": 1})], {}),
+    "Cast": ([("Cast", "x", {"to": TensorProto.FLOAT})], {}),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_operator_is_as_onnxruntime_has_it(name: str) -> None:
+    nodes, constants = CASES[name]
+    data = model(nodes, constants)
+    session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
+    x = RNG.normal(size=(1, OBS)).astype(np.float32)
+    expected: Any = session.run(None, {"x": x})[0]
+    program, params = admit_onnx(data, OBS, expected.shape[1])
+    [found] = onnx_program.run(program, params, [jnp.asarray(x)])
+    np.testing.assert_allclose(found, expected, rtol=2e-6, atol=2e-6)
+
+
+def test_every_operator_has_a_case() -> None:
+    tried = {node[0] for nodes, _ in CASES.values() for node in nodes}
+    assert onnx_program.OPERATORS.keys() - tried == {"Split", "Where"}  # in the recurrent policy
+    assert ATTRIBUTES.keys() <= onnx_program.OPERATORS.keys()
+
+
+@pytest.mark.parametrize("torso", ["mlp", "gru"])
+@pytest.mark.parametrize("squash", ["clip", "tanh"])
+def test_our_own_exports_play_as_the_policies_they_are_of(torso: Any, squash: Any) -> None:
+    spec = PolicySpec(
+        "robot", OBS, ACT, torso=torso, squash=squash, hidden=(16, 8), activation="relu"
+    )
+    policy = Policy(spec)
+    params = jax.tree.map(np.asarray, policy.init(jax.random.key(1)))
+    program, weights = admit_onnx(to_onnx(spec, params), OBS, ACT)
+    played = program.make_policy()
+    carries = policy.initial_carry((5,)), played.initial_carry((5,))
+    for step in range(4):
+        obs = jnp.asarray(RNG.normal(size=(5, OBS)), jnp.float32)
+        first = jnp.full(5, step in (0, 2))
+        one, expected = policy.act(params, carries[0], obs, first)
+        two, found = played.act(weights, carries[1], obs, first)
+        carries = one, two
+        np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_rows_cannot_see_each_other() -> None:
+    """A softmax over the batch would tell a robot about other episodes."""
+    data = model([("Softmax", "x", {"axis": 0})], {})
+    program, params = admit_onnx(data, OBS, OBS)
+    _, action = program.make_policy().act(params, (), jnp.ones((4, OBS)), jnp.ones(4, bool))
+    np.testing.assert_array_equal(action, np.ones((4, OBS)))
+
+
+def test_robots_of_one_graph_share_a_program() -> None:
+    first, second = (
+        admit_onnx(model([("MatMul", "x w", {})], {"w": (6, 3)}), OBS, ACT) for _ in "ab"
+    )
+    assert first[0] == second[0]
+    assert hash(first[0]) == hash(second[0])
+    assert not np.array_equal(first[1]["w0"], second[1]["w0"])
+
+
+def changed(change: Any) -> bytes:
+    proto = onnx.load_from_string(model([("MatMul", "x w", {})], {"w": (6, 3)}))
+    change(proto)
+    return proto.SerializeToString()
+
+
+def _external(proto: Any) -> None:
+    tensor = proto.graph.initializer[0]
+    tensor.ClearField("raw_data")
+    tensor.data_location = TensorProto.EXTERNAL
+    tensor.external_data.add(key="location", value="/etc/passwd")
+
+
+def _huge(proto: Any) -> None:
+    tensor = proto.graph.initializer[0]
+    tensor.dims[:] = [2**31, 2**31]
+
+
+def _function(proto: Any) -> None:
+    proto.functions.add(name="f", domain="mine")
+
+
+def _subgraph(proto: Any) -> None:
+    node = proto.graph.node.add(op_type="If", input=["c"], output=["z"])
+    node.attribute.add(name="then_branch", type=5).g.CopyFrom(onnx.GraphProto())
+
+
+def _domain(proto: Any) -> None:
+    proto.graph.node[0].domain = "com.microsoft"
+
+
+def _opset(proto: Any) -> None:
+    proto.opset_import.add(domain="com.microsoft", version=1)
+
+
+def _operator(proto: Any) -> None:
+    proto.graph.node[0].op_type = "RandomNormalLike"
+
+
+def _attribute(proto: Any) -> None:
+    proto.graph.node[0].attribute.append(helper.make_attribute("axis", 1))
+
+
+def _nodes(proto: Any) -> None:
+    proto.graph.node.extend([proto.graph.node[0]] * 3000)
+
+
+def _nan(proto: Any) -> None:
+    proto.graph.initializer[0].CopyFrom(
+        numpy_helper.from_array(np.full((6, 3), np.nan, np.float32), "w")
+    )
+
+
+def _rows(proto: Any) -> None:
+    proto.graph.input[0].type.tensor_type.shape.dim[0].dim_value = 7
+
+
+def _loop(proto: Any) -> None:
+    proto.graph.node[0].input[0] = proto.graph.node[0].output[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (_external, "external_data"),
+        (_huge, "malformed"),
+        (_function, "subgraph"),
+        (_subgraph, "subgraph"),
+        (_domain, "operator_not_allowed"),
+        (_opset, "opset_not_allowed"),
+        (_operator, "operator_not_allowed"),
+        (_attribute, "operator_not_allowed"),
+        (_nodes, "graph_too_large"),
+        (_nan, "not_finite"),
+        (_rows, "wrong_interface"),
+        (_loop, "malformed"),
+    ],
+)
+def test_what_is_not_on_the_list_is_refused(change: Any, code: str) -> None:
+    with pytest.raises(Refusal) as refusal:
+        admit_onnx(changed(change), OBS, ACT)
+    assert refusal.value.code == code
+
+
+def test_a_graph_that_would_fill_the_memory_is_refused_before_it_does() -> None:
+    wide = {"a": np.ones((1, 2000), np.float32), "b": np.ones((2000, 1), np.float32)}
+    bomb = model(
+        [("MatMul", "x w", {}), ("Mul", "a b", {}), ("Mul", "y1 a", {})], {"w": (6, 3), **wide}
+    )
+    with pytest.raises(Refusal) as refusal:
+        admit_onnx(bomb, OBS, ACT)
+    assert refusal.value.code == "graph_too_large"
+
+
+def test_a_graph_that_would_take_for_ever_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(onnx_admission, "MAX_PRODUCTS", 1000)
+    squares = [("MatMul", "x w", {}), *[("MatMul", f"y{i} w", {}) for i in range(50)]]
+    with pytest.raises(Refusal) as refusal:
+        admit_onnx(model(squares, {"w": (6, 6)}), OBS, 6)
+    assert refusal.value.code == "graph_too_large"
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_damaged_bytes_are_refused_or_play(seed: int) -> None:
+    """Flipped and missing bytes: a refusal or a whole program, never another exception."""
+    rng = np.random.default_rng(seed)
+    data = bytearray(model([("Gemm", "x w b", {}), ("Tanh", "y0", {})], {"w": (6, 3), "b": (3,)}))
+    for place in rng.integers(0, len(data), 3):
+        data[place] = rng.integers(256)
+    for bytes_ in (bytes(data), bytes(data[: rng.integers(len(data))])):
+        with contextlib.suppress(Refusal):
+            admit_onnx(bytes_, OBS, ACT)
+
+
+def model(nodes: list[Any], constants: dict[str, Any]) -> bytes:
+    """Return a model from x [N, 6] through nodes (operator, inputs, attributes) to y0, y1, ..."""
+    made, tensors = [], []
+    for place, (operator, inputs, attributes) in enumerate(nodes):
+        names = inputs.split(" ")
+        made.append(helper.make_node(operator, names, [f"y{place}"], **attributes))
+    for name, value in constants.items():
+        if isinstance(value, tuple):
+            value = RNG.uniform(0.5, 1.5, size=value).astype(np.float32)
+        array = np.asarray(value, None if isinstance(value, np.generic | np.ndarray) else np.int64)
+        tensors.append(numpy_helper.from_array(array, name))
+    x = helper.make_tensor_value_info("x", TensorProto.FLOAT, ["N", OBS])
+    y = helper.make_tensor_value_info(f"y{len(nodes) - 1}", TensorProto.FLOAT, None)
+    graph = helper.make_graph(made, "g", [x], [y], tensors)
+    opsets = [helper.make_opsetid("", 17)]
+    return helper.make_model(graph, opset_imports=opsets, ir_version=8).SerializeToString()
