@@ -18,7 +18,7 @@ from typing import Any, Literal
 from assistax_envs.disability import DISABILITY_SETTINGS
 from assistax_envs.versions import TASKS
 from population.config import Member, TrainConfig, TrainerConfig, make_members, preset
-from population.runs import RunFolder
+from population.run_folder import RunFolder
 
 PLAN_VERSION = 1
 _NAME = re.compile(r"[a-z][a-z0-9_]*(-[a-z0-9_]+)*")

@@ -17,9 +17,9 @@ import numpy as np
 import polars as pl
 
 from population.config import Member, TrainConfig, preset
-from population.engines import NOT_SHARED, RayCluster, run_blocks
-from population.rollout import Environment
-from population.runs import write_atomically
+from population.environment import Environment
+from population.ray_blocks import NOT_SHARED, RayCluster, run_blocks
+from population.files import atomic_path, atomic_write
 from population.train import Progress, train
 
 RESULTS, BEST = "sweep.parquet", "preset.json"
@@ -265,12 +265,13 @@ def _collect(sweep: Sweep, folder: Path) -> pl.DataFrame:
             )
         )
     results = pl.concat(tables).sort("configuration", "seed")
-    results.write_parquet(folder / RESULTS)
+    with atomic_path(folder / RESULTS) as temporary:
+        results.write_parquet(temporary)
     content = {
         "algorithm": sweep.algorithm,
         "hyperparameters": {**sweep.fixed, **best(results, points)},
     }
-    write_atomically(folder / BEST, (json.dumps(content, indent=2) + "\n").encode())
+    atomic_write(folder / BEST, (json.dumps(content, indent=2) + "\n").encode())
     return results
 
 

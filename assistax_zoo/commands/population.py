@@ -163,8 +163,8 @@ class _Work:
     def write_curves(self, folder: Path) -> None:
         """Write the learning curves of the finished runs that have their metrics."""
         from population.plan import find_blocks
-        from population.runs import RunFolder
-        from population.thinning import write_curves
+        from population.run_folder import RunFolder
+        from population.learning_curves import write_curves
 
         for group in self.groups:
             finished = [

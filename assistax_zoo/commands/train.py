@@ -18,7 +18,7 @@ from assistax_zoo.console import SECONDS_BETWEEN_LINES, print_json, stdout_is_da
 
 if TYPE_CHECKING:
     from population.config import TrainConfig
-    from population.partners import Partners
+    from population.frozen_partners import Partners
     from population.train import Progress
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "b": 10**9}

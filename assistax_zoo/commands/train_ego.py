@@ -19,7 +19,7 @@ from assistax_zoo.console import print_json
 
 if TYPE_CHECKING:
     from population.config import TrainerConfig
-    from population.partners import Partners
+    from population.frozen_partners import Partners
     from zoo.registry import Registry
     from zoo.schema import Split
 
@@ -125,7 +125,7 @@ def shared_out(trainer: "TrainerConfig", partners: int, split: str, keep: bool) 
     Raises:
         ValueError: The number of simulations was asked for, to be kept, and has no such share.
     """
-    from population.partners import fitting_envs
+    from population.frozen_partners import fitting_envs
 
     fitting = fitting_envs(trainer.num_envs, partners, getattr(trainer, "minibatches", 1))
     if keep and trainer.num_envs % partners:
@@ -149,17 +149,17 @@ def shared_out(trainer: "TrainerConfig", partners: int, split: str, keep: bool) 
 
 def load_partners(registry: "Registry", split: "Split") -> "Partners":
     """Return the humans of a split's training half; no row of the test half is taken from any shard."""
-    from population.partners import PartnerGroup, Partners
-    from zoo.storage import load_stacks
+    from population.frozen_partners import PartnerGroup, Partners
+    from zoo.storage import load_group
 
     entries = [registry.policy(f"{team}/human") for team in split.train]
-    settings = {entry.id: entry.setting for entry in entries}
+    settings = {entry.id: entry.disability for entry in entries}
     return Partners(
         [
             PartnerGroup(
                 group.spec, group.ids, tuple(settings[name] for name in group.ids), group.params
             )
-            for group in load_stacks(registry, entries)
+            for group in load_group(registry, entries)
         ]
     )
 

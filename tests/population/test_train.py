@@ -16,7 +16,7 @@ import safetensors.numpy
 from population.checkpoints import Checkpoints
 from population.config import Member, TrainConfig, make_members, preset
 from population.policy import Policy
-from population.runs import RunFolder
+from population.run_folder import RunFolder
 from population.spec import PolicySpec
 from population.train import DivergedError, train
 from tests.population.toy_env import ToyEnv, match

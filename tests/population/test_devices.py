@@ -17,9 +17,9 @@ import safetensors.numpy
 from population import train as training
 from population.checkpoints import Checkpoints
 from population.config import MIXED, Member, TrainConfig, preset
-from population.partners import PartnerGroup, Partners
+from population.frozen_partners import PartnerGroup, Partners
 from population.policy import Policy
-from population.sharding import Shares
+from population.devices import Shares
 from population.spec import PolicySpec
 from population.train import initial_state, make_trainer, train
 from tests.population.toy_env import ToyEnv, match
@@ -66,7 +66,7 @@ def arguments(case, members=4):
     """Return the configuration and the partners of a case."""
     partners = population() if case == "ego" else None
     team = tuple(Member(seed, MIXED if partners else f"d{1 + seed % 9}") for seed in range(members))
-    names = partners.names if partners else ()
+    names = partners.ids if partners else ()
     config = TrainConfig(
         "toy",
         case,

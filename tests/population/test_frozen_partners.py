@@ -12,7 +12,7 @@ import pytest
 
 from assistax_envs import disability_params
 from population.config import MIXED, Member, PPOConfig, SACConfig, TrainConfig
-from population.partners import PartnerGroup, Partners, fitting_envs
+from population.frozen_partners import PartnerGroup, Partners, fitting_envs
 from population.policy import Policy
 from population.ppo import PPO
 from population.sac import SAC

@@ -9,7 +9,7 @@ import pytest
 
 from population import engines
 from population import sweep as sweeps
-from population.engines import BlocksFailedError, RayCluster, run_blocks
+from population.ray_blocks import BlocksFailedError, RayCluster, run_blocks
 from population.sweep import run_sweep, run_sweep_on_ray
 from tests.population.test_sweep import plan
 from tests.population.toy_env import ToyEnv, match

@@ -9,7 +9,6 @@
 """
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ import polars as pl
 import safetensors.numpy
 
 from population.config import Member, PPOConfig, TrainConfig, TrainerConfig
+from population.files import atomic_path, atomic_write
 from population.spec import PolicySpec
 
 METADATA_KEY = "assistax"  # safetensors bytes are stable with one metadata key only
@@ -78,7 +78,7 @@ class RunFolder:
                     f"{self.folder} holds a run with another configuration: {differences}; "
                     "repeat that configuration to resume it, or choose a new folder"
                 )
-        write_atomically(self._config, (json.dumps(wanted, indent=2) + "\n").encode())
+        atomic_write(self._config, (json.dumps(wanted, indent=2) + "\n").encode())
 
     def finished(self, config: TrainConfig) -> bool:
         """Return whether the folder holds the teams of this run, trained to its end."""
@@ -97,9 +97,8 @@ class RunFolder:
 
     def write_metrics(self, metrics: pl.DataFrame) -> None:
         """Replace the metrics."""
-        temporary = self._metrics.with_suffix(".tmp")
-        metrics.write_parquet(temporary)
-        os.replace(temporary, self._metrics)
+        with atomic_path(self._metrics) as temporary:
+            metrics.write_parquet(temporary)
 
     def write_teams(
         self,
@@ -115,7 +114,7 @@ class RunFolder:
             metadata = {"spec": spec.to_json(), "rows": rows}
             text = json.dumps(metadata, sort_keys=True, separators=(",", ":"))
             leaves = dict(sorted(flatten(params[role]).items()))
-            write_atomically(
+            atomic_write(
                 self.folder / f"{role}.safetensors",
                 safetensors.numpy.save(leaves, {METADATA_KEY: text}),
             )
@@ -136,7 +135,7 @@ class RunFolder:
             }
             for row, (member, result) in enumerate(zip(config.members, self_play, strict=True))
         ]
-        write_atomically(self.teams, (json.dumps(teams, indent=2) + "\n").encode())
+        atomic_write(self.teams, (json.dumps(teams, indent=2) + "\n").encode())
 
     def _read_config(self) -> dict[str, Any]:
         try:
@@ -195,20 +194,6 @@ def flatten(params: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray
         else:
             leaves[f"{prefix}{name}"] = np.ascontiguousarray(value)
     return leaves
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write to a temporary sibling, flush it to disk, and rename it over `path`."""
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
 
 
 def _differences(found: Any, wanted: Any, ignored: Sequence[str], path: str = "") -> str:
