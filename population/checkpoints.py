@@ -105,7 +105,7 @@ def _digest(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     for name in sorted(arrays):
         leaf = np.ascontiguousarray(arrays[name])
         digest.update(f"{name}:{leaf.dtype}:{leaf.shape};".encode())
-        digest.update(leaf)
+        digest.update(leaf.reshape(-1).view(np.uint8).data)
     return np.frombuffer(digest.digest(), np.uint8)
 
 

@@ -20,6 +20,7 @@ import safetensors.numpy
 from population.config import Member, PPOConfig, TrainConfig, TrainerConfig
 from population.files import atomic_path, atomic_write
 from population.spec import PolicySpec
+from population.stack import flatten
 
 METADATA_KEY = "assistax"  # safetensors bytes are stable with one metadata key only
 _MAY_CHANGE = (
@@ -183,17 +184,6 @@ def metrics_table(
     means = [name for name in columns if name == "return" or name.startswith("term_")]
     table = table.with_columns(pl.col(name).fill_nan(None) for name in means)
     return table.cast({name: dtype for name, dtype in _SCHEMA.items() if name in table.columns})
-
-
-def flatten(params: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
-    """Return the arrays of nested dicts by '/'-joined path."""
-    leaves = {}
-    for name, value in params.items():
-        if isinstance(value, Mapping):
-            leaves |= flatten(value, f"{prefix}{name}/")
-        else:
-            leaves[f"{prefix}{name}"] = np.ascontiguousarray(value)
-    return leaves
 
 
 def _differences(found: Any, wanted: Any, ignored: Sequence[str], path: str = "") -> str:

@@ -6,6 +6,7 @@ import datetime
 import importlib.metadata
 import shutil
 import time
+import types
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -66,6 +67,7 @@ def train(
     folder: Path | str,
     *,
     partners: FrozenPartners | None = None,
+    provenance: Mapping[str, Any] = types.MappingProxyType({}),
     resume: bool = True,
     stop_on_divergence: bool = True,
     progress: Callable[[Progress], None] | None = None,
@@ -83,6 +85,7 @@ def train(
         folder: Where the run is kept: configuration, checkpoints, metrics, and at the end the
             teams.
         partners: Who sits in the other seat, the same as `config.partners` names.
+        provenance: More that the finished run is to say of its training.
         resume: Whether to go on with a run that the folder holds.
         stop_on_divergence: Whether a loss that is not finite ends the run; if not, that member goes
             on to no good.
@@ -113,7 +116,7 @@ def train(
         ):
             training = _Training(config, trainer, shares, run, checkpoints)
             state, metrics = training.loop(*training.load(), report, stop_on_divergence)
-            training.finish(state, metrics)
+            training.finish(state, metrics, provenance)
 
     interruptible(work)
     if not extends(config.trainer):
@@ -259,7 +262,9 @@ class _Training:
 
         return advance
 
-    def finish(self, state: TrainState, metrics: pl.DataFrame) -> None:
+    def finish(
+        self, state: TrainState, metrics: pl.DataFrame, provenance: Mapping[str, Any]
+    ) -> None:
         """Evaluate the final policies in self-play, unless they are egos, and write them."""
         config, trainer = self.config, self.trainer
         # On one device: a few episodes of each team are less than an update was.
@@ -274,7 +279,8 @@ class _Training:
                 jnp.stack([jax.random.fold_in(member_key(m), _SELF_PLAY) for m in config.members]),
                 config.self_play_episodes,
             )
-        training = _provenance(config, trainer.env, self.shares, float(metrics["seconds"][-1]))
+        seconds = float(metrics["seconds"][-1])
+        training = {**_provenance(config, trainer.env, self.shares, seconds), **provenance}
         self.run.write_teams(config, trainer.specs, jax.device_get(params), training, figures)
 
 

@@ -37,7 +37,7 @@ def test_a_constant_reward_gives_the_length_of_the_episode(terminates):
 def test_an_interval_holds_the_mean_and_figures_repeat():
     results = play(match)
     for figures in results:
-        assert figures["ci"][0] <= figures["mean"] <= figures["ci"][1]
+        assert figures["mean_ci"][0] <= figures["mean"] <= figures["mean_ci"][1]
     assert results == play(match)
     assert len({figures["mean"] for figures in results}) == TEAMS
 
