@@ -74,12 +74,10 @@ class Group:
             "different settings",
         )
         _check(isinstance(self.set, dict), self, "set", "an object of hyperparameters")
-        _check(
-            self.max_members is None or _above_0(self.max_members),
-            self,
-            "max_members",
-            "an integer above 0",
-        )
+        _check(_above_0(self.steps), self, "steps", "an integer above 0")
+        for name in ("max_members", "updates_per_call", "checkpoint_every"):
+            value = getattr(self, name)
+            _check(value is None or _above_0(value), self, name, "an integer above 0")
         release = isinstance(self.adopt, str) and _RELEASE.fullmatch(self.adopt)
         _check(
             self.adopt is None or bool(release), self, "adopt", "an earlier release, such as 'v0'"

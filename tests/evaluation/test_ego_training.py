@@ -53,7 +53,7 @@ def test_a_training_is_prepared_and_says_how_simulations_are_shared():
     assert [member.seed for member in training.config.members] == [3, 5]
     assert training.config.partners == training.partners.ids
     assert training.config.self_play_episodes == 0
-    assert training.summary == "16 partners of scratch/half-s0-v0, 64 simulations each"
+    assert training.summary == "16 partners of scratch/half-s0-v0-f4c7b97d, 64 simulations each"
     fitted = prepare(
         load_registry(), "scratch", split="half-s0-v0", algorithm="sac", hyperparameters={}
     )

@@ -1,6 +1,6 @@
 """Training from plain arguments, and what is read back."""
 
-import numpy as np
+import jax.numpy as jnp
 import pytest
 
 import assistax_envs
@@ -40,7 +40,7 @@ def test_teams_come_back_with_paths_figures_and_policies(toy, tmp_path):
         assert figures["n"] == 3 and "ci" not in figures
     humans = run.policies["human"]
     assert humans.ids == tuple(f"{name}/human" for name in run.names)
-    _, action = Policy(humans.spec).act(humans.row(3), (), np.zeros((5, 3)), np.zeros(5, bool))
+    _, action = Policy(humans.spec).act(humans.row(3), (), jnp.zeros((5, 3)), jnp.zeros(5, bool))
     assert action.shape == (5, 2)
 
 
