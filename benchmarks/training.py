@@ -11,9 +11,8 @@ import jax.numpy as jnp
 
 from benchmarks.timing import REPEATS, calls_within, timed
 from population.config import Member, SACConfig, TrainConfig, TrainerConfig
-from population.environment import Environment
-from population.train import initial_state, make_trainer
-from population.trainer import Trainer
+from population.rollout import Environment
+from population.train import Trainer, initial_state, make_trainer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,7 +97,7 @@ def _work(
 
 def _light(state: Any) -> Any:
     """Return a state without its replay, which collecting does not read."""
-    return dataclasses.replace(state, replay=())
+    return dataclasses.replace(state, replay=None) if hasattr(state, "replay") else state
 
 
 def _used(collected: tuple[Any, Any, Any]) -> tuple[Any, Any]:

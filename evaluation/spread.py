@@ -8,7 +8,7 @@ from typing import Any
 from evaluation import tables
 from evaluation.evaluator import MANIFEST_FILE, MAX_ENVS, PARTS_FOLDER, Progress, run_block
 from evaluation.jobs import Job, plan
-from population.ray_blocks import NOT_SHARED, RayCluster, run_blocks
+from population.engines import NOT_SHARED, RayCluster, run_blocks
 
 
 def run_blocks_on_ray(

@@ -14,7 +14,7 @@ from evaluation import tables
 from evaluation.evaluator import Evaluation, Progress, check_folder, run_block, run_job
 from evaluation.jobs import Ego, Group, Job
 from evaluation.spread import run_blocks_on_ray
-from population.ray_blocks import RayCluster
+from population.engines import RayCluster
 from zoo.errors import RegistryVersionError, SplitError, listing
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split

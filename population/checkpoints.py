@@ -1,7 +1,5 @@
 """Training state on disk, through Orbax: whole or not at all, and the same bits when read back on any devices."""
 
-import hashlib
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,8 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
-KEEP = 2  # newest checkpoints that stay on disk: one to go on from, one if that is damaged
-_DIGEST = "sha256"
+KEEP = 2  # newest checkpoints that stay on disk
 
 
 class Checkpoints:
@@ -35,10 +32,9 @@ class Checkpoints:
         Raises:
             OSError: It cannot be written; those that exist are untouched.
         """
-        last, arrays = self.latest(), _to_arrays(state)
-        arrays[_DIGEST] = _digest(arrays)
+        last = self.latest()
         try:
-            self._manager.save(update, args=ocp.args.StandardSave(arrays))
+            self._manager.save(update, args=ocp.args.StandardSave(_to_arrays(state)))
         except Exception as error:
             reason = str(error).strip().partition("\n")[0]
             kept = (
@@ -51,62 +47,31 @@ class Checkpoints:
                 f"{kept}; free some space there and run the same command again to go on"
             ) from error
 
-    def restore_latest(self, like: Any) -> tuple[int, Any] | None:
-        """Return the newest checkpoint that is whole, as updates and state; None without any.
-
-        A damaged one is warned of and removed, and the one before it is taken: the run repeats the
-        updates between them.
+    def restore(self, update: int, like: Any) -> Any:
+        """Return the state of a checkpoint.
 
         Args:
+            update: Which checkpoint.
             like: A state of the same structure, on the devices that the result is to lie on.
 
         Raises:
-            ValueError: There are checkpoints, and none can be read.
+            ValueError: The checkpoint holds a state of another structure.
         """
-        updates, reason = sorted(self._manager.all_steps(), reverse=True), ""
-        for update in updates:
-            try:
-                state = self._restore(update, like)
-            except Exception as error:
-                reason = reason or str(error).strip().partition("\n")[0]
-                continue
-            for damaged in (newer for newer in updates if newer > update):
-                warnings.warn(
-                    f"the checkpoint of update {damaged} in {self.folder} is damaged ({reason}); "
-                    f"going on from the one of update {update}",
-                    stacklevel=2,
-                )
-                self._manager.delete(damaged)
-            return update, state
-        if updates:
-            raise ValueError(
-                f"cannot read the checkpoint of update {updates[0]} in {self.folder}: {reason}; "
-                "it was written by another version or is damaged: start a new run in another folder"
+        try:
+            saved: Any = self._manager.restore(
+                update, args=ocp.args.StandardRestore(_to_arrays(like))
             )
-        return None
-
-    def _restore(self, update: int, like: Any) -> Any:
-        like_arrays = _to_arrays(like)
-        like_arrays[_DIGEST] = _digest({})
-        saved: Any = self._manager.restore(update, args=ocp.args.StandardRestore(like_arrays))
-        digest = saved.pop(_DIGEST, None)
-        if digest is None or not np.array_equal(digest, _digest(saved)):
-            raise ValueError("its bytes are not those that were written")
+        except Exception as error:
+            reason = str(error).strip().partition("\n")[0]
+            raise ValueError(
+                f"cannot read the checkpoint of update {update} in {self.folder}: {reason}; "
+                "it was written by another version or is damaged: start a new run in another folder"
+            ) from error
         return _from_arrays(saved, like)
 
     def close(self) -> None:
         """Release the folder."""
         self._manager.close()
-
-
-def _digest(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return the sha256 of all leaves [32]: Orbax itself loads flipped bits without a word."""
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        leaf = np.ascontiguousarray(arrays[name])
-        digest.update(f"{name}:{leaf.dtype}:{leaf.shape};".encode())
-        digest.update(leaf.reshape(-1).view(np.uint8).data)
-    return np.frombuffer(digest.digest(), np.uint8)
 
 
 def _to_arrays(state: Any) -> dict[str, np.ndarray]:

@@ -108,14 +108,7 @@ def _team(
     training = {"run": run, **item["training"]}
     names = ("task", "algorithm", "disability", "seed")
     return TrainedTeam(**{name: team[name] for name in names}, specs=specs, params=params, training=training,
-                       self_play=_figures(item.get("self_play")))  # fmt: skip
-
-
-def _figures(self_play: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
-    """Return self-play as registries of schema 1 name it: the mean's interval is `ci` there."""
-    if self_play is None:
-        return None
-    return {("ci" if name == "mean_ci" else name): value for name, value in self_play.items()}
+                       self_play=item.get("self_play"))  # fmt: skip
 
 
 def _stacked(home: Path, name: str, files: dict[str, StackedFile]) -> StackedFile:

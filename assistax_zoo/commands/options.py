@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 if TYPE_CHECKING:
     from evaluation.studies import Settings
-    from population.ray_blocks import RayCluster
+    from population.engines import RayCluster
     from zoo.registry import Registry
 
 
@@ -89,7 +89,7 @@ class Engine:
         Raises:
             ValueError: An option of Ray is given without it, or has a wrong value.
         """
-        from population.ray_blocks import RayCluster
+        from population.engines import RayCluster
 
         names = ("ray_address", "ray_cpus", "ray_gpus")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}

@@ -96,10 +96,15 @@ def _orders(
         members = [name for cluster in strategies["clusters"] for name in cluster["members"]]
         by_column = _places("column", columns, "name", members, strategies["clusters"])
         orders["strategies"] = {"label": "humans by behaviour", **by_row, **by_column}
-    orders["traits"] = {
-        "label": "algorithm, disability, seed",
-        "rows": list(range(len(rows))),
-        "columns": list(range(len(columns))),
+    orders["algorithm"] = {
+        "label": "algorithm, then disability",
+        **_by_traits("row", rows, ("algorithm", "disability")),
+        **_by_traits("column", columns, ("algorithm", "disability")),
+    }
+    orders["disability"] = {
+        "label": "disability, then algorithm",
+        **_by_traits("row", rows, ("disability", "algorithm")),
+        **_by_traits("column", columns, ("disability", "algorithm")),
     }
     orders["mean"] = {
         "label": "mean return",
@@ -119,6 +124,20 @@ def _places(
     place = {one[key]: i for i, one in enumerate(policies)}
     breaks = np.cumsum([len(cluster["members"]) for cluster in clusters])[:-1].tolist()
     return {f"{axis}s": [place[name] for name in order], f"{axis}Breaks": breaks}
+
+
+def _by_traits(
+    axis: str, policies: list[dict[str, Any]], traits: tuple[str, str]
+) -> dict[str, Any]:
+    """Order by two traits, with a line wherever the first changes; unknown comes last."""
+
+    def known(i: int) -> list[tuple[bool, str]]:
+        return [(policies[i][trait] is None, policies[i][trait] or "") for trait in traits]
+
+    order = sorted(range(len(policies)), key=known)
+    first = [policies[i][traits[0]] for i in order]
+    breaks = [i for i in range(1, len(first)) if first[i] != first[i - 1]]
+    return {f"{axis}s": order, f"{axis}Breaks": breaks}
 
 
 def _rounded(values: np.ndarray) -> list[list[float]]:

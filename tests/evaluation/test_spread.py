@@ -10,7 +10,7 @@ from assistax_zoo.main import run
 from evaluation import spread
 from evaluation.jobs import Job
 from evaluation.spread import run_blocks_on_ray
-from population.ray_blocks import RayCluster
+from population.engines import RayCluster
 from tests import untrained
 from tests.evaluation.matrix_game import GRU, MatrixGame, humans, random_group, robots
 from tests.untrained import HUMAN, ROBOT, params_of, untrained_team

@@ -1,12 +1,43 @@
 "use strict";
-// The cross-play matrix on a canvas: zoom, move, look up a pair. Nothing is computed here but places and colours.
-(() => {
-  const data = JSON.parse(document.getElementById("matrix-data").textContent);
+// The cross-play matrix on a canvas: zoom, move, look up a pair. Nothing is computed here but
+// places and colours.
+
+// data: axes, measures, orders and palettes. options.address: from (robot, human) to the page of a
+// pair, which a click opens. options.load: from a measure's name to a promise of its values, for
+// those that are not in the data yet. options.tell: takes the pair under the cursor as a text.
+function crossPlayMatrix(data, options = {}) {
   const byId = (id) => document.getElementById(id);
-  const canvas = byId("matrix"), tip = byId("tip"), context = canvas.getContext("2d");
-  const STRIP = 10, GAP = 3, NAME = "11px system-ui, 'DejaVu Sans', sans-serif", INK = "#1d2733", MUTED = "#5b6673";
-  const state = { order: Object.keys(data.orders)[0], measure: Object.keys(data.measures)[0], zoom: 1, x: 0, y: 0 };
-  let plot = null, picture = null, range = [0, 1], found = "", pinned = null;
+  const canvas = byId("matrix"),
+    tip = byId("tip"),
+    context = canvas.getContext("2d");
+  const STRIP = 10,
+    GAP = 3,
+    FAMILY = "system-ui, 'DejaVu Sans', sans-serif",
+    NAME = `11px ${FAMILY}`;
+  const DARK = "#1d2733",
+    LIGHT = "#fff",
+    MARK = "#d9480f"; // on cells of any colour
+  const state = {
+    order: Object.keys(data.orders)[0],
+    measure: Object.keys(data.measures)[0],
+    zoom: 1,
+    x: 0,
+    y: 0,
+  };
+  let plot = null,
+    picture = null,
+    range = [0, 1],
+    found = "",
+    pinned = null;
+  let paper = LIGHT,
+    ink = DARK;
+
+  function readColours() {
+    // The page's own, which may be dark.
+    const body = getComputedStyle(document.body);
+    ink = body.color;
+    paper = body.backgroundColor;
+  }
 
   const measure = () => data.measures[state.measure];
   const order = () => data.orders[state.order];
@@ -15,22 +46,30 @@
   const human = (column) => data.columns[order().columns[column]];
   const counts = () => [order().rows.length, order().columns.length];
   const share = (v) => (range[1] > range[0] ? (v - range[0]) / (range[1] - range[0]) : 0.5);
-  const colour = (v) => data.colours[Math.max(0, Math.min(255, Math.round(255 * share(v))))];
-  const light = (hex) => [1, 3, 5].reduce((sum, at, i) => sum + [0.299, 0.587, 0.114][i] * parseInt(hex.slice(at, at + 2), 16), 0) > 128;
+  const level = (v) => Math.max(0, Math.min(255, Math.round(255 * share(v))));
+  const colour = (v) => data.colours[level(v)];
+  const light = (hex) =>
+    [1, 3, 5].reduce(
+      (sum, at, i) => sum + [0.299, 0.587, 0.114][i] * parseInt(hex.slice(at, at + 2), 16),
+      0,
+    ) > 128;
 
   function paint() {
     // One pixel a cell; the canvas scales it without smoothing.
     const [rows, columns] = counts();
-    const all = measure().values.flat();
-    range = [all.reduce((a, b) => Math.min(a, b)), all.reduce((a, b) => Math.max(a, b))];
+    range = [Infinity, -Infinity];
+    for (const row of measure().values)
+      for (const v of row) range = [Math.min(range[0], v), Math.max(range[1], v)];
     picture = document.createElement("canvas");
     picture.width = columns;
     picture.height = rows;
     const pixels = new ImageData(columns, rows);
+    const channels = data.colours.map((hex) =>
+      [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16)).concat(255),
+    );
     for (let r = 0; r < rows; r++) {
       for (let c = 0; c < columns; c++) {
-        const hex = colour(value(r, c));
-        pixels.data.set([1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16)).concat(255), 4 * (r * columns + c));
+        pixels.data.set(channels[level(value(r, c))], 4 * (r * columns + c));
       }
     }
     picture.getContext("2d").putImageData(pixels, 0, 0);
@@ -39,13 +78,21 @@
   }
 
   function lay() {
-    const width = canvas.clientWidth, [rows, columns] = counts();
+    const width = canvas.clientWidth,
+      [rows, columns] = counts();
     context.font = NAME;
-    const longest = (names) => Math.min(190, Math.max(...names.map((one) => context.measureText(one.short).width)) + 8);
-    const left = longest(data.rows) + 2 * (STRIP + GAP) + 18, top = longest(data.columns) + 2 * (STRIP + GAP) + 18;
+    const longest = (names) =>
+      Math.min(
+        190,
+        width / 5,
+        Math.max(...names.map((one) => context.measureText(one.short).width)) + 8,
+      );
+    const left = longest(data.rows) + 2 * (STRIP + GAP) + 18,
+      top = longest(data.columns) + 2 * (STRIP + GAP) + 18;
     const cell = Math.min(48, (width - left - 4) / columns, Math.max(900 - top, 300) / rows);
     plot = { left, top, width: cell * columns, height: cell * rows, fit: cell };
-    const height = Math.ceil(top + plot.height + 4), ratio = window.devicePixelRatio || 1;
+    const height = Math.ceil(top + plot.height + 4),
+      ratio = window.devicePixelRatio || 1;
     canvas.style.height = `${height}px`;
     canvas.width = Math.round(width * ratio);
     canvas.height = Math.round(height * ratio);
@@ -62,15 +109,23 @@
 
   function draw() {
     clamp();
-    const cell = plot.fit * state.zoom, [rows, columns] = counts();
-    context.fillStyle = "#fff";
+    readColours();
+    const cell = plot.fit * state.zoom,
+      [rows, columns] = counts();
+    context.fillStyle = paper;
     context.fillRect(0, 0, canvas.clientWidth, canvas.clientHeight);
     context.save();
     context.beginPath();
     context.rect(plot.left, plot.top, plot.width, plot.height);
     context.clip();
     context.imageSmoothingEnabled = false;
-    context.drawImage(picture, plot.left - state.x * cell, plot.top - state.y * cell, columns * cell, rows * cell);
+    context.drawImage(
+      picture,
+      plot.left - state.x * cell,
+      plot.top - state.y * cell,
+      columns * cell,
+      rows * cell,
+    );
     drawCells(cell);
     drawClusters(cell);
     context.restore();
@@ -79,12 +134,16 @@
     if (pinned) frame(pinned, cell);
   }
 
-  const visible = (start, size, cell, count) => [Math.max(0, Math.floor(start)), Math.min(count, Math.ceil(start + size / cell))];
+  const visible = (start, size, cell, count) => [
+    Math.max(0, Math.floor(start)),
+    Math.min(count, Math.ceil(start + size / cell)),
+  ];
   const left = (column, cell) => plot.left + (column - state.x) * cell;
   const top = (row, cell) => plot.top + (row - state.y) * cell;
 
   function drawCells(cell) {
-    const [rows, columns] = counts(), [r0, r1] = visible(state.y, plot.height, cell, rows);
+    const [rows, columns] = counts(),
+      [r0, r1] = visible(state.y, plot.height, cell, rows);
     const [c0, c1] = visible(state.x, plot.width, cell, columns);
     const figures = cell >= 30;
     if (cell < 6) return;
@@ -94,10 +153,12 @@
       for (let c = c0; c < c1; c++) {
         const own = robot(r).team !== null && robot(r).team === human(c).team;
         if (!figures && !own) continue;
-        const v = value(r, c), x = left(c, cell) + cell / 2, y = top(r, cell) + cell / 2;
-        context.fillStyle = light(colour(v)) ? INK : "#fff";
+        const v = value(r, c),
+          x = left(c, cell) + cell / 2,
+          y = top(r, cell) + cell / 2;
+        context.fillStyle = light(colour(v)) ? DARK : LIGHT;
         if (figures) {
-          context.font = `${own ? "bold " : ""}${cell >= 44 ? 12 : 10}px system-ui, 'DejaVu Sans', sans-serif`;
+          context.font = `${own ? "bold " : ""}${cell >= 44 ? 12 : 10}px ${FAMILY}`;
           context.fillText(format(v), x, y);
         } else {
           context.beginPath();
@@ -109,16 +170,23 @@
   }
 
   function drawClusters(cell) {
-    context.strokeStyle = "#fff";
+    context.strokeStyle = LIGHT;
     context.lineWidth = 1.5;
     context.beginPath();
-    for (const at of order().rowBreaks ?? []) { context.moveTo(plot.left, top(at, cell)); context.lineTo(plot.left + plot.width, top(at, cell)); }
-    for (const at of order().columnBreaks ?? []) { context.moveTo(left(at, cell), plot.top); context.lineTo(left(at, cell), plot.top + plot.height); }
+    for (const at of order().rowBreaks ?? []) {
+      context.moveTo(plot.left, top(at, cell));
+      context.lineTo(plot.left + plot.width, top(at, cell));
+    }
+    for (const at of order().columnBreaks ?? []) {
+      context.moveTo(left(at, cell), plot.top);
+      context.lineTo(left(at, cell), plot.top + plot.height);
+    }
     context.stroke();
   }
 
   function drawAxis(cell, isRow) {
-    const count = counts()[isRow ? 0 : 1], size = isRow ? plot.height : plot.width;
+    const count = counts()[isRow ? 0 : 1],
+      size = isRow ? plot.height : plot.width;
     const [first, last] = visible(isRow ? state.y : state.x, size, cell, count);
     context.save();
     context.beginPath();
@@ -128,7 +196,8 @@
     context.font = NAME;
     context.textBaseline = "middle";
     for (let i = first; i < last; i++) {
-      const one = isRow ? robot(i) : human(i), at = isRow ? top(i, cell) : left(i, cell);
+      const one = isRow ? robot(i) : human(i),
+        at = isRow ? top(i, cell) : left(i, cell);
       ["disability", "algorithm"].forEach((trait, k) => {
         context.fillStyle = data.palettes[trait][one[trait]] ?? "#c8c8c8";
         const offset = (isRow ? plot.left : plot.top) - (k + 1) * (STRIP + GAP);
@@ -137,7 +206,7 @@
       });
       const hit = found && one.name.toLowerCase().includes(found);
       if (cell < 10 && !hit) continue;
-      context.fillStyle = hit ? "#c2410c" : INK;
+      context.fillStyle = hit ? MARK : ink;
       const end = (isRow ? plot.left : plot.top) - 2 * (STRIP + GAP) - 4;
       context.textAlign = isRow ? "right" : "left";
       if (isRow) context.fillText(one.short, end, at + cell / 2, end - 18);
@@ -150,21 +219,33 @@
       }
     }
     context.restore();
-    context.fillStyle = MUTED;
+    context.fillStyle = ink;
     context.font = NAME;
     context.textAlign = "center";
     context.textBaseline = "middle";
     const title = isRow ? `${count} robots (egos)` : `${count} humans (partners)`;
     context.save();
-    if (isRow) { context.translate(8, plot.top + plot.height / 2); context.rotate(-Math.PI / 2); } else context.translate(plot.left + plot.width / 2, 8);
+    if (isRow) {
+      context.translate(8, plot.top + plot.height / 2);
+      context.rotate(-Math.PI / 2);
+    } else context.translate(plot.left + plot.width / 2, 8);
     context.fillText(title, 0, 0);
     context.restore();
   }
 
   function frame([row, column], cell) {
-    context.strokeStyle = "#c2410c";
-    context.lineWidth = 2;
-    context.strokeRect(left(column, cell), top(row, cell), cell, cell);
+    // A light line around a dark one is seen on every colour, also where a cell is a few pixels.
+    const size = Math.max(cell, 5),
+      x = left(column, cell) + (cell - size) / 2,
+      y = top(row, cell) + (cell - size) / 2;
+    for (const [colour, width, out] of [
+      [LIGHT, 2, 2.5],
+      [MARK, 2, 1],
+    ]) {
+      context.strokeStyle = colour;
+      context.lineWidth = width;
+      context.strokeRect(x - out, y - out, size + 2 * out, size + 2 * out);
+    }
   }
 
   function format(v) {
@@ -172,28 +253,69 @@
   }
 
   function at(event) {
-    const box = canvas.getBoundingClientRect(), cell = plot.fit * state.zoom;
-    const x = event.clientX - box.left - plot.left, y = event.clientY - box.top - plot.top;
+    const box = canvas.getBoundingClientRect(),
+      cell = plot.fit * state.zoom;
+    const x = event.clientX - box.left - plot.left,
+      y = event.clientY - box.top - plot.top;
     const inside = x >= 0 && y >= 0 && x < plot.width && y < plot.height;
-    return { x, y, pair: inside ? [Math.floor(state.y + y / cell), Math.floor(state.x + x / cell)] : null };
+    return {
+      x,
+      y,
+      pair: inside ? [Math.floor(state.y + y / cell), Math.floor(state.x + x / cell)] : null,
+    };
+  }
+
+  function described([row, column]) {
+    const [r, c] = [order().rows[row], order().columns[column]];
+    const own = data.rows[r].team !== null && data.rows[r].team === data.columns[c].team;
+    const others = Object.entries(data.measures).filter(
+      ([name, one]) => name !== state.measure && one.values,
+    );
+    return [
+      `${own ? "self-play" : "cross-play"}: ${format(measure().values[r][c])} ${measure().unit}`,
+      `robot ${data.rows[r].name}`,
+      `human ${data.columns[c].name}`,
+      ...others.map(([, one]) => `${one.label}: ${format(one.values[r][c])} ${one.unit}`),
+    ];
   }
 
   function tell(pair) {
     tip.hidden = !pair;
     if (!pair) return;
-    const [row, column] = pair, cell = plot.fit * state.zoom;
-    const line = (text, tag = "div") => { const one = document.createElement(tag); one.textContent = text; return one; };
-    const [r, c] = [order().rows[row], order().columns[column]];
-    const own = data.rows[r].team !== null && data.rows[r].team === data.columns[c].team;
+    const [row, column] = pair,
+      cell = plot.fit * state.zoom;
     tip.replaceChildren(
-      line(`${own ? "self-play" : "cross-play"}: ${format(measure().values[r][c])} ${measure().unit}`, "b"),
-      line(`robot ${data.rows[r].name}`),
-      line(`human ${data.columns[c].name}`),
-      ...Object.entries(data.measures).filter(([name]) => name !== state.measure).map(([, one]) => line(`${one.label}: ${format(one.values[r][c])} ${one.unit}`)),
+      ...described(pair).map((text, i) => {
+        const line = document.createElement(i ? "div" : "b");
+        line.textContent = text;
+        return line;
+      }),
     );
-    const x = left(column, cell) + cell + 10, y = top(row, cell) + cell + 10;
-    tip.style.left = `${Math.max(0, x + tip.offsetWidth > canvas.clientWidth ? x - tip.offsetWidth - cell - 20 : x)}px`;
-    tip.style.top = `${Math.max(0, y + tip.offsetHeight > canvas.clientHeight ? y - tip.offsetHeight - cell - 20 : y)}px`;
+    // Right of and below the cell, or on its other side where the canvas ends.
+    const place = (cellStart, size, room) => {
+      const after = cellStart + cell + 10;
+      return `${Math.max(0, after + size > room ? cellStart - size - 10 : after)}px`;
+    };
+    tip.style.left = place(left(column, cell), tip.offsetWidth, canvas.clientWidth);
+    tip.style.top = place(top(row, cell), tip.offsetHeight, canvas.clientHeight);
+  }
+
+  function open([row, column]) {
+    if (options.address) location.assign(options.address(robot(row), human(column)));
+  }
+
+  function moveCursor(down, right) {
+    // From pair to pair with the keyboard; the part that is shown follows.
+    const [rows, columns] = counts(),
+      keep = (at, count) => Math.max(0, Math.min(count - 1, at));
+    pinned = pinned ? [keep(pinned[0] + down, rows), keep(pinned[1] + right, columns)] : [0, 0];
+    const shown = plot.width / (plot.fit * state.zoom),
+      high = plot.height / (plot.fit * state.zoom);
+    state.x = Math.max(pinned[1] + 1 - shown, Math.min(pinned[1], state.x));
+    state.y = Math.max(pinned[0] + 1 - high, Math.min(pinned[0], state.y));
+    draw();
+    tell(pinned);
+    options.tell?.(described(pinned).slice(0, 3).join(", "));
   }
 
   function zoom(factor, x = plot.width / 2, y = plot.height / 2) {
@@ -208,8 +330,12 @@
 
   function show(robotName, humanName) {
     // Zoom to a pair and say what is known of it.
-    const row = order().rows.findIndex((i) => data.rows[i].name === robotName || data.rows[i].short === robotName);
-    const column = order().columns.findIndex((i) => data.columns[i].name === humanName || data.columns[i].short === humanName);
+    const row = order().rows.findIndex(
+      (i) => data.rows[i].name === robotName || data.rows[i].short === robotName,
+    );
+    const column = order().columns.findIndex(
+      (i) => data.columns[i].name === humanName || data.columns[i].short === humanName,
+    );
     if (row < 0 || column < 0) return;
     state.zoom = Math.max(1, 34 / plot.fit);
     const cell = plot.fit * state.zoom;
@@ -223,22 +349,71 @@
   function choices(id, entries, name, change) {
     const select = byId(id);
     select.replaceChildren(...entries.map(([key, label]) => new Option(label, key)));
-    select.addEventListener("change", () => { state[name] = select.value; pinned = null; tell(null); change(); });
+    select.addEventListener("change", async () => {
+      const chosen = select.value;
+      if (name === "measure") data.measures[chosen].values ??= await options.load(chosen);
+      state[name] = chosen;
+      pinned = null;
+      tell(null);
+      change();
+    });
   }
 
-  choices("order", Object.entries(data.orders).map(([key, one]) => [key, one.label]), "order", () => { paint(); draw(); });
-  choices("measure", Object.entries(data.measures).map(([key, one]) => [key, one.label]), "measure", () => { paint(); draw(); });
-  byId("find").addEventListener("input", (event) => { found = event.target.value.trim().toLowerCase(); draw(); });
+  choices(
+    "order",
+    Object.entries(data.orders).map(([key, one]) => [key, one.label]),
+    "order",
+    () => {
+      paint();
+      draw();
+    },
+  );
+  choices(
+    "measure",
+    Object.entries(data.measures).map(([key, one]) => [key, one.label]),
+    "measure",
+    () => {
+      paint();
+      draw();
+    },
+  );
+  byId("find").addEventListener("input", (event) => {
+    found = event.target.value.trim().toLowerCase();
+    draw();
+  });
   byId("in").addEventListener("click", () => zoom(1.6));
   byId("out").addEventListener("click", () => zoom(1 / 1.6));
-  byId("all").addEventListener("click", () => { Object.assign(state, { zoom: 1, x: 0, y: 0 }); pinned = null; tell(null); draw(); });
-  byId("ramp").style.background = `linear-gradient(to right, ${data.colours.filter((_, i) => i % 15 === 0).join(",")})`;
+  byId("all").addEventListener("click", () => {
+    Object.assign(state, { zoom: 1, x: 0, y: 0 });
+    pinned = null;
+    tell(null);
+    draw();
+  });
+  byId("ramp").style.background =
+    `linear-gradient(to right, ${data.colours.filter((_, i) => i % 15 === 0).join(",")})`;
+
+  function click(pair, isTouch) {
+    // A finger cannot point without pressing: its first touch tells, its second opens.
+    const again = pinned && pinned[0] === pair[0] && pinned[1] === pair[1];
+    if (options.address && (again || !isTouch)) {
+      open(pair);
+      return;
+    }
+    pinned = pinned && !isTouch ? null : pair;
+    draw();
+    tell(pinned ?? pair);
+  }
 
   let drag = null;
-  canvas.addEventListener("pointerdown", (event) => { drag = { x: event.clientX, y: event.clientY, moved: false }; canvas.setPointerCapture(event.pointerId); });
+  canvas.addEventListener("pointerdown", (event) => {
+    drag = { x: event.clientX, y: event.clientY, moved: false };
+    canvas.setPointerCapture(event.pointerId);
+  });
   canvas.addEventListener("pointermove", (event) => {
     if (drag) {
-      const cell = plot.fit * state.zoom, dx = event.clientX - drag.x, dy = event.clientY - drag.y;
+      const cell = plot.fit * state.zoom,
+        dx = event.clientX - drag.x,
+        dy = event.clientY - drag.y;
       if (drag.moved || Math.hypot(dx, dy) > 4) {
         Object.assign(drag, { x: event.clientX, y: event.clientY, moved: true });
         state.x -= dx / cell;
@@ -252,23 +427,43 @@
   });
   canvas.addEventListener("pointerup", (event) => {
     const { pair } = at(event);
-    if (drag && !drag.moved) { pinned = pinned ? null : pair; draw(); tell(pinned ?? pair); }
+    if (drag && !drag.moved && pair) click(pair, event.pointerType === "touch");
     drag = null;
   });
-  canvas.addEventListener("pointerleave", () => { if (!pinned) tell(null); });
-  canvas.addEventListener("dblclick", (event) => { const { x, y, pair } = at(event); if (pair) zoom(2, x, y); });
-  canvas.addEventListener("wheel", (event) => {
+  canvas.addEventListener("pointerleave", () => {
+    if (!pinned) tell(null);
+  });
+  canvas.addEventListener("dblclick", (event) => {
     const { x, y, pair } = at(event);
-    if (!pair || !(event.ctrlKey || document.activeElement === canvas)) return; // else the page scrolls
-    event.preventDefault();
-    zoom(Math.exp(-event.deltaY / 300), x, y);
-  }, { passive: false });
+    if (pair) zoom(2, x, y);
+  });
+  canvas.addEventListener(
+    "wheel",
+    (event) => {
+      const { x, y, pair } = at(event);
+      const isMeant = event.ctrlKey || document.activeElement === canvas;
+      if (!pair || !isMeant) return; // the page scrolls
+      event.preventDefault();
+      zoom(Math.exp(-event.deltaY / 300), x, y);
+    },
+    { passive: false },
+  );
   canvas.addEventListener("keydown", (event) => {
-    const step = plot.width / (plot.fit * state.zoom) / 8;
-    const keys = { "+": () => zoom(1.6), "=": () => zoom(1.6), "-": () => zoom(1 / 1.6), "0": () => byId("all").click(),
-      ArrowLeft: () => { state.x -= step; draw(); }, ArrowRight: () => { state.x += step; draw(); },
-      ArrowUp: () => { state.y -= step; draw(); }, ArrowDown: () => { state.y += step; draw(); } };
-    if (keys[event.key]) { event.preventDefault(); keys[event.key](); }
+    const keys = {
+      "+": () => zoom(1.6),
+      "=": () => zoom(1.6),
+      "-": () => zoom(1 / 1.6),
+      0: () => byId("all").click(),
+      ArrowLeft: () => moveCursor(0, -1),
+      ArrowRight: () => moveCursor(0, 1),
+      ArrowUp: () => moveCursor(-1, 0),
+      ArrowDown: () => moveCursor(1, 0),
+      Enter: () => pinned && open(pinned),
+    };
+    if (keys[event.key]) {
+      event.preventDefault();
+      keys[event.key]();
+    }
   });
 
   function follow() {
@@ -277,10 +472,25 @@
     if (wanted.has("robot") && wanted.has("human")) show(wanted.get("robot"), wanted.get("human"));
   }
   window.addEventListener("hashchange", follow);
-  new ResizeObserver(() => { lay(); draw(); }).observe(canvas.parentElement);
+  new ResizeObserver(() => {
+    lay();
+    draw();
+  }).observe(canvas.parentElement);
+  for (const one of [
+    matchMedia("(prefers-color-scheme: dark)"),
+    ...document.querySelectorAll(".theme"),
+  ])
+    one.addEventListener("change", () => draw());
   lay();
   paint();
   draw();
   follow();
   document.body.dataset.matrix = counts().join("x"); // for whoever tests this page
-})();
+}
+
+// A report holds its numbers itself; a page that fetches them calls the function.
+const embedded = document.getElementById("matrix-data");
+if (embedded) {
+  const data = JSON.parse(embedded.textContent);
+  crossPlayMatrix(data);
+}

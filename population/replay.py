@@ -16,7 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from population.experience import Batch
+from population.rollout import Batch
 
 
 @jax.tree_util.register_dataclass

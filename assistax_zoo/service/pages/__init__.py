@@ -1,0 +1,96 @@
+"""Pages for people: boards, submissions, partners, pairs, the cross-play explorer and seasons.
+
+Rendered on the server from what `contract.Queries` and the registry say. Everything but moving
+about in the explorer works without scripts.
+"""
+
+from pathlib import Path
+from typing import Protocol
+
+from fastapi import FastAPI, Request
+from starlette.responses import Response
+
+from assistax_zoo.service.contract import Queries
+from assistax_zoo.service.pages.board_routes import board_router
+from assistax_zoo.service.pages.boards import Boards
+from assistax_zoo.service.pages.cache import PageCache, respond
+from assistax_zoo.service.pages.crossplays import CrossPlays
+from assistax_zoo.service.pages.partner_routes import explorer_router, partner_router
+from assistax_zoo.service.pages.rendering import static_files
+from assistax_zoo.service.pages.season_routes import season_router
+from assistax_zoo.service.pages.security import FormTokens, SecurityHeaders
+from assistax_zoo.service.pages.site import NotFoundError, Site
+from assistax_zoo.service.pages.videos import Videos
+from zoo.registry import Registry, load_registry
+
+FILMS = Path("~/.cache/assistax-zoo/films")  # where no other folder is given
+
+
+class Tasks(Protocol):
+    """The catalogue, as far as pages need it."""
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The tasks that have a board."""
+        ...
+
+
+class Service(Protocol):
+    """What pages need of the service."""
+
+    @property
+    def queries(self) -> Queries:
+        """What may be asked."""
+        ...
+
+    @property
+    def catalogue(self) -> Tasks:
+        """What is scored."""
+        ...
+
+
+def add_pages(
+    app: FastAPI,
+    service: Service,
+    *,
+    videos: Path | None = None,
+    crossplays: Path | None = None,
+    registry: Registry | None = None,
+    form_key: bytes | None = None,
+) -> None:
+    """Add the pages to an application.
+
+    Args:
+        app: the application.
+        service: the service.
+        videos: folder in which films of pairs are kept; one of this user's if not given.
+        crossplays: folder with a finished cross-play for each task; the published ones of a
+            checkout if not given.
+        registry: where partners come from; the installed one if not given.
+        form_key: signs tokens of forms; the same one for all processes behind one address.
+    """
+    played = CrossPlays(crossplays)
+    site = Site(
+        tasks=service.catalogue.tasks,
+        queries=service.queries,
+        registry=registry or load_registry(),
+        crossplays=played,
+        boards=Boards(service.queries, played),
+        videos=Videos((videos or FILMS).expanduser()),
+        cache=PageCache(),
+        tokens=FormTokens(form_key),
+    )
+    for router in (board_router, season_router, partner_router, explorer_router):
+        app.include_router(router(site))
+
+    @app.get("/static/{name}", include_in_schema=False)
+    def static(request: Request, name: str) -> Response:
+        if name not in static_files():
+            raise NotFoundError("There is no such file.")
+        return respond(request, static_files()[name], immutable=True)
+
+    def not_found(request: Request, error: Exception) -> Response:
+        return site.fresh("error.html", request.url.path, 404, message=str(error))
+
+    app.add_exception_handler(NotFoundError, not_found)
+    app.add_middleware(SecurityHeaders)

@@ -1,0 +1,187 @@
+"""Pages of the published partners: their list and cards, pairs with films, and the explorer."""
+
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from fastapi import APIRouter, Form, Request
+from starlette.responses import FileResponse, RedirectResponse, Response
+
+from assistax_zoo.service.pages import security
+from assistax_zoo.service.pages.cache import respond
+from assistax_zoo.service.pages.charts import axis_over
+from assistax_zoo.service.pages.partners import TRAITS, Partner, choices, choose, list_partners
+from assistax_zoo.service.pages.rendering import table_rows
+from assistax_zoo.service.pages.site import STILL, NotFoundError, Site
+from assistax_zoo.service.pages.videos import Pair
+from zoo.errors import ZooError
+
+_BEST = 5  # robots on a card
+
+
+def partner_router(site: Site) -> APIRouter:
+    """Return the routes."""
+    router = APIRouter(include_in_schema=False)
+
+    @router.get("/tasks/{task}/partners")
+    def partners(request: Request, task: str) -> Response:
+        wanted = {trait: request.query_params.get(trait, "") for trait in TRAITS}
+
+        def values() -> dict[str, Any]:
+            found = list_partners(site.registry, site.task(task), site.crossplays.of(task))
+            return {
+                "task": task,
+                "partners": choose(found, wanted),
+                "of": len(found),
+                "choices": choices(found),
+                "wanted": wanted,
+                "strategies": behaviours(site, task),
+            }
+
+        key = f"{task} {sorted(wanted.items())}"
+        return site.page(request, key, STILL, "partners.html", values)
+
+    @router.get("/partners/{task}/{team}")
+    def partner(request: Request, task: str, team: str) -> Response:
+        def values() -> dict[str, Any]:
+            return card_values(site, site.task(task), team)
+
+        return site.page(request, f"{task} {team}", STILL, "partner.html", values)
+
+    @router.get("/tasks/{task}/pair")
+    def find_pair(task: str, robot: str, human: str) -> Response:
+        address = "/".join(quote(part, safe="") for part in (site.task(task), robot, human))
+        return RedirectResponse(f"/pairs/{address}", 303)
+
+    @router.get("/pairs/{task}/{robot}/{human}")
+    def pair(request: Request, task: str, robot: str, human: str) -> Response:
+        values = pair_values(site, site.task(task), robot, human)
+        response = Response(headers={"Cache-Control": "no-store"}, media_type="text/html")
+        token = site.tokens.issue(request, response)
+        page = site.render("pair.html", request.url.path, token=token, **values)
+        response.body = page.encode()
+        response.headers["Content-Length"] = str(len(response.body))
+        return response
+
+    @router.post("/pairs/{task}/{robot}/{human}")
+    def film_pair(
+        request: Request,
+        task: str,
+        robot: str,
+        human: str,
+        form_token: str = Form(default="", alias=security.FIELD),
+    ) -> Response:
+        if not site.tokens.accepts(request, form_token):
+            message = "This form was not written by this page. Go back, load it anew and try again."
+            return site.fresh("error.html", request.url.path, 403, message=message)
+        site.videos.ask(find_policies(site, site.task(task), robot, human))
+        return RedirectResponse(request.url.path, 303)
+
+    return router
+
+
+def explorer_router(site: Site) -> APIRouter:
+    """Return the routes of the explorer, of its numbers, and of films."""
+    router = APIRouter(include_in_schema=False)
+
+    @router.get("/tasks/{task}/explorer")
+    def explorer(request: Request, task: str) -> Response:
+        def values() -> dict[str, Any]:
+            found = site.crossplay(task)
+            names = {
+                side: sorted({one["team"].partition("/")[2] for one in found.data[side]})
+                for side in ("rows", "columns")
+            }
+            blocks = {trait: found.blocks(trait) for trait in ("algorithm", "disability")}
+            return {"task": task, "crossplay": found, "names": names, "blocks": blocks}
+
+        return site.page(request, task, STILL, "explorer.html", values)
+
+    @router.get("/crossplays/{task}/{digest}/{name}")
+    def numbers(request: Request, task: str, digest: str, name: str) -> Response:
+        found = site.crossplay(task)
+        stem, _, ending = name.rpartition(".")
+        if digest == found.digest and name == "matrix.json":
+            return respond(request, found.description, immutable=True)
+        if digest == found.digest and ending == "f32" and stem in found.measures:
+            return respond(request, found.measures[stem], immutable=True)
+        raise NotFoundError("There are no such numbers; open the explorer anew.")
+
+    @router.get("/films/{key}")
+    def film(key: str) -> Response:
+        path: Path | None = site.videos.film(key)
+        if path is None:
+            raise NotFoundError("There is no such film; ask for it on its pair's page.")
+        headers = {"Cache-Control": "public, max-age=31536000, immutable"}
+        kind = "image/gif" if path.suffix == ".gif" else "video/mp4"
+        return FileResponse(path, headers=headers, media_type=kind)
+
+    return router
+
+
+def behaviours(site: Site, task: str) -> list[tuple[str, dict[str, Any]]]:
+    """Return the clusters of the humans of a task by behaviour, with their letters."""
+    crossplay = site.crossplays.of(task)
+    clusters = (crossplay.strategies or {}).get("clusters", []) if crossplay else []
+    return [(chr(ord("A") + i), cluster) for i, cluster in enumerate(clusters)]
+
+
+def card_values(site: Site, task: str, team: str) -> dict[str, Any]:
+    """Return what a partner's card shows."""
+    crossplay = site.crossplays.of(task)
+    partner = _partner(site, task, team)
+    robots: list[tuple[str, float]] = []
+    if crossplay:
+        column = [one["team"] for one in crossplay.data["columns"]].index(partner.team)
+        returns = crossplay.values["return"][:, column].tolist()
+        names = [one["team"].partition("/")[2] for one in crossplay.data["rows"]]
+        robots = sorted(zip(names, returns, strict=True), key=lambda pair: -pair[1])
+    training = partner.entry.training.model_dump(exclude={"hyperparameters", "notes"})
+    return {
+        "task": task,
+        "partner": partner,
+        "best": robots[:_BEST],
+        "worst": robots[-_BEST:] if len(robots) > _BEST else [],
+        "training": table_rows(training),
+        "hyperparameters": table_rows(partner.entry.training.hyperparameters),
+    }
+
+
+def pair_values(site: Site, task: str, robot: str, human: str) -> dict[str, Any]:
+    """Return what a pair's page shows."""
+    pair = find_policies(site, task, robot, human)
+    crossplay = site.crossplays.of(task)
+    film, returns = site.videos.film(pair.key), site.videos.returns(pair)
+    return {
+        "task": task,
+        "robot": robot,
+        "human": human,
+        "row": crossplay.pair(f"{task}/{robot}", f"{task}/{human}") if crossplay else None,
+        "measures": crossplay.data["measures"] if crossplay else {},
+        "state": site.videos.state(pair),
+        "film": f"/films/{pair.key}" if film else None,
+        "is_gif": film is not None and film.suffix == ".gif",
+        "returns": returns,
+        "axis": axis_over(returns or [0.0]),
+        "field": security.FIELD,
+    }
+
+
+def find_policies(site: Site, task: str, robot: str, human: str) -> Pair:
+    """Return a pair of published policies: only of these are films made."""
+    try:
+        seats = [
+            site.registry.policy(f"{task}/{team}/{role}")
+            for team, role in ((robot, "robot"), (human, "human"))
+        ]
+    except ZooError as error:
+        raise NotFoundError("There is no such pair of published policies.") from error
+    version = site.registry.env_version(seats[0])
+    return Pair(task, seats[0].id, seats[1].id, (seats[0].sha256, seats[1].sha256), version)
+
+
+def _partner(site: Site, task: str, team: str) -> Partner:
+    for one in list_partners(site.registry, task, site.crossplays.of(task)):
+        if one.name == team:
+            return one
+    raise NotFoundError(f"There is no partner {team!r} of {task} in the newest release.")

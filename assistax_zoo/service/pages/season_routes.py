@@ -1,0 +1,101 @@
+"""Pages of what happened: a submission, the seasons and the ledger."""
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from fastapi import APIRouter, Request
+from starlette.responses import Response
+
+from assistax_zoo.service.contract import PartnerScore, Score, Submission
+from assistax_zoo.service.pages.charts import axis_over
+from assistax_zoo.service.pages.rendering import table_rows
+from assistax_zoo.service.pages.site import LIVE, NotFoundError, Site
+
+_ENTRIES = 200  # of the ledger on one page
+
+
+def season_router(site: Site) -> APIRouter:
+    """Return the routes."""
+    router = APIRouter(include_in_schema=False)
+
+    @router.get("/submissions/{id}")
+    def submission(request: Request, id: str) -> Response:
+        def values() -> dict[str, Any]:
+            return submission_values(site, site.submission(id))
+
+        return site.page(request, id, LIVE, "submission.html", values)
+
+    @router.get("/submissions/{id}/receipt.json")
+    def receipt(id: str) -> Response:
+        found = site.queries.receipt(site.submission(id).id)
+        if found is None:
+            raise NotFoundError("There is no receipt yet: it is signed when the score is shown.")
+        headers = {"Content-Disposition": 'attachment; filename="receipt.json"'}
+        return Response(json.dumps(found, indent=2), 200, headers, "application/json")
+
+    @router.get("/seasons")
+    def seasons(request: Request) -> Response:
+        return site.page(
+            request, "", LIVE, "seasons.html", lambda: {"seasons": site.queries.seasons()}
+        )
+
+    @router.get("/seasons/{id}")
+    def season(request: Request, id: str) -> Response:
+        return site.page(request, id, LIVE, "season.html", lambda: season_values(site, id))
+
+    @router.get("/ledger")
+    def ledger(request: Request, after: int = 0) -> Response:
+        def values() -> dict[str, Any]:
+            entries = site.queries.ledger(max(after, 0), _ENTRIES)
+            return {"entries": entries, "after": max(after, 0), "page_size": _ENTRIES}
+
+        return site.page(request, str(after), LIVE, "ledger.html", values)
+
+    return router
+
+
+def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
+    """Return what a submission's page shows."""
+    versions = [id for id, _ in site.queries.versions(submission.task)]
+    scores = site.queries.scores(submission=submission.id)
+    board = site.boards.of(submission.task) if submission.state == "scored" else None
+    receipt = site.queries.receipt(submission.id)
+    partners = site.queries.partner_scores([submission.id], versions[0]) if versions else []
+    means = [_mean(one) for one in partners]
+    return {
+        "submission": submission,
+        "row": board.of(submission.id) if board else None,
+        "scores": sorted(scores, key=lambda one: (-one.created_at, one.panel)),
+        "newest": versions[0] if versions else None,
+        "receipt": table_rows(receipt["content"]) if receipt else None,
+        "partners": sorted(zip(partners, means, strict=True), key=lambda pair: pair[1]),
+        "axis": axis_over(means),
+    }
+
+
+def season_values(site: Site, id: str) -> dict[str, Any]:
+    """Return what a season's page shows: its rules, who tried how often, and what was released."""
+    season = site.queries.season(id)
+    if season is None:
+        raise NotFoundError(f"There is no season {id!r}; see the list of seasons.")
+    scores = site.queries.scores(season=season.id)
+    return {
+        "season": season,
+        "attempts": {one.submitter: one for one in site.queries.attempts(season.id)},
+        "panels": {panel: best_of_each(scores, panel) for panel in ("A", "B")},
+    }
+
+
+def best_of_each(scores: Sequence[Score], panel: str) -> list[Score]:
+    """Return each method's highest released score on a panel, the highest first."""
+    best: dict[tuple[str, str], Score] = {}
+    for score in (one for one in scores if one.panel == panel and "mean" in one.figures):
+        kept = best.get((score.submitter, score.method))
+        if kept is None or score.figures["mean"] > kept.figures["mean"]:
+            best[score.submitter, score.method] = score
+    return sorted(best.values(), key=lambda one: (-one.figures["mean"], one.submitter))
+
+
+def _mean(score: PartnerScore) -> float:
+    return sum(score.returns) / len(score.returns)

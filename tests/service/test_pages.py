@@ -1,0 +1,338 @@
+"""Pages: all are there, none runs what a name holds, forms are answered to their writers."""
+
+import json
+import re
+import threading
+from collections.abc import Iterator, Sequence
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from starlette.testclient import TestClient
+
+from assistax_zoo.service.contract import STATEMENT
+from assistax_zoo.service.pages.cache import PageCache
+from assistax_zoo.service.pages.charts import axis_over
+from assistax_zoo.service.pages.crossplays import PUBLISHED
+from assistax_zoo.service.pages.security import FIELD
+from assistax_zoo.service.pages.videos import Pair, Videos
+from tests.service.board_data import HOSTILE, make_app
+
+PAIR = "/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1"
+EXPLORER = "/tasks/scratch/explorer"
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    with TestClient(make_app(tmp_path_factory.mktemp("pages"))) as client:
+        yield client
+
+
+def linked(client: TestClient, page: str, pattern: str) -> str:
+    """Return the first address on a page that looks like `pattern`."""
+    found = re.search(rf'href="({pattern})"', client.get(page).text)
+    assert found, f"{page} has no link like {pattern}"
+    return found[1]
+
+
+@pytest.fixture(scope="module")
+def addresses(client: TestClient) -> list[str]:
+    board = "/tasks/scratch"
+    queued = re.search(r'class="queue">.*?href="([^"]+)"', client.get(board).text, re.DOTALL)
+    assert queued
+    return [
+        "/",
+        board,
+        "/tasks/arm_assist",
+        "/tasks/scratch/compare",
+        "/tasks/scratch/partners",
+        "/tasks/scratch/partners?algorithm=ippo&disability=d3",
+        "/partners/scratch/ippo-d1-s0-v1",
+        PAIR,
+        EXPLORER,
+        linked(client, board, r"/submissions/\w+"),
+        queued[1],
+        "/seasons",
+        linked(client, "/seasons", r"/seasons/\w+"),
+        "/ledger",
+        "/tasks/nowhere",
+    ]
+
+
+class Elements(HTMLParser):
+    """Every element of a page with its attributes."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+
+
+def inline(text: str) -> list[str]:
+    """Return what a strict policy would refuse to run, or what a name has brought into a page."""
+    bad = []
+    for tag, attributes in Elements(text).found:
+        bad += [name for name in attributes if name.startswith("on") or name == "style"]
+        bad += [tag] if tag == "style" or (tag == "script" and not attributes.get("src")) else []
+        bad += [tag] if (attributes.get("src") or "").startswith("x") else []
+    return bad
+
+
+def test_every_page_is_there_and_holds_nothing_inline(
+    client: TestClient, addresses: list[str]
+) -> None:
+    for address in addresses:
+        answer = client.get(address)
+        assert answer.status_code == (404 if "nowhere" in address else 200), address
+        assert inline(answer.text) == [], address
+        assert "script-src 'self'" in answer.headers["content-security-policy"]
+        assert "unsafe" not in answer.headers["content-security-policy"]
+        assert answer.text.count("<h1>") == 1, address
+
+
+def test_a_hostile_name_stays_a_text(client: TestClient) -> None:
+    for address in ("/tasks/scratch", "/tasks/scratch/compare"):
+        text = client.get(address).text
+        assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
+        assert "{{ 7*7 }}" in text, "a name is no template"
+    assert inline(HOSTILE) == ["script", "onerror", "img"], "the planted name would be found"
+
+
+def test_every_board_says_what_the_partners_are_not(client: TestClient) -> None:
+    for address in ("/tasks/scratch", "/tasks/arm_assist", "/seasons/5ea5011"):
+        page = client.get(address).text
+        assert f'role="note">{STATEMENT}' in page
+
+
+def test_a_seasons_secret_is_on_no_page(client: TestClient, addresses: list[str]) -> None:
+    assert not [address for address in addresses if "hidden-4711" in client.get(address).text]
+
+
+def test_methods_that_cannot_be_told_apart_share_a_place(client: TestClient) -> None:
+    text = client.get("/tasks/scratch").text
+    places = re.findall(r'<span class="rank">(\d)', text)
+    assert places == ["1", "1", "3", "4", "5", "6"]
+    assert text.index("ppo ego") < text.index("sac ego") < text.index("scripted")
+
+
+def test_seeds_are_pooled_and_the_random_row_is_zero(client: TestClient) -> None:
+    text = client.get("/tasks/scratch").text
+    row = re.search(r'<tr role="row" class="reference">(.*?)</tr>', text, re.DOTALL)
+    assert row and "random" in row[1]
+    assert 'data-label="Normalised">0.00<' in row[1]
+    assert "4 seeds" in text
+
+
+def test_a_submission_tells_its_place_in_the_queue(
+    client: TestClient, addresses: list[str]
+) -> None:
+    text = client.get(addresses[10]).text
+    assert "number 1 in the queue" in text
+    assert "data-live" in text
+
+
+def test_a_receipt_can_be_downloaded(client: TestClient, addresses: list[str]) -> None:
+    answer = client.get(f"{addresses[9]}/receipt.json")
+    assert answer.headers["content-disposition"].startswith("attachment")
+    assert set(answer.json()) == {"content", "signature"}
+    assert client.get(f"{addresses[10]}/receipt.json").status_code == 404
+
+
+def test_partners_are_filtered_by_every_trait(client: TestClient) -> None:
+    def count(query: str) -> int:
+        found = re.search(
+            r"(\d+) of 198 partners", client.get(f"/tasks/scratch/partners?{query}").text
+        )
+        assert found
+        return int(found[1])
+
+    assert count("") == 198
+    assert count("algorithm=ippo&disability=d3") == 8
+    assert count("side=test") == 99
+    groups = [count(f"behaviour={letter}") for letter in "ABCDEFGH"]
+    assert sum(groups) == 198
+    assert count("algorithm=<script>") == 0
+
+
+def test_two_methods_are_compared_partner_by_partner(client: TestClient) -> None:
+    text = client.get("/tasks/scratch/compare").text
+    assert text.count('href="/partners/scratch/') == 99
+    a = re.findall(r'<option value="(\w+)"', text)[:2]
+    forward, back = (
+        client.get(f"/tasks/scratch/compare?a={one}&b={other}").text
+        for one, other in (a, reversed(a))
+    )
+    found = [re.search(r"<b>(-?[\d.]+)</b>, 95% interval", page) for page in (forward, back)]
+    assert found[0] and found[1] and float(found[0][1]) == -float(found[1][1])
+    assert client.get("/tasks/scratch/compare?a=nobody").status_code == 404
+
+
+def test_the_explorer_has_the_saved_pairs(client: TestClient) -> None:
+    numbers = re.search(r'data-numbers="([^"]+)"', client.get(EXPLORER).text)
+    assert numbers
+    axes = client.get(f"{numbers[1]}/matrix.json").json()
+    answer = client.get(f"{numbers[1]}/return.f32")
+    assert "immutable" in answer.headers["cache-control"]
+    values = np.frombuffer(answer.content, "<f4").reshape(198, 198)
+    pairs = pl.read_parquet(PUBLISHED / "scratch" / "pairs.parquet")
+    for place in (0, 4711, 39203):
+        row = pairs.row(place, named=True)
+        r, c = divmod(place, 198)
+        assert (axes["rows"][r]["name"], axes["columns"][c]["name"]) == (row["ego"], row["partner"])
+        assert values[r, c] == pytest.approx(row["return"])
+    for order in axes["orders"].values():
+        assert sorted(order["rows"]) == sorted(order["columns"]) == list(range(198))
+    assert client.get(f"{numbers[1]}/secret.f32").status_code == 404
+    assert client.get("/crossplays/scratch/0123/return.f32").status_code == 404
+
+
+def test_a_page_that_the_reader_has_is_not_sent_again(client: TestClient) -> None:
+    first = client.get(EXPLORER)
+    again = client.get(EXPLORER, headers={"If-None-Match": first.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    plain = client.get(EXPLORER, headers={"Accept-Encoding": "identity"})
+    assert plain.text == first.text
+
+
+def test_a_static_file_changes_its_address_with_its_content(client: TestClient) -> None:
+    address = re.search(r'href="(/static/pages\.[^"]+\.css)"', client.get("/").text)
+    assert address
+    assert "immutable" in client.get(address[1]).headers["cache-control"]
+    assert client.get("/static/pages.css").status_code == 404
+    assert client.get("/static/..%2f__init__.py").status_code == 404
+
+
+class Films:
+    """Stands for the command line: writes a film and a table, or fails."""
+
+    def __init__(self, fails: bool = False) -> None:
+        self.fails = fails
+        self.commands: list[Sequence[str]] = []
+
+    def __call__(self, arguments: Sequence[str]) -> None:
+        self.commands.append(arguments)
+        if self.fails:
+            raise RuntimeError("no display")
+        out = Path(arguments[-1])
+        if arguments[0] == "render":
+            out.write_bytes(b"film")
+        else:
+            out.mkdir()
+            pl.DataFrame({"episode": [1, 0], "return": [2.0, 1.0]}).write_parquet(
+                out / "episodes.parquet"
+            )
+
+
+ONE = Pair("scratch", "scratch/a/robot", "scratch/b/human", ("1" * 64, "2" * 64), 1)
+
+
+def test_a_film_is_made_once_and_kept(tmp_path: Path) -> None:
+    run = Films()
+    videos = Videos(tmp_path, run)
+    assert videos.state(ONE) == "none"
+    assert videos.ask(ONE) == "waiting"
+    videos.ask(ONE)
+    videos.wait()
+    assert videos.ask(ONE) == "ready"
+    assert videos.returns(ONE) == [1.0, 2.0]
+    assert len(run.commands) == 2
+    film = Videos(tmp_path, run).film(ONE.key)
+    assert film is not None and film.read_bytes() == b"film"
+    assert [one.name for one in tmp_path.iterdir()] == [ONE.key]
+
+
+def test_a_film_that_fails_may_be_asked_for_again(tmp_path: Path) -> None:
+    run = Films(fails=True)
+    videos = Videos(tmp_path, run)
+    videos.ask(ONE)
+    videos.wait()
+    assert videos.state(ONE) == "failed"
+    run.fails = False
+    videos.ask(ONE)
+    videos.wait()
+    assert videos.state(ONE) == "ready"
+
+
+def test_no_other_file_is_served_as_a_film(tmp_path: Path) -> None:
+    (tmp_path / "x").mkdir()
+    (tmp_path / "x" / "film.mp4").write_bytes(b"secret")
+    videos = Videos(tmp_path, Films())
+    for key in ("x", "../x", "", "A" * 32, ".." + "0" * 30):
+        assert videos.film(key) is None
+
+
+def test_a_form_is_answered_to_who_was_given_it(tmp_path: Path) -> None:
+    app = make_app(tmp_path)
+    with TestClient(app) as reader, TestClient(app) as other:
+        token = re.search(rf'name="{FIELD}" value="(\w+)"', reader.get(PAIR).text)
+        assert token
+        other.get(PAIR)
+        form = {FIELD: token[1]}
+        assert reader.post(PAIR).status_code == 403
+        assert other.post(PAIR, data=form).status_code == 403
+        elsewhere = {"Sec-Fetch-Site": "cross-site"}
+        assert reader.post(PAIR, data=form, headers=elsewhere).status_code == 403
+        cookie = next(iter(reader.cookies.jar))
+        assert cookie.has_nonstandard_attr("HttpOnly")
+        assert cookie.get_nonstandard_attr("SameSite") == "strict"
+
+
+def test_two_hundred_readers_cost_one_rendering() -> None:
+    rendered, started = [], threading.Event()
+
+    def render() -> str:
+        rendered.append(1)
+        started.wait(0.2)
+        return "page"
+
+    cache = PageCache()
+    threads = [threading.Thread(target=cache.page, args=("k", 60.0, render)) for _ in range(200)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert rendered == [1]
+
+
+def test_a_page_is_rendered_anew_when_it_is_old_and_the_cache_is_bounded() -> None:
+    now = [0.0]
+    cache = PageCache(lambda: now[0])
+    texts = iter("abc")
+    assert cache.page("k", 1.0, lambda: next(texts)).body == b"a"
+    assert cache.page("k", 1.0, lambda: next(texts)).body == b"a"
+    now[0] = 1.0
+    assert cache.page("k", 1.0, lambda: next(texts)).body == b"b"
+    for i in range(2000):
+        cache.page(str(i), 1.0, lambda: "x")
+    assert cache.page("k", 1.0, lambda: next(texts)).body == b"c"
+
+
+def test_an_axis_holds_its_values_and_leaves_the_others_out() -> None:
+    axis = axis_over([10.0, 20.0])
+    assert 0 < axis.at(10.0) < axis.at(20.0) < axis.width
+    assert axis.holds(15.0) and not axis.holds(0.0)
+    centred = axis_over([-1.0, 3.0], around=0.0)
+    assert centred.at(0.0) == centred.width / 2
+    assert axis_over([]).width == axis_over([5.0, 5.0]).width
+
+
+def test_templates_mark_nothing_as_safe() -> None:
+    from assistax_zoo.service import pages
+
+    folder = Path(str(pages.__file__)).parent / "templates"
+    templates = list(folder.glob("*.html"))
+    assert len(templates) > 10
+    for one in templates:
+        assert not re.search(r"\|\s*safe|autoescape|Markup|tojson", one.read_text()), one.name
+
+
+def test_a_measure_of_the_explorer_is_json_without_nan(client: TestClient) -> None:
+    numbers = re.search(r'data-numbers="([^"]+)"', client.get(EXPLORER).text)
+    assert numbers
+    text = client.get(f"{numbers[1]}/matrix.json").text
+    assert json.loads(text, parse_constant=lambda name: pytest.fail(name))
