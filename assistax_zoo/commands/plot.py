@@ -203,11 +203,10 @@ def population(
         assistax-zoo plot population --out population.png
     """
     from evaluation.plots.style import check_path
-    from zoo.index import read_index
-    from zoo.selection import select
+    from zoo.registry import load_registry
 
     check_path(out)
-    entries = select(read_index(registry), None, task=task, role="human", release=release)
+    entries = load_registry(registry).select(task=task, role="human", release=release)
     import polars as pl
 
     from evaluation.plots.treemap import population_treemap

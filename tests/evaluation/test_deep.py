@@ -20,7 +20,7 @@ from zoo.schema import SelfPlay
 
 ROOT = Path(__file__).parents[2]
 RETURN = 20.0  # of the toy environment: 20 steps at reward 1
-RECORDED = {"mean": RETURN, "iqm": RETURN, "ci": [19.5, 20.5], "n": 16}
+RECORDED = {"mean": RETURN, "iqm": RETURN, "mean_ci": [19.5, 20.5], "n": 16}
 SPECS = {
     "robot": PolicySpec("robot", 2, 1, hidden=(4,)),
     "human": PolicySpec("human", 3, 2, hidden=(4,)),
@@ -197,7 +197,7 @@ def test_teams_of_another_environment_version_are_stepped_and_named_not_replayed
 
 def test_the_tolerance_is_the_documented_one() -> None:
     recorded = SelfPlay(
-        mean=1000.0, iqm=1000.0, ci=(990.2, 1009.8), n=16
+        mean=1000.0, iqm=1000.0, mean_ci=(990.2, 1009.8), n=16
     )  # standard error 5, deviation 20
     assert tolerance(recorded, 4) == pytest.approx(50.0 + 4.0 * 20.0 * np.sqrt(1 / 16 + 1 / 4))
     with pytest.raises(ValueError, match="episodes is 0"):
