@@ -1,1 +1,71 @@
-"""Command line of the zoo: parse, call one function, print."""
+"""Partners for zero-shot coordination in assistive robotics, and the evaluation of robots.
+
+    import assistax_zoo as az
+
+    partner = az.open_zoo().partner("scratch/ippo-d1-s0-v1")
+    result = az.evaluate(my_robot, task="scratch", episodes=8)
+    print(result.m_test)
+
+Names are loaded when they are first used: importing this package costs nothing.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from assistax_zoo.films import render
+    from assistax_zoo.results import (
+        Comparison,
+        CrossPlayResult,
+        EvaluationResult,
+        compare,
+        load_result,
+    )
+    from assistax_zoo.studies import cross_play, evaluate
+    from assistax_zoo.zoos import Zoo, fetch, open_zoo
+    from evaluation.partners import Partner
+
+__all__ = [
+    "Comparison",
+    "CrossPlayResult",
+    "EvaluationResult",
+    "Partner",
+    "Zoo",
+    "compare",
+    "cross_play",
+    "evaluate",
+    "fetch",
+    "load_result",
+    "open_zoo",
+    "render",
+]
+
+_HOMES = {
+    "evaluation.partners": ("Partner",),
+    "assistax_zoo.zoos": ("Zoo", "fetch", "open_zoo"),
+    "assistax_zoo.studies": ("cross_play", "evaluate"),
+    "assistax_zoo.results": (
+        "Comparison",
+        "CrossPlayResult",
+        "EvaluationResult",
+        "compare",
+        "load_result",
+    ),
+    "assistax_zoo.films": ("render",),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a name's module when the name is first used."""
+    for home, names in _HOMES.items():
+        if name in names:
+            from assistax_zoo.shadows import refuse_shadows
+
+            refuse_shadows()
+            return getattr(importlib.import_module(home), name)
+    offered = ", ".join(__all__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it offers {offered}")
+
+
+def __dir__() -> list[str]:
+    return __all__

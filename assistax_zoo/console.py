@@ -8,7 +8,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,8 @@ from assistax_envs.stdout import stdout_is_data as stdout_is_data
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from evaluation.runner import Progress
 
     error_console: Console
 
@@ -54,12 +56,14 @@ def print_json(value: Any) -> None:
 def progress(
     description: str, total: int, *, is_bytes: bool = False
 ) -> Generator[Callable[[int], None]]:
-    """Show progress with the time left on standard error: a bar on a terminal, else a line every ten seconds.
+    """Show progress with the time left on standard error, in 80 columns.
+
+    A bar on a terminal, a line that changes in a notebook, else a line every ten seconds.
 
     Args:
         description: What is being done, such as "evaluate scratch".
         total: Number of units of work.
-        is_bytes: Show the units as bytes, and their speed.
+        is_bytes: Show the units as megabytes.
 
     Yields:
         `advance(n)`, to be called whenever n units are done.
@@ -68,7 +72,31 @@ def progress(
         with _bar(description, total, is_bytes) as advance:
             yield advance
     else:
-        yield _lines(description, total, is_bytes)
+        lines = _Lines(description, total, is_bytes)
+        yield lines.advance
+        lines.close()
+
+
+@contextmanager
+def study_progress(description: str) -> Generator[Callable[["Progress"], None]]:
+    """Yield a callback for `evaluation.studies`, which plays one kind of policies after another."""
+    with ExitStack() as stack:
+        advance: Callable[[int], None] | None = None
+        shown, done = ("", 0), 0
+
+        def show(state: "Progress") -> None:
+            nonlocal advance, shown, done
+            if not state.total:
+                return
+            if advance is None or shown != (state.what, state.total):
+                advance = stack.enter_context(
+                    progress(f"{description}, steps of {state.what}", state.total)
+                )
+                shown, done = (state.what, state.total), 0
+            advance(state.done - done)
+            done = state.done
+
+        yield show
 
 
 @functools.cache
@@ -83,42 +111,52 @@ def _bar(description: str, total: int, is_bytes: bool) -> Generator[Callable[[in
     from rich.progress import (
         BarColumn,
         DownloadColumn,
-        MofNCompleteColumn,
         Progress,
+        TaskProgressColumn,
         TimeElapsedColumn,
         TimeRemainingColumn,
         TransferSpeedColumn,
     )
 
-    done = (DownloadColumn(), TransferSpeedColumn()) if is_bytes else (MofNCompleteColumn(),)
+    done = (DownloadColumn(), TransferSpeedColumn()) if is_bytes else (TaskProgressColumn(),)
     times = (TimeElapsedColumn(), "left", TimeRemainingColumn())
-    with Progress(
-        "{task.description}", BarColumn(), *done, *times, console=_error_console()
-    ) as bar:
+    columns = ("{task.description}", BarColumn(bar_width=None), *done, *times)
+    with Progress(*columns, console=_error_console(), expand=True) as bar:
         task = bar.add_task(description, total=total)
         yield lambda count: bar.advance(task, count)
 
 
-def _lines(description: str, total: int, is_bytes: bool) -> Callable[[int], None]:
-    start = last = time.monotonic()
-    done = 0
+class _Lines:
+    """Progress where no bar can be drawn; in a notebook one line that changes."""
 
-    def advance(count: int) -> None:
-        nonlocal done, last
-        done += count
+    def __init__(self, description: str, total: int, is_bytes: bool) -> None:
+        self._what, self._total, self._is_bytes = description, total, is_bytes
+        self._start = self._last = time.monotonic()
+        self._done, self._notebook = 0, type(sys.stderr).__name__ == "OutStream"  # ipykernel's
+
+    def advance(self, count: int) -> None:
+        self._done += count
         now = time.monotonic()
-        if now - last < SECONDS_BETWEEN_LINES and done < total:
+        pause = 0.5 if self._notebook else SECONDS_BETWEEN_LINES
+        if now - self._last < pause and self._done < self._total:
             return
-        last = now
-        left = (now - start) * (total - done) / max(done, 1)
-        figures = f"{done / 1e6:.1f}/{total / 1e6:.1f} MB" if is_bytes else f"{done}/{total}"
-        print(
-            f"{description}: {figures}, {now - start:.0f} s, {left:.0f} s left",
-            file=sys.stderr,
-            flush=True,
-        )
+        self._last = now
+        spent = now - self._start
+        left = spent * (self._total - self._done) / max(self._done, 1)
+        told = f"{self._what}: {self._figures()}, {spent:.0f} s, {left:.0f} s left"
+        start, end = ("\r", "\x1b[K") if self._notebook else ("", "\n")
+        print(f"{start}{told}", end=end, file=sys.stderr, flush=True)
 
-    return advance
+    def close(self) -> None:
+        if self._notebook:
+            print(file=sys.stderr, flush=True)
+
+    def _figures(self) -> str:
+        if self._is_bytes:
+            return f"{self._done / 1e6:.1f}/{self._total / 1e6:.1f} MB"
+        if self._total >= 1e5:
+            return f"{self._done / 1e6:.2f}/{self._total / 1e6:.2f} M"
+        return f"{self._done}/{self._total}"
 
 
 def _plain(value: Any) -> Any:

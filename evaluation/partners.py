@@ -18,6 +18,7 @@ from population.policy import Policy
 from population.spec import PolicySpec
 from zoo.errors import UnknownIdError
 from zoo.registry import Registry
+from zoo.schema import PolicyEntry
 from zoo.storage import load_stacks, read_policy_file
 
 
@@ -30,37 +31,51 @@ class Seats(Protocol):
     def action_size(self) -> dict[str, int]: ...
 
 
-class FrozenPolicy:
-    """A callable from an observation [O], or several [..., O], to actions [..., A]; deterministic.
+class Partner:
+    """A frozen policy in its seat: NumPy observations in, its most likely actions out.
 
-    Call `reset` at episode starts. Fits the human's seat of the Gymnasium adapter, which does so,
-    and takes the partner's `disability` from here.
+    Fits the human's seat of the Gymnasium adapter, which resets it and takes its setting from here.
+
+    Attributes:
+        id: Such as "scratch/ippo-d1-s0-v1/human", or the path of its file.
+        spec: Its network: role, sizes, layers.
+        setting: A human's disability setting, as values; None where its file names none.
+        card: What the registry says of it: training, self-play, hash; None of a file.
     """
 
     def __init__(
         self,
-        name: str,
+        id: str,
         spec: PolicySpec,
         params: dict[str, Any],
-        disability: Disability | None = None,
+        setting: Disability | None = None,
+        card: PolicyEntry | None = None,
     ) -> None:
-        self.name = name
-        self.spec = spec
-        self.disability = disability
+        self.id, self.spec, self.setting, self.card = id, spec, setting, card
         self._params = jax.device_put(params)
         self._carry: Any = None
 
     def reset(self, rows: int | None = None) -> None:
-        """Forget the episode; `rows` is what evaluators say of the batch to come, and is not needed."""
+        """Forget the episode; `rows`, how many begin, is what evaluators say, and is not needed."""
         del rows
         self._carry = None
 
-    def __call__(self, obs: np.ndarray) -> np.ndarray:
-        """Act on `obs`; its leading axes must stay the same within an episode."""
+    def act(self, obs: np.ndarray) -> np.ndarray:
+        """Return actions.
+
+        Args:
+            obs: Observations [..., O]; the leading axes stay the same within an episode.
+
+        Returns:
+            Actions [..., A] in [-1, 1], float32.
+
+        Raises:
+            ValueError: O is not `spec.observation_size`.
+        """
         obs = np.asarray(obs, np.float32)
         if obs.shape[-1:] != (self.spec.observation_size,):
             raise ValueError(
-                f"{self.name} got observations {obs.shape}; expected [..., "
+                f"{self.id} got observations {obs.shape}; expected [..., "
                 f"{self.spec.observation_size}]"
             )
         # Two rows at least, as in the evaluator: a product with one row is rounded differently on
@@ -71,8 +86,13 @@ class FrozenPolicy:
         self._carry, action = _acting(self.spec)(self._params, carry, batch, first)
         return np.array(action[0] if obs.ndim == 1 else action)
 
+    __call__ = act
 
-def zoo_partner(registry: Registry, policy: str, role: str = "human") -> FrozenPolicy:
+    def __repr__(self) -> str:
+        return f"Partner({self.id!r}, {self.spec.observation_size} -> {self.spec.action_size})"
+
+
+def zoo_partner(registry: Registry, policy: str, role: str = "human") -> Partner:
     """Return one policy of the registry by its id or its team's id, hashes checked, with its disability setting.
 
     Raises:
@@ -88,7 +108,7 @@ def zoo_partner(registry: Registry, policy: str, role: str = "human") -> FrozenP
             next_step="name one; `assistax-zoo list` prints every id",
         )
     [group], [entry] = load_stacks(registry, entries), entries
-    return FrozenPolicy(entry.id, group.spec, group.row(0), entry.setting)
+    return Partner(entry.id, group.spec, group.row(0), entry.setting, entry)
 
 
 def seat_policy(
@@ -128,16 +148,16 @@ def seat_policy(
     else:
         spec, params, metadata = read_policy_file(Path(named.source))
         setting = DISABILITY_SETTINGS.get(str(metadata.get("disability")))
-        policy = FrozenPolicy(reference, spec, params, setting)
+        policy = Partner(reference, spec, params, setting)
     _check_seat(policy, role, env)
     return policy
 
 
-def _check_seat(policy: FrozenPolicy, role: str, env: Seats) -> None:
+def _check_seat(policy: Partner, role: str, env: Seats) -> None:
     spec = policy.spec
     if spec.role != role:
         raise ValueError(
-            f"{policy.name} plays the {spec.role}, not the {role}; give it with --{spec.role}"
+            f"{policy.id} plays the {spec.role}, not the {role}; give it with --{spec.role}"
         )
     expected, found = (
         (env.observation_size[role], env.action_size[role]),
@@ -145,7 +165,7 @@ def _check_seat(policy: FrozenPolicy, role: str, env: Seats) -> None:
     )
     if found != expected:
         raise ValueError(
-            f"{policy.name} takes {found[0]} observations to {found[1]} actions; the {role} of "
+            f"{policy.id} takes {found[0]} observations to {found[1]} actions; the {role} of "
             f"this task has {expected[0]} and {expected[1]}: give a policy that was trained on "
             "this task"
         )

@@ -52,7 +52,7 @@ class Settings:
 
 def evaluate_policies(
     registry: Registry,
-    policies: Sequence[str],
+    policies: Sequence[Any],
     settings: Settings,
     folder: Path,
     *,
@@ -66,7 +66,7 @@ def evaluate_policies(
 
     Args:
         registry: The published partners.
-        policies: References to the robots, see `evaluation.egos.read_egos`.
+        policies: The robots, see `evaluation.egos.read_egos`.
         settings: Task, episodes and the rest.
         folder: Filled with the episodes and every table drawn from them; a run that was stopped
             goes on.
@@ -332,7 +332,7 @@ def _run(
     }
 
 
-def _read_egos(registry: Registry, policies: Sequence[str], task: str) -> tuple[Ego, ...]:
+def _read_egos(registry: Registry, policies: Sequence[Any], task: str) -> tuple[Ego, ...]:
     from evaluation.egos import read_egos
 
     egos = read_egos(policies, registry, task)

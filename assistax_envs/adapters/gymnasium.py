@@ -59,7 +59,7 @@ class AssistaxEnv(gymnasium.Env):
             )
         self.render_mode = render_mode
         self.partner = partner
-        impairment = disability or getattr(partner, "disability", None) or "d1"
+        impairment = disability or getattr(partner, "setting", None) or "d1"
         self._simulation = Simulation(task, impairment, backend, weights)
         self._camera = camera
         env = self._simulation.env

@@ -1,18 +1,13 @@
 """M_test of robot policies against the zoo's partners, and the cross-play of a population."""
 
-import contextlib
-import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assistax_zoo.commands.options import Engine, Playing, Source
-from assistax_zoo.console import cache_folder, command_line, print_json, progress, stdout_is_data
+from assistax_zoo.console import print_json, stdout_is_data
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-    from evaluation.evaluator import Progress
 
 
 def evaluate(
@@ -35,8 +30,8 @@ def evaluate(
 
     Args:
         task: Task, such as scratch.
-        policy: Robot: zoo:ID, a .safetensors file, or python:package.module:factory; repeat it for
-            more seeds.
+        policy: Robot: an id, a .safetensors or .onnx file, python:FILE.py:FACTORY or
+            python:package.module:FACTORY; repeat it for more seeds.
         split: Partners: test (default), train or both sides of the default split, or another
             split's id (ID:both).
         partners: Glob over partners to use only some, such as 'scratch/ippo-d9-*'; repeat it for
@@ -51,28 +46,25 @@ def evaluate(
         json: Print JSON.
 
     Example:
-        assistax-zoo evaluate --task scratch --policy zoo:scratch/ippo-d1-s0-v1/robot --episodes 8
+        assistax-zoo evaluate --task scratch --policy scratch/ippo-d1-s0-v1/robot --episodes 8
         --out results
     """
-    with stdout_is_data(), contextlib.ExitStack() as stack:
-        folder = out or Path(
-            stack.enter_context(tempfile.TemporaryDirectory(prefix="assistax-zoo-"))
-        )
-        from evaluation.provenance import write_run
-        from evaluation.studies import evaluate_policies
+    with stdout_is_data():
+        from assistax_zoo.studies import evaluate as evaluate_robots
 
-        summary = evaluate_policies(
-            source.load(task, split),
-            policy,
-            playing.settings(task),
-            folder,
+        result = evaluate_robots(
+            list(policy),
+            task=task,
             split=split,
             partners=partners or None,
-            references=cache_folder("references") if references else None,
+            references=references,
             crossplay=crossplay,
-            on_progress=_shown(stack, f"evaluate {task}"),
+            zoo=source.registry,
+            lock=source.lock,
+            out=out,
+            **vars(playing),
         )
-        write_run(folder, command_line(), summary)
+        summary = result.to_json()
     if json:
         print_json(summary)
         return
@@ -122,36 +114,33 @@ def crossplay(
         raise ValueError(
             "--block is one share of a run by hand, --engine ray spreads all of them; leave one out"
         )
-    with stdout_is_data(), contextlib.ExitStack() as stack:
-        from evaluation.provenance import write_run
-        from evaluation.studies import cross_play
+    with stdout_is_data():
+        from assistax_zoo.studies import cross_play, play_block
 
-        summary = cross_play(
-            source.load(task),
-            egos or f"{task}/*",
-            partners or f"{task}/*",
-            playing.settings(task),
-            out,
-            release=release,
-            block=_block(block),
-            cluster=cluster,
-            on_progress=_shown(stack, f"crossplay {task}"),
-        )
-        if not block:
-            write_run(out, command_line(), summary)
+        given: dict[str, Any] = {
+            "task": task,
+            "release": release,
+            "zoo": source.registry,
+            "lock": source.lock,
+            **vars(playing),
+        }
+        if block:
+            share = _block(block)
+            done = play_block(share, out, egos or None, partners or None, **given)
+            summary = {"block": block, **dict(done)}
+        else:
+            result = cross_play(egos or None, partners or None, out=out, cluster=cluster, **given)
+            summary = result.to_json()
     if json:
         print_json(summary)
-        return
-    if block:
+    elif block:
         _print_block(summary, out)
-        return
-    _print_crossplay(summary)
-    print(f"tables and crossplay.png in {out}")
+    else:
+        _print_crossplay(summary)
+        print(f"tables and crossplay.png in {out}")
 
 
-def _block(text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
+def _block(text: str) -> tuple[int, int]:
     number, _, count = text.partition("/")
     if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
         raise ValueError(f"block is {text!r}; expected i/n with i from 1 to n, such as 2/4")
@@ -170,26 +159,6 @@ def _print_block(summary: dict[str, Any], out: Path) -> None:
         )
     else:
         print("all parts are here: the same command without --block merges them")
-
-
-def _shown(stack: contextlib.ExitStack, description: str) -> Callable[["Progress"], None]:
-    """Return a callback that shows progress from its first call on, while the stack is open."""
-    advance: Callable[[int], None] | None = None
-    shown, done = ("", 0), 0
-
-    def show(state: "Progress") -> None:
-        nonlocal advance, shown, done
-        if not state.total:
-            return
-        if advance is None or shown != (state.what, state.total):
-            advance = stack.enter_context(
-                progress(f"{description}, {state.what}, environment steps", state.total)
-            )
-            shown, done = (state.what, state.total), 0
-        advance(state.done - done)
-        done = state.done
-
-    return show
 
 
 def _print_evaluation(summary: dict[str, Any]) -> None:
@@ -272,12 +241,13 @@ def _print_origin(summary: dict[str, Any]) -> None:
 
 
 def _table(title: str, what: str = "return of an episode") -> "Table":
+    """Return an empty table of figures that fits 80 columns."""
     from rich import box
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
-    table.add_column(what, no_wrap=True)
-    for name in ("mean", "IQM", "95% interval of the IQM", "pairs"):
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column(what, overflow="fold")
+    for name in ("mean", "IQM", "its 95% interval", "pairs"):
         table.add_column(name, justify="right", no_wrap=True)
     return table
 
@@ -286,9 +256,8 @@ def _add(table: "Table", name: str, figure: dict[str, Any] | None, digits: int =
     if figure is None:
         return
     mean, iqm = (f"{figure[key]:.{digits}f}" for key in ("mean", "iqm"))
-    interval = (
-        "-" if figure["ci"] is None else " to ".join(f"{end:.{digits}f}" for end in figure["ci"])
-    )
+    ends = figure["ci"]
+    interval = "-" if ends is None else " to ".join(f"{end:.{digits}f}" for end in ends)
     table.add_row(name, mean, iqm, interval, str(figure["n"]))
 
 
@@ -296,6 +265,4 @@ def _print(table: "Table") -> None:
     from rich.console import Console
 
     console = Console()
-    if not console.is_terminal:
-        console = Console(width=120)
-    console.print(table)
+    (console if console.is_terminal else Console(width=80)).print(table)

@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Literal
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
-    from evaluation.studies import Settings
     from population.engines import RayCluster
-    from zoo.registry import Registry
 
 
 @Parameter(name="*")
@@ -32,12 +30,6 @@ class Playing:
     stochastic: bool = False
     max_envs: int | None = None
 
-    def settings(self, task: str) -> "Settings":
-        """Return what `evaluation.studies` takes."""
-        from evaluation.studies import Settings
-
-        return Settings(task, **dataclasses.asdict(self))
-
 
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -45,23 +37,12 @@ class Source:
     """Where policies come from.
 
     Attributes:
-        registry: Registry to read instead of the installed one.
+        registry: Registry to read instead of the installed one: a file, a folder or an address.
         lock: Lock file of a paper; partners, bytes and splits other than those it pins are refused.
     """
 
-    registry: Path | None = None
+    registry: str | None = None
     lock: Path | None = None
-
-    def load(self, task: str, split: str | None = None) -> "Registry":
-        """Return the registry, narrowed down to what the lock file pins if there is one."""
-        from zoo.registry import load_registry
-
-        loaded = load_registry(self.registry)
-        if self.lock is None:
-            return loaded
-        from zoo.lock import apply_lock, read_lock
-
-        return apply_lock(loaded, read_lock(self.lock), task=task, split=split)
 
 
 @Parameter(name="*")

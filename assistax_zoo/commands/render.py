@@ -4,6 +4,8 @@ from pathlib import Path
 
 from assistax_zoo.console import progress, stdout_is_data
 
+EPISODE = 1000  # steps
+
 
 def render(
     *,
@@ -19,7 +21,7 @@ def render(
     width: int = 640,
     height: int = 480,
     disability: str | None = None,
-    registry: Path | None = None,
+    registry: str | None = None,
 ) -> None:
     """Film an episode of a robot and a human, with targets, contact force and reward drawn on; no display is needed.
 
@@ -29,9 +31,8 @@ def render(
 
     Args:
         task: Task, such as scratch; with --collisions also all.
-        robot: zoo:ID, a .safetensors file, zero, random, python:package.module:factory, or
-            onnx:FILE.
-        human: zoo:ID, a .safetensors file, zero, or random.
+        robot: An id, a .safetensors or .onnx file, python:FILE.py:FACTORY, zero, or random.
+        human: An id, a .safetensors file, zero, or random.
         out: File to write: .mp4, .gif or .png.
         collisions: Draw what can touch what, instead of an episode; takes no robot, no human and
             nothing but the size.
@@ -42,78 +43,36 @@ def render(
         width: Pixels of a frame.
         height: Pixels of a frame.
         disability: The human's setting, d1 to d9, instead of its own.
-        registry: Registry to read instead of the installed one.
+        registry: Registry to read instead of the installed one: a file, a folder or an address.
 
     Example:
-        assistax-zoo render --task scratch --robot zoo:scratch/ippo-d1-s7-v1/robot --human random
+        assistax-zoo render --task scratch --robot scratch/ippo-d1-s7-v1/robot --human random
         --out scratch.mp4
     """
-    if collisions:
-        _render_collisions(task, out, width, height)
-        return
-    if robot is None or human is None:
-        raise ValueError(
-            f"{'robot' if robot is None else 'human'} is missing; an episode needs --robot and "
-            "--human"
-        )
+    if not collisions and (robot is None or human is None):
+        missing = "robot" if robot is None else "human"
+        raise ValueError(f"{missing} is missing; an episode needs --robot and --human")
     with stdout_is_data():
-        import functools
+        if collisions:
+            from assistax_zoo.films import draw_collisions
 
-        from assistax_envs import make
-        from evaluation.partners import seat_policy
-        from evaluation.replay import check_film, film, play
-        from zoo.registry import load_registry
+            draw_collisions(out, task=task, width=width, height=height)
+        else:
+            from assistax_zoo.films import render as film
 
-        check_film(out, fps, width, height)
-        env = make(task, "native")
-        length = env.episode_length if steps is None else steps
-        if not 1 <= length <= env.episode_length:
-            raise ValueError(f"steps is {steps}; allowed are 1 to {env.episode_length}, an episode")
-        zoo = functools.partial(load_registry, registry)
-        players = {
-            role: seat_policy(reference, role, env, zoo, task, seed)
-            for role, reference in (("robot", robot), ("human", human))
-        }
-        setting = disability or getattr(players["human"], "disability", None) or "d1"
-        draw = functools.partial(
-            env.render,
-            camera=camera,
-            width=width,
-            height=height,
-            caption=(f"robot {robot}", f"human {human}"),
-        )
-        with progress(f"render {task}", length) as advance:
-            states = play(
-                env,
-                players["robot"],
-                players["human"],
-                setting,
-                seed,
-                length,
-                on_step=lambda: advance(1),
-            )
-            film(states, draw, out, length, fps)
-    print(out)
-
-
-def _render_collisions(task: str, out: Path, width: int, height: int) -> None:
-    from assistax_envs.versions import TASKS
-
-    if task != "all" and task not in TASKS:
-        raise ValueError(f"task is {task!r}; allowed are all, {', '.join(TASKS)}")
-    if out.suffix.lower() != ".png":
-        raise ValueError(
-            f"{out.name} ends in {out.suffix or 'nothing'!r}; collisions are drawn as a .png"
-        )
-    with stdout_is_data():
-        from PIL import Image
-
-        from assistax_envs.collisions import picture
-        from evaluation.replay import check_film
-        from evaluation.tables import atomic_path
-
-        check_film(out, 25, width, height)
-        pixels = picture(TASKS if task == "all" else (task,), width, height)
-        with atomic_path(out) as temporary:
-            Image.fromarray(pixels).quantize(256).save(temporary, format="png", optimize=True)
+            assert robot is not None and human is not None
+            size = {"fps": fps, "width": width, "height": height, "camera": camera}
+            with progress(f"render {task}", steps or EPISODE) as advance:
+                film(
+                    robot,
+                    human,
+                    out,
+                    task=task,
+                    steps=steps,
+                    seed=seed,
+                    disability=disability,
+                    zoo=registry,
+                    on_step=lambda: advance(1),
+                    **size,
+                )
     print(out)

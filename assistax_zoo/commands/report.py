@@ -18,31 +18,17 @@ def compare(a: Path, b: Path, /, *, seed: int = 0, json: bool = False) -> None:
     Example:
         assistax-zoo compare results/mine results/baseline
     """
-    summaries = [_summary(folder) for folder in (a, b)]
-    from evaluation import tables
-    from evaluation.summary import summarise_comparison
+    from assistax_zoo.results import compare as compare_results
 
-    for name in ("task", "env_version", "backend"):
-        first, second = (summary[name] for summary in summaries)
-        if first != second:
-            raise ValueError(
-                f"{name} is {first} in {a} and {second} in {b}; evaluate both methods alike"
-            )
-    first, second = (tables.read_episodes(folder / tables.EPISODES_FILE) for folder in (a, b))
-    found: dict[str, Any] = {
-        "a": str(a),
-        "b": str(b),
-        "task": summaries[0]["task"],
-        **summarise_comparison(first, second, seed=seed),
-    }
+    found = compare_results(a, b, seed=seed)
     if json:
-        print_json(found)
+        print_json({"a": str(a), "b": str(b), **found.to_json()})
         return
-    print(f"{found['task']}: return of {a} minus return of {b}")
-    for side in tables.SIDES:
-        if side in found:
-            _print_difference(side, found[side])
-    for note in found["notes"]:
+    print(f"{found.task}: return of {a} minus return of {b}")
+    for side, difference in (("train", found.train), ("test", found.test)):
+        if difference:
+            _print_difference(side, difference)
+    for note in found.notes:
         print(f"note: {note}")
 
 
@@ -80,25 +66,10 @@ def report(folder: Path, /, *, out: Path) -> None:
     Example:
         assistax-zoo report xp --out report.html
     """
-    if out.suffix.lower() not in (".html", ".htm"):
-        raise ValueError(
-            f"{out.name} ends in {out.suffix or 'nothing'!r}; a report is written as .html"
-        )
     from evaluation.report import write_report
 
     write_report(folder, out)
     print(out)
-
-
-def _summary(folder: Path) -> dict[str, Any]:
-    from evaluation import tables
-
-    summary = tables.read_json(folder / tables.SUMMARY_FILE)
-    if "m_test" not in summary:
-        raise ValueError(
-            f"{folder} holds no evaluation; give a folder that `assistax-zoo evaluate --out` filled"
-        )
-    return summary
 
 
 def _print_difference(side: str, figure: dict[str, Any]) -> None:
@@ -130,7 +101,7 @@ def _print_strategies(found: dict[str, Any]) -> None:
         figures = [f"{cluster['mean'][name]:.3g}" for name in found["features"]]
         table.add_row(chr(ord("A") + i), cluster["medoid"], str(len(cluster["members"])), *figures)
     console = Console()
-    (console if console.is_terminal else Console(width=140)).print(table)
+    (console if console.is_terminal else Console(width=80)).print(table)
     if len(found["clusters"]) == 1:
         print("no clear clusters: all partners are one")
     diversity = found["br_div"]

@@ -21,6 +21,10 @@ def write_report(folder: Path, path: Path) -> None:
         FileNotFoundError: The folder, or a table in it, is missing.
         ValueError: The folder holds neither an evaluation nor a cross-play.
     """
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise ValueError(
+            f"{path.name} ends in {path.suffix or 'nothing'!r}; a report is written as .html"
+        )
     summary = tables.read_json(folder / tables.SUMMARY_FILE)
     if "m_test" in summary:
         title, sections = (

@@ -81,8 +81,9 @@ def test_wrong_folders_and_names_get_one_line(
     assert f"{gone} is not a folder; run `assistax-zoo crossplay --out" in failure(
         capfd, call("crossplay", gone, "--out", out)
     )
-    assert f"lacks {tables.PAIRS_FILE}, {tables.ORDER_FILE}; run" in failure(
-        capfd, call("crossplay", evaluation_folder, "--out", out)
+    assert (
+        "holds an evaluation; this figure is of a folder that `assistax-zoo crossplay"
+        in failure(capfd, call("crossplay", evaluation_folder, "--out", out))
     )
     assert "ends in '.jpg'; figures are written as .png or .pdf" in failure(
         capfd, call("crossplay", crossplay_folder, "--out", tmp_path / "x.jpg")

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from assistax_zoo.main import run
-from evaluation import replay
+from evaluation import film
 from population.policy import Policy
 from population.spec import PolicySpec
 from zoo.storage import write_policy_file
@@ -45,7 +45,7 @@ def test_a_png_is_a_strip_of_four_moments(tmp_path: Path, capfd: pytest.CaptureF
     assert strip.shape == (120, 4 * 160, 3)
     moments = np.split(strip, 4, axis=1)
     assert all((one != other).any() for one, other in itertools.pairwise(moments))
-    assert replay.moments(20) == [1, 5, 11, 20] and replay.moments(1) == [0, 1]
+    assert film.moments(20) == [1, 5, 11, 20] and film.moments(1) == [0, 1]
     assert [path.name for path in out.parent.iterdir()] == ["strip.png"]
 
 

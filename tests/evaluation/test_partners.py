@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from assistax_envs import DISABILITY_SETTINGS
-from evaluation.partners import FrozenPolicy, seat_policy, zoo_partner
+from evaluation.partners import Partner, seat_policy, zoo_partner
 from population.policy import Policy
 from population.spec import PolicySpec
 from tests import untrained
@@ -46,8 +46,8 @@ def registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
 
 def test_a_zoo_partner_acts_as_its_network_and_brings_its_setting(registry: Registry):
     partner = zoo_partner(registry, "scratch/ippo-d9-s2-v0")
-    assert partner.name == "scratch/ippo-d9-s2-v0/human"
-    assert partner.disability == DISABILITY_SETTINGS["d9"]
+    assert partner.id == "scratch/ippo-d9-s2-v0/human"
+    assert partner.setting == DISABILITY_SETTINGS["d9"]
     policy, params = Policy(HUMAN), params_of(HUMAN, 2)
     carry = policy.initial_carry(())
     rng = np.random.default_rng(0)
@@ -83,7 +83,7 @@ def test_every_form_takes_its_seat(registry: Registry, tmp_path: Path):
     path = tmp_path / "human.safetensors"
     write_policy_file(path, HUMAN, params_of(HUMAN, 0), {"disability": "d4"})
     from_file = seat(str(path), "human", registry)
-    assert isinstance(from_file, FrozenPolicy) and from_file.disability == DISABILITY_SETTINGS["d4"]
+    assert isinstance(from_file, Partner) and from_file.setting == DISABILITY_SETTINGS["d4"]
     from_zoo = seat("zoo:scratch/ippo-d9-s0-v0/human", "human", registry)
     np.testing.assert_array_equal(from_file(obs["human"]), from_zoo(obs["human"]))
 

@@ -1,0 +1,111 @@
+"""Films of an episode."""
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+
+from assistax_zoo.zoos import Zoo, open_zoo
+
+
+def render(
+    robot: str,
+    human: str,
+    out: Path | str,
+    *,
+    task: str,
+    steps: int | None = None,
+    seed: int = 0,
+    disability: str | None = None,
+    camera: str | None = None,
+    fps: int = 25,
+    width: int = 640,
+    height: int = 480,
+    zoo: "str | Path | Zoo | None" = None,
+    on_step: Callable[[], None] | None = None,
+) -> Path:
+    """Film an episode of a robot and a human, with targets, contact force and reward drawn on.
+
+    Args:
+        robot: An id, a .safetensors or .onnx file, python:..., "zero" or "random".
+        human: An id, a .safetensors file, "zero" or "random".
+        out: File to write: .mp4 or .gif in real time, or .png with four moments.
+        task: Task, such as "scratch".
+        steps: Steps of 20 ms to show; default the whole episode.
+        seed: Seed of the episode: where it starts.
+        disability: The human's setting, d1 to d9, instead of its own.
+        camera: A camera of the scene, such as "side", or "close" to follow the tool.
+        fps: Frames a second, a divisor of 50.
+        width: Pixels of a frame.
+        height: Pixels of a frame.
+        zoo: Where ids are looked up, as in `open_zoo`.
+        on_step: Called after each step.
+
+    Returns:
+        `out`.
+
+    Raises:
+        ValueError: A policy does not fit its seat, or a film of this kind cannot be written here.
+        ZooError: A policy is not there, or not what it says.
+        RenderError: This machine has no OpenGL.
+    """
+    from assistax_envs import make
+    from assistax_envs.interrupts import interruptible
+    from evaluation.film import check_film, film, play
+    from evaluation.partners import seat_policy
+
+    out = Path(out)
+    check_film(out, fps, width, height)
+    env = make(task, "native")
+    length = env.episode_length if steps is None else steps
+    if not 1 <= length <= env.episode_length:
+        raise ValueError(f"steps is {steps}; allowed are 1 to {env.episode_length}, an episode")
+    registry = lambda: open_zoo(zoo).registry  # noqa: E731 - read where a reference asks for it
+    act = [
+        seat_policy(reference, role, env, registry, task, seed)
+        for role, reference in (("robot", robot), ("human", human))
+    ]
+    setting = disability or getattr(act[1], "setting", None) or "d1"
+    caption = (f"robot {robot}", f"human {human}")
+    size = {"camera": camera, "width": width, "height": height, "caption": caption}
+
+    def work(check: Callable[[], None]) -> None:
+        def stepped() -> None:
+            check()
+            if on_step is not None:
+                on_step()
+
+        states = play(env, *act, setting, seed, length, on_step=stepped)
+        film(states, functools.partial(env.render, **size), out, length, fps)
+
+    interruptible(work)
+    return out
+
+
+def draw_collisions(
+    out: Path | str, *, task: str = "all", width: int = 480, height: int = 360
+) -> Path:
+    """Draw each scene beside the shapes that can touch, with the pairs; return `out`, a .png.
+
+    Raises:
+        ValueError: There is no such task, or a picture of this kind cannot be written there.
+        RenderError: This machine has no OpenGL.
+    """
+    from PIL import Image
+
+    from assistax_envs.collisions import picture
+    from assistax_envs.versions import TASKS
+    from evaluation.film import check_film
+    from evaluation.tables import atomic_path
+
+    out = Path(out)
+    if task != "all" and task not in TASKS:
+        raise ValueError(f"task is {task!r}; allowed are all, {', '.join(TASKS)}")
+    if out.suffix.lower() != ".png":
+        raise ValueError(
+            f"{out.name} ends in {out.suffix or 'nothing'!r}; collisions are drawn as a .png"
+        )
+    check_film(out, 25, width, height)
+    pixels = picture(TASKS if task == "all" else (task,), width, height)
+    with atomic_path(out) as temporary:
+        Image.fromarray(pixels).quantize(256).save(temporary, format="png", optimize=True)
+    return out

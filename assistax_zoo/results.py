@@ -1,0 +1,296 @@
+"""Results: figures as fields, the tables they come from, and a page or a figure of them."""
+
+import dataclasses
+import shutil
+import tempfile
+import weakref
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import polars as pl
+
+from evaluation import tables
+from evaluation.summary import summarise_comparison
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FigureKind = Literal["zsc", "disability", "profile"]
+
+
+class TemporaryFolder:
+    """A folder that goes with the last result that holds it."""
+
+    def __init__(self) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix="assistax-zoo-"))
+        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class _Result:
+    """What a finished folder offers, whatever was played."""
+
+    summary: Any  # every figure, as docs/evaluation.md lists them
+    folder: Path  # holds the tables
+    keep: TemporaryFolder | None = dataclasses.field(default=None, compare=False)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader has to know of the figures."""
+        return tuple(self.summary.notes)
+
+    @property
+    def episodes(self) -> pl.DataFrame:
+        """Every episode, one row each; docs/evaluation.md lists the columns and their units."""
+        return tables.read_episodes(self.folder / tables.EPISODES_FILE)
+
+    def to_pandas(self) -> Any:
+        """Return `episodes` as a pandas.DataFrame.
+
+        Raises:
+            ImportError: pandas or pyarrow is not installed.
+        """
+        return self.episodes.to_pandas()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures as `--json` prints them."""
+        return tables.read_json(self.folder / tables.SUMMARY_FILE)
+
+    def report(self, path: Path | str) -> Path:
+        """Write one page for a browser, .html: figures, tables, versions, hashes; return its path.
+
+        Raises:
+            ValueError: The path ends otherwise.
+        """
+        from evaluation.report import write_report
+
+        write_report(self.folder, Path(path))
+        return Path(path)
+
+    def save(self, folder: Path | str) -> Path:
+        """Copy everything to a new folder, which `load_result` reads; return it.
+
+        Raises:
+            FileExistsError: There is something of that name.
+        """
+        target = Path(folder)
+        if target.exists():
+            raise FileExistsError(f"{target} exists; choose another folder")
+        partial = target.with_name(f".{target.name}.partial")
+        shutil.rmtree(partial, ignore_errors=True)
+        shutil.copytree(self.folder, partial)
+        return partial.rename(target)
+
+    def _figures(self) -> dict[str, Any]:
+        """Return the headline figures by name."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        told = [f"{name} {_brief(figure)}" for name, figure in self._figures().items() if figure]
+        return f"{type(self).__name__}({self.summary.task}: {', '.join(told)})"
+
+    def _repr_html_(self) -> str:
+        from evaluation.report import html
+
+        figures = {name: figure for name, figure in self._figures().items() if figure}
+        table = html.figures_table(figures, f"{self.summary.task}: return of an episode")
+        return f"{table}{html.notes(self.notes)}"
+
+
+class EvaluationResult(_Result):
+    """M_test of a robot, or of the seeds of one method."""
+
+    @property
+    def m_test(self) -> Any:
+        """Return with partners of the test side, None if none played: mean, IQM, intervals, n."""
+        return self.summary.m_test
+
+    @property
+    def m_train(self) -> Any:
+        """The same with partners of the training side."""
+        return self.summary.m_train
+
+    @property
+    def gap(self) -> Any:
+        """`m_train` less `m_test`, where both played."""
+        return self.summary.gap
+
+    @property
+    def by_algorithm(self) -> dict[str, Any]:
+        """The return with the partners of each algorithm."""
+        return self.summary.by_algorithm
+
+    @property
+    def by_disability(self) -> dict[str, Any]:
+        """The return with the partners of each disability setting."""
+        return self.summary.by_disability
+
+    @property
+    def worst_partner(self) -> Any:
+        """The partner with the lowest mean return: `partner`, `mean` and what it is."""
+        return self.summary.worst_partner
+
+    @property
+    def references(self) -> Any:
+        """Returns of zero and random actions and of each partner's own robot, if they played."""
+        return self.summary.references
+
+    @property
+    def relative(self) -> Any:
+        """The return on the scale from zero action to best response, if references played."""
+        return self.summary.relative
+
+    @property
+    def partners(self) -> pl.DataFrame:
+        """One row a partner: means over robots and episodes."""
+        return tables.read_parquet(self.folder / tables.PARTNERS_FILE)
+
+    def plot(self, path: Path | str, kind: FigureKind = "zsc") -> "Figure":
+        """Draw the result, write it as .png or .pdf, and return the figure.
+
+        Args:
+            path: File to write.
+            kind: "zsc" for training beside test partners, "disability" for each setting, "profile"
+                for the share of pairs above each return.
+        """
+        from evaluation.plots.figures import evaluation_figure
+
+        return evaluation_figure([self.folder], kind, Path(path))
+
+    def _figures(self) -> dict[str, Any]:
+        sides = {"M_test": self.m_test, "M_train": self.m_train, "M_train - M_test": self.gap}
+        return {**sides, **self.by_disability}
+
+
+class CrossPlayResult(_Result):
+    """Every robot of a population with every human."""
+
+    @property
+    def self_play(self) -> Any:
+        """Return of robots with the humans they were trained with: mean, IQM, intervals, n."""
+        return self.summary.self_play
+
+    @property
+    def cross_play(self) -> Any:
+        """Return of robots with all other humans."""
+        return self.summary.cross_play
+
+    @property
+    def gap(self) -> Any:
+        """`self_play` less `cross_play`."""
+        return self.summary.gap
+
+    @property
+    def best_ego(self) -> Any:
+        """The robot with the highest mean return: `ego` and `mean`."""
+        return self.summary.best_ego
+
+    @property
+    def pairs(self) -> pl.DataFrame:
+        """The matrix in long form: one row a robot and human, means over episodes."""
+        return tables.read_parquet(self.folder / tables.PAIRS_FILE)
+
+    def plot(
+        self, path: Path | str, order: Literal["shared", "separate"] | None = None
+    ) -> "Figure":
+        """Draw the clustered matrix, write it as .png or .pdf, and return the figure.
+
+        Args:
+            path: File to write.
+            order: "shared" for one order of teams on both axes, "separate" for one order each;
+                default shared if possible.
+        """
+        from evaluation.plots.figures import crossplay_figure
+
+        return crossplay_figure(self.folder, Path(path), order)
+
+    def _figures(self) -> dict[str, Any]:
+        names = {"self-play": self.self_play, "cross-play": self.cross_play}
+        return {**names, "self-play - cross-play": self.gap}
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Comparison:
+    """Method a minus method b: paired differences over the same partners and episodes."""
+
+    task: str
+    test: Any  # with the test partners, None if not both met them
+    train: Any
+    notes: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures as `compare --json` prints them."""
+        found = {"test": self.test, "train": self.train}
+        sides = {side: figure for side, figure in found.items() if figure}
+        return {"task": self.task, **sides, "notes": list(self.notes)}
+
+    def __repr__(self) -> str:
+        sides = {"test": self.test, "train": self.train}
+        told = [f"{side} partners {_brief(found)}" for side, found in sides.items() if found]
+        return f"Comparison({self.task}: {', '.join(told)})"
+
+
+def load_result(folder: Path | str) -> EvaluationResult | CrossPlayResult:
+    """Return the result that a finished folder holds.
+
+    Raises:
+        FileNotFoundError: There is none, or it is not finished.
+        ValueError: A file of it is damaged, or it is neither an evaluation nor a cross-play.
+    """
+    folder = Path(folder)
+    summary = tables.read_json(folder / tables.SUMMARY_FILE)
+    if "m_test" in summary:
+        return EvaluationResult(fields(summary), folder)
+    if "cross_play" in summary:
+        return CrossPlayResult(fields(summary), folder)
+    raise ValueError(f"{folder} holds neither an evaluation nor a cross-play")
+
+
+def compare(
+    a: "EvaluationResult | Path | str", b: "EvaluationResult | Path | str", *, seed: int = 0
+) -> Comparison:
+    """Compare two methods: paired differences a - b over the same partners and episodes.
+
+    Args:
+        a: A result, or its folder.
+        b: Another, of the same task, split, episodes and seed.
+        seed: Of the bootstrap.
+
+    Raises:
+        ValueError: They were not evaluated alike.
+    """
+    first, second = (_evaluation(one) for one in (a, b))
+    for name in ("task", "env_version", "backend", "engine"):
+        found = [one.to_json().get(name) for one in (first, second)]
+        if found[0] != found[1]:
+            raise ValueError(
+                f"{name} is {found[0]} in {first.folder} and {found[1]} in {second.folder}; "
+                "evaluate both methods alike"
+            )
+    found = summarise_comparison(first.episodes, second.episodes, seed=seed)
+    sides = {side: fields(found.get(side)) for side in tables.SIDES}
+    return Comparison(first.summary.task, **sides, notes=tuple(found["notes"]))
+
+
+def _evaluation(result: "EvaluationResult | Path | str") -> EvaluationResult:
+    found = load_result(result) if isinstance(result, Path | str) else result
+    if not isinstance(found, EvaluationResult):
+        raise ValueError(f"{found.folder} holds a cross-play; compare takes evaluations")
+    return found
+
+
+def _brief(figure: Any) -> str:
+    ends = figure.get("iqm_ci") or figure.get("ci")
+    return f"{figure['iqm']:.1f}" + (f" [{ends[0]:.1f}, {ends[1]:.1f}]" if ends else "")
+
+
+class _Fields(dict):
+    def __getattr__(self, name: str) -> Any:
+        return self[name]
+
+
+def fields(value: Any) -> Any:
+    """Return JSON values whose objects have their keys as attributes."""
+    if isinstance(value, dict):
+        return _Fields({name: fields(item) for name, item in value.items()})
+    return value

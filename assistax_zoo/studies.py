@@ -1,0 +1,227 @@
+"""M_test of robots, and the cross-play of a population."""
+
+import contextlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from assistax_zoo.console import cache_folder, command_line, study_progress
+from assistax_zoo.results import CrossPlayResult, EvaluationResult, TemporaryFolder, fields
+from assistax_zoo.zoos import Zoo, open_zoo
+from evaluation.provenance import write_run
+from evaluation.runner import Progress
+from evaluation.studies import Settings, choose_partners, evaluate_policies
+from evaluation.studies import cross_play as play_population
+from population.engines import RayCluster
+
+Shown = bool | Callable[[Progress], None]
+
+
+def evaluate(
+    robot: Any,
+    *,
+    task: str,
+    split: str | None = None,
+    partners: str | Sequence[str] | None = None,
+    episodes: int = 8,
+    seed: int = 0,
+    backend: str = "auto",
+    stochastic: bool = False,
+    max_envs: int | None = None,
+    references: bool = True,
+    crossplay: "Path | CrossPlayResult | None" = None,
+    fetch: bool = False,
+    zoo: "str | Path | Zoo | None" = None,
+    lock: Path | str | None = None,
+    out: Path | str | None = None,
+    progress: Shown = True,
+) -> EvaluationResult:
+    """Compute M_test: the return of a robot with partners that it never met.
+
+    Each partner plays under its own disability setting, and all pairs play the same episodes.
+
+    Args:
+        robot: A callable from observations [N, O] to actions [N, A], float32, called with one row
+            for each episode; an object with `act(obs)` and `reset(n)`; a model with
+            Stable-Baselines3's `predict`; a Flax module with parameters, `(module, params)`; a
+            `Partner` in the robot's role; a path of a .safetensors or .onnx file; an id; or
+            "python:mod.py:make". A list of them are seeds of one method.
+        task: Task, such as "scratch".
+        split: Partners: "test" (default), "train" or "both" sides of the default split, or another
+            split's id (ID:both).
+        partners: Globs over partners, to play only some of those sides.
+        episodes: Of each pair.
+        seed: Of the episodes, the same for every pair.
+        backend: Physics: "auto" for the fastest one here, or its name.
+        stochastic: Draw actions instead of taking each policy's most likely one.
+        max_envs: Most simulations in a saved part; lower it if memory runs out.
+        references: Compare with zero and random actions and with each partner's own robot.
+        crossplay: A finished cross-play, whose best robots may be the partners' best responses.
+        fetch: Bring partners that are missing here from the zoo's remote.
+        zoo: Where partners and ids come from, as in `open_zoo`.
+        lock: Lock file of a paper; other bytes and splits than those it pins are refused.
+        out: Folder for the tables, in which a run that was stopped goes on; default a temporary
+            one, which lives as long as the result.
+        progress: Show it, or a function that is told of it.
+
+    Raises:
+        ValueError: Something asked for does not exist or does not fit the task.
+        TypeError: `robot` is none of these.
+        EgoError: The robot failed: names partner, step and what was wrong.
+        ZooError: The zoo does not have, or not unchanged, what was asked for.
+
+    Example:
+        >>> import numpy as np
+        >>> still = lambda obs: np.zeros((len(obs), 7))
+        >>> near = "scratch/ippo-d1-s[01]-v1/human"
+        >>> result = evaluate(still, task="scratch", split="both", partners=near, episodes=1,
+        ...                   references=False, progress=False)
+        >>> result.episodes.height
+        2
+    """
+    robots = list(robot) if isinstance(robot, list) else [robot]
+    settings = Settings(task, episodes, seed, backend, stochastic, max_envs)
+    opened = _locked(open_zoo(zoo), lock, task, split)
+    if fetch:
+        _, chosen = choose_partners(opened.registry, task, split, partners)
+        opened.fetch([entry.id for entry in chosen])
+    folder, keep = _folder(out)
+    with _shown(progress, f"evaluate {task}") as on_progress:
+        summary = evaluate_policies(
+            opened.registry,
+            robots,
+            settings,
+            folder,
+            split=split,
+            partners=partners,
+            references=cache_folder("references") if references else None,
+            crossplay=crossplay.folder if isinstance(crossplay, CrossPlayResult) else crossplay,
+            on_progress=on_progress,
+        )
+    write_run(folder, command_line(), summary)
+    return EvaluationResult(fields(summary), folder, keep)
+
+
+def cross_play(
+    egos: str | Sequence[str] | None = None,
+    partners: str | Sequence[str] | None = None,
+    *,
+    task: str,
+    release: str | None = None,
+    episodes: int = 8,
+    seed: int = 0,
+    backend: str = "auto",
+    stochastic: bool = False,
+    max_envs: int | None = None,
+    zoo: "str | Path | Zoo | None" = None,
+    lock: Path | str | None = None,
+    out: Path | str | None = None,
+    cluster: RayCluster | None = None,
+    progress: Shown = True,
+) -> CrossPlayResult:
+    """Play every robot of a population with every human, and cluster the matrix.
+
+    A robot with the human it was trained with is self-play, the matrix's diagonal.
+
+    Args:
+        egos: Globs over robots, such as "scratch/ippo-*/robot"; all of the release if None.
+        partners: Globs over humans; all of the release if None.
+        task: Task, such as "scratch".
+        release: Release of both, where a glob names none; default the newest whole one.
+        episodes: Of each pair.
+        seed: Of the episodes, the same for every pair.
+        backend: Physics: "auto" for the fastest one here, or its name.
+        stochastic: Draw actions instead of taking each policy's most likely one.
+        max_envs: Most simulations in a saved part; lower it if memory runs out.
+        zoo: Where policies come from, as in `open_zoo`.
+        lock: Lock file of a paper; other bytes than those it pins are refused.
+        out: Folder for the tables and the figure, in which a run that was stopped goes on; default
+            a temporary one, which lives as long as the result.
+        cluster: Ray's, over which the blocks are spread; its workers need `out` too.
+        progress: Show it, or a function that is told of it.
+
+    Raises:
+        ValueError: Something asked for does not exist or does not fit the task.
+        ZooError: The zoo does not have, or not unchanged, what was asked for.
+    """
+    settings = Settings(task, episodes, seed, backend, stochastic, max_envs)
+    registry = _locked(open_zoo(zoo), lock, task, None).registry
+    folder, keep = _folder(out)
+    with _shown(progress, f"crossplay {task}") as on_progress:
+        summary = play_population(
+            registry,
+            egos or f"{task}/*",
+            partners or f"{task}/*",
+            settings,
+            folder,
+            release=release,
+            cluster=cluster,
+            on_progress=on_progress,
+        )
+    write_run(folder, command_line(), summary)
+    return CrossPlayResult(fields(summary), folder, keep)
+
+
+def play_block(
+    block: tuple[int, int],
+    out: Path,
+    egos: str | Sequence[str] | None,
+    partners: str | Sequence[str] | None,
+    *,
+    task: str,
+    release: str | None = None,
+    zoo: "str | Path | Zoo | None" = None,
+    lock: Path | str | None = None,
+    progress: Shown = True,
+    **playing: Any,
+) -> Any:
+    """Simulate share (i, n) of a cross-play, i from 1; with all of them `cross_play` merges them.
+
+    Args:
+        block: Which share.
+        out: Folder of the parts.
+        egos: As in `cross_play`, like all that follows.
+        partners: Globs over humans.
+        task: Task, such as "scratch".
+        release: Release of both.
+        zoo: Where policies come from.
+        lock: Lock file of a paper.
+        progress: Show it, or a function that is told of it.
+        **playing: `episodes`, `seed`, `backend`, `stochastic`, `max_envs`.
+    """
+    registry = _locked(open_zoo(zoo), lock, task, None).registry
+    chosen = egos or f"{task}/*", partners or f"{task}/*"
+    with _shown(progress, f"crossplay {task}") as on_progress:
+        return play_population(
+            registry,
+            *chosen,
+            Settings(task, **playing),
+            out,
+            release=release,
+            block=block,
+            on_progress=on_progress,
+        )
+
+
+def _locked(zoo: Zoo, lock: Path | str | None, task: str, split: str | None) -> Zoo:
+    if lock is None:
+        return zoo
+    from zoo.lock import apply_lock, read_lock
+
+    return Zoo(apply_lock(zoo.registry, read_lock(Path(lock)), task=task, split=split), zoo.remote)
+
+
+def _folder(out: Path | str | None) -> tuple[Path, Any]:
+    """Return the folder, and what must live as long as it is wanted."""
+    if out is not None:
+        return Path(out), None
+    folder = TemporaryFolder()
+    return folder.path, folder
+
+
+def _shown(
+    progress: Shown, description: str
+) -> contextlib.AbstractContextManager[Callable[[Progress], None] | None]:
+    if progress is True:
+        return study_progress(description)
+    return contextlib.nullcontext(progress or None)

@@ -1,0 +1,134 @@
+"""An opened zoo: its partners, loaded and ready to play."""
+
+import dataclasses
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from zoo.fetch import REMOTE_VARIABLE, Report, remote_registry
+from zoo.fetch import fetch as fetch_entries
+from zoo.registry import Registry, load_registry
+from zoo.remotes import Remote, open_remote
+from zoo.schema import PolicyEntry
+
+if TYPE_CHECKING:
+    from evaluation.partners import Partner
+
+
+@dataclasses.dataclass(frozen=True)
+class Zoo:
+    """A registry of policies, and where to take those from that are not here yet."""
+
+    registry: Registry
+    remote: Remote | None = None
+
+    def select(
+        self, pattern: str | Sequence[str] | None = None, **fields: Any
+    ) -> list[PolicyEntry]:
+        """Return the entries that match.
+
+        Args:
+            pattern: Glob over ids, such as "scratch/ippo-*/human", or several; all if None.
+            **fields: `task`, `algorithm`, `disability`, `role` or `release`.
+
+        Raises:
+            UnknownIdError: Nothing matches; the nearest ids are named.
+        """
+        return self.registry.select(pattern, **fields)
+
+    def list(self, pattern: str | Sequence[str] | None = None, **fields: Any) -> list[str]:
+        """Return the ids that match, as `select` does."""
+        return [entry.id for entry in self.select(pattern, **fields)]
+
+    def partner(self, id: str, *, role: str = "human") -> "Partner":
+        """Return one policy, its bytes checked; from a remote zoo it is fetched first.
+
+        Args:
+            id: A policy's id, or its team's, whose `role` is meant.
+            role: "human" or "robot".
+
+        Raises:
+            UnknownIdError: There is no such policy; the nearest ids are named.
+            IntegrityError: Its bytes are not those of the registry.
+            RemoteError: It is not here, and the remote does not give it.
+        """
+        from evaluation.partners import zoo_partner
+
+        full = id if id.endswith(("/human", "/robot")) else f"{id}/{role}"
+        entry = self.registry.policy(full)
+        if self.remote is not None:
+            self.fetch(full)
+        return zoo_partner(self.registry, entry.id, entry.role)
+
+    def fetch(
+        self,
+        pattern: str | Sequence[str] | None = None,
+        *,
+        on_total: Callable[[int], Callable[[int], None]] = lambda total: lambda count: None,
+        **fields: Any,
+    ) -> Report:
+        """Bring policies onto this machine, verified.
+
+        Args:
+            pattern: As in `select`.
+            on_total: Given the bytes to come at most; returns what is called as they arrive.
+            **fields: As in `select`.
+
+        Raises:
+            RemoteError: Some are missing, and there is no remote that has them.
+            IntegrityError: The remote's bytes are not those of the registry.
+        """
+        entries = self.select(pattern, **fields)
+        return fetch_entries(self.registry, entries, self.remote, on_total=on_total)
+
+    def __repr__(self) -> str:
+        return f"Zoo({str(self.registry.path)!r}, {len(self.registry.policies)} policies)"
+
+
+def open_zoo(source: "str | Path | Zoo | Registry | None" = None) -> Zoo:
+    """Open a zoo.
+
+    Args:
+        source: A folder with a registry.json, that file, https://..., hf://org/name[@revision], or
+            another address that fsspec knows, such as s3://bucket/zoo; None is the installed one.
+
+    Raises:
+        RegistryError: There is no registry, or it is of a newer schema.
+        RemoteError: The remote cannot be reached.
+
+    Example:
+        >>> zoo = open_zoo()
+        >>> zoo.partner("scratch/ippo-d1-s0-v1").spec.action_size
+        3
+    """
+    if isinstance(source, Zoo):
+        return source
+    if isinstance(source, Registry):
+        return Zoo(source)
+    if isinstance(source, str) and "://" in source:
+        remote = open_remote(source)
+        return Zoo(remote_registry(remote), remote)
+    if source is not None and Path(source).is_dir():
+        source = Path(source) / "registry.json"
+    remote = os.environ.get(REMOTE_VARIABLE)
+    return Zoo(load_registry(source), open_remote(remote) if remote else None)
+
+
+def fetch(
+    pattern: str | Sequence[str] | None = None,
+    *,
+    source: "str | Path | Zoo | None" = None,
+    **fields: Any,
+) -> Report:
+    """Bring policies of a zoo onto this machine, verified; what is here is only verified.
+
+    Args:
+        pattern: Glob over ids, such as "scratch/ippo-*/human", or several; all if None.
+        source: As in `open_zoo`.
+        **fields: `task`, `algorithm`, `disability`, `role` or `release`.
+
+    Raises:
+        ZooError: See `Zoo.fetch`.
+    """
+    return open_zoo(source).fetch(pattern, **fields)

@@ -1,0 +1,180 @@
+"""Figures of finished folders: read what was saved, draw it, write the file."""
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from evaluation import tables
+from evaluation.plots.style import check_path, save_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from evaluation.plots.matrix import Order
+
+
+def evaluation_figure(folders: Sequence[Path], kind: str, path: Path) -> "Figure":
+    """Draw evaluations, one a method, named as their folders.
+
+    Args:
+        folders: That `evaluate` filled.
+        kind: "zsc", "disability" or "profile".
+        path: File to write.
+
+    Raises:
+        ValueError: A folder holds something else, or two have one name.
+    """
+    check_path(path)
+    if not folders:
+        raise ValueError(
+            "no folder given; name at least one that `assistax-zoo evaluate --out` filled"
+        )
+    summaries: dict[str, Any] = {}
+    for folder in folders:
+        name = folder.resolve().name
+        if name in summaries:
+            raise ValueError(
+                f"two folders are named {name}; rename one, because the figure tells methods by it"
+            )
+        require(folder, "evaluate", tables.SUMMARY_FILE, tables.PROFILE_FILE)
+        summaries[name] = tables.read_json(folder / tables.SUMMARY_FILE)
+    return _written(_DRAWINGS[kind](summaries, folders), path)
+
+
+def crossplay_figure(folder: Path, path: Path, order: "Order | None" = None) -> "Figure":
+    """Draw the clustered matrix of a cross-play.
+
+    Raises:
+        ValueError: The folder holds something else, or its axes share no order.
+    """
+    from evaluation.plots.heatmap import crossplay_heatmap
+    from evaluation.plots.matrix import arrange
+
+    check_path(path)
+    require(folder, "crossplay", tables.SUMMARY_FILE, tables.PAIRS_FILE, tables.ORDER_FILE)
+    pairs = tables.read_parquet(folder / tables.PAIRS_FILE)
+    matrix = arrange(pairs, tables.read_json(folder / tables.ORDER_FILE), order)
+    return _written(crossplay_heatmap(matrix, tables.read_json(folder / tables.SUMMARY_FILE)), path)
+
+
+def curves_figure(run: Path, path: Path) -> "Figure":
+    """Draw the learning curves of a folder that `train` filled, or is filling."""
+    from evaluation.curves import learning_curves
+    from evaluation.plots import lines
+
+    check_path(path)
+    require(run, "train", "metrics.parquet", "config.json")
+    table = learning_curves(tables.read_parquet(run / "metrics.parquet"))
+    config = tables.read_json(run / "config.json")["config"]
+    counts = table.select("disability", "seeds").unique().sort("disability").rows()
+    seeds = ", ".join(f"{name} {n}" for name, n in counts)
+    caption = f"IQM of the return over seeds and its pointwise 95% bootstrap band. Seeds: {seeds}."
+    title = f"Training: {config['task']}, {config.get('algorithm', 'ippo')}"
+    return _written(lines.learning_curves(table, title=title, caption=caption), path)
+
+
+def sweep_figure(folder: Path, path: Path) -> "Figure":
+    """Draw the final returns of a folder that `sweep` filled over each hyperparameter."""
+    from evaluation.plots.sweep import sweep_panels
+
+    check_path(path)
+    require(folder, "sweep", "sweep.parquet", "preset.json")
+    results = tables.read_parquet(folder / "sweep.parquet")
+    diverged = results.filter(results["diverged"]).height
+    caption = (
+        f"{results['configuration'].n_unique()} configurations x {results['seed'].n_unique()} "
+        f"seeds, {diverged} runs diverged and are not drawn. Circles: the configuration with the "
+        "best mean."
+    )
+    title = f"Sweep: {tables.read_json(folder / 'preset.json')['algorithm']}"
+    return _written(sweep_panels(results, title=title, caption=caption), path)
+
+
+def speed_figure(measured: Sequence[Path], path: Path) -> "Figure":
+    """Draw what `python -m benchmarks env --json` printed, one file or more."""
+    from evaluation.plots import lines
+
+    check_path(path)
+    printed = "`python -m benchmarks env --json` printed"
+    if not measured:
+        raise ValueError(f"no file was given; give one or more that {printed}")
+    names = ("task", "backend", "device", "batch", "env_steps_per_second")
+    rows = [row for file in measured for row in json.loads(file.read_text(encoding="utf-8"))]
+    if bad := [row for row in rows if not isinstance(row, dict) or set(names) - set(row)]:
+        raise ValueError(f"{bad[0]!r} is not a row that {printed}; it needs {', '.join(names)}")
+    table = pl.DataFrame([{name: row[name] for name in names} for row in rows])
+    caption = "Random actions; the median of three repeats, compilation not counted."
+    return _written(lines.speed(table, caption=caption), path)
+
+
+def population_figure(partners: Iterable[Any], path: Path) -> "Figure":
+    """Draw partners, entries of a registry, as areas by algorithm and disability setting."""
+    from evaluation.plots.treemap import population_treemap
+
+    check_path(path)
+    entries = list(partners)
+    rows = [{"task": e.task, "algorithm": e.algorithm, "disability": e.disability} for e in entries]
+    releases = ", ".join(sorted({entry.release for entry in entries}))
+    caption = (
+        f"n = {len(entries)} human partners of release {releases}. Areas are numbers of partners."
+    )
+    return _written(population_treemap(pl.DataFrame(rows), caption=caption), path)
+
+
+def require(folder: Path, command: str, *names: str) -> None:
+    """Refuse a folder that the command did not fill; say what it holds instead."""
+    if not folder.is_dir():
+        raise ValueError(
+            f"{folder} is not a folder; run `assistax-zoo {command} --out {folder}` first"
+        )
+    held = {tables.PAIRS_FILE: "a cross-play", tables.PROFILE_FILE: "an evaluation"}
+    missing = [name for name in names if not (folder / name).is_file()]
+    other = [what for name, what in held.items() if (folder / name).is_file()]
+    if missing and other:
+        raise ValueError(
+            f"{folder} holds {other[0]}; this figure is of a folder that `assistax-zoo {command} "
+            "--out` filled"
+        )
+    if missing:
+        raise ValueError(
+            f"{folder} lacks {', '.join(missing)}; run `assistax-zoo {command} --out {folder}` to "
+            "its end, a run that was stopped goes on"
+        )
+
+
+def _zsc(summaries: dict[str, Any], folders: Sequence[Path]) -> "Figure":
+    from evaluation.plots.bars import zsc_bars
+
+    return zsc_bars(summaries)
+
+
+def _disability(summaries: dict[str, Any], folders: Sequence[Path]) -> "Figure":
+    from evaluation.plots.bars import disability_points
+
+    return disability_points(summaries)
+
+
+def _profile(summaries: dict[str, Any], folders: Sequence[Path]) -> "Figure":
+    from evaluation.plots.bars import provenance
+    from evaluation.plots.lines import performance_profile
+
+    read = [tables.read_parquet(folder / tables.PROFILE_FILE) for folder in folders]
+    task = " and ".join(sorted({summary["task"] for summary in summaries.values()}))
+    caption = f"Bands: pointwise 95% bootstrap.\n{provenance(summaries)}"
+    profiles = dict(zip(summaries, read, strict=True))
+    return performance_profile(profiles, task=task, caption=caption)
+
+
+_DRAWINGS: dict[str, Callable[[dict[str, Any], Sequence[Path]], "Figure"]] = {
+    "zsc": _zsc,
+    "disability": _disability,
+    "profile": _profile,
+}
+
+
+def _written(figure: "Figure", path: Path) -> "Figure":
+    save_figure(figure, path)
+    return figure

@@ -1,0 +1,76 @@
+"""`import assistax_zoo`: light, complete, and refusing what would stand in its place."""
+
+import importlib
+import inspect
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import assistax_zoo as az
+
+ROOT = Path(__file__).parents[2]
+HEAVY = {"jax", "mujoco", "numpy", "polars", "matplotlib", "pydantic", "flax", "scipy", "rich"}
+
+
+def python(code: str, folder: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+
+
+def test_importing_loads_nothing_heavy() -> None:
+    done = python("import assistax_zoo as az, sys; dir(az); print(*sys.modules)")
+    assert done.returncode == 0 and not HEAVY & set(done.stdout.split())
+
+
+def test_every_name_is_there_typed_and_documented() -> None:
+    assert dir(az) == az.__all__ == sorted(az.__all__)
+    source = (ROOT / "assistax_zoo" / "__init__.py").read_text(encoding="utf-8")
+    checked = source[source.index("TYPE_CHECKING:") : source.index("__all__")]
+    for name in az.__all__:
+        found = getattr(az, name)
+        assert name in checked
+        documented = [found, *(vars(found).values() if inspect.isclass(found) else ())]
+        for each in documented:
+            public = not getattr(each, "__name__", "_").startswith("_")
+            if inspect.isfunction(each) and public:
+                assert inspect.getdoc(each), f"{name}: {each.__name__}"
+                assert set(inspect.signature(each).parameters) <= {*each.__annotations__, "self"}
+
+
+def test_an_unknown_name_lists_the_known_ones() -> None:
+    with pytest.raises(AttributeError, match=r"no attribute 'evalute'; it offers .*evaluate"):
+        _ = az.evalute
+
+
+@pytest.mark.parametrize("shadow", ["zoo.py", "evaluation/__init__.py", "population/x.py"])
+def test_a_module_in_the_place_of_ours_is_refused_by_name(tmp_path: Path, shadow: str) -> None:
+    (tmp_path / shadow).parent.mkdir(exist_ok=True)
+    (tmp_path / shadow).write_text("")
+    name = Path(shadow).parts[0]
+    code = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r})\nimport assistax_zoo as az\naz.evaluate"
+    )
+    done = python(code, tmp_path)
+    if shadow == "population/x.py":  # a folder without __init__ gives way to a package
+        assert done.returncode == 0
+        return
+    assert (
+        f"ImportError: {tmp_path / name} has the name of a package of assistax-zoo" in done.stderr
+    )
+
+
+@pytest.mark.parametrize("module", ["assistax_zoo.zoos", "assistax_zoo.studies"])
+def test_examples_run(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    import doctest
+
+    monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 20)
+    done = doctest.testmod(importlib.import_module(module))
+    assert done.attempted and not done.failed

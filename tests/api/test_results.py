@@ -1,0 +1,146 @@
+"""Evaluations and cross-plays from Python: typed figures, tables, pages and figures of them."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import assistax_zoo as az
+from evaluation import tables
+from evaluation.robot_forms import as_robot
+from population.onnx_export import to_onnx
+from tests import untrained
+from tests.untrained import HUMAN, ROBOT, params_of, untrained_team
+from zoo.storage import write_policy_file
+
+STEPS = 20
+
+
+@pytest.fixture(scope="module")
+def zoo(tmp_path_factory: pytest.TempPathFactory) -> az.Zoo:
+    teams = [
+        untrained_team(
+            disability,
+            seed,
+            robot=(ROBOT, params_of(ROBOT, 10 * i + seed)),
+            human=(HUMAN, params_of(HUMAN, 100 + 10 * i + seed)),
+        )
+        for i, disability in enumerate(("d1", "d9"))
+        for seed in range(4)
+    ]
+    path = untrained.published(teams, tmp_path_factory.mktemp("zoo"))
+    return az.open_zoo(path.parent)
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", STEPS)
+
+
+def evaluate(robot: Any, zoo: az.Zoo, **options: Any) -> az.EvaluationResult:
+    options = {"episodes": 1, "backend": "native", "references": False, **options}
+    return az.evaluate(robot, task="scratch", zoo=zoo, progress=False, **options)
+
+
+@pytest.fixture(scope="module")
+def result(zoo: az.Zoo) -> az.EvaluationResult:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("assistax_envs.env.EPISODE_LENGTH", STEPS)
+        return evaluate(lambda obs: np.zeros((len(obs), 7)), zoo, split="both", episodes=2)
+
+
+def test_a_zoo_is_listed_and_its_partners_act(zoo: az.Zoo) -> None:
+    assert len(zoo.list(role="human")) == 8
+    assert zoo.list("scratch/ippo-d9-*/robot", task="scratch")[0] == "scratch/ippo-d9-s0-v0/robot"
+    partner = zoo.partner("scratch/ippo-d9-s1-v0")
+    assert (partner.id, partner.spec) == ("scratch/ippo-d9-s1-v0/human", HUMAN)
+    assert partner.setting == zoo.select(partner.id)[0].setting
+    assert partner.card is not None and partner.card.seed == 1
+    partner.reset(5)
+    obs = np.zeros((5, HUMAN.observation_size), np.float32)
+    assert partner.act(obs).shape == (5, HUMAN.action_size)
+    assert zoo.partner("scratch/ippo-d9-s1-v0", role="robot").spec == ROBOT
+    assert "8 + 8" not in repr(zoo) and "16 policies" in repr(zoo)
+
+
+def test_a_result_has_figures_and_tables(result: az.EvaluationResult, tmp_path: Path) -> None:
+    figures = result.to_json()
+    assert result.m_test["mean"] == figures["m_test"]["mean"] and result.m_test["n"] == 4
+    assert result.gap["n"] == 8 and list(result.by_disability) == ["d1", "d9"]
+    assert result.episodes.height == 16 and result.partners.height == 8
+    assert result.worst_partner["partner"].startswith("scratch/ippo-")
+    assert repr(result).startswith("EvaluationResult(scratch: M_test ")
+    assert "<table" in result._repr_html_() and "M_train" in result._repr_html_()
+    for kind in ("zsc", "disability", "profile"):
+        result.plot(tmp_path / f"{kind}.png", kind)
+        assert (tmp_path / f"{kind}.png").read_bytes()[:4] == b"\x89PNG"
+    page = result.report(tmp_path / "mine.html").read_text()
+    assert "Zero-shot evaluation: scratch" in page
+
+
+def test_a_saved_result_is_loaded_and_compared(
+    result: az.EvaluationResult, zoo: az.Zoo, tmp_path: Path
+) -> None:
+    saved = result.save(tmp_path / "still")
+    with pytest.raises(FileExistsError, match="still exists"):
+        result.save(saved)
+    again = az.load_result(saved)
+    assert isinstance(again, az.EvaluationResult) and again.to_json() == result.to_json()
+    moving = evaluate(lambda obs: np.ones((len(obs), 7)), zoo, split="both", episodes=2)
+    found = az.compare(moving, saved)
+    assert found.test["mean"] == pytest.approx(moving.m_test["mean"] - result.m_test["mean"])
+    assert repr(found).startswith("Comparison(scratch: test partners ")
+    other = evaluate(lambda obs: np.ones((len(obs), 7)), zoo, episodes=1)
+    with pytest.raises(ValueError, match="different"):
+        az.compare(other, saved)
+
+
+def test_a_temporary_folder_lives_as_long_as_the_result(zoo: az.Zoo) -> None:
+    found = evaluate("scratch/ippo-d1-s0-v0/robot", zoo)
+    folder = found.folder
+    assert (folder / tables.EPISODES_FILE).is_file()
+    del found
+    assert not folder.exists()
+
+
+def test_every_form_of_one_robot_earns_the_same(zoo: az.Zoo, tmp_path: Path) -> None:
+    """A policy file, its ONNX export, a callable, an object and an SB3-like model of one network."""
+    params = params_of(ROBOT, 3)
+    write_policy_file(tmp_path / "mine.safetensors", ROBOT, params)
+    (tmp_path / "mine.onnx").write_bytes(to_onnx(ROBOT, params))
+    partner = zoo.partner("scratch/ippo-d1-s0-v0", role="robot")
+    own = type(partner)("mine", ROBOT, params)
+
+    class Predicting:
+        def predict(self, obs: Any, state: Any, episode_start: Any, deterministic: bool) -> Any:
+            return own.act(obs), None
+
+    robots = [
+        tmp_path / "mine.safetensors",
+        str(tmp_path / "mine.onnx"),
+        own,
+        lambda obs: own.act(obs),
+        Predicting(),
+    ]
+    returns = [evaluate(robot, zoo).m_test["mean"] for robot in robots]
+    np.testing.assert_allclose(returns, returns[0], rtol=1e-3)
+    assert as_robot(own)(np.zeros((2, 34), np.float32)).shape == (2, 7)
+
+
+def test_a_list_are_seeds_of_one_method(zoo: az.Zoo) -> None:
+    found = evaluate([f"scratch/ippo-d1-s{seed}-v0/robot" for seed in (0, 1)], zoo)
+    assert found.m_test["n"] == 2 * 4 and len(found.summary["egos"]) == 2
+
+
+def test_a_crossplay_clusters_and_draws(zoo: az.Zoo, tmp_path: Path) -> None:
+    teams = "scratch/ippo-d?-s[01]-v0"
+    globs = f"{teams}/robot", f"{teams}/human"
+    options: dict[str, Any] = {"episodes": 1, "backend": "native", "progress": False}
+    found = az.cross_play(*globs, task="scratch", zoo=zoo, **options)
+    assert found.pairs.height == 16 and found.self_play["n"] == 4
+    found.plot(tmp_path / "xp.png")
+    assert (tmp_path / "xp.png").stat().st_size > 1000
+    assert "self-play" in repr(found) and "self-play" in found._repr_html_()
+    assert json.loads((found.folder / "run.json").read_text())["command"]
