@@ -36,6 +36,9 @@ COMMANDS = {
     "train-ego": "assistax_zoo.commands.train_ego:train_ego",
     "sweep": "assistax_zoo.commands.sweep:sweep",
     "render": "assistax_zoo.commands.render:render",
+    "serve": "assistax_zoo.service.commands:serve",
+    "worker": "assistax_zoo.service.commands:worker",
+    "submit": "assistax_zoo.service.commands:submit",
 }
 GROUPS = {
     "split": (
@@ -58,6 +61,35 @@ GROUPS = {
             "speed": "assistax_zoo.commands.plot:speed",
             "sweep": "assistax_zoo.commands.plot:sweep",
             "population": "assistax_zoo.commands.plot:population",
+        },
+    ),
+    "token": (
+        "Who may use an evaluation service.",
+        {
+            "create": "assistax_zoo.service.commands:token_create",
+            "list": "assistax_zoo.service.commands:token_list",
+            "revoke": "assistax_zoo.service.commands:token_revoke",
+        },
+    ),
+    "season": (
+        "Hidden partners of an evaluation service.",
+        {
+            "create": "assistax_zoo.service.commands:season_create",
+            "open": "assistax_zoo.service.commands:season_open",
+            "close": "assistax_zoo.service.commands:season_close",
+            "verify": "assistax_zoo.service.commands:season_verify",
+        },
+    ),
+    "receipt": (
+        "Signed scores.",
+        {"verify": "assistax_zoo.service.commands:receipt_verify"},
+    ),
+    "service": (
+        "Care of an evaluation service's data.",
+        {
+            "backup": "assistax_zoo.service.commands:service_backup",
+            "restore": "assistax_zoo.service.commands:service_restore",
+            "erase": "assistax_zoo.service.commands:service_erase",
         },
     ),
 }

@@ -24,7 +24,6 @@ from evaluation.jobs import Chunk, Ego, Group, HostEgo, Job, Member, ReferenceSp
 from evaluation.reference_egos import ReferencePolicy
 from evaluation.rollout import Rollout, Tally, episode_seeds
 from population.policy import Policy
-from population.spec import PolicySpec
 
 
 @dataclasses.dataclass(frozen=True)
@@ -210,9 +209,11 @@ def _run(rollout: Rollout, tile: Tile, *args: Any, **options: Any) -> Tally:
         ) from error
 
 
-def _policy(spec: PolicySpec | ReferenceSpec | None) -> Any:
+def _policy(spec: Any) -> Any:
     if isinstance(spec, ReferenceSpec):
         return ReferencePolicy(spec)
+    if hasattr(spec, "make_policy"):  # a network that is not of this project, such as from ONNX
+        return spec.make_policy()
     return None if spec is None else Policy(spec)
 
 

@@ -35,7 +35,8 @@ class Database:
             if self.is_sqlite
             else {"pool_pre_ping": True}
         )
-        self.engine = sa.create_engine(self.url, **options)
+        # Parameters may be hidden values, and errors end up in logs.
+        self.engine = sa.create_engine(self.url, hide_parameters=True, **options)
         if self.is_sqlite:
             event.listen(self.engine, "connect", _prepare_sqlite)
             event.listen(self.engine, "begin", _begin_sqlite)

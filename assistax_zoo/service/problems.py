@@ -6,7 +6,7 @@ from assistax_zoo.service.vocabulary import REFUSALS
 
 
 @dataclasses.dataclass
-class Problem(Exception):
+class Problem(ValueError):
     """A request that is not granted; nothing was changed."""
 
     code: str  # for programs: one of `CODES`

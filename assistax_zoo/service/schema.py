@@ -149,7 +149,7 @@ scores = sa.Table(
     sa.Column("version", sa.ForeignKey("versions.id"), primary_key=True),
     sa.Column("panel", sa.String(10), primary_key=True),
     sa.Column("figures", sa.JSON, nullable=False),
-    sa.Column("released", sa.JSON),  # what may be shown; null: nothing yet
+    sa.Column("released", sa.JSON(none_as_null=True)),  # what may be shown; null: nothing
     sa.Column("created_at", sa.Float, nullable=False),
 )
 

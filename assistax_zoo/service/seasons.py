@@ -166,6 +166,11 @@ def revealed(database: Database, name: str) -> dict[str, Any]:
     return {**told, "release": row.release, "leaves": row.secret["leaves"]}
 
 
+def revealed_release(database: Database, artefacts: Artefacts, name: str) -> bytes:
+    """Return the packed release of a closed season."""
+    return artefacts.get(revealed(database, name)["release"])
+
+
 def verify_season(statement: dict[str, Any], packed: bytes, root: str, folder: Path) -> int:
     """Prove that a revealed release is the one whose root was published; return its partners.
 

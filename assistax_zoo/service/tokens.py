@@ -115,6 +115,16 @@ def list_tokens(database: Database) -> list[TokenInfo]:
         ]
 
 
+def submitter_id(database: Database, name: str) -> str:
+    """Return the id of the lab of this name."""
+    c = t.submitters.c
+    with database.read() as connection:
+        found = connection.execute(sa.select(c.id).where(c.name == name)).scalar()
+    if found is None:
+        raise Problem("not_found", f"no submitter {name!r}")
+    return found
+
+
 def _submitter(connection: sa.Connection, name: str, contact: str | None, now: float) -> str:
     c = t.submitters.c
     found = connection.execute(sa.select(c.id).where(c.name == name)).scalar()

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Query, Request
+from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import BaseModel
 
 from assistax_zoo.service import seasons
@@ -119,6 +119,14 @@ def attempts(request: Request, id: str) -> list[Attempts]:
 def revealed(request: Request, id: str) -> dict[str, Any]:
     """Return the leaves of a closed season, with which anybody proves its root."""
     return seasons.revealed(request.app.state.service.database, id)
+
+
+@router.get("/seasons/{id}/release", response_class=Response)
+def release(request: Request, id: str) -> Response:
+    """Return the partners of a closed season, packed."""
+    service = request.app.state.service
+    data = seasons.revealed_release(service.database, service.artefacts, id)
+    return Response(data, media_type="application/zip")
 
 
 @router.get("/ledger")

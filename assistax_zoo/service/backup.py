@@ -1,0 +1,70 @@
+"""Backup and restore: the database as it was at one moment, the artefacts, and the signing key."""
+
+import sqlite3
+import tempfile
+import zipfile
+from pathlib import Path
+
+from assistax_zoo.service.receipts import KEY_FILE
+from assistax_zoo.service.serve import ARTEFACTS_FOLDER, DATABASE_FILE
+
+
+def back_up(data: Path, target: Path) -> int:
+    """Write a data folder to one zip while the server runs; return how many artefacts it has.
+
+    The database is copied first: artefacts are never changed and are written before the row that
+    names them, so all that the copy names are there. A PostgreSQL database and an object store
+    have their own tools; this is for the folder.
+    """
+    if not (data / DATABASE_FILE).is_file():
+        raise ValueError(f"{data} holds no {DATABASE_FILE}; give the folder of --data")
+    if target.exists():
+        raise ValueError(f"{target} exists; choose another name, a backup replaces nothing")
+    with tempfile.TemporaryDirectory(dir=target.parent) as folder:
+        copy = Path(folder) / DATABASE_FILE
+        _copy_database(data / DATABASE_FILE, copy)
+        whole = Path(folder) / target.name
+        with zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED) as archive:
+            archive.write(copy, DATABASE_FILE)
+            archive.write(data / KEY_FILE, KEY_FILE)
+            files = sorted(
+                path for path in (data / ARTEFACTS_FOLDER).glob("??/*") if _is_whole(path)
+            )
+            for path in files:
+                archive.write(path, str(path.relative_to(data)))
+        whole.chmod(0o600)
+        whole.rename(target)
+    return len(files)
+
+
+def restore(source: Path, data: Path) -> None:
+    """Write a backup to a folder that is new or empty.
+
+    Raises:
+        ValueError: The folder holds something, or the backup is no backup.
+    """
+    if data.exists() and any(data.iterdir()):
+        raise ValueError(f"{data} is not empty; restore to a new folder")
+    with zipfile.ZipFile(source) as archive:
+        names = set(archive.namelist())
+        if not {DATABASE_FILE, KEY_FILE} <= names or archive.testzip() is not None:
+            raise ValueError(f"{source} is no backup of a service, or is damaged")
+        data.mkdir(parents=True, exist_ok=True)
+        data.chmod(0o700)
+        for name in sorted(names):
+            if not (data / name).resolve().is_relative_to(data.resolve()):
+                raise ValueError(f"{source} is no backup of a service")
+            archive.extract(name, data)
+    (data / KEY_FILE).chmod(0o600)
+
+
+def _copy_database(source: Path, target: Path) -> None:
+    """Copy a database that others write to: SQLite's own way, which sees one moment."""
+    with sqlite3.connect(source) as reader, sqlite3.connect(target) as writer:
+        reader.backup(writer)
+    reader.close()
+    writer.close()
+
+
+def _is_whole(path: Path) -> bool:
+    return path.is_file() and len(path.name) == 64

@@ -1,0 +1,379 @@
+"""The commands of the service: parse, call one function, print."""
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from assistax_zoo.console import print_json
+
+if TYPE_CHECKING:
+    from assistax_zoo.service.client import Client
+    from assistax_zoo.service.service import Service
+
+SERVER = "http://127.0.0.1:8800"
+SERVER_VARIABLE, TOKEN_VARIABLE = "ASSISTAX_ZOO_SERVER", "ASSISTAX_ZOO_TOKEN"
+
+
+def serve(
+    *,
+    data: Path,
+    host: str = "127.0.0.1",
+    port: int = 8800,
+    workers: int = 1,
+    database: str | None = None,
+    artefacts: str | None = None,
+    registry: Path | None = None,
+    backend: str = "native",
+) -> None:
+    """Run the evaluation service: a web server, its data in a folder, and a local worker.
+
+    Prints the organiser's token once, when the folder is new.
+
+    Args:
+        data: Folder for the database, the artefacts and the signing key; made if it is new.
+        host: Address to listen on; 0.0.0.0 is all, behind a proxy that speaks TLS.
+        port: Port to listen on; 0 takes a free one.
+        workers: Local worker processes; 0 where all work elsewhere.
+        database: URL of a PostgreSQL database instead of SQLite in the folder.
+        artefacts: Address of a store instead of the folder, such as s3://bucket/path.
+        registry: Registry of the public partners instead of the installed one.
+        backend: Backend that plays, the same for every worker.
+
+    Example:
+        assistax-zoo serve --data board
+    """
+    serving = _module("serve")
+    _stop_gracefully()
+    service = serving.open_service(
+        data, database=database, artefacts=artefacts, registry=registry, backend=backend
+    )
+    port = serving.free_port(host, port)
+    address = f"http://{host}:{port}"
+    token = serving.first_token(service)
+    service.adopt_version()
+    print(f"serving {address} from {data}; Ctrl-C stops", file=sys.stderr, flush=True)
+    if token:
+        print(f"organiser's token, shown once: {token}", file=sys.stderr, flush=True)
+    options = ["--backend", backend, *(["--registry", str(registry)] if registry else [])]
+    own = serving.worker_token(service, data) if workers else ""
+    local = address.replace("0.0.0.0", "127.0.0.1")
+    with serving.local_workers(workers, local, own, options):
+        serving.run_server(service, host, port)
+
+
+def worker(
+    *,
+    url: str | None = None,
+    token_file: Path | None = None,
+    registry: Path | None = None,
+    backend: str = "native",
+    until_empty: bool = False,
+) -> None:
+    """Take jobs from a service and play them, until stopped.
+
+    Args:
+        url: Address of the server; default $ASSISTAX_ZOO_SERVER.
+        token_file: File with a token that may work; default the token in $ASSISTAX_ZOO_TOKEN.
+        registry: Registry of the public partners instead of the installed one.
+        backend: Backend that plays, the server's.
+        until_empty: Stop when nothing waits.
+
+    Example:
+        assistax-zoo worker --url https://board.example.org --token-file worker-token
+    """
+    working = _module("working_process")
+    client = _client(url, token_file)
+    working.run_worker(client, registry, backend, until_empty=until_empty)
+
+
+def submit(
+    file: Path | None = None,
+    /,
+    *,
+    task: str,
+    method: str = "mine",
+    season: str | None = None,
+    licence: str = "evaluation-only",
+    live: str | None = None,
+    check: bool = False,
+    watch: bool = False,
+    url: str | None = None,
+    token_file: Path | None = None,
+    registry: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Hand a robot in to a service, or check at home what the service will say.
+
+    Args:
+        file: The robot: .safetensors of this project, or .onnx.
+        task: Task, such as scratch.
+        method: Name on the board; submissions of one name are seeds of one method.
+        season: Season to take part in; default the public board alone.
+        licence: What others may do with the file: evaluation-only, or a licence such as MIT.
+        live: A robot that stays here instead of a file, such as python:mine:make.
+        check: Only check: the server's own admission, and a few episodes with public partners.
+        watch: Wait for the end, and print place and time left.
+        url: Address of the server; default $ASSISTAX_ZOO_SERVER, else this machine's.
+        token_file: File with your token; default the token in $ASSISTAX_ZOO_TOKEN.
+        registry: Registry to check with instead of the installed one.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo submit robot.onnx --task scratch --check
+    """
+    if (file is None) == (live is None):
+        raise ValueError("give a file, or --live with a robot such as python:mine:make")
+    submitting = _module("submitting")
+    if check:
+        if file is None:
+            raise ValueError("--check is about a file; a live robot is tried with `evaluate`")
+        answer = submitting.check_file(file, task, registry)
+    else:
+        fields = {"task": task, "method": method, "season": season, "licence": licence}
+        client = _client(url, token_file)
+        answer = submitting.hand_in(client, file, live, fields, watch=watch)
+    _print(answer, json)
+
+
+def token_create(
+    *scopes: Literal["submit", "work", "organise"],
+    data: Path,
+    submitter: str | None = None,
+    contact: str | None = None,
+    label: str = "",
+    database: str | None = None,
+) -> None:
+    """Make a token and print it: the only time that it is seen.
+
+    Args:
+        scopes: What it may do.
+        data: Folder of the service.
+        submitter: Lab that submits with it; made if it is new.
+        contact: How to reach a new lab.
+        label: For `token list`.
+        database: URL, where it is not the folder's.
+
+    Example:
+        assistax-zoo token create submit --submitter 'Lab of Ada' --data board
+    """
+    options = {"submitter": submitter, "contact": contact, "label": label}
+    print(_service(data, database).create_token(scopes, **options))
+
+
+def token_list(*, data: Path, database: str | None = None, json: bool = False) -> None:
+    """List the tokens; their secrets are known to nobody but their owners.
+
+    Args:
+        data: Folder of the service.
+        database: URL, where it is not the folder's.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo token list --data board
+    """
+    import dataclasses
+
+    tokens = _module("tokens").list_tokens(_service(data, database).database)
+    _print([dataclasses.asdict(token) for token in tokens], json)
+
+
+def token_revoke(id: str, /, *, data: Path, database: str | None = None) -> None:
+    """Make a token invalid.
+
+    Args:
+        id: As `token list` shows it.
+        data: Folder of the service.
+        database: URL, where it is not the folder's.
+
+    Example:
+        assistax-zoo token revoke 7kq2mz4a --data board
+    """
+    service = _service(data, database)
+    _module("tokens").revoke_token(service.database, service.clock(), id)
+
+
+def season_create(
+    name: str,
+    /,
+    *,
+    data: Path,
+    task: str,
+    release: Path,
+    budget: int = 20,
+    rules: Path | None = None,
+    small: bool = False,
+    database: str | None = None,
+    artefacts: str | None = None,
+) -> None:
+    """Make a season of a private release, which nobody sees yet.
+
+    Args:
+        name: Name of the season.
+        data: Folder of the service.
+        task: Task.
+        release: Folder of the private release: its registry.json and shards.
+        budget: Attempts of each lab.
+        rules: File with the season's rules; default those of docs/service.md.
+        small: Allow a panel B of fewer than 60 partners.
+        database: URL, where it is not the folder's.
+        artefacts: Address, where it is not the folder's.
+
+    Example:
+        assistax-zoo season create spring --task scratch --release private --data board
+    """
+    from zoo.registry import load_registry
+
+    seasons = _module("seasons")
+    text = seasons.DEFAULT_RULES if rules is None else rules.read_text(encoding="utf-8")
+    plan = seasons.Plan(name, task, budget, text, small)
+    service = _service(data, database, artefacts)
+    print(service.create_season(plan, release, load_registry()))
+
+
+def season_open(name: str, /, *, data: Path, database: str | None = None) -> None:
+    """Publish a season's Merkle root and let labs submit; print the root.
+
+    Args:
+        name: Name or id of the season.
+        data: Folder of the service.
+        database: URL, where it is not the folder's.
+
+    Example:
+        assistax-zoo season open spring --data board
+    """
+    print(_service(data, database).open_season(name))
+
+
+def season_close(name: str, /, *, data: Path, database: str | None = None) -> None:
+    """Take no more submissions; workers play panel B, then everything is revealed.
+
+    Args:
+        name: Name or id of the season.
+        data: Folder of the service.
+        database: URL, where it is not the folder's.
+
+    Example:
+        assistax-zoo season close spring --data board
+    """
+    _service(data, database).close_season(name)
+
+
+def season_verify(name: str, /, *, root: str, url: str | None = None, json: bool = False) -> None:
+    """Prove that the partners that a closed season reveals are those it opened with.
+
+    Args:
+        name: Name or id of the season.
+        root: Merkle root as it was published when the season opened; keep a copy of your own.
+        url: Address of the server; default $ASSISTAX_ZOO_SERVER, else this machine's.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo season verify spring --root 3f0c...
+    """
+    _print(_module("submitting").verify_revealed(_client(url, None), name, root), json)
+
+
+def receipt_verify(file: Path, /, *, key: str, json: bool = False) -> None:
+    """Check a receipt without the server, and print what it states.
+
+    Args:
+        file: The receipt, as `submit --watch --json` or the web page gave it.
+        key: The server's public key, as GET /api/about shows it.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo receipt verify receipt.json --key 'mB0r...='
+    """
+    import json as decoder
+
+    receipt = decoder.loads(file.read_text(encoding="utf-8"))
+    _print(_module("receipts").verify_receipt(receipt, key), json)
+
+
+def service_backup(target: Path, /, *, data: Path) -> None:
+    """Write a service's folder to one file, while it runs.
+
+    Args:
+        target: File to write.
+        data: Folder of the service.
+
+    Example:
+        assistax-zoo service backup board.zip --data board
+    """
+    count = _module("backup").back_up(data, target)
+    print(f"{target} has the database, the key and {count} artefacts")
+
+
+def service_restore(source: Path, /, *, data: Path) -> None:
+    """Write a backup to a new folder.
+
+    Args:
+        source: The backup.
+        data: Folder to make.
+
+    Example:
+        assistax-zoo service restore board.zip --data board2
+    """
+    _module("backup").restore(source, data)
+
+
+def service_erase(submitter: str, /, *, data: Path, database: str | None = None) -> None:
+    """Erase a lab: name, contact, method names and files; hashes and scores stay.
+
+    Args:
+        submitter: Name of the lab.
+        data: Folder of the service.
+        database: URL, where it is not the folder's.
+
+    Example:
+        assistax-zoo service erase 'Lab of Ada' --data board
+    """
+    service = _service(data, database)
+    service.erase_submitter(_module("tokens").submitter_id(service.database, submitter))
+
+
+def _module(name: str) -> Any:
+    """Import a module of the service, or say what to install."""
+    import importlib
+
+    try:
+        return importlib.import_module(f"assistax_zoo.service.{name}")
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("assistax_zoo"):
+            raise
+        raise ValueError(
+            f"the service needs {error.name}: pip install 'assistax-zoo[service]'"
+        ) from None
+
+
+def _service(data: Path, database: str | None, artefacts: str | None = None) -> "Service":
+    """Open the service of a folder that exists: a mistyped one must not make a new service."""
+    serving = _module("serve")
+    if not (data / "signing-key.pem").is_file():
+        raise ValueError(f"{data} is no folder of a service; `assistax-zoo serve` makes one")
+    return serving.open_service(data, database=database, artefacts=artefacts)
+
+
+def _client(url: str | None, token_file: Path | None) -> "Client":
+    address = url or os.environ.get(SERVER_VARIABLE) or SERVER
+    token = token_file.read_text().strip() if token_file else os.environ.get(TOKEN_VARIABLE)
+    return _module("client").Client(address, token)
+
+
+def _stop_gracefully() -> None:
+    """Let the server itself handle Ctrl-C: other commands end within two seconds."""
+    import signal
+
+    signal.set_wakeup_fd(-1)
+
+
+def _print(answer: Any, json: bool) -> None:
+    if json:
+        print_json(answer)
+    elif isinstance(answer, list):
+        for row in answer:
+            print("  ".join(f"{name} {value}" for name, value in row.items() if value is not None))
+    else:
+        for name, value in answer.items():
+            print(f"{name}: {value}")

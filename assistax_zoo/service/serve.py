@@ -1,0 +1,163 @@
+"""The embedded service: one command, a folder, and workers as processes of their own.
+
+DIR/service.db      SQLite, if no other database is given
+DIR/artefacts/      robots, results and private releases by sha256, if no store is given
+DIR/signing-key.pem
+DIR/worker-token    of the local workers; only the owner can read it
+"""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+from assistax_zoo.service import tokens
+from assistax_zoo.service.artefacts import Artefacts
+from assistax_zoo.service.catalogue import ZooCatalogue
+from assistax_zoo.service.database import Database
+from assistax_zoo.service.receipts import load_signer
+from assistax_zoo.service.service import Service
+
+DATABASE_FILE, ARTEFACTS_FOLDER = "service.db", "artefacts"
+WORKER_TOKEN_FILE = "worker-token"
+STOP_SECONDS = 20  # for requests and jobs that are under way
+TOKEN_VARIABLE = "ASSISTAX_ZOO_TOKEN"
+
+
+def open_service(
+    data: Path,
+    *,
+    database: str | None = None,
+    artefacts: str | None = None,
+    registry: Path | None = None,
+    backend: str = "native",
+) -> Service:
+    """Return the service of a data folder, its schema at the newest version.
+
+    Args:
+        data: The folder; made if it is new.
+        database: URL of another database than the folder's.
+        artefacts: Address of another store than the folder's, such as s3://bucket/path.
+        registry: Of the public partners; the installed one if not given.
+        backend: What plays the episodes, part of every score's version.
+    """
+    from assistax_zoo.service.admission import Admission, robot_sizes
+    from zoo.registry import load_registry
+
+    data.mkdir(parents=True, exist_ok=True)
+    data.chmod(0o700)  # robots, tokens' hashes and private releases are nobody else's business
+    opened = Database(database or f"sqlite:///{(data / DATABASE_FILE).absolute()}")
+    opened.upgrade()
+    loaded = load_registry(registry)
+    return Service(
+        opened,
+        Artefacts(artefacts or str((data / ARTEFACTS_FOLDER).absolute())),
+        ZooCatalogue(loaded, backend),
+        load_signer(data),
+        Admission(robot_sizes(loaded)),
+    )
+
+
+def first_token(service: Service) -> str | None:
+    """Return a token of the organiser, if this service never had one: it is shown once."""
+    if any("organise" in token.scopes for token in tokens.list_tokens(service.database)):
+        return None
+    return service.create_token(("organise", "submit"), label="first", submitter="organiser")
+
+
+def worker_token(service: Service, data: Path) -> str:
+    """Return the token of the local workers, kept in a file that only the owner reads."""
+    path = data / WORKER_TOKEN_FILE
+    with contextlib.suppress(Exception):
+        token = path.read_text().strip()
+        tokens.authenticate(service.database, token)
+        return token
+    token = service.create_token(("work",), label="local workers")
+    descriptor = os.open(path, os.O_CREAT | os.O_WRONLY | os.O_TRUNC, 0o600)
+    with os.fdopen(descriptor, "w") as file:
+        file.write(token)
+    return token
+
+
+def run_server(service: Service, host: str, port: int) -> None:
+    """Serve until SIGINT or SIGTERM; requests under way are answered first."""
+    import uvicorn
+
+    from assistax_zoo.service.api.app import create_app
+    from assistax_zoo.service.api.operations import log_to_stderr
+
+    log_to_stderr()
+    config = uvicorn.Config(
+        create_app(service),
+        host=host,
+        port=port,
+        log_level="warning",
+        access_log=False,  # it would hold addresses and queries; ours holds routes
+        timeout_graceful_shutdown=STOP_SECONDS,
+        limit_concurrency=1000,
+        ws_max_size=4 * 1024 * 1024,
+        server_header=False,
+    )
+    uvicorn.Server(config).run()
+
+
+@contextlib.contextmanager
+def local_workers(count: int, address: str, token: str, options: list[str]) -> Generator[None]:
+    """Run workers as processes, start them again when they die, and stop them at the end."""
+    over = threading.Event()
+    threads = [
+        threading.Thread(target=_keep_working, args=(over, address, token, options))
+        for _ in range(count)
+    ]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        for thread in threads:
+            thread.join()
+
+
+def _keep_working(over: threading.Event, address: str, token: str, options: list[str]) -> None:
+    command = [sys.executable, "-m", "assistax_zoo", "worker", "--url", address, *options]
+    environment = {**os.environ, TOKEN_VARIABLE: token}
+    while not over.is_set():
+        began = time.monotonic()
+        # A group of its own: Ctrl-C reaches the server alone, which then stops its workers.
+        process = subprocess.Popen(command, env=environment, start_new_session=True)
+        while process.poll() is None and not over.wait(0.5):
+            pass
+        if process.poll() is None:
+            _stop(process)
+        elif time.monotonic() - began < 5:
+            over.wait(5)  # one that cannot start must not be started all the time
+
+
+def _stop(process: Any) -> None:
+    process.send_signal(signal.SIGTERM)
+    try:
+        process.wait(STOP_SECONDS)
+    except subprocess.TimeoutExpired:
+        process.kill()  # its lease runs out
+        process.wait()
+
+
+def free_port(host: str, port: int) -> int:
+    """Return the port, or a free one if it is 0; say so now if it is taken."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise ValueError(
+                f"cannot listen on {host}:{port} ({error.strerror}); choose another --port"
+            ) from error
+        return probe.getsockname()[1]

@@ -1,0 +1,111 @@
+"""What a submitter's command does: check at home, hand in, watch, verify."""
+
+import dataclasses
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from assistax_zoo.service import seasons
+from assistax_zoo.service.admission import Admission, robot_sizes
+from assistax_zoo.service.catalogue import PUBLIC_SEED, ZooCatalogue
+from assistax_zoo.service.client import Client
+from assistax_zoo.service.ids import new_id
+from assistax_zoo.service.problems import Refusal
+from assistax_zoo.service.scoring import Work
+from assistax_zoo.service.submissions import MAX_BYTES
+from assistax_zoo.service.vocabulary import FINAL_STATES
+from assistax_zoo.service.zoo_scorer import ZooScorer
+
+CHECK_PARTNERS, CHECK_EPISODES = 3, 2
+POLL_SECONDS = 2.0
+
+
+def read_file(path: Path) -> bytes:
+    """Return a robot's file; one that is too large is not read."""
+    if not path.is_file():
+        raise ValueError(f"{path} is no file; give a .safetensors or an .onnx")
+    if path.stat().st_size > MAX_BYTES:
+        raise Refusal("too_large", f"{path.stat().st_size} bytes")
+    return path.read_bytes()
+
+
+def check_file(path: Path, task: str, registry: Path | None = None) -> dict[str, Any]:
+    """Run the server's admission here, and a few episodes with public partners.
+
+    Raises:
+        Refusal: What the server would say.
+    """
+    from zoo.registry import load_registry
+
+    loaded = load_registry(registry)
+    data = read_file(path)
+    sizes = robot_sizes(loaded)
+    if task not in sizes:
+        raise ValueError(f"task is {task!r}; allowed are {', '.join(sizes)}")
+    format = Admission(sizes)(data, task)
+    catalogue = ZooCatalogue(loaded, "native")
+    panel = catalogue.public_panel(task)
+    partners = tuple(each.id for each in panel[:: max(1, len(panel) // CHECK_PARTNERS)])
+    work = _try_work(task, format, partners[:CHECK_PARTNERS])
+    table = ZooScorer(loaded, catalogue, "native").play(work, data, None)
+    return {
+        "check": "admitted",
+        "format": format,
+        "partners": len(work.partners),
+        "episodes": table.height,
+        "mean_return": round(float(table["return"].to_numpy().mean()), 1),
+        "nonfinite": int(table["nonfinite"].sum()),
+        "note": "a few episodes say that it plays, not how well",
+    }
+
+
+def hand_in(
+    client: Client, file: Path | None, live: str | None, fields: dict[str, Any], *, watch: bool
+) -> dict[str, Any]:
+    """Submit a file or play a live robot, and return the submission as it then stands."""
+    data = b"" if file is None else read_file(file)
+    given = {name: value for name, value in fields.items() if value is not None}
+    kind = "live" if live else "file"
+    submission = client.submit(data, request_id=new_id(20), kind=kind, **given)
+    if live:
+        raise ValueError("live robots are not served yet; submit a file")
+    return watch_submission(client, submission["id"]) if watch or live else submission
+
+
+def watch_submission(client: Client, id: str) -> dict[str, Any]:
+    """Wait for a submission's end; say place and time left whenever they change."""
+    told = None
+    while True:
+        found = client.submission(id)
+        if found["state"] in FINAL_STATES:
+            break
+        line = f"{found['state']}, {found['jobs_done']} of {found['jobs']} jobs done"
+        if found["place"]:
+            line += f", place {found['place']}, about {found['eta_seconds']:.0f} s left"
+        if line != told:
+            print(line, file=sys.stderr, flush=True)
+            told = line
+        time.sleep(POLL_SECONDS)
+    if found["state"] != "scored":
+        return found
+    scores = {score["panel"]: score["figures"] for score in client.scores(id)}
+    return {**found, "scores": scores, "receipt": client.receipt(id)}
+
+
+def verify_revealed(client: Client, name: str, root: str) -> dict[str, Any]:
+    """Fetch what a closed season reveals and hold it against the root; return what was proved."""
+    statement = client.call("GET", f"/api/seasons/{name}/revealed").json()
+    packed = client.call("GET", f"/api/seasons/{name}/release").content
+    with tempfile.TemporaryDirectory() as folder:
+        count = seasons.verify_season(statement, packed, root, Path(folder))
+    return {"season": statement["name"], "root": root, "partners": count, "proved": True}
+
+
+def _try_work(task: str, format: str, partners: tuple[str, ...]) -> Work:
+    """Return a piece of work that no server knows."""
+    fields: dict[str, Any] = dict.fromkeys(field.name for field in dataclasses.fields(Work))
+    fields |= {"task": task, "kind": "file", "format": format, "panel": "public"}
+    fields |= {"partners": partners, "episodes": CHECK_EPISODES, "seed": f"{PUBLIC_SEED + 1:x}"}
+    return Work(**fields)

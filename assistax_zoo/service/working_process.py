@@ -1,0 +1,33 @@
+"""A worker as a process: its signals, its log, its scorer."""
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+from assistax_zoo.service.api.operations import log_to_stderr
+from assistax_zoo.service.catalogue import ZooCatalogue
+from assistax_zoo.service.client import Client
+from assistax_zoo.service.worker import Worker
+from assistax_zoo.service.zoo_scorer import ZooScorer
+
+
+def run_worker(
+    client: Client, registry: Path | None, backend: str, *, until_empty: bool = False
+) -> None:
+    """Work until SIGINT or SIGTERM; a job under way is given back."""
+    from zoo.registry import load_registry
+
+    log_to_stderr()
+    loaded = load_registry(registry)
+    scorer = ZooScorer(loaded, ZooCatalogue(loaded, backend), backend)
+    signal.signal(signal.SIGTERM, _leave)
+    try:
+        Worker(client, scorer).run(until_empty=until_empty)
+    except SystemExit:
+        # Threads of XLA may still run: the interpreter's shutdown would unload what they call.
+        os._exit(0)
+
+
+def _leave(*_: Any) -> None:
+    raise SystemExit(0)

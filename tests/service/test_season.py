@@ -1,0 +1,210 @@
+"""The hidden half: what leaves the server, what an attempt costs, and that a reveal is proof."""
+
+import json
+from pathlib import Path
+
+import polars as pl
+import pytest
+import sqlalchemy as sa
+from starlette.testclient import TestClient
+
+from assistax_zoo.service import schema as t
+from assistax_zoo.service import seasons
+from assistax_zoo.service.api.app import create_app
+from assistax_zoo.service.merkle import merkle_root
+from assistax_zoo.service.problems import Problem
+from assistax_zoo.service.service import Service
+from tests.service.fakes import (
+    TASK,
+    FakeScorer,
+    advance,
+    draft,
+    new_service,
+    new_submitter,
+    shown,
+    take,
+    work_off,
+)
+
+SIZE = 30  # partners of each panel
+
+
+def open_season(service: Service, budget: int = 3) -> str:
+    """Put a season of made-up partners into the database, as `create_season` would."""
+    leaves = [{"seeds": {"A": "a1" * 16, "B": "b2" * 16}, "salt": "00"}]
+    leaves += [
+        {"ordinal": f"hidden-{i:04d}", "panel": "AB"[i % 2], "policy": f"secret-{i}", "sha256": "0"}
+        for i in range(2 * SIZE)
+    ]
+    row = {
+        "id": "season1",
+        "name": "spring",
+        "task": TASK,
+        "state": "draft",
+        "budget": budget,
+        "rules": "",
+        "release": "0" * 64,
+        "secret": {"leaves": leaves},
+        "panel_sizes": {"A": SIZE, "B": SIZE},
+        "created_at": 0.0,
+    }
+    with service.database.write() as connection:
+        connection.execute(sa.insert(t.seasons).values(row))
+    assert service.open_season("spring") == merkle_root(leaves)
+    return row["id"]
+
+
+def test_a_season_from_its_opening_to_its_reveal(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    season, submitter = open_season(service), new_submitter(service)
+    id = service.submit(submitter, draft(2.0, season=season))
+    assert work_off(service) == 3 + 2
+    assert (shown(service, id).state, shown(service, id).attempt) == ("scored", "spent")
+    panels = {score.panel: score.figures for score in service.queries.scores(submission=id)}
+    assert panels.keys() == {"public", "A"}
+    assert panels["A"].keys() == {"mean", "n"}
+    with pytest.raises(Problem, match="is open"):
+        seasons.revealed(service.database, season)
+    service.close_season("spring")
+    assert work_off(service) == 2
+    panels = {score.panel: score.figures for score in service.queries.scores(submission=id)}
+    assert panels["B"]["n"] == SIZE
+    told = seasons.revealed(service.database, season)
+    assert merkle_root(told["leaves"]) == told["root"]
+
+
+def test_nothing_hidden_is_in_any_answer(tmp_path: Path) -> None:
+    """What anybody may read while a season runs has no ordinal, seed, salt or return."""
+    service = new_service(tmp_path)
+    season, submitter = open_season(service), new_submitter(service)
+    id = service.submit(submitter, draft(2.0, season=season))
+    hidden = hidden_words(service)
+    work_off(service)
+    app = create_app(service)
+    http = TestClient(app, raise_server_exceptions=False)
+    paths = [path for path, methods in app.openapi()["paths"].items() if "get" in methods]
+    assert len(paths) > 10
+    texts = []
+    for path in paths:
+        for name in (id, season, "spring"):
+            found = http.get(path.replace("{id}", name).replace("{task}", TASK))
+            texts.append(found.text)
+    assert any('"panel":"A"' in text for text in texts)
+    assert [word for word in hidden for text in texts if word in text] == []
+
+
+def test_a_planted_leak_is_found(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    open_season(service)
+    assert any(word in json.dumps({"partner": "hidden-0007"}) for word in hidden_words(service))
+
+
+def hidden_words(service: Service) -> list[str]:
+    scorer = FakeScorer()
+    with service.database.read() as connection:
+        [secret] = connection.execute(sa.select(t.seasons.c.secret)).scalars()
+    returns = []
+    service.submit(new_submitter(service, "probe"), draft(2.0, season="season1"))
+    for panel in ("A", "B"):
+        names = seasons.panel_partners(secret["leaves"], panel)
+        work = take(service)
+        seed = seasons.panel_seed(secret["leaves"], panel)
+        fields = {**vars(work), "partners": tuple(names), "seed": seed}
+        table = scorer.play(type(work)(**fields), b"robot 2.0", None)
+        returns += [str(value) for value in table["return"].cast(pl.Float32)]
+        service.give_back(work.job, work.lease)
+    words = ["hidden-0", "secret-", "a1a1", "b2b2", "salt"]
+    return words + returns
+
+
+def test_the_budget_is_counted_and_refunded(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    season, submitter = open_season(service, budget=2), new_submitter(service)
+    first = service.submit(submitter, draft(1.0, "r1", season=season))
+    service.submit(submitter, draft(1.0, "r2", season=season))
+    with pytest.raises(Problem, match="all 2 attempts"):
+        service.submit(submitter, draft(1.0, "r3", season=season))
+    service.withdraw(first, submitter)  # before it met anybody hidden
+    assert shown(service, first).attempt == "refunded"
+    service.submit(submitter, draft(1.0, "r4", season=season))
+    work_off(service)
+    [attempts] = service.queries.attempts(season)
+    assert (attempts.spent, attempts.reserved, attempts.left) == (2, 0, 0)
+
+
+def test_a_refused_file_costs_no_attempt(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    season, submitter = open_season(service, budget=1), new_submitter(service)
+    service.submit(submitter, draft(request="r1", season=season, data=b"pickle"))
+    id = service.submit(submitter, draft(request="r2", season=season, data=b"broken"))
+    work_off(service)
+    assert (shown(service, id).state, shown(service, id).attempt) == ("refused", "refunded")
+    service.submit(submitter, draft(request="r3", season=season))
+
+
+def test_who_met_hidden_partners_cannot_take_the_attempt_back(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    season, submitter = open_season(service), new_submitter(service)
+    id = service.submit(submitter, draft(season=season))
+    work_off(service, most=3)  # the public half
+    assert take(service).panel == "A"
+    service.withdraw(id, submitter)
+    assert (shown(service, id).reason, shown(service, id).attempt) == ("withdrawn", "spent")
+
+
+def test_breaking_down_before_hidden_partners_is_no_free_answer(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    season, submitter = open_season(service), new_submitter(service)
+    id = service.submit(submitter, draft(season=season))
+    work_off(service, most=3)
+    work = take(service)
+    service.job_refused(work.job, work.lease, "not_finite")
+    assert (shown(service, id).reason, shown(service, id).attempt) == ("broke_down", "spent")
+
+
+def test_no_hidden_partner_is_met_before_the_public_half_is_done(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    season = open_season(service)
+    service.submit(new_submitter(service), draft(season=season))
+    held = [take(service).panel for _ in range(3)]
+    assert held == ["public"] * 3
+    assert service.lease("w", FakeScorer().versions()) is None
+
+
+def test_the_ladder_is_silent_without_an_improvement(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    season, submitter = open_season(service, budget=9), new_submitter(service)
+    shown_means = []
+    for number, strength in enumerate((1.0, 1.0, 0.5, 5.0)):
+        id = service.submit(submitter, draft(strength, f"r{number}", season=season))
+        work_off(service)
+        advance(service, 1.0)
+        scores = {s.panel: s.figures["mean"] for s in service.queries.scores(submission=id)}
+        shown_means.append(scores.get("A"))
+    assert shown_means[0] == pytest.approx(1.5, abs=0.2)
+    assert shown_means[1:3] == [None, None]
+    assert shown_means[3] == pytest.approx(5.5, abs=0.2)
+
+
+def test_closing_refunds_what_was_not_played(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    season = open_season(service)
+    id = service.submit(new_submitter(service), draft(season=season))
+    service.close_season("spring")
+    found = shown(service, id)
+    assert (found.state, found.reason, found.attempt) == ("failed", "season_closed", "refunded")
+    closed = service.queries.season(season)
+    assert closed is not None
+    assert closed.state == "closed"
+    with pytest.raises(Problem, match="only an open one"):
+        service.submit(new_submitter(service), draft(request="late", season=season))
+
+
+def test_another_root_proves_nothing(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    season = open_season(service)
+    service.close_season("spring")
+    told = seasons.revealed(service.database, season)
+    told["leaves"][3]["panel"] = "B"
+    with pytest.raises(ValueError, match="not those whose root"):
+        seasons.verify_season(told, b"", told["root"], tmp_path)
