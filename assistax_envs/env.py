@@ -11,7 +11,13 @@ import numpy as np
 
 from assistax_envs.disability import DISABILITY_SETTINGS, Disability
 from assistax_envs.models import build_model
-from assistax_envs.physics import SUBSTEPS, PhysicsState, make_physics, resolve_backend
+from assistax_envs.physics import (
+    SUBSTEPS,
+    PhysicsState,
+    engine,
+    make_physics,
+    resolve_backend,
+)
 from assistax_envs.tasks import TASK_CLASSES, Measures, Sensors, Task
 from assistax_envs.tasks.base import HUMAN_ACTUATORS, HUMAN_JOINTS, ROBOT_JOINTS
 from assistax_envs.tremor import TremorFilter
@@ -65,6 +71,7 @@ class Env:
         self.task = task
         self.backend = resolve_backend(backend)
         self.version = VERSIONS[task]
+        self.engine: dict[str, str] = engine(self.backend)
         self.episode_length = EPISODE_LENGTH
         self.model: mujoco.MjModel = build_model(task)
         self._task: Task = TASK_CLASSES[task](self.model, weights, **options)
@@ -244,8 +251,8 @@ def make(
 
     Args:
         task: one of `TASKS`.
-        backend: "native" (CPU threads), "mjx" (XLA), "mjx-warp" (NVIDIA GPU), or "auto": the
-            fastest one here.
+        backend: "fused" (CPUs and NVIDIA GPUs), "native" (MuJoCo on CPU threads), "mjx" (XLA),
+            "mjx-warp" (NVIDIA GPUs), or "auto": the fastest one here.
         weights: reward weights by term that replace those of Table 5.
         options: of the task; arm assist has `rotation`, "printed" (default) or "aligned".
 

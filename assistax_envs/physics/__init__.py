@@ -1,17 +1,27 @@
 """Physics backends behind one protocol."""
 
+import importlib.metadata
+
 import jax
 import mujoco
 
 from assistax_envs.physics.base import SUBSTEPS, Physics, PhysicsState
 
-BACKENDS: tuple[str, ...] = ("native", "mjx", "mjx-warp")
+BACKENDS: tuple[str, ...] = ("fused", "native", "mjx", "mjx-warp")
 
-__all__ = ["BACKENDS", "SUBSTEPS", "Physics", "PhysicsState", "make_physics", "resolve_backend"]
+__all__ = [
+    "BACKENDS",
+    "SUBSTEPS",
+    "Physics",
+    "PhysicsState",
+    "engine",
+    "make_physics",
+    "resolve_backend",
+]
 
 
 def resolve_backend(backend: str) -> str:
-    """Return the backend that `backend` names: "auto" is the fastest one here, the others are themselves."""
+    """Return the backend that `backend` names: "auto" is the fastest one that runs here."""
     if backend == "auto":
         return _fastest_backend()
     if backend not in BACKENDS:
@@ -21,6 +31,10 @@ def resolve_backend(backend: str) -> str:
 
 def make_physics(model: mujoco.MjModel, backend: str) -> Physics:
     """Make the backend named `backend`, one of `BACKENDS`, for `model`."""
+    if backend == "fused":
+        from assistax_envs.physics.fused.backend import FusedPhysics
+
+        return FusedPhysics(model)
     if backend == "native":
         from assistax_envs.physics.native import NativePhysics
 
@@ -28,6 +42,20 @@ def make_physics(model: mujoco.MjModel, backend: str) -> Physics:
     from assistax_envs.physics.mjx import MjxPhysics
 
     return MjxPhysics(model, "warp" if backend == "mjx-warp" else "jax")
+
+
+def engine(backend: str) -> dict[str, str]:
+    """Return the "name" and "version" of what computes a backend's physics.
+
+    Another version may give other numbers, in the last bits or more, for the same version of the
+    environment.
+    """
+    if backend == "fused":
+        from assistax_envs.physics.fused.program import VERSION
+
+        return {"name": backend, "version": str(VERSION)}
+    package = "mujoco" if backend == "native" else "mujoco-mjx"
+    return {"name": backend, "version": importlib.metadata.version(package)}
 
 
 def _fastest_backend() -> str:

@@ -20,7 +20,7 @@ class PhysicsState:
 
 
 class Physics(Protocol):
-    """A backend. Both methods stand inside jit and scan; neither may be mapped: the batch axis is theirs."""
+    """A backend. Its methods stand inside jit and scan, and may not be mapped: they are batched."""
 
     model: mujoco.MjModel
 
@@ -34,5 +34,8 @@ class Physics(Protocol):
     def step(
         self, state: PhysicsState, control: jax.Array, joint_range: jax.Array
     ) -> tuple[PhysicsState, jax.Array]:
-        """Advance by `SUBSTEPS` under `control` [N, nu]; the sensor values are those before the last substep."""
+        """Advance by `SUBSTEPS` under `control` [N, nu], and return the sensor values as well.
+
+        As MuJoCo defines them, those are of the state before the last substep.
+        """
         ...

@@ -24,7 +24,7 @@ CONTACTS_PER_SENSOR = (
 
 
 class MjxPhysics:
-    """`mjx.step` mapped over the batch; `implementation` is "jax" (XLA) or "warp" (NVIDIA GPUs only)."""
+    """`mjx.step` mapped over the batch, by implementation "jax" (XLA) or "warp" (NVIDIA GPUs)."""
 
     def __init__(self, model: mujoco.MjModel, implementation: str = "jax") -> None:
         with stdout_is_data():  # mjx and warp print when imported
@@ -93,7 +93,7 @@ class MjxPhysics:
         )[0]
 
     def _template(self, size: int):
-        """Return data that every simulation starts a control step from; Warp's buffers are for the whole batch."""
+        """Return data that a control step starts from; Warp's buffers are for the whole batch."""
         if self._implementation == "warp":
             return self._mjx.make_data(
                 self.model,
@@ -141,9 +141,9 @@ def _without_sensors(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def _tuned(mjx_model):
-    """Silence Warp's lines about a bounded solver, which is meant, and shrink a buffer that is cleared every step.
+    """Silence Warp's lines about a bounded solver, which is meant; overflowing buffers still speak.
 
-    Overflowing buffers still speak.
+    A buffer that is cleared every step is made smaller.
     """
     from mujoco.mjx.third_party import mujoco_warp
 

@@ -17,7 +17,7 @@ _LOCK = threading.Lock()
 
 
 class NativePhysics:
-    """A `mujoco.batch.Batch` for each batch size, stateless between calls: results depend on the arguments alone."""
+    """A `mujoco.batch.Batch` for each batch size; results depend on the arguments alone."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = copy.copy(model)

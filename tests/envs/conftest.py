@@ -9,7 +9,7 @@ import numpy as np
 import assistax_envs
 from assistax_envs import Env, EnvState
 
-BACKENDS = ("native", "mjx")
+BACKENDS = ("fused", "native", "mjx")
 
 
 @functools.cache

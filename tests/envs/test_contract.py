@@ -26,6 +26,11 @@ each_task_and_backend = pytest.mark.parametrize(
     ("task", "backend"), [(task, backend) for task in TASKS for backend in BACKENDS]
 )
 
+QUICK = ("fused", "native")
+each_quick_one = pytest.mark.parametrize(
+    ("task", "backend"), [(task, backend) for task in TASKS for backend in QUICK]
+)
+
 
 @each_task_and_backend
 def test_shapes_and_types(task: str, backend: str) -> None:
@@ -68,36 +73,37 @@ def test_a_whole_episode_stays_finite_and_ends_by_time(
     assert int(states[-1].step[0]) == env.episode_length
 
 
-@pytest.mark.parametrize("task", TASKS)
-def test_resets_are_the_same_bits_on_every_backend(task: str) -> None:
-    native, mjx = (start(task, backend, SETTINGS, seed=7) for backend in BACKENDS)
+@each_task_and_backend
+def test_resets_are_the_same_bits_on_every_backend(task: str, backend: str) -> None:
+    native, other = (start(task, name, SETTINGS, seed=7) for name in ("native", backend))
     for name in ("qpos", "qvel", "warmstart"):
-        np.testing.assert_array_equal(getattr(native.physics, name), getattr(mjx.physics, name))
-    jax.tree.map(np.testing.assert_array_equal, native.task, mjx.task)
-    np.testing.assert_allclose(native.obs["global"], mjx.obs["global"], atol=1e-5)
+        np.testing.assert_array_equal(getattr(native.physics, name), getattr(other.physics, name))
+    jax.tree.map(np.testing.assert_array_equal, native.task, other.task)
+    np.testing.assert_allclose(native.obs["global"], other.obs["global"], atol=1e-5)
 
 
-@pytest.mark.parametrize("task", TASKS)
-def test_backends_agree_over_the_first_steps(task: str) -> None:
+@each_task_and_backend
+def test_backends_agree_over_the_first_steps(task: str, backend: str) -> None:
     actions = random_actions(4, 20, seed=2)
-    native, mjx = (
-        play(task, backend, start(task, backend, SETTINGS, seed=3), actions) for backend in BACKENDS
+    native, other = (
+        play(task, name, start(task, name, SETTINGS, seed=3), actions)
+        for name in ("native", backend)
     )
-    other = play(task, "native", start(task, "native", SETTINGS, seed=4), actions)
-    assert _agree(native, mjx)
-    assert not _agree(native, other)  # the bounds tell another start apart
+    elsewhere = play(task, "native", start(task, "native", SETTINGS, seed=4), actions)
+    assert _agree(native, other)
+    assert not _agree(native, elsewhere)  # the bounds tell another start apart
 
 
-@pytest.mark.parametrize("task", TASKS)
+@each_quick_one
 def test_a_diverged_simulation_is_frozen_earns_nothing_and_leaves_the_others_alone(
-    task: str,
+    task: str, backend: str
 ) -> None:
-    state = start(task, "native", SETTINGS)
+    state = start(task, backend, SETTINGS)
     actions = random_actions(4, 5)
-    calm = play(task, "native", state, actions)[-1]
+    calm = play(task, backend, state, actions)[-1]
     qvel = state.physics.qvel.at[1].set(jnp.nan)
     sick = dataclasses.replace(state, physics=dataclasses.replace(state.physics, qvel=qvel))
-    last = play(task, "native", sick, actions)[-1]
+    last = play(task, backend, sick, actions)[-1]
     assert last.nonfinite.tolist() == [False, True, False, False]
     assert float(last.reward[1]) == 0.0
     np.testing.assert_array_equal(last.obs["global"][1], state.obs["global"][1])
@@ -105,10 +111,46 @@ def test_a_diverged_simulation_is_frozen_earns_nothing_and_leaves_the_others_alo
     assert not bool(jnp.any(calm.nonfinite))
 
 
-def test_an_action_that_is_not_a_number_is_counted() -> None:
+@pytest.mark.parametrize("backend", QUICK)
+def test_an_action_that_is_not_a_number_is_counted(backend: str) -> None:
     action = {"robot": jnp.zeros((4, 7)).at[2, 0].set(jnp.nan), "human": jnp.zeros((4, 3))}
-    last = play("scratch", "native", start("scratch", "native", SETTINGS), [action])[-1]
+    last = play("scratch", backend, start("scratch", backend, SETTINGS), [action])[-1]
     assert last.nonfinite.tolist() == [False, False, True, False]
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_joint_range_of_each_simulation_holds(task: str) -> None:
+    """The elbow, pushed against its stop, keeps to its own range on every backend alike."""
+    env = environment(task, "fused")
+    actions = constant_actions(4, 60, 0.0, 1.0)
+    last = {
+        backend: play(task, backend, start(task, backend, SETTINGS, seed=8), actions)[-1]
+        for backend in QUICK
+    }
+    elbow = env.model.joint("human_right_elbow").qposadr[0]
+    angles = {backend: state.physics.qpos[:, elbow] for backend, state in last.items()}
+    np.testing.assert_allclose(angles["fused"], angles["native"], atol=2e-2)
+    assert len({round(float(angle), 1) for angle in angles["fused"]}) > 1
+
+
+def test_the_fused_engine_does_not_look_at_the_warm_start() -> None:
+    state = start("scratch", "fused", SETTINGS)
+    warmstart = state.physics.warmstart + 100.0
+    other = dataclasses.replace(
+        state, physics=dataclasses.replace(state.physics, warmstart=warmstart)
+    )
+    actions = random_actions(4, 30, seed=3)
+    ours, theirs = (play("scratch", "fused", each, actions)[-1] for each in (state, other))
+    np.testing.assert_array_equal(ours.physics.qpos, theirs.physics.qpos)
+    np.testing.assert_array_equal(ours.obs["global"], theirs.obs["global"])
+    np.testing.assert_array_equal(theirs.physics.warmstart, warmstart)
+
+
+def test_the_engine_and_its_version_are_named() -> None:
+    assert environment("scratch", "native").engine["name"] == "native"
+    engine = environment("scratch", "fused").engine
+    assert engine["name"] == "fused"
+    assert engine["version"].isdigit()
 
 
 def test_select_takes_whole_simulations() -> None:
@@ -132,7 +174,7 @@ def test_select_takes_whole_simulations() -> None:
         ),
         (
             lambda: assistax_envs.make("scratch", "cuda"),
-            "backend is 'cuda'; allowed are auto, native",
+            "backend is 'cuda'; allowed are auto, fused, native, mjx, mjx-warp",
         ),
         (
             lambda: assistax_envs.make("scratch", "native", {"wipe": 2.0}),

@@ -32,12 +32,12 @@ FN float lane(const real& x, int l) { return ((const float*)&x)[l]; }
 enum { NV = 1, NU = 1, NSENS = 2, NWARM = 1 };
 template <class Sensors>
 FN void substep(real* q, real* qd, const real* u, const real* lo, const real* hi,
-                Sensors& sensors, bool last, unsigned* warm, int* failed) {
+                Sensors& sensors, bool last, unsigned* warm, int* flags) {
   if (last) {
-    sensors(0, q[0]);
-    sensors(1, qd[0] * 1e-30f);
+    sensors[0] = q[0];
+    sensors[1] = qd[0] * 1e-30f;
   }
-  LANES(l) failed[l] |= lane(q[0], l) < lane(lo[0], l) || lane(q[0], l) > lane(hi[0], l);
+  LANES(l) flags[l] |= lane(q[0], l) < lane(lo[0], l) || lane(q[0], l) > lane(hi[0], l);
   qd[0] = qd[0] + 0.5f * u[0];
   q[0] = q[0] + 0.25f * qd[0];
 }

@@ -28,7 +28,7 @@ def folder() -> Path:
 
 
 def key(parts: Iterable[bytes]) -> str:
-    """Return the key of what is compiled from `parts`; where one ends and the next begins counts."""
+    """Return the key of what is compiled from `parts`; where one part ends counts."""
     whole = hashlib.sha256()
     for part in parts:
         whole.update(hashlib.sha256(part).digest())

@@ -1,4 +1,4 @@
-"""The compiled step on NVIDIA GPUs: a thread for each simulation, launched from a custom call of XLA."""
+"""The compiled step on NVIDIA GPUs: a thread for each simulation, launched by a call of XLA."""
 
 import ctypes
 import functools
@@ -61,7 +61,7 @@ def build_handler() -> Path:
 
 
 def _load_kernel(path: Path) -> int:
-    """Return a handle of the kernel that is good on every GPU; the driver copies it there on first use."""
+    """Return a handle of the kernel, for every GPU: the driver copies it there on first use."""
     library, kernel = ctypes.c_void_p(), ctypes.c_void_p()
     image = path.read_bytes()
     driver = _driver()

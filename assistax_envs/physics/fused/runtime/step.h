@@ -1,9 +1,4 @@
 // One control step of W simulations, from arrays [N, field] to arrays [N, field], on a CPU or a GPU.
-#ifdef __CUDACC__
-#define DEVICE __device__
-#else
-#define DEVICE
-#endif
 
 // The last vector of an odd batch repeats the last simulation, and stores it once.
 FN void load(real* to, const float* from, long long row, long long n, int width) {
@@ -18,34 +13,26 @@ FN void store(float* to, const real* from, long long row, long long n, int width
     LANES(l) if (row + l < n) to[(row + l) * width + k] = lane(from[k], l);
 }
 
-struct SensorRows {  // where the program writes its sensor values
-  float* out;
-  long long row, n;
-  DEVICE void operator()(int k, real value) {
-    LANES(l) if (row + l < n) out[(row + l) * NSENS + k] = lane(value, l);
-  }
-};
-
 // A simulation that the solver could not solve must never pass for one that it could: it becomes
 // not-a-number, which the environment counts and freezes like any other divergence.
-FN void spoil(real* values, const int* failed, int width) {
+FN void spoil(real* values, const int* flags, int width) {
   for (int k = 0; k < width; ++k)
-    LANES(l) if (failed[l]) lane(values[k], l) = 0.0f / 0.0f;
+    LANES(l) if (flags[l]) lane(values[k], l) = 0.0f / 0.0f;
 }
 
 FN void simulate(const Arrays& a, long long row) {
-  real q[NV], qd[NV], u[NU], range[2 * NV], lo[NV], hi[NV];
+  real q[NV], qd[NV], u[NU], range[2 * NV], lo[NV], hi[NV], sensors[NSENS];
   load(q, a.qpos, row, a.n, NV);
   load(qd, a.qvel, row, a.n, NV);
   load(u, a.control, row, a.n, NU);
   load(range, a.range, row, a.n, 2 * NV);
   for (int k = 0; k < NV; ++k) lo[k] = range[2 * k], hi[k] = range[2 * k + 1];
   unsigned warm[NWARM * W] = {0};
-  int failed[W] = {0};
-  SensorRows sensors{a.sensors, row, a.n};
+  int flags[W] = {0};
   for (int s = 0; s < a.substeps; ++s)
-    substep(q, qd, u, lo, hi, sensors, s == a.substeps - 1, warm, failed);
-  spoil(qd, failed, NV);
+    substep(q, qd, u, lo, hi, sensors, s == a.substeps - 1, warm, flags);
+  spoil(qd, flags, NV);
   store(a.qpos_after, q, row, a.n, NV);
   store(a.qvel_after, qd, row, a.n, NV);
+  store(a.sensors, sensors, row, a.n, NSENS);
 }

@@ -1,4 +1,4 @@
-"""The compilers that come with Warp: C++ to machine code for this CPU, CUDA to machine code for a GPU.
+"""The compilers that come with Warp: C++ to code for this CPU, CUDA to code for a GPU.
 
 Nobody needs a compiler of their own, since Warp brings clang (LLVM, with a linker in memory) and
 NVRTC in its two shared libraries. They are called directly, as Warp's own Python does in

@@ -1,0 +1,84 @@
+"""The fused engine as a physics backend: one custom call of XLA is a whole control step."""
+
+import functools
+import threading
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from assistax_envs.physics.base import SUBSTEPS, PhysicsState
+from assistax_envs.physics.fused.program import generate
+from assistax_envs.physics.fused.runtime import cache, cpu, gpu, toolchain
+
+_REGISTERED: set[str] = set()  # names of calls that XLA of this process has
+_REGISTERING = threading.Lock()
+
+
+class FusedPhysics:
+    """Generated for one model; stateless, and a simulation's result depends on its own arguments alone.
+
+    There is no warm start from one control step to the next: the field passes through as it came.
+    A simulation that the solver could not hold or not solve becomes not-a-number.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        if reason := toolchain.unavailable():
+            raise ValueError(f"backend 'fused' cannot run here: {reason}; use backend='native'")
+        self.model = model
+        self._call = register(model, jax.default_backend())
+
+    def forward(self, state: PhysicsState, joint_range: jax.Array) -> jax.Array:
+        """See `Physics.forward`."""
+        control = jnp.zeros((state.qpos.shape[0], self.model.nu), jnp.float32)
+        return self._run(state, control, joint_range, substeps=1)[1]
+
+    def step(
+        self, state: PhysicsState, control: jax.Array, joint_range: jax.Array
+    ) -> tuple[PhysicsState, jax.Array]:
+        """See `Physics.step`."""
+        return self._run(state, control, joint_range, SUBSTEPS)
+
+    def _run(
+        self, state: PhysicsState, control: jax.Array, joint_range: jax.Array, substeps: int
+    ) -> tuple[PhysicsState, jax.Array]:
+        size, model = state.qpos.shape[0], self.model
+        shapes = [
+            jax.ShapeDtypeStruct((size, width), jnp.float32)
+            for width in (model.nq, model.nv, model.nsensordata)
+        ]
+        call = jax.ffi.ffi_call(self._call, shapes)
+        qpos, qvel, sensors = call(
+            state.qpos, state.qvel, control, joint_range, substeps=np.int32(substeps)
+        )
+        return PhysicsState(qpos, qvel, state.warmstart), sensors
+
+
+def register(model: mujoco.MjModel, platform: str) -> str:
+    """Return the name of the custom call for `model`, compiled for "cpu" or "gpu" on first use."""
+    key = model_key(model)
+    name = f"assistax_fused_{key}"
+    with _REGISTERING:
+        if (mark := f"{name} {platform}") not in _REGISTERED:
+            backend = {"cpu": cpu, "gpu": gpu}[platform]
+            backend.register(name, key, functools.partial(source, model))
+            _REGISTERED.add(mark)
+    return name
+
+
+def source(model: mujoco.MjModel) -> str:
+    """Return the text of the program of `model`."""
+    program = generate(model)
+    return program.source + f"#define NSENS {program.nsensordata}\n"
+
+
+def model_key(model: mujoco.MjModel) -> str:
+    """Return the key of everything that a program's text is made from: the model and the generator."""
+    size = mujoco.mj_sizeModel(model)
+    data = np.empty(size, np.uint8)
+    mujoco.mj_saveModel(model, None, data)
+    here = Path(__file__).parent
+    files = sorted(path for path in here.iterdir() if path.suffix in (".py", ".h"))
+    return cache.key([data.tobytes(), *(path.read_bytes() for path in files)])
