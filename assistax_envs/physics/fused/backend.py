@@ -18,10 +18,11 @@ _REGISTERING = threading.Lock()
 
 
 class FusedPhysics:
-    """Generated for one model; stateless, and a simulation's result depends on its own arguments alone.
+    """Generated for one model; a simulation's result depends on its own arguments alone.
 
-    There is no warm start from one control step to the next: the field passes through as it came.
-    A simulation that the solver could not hold or not solve becomes not-a-number.
+    No warm start outlives a control step: the state's field passes through as it came. A simulation
+    with more contacts than the solver holds, or with forces that do not settle, becomes
+    not-a-number: it is counted and frozen like one that diverged.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -75,7 +76,7 @@ def source(model: mujoco.MjModel) -> str:
 
 
 def model_key(model: mujoco.MjModel) -> str:
-    """Return the key of everything that a program's text is made from: the model and the generator."""
+    """Return the key of what a program's text is made from: the model and the generator."""
     size = mujoco.mj_sizeModel(model)
     data = np.empty(size, np.uint8)
     mujoco.mj_saveModel(model, None, data)

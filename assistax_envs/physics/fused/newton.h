@@ -93,12 +93,15 @@ FN void solve_acting(const Rows& rows, int n, const real* products, const real* 
 // The cost's derivatives along a step of the line search, without the rows' part.
 struct Slope {
   real at_start, per_step;
+  real whole;  // what `per_step` would be for a step from no force at all
 };
 
 // Return the share of the step from x to next at which the cost is least; 1 where not `searching`.
+// Near the end rounding hides the slope, and Newton's method on it could go anywhere: it is held
+// between the largest share known to be too small and the smallest known to be too large.
 FN real line_search(const Rows& rows, int n, const real* x, const real* next, Slope slope,
                     mask searching) {
-  real share = splat(1.0f);
+  real share = splat(1.0f), low = splat(0.0f), high = splat(2.0f);
   KEEP_LOOP for (int k = 0; k < MAX_SEARCHES && any(searching); ++k) {
     real first = slope.at_start + share * slope.per_step, second = slope.per_step;
     KEEP_LOOP for (int r = 0; r < n; ++r) {
@@ -107,9 +110,11 @@ FN real line_search(const Rows& rows, int n, const real* x, const real* next, Sl
       first = first + weighted * there;
       second = second + weighted * step;
     }
-    real change = first / maximum(second, 1e-20f);
-    share = select(searching, share - change, share);
-    searching = both(searching, absolute(change) > 1e-4f);
+    high = select(first > 0.0f, share, high);
+    low = select(first < 0.0f, share, low);
+    real better = maximum(low, minimum(high, share - first / maximum(second, 1e-20f)));
+    searching = both(searching, absolute(better - share) > 1e-4f);
+    share = select(searching, better, share);
   }
   return share;
 }
@@ -125,7 +130,7 @@ FN void newton(const Rows& rows, int n, const real* products, real* forces, int*
   KEEP_LOOP for (int iteration = 0; iteration < MAX_ITERATIONS && any(open); ++iteration) {
     solve_acting(rows, n, products, x, work, y);
     mask changed = splat(0.0f) > 1.0f;
-    Slope slope = {splat(0.0f), splat(0.0f)};
+    Slope slope = {splat(0.0f), splat(0.0f), splat(0.0f)};
     KEEP_LOOP for (int r = 0; r < n; ++r) {
       real d = rows.free[r];
       KEEP_LOOP for (int s = 0; s < n; ++s) d = d + products[packed(r, s)] * y[s];
@@ -134,7 +139,12 @@ FN void newton(const Rows& rows, int n, const real* products, real* forces, int*
       real step = y[r] - forces[r];
       slope.at_start = slope.at_start + step * (x[r] - rows.free[r]);
       slope.per_step = slope.per_step + step * (d - x[r]);
+      slope.whole = slope.whole + y[r] * (d - rows.free[r]);
     }
+    // Rows may keep changing sides where rounding decides: a step that changes the acceleration by
+    // less than SETTLED of what all rows do to it is the last one. The first step has no start.
+    if (iteration > 0)
+      changed = both(changed, slope.per_step > SETTLED * SETTLED * slope.whole);
     // The first x is a guess, no acceleration: its solution is where to start.
     mask whole = iteration == 0 ? open : both(open, invert(changed));
     mask partly = both(open, invert(whole));

@@ -17,6 +17,7 @@ VERSION = 1  # of the generator; goes up whenever any number that a program comp
 MAX_CONTACTS = 12  # at once in one simulation; more are left out and flagged
 MAX_ITERATIONS = 20  # of Newton's method in a substep
 MAX_SEARCHES = 20  # steps of a line search
+SETTLED = 1e-4  # a step of Newton's method that changes accelerations by less of them is the last
 OVERFLOWED = 1  # added to a simulation's flags by each substep in which contacts were left out
 UNSETTLED = 1 << 16  # and by each in which the constraint forces did not settle
 
@@ -153,6 +154,7 @@ def _sizes(model: mujoco.MjModel, dynamics: Dynamics) -> str:
         "MAX_ROWS": limits + 4 * MAX_CONTACTS,
         "MAX_ITERATIONS": MAX_ITERATIONS,
         "MAX_SEARCHES": MAX_SEARCHES,
+        "SETTLED": literal(SETTLED),
         "OVERFLOWED": OVERFLOWED,
         "UNSETTLED": UNSETTLED,
         "IMPRATIO": literal(model.opt.impratio),
