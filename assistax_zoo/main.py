@@ -24,9 +24,11 @@ COMMANDS = {
     "show": "assistax_zoo.commands.zoo:show",
     "verify": "assistax_zoo.commands.zoo:verify",
     "fetch": "assistax_zoo.commands.remote:fetch",
+    "add": "assistax_zoo.commands.remote:add",
+    "remove": "assistax_zoo.commands.remote:remove",
     "publish": "assistax_zoo.commands.remote:publish",
     "lock": "assistax_zoo.commands.remote:lock",
-    "export": "assistax_zoo.commands.exchange:export",
+    "export": "assistax_zoo.commands.export:export",
     "evaluate": "assistax_zoo.commands.evaluate:evaluate",
     "crossplay": "assistax_zoo.commands.evaluate:crossplay",
     "compare": "assistax_zoo.commands.report:compare",
@@ -49,6 +51,10 @@ GROUPS = {
             "create": "assistax_zoo.commands.split:create",
             "verify": "assistax_zoo.commands.split:verify",
         },
+    ),
+    "config": (
+        "Settings of this machine.",
+        {"remote": "assistax_zoo.commands.remote:config_remote"},
     ),
     "plot": (
         "Figures from saved tables.",

@@ -139,7 +139,7 @@ def _status(
 def _adoptable(
     group: "Group", keys: set["Key"], release: str, registry: "Registry | None"
 ) -> frozenset["Key"]:
-    from zoo.adoption import adoptable
+    from zoo.republish import republishable
 
     assert group.adopt is not None
     if registry is None or group.adopt not in registry.data.releases:
@@ -150,7 +150,8 @@ def _adoptable(
         )
     ids = [team_id(group, key, release) for key in sorted(keys)]
     return frozenset(
-        (team.disability, team.seed) for team in adoptable(registry, ids, group.adopt, group.steps)
+        (team.disability, team.seed)
+        for team in republishable(registry, ids, group.adopt, group.steps)
     )
 
 
@@ -287,9 +288,9 @@ def write_progress(
         errors: Message of each run that failed; "" for one that is tried, so that an earlier
             message goes.
     """
-    from zoo.files import atomic_write, exclusive
+    from population.files import atomic_write, exclusive
 
-    with exclusive(path.parent):
+    with exclusive(path):
         old = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
         groups = dict(old.get("groups", {}))
         for status in statuses:

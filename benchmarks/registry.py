@@ -19,7 +19,7 @@ import numpy as np
 
 from assistax_envs.disability import DISABILITY_SETTINGS
 from population.spec import PolicySpec, Role
-from zoo.cache import CACHE_VARIABLE
+from zoo.locations import CACHE_VARIABLE
 from zoo.publish import publish
 from zoo.registry import Registry
 from zoo.runs import TrainedTeam
@@ -103,7 +103,7 @@ def _team(seed: int, disability: str, algorithm: str) -> TrainedTeam:
             "env_version": 1,
             "backend": "native",
         },
-        self_play={"mean": 950.5, "iqm": 952.25, "ci": [940.0, 960.0], "n": 16},
+        self_play={"mean": 950.5, "iqm": 952.25, "mean_ci": [940.0, 960.0], "n": 16},
     )
 
 

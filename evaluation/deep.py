@@ -173,7 +173,7 @@ def tolerance(recorded: SelfPlay, episodes: int) -> float:
 
 def _standard_error(recorded: SelfPlay, episodes: int) -> float:
     """Return that of the difference between the recorded mean and one over `episodes`."""
-    deviation = (recorded.ci[1] - recorded.ci[0]) / _WIDTH_95 * math.sqrt(recorded.n)
+    deviation = (recorded.mean_ci[1] - recorded.mean_ci[0]) / _WIDTH_95 * math.sqrt(recorded.n)
     return deviation * math.sqrt(1.0 / recorded.n + 1.0 / episodes)
 
 
@@ -291,7 +291,7 @@ def _play(
         env,
         {role: Policy(group.spec) for role, group in groups.items()},
         {role: dict(group.params) for role, group in groups.items()},
-        disability_params([registry.policy(name).setting for name in humans.ids]),
+        disability_params([registry.policy(name).partner_setting for name in humans.ids]),
         jax.random.split(jax.random.key(seed), len(robots.ids)),
         episodes,
     )

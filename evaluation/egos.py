@@ -176,7 +176,7 @@ def _member(entry: PolicyEntry) -> Member:
         entry.sha256,
         entry.team,
         entry.algorithm,
-        entry.disability,
+        entry.disability if entry.setting else None,  # an ego has no human
         entry.seed,
         entry.setting,
     )

@@ -8,11 +8,14 @@ is an hour old, since a younger one may be another process's.
 
 import contextlib
 import glob
+import hashlib
 import os
 import secrets
 import time
 from collections.abc import Generator
 from pathlib import Path
+
+from filelock import FileLock
 
 STALE_SECONDS = 3600.0
 
@@ -51,6 +54,20 @@ def remove_stale(folder: Path, pattern: str, age: float = STALE_SECONDS) -> None
         with contextlib.suppress(OSError):
             if time.time() - file.stat().st_mtime > age:
                 file.unlink()
+
+
+def exclusive(path: Path) -> FileLock:
+    """Return a lock, a context manager, for whoever reads, changes and replaces the file `path`.
+
+    A second one waits for the first; a killed one lets go.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return FileLock(path.with_name(f".{path.name}.lock"))
+
+
+def sha256(data: bytes) -> str:
+    """Return the hex sha256 of the bytes."""
+    return hashlib.sha256(data).hexdigest()
 
 
 def _flush(path: Path) -> None:

@@ -17,9 +17,12 @@ LAYERS = {
     "assistax_envs": (),
     "population": ("assistax_envs",),
     "zoo": (
+        "population.files",
         "population.spec",
         "population.stack",
         "population.policy",
+        "population.onnx_export",
+        "population.torch_export",
         "assistax_envs.versions",
         "assistax_envs.disability",
     ),

@@ -1,10 +1,17 @@
-"""The published population: registry, shards, splits. Names are loaded when first used, so importing costs nothing."""
+"""The published population: registry, shards, splits, remotes.
+
+Names are loaded when first used, so importing costs nothing.
+"""
 
 import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from zoo.added import add as add
+    from zoo.added import remove as remove
     from zoo.errors import ZooError as ZooError
+    from zoo.fetch import ensure_local as ensure_local
+    from zoo.hub_publish import publish_to as publish_to
     from zoo.ids import PolicyId as PolicyId
     from zoo.ids import TeamId as TeamId
     from zoo.ids import parse_policy as parse_policy
@@ -21,24 +28,19 @@ if TYPE_CHECKING:
     from zoo.storage import read_policy_file as read_policy_file
     from zoo.storage import write_policy_file as write_policy_file
 
-_HOMES = {
-    "ZooError": "zoo.errors",
-    "PolicyId": "zoo.ids",
-    "TeamId": "zoo.ids",
-    "parse_policy": "zoo.ids",
-    "parse_team": "zoo.ids",
-    "PolicyEntry": "zoo.schema",
-    "Registry": "zoo.registry",
-    "load_registry": "zoo.registry",
-    "TrainedTeam": "zoo.runs",
-    "read_run": "zoo.runs",
-    "Split": "zoo.schema",
-    "make_split": "zoo.splits",
-    "PolicyFile": "zoo.storage",
-    "load_stacks": "zoo.storage",
-    "read_policy_file": "zoo.storage",
-    "write_policy_file": "zoo.storage",
+_NAMES = {
+    "added": ("add", "remove"),
+    "errors": ("ZooError",),
+    "fetch": ("ensure_local",),
+    "hub_publish": ("publish_to",),
+    "ids": ("PolicyId", "TeamId", "parse_policy", "parse_team"),
+    "registry": ("Registry", "load_registry"),
+    "runs": ("TrainedTeam", "read_run"),
+    "schema": ("PolicyEntry", "Split"),
+    "splits": ("make_split",),
+    "storage": ("PolicyFile", "load_stacks", "read_policy_file", "write_policy_file"),
 }
+_HOMES = {name: f"zoo.{module}" for module, names in _NAMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:

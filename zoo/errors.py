@@ -1,7 +1,11 @@
 """Errors of the zoo. Each message says what was expected, what was found, what was done and what to do next."""
 
 import difflib
+import reprlib
 from collections.abc import Iterable
+
+_REPR = reprlib.Repr()  # containers: their first few items alone
+_REPR.maxstring = _REPR.maxother = 200
 
 
 class ZooError(Exception):
@@ -19,7 +23,7 @@ class ZooError(Exception):
             next_step,
         )
         super().__init__(
-            _one_line(f"{problem}: expected {expected}, found {found}; {done}; next: {next_step}")
+            printable(f"{problem}: expected {expected}, found {found}; {done}; next: {next_step}")
         )
 
 
@@ -59,12 +63,28 @@ class PublishError(ZooError):
     """A publication that was refused."""
 
 
+class ExportError(ZooError):
+    """A file that would be overwritten."""
+
+
+class SignatureError(ZooError):
+    """A key that cannot sign or verify."""
+
+
 class ImmutableError(PublishError):
     """A publication that would change what is already published."""
 
 
 class RemoteError(ZooError):
     """A remote that cannot be reached, or does not hold what was asked of it."""
+
+
+class MissingFileError(RemoteError):
+    """A file that the remote does not hold."""
+
+
+class MissingRepositoryError(RemoteError):
+    """A hub's repository that does not exist, or that this user may not see."""
 
 
 class OfflineError(RemoteError):
@@ -92,11 +112,11 @@ def listing(names: Iterable[str], limit: int = 6) -> str:
 
 
 def shorten(value: object, limit: int = 120) -> str:
-    """Return the value's `repr`, cut where it is too long for an error line."""
-    text = repr(value)
+    """Return the value's `repr`, cut where it is too long for an error line; never all of it."""
+    text = _REPR.repr(value)
     return text if len(text) <= limit else text[:limit] + "..."
 
 
-def _one_line(text: str) -> str:
-    """Replace line breaks and control characters, which may come from a hostile file."""
+def printable(text: str) -> str:
+    """Replace line breaks, control and escape characters, which may come from a hostile file."""
     return "".join(character if character.isprintable() else " " for character in text)

@@ -1,34 +1,47 @@
 """Fetching partners: what a selection needs of a remote, in parallel, into the cache."""
 
-import concurrent.futures
-import contextlib
 import dataclasses
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from zoo.cache import cached_registry, cached_row, cached_shard, refuse_write
+from population.files import atomic_write, remove_stale
+from zoo.added import added_remote
 from zoo.errors import IntegrityError, OfflineError, RemoteError, ZooError, listing
-from zoo.files import MAX_REGISTRY_BYTES, atomic_write, shard_root
-from zoo.registry import Registry, build_registry, load_registry, parse_registry
-from zoo.remotes import Remote, read_file
+from zoo.locations import (
+    REMOTE_VARIABLE,
+    cache_root,
+    cached_registry,
+    cached_shard,
+    default_remote,
+    shard_root,
+    write_errors,
+)
+from zoo.namespaces import split_namespace
+from zoo.registry import (
+    MAX_REGISTRY_BYTES,
+    Registry,
+    build_registry,
+    load_registry,
+    parse_registry,
+)
+from zoo.remotes import Remote, open_remote, read_file, run_all
+from zoo.roots import lost_leaves, root_problems
 from zoo.schema import PolicyEntry
-from zoo.slices import NoRangesError, fetch_rows
-from zoo.storage import read_row, read_shard, take_row
-from zoo.tensors import row_sha256
-from zoo.transfer import Item, Stopped, download
+from zoo.storage import read_shard
+from zoo.transfer import Item, download
 
-REMOTE_VARIABLE = "ASSISTAX_ZOO_REMOTE"
 WORKERS = 4  # shards at once
+PARTIAL_SECONDS = 7 * 24 * 3600.0  # after which a partial file is not gone on from, but removed
 
 Advance = Callable[[int], None]
+OnTotal = Callable[[int], Advance]
 
 
 @dataclasses.dataclass(frozen=True)
 class Report:
-    """What a fetch did; everything selected is on this machine, and its hashes are those of the registry."""
+    """What a fetch did; all that was selected is here now, with the registry's hashes."""
 
     registry: str
     remote: str | None
@@ -36,7 +49,6 @@ class Report:
     policies: int
     shards: int  # that the policies are in
     present: int  # of these shards, needed nothing
-    sliced: int  # of these shards, only the policies asked for were fetched
     bytes: int  # over the wire
     seconds: float
 
@@ -48,16 +60,16 @@ class Report:
 def fetch(
     registry: Registry,
     entries: Iterable[PolicyEntry],
-    remote: Remote | None,
+    remote: Remote | None = None,
     *,
-    on_total: Callable[[int], Advance] = lambda total: lambda count: None,
+    on_total: OnTotal = lambda total: lambda count: None,
     workers: int = WORKERS,
 ) -> Report:
     """Make sure that the entries' parameters are on this machine, verified.
 
     Args:
         registry: Says which bytes; whatever the remote sends is held against it.
-        entries: Policies of the registry.
+        entries: Policies of the registry; those of an added zoo come from where it was added from.
         remote: Where to take missing shards from; None is enough when nothing is missing.
         on_total: Given the number of bytes to come at most; returns what is called as they arrive.
         workers: Shards at once.
@@ -68,28 +80,60 @@ def fetch(
         CacheError: The cache cannot take them.
     """
     began = time.perf_counter()
-    members: dict[str, list[PolicyEntry]] = {}
+    policies: dict[str, list[PolicyEntry]] = {}
     for entry in entries:
-        members.setdefault(entry.shard, []).append(entry)
-    missing = {
-        shard: wanted for shard, wanted in members.items() if not _is_here(registry, shard, wanted)
-    }
-    received, sliced = 0, 0
-    if missing:
-        if remote is None:
-            raise _no_remote(registry, list(missing))
-        advance = on_total(sum(registry.data.shards[shard].bytes for shard in missing))
-        received, sliced = _fetch_all(registry, missing, remote, advance, workers)
+        policies.setdefault(split_namespace(entry.shard)[0], []).append(entry)
+    counts = [0, 0, 0]  # shards, of them present, bytes
+    for namespace, members in policies.items():
+        source = open_remote(added_remote(namespace)) if namespace else remote
+        shards = list(dict.fromkeys(split_namespace(entry.shard)[1] for entry in members))
+        found = _fetch_part(registry.part(namespace), shards, source, on_total, workers)
+        counts = [before + now for before, now in zip(counts, found, strict=True)]
     return Report(
         registry=str(registry.path),
         remote=remote.name if remote else None,
-        revision=remote.revision if remote and missing else None,
-        policies=sum(map(len, members.values())),
-        shards=len(members),
-        present=len(members) - len(missing),
-        sliced=sliced,
-        bytes=received,
+        revision=remote.revision if remote and counts[0] > counts[1] else None,
+        policies=sum(map(len, policies.values())),
+        shards=counts[0],
+        present=counts[1],
+        bytes=counts[2],
         seconds=round(time.perf_counter() - began, 3),
+    )
+
+
+def ensure_local(
+    registry: Registry,
+    entries: Iterable[PolicyEntry],
+    *,
+    fetch_missing: bool = False,
+    on_total: OnTotal = lambda total: lambda count: None,
+) -> Report | None:
+    """Make sure that parameters are here before they are loaded: None if nothing was missing.
+
+    Args:
+        registry: The registry.
+        entries: Policies of it.
+        fetch_missing: Whether to fetch what is missing from the default remote.
+        on_total: As for `fetch`.
+
+    Raises:
+        RemoteError: Parameters are missing, and are not to be fetched or cannot be.
+    """
+    entries = list(entries)
+    missing = {entry.shard for entry in entries if not registry.shard_path(entry.shard).is_file()}
+    if not missing:
+        return None
+    if fetch_missing:
+        name = default_remote()
+        remote = open_remote(name) if name else None
+        return fetch(registry, entries, remote, on_total=on_total)
+    count = sum(entry.shard in missing for entry in entries)
+    raise RemoteError(
+        f"parameters of {count} of {len(entries)} policies",
+        expected="all on this machine",
+        found=f"{len(missing)} shards missing ({listing(sorted(missing), 2)})",
+        done="nothing was loaded",
+        next_step="add --fetch, or run `assistax-zoo fetch` before",
     )
 
 
@@ -97,7 +141,8 @@ def remote_registry(remote: Remote) -> Registry:
     """Return a remote's registry, kept in the cache; in offline mode, the one that was kept.
 
     Raises:
-        IntegrityError: It gives another sha256 for a policy that it published before.
+        IntegrityError: It lost or changed something that it published before, or its content is
+            not what its roots say.
         RemoteError: The remote has no registry, or cannot be reached.
         RegistryError: What it has is no registry.
     """
@@ -112,126 +157,91 @@ def remote_registry(remote: Remote) -> Registry:
         text = content.decode()
     except UnicodeDecodeError:
         text = ""  # refused as any other text that is no registry
-    data = parse_registry(text, f"registry.json of {remote.name}")
+    registry = build_registry(parse_registry(text, f"registry.json of {remote.name}"), path)
+    if problems := root_problems(registry.data):
+        raise _refusal(remote, "content of its own roots", problems[0], "ask its owner")
     if path.is_file():
-        _refuse_changes(load_registry(path), build_registry(data, path), remote)
-    try:
+        check_history(load_registry(path), registry, remote)
+    with write_errors(path, len(content)):
         atomic_write(path, content)
-    except OSError as error:
-        refuse_write(error, path, len(content))
-    return build_registry(data, path)
+    return registry
 
 
-def _fetch_all(
+def check_history(old: Registry, new: Registry, remote: Remote) -> None:
+    """Check that a remote still has all that it published before.
+
+    Raises:
+        IntegrityError: Its history was rewritten.
+    """
+    if not (lost := lost_leaves(old.data, new.data)):
+        return
+    roots = {release: old.root(release) for release in old.data.releases}
+    told = ", ".join(f"{release} {root[:12]}" for release, root in roots.items())
+    raise _refusal(
+        remote,
+        f"all that it published before (roots {told}): published bytes never change",
+        f"another history: {listing(lost)} gone or changed",
+        f"ask its owner; to believe the new one, delete {old.path}",
+    )
+
+
+def _fetch_part(
     registry: Registry,
-    missing: Mapping[str, Sequence[PolicyEntry]],
-    remote: Remote,
-    advance: Advance,
+    shards: Sequence[str],
+    remote: Remote | None,
+    on_total: OnTotal,
     workers: int,
-) -> tuple[int, int]:
-    """Return how many bytes came, and of how many shards only some policies."""
-    stop, lock = threading.Event(), threading.Lock()
+) -> tuple[int, int, int]:
+    """Return how many shards of one zoo were asked for, how many were here, and the bytes."""
+    missing = [shard for shard in shards if not _is_here(registry, shard)]
+    if not missing:
+        return len(shards), len(shards), 0
+    if remote is None:
+        raise _no_remote(registry, missing)
+    source, sizes = remote, {shard: registry.data.shards[shard].bytes for shard in missing}
+    advance, lock = on_total(sum(sizes.values())), threading.Lock()
 
     def count(number: int) -> None:
         with lock:
             advance(number)
 
+    def work(shard: str) -> Callable[[threading.Event], int]:
+        entry = registry.data.shards[shard]
+        item = Item(shard, cached_shard(entry.sha256), entry.bytes, entry.sha256)
+        return lambda stop: download(source, item, count, stop)
+
+    remove_stale(cache_root() / "shards", ".*.partial", PARTIAL_SECONDS)
     remote.revision  # noqa: B018  asked for once, before the threads
-    with concurrent.futures.ThreadPoolExecutor(workers) as pool:
-        tasks = [
-            pool.submit(_fetch_shard, registry, shard, wanted, remote, count, stop)
-            for shard, wanted in missing.items()
-        ]
-        try:
-            for task in concurrent.futures.as_completed(tasks):
-                task.result()
-        except BaseException as error:
-            stop.set()
-            pool.shutdown(cancel_futures=True)
-            raise _first(tasks) or error from None
-    results = [task.result() for task in tasks]
-    return sum(received for received, _ in results), sum(cut for _, cut in results)
+    received = run_all(
+        [work(shard) for shard in missing], workers, sum(sizes.values()), remote.name
+    )
+    return len(shards), len(shards) - len(missing), sum(received)
 
 
-def _first(tasks: Sequence[concurrent.futures.Future]) -> BaseException | None:
-    """Return the error that stopped the others."""
-    errors = [task.exception() for task in tasks if task.done() and not task.cancelled()]
-    return next((error for error in errors if isinstance(error, ZooError)), None)
-
-
-def _fetch_shard(
-    registry: Registry,
-    path: str,
-    entries: Sequence[PolicyEntry],
-    remote: Remote,
-    advance: Advance,
-    stop: threading.Event,
-) -> tuple[int, bool]:
-    """Return the bytes that came, and whether they were only some of the shard's policies."""
-    if stop.is_set():
-        raise Stopped
-    shard = registry.data.shards[path]
-    counted = 0
-
-    def count(number: int) -> None:
-        nonlocal counted
-        counted += number
-        advance(number)
-
-    with contextlib.suppress(NoRangesError):
-        received = fetch_rows(remote, path, shard, entries, count)
-        if received is not None:
-            advance(shard.bytes - counted)
-            return received, True
-    item = Item(path, cached_shard(shard.sha256), shard.bytes, shard.sha256)
-    return download(remote, item, advance, stop), False
-
-
-def _is_here(registry: Registry, shard: str, entries: Sequence[PolicyEntry]) -> bool:
-    """Return whether the policies are on this machine; what is damaged in the cache is removed."""
-    cached = cached_shard(registry.data.shards[shard].sha256)
-    if registry.shard_path(shard).is_file():
-        try:
-            read_shard(registry, shard)
-            return True
-        except ZooError:
-            if registry.shard_path(shard) != cached:
-                raise
-            _remove(cached)
-    return all([_is_row_here(entry) for entry in entries])
-
-
-def _is_row_here(entry: PolicyEntry) -> bool:
-    path = cached_row(entry.sha256)
+def _is_here(registry: Registry, shard: str) -> bool:
+    """Return whether a shard is on this machine; what is damaged in the cache is removed."""
+    path = registry.shard_path(shard)
     if not path.is_file():
         return False
-    with contextlib.suppress(ZooError):
-        if row_sha256(take_row(read_row(entry), 0)) == entry.sha256:
-            return True
-    _remove(path)
+    try:
+        read_shard(registry, shard)
+        return True
+    except ZooError:
+        if path != cached_shard(registry.data.shards[shard].sha256):
+            raise
+    with write_errors(path, 0):
+        path.unlink(missing_ok=True)
     return False
 
 
-def _remove(path: Path) -> None:
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        refuse_write(error, path, 0)
-
-
-def _refuse_changes(old: Registry, new: Registry, remote: Remote) -> None:
-    before = {entry.id: entry.sha256 for entry in old.policies}
-    changed = [
-        entry.id for entry in new.policies if before.get(entry.id, entry.sha256) != entry.sha256
-    ]
-    if changed:
-        raise IntegrityError(
-            f"registry.json of {remote.name}",
-            expected="the sha256 of what it published before: published bytes never change",
-            found=f"another one for {listing(changed)}",
-            done="nothing was fetched; the registry of before is kept",
-            next_step=f"ask its owner; to believe the new one, delete {old.path}",
-        )
+def _refusal(remote: Remote, expected: str, found: str, next_step: str) -> IntegrityError:
+    return IntegrityError(
+        f"registry.json of {remote.name}",
+        expected=expected,
+        found=found,
+        done="nothing was fetched; the registry of before is kept",
+        next_step=next_step,
+    )
 
 
 def _no_remote(registry: Registry, missing: Sequence[str]) -> RemoteError:
@@ -240,5 +250,6 @@ def _no_remote(registry: Registry, missing: Sequence[str]) -> RemoteError:
         expected=f"all in {shard_root(registry.path)} or in the cache",
         found=f"{len(missing)} missing ({listing(missing, 2)})",
         done="nothing was fetched",
-        next_step=f"say where to take them from: --from FOLDER, https://... or hf://org/name, or ${REMOTE_VARIABLE}",
+        next_step="say where to take them from: --from FOLDER, https://... or hf://org/name, "
+        f"`assistax-zoo config remote`, or ${REMOTE_VARIABLE}",
     )

@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Generator
 from typing import NoReturn
 
-from zoo.errors import listing, nearest
+from zoo.errors import MissingRepositoryError, listing, nearest
 from zoo.remotes import HttpRemote, network_errors, refuse, refuse_status, with_retries
 
 
@@ -102,8 +102,13 @@ def _refuse_repository(remote: HubRemote) -> NoReturn:
                 f"a {kind}",
                 "publish the zoo in a model repository",
             )
-    advice = "check the name; a private repository needs `hf auth login`"
-    refuse(remote.name, "a model repository that you may read", "no such repository", advice)
+    raise MissingRepositoryError(
+        remote.name,
+        expected="a model repository that you may read",
+        found="no such repository",
+        done="nothing was fetched",
+        next_step="check the name; a private repository needs `hf auth login`",
+    )
 
 
 def _timeout() -> float:

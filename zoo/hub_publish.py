@@ -7,13 +7,13 @@ from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
 
+from population.files import atomic_write
 from zoo import remotes
-from zoo.errors import PublishError, RemoteError, ZooError, shorten
-from zoo.files import MAX_REGISTRY_BYTES, atomic_write
+from zoo.errors import MissingFileError, MissingRepositoryError, PublishError, ZooError, shorten
 from zoo.hub import HubRemote, hub_errors
 from zoo.model_card import MARK, model_card
 from zoo.publish import publish
-from zoo.registry import Registry, load_registry
+from zoo.registry import MAX_REGISTRY_BYTES, Registry, load_registry
 from zoo.remotes import TransientError, open_remote, pause_before, read_file, with_retries
 from zoo.runs import TrainedTeam
 
@@ -39,11 +39,12 @@ class Publication:
 def publish_to(
     teams: Sequence[TrainedTeam], to: str, release: str, **arguments: Any
 ) -> Publication:
-    """Publish teams to a folder or a hub repository.
+    """Publish teams and egos to a folder or a hub repository: what everything published goes by.
 
     Args:
-        teams: Trained teams.
-        to: A folder, or `hf://org/name`, which is made if it does not exist.
+        teams: Trained teams, or robots that `train-ego` trained.
+        to: A folder, or `hf://org/name`, which is made if it does not exist; or a registry.json,
+            beside which no card is written.
         release: Release that they join.
         **arguments: `date`, `description` and the others of `zoo.publish.publish`.
 
@@ -59,7 +60,7 @@ def publish_to(
                 "a remote that can only be read",
                 "use one",
             )
-        return publish_to_folder(teams, Path(to), release, **arguments)
+        return _publish_to_folder(teams, Path(to), release, **arguments)
     remote = open_remote(to)
     assert isinstance(remote, HubRemote)
     if remote.ref != "main":
@@ -72,26 +73,16 @@ def publish_to(
     return _publish_to_hub(teams, remote, release, **arguments)
 
 
-def publish_to_folder(
-    teams: Sequence[TrainedTeam], folder: Path, release: str, **arguments: Any
+def _publish_to_folder(
+    teams: Sequence[TrainedTeam], to: Path, release: str, **arguments: Any
 ) -> Publication:
-    """Publish teams to a folder with the layout of a remote; its card is written last."""
-    done = publish_to_registry(teams, folder / "registry.json", release, **arguments)
-    card = folder / "README.md"
-    if not card.exists() or MARK in card.read_text(encoding="utf-8", errors="replace"):
-        atomic_write(
-            card,
-            model_card(load_registry(folder / "registry.json"), folder.resolve().name).encode(),
-        )
-    return done
-
-
-def publish_to_registry(
-    teams: Sequence[TrainedTeam], path: Path, release: str, **arguments: Any
-) -> Publication:
-    """Publish teams to a registry, and say what is new."""
+    """Publish to a folder with the layout of a remote, its card last; or to a registry alone."""
+    path = to if to.suffix == ".json" else to / "registry.json"
     before = _ids(path)
     registry = publish(teams, path, release, **arguments)
+    card = to / "README.md"
+    if to != path and (not card.exists() or MARK in card.read_text("utf-8", errors="replace")):
+        atomic_write(card, model_card(registry, to.resolve().name).encode())
     added = tuple(entry.id for entry in registry.policies if entry.id not in before)
     return Publication(str(path), release, added, len(registry.policies))
 
@@ -122,9 +113,7 @@ def _create(api: Any, remote: HubRemote) -> None:
     """Make the repository if it does not exist; after this, `remote.revision` is what the publication builds on."""
     try:
         remote.revision  # noqa: B018  asks the hub
-    except RemoteError as error:
-        if error.found != "no such repository":
-            raise
+    except MissingRepositoryError:
 
         def create() -> None:
             with _hub(remote, "make the repository"):
@@ -136,10 +125,8 @@ def _create(api: Any, remote: HubRemote) -> None:
 def _read_optional(remote: HubRemote, path: str, limit: int) -> bytes | None:
     try:
         return read_file(remote, path, limit)
-    except RemoteError as error:
-        if error.found == "no such file":
-            return None
-        raise
+    except MissingFileError:
+        return None
 
 
 def _files(remote: HubRemote, registry: Registry) -> dict[str, bytes]:
@@ -239,9 +226,7 @@ def _hub(remote: HubRemote, deed: str) -> Generator[None]:
 
 
 def _ids(path: Path) -> set[str]:
-    from zoo.index import read_index
-
-    return {entry.id for entry in read_index(path)} if path.exists() else set()
+    return {entry.id for entry in load_registry(path).policies} if path.exists() else set()
 
 
 def _refusal(problem: str, expected: str, found: str, next_step: str) -> PublishError:

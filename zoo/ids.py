@@ -1,10 +1,12 @@
-"""Ids of teams and policies: one grammar, with `parse` and `str` inverse to each other.
+"""Ids of teams, egos and policies: one grammar, with `parse` and `str` inverse to each other.
 
     team    task/algorithm-dN-sM-vR         scratch/ippo-d3-s5-v1
+    ego     task/algorithm-ego-sM-vR        scratch/ppo-ego-s0-v1    a robot without a human
     policy  task/algorithm-dN-sM-vR/role    scratch/ippo-d3-s5-v1/human
 
 All lower case. Task and algorithm start with a letter and hold letters, digits and underscores; d
-is the disability setting, s the training seed, v the release; numbers have no leading zeros.
+is the disability setting, s the training seed, v the release; numbers have no leading zeros. A
+namespace and a colon stand before what another zoo published: lab:scratch/ippo-d3-s5-v1.
 """
 
 import dataclasses
@@ -19,26 +21,29 @@ _NAME = r"[a-z][a-z0-9_]{0,31}"
 _PATTERNS = {
     "task": re.compile(_NAME),
     "algorithm": re.compile(_NAME),
-    "disability": re.compile(r"d[1-9][0-9]{0,3}"),
+    "disability": re.compile(r"d[1-9][0-9]{0,3}|ego"),
     "release": re.compile(rf"v{_NUMBER}"),
+    "namespace": re.compile(rf"(?:{_NAME})?"),
 }
 _TEAM = re.compile(
-    rf"(?P<task>{_NAME})/(?P<algorithm>{_NAME})-(?P<disability>d[1-9][0-9]{{0,3}})-s(?P<seed>{_NUMBER})"
-    rf"-(?P<release>v{_NUMBER})"
+    rf"(?:(?P<namespace>{_NAME}):)?(?P<task>{_NAME})/(?P<algorithm>{_NAME})"
+    rf"-(?P<disability>d[1-9][0-9]{{0,3}}|ego)-s(?P<seed>{_NUMBER})-(?P<release>v{_NUMBER})"
 )
 _POLICY = re.compile(rf"(?P<team>[^/]+/[^/]+)/(?P<role>{'|'.join(ROLES)})")
 _MAX_SEED = 10**10
+EGO = "ego"  # stands for the disability setting where no human was trained
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class TeamId:
-    """A robot and a human trained together; `str` gives the id."""
+    """A robot and a human trained together, or a robot alone; `str` gives the id."""
 
     task: str  # "scratch"
     algorithm: str  # "ippo"
     disability: str  # "d3": the human's setting, numbered as in `assistax_envs.disability`
     seed: int  # training seed
     release: str  # "v1"
+    namespace: str = ""  # under which another zoo was added; none for this one's own
 
     def __post_init__(self) -> None:
         for name, pattern in _PATTERNS.items():
@@ -51,15 +56,22 @@ class TeamId:
             )
 
     def __str__(self) -> str:
-        return f"{self.task}/{self.algorithm}-{self.disability}-s{self.seed}-{self.release}"
+        own = f"{self.task}/{self.algorithm}-{self.disability}-s{self.seed}-{self.release}"
+        return f"{self.namespace}:{own}" if self.namespace else own
 
     @property
-    def order(self) -> tuple[str, str, int, int, int]:
-        """Sort key: d9 comes before d10, and s9 before s10."""
+    def is_ego(self) -> bool:
+        """Whether it is a robot that was trained with frozen partners: no team, hence no partner."""
+        return self.disability == EGO
+
+    @property
+    def order(self) -> tuple[str, str, str, int, int, int]:
+        """Sort key: d9 comes before d10, and s9 before s10; egos come after teams."""
         return (
+            self.namespace,
             self.task,
             self.algorithm,
-            int(self.disability[1:]),
+            10**4 if self.is_ego else int(self.disability[1:]),
             self.seed,
             release_number(self.release),
         )
@@ -77,14 +89,21 @@ class PolicyId:
     role: Role
 
     def __post_init__(self) -> None:
-        if self.role not in ROLES:
-            raise _syntax_error("role of a policy id", " or ".join(ROLES), self.role)
+        roles = ("robot",) if self.team.is_ego else ROLES
+        if self.role not in roles:
+            raise _syntax_error("role of a policy id", " or ".join(roles), self.role)
 
     def __str__(self) -> str:
         return f"{self.team}/{self.role}"
 
 
-_EXAMPLES = {"task": "scratch", "algorithm": "ippo", "disability": "d3", "release": "v1"}
+_EXAMPLES = {
+    "task": "scratch",
+    "algorithm": "ippo",
+    "disability": "d3",
+    "release": "v1",
+    "namespace": "lab",
+}
 
 
 def parse_team(text: str) -> TeamId:
@@ -95,7 +114,12 @@ def parse_team(text: str) -> TeamId:
             "team id", "task/algorithm-dN-sM-vR, for example scratch/ippo-d3-s5-v1", text
         )
     return TeamId(
-        match["task"], match["algorithm"], match["disability"], int(match["seed"]), match["release"]
+        task=match["task"],
+        algorithm=match["algorithm"],
+        disability=match["disability"],
+        seed=int(match["seed"]),
+        release=match["release"],
+        namespace=match["namespace"] or "",
     )
 
 
@@ -112,25 +136,23 @@ def parse_policy(text: str) -> PolicyId:
 
 
 def same_team(one: str, other: str) -> bool:
-    """Return whether two team ids differ in their release at most: a release may adopt a team of an earlier one."""
+    """Return whether two team ids differ in their release at most.
+
+    A release may take over a team of an earlier one.
+    """
     return one.rpartition("-")[0] == other.rpartition("-")[0]
-
-
-def check_release(text: str) -> str:
-    """Return the release's name unchanged if the grammar accepts it."""
-    if not isinstance(text, str) or not _PATTERNS["release"].fullmatch(text):
-        raise _syntax_error("release", "v and a number, for example v1", text)
-    return text
 
 
 def release_number(name: str) -> int:
     """Return the number by which releases are ordered: v9 comes before v10."""
-    return int(name[1:])
+    return int(name.rpartition(":")[2][1:])
 
 
-def is_pattern(text: str) -> bool:
-    """Return whether the text holds glob characters: `*`, `?` or `[`."""
-    return any(character in text for character in "*?[")
+def check_name(what: str, text: str) -> str:
+    """Return a release's name, or a namespace, unchanged if the grammar accepts it."""
+    if not isinstance(text, str) or not text or not _PATTERNS[what].fullmatch(text):
+        raise _syntax_error(what, f"text like {_EXAMPLES[what]!r}", text)
+    return text
 
 
 def compile_pattern(pattern: str) -> re.Pattern[str]:

@@ -5,6 +5,7 @@ versions, and a digest of itself. A registry that has grown since is as good as 
 lock was made of; one in which anything pinned differs is refused.
 """
 
+import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,14 +13,17 @@ from typing import Annotated, Any, Literal, NoReturn
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from population.files import atomic_write, sha256
 from zoo.errors import LockError, ZooError, listing, shorten
-from zoo.files import atomic_write, sha256
+from zoo.namespaces import split_namespace
 from zoo.registry import Registry, build_registry
-from zoo.schema import Name, PolicyEntry, ReleaseName, Sha256, ShardPath, first_problem
+from zoo.roots import leaves
+from zoo.schema import Name, PolicyEntry, Sha256, Team, first_problem
+from zoo.untrusted import parse_json, read_text
 
 LOCK_FILE = "assistax-zoo.lock"
-LOCK_VERSION = 1
-MAX_LOCK_BYTES = 64 * 1024 * 1024
+LOCK_VERSION = 2  # 1: without the root and the leaves
+MAX_LOCK_BYTES = 16 * 1024 * 1024
 
 
 class PinnedSplit(BaseModel):
@@ -34,14 +38,16 @@ class Lock(BaseModel):
     """What a lock file holds."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
-    lock_version: Literal[1]
+    lock_version: Literal[1, 2]
     sha256: Sha256  # of all the rest
-    release: ReleaseName
+    release: str
+    root: Sha256 | None = None  # of the release when the lock was made; it may have grown since
+    leaves: dict[str, Sha256] = {}  # of what is pinned, provenance and figures too: see `zoo.roots`
     registry: Sha256  # of the registry.json that it was made of, to tell it from a grown one
     disability_settings: Sha256
     environments: dict[Name, Annotated[int, Field(ge=1)]]
     splits: dict[Name, PinnedSplit]  # by task
-    shards: dict[ShardPath, Sha256]
+    shards: dict[str, Sha256]
     policies: Annotated[dict[str, Sha256], Field(min_length=1)]
 
 
@@ -72,6 +78,8 @@ def make_lock(
     pinned = _splits(registry, entries, release, splits or {})
     content: dict[str, Any] = {
         "release": release,
+        "root": registry.root(release),
+        "leaves": _leaves(registry, release, entries, pinned),
         "registry": sha256(registry.path.read_bytes()),
         "disability_settings": _settings_digest(registry),
         "environments": {
@@ -91,7 +99,10 @@ def make_lock(
 
 def write_lock(lock: Lock, path: Path) -> None:
     """Write the lock, atomically."""
-    atomic_write(path, (json.dumps(lock.model_dump(mode="json"), indent=1) + "\n").encode())
+    atomic_write(
+        path,
+        (json.dumps(lock.model_dump(mode="json", exclude_unset=True), indent=1) + "\n").encode(),
+    )
 
 
 def read_lock(path: Path) -> Lock:
@@ -101,24 +112,15 @@ def read_lock(path: Path) -> Lock:
         LockError: It is missing, malformed, of a newer version, or was edited.
     """
     source, remedy = f"lock file {path}", "restore it, or make it again with `assistax-zoo lock`"
+    text = read_text(path, MAX_LOCK_BYTES, LockError, "lock file", remedy)
     try:
-        if path.stat().st_size > MAX_LOCK_BYTES:
-            raise ValueError(f"more than {MAX_LOCK_BYTES} bytes")
-        text = path.read_text(encoding="utf-8")
-        version = json.loads(text)["lock_version"]
-    except OSError as error:
-        _refuse(
-            source,
-            f"the file that `assistax-zoo lock` writes ({LOCK_FILE})",
-            str(error.strerror),
-            remedy,
-        )
+        version = parse_json(text)["lock_version"]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         _refuse(source, "a lock file", f"{type(error).__name__}: {shorten(str(error))}", remedy)
-    if version != LOCK_VERSION:
+    if version not in (1, LOCK_VERSION):
         _refuse(
             source,
-            f"lock version {LOCK_VERSION}",
+            f"lock version {LOCK_VERSION} or older",
             f"version {shorten(version)}",
             "upgrade assistax-zoo",
         )
@@ -126,7 +128,8 @@ def read_lock(path: Path) -> Lock:
         lock = Lock.model_validate_json(text)
     except ValidationError as error:
         _refuse(source, "a lock file", first_problem(error), remedy)
-    found = _digest(lock.model_dump(mode="json", exclude={"lock_version", "sha256"}))
+    dumped = lock.model_dump(mode="json", exclude={"lock_version", "sha256"}, exclude_unset=True)
+    found = _digest(dumped)
     if found != lock.sha256:
         _refuse(
             source, f"content of sha256 {lock.sha256}", f"sha256 {found}: it was edited", remedy
@@ -158,28 +161,28 @@ def apply_lock(registry: Registry, lock: Lock, *, task: str, split: str | None =
     release = registry.data.releases[lock.release]
     defaults = {task: pinned.id for task, pinned in lock.splits.items()}
     keep = {policy.rpartition("/")[0] for policy in lock.policies}
-    teams = {
-        name: team.model_copy(
-            update={
-                "policies": {
-                    r: row for r, row in team.policies.items() if f"{name}/{r}" in lock.policies
-                }
-            }
-        )
-        for name, team in registry.data.teams.items()
-        if name in keep
-    }
     data = registry.data.model_copy(
         update={
             "release": lock.release,
             "releases": {lock.release: release.model_copy(update={"splits": defaults})},
             "shards": {shard: registry.data.shards[shard] for shard in lock.shards},
-            "teams": teams,
+            "teams": {
+                name: _narrowed(name, team, lock)
+                for name, team in registry.data.teams.items()
+                if name in keep
+            },
+            "egos": {name: ego for name, ego in registry.data.egos.items() if name in keep},
             "splits": tuple(one for one in registry.splits if one.id in defaults.values()),
         }
     )
-    narrowed = build_registry(data, registry.path)
-    return Registry(narrowed.data, narrowed.path, narrowed.policies, lock.sha256)
+    return dataclasses.replace(
+        build_registry(data, registry.path), lock=lock.sha256, parts=registry.parts
+    )
+
+
+def _narrowed(name: str, team: Team, lock: Lock) -> Team:
+    rows = {role: row for role, row in team.policies.items() if f"{name}/{role}" in lock.policies}
+    return team.model_copy(update={"policies": rows})
 
 
 def locked_entries(registry: Registry, lock: Lock) -> list[PolicyEntry]:
@@ -216,6 +219,9 @@ def _check(registry: Registry, lock: Lock) -> None:
     )
     _compare(registry, "shard", lock.shards, shards)
     _compare(registry, "policy", lock.policies, known)
+    if lock.leaves:
+        namespace, release = split_namespace(lock.release)
+        _compare(registry, "entry", lock.leaves, leaves(registry.part(namespace).data, release))
 
 
 def _compare(
@@ -229,7 +235,7 @@ def _compare(
 
 
 def _differs(registry: Registry, expected: str, found: str) -> NoReturn:
-    advice = "fetch the release that was locked (`assistax-zoo fetch --lock FILE --from REMOTE`), or make a new lock"
+    advice = "fetch what was locked (`assistax-zoo fetch --lock FILE --from REMOTE`), or lock anew"
     _refuse(f"registry {registry.path}", f"{expected}, as locked", found, advice)
 
 
@@ -255,7 +261,7 @@ def _check_split(registry: Registry, lock: Lock, task: str, split: str | None) -
 def _splits(
     registry: Registry, entries: Sequence[PolicyEntry], release: str, chosen: Mapping[str, str]
 ) -> dict[str, dict[str, str]]:
-    """Return the splits to pin: those chosen, and the defaults of which every partner is pinned as well."""
+    """Return the splits to pin: those chosen, and the defaults of which every partner is pinned."""
     teams = {entry.team for entry in entries if entry.role == "human"}
     pinned = {}
     for task in _tasks(entries):
@@ -271,6 +277,23 @@ def _splits(
         if not absent:
             pinned[task] = {"id": split.id, "sha256": split.sha256}
     return pinned
+
+
+def _leaves(
+    registry: Registry,
+    release: str,
+    entries: Sequence[PolicyEntry],
+    splits: Mapping[str, Mapping[str, str]],
+) -> dict[str, str]:
+    """Return the leaves of the release's tree that the selection is made of."""
+    namespace, name = split_namespace(release)
+    teams = {split_namespace(entry.team)[1] for entry in entries}
+    runs = {split_namespace(entry.run)[1] for entry in entries}
+    wanted = {f"{kind} {team}" for team in teams for kind in ("team", "ego")}
+    wanted |= {f"run {run}" for run in runs}
+    wanted |= {f"split {split_namespace(split['id'])[1]}" for split in splits.values()}
+    found = leaves(registry.part(namespace).data, name)
+    return {leaf: digest for leaf, digest in found.items() if leaf in wanted}
 
 
 def _tasks(entries: Sequence[PolicyEntry]) -> list[str]:

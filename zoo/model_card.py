@@ -1,10 +1,11 @@
-"""The card of a remote, its README.md: what is in it, how to fetch it, and self-play results as evaluation entries."""
+"""A remote's card, its README.md: what is in it, how to fetch it, and its self-play results."""
 
 import statistics
 from collections.abc import Iterator
 
 import yaml
 
+from zoo.card import escape
 from zoo.ids import release_number
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
@@ -17,7 +18,7 @@ def model_card(registry: Registry, name: str) -> str:
     head = yaml.safe_dump(_metadata(registry, name), sort_keys=False, allow_unicode=True)
     releases = [
         f"| {release} | {entry.date} | "
-        f"{sum(policy.release == release for policy in registry.policies)} | {entry.description} |"
+        f"{sum(policy.release == release for policy in registry.policies)} | {escape(entry.description)} |"
         for release, entry in registry.data.releases.items()
     ]
     figures = [

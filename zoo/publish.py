@@ -10,28 +10,31 @@ import datetime
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import ValidationError
 
 from assistax_envs.disability import DISABILITY_SETTINGS
 from assistax_envs.versions import VERSIONS
+from population.files import atomic_write, exclusive, sha256
 from population.spec import PolicySpec, Role
 from zoo.errors import ImmutableError, PublishError, listing
-from zoo.files import atomic_write, exclusive, sha256, shard_root
-from zoo.ids import TeamId, check_release, same_team
+from zoo.ids import EGO, TeamId, check_name, same_team
+from zoo.locations import shard_root
 from zoo.registry import Registry, load_registry, save_registry
-from zoo.release import completed
+from zoo.release import completed, signed
 from zoo.runs import TrainedTeam
 from zoo.schema import (
     SCHEMA_VERSION,
     DisabilitySetting,
+    Ego,
     PolicyRow,
     RegistryFile,
     Release,
     SelfPlay,
     Shard,
     Team,
+    TrainedAgainst,
     Training,
     first_problem,
 )
@@ -39,7 +42,6 @@ from zoo.storage import check_params, encode_shard
 from zoo.tensors import Leaves, flatten, row_sha256
 
 Check = Callable[[PolicySpec, Leaves, str], None]
-_EGO_DISABILITY = "mixed"  # each of its partners has its own
 _IDENTITY = (
     "run",
     "task",
@@ -61,6 +63,14 @@ class _Candidate:
     run: str
     training: Training
     self_play: SelfPlay | None
+    trained_against: TrainedAgainst | None
+
+    def entry(self, run: str, policies: dict[Role, PolicyRow]) -> Team | Ego:
+        """Return its registry entry."""
+        if self.trained_against is None:
+            return Team(run=run, self_play=self.self_play, policies=policies)
+        rows: dict[Literal["robot"], PolicyRow] = {"robot": policies["robot"]}
+        return Ego(run=run, trained_against=self.trained_against, policies=rows)
 
 
 def publish(
@@ -73,8 +83,9 @@ def publish(
     description: str = "",
     complete: bool = True,
     check: Check = check_params,
+    key: Path | None = None,
 ) -> Registry:
-    """Add teams to a release, with their shards and the default split, and return the new registry.
+    """Add teams and egos to a release, with shards and the default split; return the registry.
 
     Publishing the same bytes again changes nothing. A release that grows over days is published
     with `complete` false: its teams can be listed, fetched and played, but the default release and
@@ -92,6 +103,7 @@ def publish(
         complete: Whether the release is whole with these teams.
         check: Called with spec, leaves and policy id; raises if the parameters are not those of the
             spec.
+        key: Ed25519 private key, PEM, by which the release is signed.
 
     Raises:
         ImmutableError: An id, a figure or an environment version that is already published would
@@ -99,19 +111,19 @@ def publish(
         PublishError: A team lacks provenance, occurs twice, or has the parameters of another.
     """
     path = Path(registry_path)
-    check_release(release)
+    check_name("release", release)
     created = Release(date=_day(date), description=description, environments={})
     candidates = [_candidate(team, release, check) for team in teams]
-    with exclusive(path.parent):
+    with exclusive(path):
         old = load_registry(path) if path.exists() else None
         base = old.data if old else _empty(release, created)
         fresh = _fresh(base, candidates)
-        if old and not fresh:
+        if old and not fresh and not key:
             return old
         data = _with_release(base, release, created, fresh, environments or VERSIONS)
-        data, files = _with_teams(data, release, fresh)
+        data, files = _with_members(data, release, fresh)
         data = completed(data, release) if complete else data
-        return _write(data, files, path)
+        return _write(signed(data, release, key) if key else data, files, path)
 
 
 def _day(date: str | None) -> str:
@@ -124,14 +136,7 @@ def _day(date: str | None) -> str:
 
 
 def _candidate(team: TrainedTeam, release: str, check: Check) -> _Candidate:
-    if team.disability not in DISABILITY_SETTINGS:
-        label = f"{team.task}/{team.algorithm} seed {team.seed}"
-        mixed = " (a robot that was trained with frozen partners is no team: `assistax-zoo evaluate` measures it)"
-        found = team.disability + (mixed if team.disability == _EGO_DISABILITY else "")
-        raise _refusal(
-            f"disability of {label}", f"one of {listing(DISABILITY_SETTINGS, 12)}", found
-        )
-    name = TeamId(team.task, team.algorithm, team.disability, team.seed, release)
+    name = _name(team, release)
     leaves = {role: flatten(team.params[role]) for role in team.specs}
     for role, spec in team.specs.items():
         check(spec, leaves[role], f"parameters of {name}/{role}")
@@ -140,17 +145,35 @@ def _candidate(team: TrainedTeam, release: str, check: Check) -> _Candidate:
     run = str(training.get("run") or f"{team.task}-{team.algorithm}")
     try:
         provenance = Training.model_validate_json(json.dumps(_sorted_provenance(training)))
-        self_play = (
+        figures = (
             SelfPlay.model_validate_json(json.dumps(team.self_play)) if team.self_play else None
         )
+        against = TrainedAgainst(**team.trained_against) if team.trained_against else None
     except (ValidationError, TypeError) as error:
         found = first_problem(error) if isinstance(error, ValidationError) else str(error)
         raise _refusal(f"team {name}", "provenance and figures of the schema", found) from None
-    return _Candidate(name, team.specs, leaves, hashes, run, provenance, self_play)
+    return _Candidate(name, team.specs, leaves, hashes, run, provenance, figures, against)
+
+
+def _name(team: TrainedTeam, release: str) -> TeamId:
+    """Return the id under which a team, or the robot of a `train-ego` run, is published."""
+    if team.is_ego:
+        if not team.trained_against:
+            found = "none: split.json is missing (`assistax-zoo train-ego --resume` writes it)"
+            raise _refusal(
+                f"ego {team.task}/{team.algorithm} seed {team.seed}",
+                "the split that it was trained against",
+                found,
+            )
+        return TeamId(team.task, team.algorithm, EGO, team.seed, release)
+    if team.disability not in DISABILITY_SETTINGS:
+        label = f"disability of {team.task}/{team.algorithm} seed {team.seed}"
+        raise _refusal(label, f"one of {listing(DISABILITY_SETTINGS, 12)}", team.disability)
+    return TeamId(team.task, team.algorithm, team.disability, team.seed, release)
 
 
 def _sorted_provenance(training: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the training record by the schema's fields; what it does not know goes to `notes`, flattened."""
+    """Return the training record by the schema's fields; the rest goes to `notes`, flattened."""
     known = {
         name: training[name] for name in Training.model_fields if training.get(name) is not None
     }
@@ -203,14 +226,14 @@ def _fresh(data: RegistryFile, candidates: Sequence[_Candidate]) -> list[_Candid
         raise _refusal("publication", "at least one team", "none")
     owners = {
         (role, row.sha256): team
-        for team, entry in data.teams.items()
+        for team, entry in data.members.items()
         for role, row in entry.policies.items()
     }
     fresh: dict[str, _Candidate] = {}
     for candidate in sorted(candidates, key=lambda candidate: candidate.team.order):
         name = str(candidate.team)
-        if name in data.teams:
-            _check_unchanged(name, data.teams[name], candidate)
+        if name in data.members:
+            _check_unchanged(name, data.members[name], candidate)
             continue
         if name in fresh:
             raise _refusal(f"team {name}", "each team once", "it is given twice")
@@ -226,14 +249,16 @@ def _fresh(data: RegistryFile, candidates: Sequence[_Candidate]) -> list[_Candid
     return list(fresh.values())
 
 
-def _check_unchanged(name: str, published: Team, candidate: _Candidate) -> None:
+def _check_unchanged(name: str, published: Team | Ego, candidate: _Candidate) -> None:
     hashes = {role: row.sha256 for role, row in published.policies.items()}
     if hashes != candidate.hashes:
         raise _change(f"team {name}", f"the published sha256 {hashes}", f"{dict(candidate.hashes)}")
-    if candidate.self_play not in (None, published.self_play):
-        raise _change(
-            f"self-play of {name}", f"the published {published.self_play}", f"{candidate.self_play}"
-        )
+    for field in ("self_play", "trained_against"):
+        before, now = getattr(published, field, None), getattr(candidate, field)
+        if now not in (None, before):
+            raise _change(
+                f"{field.replace('_', '-')} of {name}", f"the published {before}", f"{now}"
+            )
 
 
 def _with_release(
@@ -273,10 +298,10 @@ def _with_release(
     return data.model_copy(update={"releases": releases})
 
 
-def _with_teams(
+def _with_members(
     data: RegistryFile, release: str, fresh: Sequence[_Candidate]
 ) -> tuple[RegistryFile, dict[str, bytes]]:
-    """Return the registry with the new teams, and the bytes of their shards by path."""
+    """Return the registry with the new teams and egos, and the bytes of their shards by path."""
     runs, shards, files = dict(data.runs), dict(data.shards), {}
     rows: dict[tuple[str, Role], PolicyRow] = {}
     for (task, algorithm, role, spec), members in _by_shard(fresh):
@@ -286,18 +311,28 @@ def _with_teams(
         )
         files[path] = content
         shards[path] = Shard(
-            sha256=sha256(content), bytes=len(content), task=task, algorithm=algorithm, role=role, release=release,
-            rows=len(members), spec=spec,
-        )  # fmt: skip
+            sha256=sha256(content),
+            bytes=len(content),
+            task=task,
+            algorithm=algorithm,
+            role=role,
+            release=release,
+            rows=len(members),
+            spec=spec,
+        )
         for row, (member, digest) in enumerate(zip(members, hashes, strict=True)):
             rows[str(member.team), role] = PolicyRow(shard=path, row=row, sha256=digest)
-    teams = dict(data.teams)
+    members = dict(data.members)
     for candidate in fresh:
         name, run = str(candidate.team), _run_key(runs, candidate)
         runs[run] = candidate.training
         policies = {role: rows[name, role] for role in sorted(candidate.specs, reverse=True)}
-        teams[name] = Team(run=run, self_play=candidate.self_play, policies=policies)
-    return data.model_copy(update={"runs": runs, "shards": shards, "teams": teams}), files
+        members[name] = candidate.entry(run, policies)
+    tables = {
+        "teams": {name: entry for name, entry in members.items() if isinstance(entry, Team)},
+        "egos": {name: entry for name, entry in members.items() if isinstance(entry, Ego)},
+    }
+    return data.model_copy(update={"runs": runs, "shards": shards, **tables}), files
 
 
 def _by_shard(

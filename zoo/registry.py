@@ -2,17 +2,26 @@
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from pydantic import ValidationError
 
-from zoo.cache import cached_shard
+from population.files import atomic_write
 from zoo.errors import RegistryError, RegistryVersionError, SplitError, listing, nearest, shorten
-from zoo.files import atomic_write, read_registry_text, registry_path, shard_root
 from zoo.ids import parse_team
+from zoo.locations import (
+    REGISTRY_VARIABLE,
+    added_registries,
+    cached_shard,
+    registry_path,
+    shard_root,
+)
+from zoo.namespaces import merge, qualify_split, split_namespace
+from zoo.roots import check_grown, release_root, with_roots
 from zoo.schema import (
     SCHEMA_VERSION,
+    Ego,
     PolicyEntry,
     RegistryFile,
     Split,
@@ -22,18 +31,23 @@ from zoo.schema import (
 )
 from zoo.selection import refuse_unknown, select
 from zoo.splits import check_split, refuse_leak, shared_parameters
+from zoo.untrusted import parse_json, read_text
+
+MAX_REGISTRY_BYTES = 16 * 1024 * 1024  # of 30 times the paper's teams
 
 
 @dataclasses.dataclass(frozen=True)
 class Registry:
-    """A validated registry and where it lies."""
+    """A validated registry and where it lies, with the zoos that were added to it."""
 
-    data: RegistryFile
+    data: RegistryFile  # what other zoos published stands in it under their namespace
     path: Path
-    policies: list[PolicyEntry] = dataclasses.field(
-        repr=False
-    )  # by task, algorithm, disability, seed, release, role
+    # By namespace, task, algorithm, disability, seed, release, role.
+    policies: list[PolicyEntry] = dataclasses.field(repr=False)
     lock: str | None = None  # sha256 of the lock file that it was narrowed down to, see `zoo.lock`
+    parts: Mapping[str, "Registry"] = dataclasses.field(  # by namespace, "" is its own
+        default_factory=dict, repr=False
+    )
 
     @property
     def release(self) -> str:
@@ -46,7 +60,10 @@ class Registry:
         return self.data.splits
 
     def shard_path(self, shard: str) -> Path:
-        """Return where a shard lies on this machine: beside the registry, else in the cache if it was fetched."""
+        """Return where a shard lies here: beside the registry, or in the cache if it was fetched."""
+        namespace, path = split_namespace(shard)
+        if namespace:
+            return self.parts[namespace].shard_path(path)
         beside = shard_root(self.path) / shard
         if beside.is_file() or shard not in self.data.shards:
             return beside
@@ -68,6 +85,15 @@ class Registry:
         """Return the version of its task's environment that a policy was trained on."""
         return self.data.releases[entry.release].environments[entry.task]
 
+    def root(self, release: str) -> str:
+        """Return the root over all that a release holds here: what a result is traced to."""
+        namespace, name = split_namespace(release)
+        return release_root(self.part(namespace).data, name)
+
+    def part(self, namespace: str) -> "Registry":
+        """Return the registry of one zoo alone: an added one, or "" for its own."""
+        return self.parts.get(namespace, self)
+
     def team(self, team_id: str) -> Team:
         """Return one team by its id.
 
@@ -88,7 +114,7 @@ class Registry:
         role: str | None = None,
         release: str | None = None,
     ) -> list[PolicyEntry]:
-        """Return the policies that match, in registry order; the arguments are those of `zoo.selection.select`.
+        """Return the policies that match, in registry order, as `zoo.selection.select` does.
 
         Raises:
             UnknownIdError: Nothing matches; the nearest ids are named.
@@ -104,7 +130,7 @@ class Registry:
         )
 
     def split(self, task: str, id: str | None = None, *, release: str | None = None) -> Split:
-        """Return a verified split: the one named, or the default of the release (the newest if not given).
+        """Return a verified split: the one named, or a release's default (the newest's).
 
         Args:
             task: Task the split is for.
@@ -116,6 +142,10 @@ class Registry:
             SplitError: There is no such split, or its content differs from its sha256.
             LeakageError: A team, or the same parameters, stand on both sides.
         """
+        namespace, name = split_namespace(id or release or "")
+        if namespace in self.parts and namespace:
+            wanted = {"id": name} if id else {"release": name}
+            return qualify_split(self.parts[namespace].split(task, **wanted), namespace)
         split = (
             self._named_split(task, id)
             if id
@@ -157,23 +187,28 @@ class Registry:
 
 
 def load_registry(path: Path | str | None = None) -> Registry:
-    """Return the registry at `path`.
+    """Return the registry at `path`, alone; or the default one, with the zoos that were added.
 
-    Without a path: `$ASSISTAX_ZOO_REGISTRY`, else the checkout's `registry.json`, else the one in
+    The default is `$ASSISTAX_ZOO_REGISTRY`, else the checkout's `registry.json`, else the one in
     the wheel.
 
     Raises:
-        RegistryError: The file is missing or is not of the schema.
-        RegistryVersionError: The file is of a newer schema.
+        RegistryError: A file is missing or is not of the schema.
+        RegistryVersionError: A file is of a newer schema.
     """
-    found = registry_path(path)
-    return build_registry(parse_registry(read_registry_text(found), str(found)), found)
+    own = _read(registry_path(path))
+    found = added_registries() if path is None else {}
+    if not found:
+        return own
+    added = {namespace: _read(file) for namespace, file in found.items()}
+    data = merge(own.data, {namespace: one.data for namespace, one in added.items()})
+    return dataclasses.replace(build_registry(data, own.path), parts={"": own, **added})
 
 
 def parse_registry(text: str, source: str) -> RegistryFile:
     """Return the validated content of a registry's text; `source` names it in errors."""
     try:
-        version = json.loads(text, object_pairs_hook=_unique)["schema_version"]
+        version = parse_json(text)["schema_version"]
         if type(version) is not int:
             raise ValueError(f"schema_version {shorten(version)}")
     except (ValueError, KeyError, TypeError, RecursionError) as error:
@@ -187,20 +222,33 @@ def parse_registry(text: str, source: str) -> RegistryFile:
             next_step="upgrade with `pip install --upgrade assistax-zoo`",
         )
     try:
-        return RegistryFile.model_validate_json(text)
+        return RegistryFile.model_validate_json(first_schema(text) if version == 1 else text)
     except ValidationError as error:
         raise _registry_error(source, first_problem(error)) from None
 
 
+def first_schema(text: str) -> str:
+    """Return a registry of schema version 1 in the schema of today: `ci` was the mean's interval."""
+    data = json.loads(text)
+    data["schema_version"] = SCHEMA_VERSION
+    teams = data.get("teams")
+    for team in teams.values() if isinstance(teams, dict) else ():
+        figures = team.get("self_play") if isinstance(team, dict) else None
+        if isinstance(figures, dict) and "ci" in figures:
+            figures["mean_ci"] = figures.pop("ci")
+    return json.dumps(data)
+
+
 def build_registry(data: RegistryFile, path: Path) -> Registry:
     """Return the registry with its policies resolved and in order."""
-    teams = sorted(
-        ((parse_team(team), entry) for team, entry in data.teams.items()),
+    members = sorted(
+        ((parse_team(team), entry) for team, entry in data.members.items()),
         key=lambda pair: pair[0].order,
     )
     settings = {name: setting.value() for name, setting in data.disability_settings.items()}
     policies = []
-    for team, entry in teams:
+    for team, entry in members:
+        prefix = f"{team.namespace}:" if team.namespace else ""
         for role, place in sorted(entry.policies.items(), reverse=True):
             policy = PolicyEntry(
                 id=f"{team}/{role}",
@@ -209,37 +257,44 @@ def build_registry(data: RegistryFile, path: Path) -> Registry:
                 algorithm=team.algorithm,
                 role=role,
                 disability=team.disability,
-                setting=settings[team.disability],
+                setting=settings.get(f"{prefix}{team.disability}"),
                 seed=team.seed,
-                release=team.release,
+                release=f"{prefix}{team.release}",
                 spec=data.shards[place.shard].spec,
                 shard=place.shard,
                 row=place.row,
                 sha256=place.sha256,
                 run=entry.run,
                 training=data.runs[entry.run],
-                self_play=entry.self_play,
+                self_play=entry.self_play if isinstance(entry, Team) else None,
+                trained_against=entry.trained_against if isinstance(entry, Ego) else None,
             )
             policies.append(policy)
     return Registry(data=data, path=path, policies=policies)
 
 
 def save_registry(data: RegistryFile, path: Path) -> Registry:
-    """Validate the content once more as text, write it atomically, and return it as a registry."""
+    """Write the content with its roots, atomically, and return it as a registry.
+
+    It is validated once more as text, and held against what the file published before.
+
+    Raises:
+        RegistryError: It would not load.
+        ImmutableError: Something that was published is gone or changed.
+    """
+    data = with_roots(data)
     text = dump_registry(data)
     registry = build_registry(parse_registry(text, str(path)), path)
+    if path.exists():
+        check_grown(_read(path).data, registry.data)
     atomic_write(path, text.encode())
     return registry
 
 
-def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    table = dict(pairs)
-    if len(table) != len(pairs):
-        names = [name for name, _ in pairs]
-        raise ValueError(
-            f"key {next(name for name in names if names.count(name) > 1)!r} twice in one object"
-        )
-    return table
+def _read(path: Path) -> Registry:
+    remedy = f"give its path with --registry or ${REGISTRY_VARIABLE}, or restore it"
+    text = read_text(path, MAX_REGISTRY_BYTES, RegistryError, "registry", remedy)
+    return build_registry(parse_registry(text, str(path)), path)
 
 
 def _registry_error(source: str, found: str) -> RegistryError:
@@ -248,7 +303,7 @@ def _registry_error(source: str, found: str) -> RegistryError:
         expected=f"a registry of schema version {SCHEMA_VERSION}",
         found=found,
         done="nothing was loaded",
-        next_step="restore the file from the repository, or upgrade assistax-zoo if a newer version wrote it",
+        next_step="restore the file, or upgrade assistax-zoo if a newer version wrote it",
     )
 
 
@@ -258,5 +313,5 @@ def _split_error(problem: str, expected: str, found: str) -> SplitError:
         expected=expected,
         found=found,
         done="no split was loaded",
-        next_step="`assistax-zoo split list` prints the splits, `assistax-zoo split create` makes one",
+        next_step="`assistax-zoo split list` prints them, `assistax-zoo split create` makes one",
     )

@@ -1,13 +1,15 @@
-"""The splits of a release: the default that follows its teams, and those made by hand."""
+"""A release as a whole: its default splits, those made by hand, and its signature."""
 
 from pathlib import Path
 from typing import Any
 
+from population.files import exclusive
 from zoo.errors import SplitError, listing, shorten
-from zoo.files import exclusive
 from zoo.ids import parse_team, release_number
 from zoo.registry import Registry, load_registry, save_registry
+from zoo.roots import release_root
 from zoo.schema import RegistryFile, Split
+from zoo.signing import sign
 from zoo.splits import LEAVE_ONE_OUT, half_side, make_split, refuse_leak, shared_parameters
 
 
@@ -19,8 +21,9 @@ def create_split(
     release: str | None = None,
     **arguments: Any,
 ) -> Split:
-    """Make a split of a release's partners, write it to the registry, and return it; an existing one is left as it is.
+    """Make a split of a release's partners, write it to the registry, and return it.
 
+    One that exists is left as it is.
     A leave-one-out rule leaves out training partners that act nearly as one of the test partners
     does.
 
@@ -42,7 +45,7 @@ def create_split(
     )  # storage, which it reads, stands above this module
 
     path = Path(registry_path)
-    with exclusive(path.parent):
+    with exclusive(path):
         registry = load_registry(path)
         data = registry.data
         release = release or data.release
@@ -66,18 +69,26 @@ def create_split(
 
 
 def complete_release(registry_path: Path | str, release: str) -> Registry:
-    """Make a release that was published in parts the default one, with its default splits, and return the registry."""
+    """Make a release that was published in parts the default one; return the registry."""
     path = Path(registry_path)
-    with exclusive(path.parent):
+    with exclusive(path):
         registry = load_registry(path)
         data = completed(registry.data, release)
         return registry if data == registry.data else save_registry(data, path)
 
 
 def completed(data: RegistryFile, release: str) -> RegistryFile:
-    """Return the registry with the release's default splits, and the release as the default if none is newer."""
+    """Return the registry with the release's default splits; it is the default unless older."""
     newest = max(data.release, release, key=release_number)
     return _with_default_splits(data.model_copy(update={"release": newest}), release)
+
+
+def signed(data: RegistryFile, release: str, key: Path) -> RegistryFile:
+    """Return the registry with the release signed as it is."""
+    root = release_root(data, release)
+    fields = {"root": root, "signature": sign(release, root, key)}
+    entry = data.releases[release].model_copy(update=fields)
+    return data.model_copy(update={"releases": {**data.releases, release: entry}})
 
 
 def partner_teams(data: RegistryFile, task: str, release: str) -> list[str]:
@@ -92,7 +103,7 @@ def partner_teams(data: RegistryFile, task: str, release: str) -> list[str]:
 
 
 def _with_default_splits(data: RegistryFile, release: str) -> RegistryFile:
-    """Return the registry with a `half` split, seed 0, as default for every task of the release that has both halves.
+    """Return the registry with a default split, `half` of seed 0, where both halves have teams.
 
     A split that no longer covers the release stays in the registry; the default moves on to the new
     one.

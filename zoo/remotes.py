@@ -1,19 +1,22 @@
-"""Remotes: where published bytes can be read. A folder, a web server, a hub repository, or any fsspec file system.
+"""Remotes: where published bytes can be read. A folder, a web server, a hub, whatever fsspec opens.
 
 A remote has the layout of a checkout: `registry.json`, and the shards at the paths that it lists.
 """
 
 import contextlib
 import dataclasses
+import queue
 import re
 import threading
-from collections.abc import Callable, Generator, Iterator
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, Protocol, TypeVar
 
-from zoo.errors import OfflineError, RemoteError, shorten
+from zoo.errors import MissingFileError, OfflineError, RemoteError, shorten
 
 CHUNK = 1 << 20
+SLACK, SLOWEST = 60.0, 32_768  # seconds, and bytes a second, that a fetch may take at most
 _HUB = re.compile(r"hf://(?P<repo>[\w.-]+/[\w.-]+)(?:@(?P<revision>[^@\s]+))?")
 _RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+|\*)")
 _TRANSIENT = (408, 425, 429, 500, 502, 503, 504)
@@ -22,7 +25,7 @@ T = TypeVar("T")
 
 @dataclasses.dataclass(frozen=True)
 class Retry:
-    """How often, and after which pauses, a request that failed for a passing reason is made again."""
+    """How often, and after which pauses, a request is made again that failed for a while."""
 
     attempts: int = 5  # without any progress
     pause: float = 0.5  # seconds, doubled each time
@@ -42,7 +45,7 @@ class TransientError(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Stream:
-    """A file's bytes from `start` on; 0 where a range was asked for but the remote does not know ranges."""
+    """A file's bytes from `start` on: from 0 where the remote does not know ranges."""
 
     start: int
     chunks: Iterator[bytes]
@@ -58,13 +61,11 @@ class Remote(Protocol):
 
     @property
     def revision(self) -> str | None:
-        """The commit that is read, where the remote has commits; the remote is asked for it once."""
+        """The commit that is read, where the remote has commits; it is asked for once."""
         ...
 
-    def open(
-        self, path: str, start: int = 0, stop: int | None = None
-    ) -> contextlib.AbstractContextManager[Stream]:
-        """Open a file's bytes from `start` up to `stop`.
+    def open(self, path: str, start: int = 0) -> contextlib.AbstractContextManager[Stream]:
+        """Open a file's bytes from `start` on.
 
         Raises:
             RemoteError: The file is not there or cannot be read.
@@ -121,7 +122,7 @@ def with_retries(work: Callable[[], T], what: str, *, retry: Retry | None = None
 def pause_before(
     attempt: int, error: TransientError, retry: Retry, stop: threading.Event | None = None
 ) -> None:
-    """Wait before the next attempt: twice as long each time, or as long as the server asked for; `stop` ends it."""
+    """Wait before the next attempt: each time twice as long, or as the server asked; `stop` ends it."""
     wait = retry.pause * 2 ** (attempt - 1) if error.wait is None else error.wait
     (stop or threading.Event()).wait(min(wait, retry.longest))
 
@@ -139,15 +140,54 @@ def read_file(remote: Remote, path: str, limit: int) -> bytes:
             for chunk in stream.chunks:
                 data += chunk
                 if len(data) > limit:
-                    refuse(
-                        f"{path} of {remote.name}",
-                        f"at most {limit} bytes",
-                        "more",
-                        "check that this is a zoo",
-                    )
+                    advice = "check that this is a zoo"
+                    refuse(what, f"at most {limit} bytes", "more", advice)
         return bytes(data)
 
-    return with_retries(read, f"{path} of {remote.name}")
+    what = f"{path} of {remote.name}"
+    [content] = run_all([lambda stop: with_retries(read, what)], 1, limit, what)
+    return content
+
+
+def run_all(
+    works: Sequence[Callable[[threading.Event], T]], workers: int, size: int, what: str
+) -> list[T]:
+    """Return what every work returns; the first error stops the others through their event.
+
+    The threads are daemons: neither an interrupt nor a server that sends a byte a second waits for
+    them. All must be done within `SLACK` seconds and what `size` bytes take at `SLOWEST`.
+
+    Raises:
+        RemoteError: It takes longer than that.
+    """
+    stop, todo, done = threading.Event(), queue.SimpleQueue(), queue.SimpleQueue()
+
+    def serve() -> None:
+        with contextlib.suppress(queue.Empty):
+            while not stop.is_set():
+                index, work = todo.get_nowait()
+                try:
+                    done.put((index, work(stop), None))
+                except BaseException as error:
+                    done.put((index, None, error))
+
+    for item in enumerate(works):
+        todo.put(item)
+    for _ in range(min(workers, len(works))):
+        threading.Thread(target=serve, daemon=True).start()
+    ends, results = time.monotonic() + SLACK + size / SLOWEST, {}
+    try:
+        while len(results) < len(works):
+            index, result, error = done.get(timeout=max(0.0, ends - time.monotonic()))
+            if error:
+                raise error
+            results[index] = result
+    except queue.Empty:
+        found = f"no end within {SLACK + size / SLOWEST:.0f} seconds"
+        refuse(what, "all bytes", found, "fetch again later, or from another remote")
+    finally:
+        stop.set()
+    return [results[index] for index in range(len(works))]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,7 +198,7 @@ class FileRemote:
     revision: str | None = None
 
     @contextlib.contextmanager
-    def open(self, path: str, start: int = 0, stop: int | None = None) -> Generator[Stream]:
+    def open(self, path: str, start: int = 0) -> Generator[Stream]:
         """Open a file's bytes, as `Remote.open`."""
         with contextlib.ExitStack() as stack:
             with self._errors(path):
@@ -167,15 +207,14 @@ class FileRemote:
                 system, root = fsspec.url_to_fs(self.name)
                 file = stack.enter_context(system.open(f"{root.rstrip('/')}/{path}", "rb"))
                 file.seek(start)
-            yield Stream(start, self._chunks(file, path, None if stop is None else stop - start))
+            yield Stream(start, self._chunks(file, path))
 
-    def _chunks(self, file: Any, path: str, left: int | None) -> Iterator[bytes]:
-        while left is None or left > 0:
+    def _chunks(self, file: Any, path: str) -> Iterator[bytes]:
+        while True:
             with self._errors(path):
-                chunk = file.read(CHUNK if left is None else min(CHUNK, left))
+                chunk = file.read(CHUNK)
             if not chunk:
                 return
-            left = None if left is None else left - len(chunk)
             yield chunk
 
     @contextlib.contextmanager
@@ -219,14 +258,14 @@ class HttpRemote:
         return {}
 
     @contextlib.contextmanager
-    def open(self, path: str, start: int = 0, stop: int | None = None) -> Generator[Stream]:
+    def open(self, path: str, start: int = 0) -> Generator[Stream]:
         """Open a file's bytes, as `Remote.open`."""
         from huggingface_hub import constants
         from huggingface_hub.utils import get_session
 
         headers = {**self.headers(), "Accept-Encoding": "identity"}
-        if start or stop is not None:
-            headers["Range"] = f"bytes={start}-{'' if stop is None else stop - 1}"
+        if start:
+            headers["Range"] = f"bytes={start}-"
         with network_errors(self):
             url, timeout = self.url(path), constants.HF_HUB_DOWNLOAD_TIMEOUT
             with get_session().stream("GET", url, headers=headers, timeout=timeout) as response:
@@ -278,7 +317,13 @@ def refuse_missing(path: str, remote: Remote) -> NoReturn:
         if path == "registry.json"
         else "ask its owner, or fetch from another remote"
     )
-    refuse(f"{remote.name}", f"a zoo with {path} in it", "no such file", advice)
+    raise MissingFileError(
+        remote.name,
+        expected=f"a zoo with {path} in it",
+        found="no such file",
+        done="nothing was fetched",
+        next_step=advice,
+    )
 
 
 @contextlib.contextmanager

@@ -4,22 +4,28 @@ A run folder (or its `final/`) holds `teams.json`, a list of
 `{"team": {"task", "algorithm", "disability", "seed"}, "roles": {role: {"spec", "file", "row"}},
 "training": {...}, "self_play": {...} | null}`, and the files it names: stacked safetensors with
 leaves [P, ...] named by '/'-joined path and one metadata key `assistax` holding `{"spec": ...,
-"rows": [...]}`.
+"rows": [...]}`. The folder of a `train-ego` run also holds `split.json`, the split whose training
+half its partners were.
 """
 
 import dataclasses
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from population.spec import PolicySpec, Role
 from zoo.errors import FormatError, shorten
-from zoo.schema import spec_from_json
+from zoo.schema import Split, first_problem, spec_from_json
+from zoo.splits import check_split
 from zoo.storage import StackedFile, parse_stacked, take_row
 from zoo.tensors import read_bytes, unflatten
+from zoo.untrusted import parse_json, read_text
 
-_MAX_TEAMS_BYTES = 64 * 1024 * 1024
+_MAX_TEAMS_BYTES = 16 * 1024 * 1024
+MIXED = "mixed"  # the setting of an ego in a run folder: each of its partners has its own
+_AGAIN = "give the folder that `assistax-zoo train` wrote, after the run has finished"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,7 +43,8 @@ class TrainedTeam:
     training: Mapping[
         str, Any
     ]  # `run`, `steps`, `env_version`, `backend`, and what else the trainer recorded
-    self_play: Mapping[str, Any] | None = None  # mean, iqm, ci, n, and success if known
+    self_play: Mapping[str, Any] | None = None  # mean, iqm, mean_ci, n, and success if known
+    trained_against: Mapping[str, str] | None = None  # an ego's split and its sha256
 
     def __post_init__(self) -> None:
         if not self.specs or set(self.specs) != set(self.params):
@@ -48,6 +55,11 @@ class TrainedTeam:
         for role, spec in self.specs.items():
             if spec.role != role:
                 raise ValueError(f"the spec under role {role!r} is of role {spec.role!r}")
+
+    @property
+    def is_ego(self) -> bool:
+        """Whether it is a robot alone, trained with partners of several disability settings."""
+        return self.disability == MIXED and set(self.specs) == {"robot"}
 
 
 def read_run(folder: Path | str) -> list[TrainedTeam]:
@@ -65,21 +77,39 @@ def read_run(folder: Path | str) -> list[TrainedTeam]:
     source = str(home / "teams.json")
     items = _read_teams(home / "teams.json")
     files: dict[str, StackedFile] = {}
+    against = _trained_against(home / "split.json", home.parent / "split.json")
     teams = []
     for index, item in enumerate(items):
         where = f"{source}, team {index}"
         try:
-            teams.append(_team(home, item, files, folder.resolve().name, where))
+            team = _team(home, item, files, folder.resolve().name, where)
+            teams.append(
+                dataclasses.replace(team, trained_against=against if team.is_ego else None)
+            )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise _error(where, "the fields that zoo/runs.py describes", _reason(error)) from None
     return teams
 
 
-def _read_teams(path: Path) -> list[Any]:
-    if path.stat().st_size > _MAX_TEAMS_BYTES:
-        raise _error(str(path), f"at most {_MAX_TEAMS_BYTES} bytes", f"{path.stat().st_size} bytes")
+def _trained_against(*places: Path) -> dict[str, str] | None:
+    """Return the split that a run names by id and sha256, if it names one."""
+    path = next((place for place in places if place.is_file()), None)
+    if path is None:
+        return None
     try:
-        items = json.loads(path.read_text(encoding="utf-8"))
+        split = Split.model_validate_json(
+            read_text(path, _MAX_TEAMS_BYTES, FormatError, "split", _AGAIN)
+        )
+        check_split(split)
+    except ValidationError as error:
+        raise _error(str(path), "a split", first_problem(error)) from None
+    return {"split": split.id, "sha256": split.sha256}
+
+
+def _read_teams(path: Path) -> list[Any]:
+    text = read_text(path, _MAX_TEAMS_BYTES, FormatError, "teams", _AGAIN)
+    try:
+        items = parse_json(text)
     except (ValueError, RecursionError) as error:
         raise _error(str(path), "a JSON list of teams", _reason(error)) from None
     if not isinstance(items, list) or not items:
@@ -105,10 +135,20 @@ def _team(
         if type(place["row"]) is not int or not 0 <= place["row"] < len(stacked.rows):
             raise _error(where, f"a row from 0 to {len(stacked.rows) - 1}", shorten(place["row"]))
         params[role] = unflatten(take_row(stacked, place["row"]))
-    training = {"run": run, **item["training"]}
-    names = ("task", "algorithm", "disability", "seed")
-    return TrainedTeam(**{name: team[name] for name in names}, specs=specs, params=params, training=training,
-                       self_play=item.get("self_play"))  # fmt: skip
+    return TrainedTeam(
+        **{name: team[name] for name in ("task", "algorithm", "disability", "seed")},
+        specs=specs,
+        params=params,
+        training={"run": run, **item["training"]},
+        self_play=_figures(item.get("self_play")),
+    )
+
+
+def _figures(self_play: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
+    """Return self-play figures; older runs call the interval of the mean `ci`."""
+    if self_play and "ci" in self_play:
+        return {("mean_ci" if name == "ci" else name): value for name, value in self_play.items()}
+    return self_play
 
 
 def _stacked(home: Path, name: str, files: dict[str, StackedFile]) -> StackedFile:
@@ -132,5 +172,5 @@ def _error(source: str, expected: str, found: str) -> FormatError:
         expected=expected,
         found=found,
         done="nothing was published",
-        next_step="give the folder that `assistax-zoo train` wrote, after the run has finished",
+        next_step=_AGAIN,
     )

@@ -1,4 +1,4 @@
-"""What `registry.json` holds, as frozen Pydantic models; an unknown field or a newer schema is an error.
+"""What `registry.json` holds, as frozen Pydantic models; an unknown field is an error.
 
 Nothing is stored twice: a policy's task, algorithm, disability, seed and release are its id, its
 spec is its shard's, and training provenance lies in `runs`, once for all teams of a run. Raise
@@ -7,7 +7,7 @@ spec is its shard's, and training provenance lies in `runs`, once for all teams 
 
 import dataclasses
 import json
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     BaseModel,
@@ -23,7 +23,7 @@ from assistax_envs.disability import Disability
 from population.spec import PolicySpec, Role
 from zoo.ids import parse_team
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2  # 1: without egos and roots; self-play's `mean_ci` was called `ci`
 
 Scalar = float | int | bool | str | None
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -33,6 +33,9 @@ ShardPath = Annotated[
     str, Field(pattern=r"^([A-Za-z0-9_][A-Za-z0-9_.-]*/)*[A-Za-z0-9_][A-Za-z0-9_.-]*\.safetensors$")
 ]
 Count = Annotated[int, Field(ge=0)]
+Rule = Literal[
+    "half", "leave-one-algorithm-out", "leave-one-disability-out", "small-train", "custom"
+]
 
 
 def spec_from_json(value: object) -> PolicySpec:
@@ -71,14 +74,15 @@ class SelfPlay(_Model):
 
     mean: float
     iqm: float
-    ci: tuple[float, float]
+    mean_ci: tuple[float, float]  # of the mean
     n: Annotated[int, Field(ge=1)]
     success: float | None = None
 
     @model_validator(mode="after")
     def _ordered(self) -> "SelfPlay":
-        if self.ci[0] > self.ci[1]:
-            raise ValueError(f"ci is [{self.ci[0]}, {self.ci[1]}]; the low end comes first")
+        low, high = self.mean_ci
+        if low > high:
+            raise ValueError(f"mean_ci is [{low}, {high}]; the low end comes first")
         return self
 
 
@@ -98,14 +102,15 @@ class Training(_Model):
 
 
 class Release(_Model):
-    """A release: its date, the environment versions its policies were trained on, and its default splits."""
+    """A release: its date, the versions of its environments, its default splits, and its root."""
 
     date: Annotated[str, Field(pattern=r"^\d{4}-\d{2}-\d{2}$")]
     description: str = ""
     environments: dict[Name, Annotated[int, Field(ge=1)]]
-    splits: dict[
-        Name, str
-    ] = {}  # task -> id of its default split; moves to a new split when the release grows
+    # By task, the id of the default split; it moves to a new split when the release grows.
+    splits: dict[Name, str] = {}
+    root: Sha256 | None = None  # over all of the release, see `zoo.roots`
+    signature: Annotated[str, Field(pattern=r"^[0-9a-f]{128}$")] | None = None  # Ed25519, hex
 
 
 class DisabilitySetting(_Model):
@@ -158,13 +163,28 @@ class Team(_Model):
     policies: Annotated[dict[Role, PolicyRow], Field(min_length=1)]
 
 
+class TrainedAgainst(_Model):
+    """The split whose training half an ego's partners were, wherever it is published."""
+
+    split: str
+    sha256: Sha256
+
+
+class Ego(_Model):
+    """A robot that was trained with frozen partners: no team, and never a partner."""
+
+    run: str
+    trained_against: TrainedAgainst
+    policies: Annotated[dict[Literal["robot"], PolicyRow], Field(min_length=1)]
+
+
 class Split(_Model):
     """Training and test partners of a task, by team id; see `zoo.splits`."""
 
     id: str
     task: Name
     release: ReleaseName
-    rule: str
+    rule: Rule
     held_out: str | None = None
     n: int | None = None
     seed: Count
@@ -172,7 +192,7 @@ class Split(_Model):
     train: tuple[str, ...]
     test: tuple[str, ...]
 
-    def side(self, team: str) -> str | None:
+    def side(self, team: str) -> Literal["train", "test"] | None:
         """Return "train", "test", or None for a team outside the split."""
         return "train" if team in self.train else "test" if team in self.test else None
 
@@ -180,22 +200,21 @@ class Split(_Model):
 class RegistryFile(_Model):
     """The whole of `registry.json`."""
 
-    schema_version: int
+    schema_version: Literal[2]
     release: ReleaseName  # the newest whole one: its splits are the default
     releases: dict[ReleaseName, Release]
     disability_settings: dict[str, DisabilitySetting]
     runs: dict[str, Training]
     shards: dict[ShardPath, Shard]
     teams: dict[str, Team]
+    egos: dict[str, Ego] = {}
     splits: tuple[Split, ...] = ()
 
     @model_validator(mode="after")
     def _consistent(self) -> "RegistryFile":
-        if self.schema_version != SCHEMA_VERSION:
-            raise ValueError(f"schema_version is {self.schema_version}, not {SCHEMA_VERSION}")
         _known("release", self.release, self.releases)
-        for team, entry in self.teams.items():
-            self._check_team(team, entry)
+        for name, entry in self.members.items():
+            self._check_member(name, entry)
         splits = {split.id: (split.task, split.release) for split in self.splits}
         if len(splits) != len(self.splits):
             raise ValueError("a split id stands twice in splits")
@@ -208,13 +227,21 @@ class RegistryFile(_Model):
                     )
         return self
 
-    def _check_team(self, team: str, entry: Team) -> None:
+    @property
+    def members(self) -> dict[str, "Team | Ego"]:
+        """Teams and egos by id."""
+        return {**self.teams, **self.egos}
+
+    def _check_member(self, team: str, entry: "Team | Ego") -> None:
         parts = _parse(team)
+        if parts.namespace or parts.is_ego != isinstance(entry, Ego):
+            raise ValueError(f"{team} is no id of {'an ego' if parts.is_ego else 'a team'} here")
         _known(f"{team}: release", parts.release, self.releases)
         _known(
             f"{team}: environment version of", parts.task, self.releases[parts.release].environments
         )
-        _known(f"{team}: disability", parts.disability, self.disability_settings)
+        if not parts.is_ego:
+            _known(f"{team}: disability", parts.disability, self.disability_settings)
         _known(f"{team}: run", entry.run, self.runs)
         for role, place in entry.policies.items():
             _known(f"{team}/{role}: shard", place.shard, self.shards)
@@ -237,8 +264,8 @@ class PolicyEntry:
     task: str
     algorithm: str
     role: Role
-    disability: str  # "d3"
-    setting: Disability  # what "d3" is, as the registry has it
+    disability: str  # "d3"; "ego" for a robot without a human
+    setting: Disability | None  # what "d3" is, as the registry has it
     seed: int
     release: str  # "v1"
     spec: PolicySpec
@@ -248,15 +275,33 @@ class PolicyEntry:
     run: str  # key of its provenance in `runs`
     training: Training
     self_play: SelfPlay | None
+    trained_against: TrainedAgainst | None = None  # of egos
+
+    @property
+    def partner_setting(self) -> Disability:
+        """The human's setting, for a simulation.
+
+        Raises:
+            ValueError: It is an ego, which has no human of its own.
+        """
+        if self.setting is None:
+            raise ValueError(f"{self.id} is an ego; give a partner, which has a disability setting")
+        return self.setting
+
+    def brief(self) -> dict[str, Any]:
+        """Return what a list says of it, JSON-ready."""
+        names = ("id", "team", "task", "algorithm", "role", "disability", "seed", "release")
+        figures = self.self_play.model_dump(mode="json") if self.self_play else None
+        return {**{name: getattr(self, name) for name in names}, "self_play": figures}
 
 
 def dump_registry(file: RegistryFile) -> str:
-    """Return the registry's text: sorted, and one line for each small object, so that changes give small diffs."""
+    """Return the registry's text: sorted, one line for each small object, for small diffs."""
     data = file.model_dump(mode="json", exclude_defaults=True)
-    data["teams"] = {
-        team: data["teams"][team]
-        for team in sorted(data["teams"], key=lambda text: _parse(text).order)
-    }
+    for table in ("teams", "egos"):
+        names = sorted(data.get(table, {}), key=lambda text: _parse(text).order)
+        data |= {table: {name: data[table][name] for name in names}} if names else {}
+    data.setdefault("teams", {})
     for table in ("releases", "runs", "shards"):
         data[table] = dict(sorted(data[table].items()))
     data["splits"] = sorted(data.get("splits", []), key=lambda split: split["id"])
@@ -288,7 +333,7 @@ def _known(what: str, name: str, table: Any) -> None:
 
 
 def _lay_out(value: Any, indent: int, width: int = 190) -> str:
-    """Return JSON with a container on one line where it fits and holds no deep nesting, else one item a line."""
+    """Return JSON: a container on one line where it fits and is shallow, else one item a line."""
     flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
     if (
         not isinstance(value, dict | list)

@@ -3,8 +3,7 @@
 A split is a manifest: task, release, rule, seed, the sorted team ids of both sides, and the sha256
 of all that. Its id ends in the first eight digits of that sha256, so a published split never
 changes: when a release grows, its default split becomes a new one with a new id, and the old one
-    stays for whoever cited
-it.
+stays for whoever cited it.
 
 | rule | train | test |
 |---|---|---|
@@ -29,14 +28,14 @@ either side.
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Literal, NoReturn
+from typing import Literal, NoReturn, get_args
 
+from population.files import sha256
 from zoo.errors import LeakageError, SplitError, listing, shorten
-from zoo.files import sha256
 from zoo.ids import TeamId, parse_team
-from zoo.schema import Split, Team
+from zoo.schema import Rule, Split, Team
 
-RULES = ("half", "leave-one-algorithm-out", "leave-one-disability-out", "small-train", "custom")
+RULES = get_args(Rule)
 LEAVE_ONE_OUT = {
     "leave-one-algorithm-out": "algorithm",
     "leave-one-disability-out": "disability",
@@ -76,7 +75,7 @@ def make_split(
         {
             str(team)
             for team in map(parse_team, teams)
-            if (team.task, team.release) == (task, release)
+            if (team.task, team.release, team.namespace) == (task, release, "")
         }
     )
     if rule == "half":
@@ -99,7 +98,7 @@ def make_split(
         "train": tuple(sides[0]),
         "test": tuple(sides[1]),
     }
-    split = Split(id=_id(content), sha256=_digest(content), **content)
+    split = Split.model_validate({"id": _id(content), "sha256": _digest(content), **content})
     check_split(split)
     return split
 
@@ -112,7 +111,7 @@ def half_side(team: TeamId, seed: int = 0) -> Literal["train", "test"]:
 
 
 def check_split(split: Split) -> None:
-    """Check that a split's content gives its sha256 and id, that its lists are sorted, and that no team leaks.
+    """Check that a split's content gives its sha256 and id, and that no team leaks.
 
     Raises:
         SplitError: The content differs from what was published, or a side is empty.
@@ -170,7 +169,7 @@ def refuse_leak(split: str, pairs: Sequence[tuple[str, str]]) -> NoReturn:
         expected="no team and no parameters on both sides",
         found=f"{len(pairs)} on both: {listing([f'{a} = {b}' for a, b in pairs], 3)}",
         done="the split was refused",
-        next_step="take one of each pair out, or make another split with `assistax-zoo split create`",
+        next_step="take one of each pair out, or make another with `assistax-zoo split create`",
     )
 
 
@@ -231,5 +230,5 @@ def _error(problem: str, expected: str, found: str) -> SplitError:
         expected=expected,
         found=found,
         done="no split was made or loaded",
-        next_step="see `assistax-zoo split --help`; a published split is restored from the repository",
+        next_step="see `assistax-zoo split --help`; restore a published split with its registry",
     )

@@ -1,4 +1,4 @@
-"""Stacked shards and single-policy files: written once, hashed by row and by file, verified on every load."""
+"""Stacked shards and single-policy files: hashed by row and by file, verified on every load."""
 
 import functools
 import json
@@ -8,11 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from population.files import atomic_write, sha256
 from population.spec import PolicySpec
 from population.stack import PolicyStack, stack_policies
-from zoo.cache import cached_row
 from zoo.errors import FormatError, IntegrityError, shorten
-from zoo.files import atomic_write, sha256
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, spec_from_json
 from zoo.tensors import (
@@ -36,7 +35,7 @@ class PolicyFile(NamedTuple):
 
 
 class StackedFile(NamedTuple):
-    """A file of stacked parameters: leaves [P, ...] as stored, and what its metadata says of each row."""
+    """A file of stacked parameters: leaves [P, ...], and what its metadata says of each row."""
 
     spec: PolicySpec
     leaves: Leaves
@@ -47,8 +46,7 @@ def load_stacks(registry: Registry, entries: Iterable[PolicyEntry]) -> tuple[Pol
     """Return the parameters of the entries as float32, one stack for each spec, in the order asked.
 
     Stacks come in the order in which their specs first occur. Every shard's sha256 and every
-    returned row's sha256 is held against the registry. Of a shard that is not on this machine,
-    policies that were fetched on their own do.
+    returned row's sha256 is held against the registry.
 
     Raises:
         IntegrityError: A shard is missing or its bytes are not those of the registry.
@@ -68,43 +66,17 @@ def load_stacks(registry: Registry, entries: Iterable[PolicyEntry]) -> tuple[Pol
 def load_leaves(registry: Registry, entries: Iterable[PolicyEntry]) -> dict[str, Leaves]:
     """Return the leaves of each entry by its id, in the dtype that is stored; verified."""
     entries = list(entries)
-    places = _read_places(registry, entries)
-    return {entry.id: _verified_row(*places[entry.id], entry) for entry in entries}
+    shards = _read_shards(registry, entries)
+    return {entry.id: _verified_row(shards[entry.shard], entry.row, entry) for entry in entries}
 
 
-def _read_places(
-    registry: Registry, entries: Sequence[PolicyEntry]
-) -> dict[str, tuple[StackedFile, int]]:
-    """Return the file and the row in it that hold each policy."""
-    places: dict[str, tuple[StackedFile, int]] = {}
-    for shard in dict.fromkeys(entry.shard for entry in entries):
-        members = [entry for entry in entries if entry.shard == shard]
-        if not registry.shard_path(shard).is_file() and all(
-            cached_row(entry.sha256).is_file() for entry in members
-        ):
-            places |= {entry.id: (read_row(entry), 0) for entry in members}
-        else:
-            stacked = read_shard(registry, shard)
-            places |= {entry.id: (stacked, entry.row) for entry in members}
-    return places
-
-
-def read_row(entry: PolicyEntry) -> StackedFile:
-    """Return a policy that was fetched on its own, as a file of one row; the row is verified when it is taken."""
-    path = cached_row(entry.sha256)
-    stacked = parse_stacked(
-        read_bytes(path, f"policy {entry.id} in {path}"), f"policy {entry.id} in {path}"
-    )
-    if stacked.spec != entry.spec or len(stacked.rows) != 1:
-        found = f"{len(stacked.rows)} rows of spec {stacked.spec.digest}"
-        raise _format_error(
-            f"policy {entry.id} in {path}", f"one row of spec {entry.spec.digest}", found
-        )
-    return stacked
+def _read_shards(registry: Registry, entries: Sequence[PolicyEntry]) -> dict[str, StackedFile]:
+    """Return every shard that holds one of the entries, by its path."""
+    return {shard: read_shard(registry, shard) for shard in dict.fromkeys(e.shard for e in entries)}
 
 
 def read_shard(registry: Registry, path: str) -> StackedFile:
-    """Return one shard of the registry, its file verified (rows are verified when they are taken)."""
+    """Return one shard of the registry, its file verified; rows are when they are taken."""
     shard = registry.data.shards[path]
     data = read_bytes(
         registry.shard_path(path), f"shard {path}", size=shard.bytes, digest=shard.sha256
@@ -258,7 +230,7 @@ def _float32(leaves: Leaves) -> dict[str, Any]:
 
 
 def _content_sha256(spec: PolicySpec, metadata: Mapping[str, Any], leaves: Leaves) -> str:
-    """Return the sha256 that a policy file carries of itself: over its spec, its metadata and its leaves."""
+    """Return the sha256 that a policy file carries of itself: of spec, metadata and leaves."""
     return sha256(
         json.dumps([spec.to_json(), dict(metadata), row_sha256(leaves)], sort_keys=True).encode()
     )

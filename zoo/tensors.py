@@ -1,4 +1,4 @@
-"""Parameters as bytes: flat leaves, their canonical hash, and safetensors files read with bounds. Never a pickle."""
+"""Parameters as bytes: flat leaves, their canonical hash, safetensors files. Never a pickle."""
 
 import hashlib
 import json
@@ -11,8 +11,9 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
+from population.files import sha256
 from zoo.errors import FormatError, IntegrityError, shorten
-from zoo.files import sha256
+from zoo.untrusted import parse_json
 
 METADATA_KEY = "assistax"  # the only metadata key: bytes are stable with at most one
 MAX_HEADER_BYTES = 4 * 1024 * 1024
@@ -54,7 +55,7 @@ def unflatten(leaves: Mapping[str, np.ndarray]) -> dict[str, Any]:
 
 
 def row_sha256(leaves: Mapping[str, np.ndarray]) -> str:
-    """Return the sha256 of one policy's leaves: name, dtype, shape and little-endian bytes of each, in name order."""
+    """Return the sha256 of one policy's leaves: name, dtype, shape, little-endian bytes of each."""
     digest = hashlib.sha256()
     for name in sorted(leaves):
         value = np.ascontiguousarray(leaves[name])
@@ -66,7 +67,7 @@ def row_sha256(leaves: Mapping[str, np.ndarray]) -> str:
 
 
 def encode(leaves: Leaves, metadata: Mapping[str, Any]) -> bytes:
-    """Return the safetensors bytes of leaves, with the metadata as JSON under the one key; stable for equal input."""
+    """Return the safetensors bytes of leaves, with JSON metadata; the same for equal input."""
     _check_leaves(leaves, "parameters")
     text = json.dumps(metadata, sort_keys=True, separators=(",", ":"), allow_nan=False)
     contiguous = {name: np.require(value, requirements="C") for name, value in leaves.items()}
@@ -85,7 +86,7 @@ def decode(data: bytes, source: str) -> tuple[Leaves, dict[str, Any]]:
     """
     header, tensors = _deserialize(data, source)
     try:
-        metadata = json.loads(header["__metadata__"][METADATA_KEY], object_pairs_hook=_unique)
+        metadata = parse_json(header["__metadata__"][METADATA_KEY])
         if not isinstance(metadata, dict):
             raise ValueError(f"metadata {METADATA_KEY!r} is no JSON object")
     except KeyError as error:
@@ -105,7 +106,7 @@ def _deserialize(data: bytes, source: str) -> tuple[dict[str, Any], list[tuple[s
         )
     try:
         tensors = safetensors.deserialize(data)
-        return json.loads(data[8 : 8 + length], object_pairs_hook=_unique), tensors
+        return parse_json(data[8 : 8 + length].decode()), tensors
     except (safetensors.SafetensorError, ValueError, TypeError, RecursionError) as error:
         raise _error(source, "a safetensors file", f"{shorten(str(error))}") from None
 
@@ -173,12 +174,6 @@ def _check_leaves(leaves: Mapping[str, np.ndarray], source: str) -> None:
             )
 
 
-def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    if len(dict(pairs)) != len(pairs):
-        raise ValueError("a key stands twice in the header")
-    return dict(pairs)
-
-
 def _error(source: str, expected: str, found: str) -> FormatError:
     return FormatError(
         source,
@@ -195,5 +190,5 @@ def _damage(source: str, expected: str, found: str) -> IntegrityError:
         expected=expected,
         found=found,
         done="nothing was loaded",
-        next_step="`assistax-zoo fetch` it, or `git checkout -- FILE` in a checkout, then run `assistax-zoo verify`",
+        next_step="`assistax-zoo fetch` it, or `git checkout -- FILE` in a checkout, then verify",
     )

@@ -1,18 +1,18 @@
-"""One file from a remote into the cache: resumed, hashed, then renamed, so that it is seen whole or not at all."""
+"""One file from a remote into the cache: resumed, hashed, then renamed; seen whole or not at all."""
 
-import contextlib
 import dataclasses
 import hashlib
 import os
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO, NoReturn
 
+from population.files import exclusive
 from zoo import remotes
-from zoo.cache import refuse_write
 from zoo.errors import IntegrityError
-from zoo.remotes import CHUNK, Remote, Retry, TransientError, pause_before, refuse
+from zoo.locations import write_errors
+from zoo.remotes import CHUNK, Remote, TransientError, pause_before, refuse
 
 
 class Stopped(Exception):
@@ -34,8 +34,6 @@ def download(
     item: Item,
     advance: Callable[[int], None] = lambda count: None,
     stop: threading.Event | None = None,
-    *,
-    retry: Retry | None = None,
 ) -> int:
     """Fetch a file unless it is there, and return how many bytes came over the wire.
 
@@ -47,7 +45,6 @@ def download(
         item: The file; its bytes are held against `item.sha256` before it gets its name.
         advance: Called with the number of bytes that arrived; what was there before counts too.
         stop: Set by others to make it stop.
-        retry: Attempts and pauses.
 
     Raises:
         RemoteError: The remote does not have the file, or fails again and again.
@@ -55,27 +52,24 @@ def download(
         CacheError: The cache cannot take them.
     """
     partial = item.target.with_name(f".{item.target.name}.partial")
-    with _write_errors(partial, item.bytes), _locked(partial) as file:
+    with write_errors(partial, item.bytes), exclusive(item.target):
         if item.target.is_file():  # fetched by another process meanwhile
-            partial.unlink()
             advance(item.bytes)
             return 0
-        transfer = _Transfer(remote, item, file, advance, stop or threading.Event())
         try:
-            transfer.run(retry or remotes.RETRY)
-        except (
-            IntegrityError,
-            OSError,
-        ):  # what is there cannot be used, or there is no room for it
+            with open(partial, "a+b", buffering=0) as file:
+                transfer = _Transfer(remote, item, file, advance, stop or threading.Event())
+                transfer.run()
+                os.fsync(file.fileno())
+        except (IntegrityError, OSError):  # what is there is of no use, or finds no room
             partial.unlink(missing_ok=True)
             raise
-        os.fsync(file.fileno())
         os.replace(partial, item.target)
         return transfer.received
 
 
 class _Transfer:
-    """The state of one download: what is in the file, its hash so far, and what came over the wire."""
+    """The state of one download: the file, its hash so far, and what came over the wire."""
 
     def __init__(
         self,
@@ -85,29 +79,24 @@ class _Transfer:
         advance: Callable[[int], None],
         stop: threading.Event,
     ) -> None:
-        self.remote, self.item, self.file, self.advance, self.stop = (
-            remote,
-            item,
-            file,
-            advance,
-            stop,
-        )
+        self.remote, self.item, self.file = remote, item, file
+        self.advance, self.stop = advance, stop
         self.received = self.reported = 0
         self.digest, self.size = hashlib.sha256(), 0
 
-    def run(self, retry: Retry) -> None:
+    def run(self) -> None:
         """Complete the file; a wrong hash after a resumption starts once more from the beginning."""
         self._read_existing()
         resumed = self.size > 0
-        self._complete(retry)
+        self._complete()
         if self.digest.hexdigest() != self.item.sha256 and resumed:
             self._restart()
-            self._complete(retry)
+            self._complete()
         if self.digest.hexdigest() != self.item.sha256:
             self._refuse(f"sha256 {self.item.sha256}", f"sha256 {self.digest.hexdigest()}")
 
-    def _complete(self, retry: Retry) -> None:
-        attempt = 0
+    def _complete(self) -> None:
+        attempt, retry = 0, remotes.RETRY
         while self.size < self.item.bytes:
             before = self.size
             try:
@@ -119,13 +108,8 @@ class _Transfer:
                 if attempt >= retry.attempts:
                     what = f"{self.item.path} of {self.remote.name}"
                     kept = f"nothing was added; {self.size} bytes are kept to go on from"
-                    refuse(
-                        what,
-                        f"{self.item.bytes} bytes",
-                        f"{error}, {attempt} times",
-                        "fetch again later",
-                        kept,
-                    )
+                    found = f"{error}, {attempt} times"
+                    refuse(what, f"{self.item.bytes} bytes", found, "fetch again later", kept)
                 pause_before(attempt, error, retry, self.stop)
 
     def _receive(self) -> None:
@@ -137,9 +121,14 @@ class _Transfer:
                     raise Stopped
                 if self.size + len(chunk) > self.item.bytes:
                     self._refuse(f"{self.item.bytes} bytes", "more")
-                _write_all(self.file, chunk)
+                self._write(chunk)
                 self._count(chunk)
                 self.received += len(chunk)
+
+    def _write(self, chunk: bytes) -> None:
+        left = memoryview(chunk)
+        while left:
+            left = left[self.file.write(left) :]
 
     def _read_existing(self) -> None:
         self.file.seek(0)
@@ -168,44 +157,3 @@ class _Transfer:
             done="nothing was added; the bytes were thrown away",
             next_step="fetch from another remote, and tell the owner of this one",
         )
-
-
-@contextlib.contextmanager
-def _locked(path: Path) -> Generator[BinaryIO]:
-    """Open a partial file for this process alone, without buffer; a killed holder lets go."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    while True:
-        with open(path, "a+b", buffering=0) as file:
-            _lock(file)
-            if _is_at(file, path):
-                yield file
-                return
-            # its former holder renamed or removed it while this process waited
-
-
-def _is_at(file: BinaryIO, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(file.fileno()), os.stat(path))
-    except FileNotFoundError:
-        return False
-
-
-def _lock(file: BinaryIO) -> None:
-    with contextlib.suppress(ImportError):  # Windows: two fetches at once are the user's duty
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX)
-
-
-def _write_all(file: BinaryIO, data: bytes) -> None:
-    view = memoryview(data)
-    while view:
-        view = view[file.write(view) :]
-
-
-@contextlib.contextmanager
-def _write_errors(path: Path, size: int) -> Generator[None]:
-    try:
-        yield
-    except OSError as error:
-        refuse_write(error, path, size)

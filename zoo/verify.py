@@ -2,15 +2,18 @@
 
 import dataclasses
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 from assistax_envs.versions import VERSIONS
 from zoo.errors import ZooError, listing, shorten
-from zoo.files import shard_root
 from zoo.ids import parse_team, release_number, same_team
+from zoo.locations import shard_root
 from zoo.publish import installed_settings
 from zoo.registry import Registry
+from zoo.roots import root_problems
 from zoo.schema import PolicyEntry
+from zoo.signing import check_signature
 from zoo.storage import StackedFile, read_shard, take_row
 from zoo.tensors import damaged_row, row_sha256
 
@@ -25,6 +28,7 @@ class Report:
     bytes: int
     policies: int
     splits: int
+    roots: dict[str, str]  # by release, as the registry's content gives them
     problems: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -38,18 +42,25 @@ class Report:
         return {"ok": self.ok, **dataclasses.asdict(self)}
 
 
-def verify(registry: Registry, progress: Callable[[str], None] = lambda shard: None) -> Report:
-    """Check all shards, rows, splits, duplicates and references of a registry, and report every problem.
+def verify(
+    registry: Registry,
+    progress: Callable[[str], None] = lambda shard: None,
+    *,
+    key: Path | None = None,
+) -> Report:
+    """Check all shards, rows, splits, roots and duplicates of a registry; report every problem.
 
     Args:
         registry: A loaded registry; its ids and references were checked on loading.
         progress: Called with the path of each shard before it is read.
+        key: Ed25519 public key, PEM, that every release must be signed by.
     """
+    registry = registry.part("")
     data = registry.data
-    problems = [
-        problem for shard in data.shards for problem in _shard_problems(registry, shard, progress)
-    ]
+    problems = [*root_problems(data), *_shards_problems(registry, progress)]
     problems += [*_duplicates(registry), *_split_problems(registry)]
+    if key:
+        problems += _signature_problems(registry, key)
     if data.disability_settings != installed_settings():
         problems.append(
             "disability settings of the registry differ from those of the installed environments"
@@ -61,9 +72,32 @@ def verify(registry: Registry, progress: Callable[[str], None] = lambda shard: N
         bytes=sum(shard.bytes for shard in data.shards.values()),
         policies=len(registry.policies),
         splits=len(data.splits),
+        roots={release: registry.root(release) for release in data.releases},
         problems=tuple(problems),
         notes=tuple(_notes(registry)),
     )
+
+
+def _shards_problems(registry: Registry, progress: Callable[[str], None]) -> Iterator[str]:
+    """Yield the problems of every shard; a wheel has none of them, which is said in one line."""
+    shards = list(registry.data.shards)
+    absent = [shard for shard in shards if not registry.shard_path(shard).is_file()]
+    if absent and len(absent) == len(shards):
+        yield (
+            f"none of the {len(shards)} shards is here, no file at {registry.shard_path(shards[0])}: "
+            "`assistax-zoo fetch` brings them"
+        )
+        return
+    for shard in shards:
+        yield from _shard_problems(registry, shard, progress)
+
+
+def _signature_problems(registry: Registry, key: Path) -> list[str]:
+    found = [
+        check_signature(name, registry.root(name), release.signature, key)
+        for name, release in registry.data.releases.items()
+    ]
+    return [problem for problem in found if problem]
 
 
 def _shard_problems(
@@ -73,7 +107,8 @@ def _shard_problems(
     entries = [entry for entry in registry.policies if entry.shard == shard]
     rows = sorted(entry.row for entry in entries)
     if rows != list(range(registry.data.shards[shard].rows)):
-        yield f"shard {shard}: its {registry.data.shards[shard].rows} rows are not one policy each (rows {rows[:20]})"
+        count = registry.data.shards[shard].rows
+        yield f"shard {shard}: its {count} rows are not one policy each (rows {rows[:20]})"
     try:
         stacked = read_shard(registry, shard)
     except ZooError as error:
@@ -89,7 +124,10 @@ def _row_problems(stacked: StackedFile, entry: PolicyEntry) -> Iterator[str]:
         yield str(damaged_row(entry.id, entry.sha256, found))
     recorded = stacked.rows[entry.row]
     if recorded != {"id": entry.id, "sha256": entry.sha256}:
-        yield f"shard {entry.shard} records {shorten(recorded)} at row {entry.row}, the registry {entry.id}"
+        yield (
+            f"shard {entry.shard} records {shorten(recorded)} at row {entry.row}, "
+            f"the registry {entry.id}"
+        )
 
 
 def _duplicates(registry: Registry) -> Iterator[str]:
@@ -113,7 +151,10 @@ def _notes(registry: Registry) -> Iterator[str]:
         for task, version in release.environments.items():
             installed = VERSIONS.get(task, "none")
             if installed != version:
-                yield f"release {name} was trained on {task} version {version}; installed is {installed}"
+                yield (
+                    f"release {name} was trained on {task} version {version}; "
+                    f"installed is {installed}"
+                )
             teams = [team for team in registry.data.teams if parse_team(team).release == name]
             if task not in release.splits and any(team.startswith(f"{task}/") for team in teams):
                 newer = release_number(name) > release_number(registry.release)

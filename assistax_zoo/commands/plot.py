@@ -133,10 +133,9 @@ def population(
         assistax-zoo plot population --out population.png
     """
     from evaluation.plots.figures import population_figure
-    from zoo.index import read_index
-    from zoo.selection import select
+    from zoo.registry import load_registry
 
-    entries = select(read_index(registry), None, task=task, role="human", release=release)
+    entries = load_registry(registry).select(task=task, role="human", release=release)
     population_figure(entries, out)
     print(out)
 

@@ -59,7 +59,7 @@ def population(
         assistax-zoo train population --plan zoo/plans/v1.json --out runs/v1 --dry-run
     """
     from population.plan import read_plan
-    from zoo.files import registry_path
+    from zoo.locations import registry_path
 
     content = read_plan(plan)
     work = _Work(
@@ -229,7 +229,7 @@ class _Work:
         run_training(block.config(), self.backend, block.folder, True, self.json_lines)
 
     def _adopted(self, status: Status) -> "list[TrainedTeam]":
-        from zoo.adoption import read_published
+        from zoo.republish import read_published
 
         registry, release = self.load(), status.group.adopt
         assert registry is not None and release is not None

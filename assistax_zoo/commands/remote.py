@@ -1,10 +1,9 @@
-"""Commands between this machine and others: fetch, publish, lock."""
+"""Commands between this machine and others: fetch, add, remove, publish, lock, config."""
 
 import contextlib
-import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -36,7 +35,7 @@ def fetch(
     Args:
         pattern: Glob over policy ids, such as 'scratch/ippo-*/human'; everything if not given.
         from_: Folder, https://..., hf://org/name or hf://org/name@revision; default
-            $ASSISTAX_ZOO_REMOTE.
+            $ASSISTAX_ZOO_REMOTE, or what `assistax-zoo config remote` set.
         task: Only this task.
         algorithm: Only this algorithm.
         disability: Only this disability setting, such as d3.
@@ -50,13 +49,14 @@ def fetch(
     Example:
         assistax-zoo fetch 'scratch/ippo-*/human' --from hf://org/name@v0
     """
-    from zoo.fetch import REMOTE_VARIABLE, remote_registry
     from zoo.fetch import fetch as fetch_entries
+    from zoo.fetch import remote_registry
+    from zoo.locations import default_remote
     from zoo.lock import locked_entries, read_lock
     from zoo.registry import load_registry
     from zoo.remotes import open_remote
 
-    text = from_ or os.environ.get(REMOTE_VARIABLE)
+    text = from_ or default_remote()
     remote = open_remote(text) if text else None
     loaded = (
         remote_registry(remote) if remote and from_ and not registry else load_registry(registry)
@@ -76,6 +76,67 @@ def fetch(
         print(f"its registry is {report.registry}: give it to other commands with --registry")
 
 
+def add(
+    remote: str,
+    *,
+    as_: Annotated[str, Parameter(name="--as")],
+    json: bool = False,
+) -> None:
+    """Add another zoo beside the installed one: its policies are then NAME:scratch/... everywhere.
+
+    The same again brings it up to date. Its parameters are fetched as any others:
+    `assistax-zoo fetch 'NAME:*'`.
+
+    Args:
+        remote: Folder, https://..., hf://org/name or hf://org/name@revision.
+        as_: Name, in lower case, that stands before the ids.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo add hf://lab/zoo --as lab
+    """
+    from zoo.added import add as add_zoo
+
+    added = add_zoo(remote, as_)
+    if json:
+        print_json({"name": as_, "policies": len(added.policies), "registry": added.path})
+        return
+    print(f"{len(added.policies)} policies as {as_}:...; next: assistax-zoo fetch '{as_}:*'")
+
+
+def remove(name: str) -> None:
+    """Forget a zoo that was added; parameters that were fetched stay in the cache.
+
+    Args:
+        name: The name it was added under.
+
+    Example:
+        assistax-zoo remove lab
+    """
+    from zoo.added import remove as remove_zoo
+
+    remove_zoo(name)
+    print(f"removed {name}")
+
+
+def config_remote(remote: str | None = None, *, forget: bool = False) -> None:
+    """Show or set the remote that is asked where none is named.
+
+    Args:
+        remote: Folder, https://... or hf://org/name.
+        forget: Have none again.
+
+    Example:
+        assistax-zoo config remote hf://org/name
+    """
+    from zoo.locations import default_remote, set_default_remote
+    from zoo.remotes import open_remote
+
+    if remote or forget:
+        set_default_remote(open_remote(remote).name if remote else None)
+    print(default_remote() or "no remote")
+
+
 def publish(
     *runs: Path,
     release: str,
@@ -83,27 +144,29 @@ def publish(
     registry: Path | None = None,
     date: str | None = None,
     description: str = "",
+    key: Path | None = None,
     json: bool = False,
 ) -> None:
-    """Publish the teams of run folders in a release: shards, registry, default split and card.
+    """Publish the teams or egos of run folders in a release: shards, registry, split and card.
 
     What is published never changes; the same run again is a no-op. A hub gets one commit, then a
     tag.
 
     Args:
-        runs: Run folders that `assistax-zoo train` wrote.
+        runs: Run folders that `assistax-zoo train` or `train-ego` wrote.
         release: Release that the teams join, such as v0; it is made if it does not exist.
         to: Folder, or hf://org/name, to publish to; it is made if it does not exist.
         registry: Registry to publish to instead, without a card; default the installed one.
         date: ISO date of a new release; default today.
         description: One sentence on a new release.
+        key: Ed25519 private key, PEM, to sign the release with.
         json: Print JSON.
 
     Example:
         assistax-zoo publish runs/scratch-ippo-d1 runs/scratch-ippo-d9 --release v0 --to zoos/mine
     """
-    from zoo.files import registry_path
-    from zoo.hub_publish import publish_to, publish_to_registry
+    from zoo.hub_publish import publish_to
+    from zoo.locations import registry_path
     from zoo.runs import read_run
 
     if not runs:
@@ -113,11 +176,8 @@ def publish(
             "both --to and --registry given; --to takes a folder or hf://org/name, and is enough"
         )
     teams = [team for run in runs for team in read_run(run)]
-    details = {"date": date, "description": description}
-    if to:
-        done = publish_to(teams, to, release, **details)
-    else:
-        done = publish_to_registry(teams, registry_path(registry), release, **details)
+    place = to or str(registry_path(registry))
+    done = publish_to(teams, place, release, date=date, description=description, key=key)
     if json:
         print_json(done.to_json())
         return
@@ -137,7 +197,7 @@ def lock(
     registry: Path | None = None,
     json: bool = False,
 ) -> None:
-    """Write a lock file for a paper: release, split, and the sha256 of every policy, so that others use the same.
+    """Write a lock file for a paper: the release's root, split, and sha256 of every policy.
 
     `evaluate --lock`, `crossplay --lock` and `fetch --lock` then refuse or leave out everything
     else.
@@ -182,11 +242,7 @@ def _byte_progress(
 
 
 def _print_report(report: "Report") -> None:
-    found: dict[str, Any] = {
-        "already here": report.present,
-        "cut to the policies asked for": report.sliced,
-    }
-    told = "".join(f", {count} {what}" for what, count in found.items() if count)
+    told = f", {report.present} already here" if report.present else ""
     print(f"verified {report.policies} policies in {report.shards} shards{told}")
     if report.bytes:
         speed = report.bytes / 1e6 / max(report.seconds, 1e-3)

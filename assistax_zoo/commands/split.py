@@ -1,18 +1,15 @@
 """Commands over splits: list, show, create, verify."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from assistax_zoo.commands.zoo import print_table
 from assistax_zoo.console import print_json
+from zoo.schema import Rule
 
 if TYPE_CHECKING:
     from zoo.registry import Registry
     from zoo.schema import Split
-
-RuleName = Literal[
-    "half", "leave-one-algorithm-out", "leave-one-disability-out", "small-train", "custom"
-]
 
 
 def list_splits(
@@ -78,7 +75,7 @@ def show(id: str, *, registry: Path | None = None, json: bool = False) -> None:
 def create(
     *,
     task: str,
-    rule: RuleName = "half",
+    rule: Rule = "half",
     release: str | None = None,
     seed: int = 0,
     held_out: str | None = None,

@@ -153,7 +153,7 @@ def load_partners(registry: "Registry", split: "Split") -> "Partners":
     from zoo.storage import load_stacks
 
     entries = [registry.policy(f"{team}/human") for team in split.train]
-    settings = {entry.id: entry.setting for entry in entries}
+    settings = {entry.id: entry.partner_setting for entry in entries}
     return Partners(
         [
             PartnerGroup(
@@ -166,11 +166,13 @@ def load_partners(registry: "Registry", split: "Split") -> "Partners":
 
 def _write_policies(out: Path, split: "Split") -> list[Path]:
     """Write a policy file for each robot of a finished run."""
+    from population.files import atomic_write
     from zoo.runs import read_run
     from zoo.storage import write_policy_file
 
     folder = out / POLICIES
     folder.mkdir(exist_ok=True)
+    atomic_write(out / "split.json", split.model_dump_json().encode())
     files = []
     for ego in read_run(out):
         [(role, spec)] = ego.specs.items()

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from assistax_zoo.console import print_json
+from assistax_zoo.console import print_json, progress, stdout_is_data
 
 if TYPE_CHECKING:
+    from evaluation.deep import DeepReport
     from zoo.registry import Registry
     from zoo.schema import SelfPlay
     from zoo.verify import Report
@@ -43,13 +44,15 @@ def list_policies(
     Example:
         assistax-zoo list 'scratch/ippo-*/human' --disability d3
     """
-    from zoo.index import read_index
-    from zoo.selection import select
+    from zoo.registry import load_registry
+    from zoo.roots import check_roots
 
     fields = {"algorithm": algorithm, "disability": disability, "role": role, "release": release}
-    entries = select(read_index(registry), pattern, task=task, **fields)
+    loaded = load_registry(registry)
+    check_roots(loaded.part("").data)
+    entries = loaded.select(pattern, task=task, **fields)
     if json:
-        print_json([entry.to_json() for entry in entries])
+        print_json([entry.brief() for entry in entries])
         return
     rows = [(entry.id, *_figures(entry.self_play)) for entry in entries]
     print_table(
@@ -77,19 +80,19 @@ def show(
     Example:
         assistax-zoo show scratch/ippo-d3-s5-v1/human
     """
+    from zoo.card import find_cards, write_card
     from zoo.registry import load_registry
+    from zoo.roots import check_roots
 
-    loaded = load_registry(registry)
-    members = [entry.id for entry in loaded.policies if id in (entry.id, entry.team)]
-    cards = [_card(loaded, policy) for policy in members or [loaded.policy(id).id]]
     if image and not card:
         raise ValueError("--image stands in a written card; name its file with --card")
+    loaded = load_registry(registry)
+    check_roots(loaded.part("").data)
+    cards = find_cards(loaded, id)
     if card:
-        from assistax_zoo.commands.exchange import write_card
-
         write_card(cards, card, image)
     if json:
-        print_json(cards if id not in members else cards[0])
+        print_json(cards[0] if cards[0]["id"] == id else cards)
         return
     for content in cards:
         _print_card(content)
@@ -102,10 +105,11 @@ def verify(
     release: str | None = None,
     episodes: int = 4,
     backend: Literal["auto", "native", "mjx", "mjx-warp"] = "native",
+    key: Path | None = None,
     registry: Path | None = None,
     json: bool = False,
 ) -> None:
-    """Check every published byte, split and reference; exit code 1 if anything is wrong.
+    """Check every published byte, split, figure and reference; exit code 1 if anything is wrong.
 
     With --deep the policies are loaded and stepped too, and the teams replay their self-play, each
     under its own disability setting: a judgement on the installed MuJoCo, MJX and JAX.
@@ -116,6 +120,7 @@ def verify(
         release: Only this release, with --deep.
         episodes: Episodes of each team, with --deep.
         backend: Physics backend, with --deep.
+        key: Ed25519 public key, PEM, that every release must be signed by.
         registry: Registry to check instead of the installed one.
         json: Print JSON.
 
@@ -131,19 +136,17 @@ def verify(
     from zoo.verify import verify as verify_registry
 
     loaded = load_registry(registry)
-    report = verify_registry(loaded)
+    report = verify_registry(loaded, key=key)
     replay = None
     if deep:
-        from assistax_zoo.commands.exchange import print_replay, replay_teams
-
-        replay = replay_teams(loaded, pattern, release, episodes, backend)
+        replay = _replay_teams(loaded, pattern, release, episodes, backend)
     ok = report.ok and (replay is None or replay.ok)
     if json:
         print_json({**report.to_json(), "ok": ok, **({"deep": replay.to_json()} if replay else {})})
     else:
         _print_report(report)
         if replay:
-            print_replay(replay)
+            _print_replay(replay)
     if not ok:
         raise SystemExit(1)
 
@@ -153,54 +156,27 @@ def _print_report(report: "Report") -> None:
         print(f"problem: {problem}")
     for note in report.notes:
         print(f"note: {note}")
-    counts = f"{report.shards} shards ({report.bytes} bytes), {report.policies} policies, {report.splits} splits"
+    for release, root in report.roots.items():
+        print(f"root of {release}: {root}")
+    counts = f"{report.shards} shards ({report.bytes} bytes), {report.policies} policies"
+    counts += f", {report.splits} splits"
     print(
         f"{'verified' if report.ok else f'{len(report.problems)} problems in'} {counts} of "
         f"{report.registry}"
     )
 
 
-def _card(registry: "Registry", policy: str) -> dict[str, Any]:
-    entry = registry.policy(policy)
-    sides = {split.id: split.side(entry.team) for split in registry.splits}
-    return {
-        "id": entry.id,
-        "team": entry.team,
-        "release": entry.release,
-        "disability": {
-            "setting": entry.disability,
-            **registry.data.disability_settings[entry.disability].model_dump(),
-        },
-        "spec": entry.spec.to_json(),
-        "self_play": _plain_figures(entry.self_play),
-        "training": {
-            "run": entry.run,
-            "seed": entry.seed,
-            **entry.training.model_dump(mode="json"),
-        },
-        "splits": {split: side for split, side in sides.items() if side},
-        "shard": {
-            "path": entry.shard,
-            "row": entry.row,
-            "sha256": registry.data.shards[entry.shard].sha256,
-        },
-        "sha256": entry.sha256,
-    }
-
-
-def _plain_figures(self_play: "SelfPlay | None") -> dict[str, Any] | None:
-    return self_play.model_dump(mode="json") if self_play else None
-
-
 def _print_card(card: dict[str, Any]) -> None:
-    print(card["id"])
+    from zoo.errors import printable
+
+    print(printable(card["id"]))
     for name, value in card.items():
         if isinstance(value, dict):
             print(f"  {name}")
             for key, item in value.items():
-                print(f"    {key:18} {_text(item)}")
+                print(printable(f"    {key:18} {_text(item)}"))
         elif name != "id":
-            print(f"  {name:20} {'not measured' if value is None else value}")
+            print(printable(f"  {name:20} {'not measured' if value is None else value}"))
 
 
 def _text(value: Any) -> str:
@@ -209,11 +185,59 @@ def _text(value: Any) -> str:
     return "-" if value is None else str(value)
 
 
-def _figures(self_play: dict[str, Any] | None) -> tuple[str, str, str]:
+def _figures(self_play: "SelfPlay | None") -> tuple[str, str, str]:
     if self_play is None:
         return "not measured", "", ""
-    low, high = self_play["ci"]
-    return f"{self_play['mean']:.1f}", f"{low:.1f} to {high:.1f}", str(self_play["n"])
+    low, high = self_play.mean_ci
+    return f"{self_play.mean:.1f}", f"{low:.1f} to {high:.1f}", str(self_play.n)
+
+
+def _replay_teams(
+    registry: "Registry", pattern: str | None, release: str | None, episodes: int, backend: str
+) -> "DeepReport":
+    """Run `verify --deep`: progress on standard error, nothing on standard output."""
+    from evaluation.deep import verify_deep
+
+    entries = registry.select(pattern, release=release)
+    with (
+        stdout_is_data(),
+        progress("replay teams", len({entry.team for entry in entries})) as advance,
+    ):
+        return verify_deep(
+            registry, entries, episodes=episodes, backend=backend, on_progress=advance
+        )
+
+
+def _print_replay(result: "DeepReport") -> None:
+    """Print expected and found returns of each team, the versions, and a verdict."""
+    print(", ".join(f"{name} {version}" for name, version in result.versions.items()))
+    for team in result.teams:
+        expected = (
+            "not recorded"
+            if team.expected is None
+            else f"{team.expected:.1f} within {team.tolerance:.1f}"
+        )
+        found = f"{team.found:.1f}" + (
+            f" in {team.episodes} episodes" if team.episodes > result.episodes else ""
+        )
+        print(
+            f"{'ok     ' if team.ok else 'differs'} {team.team:28} expected {expected}, found "
+            f"{found}"
+        )
+    for problem in result.problems:
+        print(f"problem: {problem}")
+    if result.outdated:
+        print(
+            "not replayed, trained on another version of the environment: "
+            f"{', '.join(result.outdated)}"
+        )
+    for drift in result.drifts:
+        print(f"{drift.task}: mean difference {drift.found:+.2%}, allowed {drift.tolerance:.2%}")
+    print(
+        f"{'replayed' if result.ok else f'{len(result.problems)} problems in'} {len(result.teams)} "
+        f"teams of {result.episodes} episodes on {result.backend}, {result.policies} policies "
+        "stepped"
+    )
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]], caption: str) -> None:

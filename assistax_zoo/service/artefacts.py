@@ -9,7 +9,7 @@ import sqlalchemy as sa
 from assistax_zoo.service import schema as t
 from assistax_zoo.service.database import insert_once
 from assistax_zoo.service.problems import Problem
-from zoo.files import atomic_write, sha256
+from population.files import atomic_write, sha256
 
 
 class Artefacts:

@@ -13,7 +13,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from assistax_zoo.service.canonical import canonical
-from zoo.files import atomic_write
+from population.files import atomic_write
 
 KEY_FILE = "signing-key.pem"
 

@@ -18,7 +18,7 @@ from assistax_zoo.service.client import Client, fields_of
 from assistax_zoo.service.jobs import LEASE_SECONDS
 from assistax_zoo.service.problems import Problem, Refusal
 from assistax_zoo.service.scoring import Scorer, Work, encode_table
-from zoo.files import sha256
+from population.files import sha256
 
 log = logging.getLogger("assistax_zoo.service")
 IDLE_SECONDS = 2.0  # between two looks at an empty queue

@@ -125,8 +125,11 @@ def test_trained_robots_are_policy_files_that_can_be_evaluated(tmp_path, capfd):
         "--registry",
         str(tmp_path / "registry.json"),
     ]
-    assert run(words) == 1 and not (tmp_path / "registry.json").exists()
-    assert (
-        "found mixed (a robot that was trained with frozen partners is no team"
-        in capfd.readouterr().err
-    )
+    assert run(words) == 0
+    published = load_registry(tmp_path / "registry.json")
+    ego = published.policy("scratch/ppo-ego-s1-v9/robot")
+    assert ego.trained_against is not None and ego.trained_against.split == metadata["split"]
+    assert len(published.policies) == 2 and not published.splits  # an ego is never a partner
+    (tmp_path / "ego" / "split.json").unlink()
+    words[-1] = str(tmp_path / "other.json")
+    assert run(words) == 1 and "split.json is missing" in capfd.readouterr().err

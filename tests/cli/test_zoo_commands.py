@@ -105,7 +105,7 @@ def refusal(capsys: pytest.CaptureFixture[str], *words: str, code: int = 1) -> s
 def test_list(zoo: Path, capsys) -> None:
     humans = answer(capsys, "list", "scratch/ippo-*/human", "--disability", "d9")
     assert [row["id"] for row in humans] == [f"scratch/ippo-d9-s{s}-v0/human" for s in range(4)]
-    assert humans[0]["self_play"] is None and humans[1]["self_play"]["ci"] == [890.0, 915.0]
+    assert humans[0]["self_play"] is None and humans[1]["self_play"]["mean_ci"] == [890.0, 915.0]
     assert run(["list", FIRST]) == 0
     out = capsys.readouterr().out
     assert f"{FIRST}/robot" in out and "not measured" in out and out.endswith("2 policies\n")

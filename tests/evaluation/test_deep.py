@@ -20,7 +20,7 @@ from zoo.schema import SelfPlay
 
 ROOT = Path(__file__).parents[2]
 RETURN = 20.0  # of the toy environment: 20 steps at reward 1
-RECORDED = {"mean": RETURN, "iqm": RETURN, "ci": [19.5, 20.5], "n": 16}
+RECORDED = {"mean": RETURN, "iqm": RETURN, "mean_ci": [19.5, 20.5], "n": 16}
 SPECS = {
     "robot": PolicySpec("robot", 2, 1, hidden=(4,)),
     "human": PolicySpec("human", 3, 2, hidden=(4,)),
@@ -101,7 +101,7 @@ def test_whole_teams_are_replayed_and_every_policy_is_stepped(registry: Registry
 
 def test_another_return_is_a_problem_of_its_team(registry: Registry) -> None:
     data = json.loads(registry.path.read_text())
-    data["teams"]["scratch/ippo-d9-s1-v0"]["self_play"].update(mean=26.0, ci=[25.9, 26.1])
+    data["teams"]["scratch/ippo-d9-s1-v0"]["self_play"].update(mean=26.0, mean_ci=[25.9, 26.1])
     registry.path.write_text(json.dumps(data))
     report = check(load_registry(registry.path))
     assert [team.team for team in report.teams if not team.ok] == ["scratch/ippo-d9-s1-v0"]
@@ -135,7 +135,7 @@ def test_a_drift_of_all_teams_is_found_where_each_alone_would_pass(registry: Reg
     data = json.loads(registry.path.read_text())
     for team in data["teams"].values():
         if "self_play" in team:
-            team["self_play"].update(mean=20.8, ci=[20.799, 20.801])
+            team["self_play"].update(mean=20.8, mean_ci=[20.799, 20.801])
     registry.path.write_text(json.dumps(data))
     report = check(load_registry(registry.path))
     assert all(team.ok for team in report.teams) and not report.ok
@@ -197,7 +197,7 @@ def test_teams_of_another_environment_version_are_stepped_and_named_not_replayed
 
 def test_the_tolerance_is_the_documented_one() -> None:
     recorded = SelfPlay(
-        mean=1000.0, iqm=1000.0, ci=(990.2, 1009.8), n=16
+        mean=1000.0, iqm=1000.0, mean_ci=(990.2, 1009.8), n=16
     )  # standard error 5, deviation 20
     assert tolerance(recorded, 4) == pytest.approx(50.0 + 4.0 * 20.0 * np.sqrt(1 / 16 + 1 / 4))
     with pytest.raises(ValueError, match="episodes is 0"):

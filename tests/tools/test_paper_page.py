@@ -212,7 +212,7 @@ def humans(
             training = Training(
                 steps=10_000_000, env_version=1, backend="native", device="cpu", seconds=30.0
             )
-            own = SelfPlay(mean=mean, iqm=mean, ci=(mean - 1, mean + 1), n=16)
+            own = SelfPlay(mean=mean, iqm=mean, mean_ci=(mean - 1, mean + 1), n=16)
             spec = PolicySpec("human", 38, 3)
             place = (
                 task,

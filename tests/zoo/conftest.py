@@ -21,7 +21,7 @@ SPECS = {
     "robot": PolicySpec("robot", 5, 2, hidden=(4,)),
     "human": PolicySpec("human", 6, 3, hidden=(4,)),
 }
-SELF_PLAY = {"mean": 950.5, "iqm": 952.25, "ci": [940.0, 960.0], "n": 16}
+SELF_PLAY = {"mean": 950.5, "iqm": 952.25, "mean_ci": [940.0, 960.0], "n": 16}
 
 
 def random_params(spec: PolicySpec, seed: int, dtype: type = np.float32) -> dict[str, Any]:

@@ -14,7 +14,7 @@ CARD: dict[str, Any] = {
         "role": "robot", "observation_size": 34, "action_size": 7, "torso": "mlp", "hidden": [128, 128],
         "activation": "tanh", "squash": "clip", "std": "parameter", "normalise": True,
     },
-    "self_play": {"mean": 999.11, "iqm": 996.7, "ci": [994.6, 1003.6], "n": 64, "success": 1.0},
+    "self_play": {"mean": 999.11, "iqm": 996.7, "mean_ci": [994.6, 1003.6], "n": 64, "success": 1.0},
     "training": {"run": "r", "seed": 5, "steps": 1000, "device": None, "versions": {"jax": "0.10.2"}},
     "splits": {"scratch/half-s0-v0-f4c7b97d": "train"},
     "sha256": "a" * 64,
@@ -64,7 +64,7 @@ def test_a_remote_s_card_has_the_newest_release_s_figures(
 ) -> None:
     assert "| scratch | ippo | d1 | 4 | " in model_card(registry, "org/zoo")
     one = dataclasses.replace(
-        team("ippo", "d1", 0), self_play={"mean": 7.0, "iqm": 7.0, "ci": [6.0, 8.0], "n": 16}
+        team("ippo", "d1", 0), self_play={"mean": 7.0, "iqm": 7.0, "mean_ci": [6.0, 8.0], "n": 16}
     )
     text = model_card(publish_to([one], registry.path, release="v1"), "org/zoo")
     assert "| scratch | ippo | d1 | 1 | 7.0 |" in text and "| scratch | ippo | d9 | 4 | " in text

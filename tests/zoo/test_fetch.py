@@ -7,10 +7,10 @@ import pytest
 
 from assistax_zoo.main import run
 from tests.zoo.hub_server import Fault, Hub
-from zoo import remotes, slices
-from zoo.cache import cached_registry, cached_row, cached_shard
+from zoo import remotes
 from zoo.errors import IntegrityError, OfflineError, RegistryError, RemoteError
 from zoo.fetch import Report, fetch, remote_registry
+from zoo.locations import cached_registry
 from zoo.registry import Registry, load_registry
 from zoo.remotes import open_remote
 from zoo.storage import load_stacks
@@ -24,6 +24,12 @@ def get(name: str | Path, pattern: str | None = None, **arguments: Any) -> tuple
     remote = open_remote(name)
     registry = remote_registry(remote)
     return registry, fetch(registry, registry.select(pattern), remote, **arguments)
+
+
+def leftovers(folder: Path, pattern: str = ".*") -> list[Path]:
+    """Files that no finished fetch leaves; locks are empty and stay."""
+    files = [path for path in folder.rglob(pattern) if path.is_file()]
+    return [path for path in files if path.suffix != ".lock" or path.stat().st_size]
 
 
 def visible(folder: Path) -> set[str]:
@@ -59,7 +65,7 @@ def test_everything_comes_from_every_kind_of_remote(
     ).path and fetched.path.is_relative_to(cache)
     assert verify(fetched).ok and same_parameters(registry, fetched)
     assert get(name)[1].bytes == 0
-    assert not list(cache.rglob(".*"))
+    assert not leftovers(cache)
 
 
 def test_a_registry_without_shards_finds_them_in_the_cache(
@@ -76,55 +82,6 @@ def test_a_registry_without_shards_finds_them_in_the_cache(
     fetch(bare, bare.policies, open_remote(registry.path.parent))
     assert same_parameters(registry, bare)
     assert fetch(bare, bare.policies, None).present == 2
-
-
-def test_one_policy_is_cut_out_of_its_shard(
-    large: Registry, cache: Path, hub: Hub, monkeypatch
-) -> None:
-    monkeypatch.setattr(slices, "REQUEST_BYTES", 0)
-    monkeypatch.setattr(
-        slices, "FIRST_BYTES", 100
-    )  # so that the rest of the header takes another request
-    hub.put("org/zoo", large.path.parent)
-    fetched, report = get("hf://org/zoo", "scratch/ippo-d1-s[35]-v0/human")
-    shard = large.data.shards[fetched.policies[1].shard]
-    assert report.sliced == 1 and shard.bytes / 8 < report.bytes < shard.bytes / 3
-    assert not cached_shard(shard.sha256).exists()
-    assert same_parameters(large, fetched, "scratch/ippo-d1-s[35]-v0/human")
-    assert get("hf://org/zoo", "scratch/ippo-d1-s[35]-v0/human")[1].bytes == 0
-    row = cached_row(large.policy("scratch/ippo-d1-s3-v0/human").sha256)
-    row.write_bytes(row.read_bytes()[:-1] + b"\0")
-    with pytest.raises(IntegrityError, match="found sha256"):
-        load_stacks(fetched, fetched.select("*-s3-v0/human"))
-    assert get("hf://org/zoo", "scratch/ippo-d1-s[35]-v0/human")[1].bytes > 0
-    assert same_parameters(large, fetched, "scratch/ippo-d1-s[35]-v0/human")
-    with pytest.raises(IntegrityError, match="no file at"):
-        load_stacks(fetched, fetched.select("*/human"))
-
-
-def test_without_ranges_the_whole_shard_comes(
-    large: Registry, cache: Path, hub: Hub, monkeypatch
-) -> None:
-    monkeypatch.setattr(slices, "REQUEST_BYTES", 0)
-    hub.put("org/zoo", large.path.parent)
-    hub.faults = [Fault(FILES, whole=True)]
-    fetched, report = get("hf://org/zoo", "scratch/ippo-d1-s3-v0/human")
-    assert report.sliced == 0 and same_parameters(large, fetched, "scratch/ippo-d1-s*-v0/human")
-
-
-@pytest.mark.parametrize("offset", [3, 20, 500_000])
-def test_a_tampered_slice_is_refused(
-    offset: int, large: Registry, cache: Path, hub: Hub, monkeypatch
-) -> None:
-    monkeypatch.setattr(slices, "REQUEST_BYTES", 0)
-    hub.put("org/zoo", large.path.parent)
-    hub.faults = [Fault(FILES, flip=offset)]
-    with pytest.raises(IntegrityError, match="thrown away"):
-        get(
-            "hf://org/zoo",
-            "scratch/ippo-d1-s*-v0/human" if offset > 100 else "scratch/ippo-d1-s1-v0/human",
-        )
-    assert visible(cache) == set()
 
 
 def test_a_damaged_file_of_the_cache_is_fetched_again(registry: Registry, cache: Path) -> None:
@@ -168,7 +125,7 @@ def test_a_remote_may_not_change_what_it_published(
     changed[0].params["human"] = log_std
     hub.put("org/zoo", publish_to(changed, tmp_path / "changed" / "registry.json").path.parent)
     with pytest.raises(
-        IntegrityError, match=r"published bytes never change.*scratch/ippo-d1-s0-v0/human"
+        IntegrityError, match=r"published bytes never change.*another history.*gone or changed"
     ):
         get("hf://org/zoo")
     assert len(load_registry(cached_registry("hf://org/zoo")).policies) == 16
@@ -236,10 +193,10 @@ def test_shards_come_in_parallel(
     hub.put("org/zoo", registry.path.parent)
     together, now = threading.Barrier(4), remotes.HttpRemote.open
 
-    def wait(self, path, start=0, stop=None):
+    def wait(self, path, start=0):
         if path.endswith(".safetensors"):
             together.wait(timeout=20)
-        return now(self, path, start, stop)
+        return now(self, path, start)
 
     monkeypatch.setattr(remotes.HttpRemote, "open", wait)
     assert get("hf://org/zoo", workers=4)[1].shards == 4

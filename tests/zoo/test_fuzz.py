@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from population.files import sha256
 from zoo.errors import ZooError
-from zoo.files import sha256
 from zoo.registry import Registry, build_registry, load_registry, parse_registry
 from zoo.storage import load_stacks, parse_stacked
 from zoo.tensors import flatten, row_sha256

@@ -6,18 +6,21 @@ from hypothesis import strategies as st
 
 from population.spec import ROLES
 from zoo.errors import IdError, ZooError, nearest
-from zoo.ids import PolicyId, TeamId, check_release, compile_pattern, parse_policy, parse_team
+from zoo.ids import PolicyId, TeamId, check_name, compile_pattern, parse_policy, parse_team
 
 NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,31}", fullmatch=True)
 TEAMS = st.builds(
     TeamId,
     task=NAMES,
     algorithm=NAMES,
-    disability=st.integers(1, 9999).map(lambda n: f"d{n}"),
+    disability=st.integers(1, 9999).map(lambda n: f"d{n}") | st.just("ego"),
+    namespace=st.just("") | NAMES,
     seed=st.integers(0, 10**10 - 1),
     release=st.integers(0, 10**10 - 1).map(lambda n: f"v{n}"),
 )
-POLICIES = st.builds(PolicyId, TEAMS, st.sampled_from(ROLES))
+POLICIES = TEAMS.flatmap(
+    lambda team: st.sampled_from(("robot",) if team.is_ego else ROLES).map(team.policy)
+)
 
 
 @seed(0)
@@ -40,7 +43,9 @@ def test_policy_ids_are_inverse_too(policy: PolicyId) -> None:
 @settings(deadline=None)
 @given(
     st.text(max_size=40)
-    | st.from_regex(r"[a-z]+/[a-z]+-d[0-9]+-s[0-9]+-v[0-9]+(/[a-z]+)?", fullmatch=True)
+    | st.from_regex(
+        r"([a-z]+:)?[a-z]+/[a-z]+-(d[0-9]+|ego)-s[0-9]+-v[0-9]+(/[a-z]+)?", fullmatch=True
+    )
 )
 def test_any_text_is_an_id_that_formats_back_or_an_error(text: str) -> None:
     for parse in (parse_team, parse_policy):
@@ -71,6 +76,9 @@ def test_a_parser_that_takes_leading_zeros_would_be_caught() -> None:
         "../ippo-d3-s5-v1",
         "scratch//ippo-d3-s5-v1",
         "",
+        ":scratch/ippo-d3-s5-v1",
+        "a:b:scratch/ippo-d3-s5-v1",
+        "Lab:scratch/ippo-d3-s5-v1",
     ],
 )
 def test_bad_team_ids_are_refused(text: str) -> None:
@@ -92,6 +100,14 @@ def test_a_team_id_that_would_not_parse_cannot_be_built(field: dict) -> None:
     }
     with pytest.raises(IdError):
         TeamId(**{**parts, **field})
+
+
+def test_egos_are_robots_alone() -> None:
+    ego = parse_policy("lab:scratch/ppo-ego-s0-v1/robot")
+    assert ego.team.is_ego and (ego.team.namespace, ego.team.seed) == ("lab", 0)
+    assert not parse_team("scratch/ppo-d1-s0-v1").is_ego
+    with pytest.raises(IdError, match="expected robot"):
+        parse_policy("scratch/ppo-ego-s0-v1/human")
 
 
 def test_order_counts_numbers() -> None:
@@ -126,10 +142,10 @@ def test_nearest_names_come_best_first() -> None:
 
 
 def test_release_names() -> None:
-    assert check_release("v10") == "v10"
+    assert check_name("release", "v10") == "v10"
     for text in ("1", "v01", "V1", "v1/..", ""):
         with pytest.raises(IdError, match="release"):
-            check_release(text)
+            check_name("release", text)
 
 
 def test_control_characters_do_not_break_the_line() -> None:

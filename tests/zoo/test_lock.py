@@ -9,7 +9,7 @@ from assistax_zoo.main import run
 from zoo.errors import LockError, SplitError, UnknownIdError
 from zoo.fetch import remote_registry
 from zoo.lock import Lock, apply_lock, locked_entries, make_lock, read_lock, write_lock
-from zoo.registry import Registry, load_registry, save_registry
+from zoo.registry import Registry, load_registry
 from zoo.release import create_split
 from zoo.remotes import open_remote
 from zoo.storage import load_stacks
@@ -133,7 +133,7 @@ def test_a_lock_that_was_edited_or_damaged(registry: Registry, lock: Lock, tmp_p
     digest = lock.policies["scratch/ippo-d1-s0-v0/human"]
     for damage, told in (
         (text.replace(digest, "0" * 64), "it was edited"),
-        (text.replace('"lock_version": 1', '"lock_version": 2'), "version 2"),
+        (text.replace('"lock_version": 2', '"lock_version": 3'), "version 3"),
         (text.replace('"release"', '"relaese"'), "relaese|release"),
         (text[:-20], "JSONDecodeError"),
         ("[1]", "TypeError"),
@@ -143,7 +143,7 @@ def test_a_lock_that_was_edited_or_damaged(registry: Registry, lock: Lock, tmp_p
         with pytest.raises(LockError, match=told):
             read_lock(path)
     path.unlink()
-    with pytest.raises(LockError, match="No such file"):
+    with pytest.raises(LockError, match="no such file"):
         read_lock(path)
 
 
@@ -160,13 +160,9 @@ def test_commands(registry: Registry, cache: Path, tmp_path: Path, capsys, monke
     words = ["--task", "scratch", "--policy", "zoo:scratch/ippo-d1-s0-v0/robot", "--lock", str(out)]
     assert run(["evaluate", *words, "--split", "scratch/small-5"]) == 1
     assert "expected the locked one" in capsys.readouterr().err
-    data = registry.data.model_copy(
-        update={
-            "splits": (),
-            "releases": {"v0": registry.data.releases["v0"].model_copy(update={"splits": {}})},
-        }
-    )
-    save_registry(data, registry.path)
+    data = json.loads(registry.path.read_text())
+    data["splits"], data["releases"]["v0"]["splits"] = [], {}
+    registry.path.write_text(json.dumps(data))
     assert run(["evaluate", *words]) == 1
     assert "as locked, found none" in capsys.readouterr().err
     assert (

@@ -21,14 +21,14 @@ from zoo.storage import load_stacks
 from zoo.tensors import encode, flatten
 from zoo.verify import verify
 
-SELF_PLAY = {"mean": 950.5, "iqm": 952.25, "ci": [940.0, 960.0], "n": 16, "success": 0.75}
+SELF_PLAY = {"mean": 950.5, "iqm": 952.25, "mean_ci": [940.0, 960.0], "n": 16, "success": 0.75}
 
 
 def contents(folder: Path) -> dict[str, bytes]:
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
-        if path.is_file()
+        if path.is_file() and path.suffix != ".lock"
     }
 
 
@@ -135,7 +135,8 @@ def test_changed_bytes_are_refused(registry: Registry, team, publish_to) -> None
         publish_to([changed], registry.path)
     with pytest.raises(ImmutableError, match="self-play"):
         publish_to(
-            [team(self_play={"mean": 1.0, "iqm": 1.0, "ci": [0.0, 2.0], "n": 8})], registry.path
+            [team(self_play={"mean": 1.0, "iqm": 1.0, "mean_ci": [0.0, 2.0], "n": 8})],
+            registry.path,
         )
     with pytest.raises(ImmutableError, match="version 1 of scratch"):
         publish_to([team(seed=9)], registry.path, environments={"scratch": 2})
@@ -158,7 +159,10 @@ def test_what_cannot_be_published_is_refused(registry: Registry, team, publish_t
         ([team(seed=9, training={"run": "r", "steps": 1})], "env_version"),
         ([team(seed=9, training={**new.training, "env_version": 2})], "version 1, found on 2"),
         ([team(seed=9, self_play={"mean": 1.0})], "iqm"),
-        ([team(seed=9, self_play={"mean": 1.0, "iqm": 1.0, "ci": [2.0, 0.0], "n": 8})], "low end"),
+        (
+            [team(seed=9, self_play={"mean": 1.0, "iqm": 1.0, "mean_ci": [2.0, 0.0], "n": 8})],
+            "low end",
+        ),
         ([team(seed=9, disability="d10")], "one of d1"),
         ([team(seed=9, task="ironing")], "task ironing"),
     ]

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from assistax_envs.versions import VERSIONS
-from zoo.files import sha256
+from population.files import sha256
 from zoo.registry import Registry, load_registry
 from zoo.storage import encode_shard, read_shard, take_row
 from zoo.verify import verify
@@ -62,7 +62,8 @@ def test_a_shard_rewritten_with_its_hash_is_caught_by_the_rows(registry: Registr
         registry, lambda d: d["shards"][entry.shard].update(sha256=sha256(data), bytes=len(data))
     )
     problems = verify(forged).problems
-    assert len(problems) == 2 and entry.id in problems[0]
+    assert len(problems) == 3 and entry.id in problems[1]
+    assert "release v0: expected root" in problems[0]
 
 
 def test_duplicates_and_lost_rows_are_found(registry: Registry) -> None:

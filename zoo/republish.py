@@ -1,4 +1,4 @@
-"""Teams of an earlier release that join a later one as they are: the same parameters, provenance and figures."""
+"""Teams of an earlier release, published again in a later one as they are: bytes and figures."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -11,14 +11,14 @@ from zoo.storage import load_leaves
 from zoo.tensors import unflatten
 
 
-def adoptable(
+def republishable(
     registry: Registry, teams: Iterable[TeamId], release: str, steps: int
 ) -> list[TeamId]:
-    """Return those of the teams that another release has, trained long enough on the environments of today.
+    """Return the teams that another release has, trained long enough on today's environments.
 
     Args:
         registry: The registry.
-        teams: Teams of the release that adopts.
+        teams: Teams of the release to be published.
         release: The earlier release.
         steps: Environment steps that a team must have been trained for.
     """

@@ -1,0 +1,57 @@
+"""Zoos of others beside one's own: `assistax-zoo add REMOTE --as lab`.
+
+An added zoo is a copy of its registry in the user's data folder; its parameters are fetched as any
+others. It belongs to the default registry: a registry that is named stands alone.
+"""
+
+import shutil
+
+from population.files import atomic_write
+from zoo.errors import UnknownIdError, listing
+from zoo.ids import check_name
+from zoo.locations import added_registries, added_registry, write_errors
+from zoo.registry import Registry, load_registry
+
+
+def add(remote: str, namespace: str) -> Registry:
+    """Add a remote's zoo under a namespace, or bring it up to date, and return its registry.
+
+    Raises:
+        IdError: The namespace is no lower-case name.
+        IntegrityError: The remote lost or changed what was added before.
+        ZooError: The remote has no registry, or cannot be reached.
+    """
+    from zoo.fetch import check_history, remote_registry
+    from zoo.remotes import open_remote
+
+    path, source = added_registry(check_name("namespace", namespace)), open_remote(remote)
+    found = remote_registry(source)
+    if path.is_file():
+        check_history(load_registry(path), found, source)
+    content = found.path.read_bytes()
+    with write_errors(path, len(content)):
+        atomic_write(path.with_name("remote"), source.name.encode())
+        atomic_write(path, content)
+    return load_registry(path)
+
+
+def added_remote(namespace: str) -> str:
+    """Return where a zoo was added from."""
+    return added_registry(namespace).with_name("remote").read_text("utf-8")
+
+
+def remove(namespace: str) -> None:
+    """Forget an added zoo; fetched parameters stay in the cache.
+
+    Raises:
+        UnknownIdError: There is none of that name.
+    """
+    if namespace not in (known := added_registries()):
+        raise UnknownIdError(
+            f"zoo {namespace!r}",
+            expected=f"one that was added ({listing(known)})",
+            found="none of that name",
+            done="nothing was removed",
+            next_step="`assistax-zoo list` prints them as NAME:...",
+        )
+    shutil.rmtree(known[namespace].parent)

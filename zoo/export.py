@@ -1,0 +1,82 @@
+"""One policy as a file that needs nothing of this project: safetensors, ONNX, or a PyTorch state dict."""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+from population.files import atomic_write, sha256
+from population.spec import PolicySpec
+from zoo.errors import ExportError
+from zoo.registry import Registry
+from zoo.storage import load_stacks, read_policy_file, write_policy_file
+
+Format = Literal["safetensors", "onnx", "torch"]
+
+
+def export_policy(
+    name: str, format: Format, out: Path, registry: Callable[[], Registry], *, force: bool = False
+) -> dict[str, Any]:
+    """Write one policy, deterministic and with its normaliser, and return what was written.
+
+    The same policy again writes nothing.
+
+    Args:
+        name: A policy's id, or a `.safetensors` file that was exported before.
+        format: Format of the file.
+        out: The file.
+        registry: Read when it is needed.
+        force: Whether to replace a file with other content.
+
+    Raises:
+        ExportError: The file exists with other content.
+        ZooError: The policy is not there, or damaged.
+    """
+    content = _encode(format, *_read_policy(name, registry))
+    there = out.is_file() and out.read_bytes() == content
+    if out.exists() and not there and not force:
+        raise ExportError(
+            str(out),
+            expected="no file, or the same policy",
+            found="other content",
+            done="nothing was written",
+            next_step="choose another --out, or give --force to replace it",
+        )
+    if not there:
+        atomic_write(out, content)
+    told = {"id": name, "format": format, "file": str(out), "bytes": len(content)}
+    return {**told, "sha256": sha256(content), "written": not there}
+
+
+def _encode(format: Format, spec: PolicySpec, params: Any, metadata: dict[str, Any]) -> bytes:
+    if format == "onnx":
+        from population.onnx_export import to_onnx
+
+        return to_onnx(spec, params, metadata)
+    if format == "torch":
+        from population.torch_export import to_torch
+
+        return to_torch(spec, params, metadata)
+    with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as folder:
+        path = Path(folder) / "policy.safetensors"
+        write_policy_file(path, spec, params, metadata)
+        return path.read_bytes()
+
+
+def _read_policy(
+    name: str, registry: Callable[[], Registry]
+) -> tuple[PolicySpec, Any, dict[str, Any]]:
+    """Return spec, parameters and metadata of a policy of the registry or of a file."""
+    if name.endswith(".safetensors"):
+        return read_policy_file(name)
+    loaded = registry()
+    entry = loaded.policy(name)
+    [stack] = load_stacks(loaded, [entry])
+    metadata = {
+        "id": entry.id,
+        "sha256": entry.sha256,
+        "disability": entry.disability,
+        "env_version": loaded.env_version(entry),
+        "self_play": entry.self_play.model_dump(mode="json") if entry.self_play else None,
+    }
+    return stack.spec, stack.row(0), metadata

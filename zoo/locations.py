@@ -1,0 +1,137 @@
+"""Where things lie on this machine: the registry in use, the cache, zoos that were added, settings.
+
+    cache     shards/<sha256>.safetensors           whole shards, shared by all registries
+              registries/<remote>/registry.json     what remotes published
+    data      added/<namespace>/                    zoos of `assistax-zoo add`
+    settings  config.json                           the default remote
+
+The cache may be deleted at any time. What was added lies in the user's data folder: not in the
+cache, whose loss costs nothing, nor beside the registry, which an upgrade replaces and which may be
+read-only.
+"""
+
+import errno
+import hashlib
+import json
+import os
+import re
+import shutil
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NoReturn
+
+from population.files import atomic_write
+from zoo.errors import CacheError
+
+REGISTRY_VARIABLE = "ASSISTAX_ZOO_REGISTRY"
+CACHE_VARIABLE = "ASSISTAX_ZOO_CACHE"
+REMOTE_VARIABLE = "ASSISTAX_ZOO_REMOTE"
+DATA_VARIABLE = "ASSISTAX_ZOO_DATA"
+BUILT_IN_REMOTE: str | None = None  # where a wheel's parameters are published; packagers set it
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def registry_path(path: Path | str | None = None) -> Path:
+    """Return the given registry, `$ASSISTAX_ZOO_REGISTRY`, the checkout's, or the wheel's."""
+    if path is not None:
+        return Path(path)
+    if os.environ.get(REGISTRY_VARIABLE):
+        return Path(os.environ[REGISTRY_VARIABLE])
+    checkout = _PACKAGE.parent / "registry.json"
+    if checkout.is_file() or (_PACKAGE.parent / "pyproject.toml").is_file():
+        return checkout
+    return _PACKAGE / "registry.json"
+
+
+def shard_root(path: Path) -> Path:
+    """Return the folder of a registry's shard paths: its own, or site-packages for the wheel's."""
+    return _PACKAGE.parent if path.resolve() == _PACKAGE / "registry.json" else path.parent
+
+
+def cache_root() -> Path:
+    """Return the cache: `$ASSISTAX_ZOO_CACHE`, or `assistax-zoo` in the user's cache folder."""
+    return _user_folder(CACHE_VARIABLE, "XDG_CACHE_HOME", "~/.cache")
+
+
+def data_root() -> Path:
+    """Return where added zoos lie: `$ASSISTAX_ZOO_DATA`, or a folder of the user's data."""
+    return _user_folder(DATA_VARIABLE, "XDG_DATA_HOME", "~/.local/share")
+
+
+def cached_shard(digest: str) -> Path:
+    """Return where the shard with that sha256 lies if it was fetched."""
+    return cache_root() / "shards" / f"{digest}.safetensors"
+
+
+def cached_registry(remote: str) -> Path:
+    """Return where a remote's registry lies if it was fetched; the name is the user's for it."""
+    words = re.sub(r"[^A-Za-z0-9.]+", "-", remote).strip("-.")[-60:]
+    digest = hashlib.sha256(remote.encode()).hexdigest()[:8]
+    return cache_root() / "registries" / f"{words}-{digest}" / "registry.json"
+
+
+def added_registry(namespace: str) -> Path:
+    """Return where the registry of an added zoo lies."""
+    return data_root() / "added" / namespace / "registry.json"
+
+
+def added_registries() -> dict[str, Path]:
+    """Return the registries of all added zoos by namespace, in order."""
+    found = sorted((data_root() / "added").glob("[a-z]*/registry.json"))
+    return {path.parent.name: path for path in found}
+
+
+def default_remote() -> str | None:
+    """Return `$ASSISTAX_ZOO_REMOTE`, else what `config remote` set, else the wheel's own, if any."""
+    return os.environ.get(REMOTE_VARIABLE) or _settings().get("remote") or BUILT_IN_REMOTE
+
+
+def set_default_remote(remote: str | None) -> None:
+    """Remember the remote that is asked when none is named; None forgets it."""
+    kept = {name: value for name, value in _settings().items() if name != "remote"}
+    settings = {**kept, **({"remote": remote} if remote else {})}
+    atomic_write(data_root() / "config.json", (json.dumps(settings, indent=1) + "\n").encode())
+
+
+@contextmanager
+def write_errors(path: Path, size: int) -> Generator[None]:
+    """Turn an OSError while the cache or the data folder is written into a `CacheError`."""
+    try:
+        yield
+    except OSError as error:
+        _refuse_write(error, path, size)
+
+
+def _settings() -> dict[str, str]:
+    try:
+        found = json.loads((data_root() / "config.json").read_bytes()[:65536])
+    except (OSError, ValueError):
+        return {}
+    pairs = found.items() if isinstance(found, dict) else ()
+    return {name: value for name, value in pairs if isinstance(value, str)}
+
+
+def _refuse_write(error: OSError, path: Path, size: int) -> NoReturn:
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+    raise CacheError(
+        f"cache {path.parent}",
+        expected=f"room for {size} bytes" if full else "a folder that can be written",
+        found=f"{error.strerror or error}{_room(path) if full else ''}",
+        done="nothing was added; complete files are untouched",
+        next_step=f"{'free some space' if full else 'allow writing'}, or choose another folder "
+        f"with ${CACHE_VARIABLE}",
+    ) from None
+
+
+def _room(path: Path) -> str:
+    try:
+        return f" ({shutil.disk_usage(path.parent).free} bytes free)"
+    except OSError:
+        return ""
+
+
+def _user_folder(variable: str, base: str, fallback: str) -> Path:
+    if os.environ.get(variable):
+        return Path(os.environ[variable])
+    return Path(os.environ.get(base) or os.path.expanduser(fallback), "assistax-zoo")

@@ -1,0 +1,62 @@
+"""Text that somebody else wrote: read within bounds, and JSON without traps.
+
+Bounds come before parsing. Keys that stand twice in an object are refused, since parsers differ in
+which of them counts.
+"""
+
+import collections
+import json
+from pathlib import Path
+from typing import Any
+
+from zoo.errors import ZooError
+
+MAX_VALUES = 1_000_000  # more commas than this is no file of ours
+
+
+def read_text(path: Path, limit: int, error: type[ZooError], what: str, remedy: str) -> str:
+    """Return a file's text.
+
+    Raises:
+        ZooError: Of the kind given: it is missing, no regular file, too large, or not UTF-8.
+    """
+    try:
+        if not path.is_file():
+            raise FileNotFoundError
+        with path.open("rb") as file:
+            data = file.read(limit + 1)
+        if len(data) > limit:
+            raise ValueError(f"more than {limit} bytes")
+        return data.decode("utf-8")
+    except FileNotFoundError:
+        found = "no such file"
+    except (OSError, ValueError) as problem:
+        found = str(problem)
+    raise error(
+        f"{what} {path}",
+        expected=f"a readable file of at most {limit} bytes",
+        found=found,
+        done="nothing was loaded",
+        next_step=remedy,
+    )
+
+
+def parse_json(text: str) -> Any:
+    """Return the value of JSON text.
+
+    Raises:
+        ValueError: It is no JSON, has a key twice in one object, or too many values.
+        RecursionError: It is nested too deeply.
+    """
+    if text.count(",") > MAX_VALUES:
+        raise ValueError(f"more than {MAX_VALUES} values")
+    return json.loads(text, object_pairs_hook=unique)
+
+
+def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the object of these keys and values, each key once."""
+    table = dict(pairs)
+    if len(table) != len(pairs):
+        counts = collections.Counter(name for name, _ in pairs)
+        raise ValueError(f"key {counts.most_common(1)[0][0]!r} twice in one object")
+    return table
