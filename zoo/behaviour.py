@@ -45,7 +45,7 @@ class Pair(NamedTuple):
 
 
 def similar_pairs(registry: Registry, split: Split, threshold: float = THRESHOLD) -> list[Pair]:
-    """Return the pairs of humans across a split's sides that differ by less than the threshold, closest first.
+    """Return the pairs of humans across a split's sides that act alike, closest first.
 
     Imports JAX, and reads the shards.
 
@@ -89,7 +89,7 @@ def probe_actions(group: PolicyStack) -> np.ndarray:
 
 
 def probes(group: PolicyStack) -> np.ndarray:
-    """Return observations [T, B, O]: fixed draws, at the median scale of the group's normalisers."""
+    """Return observations [T, B, O]: fixed draws at the median scale of the normalisers."""
     size = group.spec.observation_size
     draws = np.random.default_rng(_SEED).standard_normal((_STEPS, _SEQUENCES, size))
     if group.spec.normalise:
@@ -113,5 +113,5 @@ def similar_leak(split: str, pairs: Sequence[Pair]) -> LeakageError:
         expected=f"humans whose actions differ by {THRESHOLD} or more across its sides",
         found=f"{len(pairs)} nearly alike: {listing(map(str, pairs), 3)}",
         done="the split was refused",
-        next_step="put both of a pair on one side, or leave one out, with `assistax-zoo split create --rule custom`",
+        next_step="put both of a pair on one side, or leave one out: `split create --rule custom`",
     )

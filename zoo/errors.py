@@ -1,4 +1,4 @@
-"""Errors of the zoo. Each message says what was expected, what was found, what was done and what to do next."""
+"""Errors of the zoo: each says what was expected and found, what was done, what to do next."""
 
 import difflib
 import reprlib

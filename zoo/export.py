@@ -1,4 +1,4 @@
-"""One policy as a file that needs nothing of this project: safetensors, ONNX, or a PyTorch state dict."""
+"""One policy as a file that needs nothing of this project: safetensors, ONNX, or PyTorch."""
 
 import tempfile
 from collections.abc import Callable

@@ -9,7 +9,7 @@ from zoo.remotes import HttpRemote, network_errors, refuse, refuse_status, with_
 
 
 class HubRemote(HttpRemote):
-    """A model repository on a hub; every file is read from the one commit that the revision names at first."""
+    """A model repository on a hub, read from the one commit that its revision first named."""
 
     def __init__(self, name: str, repo: str, ref: str) -> None:
         super().__init__(name)

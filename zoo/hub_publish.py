@@ -1,4 +1,4 @@
-"""Publishing to a hub: one commit on top of the one that was read, then a tag. A reader sees all of it or nothing."""
+"""Publishing to a folder or a hub, where it is one commit and a tag: all is seen, or nothing."""
 
 import contextlib
 import dataclasses
@@ -110,7 +110,7 @@ def _publish_to_hub(
 
 
 def _create(api: Any, remote: HubRemote) -> None:
-    """Make the repository if it does not exist; after this, `remote.revision` is what the publication builds on."""
+    """Make the repository if there is none; `remote.revision` is then what is built on."""
     try:
         remote.revision  # noqa: B018  asks the hub
     except MissingRepositoryError:
@@ -130,7 +130,7 @@ def _read_optional(remote: HubRemote, path: str, limit: int) -> bytes | None:
 
 
 def _files(remote: HubRemote, registry: Registry) -> dict[str, bytes]:
-    """Return what the commit adds: the new shards, the registry, and the card unless it is somebody's own."""
+    """Return what the commit adds: new shards, the registry, and the card if it is ours."""
     root = registry.path.parent
     files = {
         shard: (root / shard).read_bytes()
@@ -145,7 +145,7 @@ def _files(remote: HubRemote, registry: Registry) -> dict[str, bytes]:
 
 
 def _commit(api: Any, remote: HubRemote, files: dict[str, bytes], release: str, added: int) -> str:
-    """Make the commit and return its id; an answer that got lost is looked up, so that nothing is committed twice."""
+    """Make the commit, return its id; a lost answer is looked up, so that none is made twice."""
     from huggingface_hub import CommitOperationAdd
 
     for attempt in range(1, remotes.RETRY.attempts + 1):
@@ -177,7 +177,7 @@ def _commit(api: Any, remote: HubRemote, files: dict[str, bytes], release: str, 
 
 
 def _tag(api: Any, remote: HubRemote, release: str, commit: str) -> str:
-    """Tag the commit with the release's name, `v1`, and a later state of the same release with `v1.1`, `v1.2`, ..."""
+    """Tag the commit with the release's name, `v1`; later states of it are `v1.1`, `v1.2`, ..."""
 
     def tag() -> str:
         with _hub(remote, "tag"):

@@ -61,7 +61,7 @@ class TeamId:
 
     @property
     def is_ego(self) -> bool:
-        """Whether it is a robot that was trained with frozen partners: no team, hence no partner."""
+        """Whether it is a robot trained with frozen partners: no team, hence no partner."""
         return self.disability == EGO
 
     @property

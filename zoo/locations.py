@@ -83,7 +83,7 @@ def added_registries() -> dict[str, Path]:
 
 
 def default_remote() -> str | None:
-    """Return `$ASSISTAX_ZOO_REMOTE`, else what `config remote` set, else the wheel's own, if any."""
+    """Return `$ASSISTAX_ZOO_REMOTE`, what `config remote` set, or the wheel's own, if any."""
     return os.environ.get(REMOTE_VARIABLE) or _settings().get("remote") or BUILT_IN_REMOTE
 
 

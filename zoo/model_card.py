@@ -18,7 +18,8 @@ def model_card(registry: Registry, name: str) -> str:
     head = yaml.safe_dump(_metadata(registry, name), sort_keys=False, allow_unicode=True)
     releases = [
         f"| {release} | {entry.date} | "
-        f"{sum(policy.release == release for policy in registry.policies)} | {escape(entry.description)} |"
+        f"{sum(policy.release == release for policy in registry.policies)} | "
+        f"{escape(entry.description)} |"
         for release, entry in registry.data.releases.items()
     ]
     figures = [

@@ -221,7 +221,7 @@ def installed_settings() -> dict[str, DisabilitySetting]:
 
 
 def _fresh(data: RegistryFile, candidates: Sequence[_Candidate]) -> list[_Candidate]:
-    """Return the candidates that are not published yet, in order; refuse those that would change what is."""
+    """Return the candidates not published yet, in order; refuse what would change those that are."""
     if not candidates:
         raise _refusal("publication", "at least one team", "none")
     owners = {
@@ -268,7 +268,7 @@ def _with_release(
     fresh: Sequence[_Candidate],
     environments: Mapping[str, int],
 ) -> RegistryFile:
-    """Return the registry with the release's environment versions extended by the new teams' tasks."""
+    """Return the registry with the release's environment versions, new tasks' added."""
     if data.disability_settings != installed_settings():
         found = f"{installed_settings()} in the installed environments"
         raise _change("disability settings", f"the registry's {data.disability_settings}", found)

@@ -60,7 +60,7 @@ class Registry:
         return self.data.splits
 
     def shard_path(self, shard: str) -> Path:
-        """Return where a shard lies here: beside the registry, or in the cache if it was fetched."""
+        """Return where a shard lies: beside the registry, or in the cache if it was fetched."""
         namespace, path = split_namespace(shard)
         if namespace:
             return self.parts[namespace].shard_path(path)
@@ -228,7 +228,7 @@ def parse_registry(text: str, source: str) -> RegistryFile:
 
 
 def first_schema(text: str) -> str:
-    """Return a registry of schema version 1 in the schema of today: `ci` was the mean's interval."""
+    """Return a registry of schema 1 in the schema of today: `ci` was the mean's interval."""
     data = json.loads(text)
     data["schema_version"] = SCHEMA_VERSION
     teams = data.get("teams")

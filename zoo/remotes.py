@@ -122,7 +122,7 @@ def with_retries(work: Callable[[], T], what: str, *, retry: Retry | None = None
 def pause_before(
     attempt: int, error: TransientError, retry: Retry, stop: threading.Event | None = None
 ) -> None:
-    """Wait before the next attempt: each time twice as long, or as the server asked; `stop` ends it."""
+    """Wait before the next attempt: each time longer, or as the server asked; `stop` ends it."""
     wait = retry.pause * 2 ** (attempt - 1) if error.wait is None else error.wait
     (stop or threading.Event()).wait(min(wait, retry.longest))
 

@@ -20,7 +20,7 @@ RECORD = "release"  # the kind of the one leaf that may change
 
 
 def leaves(data: RegistryFile, release: str) -> dict[str, str]:
-    """Return the sha256 of each entry of a release by its kind and name, such as "team scratch/..."."""
+    """Return the sha256 of each entry of a release by kind and name, as "team scratch/..."."""
     members = {
         name: (parse_team(name).disability, entry)
         for name, entry in data.members.items()
@@ -74,8 +74,8 @@ def with_roots(data: RegistryFile) -> RegistryFile:
 def root_problems(data: RegistryFile) -> list[str]:
     """Return the releases whose entries are not those of the root that is recorded."""
     return [
-        f"release {name}: expected root {release.root}, found {found}; an entry, a split, a setting "
-        "or the provenance of a run was changed, added or removed"
+        f"release {name}: expected root {release.root}, found {found}; an entry, a split, a "
+        "setting or the provenance of a run was changed, added or removed"
         for name, release in data.releases.items()
         if release.root and (found := release_root(data, name)) != release.root
     ]

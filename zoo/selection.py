@@ -1,4 +1,4 @@
-"""Choosing policies by glob and by field, over anything that carries an id's parts. Imports nothing heavy."""
+"""Choosing policies by glob and by field, over anything that carries an id's parts."""
 
 from collections.abc import Iterable, Sequence
 from typing import NoReturn, Protocol, TypeVar

@@ -1,4 +1,4 @@
-"""One file from a remote into the cache: resumed, hashed, then renamed; seen whole or not at all."""
+"""One file from a remote into the cache: resumed, hashed, renamed; seen whole or not at all."""
 
 import dataclasses
 import hashlib
@@ -85,7 +85,7 @@ class _Transfer:
         self.digest, self.size = hashlib.sha256(), 0
 
     def run(self) -> None:
-        """Complete the file; a wrong hash after a resumption starts once more from the beginning."""
+        """Complete the file; a wrong hash after a resumption starts once more anew."""
         self._read_existing()
         resumed = self.size > 0
         self._complete()

@@ -84,8 +84,8 @@ def _shards_problems(registry: Registry, progress: Callable[[str], None]) -> Ite
     absent = [shard for shard in shards if not registry.shard_path(shard).is_file()]
     if absent and len(absent) == len(shards):
         yield (
-            f"none of the {len(shards)} shards is here, no file at {registry.shard_path(shards[0])}: "
-            "`assistax-zoo fetch` brings them"
+            f"none of the {len(shards)} shards is here, no file at "
+            f"{registry.shard_path(shards[0])}: `assistax-zoo fetch` brings them"
         )
         return
     for shard in shards:

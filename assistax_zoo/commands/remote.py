@@ -27,7 +27,7 @@ def fetch(
     registry: Path | None = None,
     json: bool = False,
 ) -> None:
-    """Fetch partners from a remote into the cache, verified; what is on this machine already is only verified.
+    """Fetch partners from a remote into the cache; what is here already is only verified.
 
     The cache is ~/.cache/assistax-zoo, or $ASSISTAX_ZOO_CACHE. An interrupted fetch goes on where
     it was.

@@ -136,7 +136,7 @@ def create(
 
 
 def verify(id: str | None = None, *, registry: Path | None = None, json: bool = False) -> None:
-    """Check splits: content against sha256, known teams, nothing on both sides; exit code 1 if anything is wrong.
+    """Check splits: sha256, known teams, nothing on both sides; exit code 1 if anything is wrong.
 
     On both sides are also two humans that act nearly alike, which no hash shows; `zoo/behaviour.py`
     says how nearly.

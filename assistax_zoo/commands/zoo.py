@@ -241,7 +241,7 @@ def _print_replay(result: "DeepReport") -> None:
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]], caption: str) -> None:
-    """Print aligned columns, their heads bold on a terminal; rich takes 0.3 s for a thousand rows."""
+    """Print aligned columns, heads bold on a terminal; rich takes 0.3 s for a thousand rows."""
     widths = [max(map(len, column)) for column in zip(columns, *rows, strict=True)]
     lines = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in (columns, *rows)]
     if sys.stdout.isatty() and not os.environ.get("NO_COLOR"):

@@ -35,6 +35,16 @@ def zoo(
     return path
 
 
+def test_the_same_export_again_writes_nothing(zoo: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "robot.safetensors"
+    words = ("export", f"{FIRST}/robot", "--format", "safetensors", "--out", str(out))
+    assert answer(capsys, *words)["written"] is True
+    before = out.stat().st_mtime_ns
+    assert answer(capsys, *words)["written"] is False and out.stat().st_mtime_ns == before
+    words = ("export", f"{FIRST}/human", *words[2:])
+    assert "--force" in refusal(capsys, *words)
+
+
 def test_export_to_safetensors_and_torch(zoo: Path, tmp_path: Path, capsys) -> None:
     out = tmp_path / "robot.safetensors"
     done = answer(capsys, "export", f"{FIRST}/robot", "--format", "safetensors", "--out", str(out))

@@ -1,4 +1,4 @@
-"""A hub on loopback for the real huggingface_hub client: repositories, commits, tags, large files; faults on demand.
+"""A hub on loopback for the real huggingface_hub client, with faults on demand.
 
 `python tests/zoo/hub_server.py FOLDER` serves a folder as the model repository `loop/zoo`, for
 measurements.

@@ -1,4 +1,4 @@
-"""As much of `torch` and `safetensors.safe_open` in NumPy as docs/export.md uses, by torch's documentation."""
+"""As much of `torch` and `safetensors.safe_open` in NumPy as docs/export.md uses."""
 
 from types import SimpleNamespace
 from typing import Any

@@ -33,7 +33,7 @@ def noisy(params: dict[str, Any], noise: float) -> dict[str, Any]:
 
 @pytest.fixture
 def with_copy(registry: Registry, team, publish_to) -> Callable[[float], Registry]:
-    """Return a function that publishes a copy of the first team's human beside a robot of its own."""
+    """Return a function that publishes a copy of the first human beside a robot of its own."""
 
     def plant(noise: float) -> Registry:
         original: TrainedTeam = team("ippo", "d1", 0)

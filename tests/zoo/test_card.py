@@ -11,11 +11,14 @@ CARD: dict[str, Any] = {
     "release": "v0",
     "disability": {"setting": "d3", "strength": 0.4, "elbow_range": 1.0, "tremor": 0.0},
     "spec": {
-        "role": "robot", "observation_size": 34, "action_size": 7, "torso": "mlp", "hidden": [128, 128],
+        "role": "robot", "observation_size": 34, "action_size": 7, "torso": "mlp",
+        "hidden": [128, 128],
         "activation": "tanh", "squash": "clip", "std": "parameter", "normalise": True,
     },
-    "self_play": {"mean": 999.11, "iqm": 996.7, "mean_ci": [994.6, 1003.6], "n": 64, "success": 1.0},
-    "training": {"run": "r", "seed": 5, "steps": 1000, "device": None, "versions": {"jax": "0.10.2"}},
+    "self_play": {"mean": 999.11, "iqm": 996.7, "mean_ci": [994.6, 1003.6], "n": 64,
+                  "success": 1.0},
+    "training": {"run": "r", "seed": 5, "steps": 1000, "device": None,
+                 "versions": {"jax": "0.10.2"}},
     "splits": {"scratch/half-s0-v0-f4c7b97d": "train"},
     "sha256": "a" * 64,
 }  # fmt: skip

@@ -41,7 +41,7 @@ NAMES = [f"{s.torso}{len(s.hidden)}-{s.activation}-{s.squash}-{s.std}-{s.normali
 
 
 def trained(spec: PolicySpec, seed: int = 0) -> dict[str, Any]:
-    """Return parameters with nothing at its initial value, so that no part can be left out unseen."""
+    """Return parameters with nothing at its initial value: no part can be left out unseen."""
     rng = np.random.default_rng(seed)
     params = jax.tree.map(lambda leaf: np.asarray(leaf), Policy(spec).init(jax.random.key(seed)))
     params = jax.tree.map(
@@ -55,7 +55,7 @@ def trained(spec: PolicySpec, seed: int = 0) -> dict[str, Any]:
 
 
 def episode(spec: PolicySpec, params: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return observations [T, N, O], first [T, N] and actions [T, N, A]; some rows begin anew at step 3."""
+    """Return observations [T, N, O], first [T, N], actions [T, N, A]; some rows restart at 3."""
     rng = np.random.default_rng(1)
     obs = rng.normal(0.0, 2.0, (STEPS, ROWS, spec.observation_size)).astype(np.float32)
     obs[0, 0] = 1e4  # far beyond the normaliser's limit
@@ -135,7 +135,7 @@ def test_onnx_files_say_what_they_are_and_are_stable() -> None:
 
 
 def documented_policy(path: Path) -> Any:
-    """Return the module of docs/export.md, loaded: with torch where it is installed, else with its stand-in."""
+    """Return the module of docs/export.md, loaded with torch, or with its stand-in."""
     (code,) = re.findall(
         r"## PyTorch\n\n```python\n(.*?)```", (ROOT / "docs/export.md").read_text(), re.DOTALL
     )

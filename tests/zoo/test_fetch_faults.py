@@ -1,4 +1,4 @@
-"""What can go wrong between a remote and the cache: nothing half-written is seen, and each error says what to do."""
+"""What can go wrong between a remote and the cache: nothing half-written, and clear errors."""
 
 import contextlib
 import os

@@ -1,4 +1,4 @@
-"""Ten thousand damaged registries and shards: one line for the user, and never a byte that was not published.
+"""Ten thousand damaged registries and shards: one line, and never a byte not published.
 
 What may be loaded is decided here, apart from the code under test: a policy's parameters must have
 the sha256 that the undamaged registry records for some policy, under an id whose damaged registry
@@ -165,7 +165,7 @@ def damaged_shards(registry: Registry, genuine: dict[str, str], cases: int) -> i
 
 
 def forged_shards(registry: Registry, genuine: dict[str, str], cases: int) -> int:
-    """Damage shards, and correct size and sha256 in the registry: rows still tell. Return how many rows passed."""
+    """Damage shards, and correct size and sha256 in the registry; return how many rows passed."""
     shard = registry.policies[0].shard
     path, rng, passed = registry.shard_path(shard), random.Random(9), 0
     whole = path.read_bytes()

@@ -1,4 +1,4 @@
-"""Selection, registries and splits, over populations drawn at random and against plain re-statements."""
+"""Selection, registries and splits, over random populations, against plain re-statements."""
 
 import fnmatch
 import json
@@ -45,7 +45,8 @@ def registry_of(teams: list[TeamId]) -> Registry:
     for number, team in enumerate(teams):
         path = f"zoo/shards/{team.release}/{team.task}-{team.algorithm}.safetensors"
         shard = shards.setdefault(path, {
-            "sha256": "a" * 64, "bytes": 9, "task": team.task, "algorithm": team.algorithm, "role": "human",
+            "sha256": "a" * 64, "bytes": 9, "task": team.task, "algorithm": team.algorithm,
+            "role": "human",
             "release": team.release, "rows": 0, "spec": SPEC.to_json(),
         })  # fmt: skip
         row = {"shard": path, "row": shard["rows"], "sha256": f"{number:064x}"}

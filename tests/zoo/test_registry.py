@@ -300,7 +300,8 @@ def test_reading_the_registry_imports_nothing_heavy(registry: Registry) -> None:
         "set(sys.modules)))"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code, str(registry.path)], capture_output=True, text=True, check=True,
+        [sys.executable, "-c", code, str(registry.path)], capture_output=True, text=True,
+        check=True,
         cwd=Path(__file__).parents[2],
     )  # fmt: skip
     assert done.stdout.strip() == "[]"

@@ -174,7 +174,8 @@ HOSTILE = {
     "seven bytes": b"1234567",
     "header of 2^63 bytes": struct.pack("<Q", 2**63) + b"{}",
     "header beyond the file": struct.pack("<Q", 100) + b"{}",
-    "header beyond the bound": struct.pack("<Q", MAX_HEADER_BYTES + 1) + b" " * (MAX_HEADER_BYTES + 1),
+    "header beyond the bound": struct.pack("<Q", MAX_HEADER_BYTES + 1)
+    + b" " * (MAX_HEADER_BYTES + 1),
     "no JSON": header(b"\x80\x04pickle."),
     "a list": header([]),
     "deep nesting": header(b'{"a":' * 5000),
@@ -185,7 +186,9 @@ HOSTILE = {
     "no leaf": header(META),
     "overlap": header({**META, "a": LEAF, "b": LEAF}, BODY),
     "gap": header({**META, "a": {**LEAF, "data_offsets": [4, 8]}}, BODY + BODY),
-    "beyond the end": header({**META, "a": {**LEAF, "shape": [2, 1], "data_offsets": [0, 8]}}, BODY),
+    "beyond the end": header(
+        {**META, "a": {**LEAF, "shape": [2, 1], "data_offsets": [0, 8]}}, BODY
+    ),
     "bytes left over": header({**META, "a": LEAF}, BODY + b"#!/bin/sh"),
     "shape not the size": header({**META, "a": {**LEAF, "shape": [3, 1]}}, BODY),
     "overflowing shape": header({**META, "a": {**LEAF, "shape": [2**62, 2**62]}}, BODY),
@@ -197,7 +200,9 @@ HOSTILE = {
     "integers": header({**META, "a": {**LEAF, "dtype": "I32"}}, BODY),
     "unknown dtype": header({**META, "a": {**LEAF, "dtype": "O"}}, BODY),
     "NaN": header({**META, "a": LEAF}, struct.pack("<f", float("nan"))),
-    "a key twice": header(f'{{"a":{json.dumps(LEAF)},"a":{json.dumps(LEAF)},{json.dumps(META)[1:]}'.encode(), BODY),
+    "a key twice": header(
+        f'{{"a":{json.dumps(LEAF)},"a":{json.dumps(LEAF)},{json.dumps(META)[1:]}'.encode(), BODY
+    ),
 }  # fmt: skip
 
 

@@ -1,0 +1,151 @@
+"""Another zoo beside one's own: `add`, its ids everywhere, `remove`; and what is fetched when."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from assistax_zoo.main import run
+from tests.zoo.hub_server import Hub
+from zoo.added import add, remove
+from zoo.errors import IdError, IntegrityError, RemoteError, UnknownIdError
+from zoo.fetch import ensure_local, fetch
+from zoo.locations import default_remote, set_default_remote
+from zoo.lock import apply_lock, make_lock
+from zoo.publish import publish
+from zoo.registry import Registry, load_registry
+from zoo.runs import TrainedTeam
+from zoo.storage import load_stacks
+from zoo.verify import verify
+
+
+@pytest.fixture
+def lab(registry: Registry, team, publish_to, tmp_path: Path, cache: Path, monkeypatch) -> Registry:
+    """Somebody's zoo with a team of the same id as one of ours, and an ego; ours is the default."""
+    monkeypatch.setenv("ASSISTAX_ZOO_DATA", str(tmp_path / "data"))
+    monkeypatch.setenv("ASSISTAX_ZOO_REGISTRY", str(registry.path))
+    theirs = team(params={role: _moved(params) for role, params in team().params.items()})
+    return publish_to([theirs, ego(team)], tmp_path / "lab" / "registry.json")
+
+
+def _moved(params: dict) -> dict:
+    return {**params, "log_std": params["log_std"] + 1}
+
+
+def ego(team, seed: int = 0) -> TrainedTeam:
+    """A robot as `train-ego` leaves it."""
+    robot = team("ppo", seed=seed)
+    return TrainedTeam(
+        task="scratch",
+        algorithm="ppo",
+        disability="mixed",
+        seed=seed,
+        specs={"robot": robot.specs["robot"]},
+        params={"robot": robot.params["robot"]},
+        training=robot.training,
+        trained_against={"split": "scratch/half-s0-v0-f4c7b97d", "sha256": "a" * 64},
+    )
+
+
+def test_an_ego_is_published_listed_and_never_a_partner(registry: Registry, team) -> None:
+    before = registry.split("scratch")
+    check = {"check": lambda spec, leaves, source: None}
+    grown = publish([ego(team)], registry.path, "v0", **check)
+    [entry] = grown.select("scratch/ppo-ego-*")
+    assert (entry.id, entry.disability) == ("scratch/ppo-ego-s0-v0/robot", "ego")
+    assert entry.setting is None and entry.self_play is None and entry.trained_against is not None
+    assert grown.split("scratch") == before and verify(grown).ok
+    assert publish([ego(team)], registry.path, "v0", **check) == grown
+    with pytest.raises(ValueError, match="is an ego"):
+        _ = entry.partner_setting
+    stack = load_stacks(grown, [entry])[0]
+    assert np.array_equal(stack.row(0)["log_std"], team("ppo").params["robot"]["log_std"])
+
+
+@pytest.mark.parametrize("kind", ["folder", "hub"])
+def test_their_policies_stand_beside_ours(
+    kind: str, lab: Registry, registry: Registry, hub: Hub, capsys
+) -> None:
+    hub.put("me/my-zoo", lab.path.parent)
+    remote = "hf://me/my-zoo" if kind == "hub" else str(lab.path.parent)
+    assert run(["add", remote, "--as", "lab"]) == 0
+    assert "fetch 'lab:*'" in capsys.readouterr().out
+    both = load_registry()
+    assert len(both.policies) == len(registry.policies) + 3
+    theirs = both.policy("lab:scratch/ippo-d1-s0-v0/human")
+    assert theirs.sha256 != both.policy("scratch/ippo-d1-s0-v0/human").sha256
+    assert both.env_version(theirs) == 1 and both.team(theirs.team).self_play == theirs.self_play
+    assert both.root("lab:v0") == lab.root("v0") and both.root("v0") == registry.root("v0")
+    assert [e.id for e in both.select("lab:*ego*")] == ["lab:scratch/ppo-ego-s0-v0/robot"]
+    assert both.select("scratch/*") == registry.policies  # a glob of ours takes none of theirs
+    with pytest.raises(RemoteError, match=r"2 of 2 policies.*add --fetch"):
+        ensure_local(both, both.select("lab:scratch/ippo-*"))
+    assert run(["fetch", "lab:*"]) == 0
+    assert ensure_local(both, both.select("lab:*")) is None
+    assert [stack.ids for stack in load_stacks(both, [theirs])] == [(theirs.id,)]
+    assert run(["show", "lab:scratch/ppo-ego-s0-v0/robot"]) == 0
+    assert "trained_against" in capsys.readouterr().out
+    assert load_registry(registry.path).policies == registry.policies  # a named one stands alone
+    assert run(["remove", "lab"]) == 0 and load_registry().policies == registry.policies
+    with pytest.raises(UnknownIdError, match="none of that name"):
+        remove("lab")
+
+
+def test_their_splits_and_locks_are_theirs(
+    lab: Registry, registry: Registry, teams, publish_to
+) -> None:
+    publish_to(teams(("mappo",)), lab.path)
+    add(str(lab.path.parent), "lab")
+    both = load_registry()
+    split = both.split("scratch", release="lab:v0")
+    assert split.id.startswith("lab:scratch/half-s0-v0") and split in both.splits
+    assert both.split("scratch", split.id) == split != both.split("scratch")
+    assert all(team.startswith("lab:") and team in both.data.teams for team in split.train)
+    assert both.split("scratch") == registry.split("scratch")
+    lock = make_lock(both, both.select(release="lab:v0", algorithm="mappo"))
+    assert lock.root == both.root("lab:v0")
+    narrowed = apply_lock(both, lock, task="scratch")
+    assert {entry.team.partition(":")[0] for entry in narrowed.policies} == {"lab"}
+
+
+def test_what_was_added_is_followed_but_not_rewritten(
+    lab: Registry, team, teams, publish_to, cache: Path
+) -> None:
+    add(str(lab.path.parent), "lab")
+    publish_to(teams(("mappo",), seeds=range(1)), lab.path)
+    assert len(add(str(lab.path.parent), "lab").policies) == 7
+    lab.path.unlink()
+    publish_to([team()], lab.path)
+    for path in (cache / "registries").rglob("registry.json"):
+        path.unlink()  # even where the cache was deleted
+    with pytest.raises(IntegrityError, match="another history"):
+        add(str(lab.path.parent), "lab")
+    assert len(load_registry().select("lab:*")) == 7
+    with pytest.raises(IdError, match="namespace"):
+        add(str(lab.path.parent), "My Lab")
+
+
+def test_the_default_remote_is_set_once(
+    registry: Registry, lab: Registry, cache: Path, tmp_path: Path, monkeypatch, capsys
+) -> None:
+    bare = tmp_path / "wheel" / "registry.json"
+    bare.parent.mkdir()
+    bare.write_bytes(registry.path.read_bytes())
+    installed = load_registry(bare)
+    [problem] = verify(installed).problems  # one line, not one for each shard
+    assert "none of the 2 shards is here" in problem and "assistax-zoo fetch" in problem
+    with pytest.raises(RemoteError, match="config remote"):
+        ensure_local(installed, installed.policies, fetch_missing=True)
+    assert run(["config", "remote", str(registry.path.parent)]) == 0
+    assert default_remote() == str(registry.path.parent)
+    monkeypatch.setenv("ASSISTAX_ZOO_REMOTE", "hf://org/zoo")
+    assert default_remote() == "hf://org/zoo"
+    monkeypatch.delenv("ASSISTAX_ZOO_REMOTE")
+    done = ensure_local(installed, installed.policies, fetch_missing=True)
+    assert done is not None and done.bytes > 0 and verify(installed).ok
+    assert fetch(installed, installed.policies).present == 2
+    set_default_remote(None)
+    assert (
+        default_remote() is None and json.loads((tmp_path / "data/config.json").read_text()) == {}
+    )
