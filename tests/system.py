@@ -1,8 +1,13 @@
 """Tests that need a package of the operating system: skipped without it, but not where it must be there."""
 
 import os
+import shutil
 
 import pytest
+
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
 
 
 def needs(package: str, found: object) -> pytest.MarkDecorator:

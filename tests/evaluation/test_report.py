@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
@@ -18,16 +17,8 @@ from evaluation.report import write_report
 from evaluation.report.html import embedded
 from evaluation.report.matrix_data import matrix_data
 from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, team_id, teams
-from tests.system import needs
+from tests.system import CHROMIUM, needs
 
-CHROMIUM = next(
-    (
-        found
-        for name in ("chromium", "chromium-browser", "google-chrome")
-        if (found := shutil.which(name))
-    ),
-    None,
-)
 HOSTILE = "python:my</script><script>alert(1)</script>&amp;:f"
 COMMAND = "assistax-zoo crossplay --task scratch --out 'x & <y>'"
 

@@ -1,0 +1,79 @@
+"""A server of pages on the loopback, and a real browser in front of it."""
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Generator
+from pathlib import Path
+
+import uvicorn
+from fastapi import FastAPI
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from tests.system import CHROMIUM
+
+AXE = Path(__file__).parent / "vendor" / "axe-4.14.1.min.js"
+# Quiet, and without a call to anywhere.
+_FLAGS = (
+    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+)
+
+
+@contextlib.contextmanager
+def served(app: FastAPI) -> Generator[str]:
+    """Serve an application on a free port of this machine, and yield its address."""
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        server = uvicorn.Server(uvicorn.Config(app, log_level="warning"))
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+        thread.start()
+        try:
+            while not server.started:
+                time.sleep(0.02)
+            yield f"http://127.0.0.1:{listener.getsockname()[1]}"
+        finally:
+            server.should_exit = True
+            thread.join()
+
+
+@contextlib.contextmanager
+def browsing() -> Generator[Browser]:
+    """Yield a headless browser."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(_FLAGS))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+@contextlib.contextmanager
+def opened(browser: Browser, width: int = 1280, scheme: str = "light") -> Generator[Page]:
+    """Yield a window; an error of a script or a refusal by the policy fails the test at its end."""
+    complaints: list[str] = []
+    context = browser.new_context(
+        viewport={"width": width, "height": 1000},
+        color_scheme="dark" if scheme == "dark" else "light",
+    )
+    page = context.new_page()
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("console", lambda m: complaints.append(m.text) if m.type == "error" else None)
+    try:
+        yield page
+        assert complaints == []
+    finally:
+        context.close()
+
+
+def accessibility_faults(page: Page) -> list[str]:
+    """Return what axe finds on a page, from "serious" on, with the places."""
+    # Evaluated by the browser's debugger, which the page's policy does not bind.
+    page.evaluate(AXE.read_text(encoding="utf-8"))
+    found = page.evaluate("axe.run({resultTypes: ['violations']})")
+    return [
+        f"{one['id']}: {one['nodes'][0]['html'][:120]}"
+        for one in found["violations"]
+        if one["impact"] in ("serious", "critical")
+    ]
