@@ -95,7 +95,7 @@ def draw_collisions(
     from assistax_envs.collisions import picture
     from assistax_envs.versions import TASKS
     from evaluation.film import check_film
-    from evaluation.tables import atomic_path
+    from population.files import atomic_path
 
     out = Path(out)
     if task != "all" and task not in TASKS:

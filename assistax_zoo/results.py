@@ -267,8 +267,8 @@ def compare(
                 f"{name} is {found[0]} in {first.folder} and {found[1]} in {second.folder}; "
                 "evaluate both methods alike"
             )
-    found = summarise_comparison(first.episodes, second.episodes, seed=seed)
-    sides = {side: fields(found.get(side)) for side in tables.SIDES}
+    found = tables.to_json(summarise_comparison(first.episodes, second.episodes, seed=seed))
+    sides = {side: fields(found[side]) for side in tables.SIDES}
     return Comparison(first.summary.task, **sides, notes=tuple(found["notes"]))
 
 
@@ -280,7 +280,7 @@ def _evaluation(result: "EvaluationResult | Path | str") -> EvaluationResult:
 
 
 def _brief(figure: Any) -> str:
-    ends = figure.get("iqm_ci") or figure.get("ci")
+    ends = figure["iqm_ci"]
     return f"{figure['iqm']:.1f}" + (f" [{ends[0]:.1f}, {ends[1]:.1f}]" if ends else "")
 
 

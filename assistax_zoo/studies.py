@@ -12,6 +12,8 @@ from evaluation.provenance import write_run
 from evaluation.runner import Progress
 from evaluation.studies import Settings, choose_partners, evaluate_policies
 from evaluation.studies import cross_play as play_population
+from evaluation.summary import CrossPlaySummary
+from evaluation.tables import to_json
 from population.engines import RayCluster
 
 Shown = bool | Callable[[Progress], None]
@@ -28,8 +30,10 @@ def evaluate(
     backend: str = "auto",
     stochastic: bool = False,
     max_envs: int | None = None,
+    include_own: bool = False,
     references: bool = True,
     crossplay: "Path | CrossPlayResult | None" = None,
+    reuse: bool = False,
     fetch: bool = False,
     zoo: "str | Path | Zoo | None" = None,
     lock: Path | str | None = None,
@@ -55,8 +59,12 @@ def evaluate(
         backend: Physics: "auto" for the fastest one here, or its name.
         stochastic: Draw actions instead of taking each policy's most likely one.
         max_envs: Most simulations in a saved part; lower it if memory runs out.
+        include_own: Count partners that were trained with one of the robots; else they are played
+            and kept in the tables, and no figure is about them.
         references: Compare with zero and random actions and with each partner's own robot.
         crossplay: A finished cross-play, whose best robots may be the partners' best responses.
+        reuse: Take what `out` holds of a robot from code though nothing declares what it depends
+            on; else it is played again.
         fetch: Bring partners that are missing here from the zoo's remote.
         zoo: Where partners and ids come from, as in `open_zoo`.
         lock: Lock file of a paper; other bytes and splits than those it pins are refused.
@@ -94,12 +102,14 @@ def evaluate(
             folder,
             split=split,
             partners=partners,
+            include_own=include_own,
             references=cache_folder("references") if references else None,
             crossplay=crossplay.folder if isinstance(crossplay, CrossPlayResult) else crossplay,
+            reuse=reuse,
             on_progress=on_progress,
         )
-    write_run(folder, command_line(), summary)
-    return EvaluationResult(fields(summary), folder, keep)
+    write_run(folder, command_line(), simulated=summary.env_steps_per_second is not None)
+    return EvaluationResult(fields(to_json(summary)), folder, keep)
 
 
 def cross_play(
@@ -158,8 +168,9 @@ def cross_play(
             cluster=cluster,
             on_progress=on_progress,
         )
-    write_run(folder, command_line(), summary)
-    return CrossPlayResult(fields(summary), folder, keep)
+    assert isinstance(summary, CrossPlaySummary)  # no block was asked for
+    write_run(folder, command_line(), simulated=summary.env_steps_per_second is not None)
+    return CrossPlayResult(fields(to_json(summary)), folder, keep)
 
 
 def play_block(

@@ -13,10 +13,12 @@ import numpy as np
 
 from assistax_envs import DISABILITY_SETTINGS, disability_params
 from benchmarks.timing import REPEATS, calls_within, timed
-from evaluation.jobs import Group, Job, Member, plan
+from evaluation.jobs import Job, plan
+from evaluation.roster import Member, Roster
 from evaluation.runner import Runner
 from population.policy import Policy
 from population.spec import PolicySpec
+from population.stack import PolicyStack
 
 CALL = 10  # steps in one program
 
@@ -157,17 +159,18 @@ def _calls(env: Any, run: Any, seconds: float) -> int:
 
 def _untrained_job(env: Any, shape: tuple[int, int, int]) -> Job:
     """Return a job of E robots with P humans for K episodes, whose networks are untrained."""
-    groups = []
+    seats = []
     for role, count in zip(("robot", "human"), shape, strict=False):
         spec = PolicySpec(role, env.observation_size[role], env.action_size[role])
         params = jax.tree.map(
             lambda leaf, n=count: np.repeat(leaf[None], n, 0), Policy(spec).init(jax.random.key(0))
         )
-        members = tuple(
-            Member(f"{role}-{i}", "", disability=one) for i, one in enumerate(_settings(count))
-        )
-        groups.append(Group(spec, members, params))
-    return Job(env.task, env.version, env.backend, (groups[0],), (groups[1],), shape[2])
+        members = {
+            f"{role}-{i}": Member(f"{role}-{i}", "", disability=one)
+            for i, one in enumerate(_settings(count))
+        }
+        seats.append(Roster((PolicyStack(spec, tuple(members), params),), members))
+    return Job(env.task, env.version, env.backend, seats[0], seats[1], shape[2])
 
 
 def _settings(count: int) -> list[str]:

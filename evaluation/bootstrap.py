@@ -1,8 +1,7 @@
 """Seeded percentile bootstrap, 95%: resamples of whole seeds, partners or teams as rows of counts.
 
-An `Estimate` has two point figures, the IQM and the mean of all entries. `ci` is the interval of
-the IQM and `mean_ci` that of the mean; `generalises_to` says what was resampled, hence what the
-intervals speak about.
+An `Estimate` has two point figures, the mean and the IQM of all entries, each with an interval that
+says whose it is; `generalises_to` says what was resampled, hence what the intervals speak about.
 """
 
 import dataclasses
@@ -26,20 +25,10 @@ class Estimate:
 
     mean: float  # mean of all entries
     iqm: float  # interquartile mean of all entries
-    ci: tuple[float, float] | None  # of the IQM; None when there was nothing to resample
-    mean_ci: tuple[float, float] | None  # of the mean
-    n: int  # entries: ego x partner pairs, or episodes where generalises_to is "episodes"
-    generalises_to: (
-        str  # "seeds", "partners", "seeds and partners", "teams", "episodes" or "nothing"
-    )
-
-    def to_json(self) -> dict:
-        """Return the estimate as JSON-ready values."""
-        return {
-            **dataclasses.asdict(self),
-            "ci": None if self.ci is None else list(self.ci),
-            "mean_ci": None if self.mean_ci is None else list(self.mean_ci),
-        }
+    iqm_ci: tuple[float, float] | None  # None when there was nothing to resample
+    mean_ci: tuple[float, float] | None
+    n: int  # entries: ego x partner pairs
+    generalises_to: str  # "seeds", "partners", "seeds and partners", "teams" or "nothing"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,13 +36,9 @@ class Interval:
     """A figure that is neither a mean nor an IQM, such as CVaR, with its interval."""
 
     value: float
-    ci: tuple[float, float] | None  # None when there was nothing to resample
+    value_ci: tuple[float, float] | None  # None when there was nothing to resample
     n: int  # entries it was computed from
     generalises_to: str
-
-    def to_json(self) -> dict:
-        """Return the figure as JSON-ready values."""
-        return {**dataclasses.asdict(self), "ci": None if self.ci is None else list(self.ci)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,10 +64,10 @@ class Draws:
 
     def estimate(self) -> Estimate:
         """Close the replicates into intervals."""
-        ci, mean_ci = (
+        iqm_ci, mean_ci = (
             interval(replicates, self.generalises_to) for replicates in (self.iqms, self.means)
         )
-        return Estimate(self.mean, self.iqm, ci, mean_ci, self.n, self.generalises_to)
+        return Estimate(self.mean, self.iqm, iqm_ci, mean_ci, self.n, self.generalises_to)
 
 
 def estimate(
@@ -110,19 +95,6 @@ def estimate(
     if method == "stratified":
         return replicate(scores, stratified_counts(scores.shape, resamples, seed), to).estimate()
     return replicate_crossed(scores, *cluster_counts(scores.shape, resamples, seed), to).estimate()
-
-
-def estimate_episodes(
-    returns: np.ndarray, *, resamples: int = RESAMPLES, seed: int = 0
-) -> Estimate:
-    """IQM and mean of one pair's returns [K]; the intervals are about new episodes of this pair and nothing wider."""
-    returns = np.asarray(returns, float)
-    if returns.ndim != 1:
-        raise ValueError(
-            f"returns has shape {returns.shape}; expected [episodes], those of one pair"
-        )
-    counts = draw_counts(entries(returns).size, resamples, np.random.default_rng(seed))
-    return replicate(returns, [counts], "episodes" if returns.size > 1 else NOTHING).estimate()
 
 
 def profile_band(

@@ -1,4 +1,4 @@
-"""Find the robots that a job is about: in the registry, in files, in anybody's Python code, or in this process."""
+"""Find the robots that a job is about: in the registry, in files, in anybody's Python code."""
 
 import hashlib
 import json
@@ -9,24 +9,23 @@ from typing import Any
 import numpy as np
 
 from evaluation import onnx_ego
-from evaluation.jobs import Ego, Group, HostEgo, Member
 from evaluation.policy_process import PolicyError, PolicyProcess
 from evaluation.policy_reference import PolicyReference, parse_reference
 from evaluation.policy_worker import told
 from evaluation.robot_forms import as_robot
+from evaluation.roster import HostEgo, Member, Roster, registry_roster
 from population.spec import PolicySpec
-from population.stack import stack_policies
+from population.stack import PolicyStack, stack_policies
 from zoo.registry import Registry
-from zoo.schema import PolicyEntry
-from zoo.storage import load_stacks, read_policy_file
+from zoo.storage import read_policy_file
 
 
 class EgoError(ValueError):
     """A robot from outside failed: names the partner, the step and what was wrong."""
 
 
-def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> tuple[Ego, ...]:
-    """Resolve references and Python objects to egos; several of one spec are stacked, in the order given.
+def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> Roster:
+    """Resolve references and Python objects to egos; those of one spec are stacked, in order.
 
     Args:
         robots: Texts of the forms of `evaluation.policy_reference`, paths, and objects of those of
@@ -41,7 +40,7 @@ def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> tuple[Ego
         EgoError: A robot from a Python module cannot be made.
     """
     single: list[tuple[Member, PolicySpec, Any]] = []
-    host: list[HostEgo] = []
+    host: list[tuple[Member, HostEgo]] = []
     for place, robot in enumerate(robots):
         if not isinstance(robot, str | Path):
             host.append(_from_object(robot, place))
@@ -59,29 +58,23 @@ def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> tuple[Ego
                 f"policy {reference.text!r} is no robot to evaluate; references play it beside "
                 "every robot"
             )
-    return (*_stack(single), *host)
-
-
-def registry_groups(registry: Registry, entries: Sequence[PolicyEntry]) -> tuple[Group, ...]:
-    """Load registry policies, hashes checked, as groups of one spec."""
-    by_id = {entry.id: entry for entry in entries}
-    return tuple(
-        Group(group.spec, tuple(_member(by_id[name]) for name in group.ids), group.params)
-        for group in load_stacks(registry, entries)
-    )
+    stacks = stack_policies((member.id, spec, params) for member, spec, params in single)
+    members = [member for member, *_ in (*single, *host)]
+    egos = (ego for _, ego in host)
+    return Roster((*stacks, *egos), {member.id: member for member in members})
 
 
 def call_ego(
     ego: HostEgo, partners: Sequence[str], episodes: int, action_size: int
 ) -> Callable[[np.ndarray, int], np.ndarray]:
-    """Return a function (observations [N, O], step) -> actions [N, A] that checks what the ego's code answers.
+    """Return a function (observations [N, O], step) -> actions [N, A] that checks its answers.
 
     `partners` and `episodes` say who stands in each row: N is partner by partner, K episodes each.
     """
     robot = as_robot(ego.act)
 
     def act(obs: np.ndarray, step: int) -> np.ndarray:
-        place = f"{ego.member.id} with {_span(partners)}, step {step}"
+        place = f"{ego.id} with {_span(partners)}, step {step}"
         try:
             if step == 0:
                 robot.reset(len(obs))
@@ -100,7 +93,7 @@ def call_ego(
         if broken.size:
             partner, episode = divmod(int(broken[0]), episodes)
             raise EgoError(
-                f"{ego.member.id} with {partners[partner]}, step {step}: the action of episode "
+                f"{ego.id} with {partners[partner]}, step {step}: the action of episode "
                 f"{episode} is not finite ({broken.size} of {len(obs)} rows); expected numbers in "
                 "[-1, 1]"
             )
@@ -112,11 +105,11 @@ def call_ego(
 def _from_zoo(
     pattern: str, registry: Registry, task: str
 ) -> Iterable[tuple[Member, PolicySpec, Any]]:
-    entries = registry.select(pattern, task=task, role="robot")
-    members = {entry.id: _member(entry) for entry in entries}
-    for stack in load_stacks(registry, entries):
+    found = registry_roster(registry, registry.select(pattern, task=task, role="robot"))
+    for stack in found.stacks:
+        assert isinstance(stack, PolicyStack)
         for row, name in enumerate(stack.ids):
-            yield members[name], stack.spec, stack.row(row)
+            yield found.members[name], stack.spec, stack.row(row)
 
 
 def _from_file(text: str) -> tuple[Member, PolicySpec, Any]:
@@ -125,14 +118,14 @@ def _from_file(text: str) -> tuple[Member, PolicySpec, Any]:
     return Member(text, hashlib.sha256(path.read_bytes()).hexdigest()), spec, params
 
 
-def _from_object(robot: Any, place: int) -> HostEgo:
+def _from_object(robot: Any, place: int) -> tuple[Member, HostEgo]:
     """Take a robot of this process; no digest covers what it depends on."""
     kind = getattr(robot, "__qualname__", type(robot).__qualname__)
     name = f"object:{kind}-{place}"
-    return HostEgo(Member(name, _digest([name]), reusable=False), as_robot(robot))
+    return Member(name, _digest([name]), reusable=False), HostEgo(name, as_robot(robot))
 
 
-def _from_outside(reference: PolicyReference) -> HostEgo:
+def _from_outside(reference: PolicyReference) -> tuple[Member, HostEgo]:
     """Start the process of a robot from a Python module or an ONNX file."""
     try:
         if reference.kind == "onnx":
@@ -144,7 +137,7 @@ def _from_outside(reference: PolicyReference) -> HostEgo:
             member = _python_member(reference, robot)
     except (PolicyError, OSError) as error:
         raise EgoError(f"policy {reference.text!r}: {error}") from None
-    return HostEgo(member, robot)
+    return member, HostEgo(member.id, robot)
 
 
 def _python_member(reference: PolicyReference, robot: PolicyProcess) -> Member:
@@ -168,27 +161,6 @@ def _python_member(reference: PolicyReference, robot: PolicyProcess) -> Member:
 
 def _digest(value: Any) -> str:
     return hashlib.sha256(json.dumps(value).encode()).hexdigest()
-
-
-def _member(entry: PolicyEntry) -> Member:
-    return Member(
-        entry.id,
-        entry.sha256,
-        entry.team,
-        entry.algorithm,
-        entry.disability if entry.setting else None,  # an ego has no human
-        entry.seed,
-        entry.setting,
-    )
-
-
-def _stack(single: Sequence[tuple[Member, PolicySpec, Any]]) -> tuple[Group, ...]:
-    members = {member.id: member for member, _, _ in single}
-    stacks = stack_policies((member.id, spec, params) for member, spec, params in single)
-    return tuple(
-        Group(stack.spec, tuple(members[name] for name in stack.ids), stack.params)
-        for stack in stacks
-    )
 
 
 def _span(partners: Sequence[str]) -> str:

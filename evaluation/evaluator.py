@@ -1,12 +1,16 @@
 """Run a job chunk by chunk into a folder: resumable, and the table does not depend on how it was cut.
 
-The folder holds `manifest.json` (the job, by its hash, and the plan's size), one Parquet part for
-each finished chunk, and at the end `episodes.parquet` in their place.
+The folder holds `manifest.json` (see `evaluation.provenance`), one Parquet part for each finished
+chunk, and at the end `episodes.parquet` in their place. A part's name ends in the sha256 of its
+bytes: what is damaged is simulated again, and so is a finished table.
 """
 
 import dataclasses
+import errno
+import hashlib
 import math
 import shutil
+import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,18 +18,16 @@ from typing import Any
 import jax
 import polars as pl
 
-from evaluation import tables
-from evaluation.jobs import Chunk, HostEgo, Job, plan
-from evaluation.locks import LOCK_FILE, locked
+from evaluation import provenance, tables
+from evaluation.jobs import Chunk, Job, plan
+from evaluation.locks import locked
+from evaluation.provenance import MANIFEST_FILE
+from evaluation.roster import HostEgo
 from evaluation.runner import Meter, Progress, Runner
 
-MANIFEST_FILE = "manifest.json"
 PARTS_FOLDER = "parts"
-MAX_ENVS = {
-    "native": 2048,
-    "mjx": 16384,
-    "mjx-warp": 32768,
-}  # default bound of a chunk's simulations
+# Default bound of a chunk's simulations.
+MAX_ENVS = {"native": 2048, "fused": 2048, "mjx": 16384, "mjx-warp": 32768}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,20 +35,9 @@ class Evaluation:
     """A finished job."""
 
     table: pl.DataFrame  # one row an episode, in the job's order of egos, partners and episodes
-    env_steps_per_second: (
-        float | None
-    )  # padding and compilation not counted; None where everything was found finished
+    # Padding and compilation not counted; None where everything was found finished.
+    env_steps_per_second: float | None
     compile_seconds: float
-
-
-@dataclasses.dataclass(frozen=True)
-class BlockDone:
-    """A finished block of a job."""
-
-    chunks: int  # of this block
-    episodes: int
-    all_chunks: int  # of the whole job
-    missing: int  # chunks of the whole job that the folder still lacks
 
 
 def run_job(
@@ -55,7 +46,8 @@ def run_job(
     folder: Path,
     *,
     max_envs: int | None = None,
-    wait: bool = False,
+    reuse: bool = False,
+    kept: bool = False,
     devices: Sequence[jax.Device] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Evaluation:
@@ -70,7 +62,10 @@ def run_job(
         folder: For the table.
         max_envs: Most simulations in a chunk; if not given, that of `MAX_ENVS`, or fewer to have
             one for each device.
-        wait: Wait for another process that writes to the folder; else refuse.
+        reuse: Take what the folder holds though a robot is code whose dependencies nobody declared;
+            else it is played again.
+        kept: The folder is a cache's: wait for another process that writes to it, and begin anew
+            where it is damaged; else both are refused.
         devices: Where to simulate; all of this process if not given.
         on_progress: Told how far the run is.
 
@@ -84,89 +79,19 @@ def run_job(
     if max_envs is None:
         share = math.ceil(job.rows / len(devices or jax.local_devices()))
         max_envs = min(share, MAX_ENVS[job.backend])
-    with locked(folder, wait=wait):
+    with locked(folder, wait=kept):
+        if not (job.reusable or reuse) or (kept and not provenance.is_readable(folder)):
+            forget(folder)
         return _run_and_merge(env, job, folder, max_envs, devices, on_progress)
-
-
-def run_block(
-    env: Any,
-    job: Job,
-    folder: Path,
-    block: tuple[int, int],
-    *,
-    max_envs: int | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
-) -> BlockDone:
-    """Simulate the chunks of block (i, n), i from 1, and leave their parts in the folder.
-
-    Blocks may share a folder or have one each, also on other machines; they must be cut alike, by
-    the same `max_envs`. With the parts of all blocks in one folder, `run_job` merges them without
-    simulating anything.
-    """
-    number, count = block
-    if not 1 <= number <= count:
-        raise ValueError(f"block is {number}/{count}; allowed are 1/{count} to {count}/{count}")
-    check_sizes(env, job)
-    check_folder(folder)
-    own_lock = f"{LOCK_FILE}-{number}-of-{count}"
-    with locked(folder, shared=True), locked(folder / PARTS_FOLDER, own_lock):
-        chunks = plan(job, _open_folder(folder, job, max_envs or MAX_ENVS[job.backend]))
-        mine = chunks[number - 1 :: count]
-        if not (folder / tables.EPISODES_FILE).is_file():
-            _simulate(
-                env,
-                job,
-                folder,
-                [chunk for chunk in mine if not _is_done(folder, chunk)],
-                None,
-                on_progress,
-            )
-        missing = sum(not _is_done(folder, chunk) for chunk in chunks)
-    return BlockDone(len(mine), sum(chunk.rows for chunk in mine), len(chunks), missing)
-
-
-def _run_and_merge(
-    env: Any,
-    job: Job,
-    folder: Path,
-    max_envs: int,
-    devices: Sequence[jax.Device] | None,
-    on_progress: Callable[[Progress], None] | None,
-) -> Evaluation:
-    chunks = plan(job, _open_folder(folder, job, max_envs))
-    target = folder / tables.EPISODES_FILE
-    missing = [] if target.is_file() else [chunk for chunk in chunks if not _is_done(folder, chunk)]
-    speed, compile_seconds = _simulate(env, job, folder, missing, devices, on_progress)
-    if not target.is_file():
-        parts = pl.concat([pl.read_parquet(_part(folder, chunk)) for chunk in chunks])
-        tables.write_episodes(_in_order(parts, job), target)
-    shutil.rmtree(folder / PARTS_FOLDER, ignore_errors=True)
-    return Evaluation(tables.read_episodes(target), speed, compile_seconds)
-
-
-def _simulate(
-    env: Any,
-    job: Job,
-    folder: Path,
-    chunks: list[Chunk],
-    devices: Sequence[jax.Device] | None,
-    on_progress: Callable[[Progress], None] | None,
-) -> tuple[float | None, float]:
-    """Run chunks, leaving each one's part in the folder; return env steps per second and the compilation's seconds."""
-    meter = Meter(sum(chunk.rows for chunk in chunks) * env.episode_length, on_progress)
-    meter.report()
-    runner = Runner(env, job, devices)
-    runner.run(chunks, lambda chunk, rows: tables.write_parquet(rows, _part(folder, chunk)), meter)
-    return meter.speed, runner.compile_seconds
 
 
 def check_sizes(env: Any, job: Job) -> None:
     """Refuse policies whose seat, observations or actions are not this task's."""
-    for seat, part, groups in (("robot", "ego", job.egos), ("human", "partner", job.partners)):
-        for group in groups:
-            if isinstance(group, HostEgo):
+    for seat, part, roster in (("robot", "ego", job.egos), ("human", "partner", job.partners)):
+        for stack in roster.stacks:
+            if isinstance(stack, HostEgo):
                 continue
-            spec, name = group.spec, group.members[0].id
+            spec, name = stack.spec, stack.ids[0]
             if spec.role != seat:
                 raise ValueError(f"{name} is a {spec.role} policy; the {part} is the {seat}")
             for what, found, expected in (
@@ -183,75 +108,117 @@ def check_sizes(env: Any, job: Job) -> None:
 
 def check_folder(folder: Path) -> None:
     """Create an output folder, and find out now, not after the run, that it cannot be written."""
+    probe = folder / f".writable-{uuid.uuid4().hex[:8]}"
     try:
-        with tables.atomic_path(folder / "writable.tmp") as probe:
-            probe.write_bytes(b"")
-        (folder / "writable.tmp").unlink(missing_ok=True)  # another block may have been quicker
+        if folder.exists() and not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, "it is no folder")
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.write_bytes(b"")
+        probe.unlink()
     except OSError as error:
         raise OSError(
             f"cannot write to {folder} ({error.strerror or error}); choose another --out"
         ) from error
 
 
-def _open_folder(folder: Path, job: Job, max_envs: int) -> int:
-    """Begin or continue the folder's job; return the size its plan was begun with."""
-    path = folder / MANIFEST_FILE
-    found = tables.read_json(path) if path.is_file() else None
+def forget(folder: Path) -> None:
+    """Remove what a folder holds of a job, so that it is played again."""
+    shutil.rmtree(folder / PARTS_FOLDER, ignore_errors=True)
+    for name in (tables.EPISODES_FILE, MANIFEST_FILE):
+        (folder / name).unlink(missing_ok=True)
+
+
+def open_folder(folder: Path, job: Job, max_envs: int) -> list[Chunk]:
+    """Begin or continue the folder's job; return its plan, cut as it was begun."""
+    found = provenance.read_manifest(folder)
     if found is None:
         if (folder / tables.EPISODES_FILE).exists():
             raise ValueError(
                 f"{folder} holds {tables.EPISODES_FILE} without {MANIFEST_FILE}; choose another "
                 "--out"
             )
-        return _begin(path, job, max_envs)
-    if found.get("job") != job.digest():
-        identity = job.identity()
-        differing = [name for name in identity if found.get(name) != identity[name]]
-        raise ValueError(
-            f"{folder} holds another job ({_difference(found, identity, differing)}); choose "
-            "another --out or delete it"
-        )
-    if not any((folder / PARTS_FOLDER).glob("part-*")):
-        return _begin(path, job, max_envs)
-    return int(found["max_envs"])
+    elif found.get("job") != job.digest():
+        told = _difference(found.get("identity", {}), job.identity())
+        raise ValueError(f"{folder} holds another job ({told}); choose another --out or delete it")
+    if found and (is_finished(folder) or any((folder / PARTS_FOLDER).glob("part-*"))):
+        return plan(job, int(found["max_envs"]))
+    identity = {"job": job.digest(), "identity": job.identity(), "max_envs": max_envs}
+    provenance.write_manifest(folder, identity)
+    return plan(job, max_envs)
 
 
-def _begin(path: Path, job: Job, max_envs: int) -> int:
-    tables.write_json({"job": job.digest(), "max_envs": max_envs, **job.identity()}, path)
-    return max_envs
+def is_finished(folder: Path) -> bool:
+    """Return whether the folder's table is there, with the hash that its manifest holds."""
+    return provenance.has_whole(folder, tables.EPISODES_FILE)
 
 
-def _difference(found: dict[str, Any], expected: dict[str, Any], names: list[str]) -> str:
-    told = []
-    for name in names:
-        here, there = expected[name], found.get(name)
-        told.append(
-            f"other {name}"
-            if isinstance(here, (list, dict))
-            else f"{name} {there} there, {here} here"
-        )
-    return ", ".join(told) or "a different hash"
+def find_part(folder: Path, chunk: Chunk) -> Path | None:
+    """Return a chunk's part if it is there and whole; a damaged one is removed."""
+    for path in sorted((folder / PARTS_FOLDER).glob(f"part-{chunk.index:05d}-*.parquet")):
+        if path.stem.rpartition("-")[2] == provenance.file_sha256(path):
+            return path
+        path.unlink()
+    return None
 
 
-def _in_order(table: pl.DataFrame, job: Job) -> pl.DataFrame:
+def simulate(
+    env: Any,
+    job: Job,
+    folder: Path,
+    chunks: Sequence[Chunk],
+    devices: Sequence[jax.Device] | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> tuple[float | None, float]:
+    """Run chunks, leaving each one's part; return env steps per second and compilation's seconds."""
+    meter = Meter(sum(chunk.rows for chunk in chunks) * env.episode_length, on_progress)
+    meter.report()
+    runner = Runner(env, job, devices)
+    runner.run(chunks, lambda chunk, rows: write_part(rows, folder, chunk), meter)
+    return meter.speed, runner.compile_seconds
+
+
+def write_part(rows: pl.DataFrame, folder: Path, chunk: Chunk) -> None:
+    """Write a chunk's episodes under a name that ends in their hash."""
+    data = tables.parquet_bytes(rows)
+    name = f"part-{chunk.index:05d}-{hashlib.sha256(data).hexdigest()}.parquet"
+    tables.write_bytes(data, folder / PARTS_FOLDER / name)
+
+
+def in_order(table: pl.DataFrame, job: Job) -> pl.DataFrame:
     """Sort by the job's order, so that neither chunks nor resuming show."""
-    for seat, groups in (("ego", job.egos), ("partner", job.partners)):
-        ids = [member.id for group in groups for member in group.members]
-        rank = pl.Series(range(len(ids)), dtype=pl.Int64)
-        table = table.with_columns(pl.col(seat).replace_strict(ids, rank).alias(f"_{seat}"))
+    for seat, roster in (("ego", job.egos), ("partner", job.partners)):
+        rank = pl.Series(range(len(roster.ids)), dtype=pl.Int64)
+        rows = pl.col(seat).replace_strict(list(roster.ids), rank)
+        table = table.with_columns(rows.alias(f"_{seat}"))
     return table.sort("_ego", "_partner", "episode").drop("_ego", "_partner")
 
 
-def _part(folder: Path, chunk: Chunk) -> Path:
-    return folder / PARTS_FOLDER / f"part-{chunk.index:05d}.parquet"
+def _run_and_merge(
+    env: Any,
+    job: Job,
+    folder: Path,
+    max_envs: int,
+    devices: Sequence[jax.Device] | None,
+    on_progress: Callable[[Progress], None] | None,
+) -> Evaluation:
+    chunks, target = open_folder(folder, job, max_envs), folder / tables.EPISODES_FILE
+    finished = is_finished(folder)
+    missing = [] if finished else [chunk for chunk in chunks if not find_part(folder, chunk)]
+    speed, compile_seconds = simulate(env, job, folder, missing, devices, on_progress)
+    if not finished:
+        parts = [path for chunk in chunks if (path := find_part(folder, chunk))]
+        merged = pl.concat([tables.read_parquet(path) for path in parts])
+        tables.write_episodes(in_order(merged, job), target)
+        provenance.seal(folder, made_with=provenance.describe_machine())
+    shutil.rmtree(folder / PARTS_FOLDER, ignore_errors=True)
+    return Evaluation(tables.read_episodes(target), speed, compile_seconds)
 
 
-def _is_done(folder: Path, chunk: Chunk) -> bool:
-    """Return whether a chunk's part is there and whole; a damaged one is simulated again."""
-    path = _part(folder, chunk)
-    if not path.is_file():
-        return False
-    try:
-        return pl.read_parquet(path, columns=["key"]).height == chunk.rows
-    except pl.exceptions.PolarsError:
-        return False
+def _difference(found: dict[str, Any], expected: dict[str, Any]) -> str:
+    told = []
+    for name, here in expected.items():
+        there = found.get(name)
+        if there != here:
+            simple = not isinstance(here, (list, dict))
+            told.append(f"{name} {there} there, {here} here" if simple else f"other {name}")
+    return ", ".join(told) or "a different hash"

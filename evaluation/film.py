@@ -15,8 +15,8 @@ import numpy as np
 from PIL import Image
 
 from assistax_envs import Disability, Env, EnvState, disability_params
-from evaluation.rollout import episode_seeds
-from evaluation.tables import atomic_path
+from evaluation.jobs import episode_seeds
+from population.files import atomic_path
 
 RATE = 50  # control steps a second
 ENDINGS = (".mp4", ".gif", ".png")

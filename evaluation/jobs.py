@@ -1,4 +1,4 @@
-"""What is evaluated, as data: policies in groups of one spec, the job, and its plan.
+"""What is evaluated, as data: the job, and its plan.
 
 A plan has tiles, which are simulated together, in chunks, which are saved.
 """
@@ -8,75 +8,17 @@ import hashlib
 import importlib.metadata
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from assistax_envs.disability import Disability
-from population.spec import PolicySpec
+import numpy as np
 
-MANIFEST_FORMAT = (
-    3  # 2: the table has columns of behaviour. 3: tiles, by which values differ in the last bit
-)
+from evaluation.roster import HostEgo, Member, Roster
+
+# Goes up when the same job would give other tables. 2: the table has columns of behaviour. 3: tiles, by which values differ in
+# the last bit. 4: disability settings by value, and the engine.
+EVALUATOR_VERSION = 4
 TILE_ENVS = 512  # most simulations at once on `native`: more are no faster on two cores
-
-
-@dataclasses.dataclass(frozen=True)
-class Member:
-    """One policy of a group, with what the episode table says about it."""
-
-    id: str  # registry id, or the reference by which a policy from outside was given
-    digest: str  # sha256 of its parameters, or of its source where it is code
-    team: str | None = None
-    algorithm: str | None = None
-    disability: str | None = None
-    seed: int | None = None
-    setting: Disability | None = None  # what a human's setting is; the installed one of its name
-    reusable: bool = True  # False where the digest does not cover all that the policy depends on
-
-
-@dataclasses.dataclass(frozen=True)
-class ReferenceSpec:
-    """Sizes of egos that look at nothing: see `evaluation.reference_egos.ReferencePolicy`."""
-
-    observation_size: int
-    action_size: int
-    role: str = "robot"
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Group:
-    """Policies of one spec, their parameters stacked."""
-
-    spec: PolicySpec
-    members: tuple[Member, ...]
-    params: Mapping[str, Any]  # nested, leaves [G, ...] in the order of `members`
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class ReferenceGroup:
-    """Egos that look at nothing."""
-
-    spec: ReferenceSpec
-    members: tuple[Member, ...]
-    params: Mapping[str, Any]  # leaves [G]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class HostEgo:
-    """A robot in anybody's framework: a callable from batched observations to batched actions."""
-
-    member: Member
-    act: Callable[
-        [Any], Any
-    ]  # [B, O] float32 NumPy -> [B, A]; `act.reset(B)` is called at episode starts if it exists
-
-    @property
-    def members(self) -> tuple[Member, ...]:
-        """The one policy of this group."""
-        return (self.member,)
-
-
-Ego = Group | HostEgo | ReferenceGroup
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -86,15 +28,16 @@ class Job:
     task: str
     env_version: int
     backend: str
-    egos: tuple[Ego, ...]
-    partners: tuple[Group, ...]
+    egos: Roster
+    partners: Roster
     episodes: int  # K, of each pair
     seed: int = 0  # of the episode seeds
     stochastic: bool = False  # whether actions are drawn; else each policy's mode
-    sides: Mapping[str, str] = dataclasses.field(
-        default_factory=dict
-    )  # partner id -> "train" or "test"
-    paired: bool = False  # ego i of group g with partner i of group g, and no other
+    # Partner id -> "train" or "test".
+    sides: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    paired: bool = False  # ego i of stack g with partner i of stack g, and no other
+    apart: bool = False  # each partner plays episodes of its own, not those of all: see `seeds`
+    engine: Mapping[str, str] = dataclasses.field(default_factory=dict)  # name and version
 
     def __post_init__(self) -> None:
         if self.episodes < 1:
@@ -103,49 +46,56 @@ class Job:
             )
         if self.seed < 0:
             raise ValueError(f"seed is {self.seed}; allowed is 0 or more")
-        for seat, groups in (("ego", self.egos), ("partner", self.partners)):
-            ids = [member.id for group in groups for member in group.members]
+        for seat, roster in (("ego", self.egos), ("partner", self.partners)):
+            ids = roster.ids
             if not ids:
                 raise ValueError(f"no {seat} to evaluate; give at least one")
             if twice := sorted({name for name in ids if ids.count(name) > 1}):
                 raise ValueError(
                     f"{seat} {twice[0]} is given {ids.count(twice[0])} times; give each {seat} once"
                 )
-        sizes = [[len(group.members) for group in groups] for groups in (self.egos, self.partners)]
+        if self.apart and self.stochastic:
+            raise ValueError("actions are drawn by the episodes of all partners; leave out apart")
+        sizes = [[len(one.ids) for one in seat.stacks] for seat in (self.egos, self.partners)]
         if self.paired and sizes[0] != sizes[1]:
             raise ValueError(
                 f"paired egos {sizes[0]} and partners {sizes[1]} differ in number; give them one "
                 "to one"
             )
-        for group in self.partners:
-            for member in group.members:
-                if member.disability is None:
-                    raise ValueError(
-                        f"partner {member.id} has no disability setting; give it one of d1..d9"
-                    )
+        for member in self.partners.describe(self.partners.ids):
+            if member.disability is None:
+                raise ValueError(
+                    f"partner {member.id} has no disability setting; give it one of d1..d9"
+                )
 
     @property
     def rows(self) -> int:
         """Number of episodes in the whole job."""
-        egos = 1 if self.paired else count_members(self.egos)
-        return egos * count_members(self.partners) * self.episodes
+        egos = 1 if self.paired else len(self.egos.ids)
+        return egos * len(self.partners.ids) * self.episodes
+
+    @property
+    def reusable(self) -> bool:
+        """Whether the identity covers all that the table depends on: a finished one is the answer."""
+        return all(self.egos.members[name].reusable for name in self.egos.ids)
 
     def identity(self) -> dict[str, Any]:
         """Return what decides the values of the episode table, JSON-ready."""
         return {
-            "format": MANIFEST_FORMAT,
+            "evaluator_version": EVALUATOR_VERSION,
             "task": self.task,
             "env_version": self.env_version,
             "backend": self.backend,
+            "engine": dict(self.engine),
             "episodes": self.episodes,
             "seed": self.seed,
             "stochastic": self.stochastic,
-            **({"paired": True} if self.paired else {}),
-            "egos": [[member.id, member.digest] for group in self.egos for member in group.members],
+            "paired": self.paired,
+            "apart": self.apart,
+            "egos": [[name, self.egos.members[name].digest] for name in self.egos.ids],
             "partners": [
-                [member.id, member.disability, self.sides.get(member.id), member.digest]
-                for group in self.partners
-                for member in group.members
+                [one.id, one.disability, self.sides.get(one.id), one.digest, _setting(one)]
+                for one in self.partners.describe(self.partners.ids)
             ],
             "software": {name: importlib.metadata.version(name) for name in ("jax", "mujoco")},
         }
@@ -154,17 +104,28 @@ class Job:
         """Return the sha256 of the job's identity."""
         return hashlib.sha256(json.dumps(self.identity(), sort_keys=True).encode()).hexdigest()
 
+    def seeds(self, partners: Sequence[str], episodes: Sequence[int]) -> np.ndarray:
+        """Return the seeds of episodes, [K] for every partner, or [P, K] where each has its own.
+
+        With its own, a partner's luck is its own too: means over partners then vary as little as
+        those of as many independent episodes.
+        """
+        if not self.apart:
+            return np.array(episode_seeds(self.seed, episodes))
+        rows = [int.from_bytes(hashlib.sha256(name.encode()).digest()[:4]) for name in partners]
+        return np.array([episode_seeds(self.seed, episodes, row) for row in rows])
+
 
 @dataclasses.dataclass(frozen=True)
 class Tile:
-    """A rectangle of a job: [E egos, P partners, K episodes] simulated together, padded at the job's edge."""
+    """A rectangle of a job, simulated together: [E egos, P partners, K episodes], edges padded."""
 
-    ego_group: int
-    partner_group: int
-    egos: range  # real members of the ego group
+    ego_stack: int
+    partner_stack: int
+    egos: range  # rows of the ego stack, padding not counted
     partners: range
     episodes: range
-    shape: tuple[int, int, int]  # [E, P, K] with padding: equal for all tiles of a pair of groups
+    shape: tuple[int, int, int]  # [E, P, K] with padding: equal for all tiles of a pair of stacks
     paired: bool = False  # the egos are the partners' own, one each, and E is 1
 
     @property
@@ -188,9 +149,10 @@ class Chunk:
         return sum(tile.rows for tile in self.tiles)
 
 
-def count_members(groups: tuple[Ego, ...] | tuple[Group, ...]) -> int:
-    """Return the number of policies in all groups."""
-    return sum(len(group.members) for group in groups)
+def episode_seeds(seed: int, episodes: Iterable[int], *apart: int) -> list[int]:
+    """Return the seeds of episodes k, independent of how many there are: more extend fewer."""
+    drawn = (np.random.SeedSequence([seed, k, *apart]) for k in episodes)
+    return [int(one.generate_state(1)[0]) for one in drawn]
 
 
 def tile_shape(
@@ -216,7 +178,7 @@ def tile_shape(
 
 
 def plan(job: Job, max_envs: int) -> list[Chunk]:
-    """Cut a job into tiles, and its tiles into chunks of at most `max_envs` simulations, but a tile at least.
+    """Cut a job into tiles, and its tiles into chunks of `max_envs` simulations or one tile.
 
     On `native` the tiles are the job's own, whatever `max_envs` is: an episode is played in the
     same row of the same program however the job is cut, and its values are the same. On other
@@ -237,13 +199,13 @@ def plan(job: Job, max_envs: int) -> list[Chunk]:
 
 
 def cut_tiles(job: Job, most: int) -> list[Tile]:
-    """Cut a job into tiles of at most `most` simulations, one shape for each pair of groups."""
+    """Cut a job into tiles of at most `most` simulations, one shape for each pair of stacks."""
     tiles: list[Tile] = []
-    for i, ego in enumerate(job.egos):
-        for j, partner in enumerate(job.partners):
+    for i, ego in enumerate(job.egos.stacks):
+        for j, partner in enumerate(job.partners.stacks):
             if job.paired and i != j:
                 continue
-            sizes = 1 if job.paired else len(ego.members), len(partner.members), job.episodes
+            sizes = 1 if job.paired else len(ego.ids), len(partner.ids), job.episodes
             shape = tile_shape(*sizes, most, host=isinstance(ego, HostEgo))
             egos, partners, episodes = (
                 _cut(size, width) for size, width in zip(sizes, shape, strict=True)
@@ -266,3 +228,8 @@ def _balanced(size: int, most: int) -> int:
 
 def _cut(size: int, width: int) -> list[range]:
     return [range(start, min(start + width, size)) for start in range(0, size, width)]
+
+
+def _setting(member: Member) -> list[float] | None:
+    """Return the numbers of a partner's disability setting, where they came with it."""
+    return None if member.setting is None else list(dataclasses.astuple(member.setting))

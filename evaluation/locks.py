@@ -1,24 +1,20 @@
-"""One folder, one writer: advisory locks that end with their process, even a killed one."""
+"""One folder, one writer: locks that end with their process, even a killed one."""
 
 import contextlib
-import errno
-import fcntl
+import sqlite3
 from collections.abc import Generator
 from pathlib import Path
 
+from filelock import ReadWriteLock, Timeout
+
 LOCK_FILE = ".lock"
-_UNSUPPORTED = (
-    errno.ENOLCK,
-    errno.ENOTSUP,
-    errno.ENOSYS,
-)  # a file system without locks goes without
 
 
 @contextlib.contextmanager
 def locked(
     folder: Path, name: str = LOCK_FILE, *, shared: bool = False, wait: bool = False
 ) -> Generator[None]:
-    """Hold a folder's lock.
+    """Hold a folder's lock; a file system without locks goes without.
 
     Args:
         folder: What is written to; it is created.
@@ -30,16 +26,15 @@ def locked(
         ValueError: Another process holds it, and `wait` is false.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / name, "a") as file:
-        mode = (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB)
+    lock = ReadWriteLock(folder / name, is_singleton=False)
+    with contextlib.ExitStack() as stack:
         try:
-            fcntl.flock(file, mode)
-        except BlockingIOError:
+            stack.enter_context((lock.read_lock if shared else lock.write_lock)(blocking=wait))
+        except Timeout:
             raise ValueError(
                 f"another process is writing to {folder}; wait until it is done, or choose another "
                 "--out"
             ) from None
-        except OSError as error:
-            if error.errno not in _UNSUPPORTED:
-                raise
+        except sqlite3.OperationalError:
+            pass
         yield

@@ -12,8 +12,8 @@ import numpy as np
 
 from assistax_envs.disability import DISABILITY_SETTINGS, Disability
 from evaluation.egos import call_ego, read_egos
-from evaluation.jobs import HostEgo
 from evaluation.policy_reference import parse_reference
+from evaluation.roster import HostEgo
 from population.policy import Policy
 from population.spec import PolicySpec
 from zoo.errors import UnknownIdError
@@ -179,7 +179,7 @@ def _outside(
         raise ValueError(
             f"policy {reference!r} cannot play the {role}; code and ONNX files play the robot"
         )
-    [ego] = read_egos([reference], registry, task)
+    [ego] = read_egos([reference], registry, task).stacks
     assert isinstance(ego, HostEgo)
     act, steps = call_ego(ego, ["its partner"], 1, size), itertools.count()
     return lambda obs: act(obs[None], next(steps))[0]

@@ -1,13 +1,23 @@
-"""How a folder came about: the command, the machine and the versions, for whoever wants to repeat it."""
+"""Where a folder's figures come from: its manifest, by whose hashes every file of it is checked.
 
+`manifest.json` holds the job's identity (policies and partners by the hash of their parameters,
+environment, engine, versions), its digest, how it was made, and the sha256 of every file that was
+drawn from it. It has a hash of its own, so that no bit of it can change unseen either.
+"""
+
+import dataclasses
 import datetime
+import hashlib
 import importlib.metadata
+import json
 import platform
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from evaluation import tables
 
+MANIFEST_FILE = "manifest.json"
 PACKAGES = (
     "assistax-zoo",
     "jax",
@@ -21,25 +31,164 @@ PACKAGES = (
 )
 
 
-def write_run(folder: Path, command: str, summary: dict[str, Any]) -> None:
-    """Write how the folder's episodes came about; where they were found finished, what is there is kept."""
-    path = folder / tables.RUN_FILE
-    if summary["env_steps_per_second"] is not None or not path.is_file():
-        tables.write_json(describe_run(command), path)
+@dataclasses.dataclass(frozen=True)
+class FolderReport:
+    """What a check of a folder against its manifest found."""
+
+    folder: str
+    files: int  # whose hashes were held against the manifest
+    problems: tuple[str, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether every byte is the one that was written."""
+        return not self.problems
 
 
-def describe_run(command: str) -> dict[str, Any]:
-    """Return the command, date, machine and versions of this process."""
+def file_sha256(path: Path) -> str:
+    """Return the sha256 of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def identity_digest(identity: Mapping[str, Any]) -> str:
+    """Return the sha256 of a job's identity."""
+    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
+
+
+def write_manifest(folder: Path, content: Mapping[str, Any]) -> None:
+    """Write a manifest with its own hash."""
+    bare = {name: value for name, value in tables.to_json(content).items() if name != "sha256"}
+    tables.write_json({**bare, "sha256": identity_digest(bare)}, folder / MANIFEST_FILE)
+
+
+def read_manifest(folder: Path) -> dict[str, Any] | None:
+    """Return a folder's manifest, or None where there is none.
+
+    Raises:
+        ValueError: it is not what was written.
+    """
+    path = folder / MANIFEST_FILE
+    if not path.is_file():
+        return None
+    found = tables.read_json(path)
+    bare = {name: value for name, value in found.items() if name != "sha256"}
+    if found.get("sha256") != identity_digest(bare):
+        raise ValueError(
+            f"{path} was changed after it was written: its sha256 is another; take the folder from "
+            "where it was made, or choose another --out"
+        )
+    return found
+
+
+def is_readable(folder: Path) -> bool:
+    """Return whether a folder's manifest is what was written, or is not there."""
+    try:
+        read_manifest(folder)
+    except ValueError:
+        return False
+    return True
+
+
+def seal(folder: Path, **context: Any) -> None:
+    """Write the sha256 of every file of ours in a folder into its manifest.
+
+    Args:
+        folder: A finished folder.
+        context: What else the files depend on, such as the machine or the registry's root.
+    """
+    files = {path.name: file_sha256(path) for path in _files(folder)}
+    write_manifest(folder, {**(read_manifest(folder) or {}), **context, "files": files})
+
+
+def has_whole(folder: Path, name: str) -> bool:
+    """Return whether a finished folder's file has the hash that the manifest holds of it."""
+    path = folder / name
+    recorded = (read_manifest(folder) or {}).get("files", {}).get(name)
+    return path.is_file() and recorded == file_sha256(path)
+
+
+def verify_folder(folder: Path) -> FolderReport:
+    """Hold every file of a finished folder, received from anybody, against its manifest."""
+    try:
+        manifest = read_manifest(folder)
+    except (ValueError, OSError) as error:
+        return FolderReport(str(folder), 0, (str(error),))
+    if manifest is None or not isinstance(manifest.get("files"), dict):
+        problem = f"{folder} has no {MANIFEST_FILE} of a finished run; run the command again"
+        return FolderReport(str(folder), 0, (problem,))
+    files = manifest["files"]
+    problems = [_file_problem(folder, name, digest) for name, digest in files.items()]
+    unknown = [path.name for path in _files(folder) if path.name not in files]
+    problems += [f"{folder / name} is not in the manifest" for name in unknown]
+    found = tuple(problem for problem in problems if problem)
+    return FolderReport(str(folder), len(files), found or tuple(_table_problems(folder, manifest)))
+
+
+def describe_machine() -> dict[str, Any]:
+    """Return what decides the last bits of a value: processor, devices and versions."""
     import jax
 
     return {
-        "command": command,
-        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "processor": processor(),
         "python": platform.python_version(),
         "platform": platform.platform(),
         "devices": [device.device_kind for device in jax.devices()],
         "versions": {name: found for name in PACKAGES if (found := _version(name))},
     }
+
+
+def processor() -> str:
+    """Return the processor's name, as Linux tells it, or the machine's type elsewhere."""
+    told = Path("/proc/cpuinfo")
+    lines = told.read_text().splitlines() if told.is_file() else []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.machine())
+
+
+def write_run(folder: Path, command: str, simulated: bool) -> None:
+    """Write the command; where the episodes were found finished, what is there is kept."""
+    path = folder / tables.RUN_FILE
+    if simulated or not path.is_file():
+        date = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        tables.write_json({"command": command, "date": date, **describe_machine()}, path)
+    seal(folder)
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return the files of ours that are there; a report or a figure of the user's is not."""
+    return [path for name in tables.FILES if (path := folder / name).is_file()]
+
+
+def _file_problem(folder: Path, name: str, digest: str) -> str | None:
+    path = folder / name
+    if Path(name).name != name:  # a received manifest: nothing outside its folder is read
+        return f"the manifest names {name!r}, which is no file of {folder}"
+    if not path.is_file():
+        return f"{path} is missing"
+    found = file_sha256(path)
+    return None if found == digest else f"{path}: expected sha256 {digest}, found {found}"
+
+
+def _table_problems(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
+    """Hold the episodes against the job that the manifest names: same policies, same episodes."""
+    try:
+        identity = manifest["identity"]
+        if manifest["job"] != identity_digest(identity):
+            return [f"{folder / MANIFEST_FILE} names another job than the identity it holds"]
+        table = tables.read_episodes(folder / tables.EPISODES_FILE)
+        wanted = {
+            "ego": {row[0] for row in identity["egos"]},
+            "partner": {row[0] for row in identity["partners"]},
+            "episode": set(range(identity["episodes"])),
+        }
+    except (ValueError, OSError, KeyError, TypeError, IndexError) as error:
+        return [f"{folder}: {type(error).__name__}: {error}"]
+    return [
+        f"{folder / tables.EPISODES_FILE} has other {name}s than the manifest"
+        for name, values in wanted.items()
+        if set(table[name]) != values
+    ]
 
 
 def _version(name: str) -> str | None:

@@ -1,4 +1,4 @@
-"""Roll out a block of episodes: every ego of a group with every partner of another, [E, P, K] simulations at once.
+"""Roll out a block: every ego of a stack with every partner of another, [E, P, K] at once.
 
 The environment sees one flat axis N = E * P * K. The robot's network maps over the stacked egos
 with observations [E, P * K, O], the human's over the partners with [P, E * K, O]: no simulation has
@@ -17,7 +17,7 @@ import functools
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import jax
@@ -30,9 +30,8 @@ GAMMA = 0.99  # of the discounted return
 # Most environment steps in one call: between calls there is progress, and a key press is heard.
 SEGMENT = 100
 
-_ACTION_STREAM = (
-    2**31 - 1
-)  # folded into an episode's key for action noise: the environment draws from the key itself
+# Folded into an episode's key for action noise: the environment draws from the key itself.
+_ACTION_STREAM = 2**31 - 1
 
 Shape = tuple[int, int, int]  # [E, P, K]
 
@@ -81,7 +80,7 @@ class Loop:
 
 
 class Rollout:
-    """Blocks of one pair of specs; compiles once for each shape and device, and keeps the seconds that took.
+    """Blocks of one pair of specs; compiles once for each shape and device, and counts the seconds.
 
     Threads may run blocks on a device each.
     """
@@ -128,7 +127,7 @@ class Rollout:
         robot_params: Any,
         human_params: Any,
         env_params: Any,
-        seeds: Sequence[int],
+        seeds: Sequence[int] | np.ndarray,
         *,
         act: Callable[[np.ndarray, int], np.ndarray] | None = None,
         on_steps: Callable[[int], None] | None = None,
@@ -141,7 +140,7 @@ class Rollout:
             human_params: stacked, leaves [P, ...].
             env_params: the partners' own `EnvParams`, leaves [P].
             seeds: K integers; `jax.random.key(seeds[k])` starts episode k of every pair (common
-                random numbers).
+                random numbers). Or [P, K], where each partner has episodes of its own.
             act: (observations [N, O] float32, step) -> actions [N, A], for a robot from outside.
             on_steps: called with the number of steps just done, of every simulation.
             device: where to run; the first one if not given.
@@ -152,9 +151,10 @@ class Rollout:
         egos = (
             1 if robot_params is None or self._paired else jax.tree.leaves(robot_params)[0].shape[0]
         )
-        shape = egos, jax.tree.leaves(human_params)[0].shape[0], len(seeds)
+        seeds = np.asarray(seeds, np.uint32)
+        shape = egos, jax.tree.leaves(human_params)[0].shape[0], seeds.shape[-1]
         device = device or jax.local_devices()[0]
-        keys = jax.vmap(jax.random.key)(np.asarray(seeds, np.uint32))
+        keys = jax.vmap(jax.random.key)(seeds.ravel()).reshape(seeds.shape)
         robot_params, human_params, env_params, keys, once = jax.device_put(
             (robot_params, human_params, env_params, keys, _once()), device
         )
@@ -181,7 +181,7 @@ class Rollout:
         env_params: Any,
         once: Any,
     ) -> tuple[Callable[..., Loop], Callable[..., Loop]]:
-        """Compile for a shape and device, or find what was compiled, so that timed runs hold no compilation."""
+        """Compile for a shape and device, or find it compiled: timed runs hold no compilation."""
         if (shape, device) not in self._compiled:
             began = time.perf_counter()
             with self._tracing:
@@ -207,11 +207,6 @@ def segment_length(episode_length: int) -> int:
     )
 
 
-def episode_seeds(seed: int, episodes: Iterable[int]) -> list[int]:
-    """Return the seeds of episodes k; independent of how many there are, so that more episodes extend fewer."""
-    return [int(np.random.SeedSequence([seed, k]).generate_state(1)[0]) for k in episodes]
-
-
 def _start(
     env: Environment,
     robot: Any,
@@ -222,7 +217,7 @@ def _start(
     shape: Shape,
     paired: bool = False,
 ) -> Loop:
-    """Reset a block: episode k of every pair starts from key k, under the partner's own parameters."""
+    """Reset a block: episode k starts from key k, under the partner's own parameters."""
     e, p, k = shape
     flat = functools.partial(jnp.reshape, shape=(e * p * k,))
     params = jax.tree.map(
@@ -272,7 +267,7 @@ def _advance(
     shape: Shape,
     paired: bool = False,
 ) -> Loop:
-    """Advance a block by `steps`; `action` is the robots' where it comes from outside; for `once` see `_once`."""
+    """Advance a block by `steps`; `action` is a robot's from outside; for `once` see `_once`."""
     e, p, k = shape
 
     def body(loop: Loop, _: None) -> tuple[Loop, None]:
@@ -323,9 +318,12 @@ def accumulate(tally: Tally, state: Any, travel: dict[str, jax.Array], time: jax
 
 
 def _once() -> np.ndarray | None:
-    """Return the number of environment steps in one step of a block: 1, as an argument that XLA does not know.
+    """Return the trip count of the loop around one environment step: 1.
 
-    None where no loop is wanted: on an accelerator the host would wait for it at every step.
+    It is passed to the compiled program as an argument. Written as a constant, XLA would see a loop
+    of one trip, unroll it, and fuse the physics with the networks around it; how it fuses depends
+    on the block's shape, and so would the last bit of every value. None where no loop is wanted: on
+    an accelerator the host would wait for it at every step.
     """
     return np.asarray(1, np.int32) if jax.default_backend() == "cpu" else None
 
@@ -333,7 +331,7 @@ def _once() -> np.ndarray | None:
 def _step_alone(
     env: Environment, state: Any, actions: dict[str, Any], once: jax.Array | None
 ) -> Any:
-    """Step the environment in a loop of its own, into which the compiler fuses nothing of what stands around it."""
+    """Step the environment in a loop of its own, into which nothing around it is fused."""
     if once is None:
         return env.step(state, actions)
     return jax.lax.fori_loop(0, once, lambda _, state: env.step(state, actions), state)
@@ -366,7 +364,7 @@ def _act(
 
 
 def _noise_keys(keys: jax.Array, time: jax.Array) -> list[jax.Array]:
-    """Return a key for each role and episode [K] at a step, apart from the environment's own stream."""
+    """Return a key for each role and episode [K] at a step, apart from the environment's stream."""
 
     def key_of(role: int, key: jax.Array) -> jax.Array:
         return jax.random.fold_in(

@@ -20,10 +20,13 @@ from assistax_envs import disability_params
 from assistax_envs.interrupts import wait_for
 from evaluation import tables
 from evaluation.egos import call_ego
-from evaluation.jobs import Chunk, Ego, Group, HostEgo, Job, Member, ReferenceSpec, Tile
-from evaluation.reference_egos import ReferencePolicy
-from evaluation.rollout import Rollout, Tally, episode_seeds
+from evaluation.jobs import Chunk, Job, Tile, plan
+from evaluation.reference_policy import ReferencePolicy
+from evaluation.rollout import Rollout, Tally
+from evaluation.roster import HostEgo, ReferenceSpec, Roster
 from population.policy import Policy
+from population.spec import PolicySpec
+from population.stack import PolicyStack
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,7 +105,7 @@ class Runner:
         """
         self._env, self._job, self._length = env, job, length
         self._devices = tuple(devices or jax.local_devices())
-        if any(isinstance(ego, HostEgo) for ego in job.egos):
+        if any(isinstance(ego, HostEgo) for ego in job.egos.stacks):
             self._devices = self._devices[:1]
         self._rollouts: dict[Any, Rollout] = {}
         self._lock = threading.Lock()
@@ -151,10 +154,15 @@ class Runner:
 
     def _run_tile(self, device: jax.Device, tile: Tile, meter: Meter) -> pl.DataFrame:
         job, (e, p, k) = self._job, tile.shape
-        ego, partner = job.egos[tile.ego_group], job.partners[tile.partner_group]
-        partners = [partner.members[row] for row in _padded(tile.partners, p)]
-        rollout = self._rollout(ego, partner)
-        host = isinstance(ego, HostEgo)
+        ego, partner = _stacks(job, tile)
+        humans = partner.take(_padded(tile.partners, p))
+        partners = job.partners.describe(humans.ids)
+        robots, act = None, None
+        if isinstance(ego, HostEgo):
+            act = call_ego(ego, humans.ids, k, self._env.action_size["robot"])
+        else:
+            robots = ego.take(_padded(tile.egos, p if tile.paired else e))
+        rollout = self._rollout(robots.spec if robots else None, humans.spec)
         before, counted = rollout.compile_seconds[device], 0.0
         began = time.perf_counter()
 
@@ -167,21 +175,18 @@ class Runner:
         tally = _run(
             rollout,
             tile,
-            None if host else _take(ego.params, tile.egos, p if tile.paired else e),
-            _take(partner.params, tile.partners, p),
+            robots.params if robots else None,
+            humans.params,
             disability_params([member.setting or str(member.disability) for member in partners]),
-            episode_seeds(job.seed, _padded(tile.episodes, k)),
-            act=call_ego(ego, [member.id for member in partners], k, self._env.action_size["robot"])
-            if host
-            else None,
+            job.seeds(humans.ids, _padded(tile.episodes, k)),
+            act=act,
             on_steps=on_steps,
             device=device,
         )
         return _rows(job, tile, tally)
 
-    def _rollout(self, ego: Ego, partner: Group) -> Rollout:
-        robot = None if isinstance(ego, HostEgo) else ego.spec
-        key = robot, partner.spec
+    def _rollout(self, robot: PolicySpec | None, human: PolicySpec) -> Rollout:
+        key = robot, human
         with self._lock:
             if key not in self._rollouts:
                 options = {
@@ -189,10 +194,19 @@ class Runner:
                     "paired": self._job.paired,
                     "length": self._length,
                 }
-                self._rollouts[key] = Rollout(
-                    self._env, _policy(robot), _policy(partner.spec), **options
-                )
+                self._rollouts[key] = Rollout(self._env, _policy(robot), _policy(human), **options)
             return self._rollouts[key]
+
+
+def play(
+    env: Any, job: Job, max_envs: int, on_progress: Callable[[Progress], None] | None = None
+) -> pl.DataFrame:
+    """Return a job's episodes, in the order in which they were simulated; nothing is written."""
+    parts: list[pl.DataFrame] = []
+    chunks = plan(job, max_envs)
+    meter = Meter(job.rows * env.episode_length, on_progress)
+    Runner(env, job).run(chunks, lambda chunk, rows: parts.append(rows), meter)
+    return pl.concat(parts)
 
 
 def _run(rollout: Rollout, tile: Tile, *args: Any, **options: Any) -> Tally:
@@ -222,29 +236,24 @@ def _padded(rows: range, width: int) -> list[int]:
     return [rows[min(i, len(rows) - 1)] for i in range(width)]
 
 
-def _take(params: Any, rows: range, width: int) -> Any:
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[_padded(rows, width)], params)
-
-
 def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
     """Return the real episodes of a tile, ego by ego, partner by partner."""
     e, p, k = 1 if tile.paired else len(tile.egos), len(tile.partners), len(tile.episodes)
     tally = jax.tree.map(lambda leaf: leaf[:e, :p, :k].reshape(-1), tally)
-    egos = _described("ego", [job.egos[tile.ego_group].members[row] for row in tile.egos])
-    partners = _described(
-        "partner", [job.partners[tile.partner_group].members[row] for row in tile.partners]
-    )
+    ego, partner = _stacks(job, tile)
+    egos = _described("ego", job.egos, [ego.ids[row] for row in tile.egos])
+    partners = _described("partner", job.partners, [partner.ids[row] for row in tile.partners])
     sides = [job.sides.get(name) for name in partners["partner"]]
     partners = partners.with_columns(pl.Series("side", sides, pl.String))
-    episodes = pl.DataFrame(
-        {"episode": list(tile.episodes), "key": episode_seeds(job.seed, tile.episodes)}
-    )
+    episodes = pl.DataFrame({"episode": list(tile.episodes)})
+    keys = np.broadcast_to(job.seeds(partners["partner"].to_list(), tile.episodes), (e, p, k))
     if tile.paired:
         rows = pl.concat([egos, partners], how="horizontal")
     else:
         rows = egos.join(partners, how="cross", maintain_order="left_right")
     rows = rows.join(episodes, how="cross", maintain_order="left_right")
     measured = {
+        "key": keys.ravel(),
         "return": tally.returns,
         "discounted_return": tally.discounted,
         **{tables.TERM_PREFIX + name: value for name, value in tally.terms.items()},
@@ -263,15 +272,22 @@ def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
     )
 
 
-def _described(seat: str, members: list[Member]) -> pl.DataFrame:
-    """Return the columns of a seat, one row a member."""
+def _stacks(job: Job, tile: Tile) -> tuple[PolicyStack | HostEgo, PolicyStack]:
+    """Return who plays in a tile; only the robot may be from outside."""
+    ego, partner = job.egos.stacks[tile.ego_stack], job.partners.stacks[tile.partner_stack]
+    assert isinstance(partner, PolicyStack)
+    return ego, partner
+
+
+def _described(seat: str, roster: Roster, ids: list[str]) -> pl.DataFrame:
+    """Return the columns of a seat, one row a policy."""
     names = {
         seat: "id",
         **{f"{seat}_{name}": name for name in ("team", "algorithm", "disability", "seed")},
     }
     schema = {column: tables.SCHEMA[column] for column in names}
     return pl.DataFrame(
-        [[getattr(m, name) for name in names.values()] for m in members],
+        [[getattr(m, name) for name in names.values()] for m in roster.describe(ids)],
         schema=schema,
         orient="row",
     )

@@ -25,11 +25,6 @@ def median(scores: np.ndarray) -> float:
     return float(np.median(score_matrix(scores).mean(axis=0)))
 
 
-def optimality_gap(values: np.ndarray, target: float = 1.0) -> float:
-    """Mean amount by which entries fall short of `target`; what exceeds it earns nothing."""
-    return float(np.maximum(target - entries(values), 0.0).mean())
-
-
 def probability_of_improvement(x: np.ndarray, y: np.ndarray) -> float:
     """Mean over partners of P(a seed of x beats a seed of y with that partner), ties counting one half.
 
@@ -51,12 +46,6 @@ def performance_profile(values: np.ndarray, thresholds: np.ndarray) -> np.ndarra
     return (
         1.0 - np.searchsorted(ordered, np.asarray(thresholds, float), side="right") / ordered.size
     )
-
-
-def cvar(values: np.ndarray, alpha: float) -> float:
-    """Mean of the lowest share `alpha` of entries; the entry on the boundary counts with the fraction that is left."""
-    row = entries(values)[None]
-    return float(np.sum(tail_weights(row, np.ones_like(row), alpha) * row))
 
 
 def tail_weights(values: np.ndarray, counts: np.ndarray, alpha: float) -> np.ndarray:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from evaluation import tables
 from evaluation.clustering import Clustering, cluster_profiles
 from evaluation.metrics import br_diversity, greedy_subset
 from evaluation.metrics.diversity import scale_features
@@ -87,7 +88,7 @@ def summarise_strategies(pairs: pl.DataFrame) -> dict[str, Any]:
         ],
         "clusters": _clusters(found, clustering),
         "silhouette": clustering.silhouette,
-        "br_div": diversity.to_json(),
+        "br_div": tables.to_json(diversity),
         "diverse_subset": [found.partners[i] for i in picked],
         "incompatible": _incompatible(found),
     }

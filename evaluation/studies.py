@@ -1,6 +1,10 @@
-"""The two jobs that users run: M_test of a robot, and the cross-play of a population. Each fills a folder."""
+"""The two jobs that users run: M_test of a robot, and the cross-play of a population.
+
+Here registry, job and summary meet; each study fills a folder.
+"""
 
 import dataclasses
+import difflib
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -10,10 +14,15 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from assistax_envs.versions import TASKS, VERSIONS
-from evaluation import tables
-from evaluation.evaluator import Evaluation, Progress, check_folder, run_block, run_job
-from evaluation.jobs import Ego, Group, Job
-from evaluation.spread import run_blocks_on_ray
+from evaluation import provenance, tables
+from evaluation.blocks import BlockDone, run_block, run_blocks_on_ray
+from evaluation.derived import save_crossplay, save_evaluation
+from evaluation.evaluator import Evaluation, check_folder, run_job
+from evaluation.jobs import Job
+from evaluation.relative import bounds_table
+from evaluation.roster import Roster, paired_rosters, registry_roster
+from evaluation.runner import Progress
+from evaluation.summary import Context, CrossPlaySummary, EvaluationSummary, SplitName
 from population.engines import RayCluster
 from zoo.errors import RegistryVersionError, SplitError, listing
 from zoo.registry import Registry
@@ -22,7 +31,6 @@ from zoo.schema import PolicyEntry, Split
 if TYPE_CHECKING:
     from assistax_envs import Env
 
-FIGURE_FILE = "crossplay.png"
 SIDE_WORDS = {"test": ("test",), "train": ("train",), "both": ("train", "test")}
 
 
@@ -58,11 +66,13 @@ def evaluate_policies(
     *,
     split: str | None = None,
     partners: str | Sequence[str] | None = None,
+    include_own: bool = False,
     references: Path | None = None,
     crossplay: Path | None = None,
+    reuse: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
-) -> dict[str, Any]:
-    """Evaluate robots, seeds of one method, against the partners of a split; return what `evaluate --json` prints.
+) -> EvaluationSummary:
+    """Evaluate robots, seeds of one method, against the partners of a split.
 
     Args:
         registry: The published partners.
@@ -70,61 +80,66 @@ def evaluate_policies(
         settings: Task, episodes and the rest.
         folder: Filled with the episodes and every table drawn from them; a run that was stopped
             goes on.
-        split: "test", "train" or "both" sides of the default split, or a split's id, ":train" or
-            ":both" added.
-        partners: Globs over partners to use instead of whole sides; see `choose_partners`.
+        split: "test" (default), "train" or "both" sides of the default split, or a split's id,
+            ":train" or ":both" added.
+        partners: Globs over partners, to play only some of those sides; see `choose_partners`.
+        include_own: Count partners that were trained with one of the robots. Else they are played
+            and their rows kept, but no figure is about them.
         references: Folder that keeps the episodes of reference egos, see `evaluation.references`;
             None plays none.
         crossplay: Folder of a finished cross-play, whose best robot with a partner may be its best
             response.
+        reuse: See `evaluation.evaluator.run_job`.
         on_progress: Told how far the run is.
 
     Raises:
         ValueError: Something asked for does not exist or does not fit the task.
         ZooError: The registry cannot give what was asked for.
     """
-    from evaluation.summary import save_evaluation
-
     if not policies:
         raise ValueError("no policy given; name at least one, for example --policy zoo:TEAM/robot")
-    check_folder(folder)
+    for needed in (folder, references):
+        if needed is not None:
+            check_folder(needed)
     pairs = None if crossplay is None else _crossplay_pairs(crossplay, settings.task)
     manifest, chosen = choose_partners(registry, settings.task, split, partners)
     egos = _read_egos(registry, policies, settings.task)
+    _check_new(egos, chosen, include_own)
     env, job = _make_job(registry, egos, chosen, settings, manifest)
-    result, origin = _run(env, job, settings, folder, on_progress)
-    summary = save_evaluation(
-        folder, result.table, split=manifest, release=manifest.release, **origin
+    result = run_job(
+        env, job, folder, max_envs=settings.max_envs, reuse=reuse, on_progress=on_progress
     )
-    summary["notes"] = [*summary["notes"], *_own_partner_notes(egos, chosen)]
-    summary |= {"lock": registry.lock, "references": None, "relative": None}
+    played = None
     if references is not None:
-        summary |= _with_references(
-            registry, env, job, chosen, settings, references, folder, pairs, on_progress
-        )
-    tables.write_json(summary, folder / tables.SUMMARY_FILE)
+        played = _play_references(registry, env, job, chosen, settings, references, on_progress)
+        played = played, bounds_table(played, pairs)
+    context = _context(registry, job, manifest, manifest.release, result)
+    summary = save_evaluation(
+        folder, result.table, context, include_own=include_own, references=played
+    )
+    _seal(registry, folder)
     return summary
 
 
 def choose_partners(
     registry: Registry, task: str, split: str | None, patterns: str | Sequence[str] | None
 ) -> tuple[Split, list[PolicyEntry]]:
-    """Return the split that `--split` names, and the humans of its sides, or those of them that match `--partners`.
+    """Return the split that `split` names, and the humans of its sides that match `patterns`.
 
     The default split is that of the release that the matching partners are of, if they are of one,
     else of the newest.
     """
-    text = split or ("test" if patterns is None else "both")
-    name, side = (
-        (None, text)
-        if text in SIDE_WORDS
-        else (text.partition(":")[0], text.partition(":")[2] or "test")
-    )
+    text = split or "test"
+    name, _, side = text.partition(":") if text not in SIDE_WORDS else (None, "", text)
+    side = side or "test"
     if side not in SIDE_WORDS:
         raise ValueError(f"split is {text!r}; after the colon {', '.join(SIDE_WORDS)} are allowed")
     humans = registry.select(patterns, task=task, role="human")
     releases = {entry.release for entry in humans}
-    manifest = registry.split(task, name, release=releases.pop() if len(releases) == 1 else None)
+    release = releases.pop() if len(releases) == 1 else None
+    if name is not None:
+        _check_split_name(registry, task, name)
+    manifest = registry.split(task, name, release=release)
     chosen = [entry for entry in humans if manifest.side(entry.team) in SIDE_WORDS[side]]
     if not chosen:
         raise ValueError(
@@ -146,18 +161,15 @@ def cross_play(
     block: tuple[int, int] | None = None,
     cluster: RayCluster | None = None,
     on_progress: Callable[[Progress], None] | None = None,
-) -> dict[str, Any]:
-    """Evaluate the robots of a population with its humans; return what `crossplay --json` prints.
+) -> CrossPlaySummary | BlockDone:
+    """Evaluate the robots of a population with its humans.
 
     `egos` and `partners` are globs over policy or team ids of a release, the registry's default if
     not given; a glob that names a release is taken at its word. The rest is as in
     `evaluate_policies`. With `block` only that share of the chunks is simulated, and how many are
-    missing is returned: see `evaluation.evaluator.run_block`. With a `cluster` the chunks are
+    missing is returned: see `evaluation.blocks.run_block`. With a `cluster` the chunks are
     spread over it, in as many blocks as it runs at once.
     """
-    from evaluation.egos import registry_groups
-    from evaluation.summary import save_crossplay
-
     check_folder(folder)
     release = release or registry.release
     try:
@@ -167,28 +179,23 @@ def cross_play(
     robots = in_release(registry, egos, release, task=settings.task, role="robot")
     humans = in_release(registry, partners, release, task=settings.task, role="human")
     check_env_version(registry, robots)
-    groups = registry_groups(registry, robots)
-    env, job = _make_job(registry, groups, humans, settings, manifest)
+    env, job = _make_job(registry, registry_roster(registry, robots), humans, settings, manifest)
+    options: dict[str, Any] = {"max_envs": settings.max_envs, "on_progress": on_progress}
     if block is not None:
-        done = run_block(
-            env, job, folder, block, max_envs=settings.max_envs, on_progress=on_progress
-        )
-        return {"block": f"{block[0]}/{block[1]}", **dataclasses.asdict(done)}
+        return run_block(env, job, folder, block, **options)
     if cluster is not None:
         make_env = partial(type(env), settings.task, env.backend)
-        run_blocks_on_ray(
-            make_env, job, folder, cluster, max_envs=settings.max_envs, on_progress=on_progress
-        )
-    result, origin = _run(env, job, settings, folder, on_progress)
+        run_blocks_on_ray(make_env, job, folder, cluster, **options)
+    result = run_job(env, job, folder, **options)
     releases = ", ".join(sorted({entry.release for entry in (*robots, *humans)}))
-    summary = save_crossplay(folder, result.table, split=manifest, release=releases, **origin)
-    summary["lock"] = registry.lock
-    tables.write_json(summary, folder / tables.SUMMARY_FILE)
+    context = _context(registry, job, manifest, releases, result)
+    summary = save_crossplay(folder, result.table, context)
     _draw(folder, summary)
+    _seal(registry, folder)
     return summary
 
 
-def _draw(folder: Path, summary: dict[str, Any]) -> None:
+def _draw(folder: Path, summary: CrossPlaySummary) -> None:
     """Draw the matrix as it was saved."""
     from evaluation.plots.heatmap import crossplay_heatmap
     from evaluation.plots.matrix import arrange
@@ -198,7 +205,8 @@ def _draw(folder: Path, summary: dict[str, Any]) -> None:
         tables.read_parquet(folder / tables.PAIRS_FILE),
         tables.read_json(folder / tables.ORDER_FILE),
     )
-    save_figure(crossplay_heatmap(matrix, summary), folder / FIGURE_FILE)
+    figure = crossplay_heatmap(matrix, tables.to_json(summary))
+    save_figure(figure, folder / tables.MATRIX_FIGURE)
 
 
 def in_release(
@@ -234,45 +242,104 @@ def check_env_version(registry: Registry, entries: Sequence[PolicyEntry]) -> Non
             )
 
 
-def _with_references(
+def _check_split_name(registry: Registry, task: str, name: str) -> None:
+    """Say that neither a side nor a split has this name, and which are near."""
+    try:
+        registry.split(task, name)
+    except SplitError:
+        ids = [one.id for one in registry.data.splits if one.task == task]
+        near = difflib.get_close_matches(name, [*SIDE_WORDS, *ids], n=2, cutoff=0.4)
+        told = f", nearest: {', '.join(near)}" if near else ""
+        raise ValueError(
+            f"split {name!r} is neither a side (test, train, both) nor a split's id{told}; "
+            "`assistax-zoo split list` prints the ids"
+        ) from None
+
+
+def _check_new(egos: Roster, partners: Sequence[PolicyEntry], include_own: bool) -> None:
+    """Refuse partners of whom no figure could speak, before they are played."""
+    teams = {member.team for member in egos.members.values()}
+    if not include_own and all(entry.team in teams for entry in partners):
+        raise ValueError(
+            f"every partner that matches was trained with one of the robots ({partners[0].id}), "
+            "hence is not new to it; choose others, or count them with --include-own"
+        )
+
+
+def _read_egos(registry: Registry, policies: Sequence[Any], task: str) -> Roster:
+    from evaluation.egos import read_egos
+
+    egos = read_egos(policies, registry, task)
+    check_env_version(registry, [one for one in registry.policies if one.id in egos.members])
+    return egos
+
+
+def _make_job(
+    registry: Registry,
+    egos: Roster,
+    partners: Sequence[PolicyEntry],
+    settings: Settings,
+    split: Split | None,
+) -> "tuple[Env, Job]":
+    """Return the environment and the job of egos with partners."""
+    from assistax_envs import make
+
+    check_env_version(registry, partners)
+    humans = registry_roster(registry, partners)
+    env = make(settings.task, backend=settings.backend)
+    job = Job(
+        task=settings.task,
+        env_version=env.version,
+        backend=env.backend,
+        engine=getattr(env, "engine", {}),
+        egos=egos,
+        partners=humans,
+        episodes=settings.episodes,
+        seed=settings.seed,
+        stochastic=settings.stochastic,
+        sides={entry.id: side for entry in partners if split and (side := split.side(entry.team))},
+    )
+    return env, job
+
+
+def _play_references(
     registry: Registry,
     env: "Env",
     job: Job,
     partners: Sequence[PolicyEntry],
     settings: Settings,
     kept: Path,
-    folder: Path,
-    pairs: pl.DataFrame | None,
     on_progress: Callable[[Progress], None] | None,
-) -> dict[str, Any]:
-    """Play the reference egos, keep their episodes and bounds beside the evaluation, and return the figures."""
-    from evaluation.references import bounds_table, play_references, summarise_references
-
-    own = _own_robots(registry, partners)
-    played = play_references(
-        env, job, own, kept, max_envs=settings.max_envs, on_progress=on_progress
-    )
-    bounds = bounds_table(played, pairs)
-    tables.write_parquet(played, folder / tables.REFERENCES_FILE)
-    tables.write_parquet(bounds, folder / tables.BOUNDS_FILE)
-    return summarise_references(tables.read_episodes(folder / tables.EPISODES_FILE), played, bounds)
-
-
-def _own_robots(registry: Registry, partners: Sequence[PolicyEntry]) -> list[tuple[Group, Group]]:
-    """Return robots beside the humans they were trained with, as groups of one spec each, row by row."""
-    from evaluation.egos import registry_groups
+) -> pl.DataFrame:
+    """Return the reference egos' episodes with the partners, each partner's own robot among them."""
+    from evaluation.references import play_references
 
     robots = {entry.team: entry for entry in registry.policies if entry.role == "robot"}
     pairs = [(robots[human.team], human) for human in partners if human.team in robots]
-    specs = dict.fromkeys((robot.spec, human.spec) for robot, human in pairs)
-    own = []
-    for spec in specs:
-        alike = [pair for pair in pairs if (pair[0].spec, pair[1].spec) == spec]
-        (robot,), (human,) = (
-            registry_groups(registry, [pair[seat] for pair in alike]) for seat in (0, 1)
-        )
-        own.append((robot, human))
-    return own
+    own = paired_rosters(registry, pairs) if pairs else None
+    return play_references(env, job, own, kept, max_envs=settings.max_envs, on_progress=on_progress)
+
+
+def _context(
+    registry: Registry, job: Job, split: Split | None, release: str, result: Evaluation
+) -> Context:
+    """Return what the table does not say of its run."""
+    return Context(
+        task=job.task,
+        env_version=job.env_version,
+        backend=job.backend,
+        release=release,
+        split=SplitName(split.id, split.sha256) if split else None,
+        lock=registry.lock,
+        env_steps_per_second=result.env_steps_per_second,
+    )
+
+
+def _seal(registry: Registry, folder: Path) -> None:
+    """Write the hashes of all files, and of the registry that the partners came from."""
+    provenance.seal(
+        folder, registry={"root": getattr(registry, "root", None), "lock": registry.lock}
+    )
 
 
 def _crossplay_pairs(folder: Path, task: str) -> pl.DataFrame:
@@ -285,66 +352,3 @@ def _crossplay_pairs(folder: Path, task: str) -> pl.DataFrame:
             f"cross-play of {task}, version {VERSIONS[task]}"
         )
     return tables.read_parquet(folder / tables.PAIRS_FILE)
-
-
-def _make_job(
-    registry: Registry,
-    egos: tuple[Ego, ...],
-    partners: Sequence[PolicyEntry],
-    settings: Settings,
-    split: Split | None,
-) -> "tuple[Env, Job]":
-    """Return the environment and the job of egos with partners."""
-    from assistax_envs import make
-    from evaluation.egos import registry_groups
-
-    check_env_version(registry, partners)
-    groups = registry_groups(registry, partners)
-    env = make(settings.task, backend=settings.backend)
-    job = Job(
-        task=settings.task,
-        env_version=env.version,
-        backend=env.backend,
-        egos=egos,
-        partners=groups,
-        episodes=settings.episodes,
-        seed=settings.seed,
-        stochastic=settings.stochastic,
-        sides={entry.id: side for entry in partners if split and (side := split.side(entry.team))},
-    )
-    return env, job
-
-
-def _run(
-    env: "Env",
-    job: Job,
-    settings: Settings,
-    folder: Path,
-    on_progress: Callable[[Progress], None] | None,
-) -> tuple[Evaluation, dict[str, Any]]:
-    """Run the job, and return with it what a summary says of its origin."""
-    result = run_job(env, job, folder, max_envs=settings.max_envs, on_progress=on_progress)
-    return result, {
-        "task": settings.task,
-        "env_version": env.version,
-        "backend": env.backend,
-        "env_steps_per_second": result.env_steps_per_second,
-    }
-
-
-def _read_egos(registry: Registry, policies: Sequence[Any], task: str) -> tuple[Ego, ...]:
-    from evaluation.egos import read_egos
-
-    egos = read_egos(policies, registry, task)
-    known = {entry.id: entry for entry in registry.policies}
-    check_env_version(
-        registry, [known[m.id] for group in egos for m in group.members if m.id in known]
-    )
-    return egos
-
-
-def _own_partner_notes(egos: Sequence[Ego], partners: Sequence[PolicyEntry]) -> list[str]:
-    """Say which partners are not new to the robots: M_test is about partners that a robot never met."""
-    teams = {member.team for group in egos for member in group.members}
-    own = [entry.id for entry in partners if entry.team in teams]
-    return [f"trained with one of the egos, hence not new to it: {', '.join(own)}"] if own else []

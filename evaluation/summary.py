@@ -1,18 +1,21 @@
-"""From an episode table to the objects that `evaluate --json` and `crossplay --json` print, and to their folder."""
+"""From an episode table to the figures of a study: typed, and written by `tables.to_json`."""
 
+import dataclasses
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any, Protocol
+from collections.abc import Sequence
 
 import numpy as np
 import polars as pl
 
 from evaluation import tables
-from evaluation.bootstrap import Estimate, estimate, profile_band
-from evaluation.clustering import cluster_profiles, cluster_teams
+from evaluation.bootstrap import Draws, Estimate, Interval
 from evaluation.metrics import (
+    CrossPlay,
+    Difference,
+    Fairness,
+    Stability,
     Traits,
+    ZeroShot,
     cross_play,
     cvar_crossfit,
     fairness,
@@ -22,8 +25,7 @@ from evaluation.metrics import (
     worst_partner,
     zero_shot,
 )
-from evaluation.statistics import performance_profile
-from evaluation.strategies import summarise_strategies
+from evaluation.relative import References, Relative
 from evaluation.tables import Block, dense_block
 
 # Seeds, partners or teams; with fewer, intervals cover too little (see
@@ -31,30 +33,104 @@ from evaluation.tables import Block, dense_block
 ENOUGH = 16
 
 
-class SplitIdentity(Protocol):
-    """What a summary says of a split."""
+@dataclasses.dataclass(frozen=True)
+class SplitName:
+    """Which split the sides of the partners are of."""
 
-    @property
-    def id(self) -> str: ...
-    @property
-    def sha256(self) -> str: ...
+    id: str
+    sha256: str
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Context:
+    """What an episode table does not say of its run."""
+
+    task: str
+    env_version: int
+    backend: str
+    release: str | None = None  # of the partners
+    split: SplitName | None = None
+    lock: str | None = None  # sha256 of the lock file that narrowed the registry down
+    env_steps_per_second: float | None = None  # None where the table was found finished
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Summary(Context):
+    """What every study tells."""
+
+    episodes: int
+    episodes_per_pair: int
+    nonfinite: int  # episodes whose physics became non-finite; they count
+    notes: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class NamedWorst:
+    """The partner with the lowest mean return, see `evaluation.metrics.WorstPartner`."""
+
+    partner: str
+    algorithm: str
+    disability: str
+    mean: float
+    crossfit: float | None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EvaluationSummary(Summary, ZeroShot):
+    """M_test, M_train, their gap, and figures of the partners of `side`.
+
+    `side` is the test side, or the training side if only that was played.
+    """
+
+    side: str
+    by_algorithm: dict[str, Estimate]
+    by_disability: dict[str, Estimate]
+    fairness: Fairness | None  # None with a single disability setting
+    worst_partner: NamedWorst
+    cvar_10: Interval | None  # None with one episode a pair
+    egos: tuple[str, ...]
+    partners: dict[str, int]  # how many are counted, by side
+    references: References | None = None  # None where no reference egos were played
+    relative: Relative | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class BestEgo:
+    """The robot with the highest mean return over all partners."""
+
+    ego: str
+    mean: float
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CrossPlaySummary(Summary, CrossPlay):
+    """Self-play, cross-play and their gaps, resampling whole teams."""
+
+    best_ego: BestEgo
+    rank_stability: Stability | None
+    egos: int
+    partners: int
+
+
+@dataclasses.dataclass(frozen=True)
+class ComparisonSummary:
+    """Method a minus method b with the partners of each side that both met."""
+
+    test: Difference | None
+    train: Difference | None
+    notes: tuple[str, ...]
+
+
+def without_own(table: pl.DataFrame) -> pl.DataFrame:
+    """Leave out the partners that were trained with one of the egos: they are not new to it."""
+    own = pl.col("partner_team").is_in(table["ego_team"].drop_nulls().unique().to_list())
+    return table.filter(~own.fill_null(value=False))
 
 
 def summarise_evaluation(
-    table: pl.DataFrame,
-    *,
-    task: str,
-    split: SplitIdentity | Mapping[str, Any] | None,
-    release: str | None,
-    env_version: int,
-    backend: str,
-    env_steps_per_second: float | None = None,
-    seed: int = 0,
-) -> dict[str, Any]:
+    table: pl.DataFrame, context: Context, *, seed: int = 0
+) -> EvaluationSummary:
     """Summarise an evaluation; all egos of the table are seeds of one method.
-
-    `by_algorithm`, `by_disability`, `fairness`, `worst_partner` and `cvar_10` are about the
-    partners of `side`: the test partners, or the training partners if only those were played.
 
     Raises:
         ValueError: the table is malformed or incomplete, or none of its partners is on a side of
@@ -62,77 +138,47 @@ def summarise_evaluation(
     """
     block = dense_block(table)
     sides = block.partners["side"].to_list()
-    figures = zero_shot(block.scores, sides, seed=seed)
-    side = "test" if figures.test else "train"
-    focus = _on_side(block, side)
-    by_disability = group_draws(
-        focus.scores, focus.partners["partner_disability"].to_list(), seed=seed
+    focus = block.evaluated_side()
+    by_algorithm, by_disability = (
+        group_draws(focus.scores, focus.partners[f"partner_{trait}"].to_list(), seed=seed)
+        for trait in ("algorithm", "disability")
     )
-    by_algorithm = group_draws(
-        focus.scores, focus.partners["partner_algorithm"].to_list(), seed=seed
+    several = focus.returns.shape[2] > 1
+    return EvaluationSummary(
+        **vars(zero_shot(block.scores, sides, seed=seed)),
+        **_common(block, context),
+        side=focus.partners["side"][0],
+        by_algorithm=_estimates(by_algorithm),
+        by_disability=_estimates(by_disability),
+        fairness=fairness(by_disability) if len(by_disability) > 1 else None,
+        worst_partner=_worst_partner(focus),
+        cvar_10=cvar_crossfit(focus.returns, 0.1, seed=seed) if several else None,
+        egos=tuple(block.egos["ego"]),
+        partners={name: sides.count(name) for name in tables.SIDES},
+        notes=(*_seed_notes(block.egos.height), *_group_notes(focus), *_episode_notes(block)),
     )
-    return {
-        "task": task,
-        "split": _split(split),
-        "m_test": _json(figures.test),
-        "m_train": _json(figures.train),
-        "gap": _json(figures.gap),
-        "side": side,
-        "by_algorithm": {name: draws.estimate().to_json() for name, draws in by_algorithm.items()},
-        "by_disability": {
-            name: draws.estimate().to_json() for name, draws in by_disability.items()
-        },
-        "fairness": _fairness(by_disability),
-        "worst_partner": _worst_partner(focus),
-        "cvar_10": cvar_crossfit(focus.returns, 0.1, seed=seed).to_json()
-        if focus.returns.shape[2] > 1
-        else None,
-        "egos": block.egos["ego"].to_list(),
-        "partners": {name: sides.count(name) for name in tables.SIDES},
-        **_origin(block, release, env_version, backend, env_steps_per_second),
-        "notes": [*_seed_notes(block.egos.height), *_group_notes(focus), *_episode_notes(block)],
-    }
 
 
 def summarise_crossplay(
-    table: pl.DataFrame,
-    *,
-    task: str,
-    release: str | None,
-    env_version: int,
-    backend: str,
-    split: SplitIdentity | Mapping[str, Any] | None = None,
-    env_steps_per_second: float | None = None,
-    seed: int = 0,
-) -> dict[str, Any]:
-    """Summarise a matrix of egos by partners: self-play, cross-play and their gaps, resampling whole teams."""
+    table: pl.DataFrame, context: Context, *, seed: int = 0
+) -> CrossPlaySummary:
+    """Summarise a matrix of egos by partners."""
     block = dense_block(table)
-    figures = cross_play(
-        block.scores, _traits(block.egos, "ego"), _traits(block.partners, "partner"), seed=seed
-    )
+    rows, columns = _traits(block.egos, "ego"), _traits(block.partners, "partner")
     means = block.scores.mean(axis=1)
-    return {
-        "task": task,
-        "split": _split(split),
-        "self_play": _json(figures.self_play),
-        "cross_play": _json(figures.cross_play),
-        "gap": _json(figures.gap),
-        "relative_gap": figures.relative_gap.to_json() if figures.relative_gap else None,
-        "within_algorithm": _json(figures.within_algorithm),
-        "across_algorithms": _json(figures.across_algorithms),
-        "within_disability": _json(figures.within_disability),
-        "across_disabilities": _json(figures.across_disabilities),
-        "best_ego": {"ego": block.egos["ego"][int(means.argmax())], "mean": float(means.max())},
-        "rank_stability": _rank_stability(block.scores, seed),
-        "egos": block.egos.height,
-        "partners": block.partners.height,
-        **_origin(block, release, env_version, backend, env_steps_per_second),
-        "notes": [*_team_notes(block), *_episode_notes(block)],
-    }
+    return CrossPlaySummary(
+        **vars(cross_play(block.scores, rows, columns, seed=seed)),
+        **_common(block, context),
+        best_ego=BestEgo(block.egos["ego"][int(means.argmax())], float(means.max())),
+        rank_stability=_rank_stability(block.scores, seed),
+        egos=block.egos.height,
+        partners=block.partners.height,
+        notes=(*_team_notes(block), *_episode_notes(block)),
+    )
 
 
-def summarise_comparison(a: pl.DataFrame, b: pl.DataFrame, *, seed: int = 0) -> dict[str, Any]:
-    """Summarise method a minus method b, two tables over the same partners and episode keys, on their common sides."""
+def summarise_comparison(a: pl.DataFrame, b: pl.DataFrame, *, seed: int = 0) -> ComparisonSummary:
+    """Summarise method a minus method b, two tables of the same partners and episode keys."""
     first, second = dense_block(a), dense_block(b)
     if not first.partners.equals(second.partners):
         raise ValueError(
@@ -143,147 +189,34 @@ def summarise_comparison(a: pl.DataFrame, b: pl.DataFrame, *, seed: int = 0) -> 
             "the two tables have different episode keys; evaluate both with the same seed and "
             "episodes"
         )
-    summary: dict[str, Any] = {}
-    for side in tables.SIDES:
-        mask = (first.partners["side"] == side).fill_null(False).to_numpy()
-        if mask.any():
-            difference = paired_difference(first.scores[:, mask], second.scores[:, mask], seed=seed)
-            summary[side] = {
-                **difference.estimate.to_json(),
-                "p_positive": difference.p_positive,
-                "partners_better": difference.partners_better,
-            }
-    if not summary:
+
+    def difference(side: str) -> Difference | None:
+        mask = (first.partners["side"] == side).fill_null(value=False).to_numpy()
+        if not mask.any():
+            return None
+        return paired_difference(first.scores[:, mask], second.scores[:, mask], seed=seed)
+
+    test, train = difference("test"), difference("train")
+    if test is None and train is None:
         raise ValueError(
             "no partner is on the test or the train side; evaluate both methods against a split"
         )
     egos = min(first.egos.height, second.egos.height)
+    notes = (*_seed_notes(egos), *_episode_notes(first), *_episode_notes(second))
+    return ComparisonSummary(test, train, notes)
+
+
+def _common(block: Block, context: Context) -> dict:
     return {
-        **summary,
-        "notes": [*_seed_notes(egos), *_episode_notes(first), *_episode_notes(second)],
-    }
-
-
-def partner_table(table: pl.DataFrame, *, seed: int = 0) -> pl.DataFrame:
-    """Average over egos and episodes: one row a partner, `return_low` and `return_high` its mean's 95% over seeds."""
-    block = dense_block(table)
-    measures = ("success", "force_mean", "force_peak")
-    means = table.group_by("partner").agg(
-        *(pl.col(name).cast(pl.Float64).mean() for name in measures),
-        pl.len().cast(pl.Int64).alias("episodes"),
-        pl.col("nonfinite").sum().cast(pl.Int64),
-    )
-    columns = [estimate(column, seed=seed) for column in block.scores.T]
-    returns = pl.DataFrame(
-        {
-            "partner": block.partners["partner"],
-            "return": [figure.mean for figure in columns],
-            "return_low": [figure.mean_ci[0] if figure.mean_ci else None for figure in columns],
-            "return_high": [figure.mean_ci[1] if figure.mean_ci else None for figure in columns],
-        },
-        schema_overrides={"return_low": pl.Float64, "return_high": pl.Float64},
-    )
-    described = block.partners.join(returns, on="partner", maintain_order="left")
-    return described.join(means, on="partner", maintain_order="left")
-
-
-def profile_table(table: pl.DataFrame, *, points: int = 101, seed: int = 0) -> pl.DataFrame:
-    """Performance profile over ego x partner pairs of the evaluated side: threshold, share above it, low, high."""
-    block = dense_block(table)
-    block = _on_side(block, "test" if "test" in block.partners["side"] else "train")
-    thresholds = np.linspace(min(0.0, block.scores.min()), block.scores.max(), points)
-    band = profile_band(block.scores, thresholds, seed=seed)
-    low, high = band if band else (None, None)
-    return pl.DataFrame(
-        {
-            "threshold": thresholds,
-            "share": performance_profile(block.scores, thresholds),
-            "low": low,
-            "high": high,
-        },
-        schema=dict.fromkeys(("threshold", "share", "low", "high"), pl.Float64),
-    )
-
-
-def crossplay_matrix(table: pl.DataFrame) -> tuple[pl.DataFrame, dict[str, Any]]:
-    """Return the matrix in long form, one row a pair, and its clustered order.
-
-    The order has `rows` and `columns`, clustered separately, and `teams`: one order for both axes,
-    with self-play on the diagonal, or None unless both axes have the same teams.
-    """
-    block = dense_block(table)
-    scores = block.scores
-    order = {
-        "linkage": "average",
-        "distance": "euclidean",
-        "rows": cluster_profiles(scores).to_json(block.egos["ego"].to_list()),
-        "columns": cluster_profiles(scores.T).to_json(block.partners["partner"].to_list()),
-        "teams": None,
-    }
-    rows, columns = block.egos["ego_team"].to_list(), block.partners["partner_team"].to_list()
-    if (
-        None not in rows
-        and len(set(rows)) == len(rows)
-        and sorted(rows) == sorted(columns, key=str)
-    ):
-        square = scores[:, [columns.index(team) for team in rows]]
-        order["teams"] = cluster_teams(square).to_json(rows)
-    return tables.pair_table(table), order
-
-
-def save_evaluation(folder: Path, table: pl.DataFrame, **context: Any) -> dict[str, Any]:
-    """Write summary, partner table and performance profile beside the episodes; `context` as `summarise_evaluation`."""
-    summary = summarise_evaluation(table, **context)
-    tables.write_parquet(partner_table(table), folder / tables.PARTNERS_FILE)
-    tables.write_parquet(profile_table(table), folder / tables.PROFILE_FILE)
-    tables.write_json(summary, folder / tables.SUMMARY_FILE)
-    return summary
-
-
-def save_crossplay(folder: Path, table: pl.DataFrame, **context: Any) -> dict[str, Any]:
-    """Write summary, matrix, clustered order and strategies beside the episodes; `context` as `summarise_crossplay`."""
-    summary = summarise_crossplay(table, **context)
-    pairs, order = crossplay_matrix(table)
-    tables.write_parquet(pairs, folder / tables.PAIRS_FILE)
-    if set(tables.BEHAVIOUR) <= set(pairs.columns):
-        tables.write_json(summarise_strategies(pairs), folder / tables.STRATEGIES_FILE)
-    tables.write_json(order, folder / tables.ORDER_FILE)
-    tables.write_json(summary, folder / tables.SUMMARY_FILE)
-    return summary
-
-
-def _json(figure: Estimate | None) -> dict[str, Any] | None:
-    return figure.to_json() if figure else None
-
-
-def _split(split: SplitIdentity | Mapping[str, Any] | None) -> dict[str, str] | None:
-    if split is None:
-        return None
-    if isinstance(split, Mapping):
-        return {"id": split["id"], "sha256": split["sha256"]}
-    return {"id": split.id, "sha256": split.sha256}
-
-
-def _origin(
-    block: Block,
-    release: str | None,
-    env_version: int,
-    backend: str,
-    env_steps_per_second: float | None,
-) -> dict[str, Any]:
-    return {
+        **vars(context),
         "episodes": block.returns.size,
         "episodes_per_pair": block.returns.shape[2],
         "nonfinite": int(block.nonfinite.sum()),
-        "env_steps_per_second": env_steps_per_second,
-        "release": release,
-        "env_version": env_version,
-        "backend": backend,
     }
 
 
-def _on_side(block: Block, side: str) -> Block:
-    return block.select_partners((block.partners["side"] == side).fill_null(False).to_numpy())
+def _estimates(draws: dict[str, Draws]) -> dict[str, Estimate]:
+    return {name: draw.estimate() for name, draw in draws.items()}
 
 
 def _traits(policies: pl.DataFrame, seat: str) -> Traits:
@@ -292,30 +225,17 @@ def _traits(policies: pl.DataFrame, seat: str) -> Traits:
     )
 
 
-def _fairness(draws: dict[str, Any]) -> dict[str, Any] | None:
-    if len(draws) < 2:
-        return None
-    spread = fairness(draws)
-    return {"worst": spread.worst, "best": spread.best, "gap": spread.gap.to_json()}
-
-
-def _worst_partner(block: Block) -> dict[str, Any]:
+def _worst_partner(block: Block) -> NamedWorst:
     worst = worst_partner(block.returns)
-    partner = block.partners.row(worst.index, named=True)
-    return {
-        "partner": partner["partner"],
-        "algorithm": partner["partner_algorithm"],
-        "disability": partner["partner_disability"],
-        "mean": worst.mean,
-        "crossfit": worst.crossfit,
-    }
+    named = block.partners.row(worst.index, named=True)
+    traits = (named[name] for name in ("partner", "partner_algorithm", "partner_disability"))
+    return NamedWorst(*traits, worst.mean, worst.crossfit)
 
 
-def _rank_stability(scores: np.ndarray, seed: int) -> dict[str, Any] | None:
+def _rank_stability(scores: np.ndarray, seed: int) -> Stability | None:
     if min(scores.shape) < 2 or not np.ptp(scores.mean(axis=1)):
         return None
-    stability = rank_stability(scores, seed=seed)
-    return {"tau": stability.tau, "spread": list(stability.spread), "halvings": stability.halvings}
+    return rank_stability(scores, seed=seed)
 
 
 def _seed_notes(egos: int) -> list[str]:
@@ -339,11 +259,9 @@ def _group_notes(block: Block) -> list[str]:
 
 def _team_notes(block: Block) -> list[str]:
     units = min(block.egos.height, block.partners.height)
-    return (
-        [f"{units} teams: intervals over fewer than {ENOUGH} are too narrow"]
-        if units < ENOUGH
-        else []
-    )
+    if units >= ENOUGH:
+        return []
+    return [f"{units} teams: intervals over fewer than {ENOUGH} are too narrow"]
 
 
 def _episode_notes(block: Block) -> Sequence[str]:

@@ -1,15 +1,17 @@
 """Episode table: one row an episode, and every metric is recomputed from it."""
 
-import contextlib
 import dataclasses
+import errno
+import io
 import json
-import os
-import uuid
-from collections.abc import Generator
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
+
+from population.files import atomic_write
 
 # Names of the files in the folder that `evaluate --out` or `crossplay --out` fills.
 EPISODES_FILE = "episodes.parquet"  # one row an episode
@@ -22,6 +24,11 @@ ORDER_FILE = "order.json"  # clustered order of a cross-play matrix
 STRATEGIES_FILE = "strategies.json"  # partners of a cross-play by behaviour
 RUN_FILE = "run.json"  # command, machine and versions
 SUMMARY_FILE = "summary.json"  # the object that --json prints
+MATRIX_FIGURE = "crossplay.png"  # the clustered matrix, drawn
+FILES = (
+    *(EPISODES_FILE, PAIRS_FILE, REFERENCES_FILE, BOUNDS_FILE, PARTNERS_FILE, PROFILE_FILE),
+    *(ORDER_FILE, STRATEGIES_FILE, RUN_FILE, SUMMARY_FILE, MATRIX_FIGURE),
+)
 
 EGO_COLUMNS = ("ego", "ego_team", "ego_algorithm", "ego_disability", "ego_seed")
 PARTNER_COLUMNS = (
@@ -90,6 +97,20 @@ class Block:
     partners: pl.DataFrame  # P rows of PARTNER_COLUMNS, in the order of the second axis
     episodes: np.ndarray  # [K] episode numbers
     keys: np.ndarray | None  # [K] seeds of the episode keys; None if pairs had different ones
+
+    def evaluated_side(self) -> "Block":
+        """Return the block with the test partners, or the training partners if only those played.
+
+        Raises:
+            ValueError: no partner is on a side.
+        """
+        sides = self.partners["side"]
+        side = next((one for one in ("test", "train") if one in sides), None)
+        if side is None:
+            raise ValueError(
+                "no partner is on the test or the train side; evaluate against a split"
+            )
+        return self.select_partners((sides == side).fill_null(value=False).to_numpy())
 
     @property
     def scores(self) -> np.ndarray:
@@ -201,8 +222,14 @@ def read_episodes(path: Path) -> pl.DataFrame:
 
 def write_parquet(table: pl.DataFrame, path: Path) -> None:
     """Write a table as Parquet: the file appears complete or not at all."""
-    with atomic_path(path) as temporary:
-        table.write_parquet(temporary, compression="zstd")
+    write_bytes(parquet_bytes(table), path)
+
+
+def parquet_bytes(table: pl.DataFrame) -> bytes:
+    """Return a table as Parquet, made in memory: on a full disk Polars' own error misleads."""
+    content = io.BytesIO()
+    table.write_parquet(content, compression="zstd")
+    return content.getvalue()
 
 
 def read_parquet(path: Path) -> pl.DataFrame:
@@ -213,18 +240,42 @@ def read_parquet(path: Path) -> pl.DataFrame:
         )
     try:
         return pl.read_parquet(path)
-    except pl.exceptions.PolarsError as error:
-        reason = str(error).splitlines()[0]
+    except BaseException as error:
+        # Polars' reader can panic on damaged bytes: a BaseException, which no handler expects.
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+            raise
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise ValueError(
             f"{path} is not a readable Parquet file ({reason}); delete it and run again"
-        ) from error
+        ) from None
 
 
-def write_json(content: dict, path: Path) -> None:
+def write_bytes(data: bytes, path: Path) -> None:
+    """Write a file: it appears complete or not at all, and a full disk is called so."""
+    try:
+        atomic_write(path, data)
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        raise OSError(
+            f"the disk is full: {path} needs {len(data)} bytes; make room, then the same command "
+            "goes on"
+        ) from None
+
+
+def to_json(value: Any) -> Any:
+    """Return what `json.dumps` takes: dataclasses as objects by field, tuples as lists."""
+    if dataclasses.is_dataclass(value):
+        return {one.name: to_json(getattr(value, one.name)) for one in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {name: to_json(item) for name, item in value.items()}
+    return [to_json(item) for item in value] if isinstance(value, (list, tuple)) else value
+
+
+def write_json(content: Any, path: Path) -> None:
     """Write JSON without NaN or infinity: the file appears complete or not at all."""
-    text = json.dumps(content, indent=2, allow_nan=False)
-    with atomic_path(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    text = json.dumps(to_json(content), indent=2, allow_nan=False)
+    write_bytes((text + "\n").encode(), path)
 
 
 def read_json(path: Path) -> dict:
@@ -242,18 +293,6 @@ def read_json(path: Path) -> dict:
     if not isinstance(content, dict):
         raise ValueError(f"{path} holds a {type(content).__name__}; expected an object")
     return content
-
-
-@contextlib.contextmanager
-def atomic_path(path: Path) -> Generator[Path]:
-    """Yield a temporary sibling that becomes `path` when the block ends without an error."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}-{uuid.uuid4().hex[:8]}{path.suffix}")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _validate_column(table: pl.DataFrame, name: str) -> None:

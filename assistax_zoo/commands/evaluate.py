@@ -17,8 +17,10 @@ def evaluate(
     split: str | None = None,
     partners: tuple[str, ...] = (),
     playing: Playing = Playing(),
+    include_own: bool = False,
     references: bool = True,
     crossplay: Path | None = None,
+    reuse: bool = False,
     out: Path | None = None,
     source: Source = Source(),
     json: bool = False,
@@ -34,13 +36,17 @@ def evaluate(
             python:package.module:FACTORY; repeat it for more seeds.
         split: Partners: test (default), train or both sides of the default split, or another
             split's id (ID:both).
-        partners: Glob over partners to use only some, such as 'scratch/ippo-d9-*'; repeat it for
-            more. Where all that match are of one release, its default split is meant.
+        partners: Glob over partners, to play only some of those sides, such as 'scratch/ippo-d9-*';
+            repeat it for more. Where all that match are of one release, its default split is meant.
         playing: How they play.
+        include_own: Count partners that were trained with one of the robots; else they are played
+            and kept in the tables, and no figure is about them.
         references: Compare with zero and random actions and with each partner's own robot; kept for
             the next time.
         crossplay: Folder of a finished cross-play, whose best robots may be the partners' best
             responses.
+        reuse: Take what --out holds of a robot from Python code though its module does not declare
+            what it depends on; else it is played again.
         out: Folder for the tables.
         source: Where policies come from.
         json: Print JSON.
@@ -57,8 +63,10 @@ def evaluate(
             task=task,
             split=split,
             partners=partners or None,
+            include_own=include_own,
             references=references,
             crossplay=crossplay,
+            reuse=reuse,
             zoo=source.registry,
             lock=source.lock,
             out=out,
@@ -116,6 +124,7 @@ def crossplay(
         )
     with stdout_is_data():
         from assistax_zoo.studies import cross_play, play_block
+        from evaluation.tables import to_json
 
         given: dict[str, Any] = {
             "task": task,
@@ -127,7 +136,7 @@ def crossplay(
         if block:
             share = _block(block)
             done = play_block(share, out, egos or None, partners or None, **given)
-            summary = {"block": block, **dict(done)}
+            summary = {"block": block, **to_json(done)}
         else:
             result = cross_play(egos or None, partners or None, out=out, cluster=cluster, **given)
             summary = result.to_json()
@@ -256,7 +265,7 @@ def _add(table: "Table", name: str, figure: dict[str, Any] | None, digits: int =
     if figure is None:
         return
     mean, iqm = (f"{figure[key]:.{digits}f}" for key in ("mean", "iqm"))
-    ends = figure["ci"]
+    ends = figure["iqm_ci"]
     interval = "-" if ends is None else " to ".join(f"{end:.{digits}f}" for end in ends)
     table.add_row(name, mean, iqm, interval, str(figure["n"]))
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from assistax_zoo.console import print_json, progress, stdout_is_data
 
 if TYPE_CHECKING:
-    from evaluation.deep import DeepReport
+    from evaluation.self_play_check import SelfPlayReport
     from zoo.registry import Registry
     from zoo.schema import SelfPlay
     from zoo.verify import Report
@@ -194,21 +194,21 @@ def _figures(self_play: "SelfPlay | None") -> tuple[str, str, str]:
 
 def _replay_teams(
     registry: "Registry", pattern: str | None, release: str | None, episodes: int, backend: str
-) -> "DeepReport":
+) -> "SelfPlayReport":
     """Run `verify --deep`: progress on standard error, nothing on standard output."""
-    from evaluation.deep import verify_deep
+    from evaluation.self_play_check import check_self_play
 
     entries = registry.select(pattern, release=release)
     with (
         stdout_is_data(),
         progress("replay teams", len({entry.team for entry in entries})) as advance,
     ):
-        return verify_deep(
+        return check_self_play(
             registry, entries, episodes=episodes, backend=backend, on_progress=advance
         )
 
 
-def _print_replay(result: "DeepReport") -> None:
+def _print_replay(result: "SelfPlayReport") -> None:
     """Print expected and found returns of each team, the versions, and a verdict."""
     print(", ".join(f"{name} {version}" for name, version in result.versions.items()))
     for team in result.teams:

@@ -66,12 +66,12 @@ class ZooCatalogue:
         from importlib.metadata import version
 
         from assistax_envs.versions import VERSIONS
-        from evaluation.jobs import MANIFEST_FORMAT
+        from evaluation.jobs import EVALUATOR_VERSION
 
         return {
             "task": task,
             "env_version": VERSIONS[task],
-            "evaluator": MANIFEST_FORMAT,
+            "evaluator": EVALUATOR_VERSION,
             "engine": {"name": self._backend, "version": version("mujoco")},
             "jax": version("jax"),
             "panel": digest([[entry.id, entry.sha256] for entry in self._entries(task)]),

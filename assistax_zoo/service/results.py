@@ -127,11 +127,12 @@ def panel_table(
 
 def figures(table: pl.DataFrame) -> dict[str, Any]:
     """Return mean and IQM over partners with intervals, successes, and broken episodes."""
+    from evaluation import tables
     from evaluation.bootstrap import estimate
 
     scores = partner_means(table)
     return {
-        **estimate(scores[None, :]).to_json(),
+        **tables.to_json(estimate(scores[None, :])),
         "nonfinite": int(table["nonfinite"].sum()),
         "success": float(table["success"].to_numpy().mean()),
     }

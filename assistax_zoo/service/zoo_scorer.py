@@ -10,7 +10,6 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import polars as pl
 
 from assistax_zoo.service.admission import Admission, robot_sizes
@@ -51,17 +50,17 @@ class ZooScorer:
             return self._play(work, ego, hidden, entries)
 
     def _play(self, work: Work, ego: Any, registry: Any, entries: list[Any]) -> pl.DataFrame:
-        from evaluation.egos import registry_groups
         from evaluation.evaluator import run_job
         from evaluation.jobs import Job
+        from evaluation.roster import registry_roster
 
         env = _env(work.task, self._backend)
         job = Job(
             task=work.task,
             env_version=env.version,
             backend=env.backend,
-            egos=(ego,),
-            partners=registry_groups(registry, entries),
+            egos=ego,
+            partners=registry_roster(registry, entries),
             episodes=work.episodes,
             seed=int(work.seed, 16),
         )
@@ -70,19 +69,19 @@ class ZooScorer:
         return _told(table, dict(zip([e.id for e in entries], work.partners, strict=True)))
 
     def _file(self, work: Work, data: bytes) -> Any:
-        from evaluation.jobs import Group, Member
-        from population.stack import map_leaves
+        from evaluation.roster import Member, Roster
+        from population.stack import stack_policies
 
         robot = self._admission.read(data, work.task)
         member = Member("robot", hashlib.sha256(data).hexdigest())
-        params = map_leaves(lambda leaf: np.asarray(leaf)[None], robot.params)
-        return Group(robot.spec, (member,), params)
+        stacks = stack_policies([(member.id, robot.spec, robot.params)])
+        return Roster(stacks, {member.id: member})
 
 
 def _live(act: Any) -> Any:
-    from evaluation.jobs import HostEgo, Member
+    from evaluation.roster import HostEgo, Member, Roster
 
-    return HostEgo(Member("robot", "live"), act)
+    return Roster((HostEgo("robot", act),), {"robot": Member("robot", "live")})
 
 
 @functools.cache

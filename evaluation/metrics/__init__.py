@@ -1,10 +1,8 @@
-"""Metrics of zero-shot coordination as functions of scores [S, P], cross-play matrices and returns [S, P, K]."""
+"""Metrics of zero-shot coordination: functions of scores [S, P], [R, C] and returns [S, P, K]."""
 
 from evaluation.metrics.bounds import (
     Bounds,
     Coverage,
-    Scaled,
-    best_in_matrix,
     br_prox,
     coverage,
     normalised_return,
@@ -23,12 +21,10 @@ __all__ = [
     "Difference",
     "Diversity",
     "Fairness",
-    "Scaled",
     "Stability",
     "Traits",
     "WorstPartner",
     "ZeroShot",
-    "best_in_matrix",
     "br_diversity",
     "br_prox",
     "coverage",

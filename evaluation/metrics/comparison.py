@@ -10,16 +10,13 @@ from evaluation.statistics import score_matrix
 
 
 @dataclasses.dataclass(frozen=True)
-class Difference:
-    """Method a minus method b with the same partners and the same episode keys."""
+class Difference(Estimate):
+    """Method a minus method b with the same partners and episode keys: paired differences."""
 
-    estimate: Estimate  # of the difference; its mean is the mean of paired differences
-    p_positive: (
-        float | None
-    )  # share of replicates in which a's mean is above b's; None if nothing was resampled
-    partners_better: (
-        float  # share of partners with which a's mean is above b's, ties counting one half
-    )
+    # Share of replicates in which a's mean is above b's; None if nothing was resampled.
+    p_positive: float | None
+    # Share of partners with which a's mean is above b's, ties counting one half.
+    partners_better: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,16 +24,15 @@ class Stability:
     """Kendall's tau between rankings of the egos on random halves of the partners."""
 
     tau: float  # mean over the halvings
-    spread: tuple[
-        float, float
-    ]  # 2.5% and 97.5% quantiles over the halvings: a spread, not a confidence interval
+    # 2.5% and 97.5% quantiles over the halvings: a spread, not a confidence interval.
+    spread: tuple[float, float]
     halvings: int
 
 
 def paired_difference(
     a: np.ndarray, b: np.ndarray, *, resamples: int = RESAMPLES, seed: int = 0
 ) -> Difference:
-    """Difference of scores a [S, P] and b [S', P]: seeds of either method and the common partners are resampled.
+    """Difference of scores a [S, P] and b [S', P]; seeds of either and the partners are resampled.
 
     Each score averages the same episode keys, so noise of the environment common to both cancels.
     """
@@ -57,7 +53,9 @@ def paired_difference(
     )
     difference = a.mean(axis=0) - b.mean(axis=0)
     return Difference(
-        draws.estimate(), _share_positive(draws.means) if to else None, _share_positive(difference)
+        **vars(draws.estimate()),
+        p_positive=_share_positive(draws.means) if to else None,
+        partners_better=_share_positive(difference),
     )
 
 

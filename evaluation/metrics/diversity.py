@@ -12,17 +12,11 @@ _TOLERANCE = 1e-9  # of the largest eigenvalue; below it a direction counts as a
 class Diversity:
     """Diversity of P partners; the determinant itself is 0 once P exceeds the rank."""
 
-    log_determinant: float  # of the kernel phi phi^T; -inf when it is singular
+    log_determinant: float | None  # of the kernel phi phi^T; None when it is singular
     rank: int
-    participation_ratio: (
-        float  # (sum l)^2 / sum l^2 of the kernel's eigenvalues l: effective number of directions
-    )
+    # (sum l)^2 / sum l^2 of the kernel's eigenvalues l: effective number of directions.
+    participation_ratio: float
     n: int  # partners
-
-    def to_json(self) -> dict:
-        """Return JSON-ready values; a log-determinant of -inf becomes None."""
-        finite = self.log_determinant if math.isfinite(self.log_determinant) else None
-        return {**dataclasses.asdict(self), "log_determinant": finite}
 
 
 def br_diversity(features: np.ndarray) -> Diversity:
@@ -32,7 +26,7 @@ def br_diversity(features: np.ndarray) -> Diversity:
     rank = int(np.count_nonzero(values > _TOLERANCE * values.max())) if values.max() > 0 else 0
     singular = rank < len(phi)
     ratio = float(values.sum() ** 2 / np.square(values).sum()) if rank else 0.0
-    return Diversity(-math.inf if singular else float(np.log(values).sum()), rank, ratio, len(phi))
+    return Diversity(None if singular else float(np.log(values).sum()), rank, ratio, len(phi))
 
 
 def greedy_subset(features: np.ndarray, size: int) -> list[int]:

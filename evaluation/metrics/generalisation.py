@@ -22,9 +22,9 @@ from evaluation.statistics import score_matrix
 class ZeroShot:
     """M over the test and the training partners; None for a side that was not evaluated."""
 
-    test: Estimate | None
-    train: Estimate | None
-    gap: Estimate | None  # train - test, the same resampled seeds on both sides
+    m_test: Estimate | None
+    m_train: Estimate | None
+    gap: Estimate | None  # m_train - m_test, the same resampled seeds on both sides
 
 
 @dataclasses.dataclass(frozen=True)

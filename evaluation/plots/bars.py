@@ -34,7 +34,7 @@ def zsc_bars(summaries: Mapping[str, Mapping[str, Any]]) -> Figure:
         axes.bar(places, [value["iqm"] for value in figures], 0.36, color=colour, label=label)
         for place, value in found:
             _whisker(axes, place, value, style.INK)
-            top = value["ci"][1] if value["ci"] else value["iqm"]
+            top = value["iqm_ci"][1] if value["iqm_ci"] else value["iqm"]
             axes.annotate(
                 f"{value['iqm']:.0f}",
                 (place, max(top, 0)),
@@ -133,8 +133,10 @@ def _canvas(
 
 
 def _whisker(axes: Axes, place: float, value: Mapping[str, Any], colour: str) -> None:
-    if value["ci"]:
-        axes.plot([place, place], value["ci"], color=colour, linewidth=1.3, solid_capstyle="butt")
+    if value["iqm_ci"]:
+        axes.plot(
+            [place, place], value["iqm_ci"], color=colour, linewidth=1.3, solid_capstyle="butt"
+        )
 
 
 def _legend(axes: Axes, columns: int) -> None:

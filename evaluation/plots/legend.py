@@ -122,7 +122,7 @@ def caption(matrix: Matrix, summary: Mapping[str, Any], marked: str) -> str:
 
 
 def _figure(value: Mapping[str, Any]) -> str:
-    interval = "" if value["ci"] is None else f" [{value['ci'][0]:.0f}, {value['ci'][1]:.0f}]"
+    interval = "" if value["iqm_ci"] is None else " [{:.0f}, {:.0f}]".format(*value["iqm_ci"])
     return f"{value['iqm']:.0f}{interval}"
 
 

@@ -11,7 +11,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.typing import ColorType
 
-from evaluation.tables import atomic_path
+from population.files import atomic_path
 
 FORMATS = (".png", ".pdf")
 INK = "#222222"

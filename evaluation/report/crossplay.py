@@ -61,7 +61,7 @@ def _tiles(summary: Mapping[str, Any]) -> str:
     tiles = []
     for name, key in (("self-play", "self_play"), ("cross-play", "cross_play"), ("gap", "gap")):
         if figure := summary[key]:
-            ends = f"95% {html.interval(figure, 0)}, IQM" if figure["ci"] else "IQM"
+            ends = f"95% {html.interval(figure, 0)}, IQM" if figure["iqm_ci"] else "IQM"
             tiles.append(html.tile(f"{figure['iqm']:.0f}", name, ends))
     if relative := summary["relative_gap"]:
         tiles.append(

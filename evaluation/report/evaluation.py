@@ -42,7 +42,7 @@ def _tiles(summary: Mapping[str, Any]) -> str:
         ("M_train - M_test, IQM", "gap"),
     ):
         if figure := summary[key]:
-            ends = f"95% {html.interval(figure, 0)}" if figure["ci"] else ""
+            ends = f"95% {html.interval(figure, 0)}" if figure["iqm_ci"] else ""
             tiles.append(html.tile(f"{figure['iqm']:.0f}", name, ends))
     relative = summary.get("relative")
     if relative and (figure := relative["br_prox"]):
@@ -88,7 +88,8 @@ def _references(summary: Mapping[str, Any]) -> list[str]:
     ]
     if relative["coverage"]:
         covered, worst = relative["coverage"], relative["worst_regret"]
-        ends = f", 95% {covered['ci'][0]:.0%} to {covered['ci'][1]:.0%}" if covered["ci"] else ""
+        share = covered["value_ci"]
+        ends = f", 95% {share[0]:.0%} to {share[1]:.0%}" if share else ""
         parts.append(
             f"<p>Within {covered['epsilon']:.0%} of the best response with {covered['value']:.0%} "
             f"of partners{ends}. Mean regret {relative['regret']['mean']:.1f}, the largest "

@@ -92,7 +92,8 @@ def embedded(identity: str, value: Any) -> str:
 
 def interval(figure: Mapping[str, Any], digits: int = 1) -> str:
     """Return the interval of an estimate's IQM in words."""
-    return "–" if figure["ci"] is None else " to ".join(f"{end:.{digits}f}" for end in figure["ci"])
+    ends = figure["iqm_ci"]
+    return "–" if ends is None else " to ".join(f"{end:.{digits}f}" for end in ends)
 
 
 def swatch(colour: str, text: str) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from evaluation import tables
-from evaluation.evaluator import MANIFEST_FILE
+from evaluation.provenance import read_manifest
 from evaluation.report import html
 from evaluation.report.crossplay import crossplay_sections
 from evaluation.report.evaluation import evaluation_sections
@@ -39,8 +39,7 @@ def write_report(folder: Path, path: Path) -> None:
             "--help`"
         )
     text = _page(title, _head(title, folder, summary), [*sections, _origin(folder, summary)])
-    with tables.atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    tables.write_bytes(text.encode(), path)
 
 
 def _page(title: str, head: str, sections: list[str]) -> str:
@@ -90,9 +89,8 @@ def _head(title: str, folder: Path, summary: Mapping[str, Any]) -> str:
 def _origin(folder: Path, summary: Mapping[str, Any]) -> str:
     """Return how the figures came about: command, versions, hashes."""
     run = _run(folder)
-    manifest = (
-        tables.read_json(folder / MANIFEST_FILE) if (folder / MANIFEST_FILE).is_file() else {}
-    )
+    manifest = read_manifest(folder) or {}
+    identity = manifest.get("identity", {})
     parts = ["<h2>How to repeat it</h2>"]
     if run:
         parts.append(f"<pre>{escape(run['command'])}</pre>")
@@ -103,19 +101,19 @@ def _origin(folder: Path, summary: Mapping[str, Any]) -> str:
                 [("package", ""), ("version", "")], [list(row) for row in run["versions"].items()]
             )
         )
-    if manifest:
-        settings = ("backend", "episodes", "seed", "stochastic", "max_envs", "format")
+    if identity:
+        settings = ("backend", "episodes", "seed", "stochastic", "evaluator_version")
         rows: list[list[html.Cell]] = [
-            [name, str(manifest[name])] for name in settings if name in manifest
+            [name, str(identity[name])] for name in settings if name in identity
         ]
         parts += ["<h3>Settings</h3>", html.table([("setting", ""), ("value", "")], rows)]
     hashes: list[list[html.Cell]] = [
         [name, digest] for name, digest in _hashes(folder, summary, manifest).items()
     ]
     parts += ["<h3>Hashes (sha256)</h3>", html.table([("what", ""), ("sha256", "")], hashes)]
-    if manifest:
-        members: list[list[html.Cell]] = [["robot", row[0], row[-1]] for row in manifest["egos"]]
-        members += [["human", row[0], row[-1]] for row in manifest["partners"]]
+    if identity:
+        members: list[list[html.Cell]] = [["robot", row[0], row[1]] for row in identity["egos"]]
+        members += [["human", row[0], row[3]] for row in identity["partners"]]
         listed = html.table([("seat", ""), ("policy", ""), ("sha256", "")], members, sortable=True)
         parts.append(
             f"<details><summary>{len(members)} policies with their "

@@ -16,7 +16,7 @@ from tests.untrained import HUMAN, ROBOT, params_of, untrained_team
 from zoo.storage import write_policy_file
 
 STEPS = 20
-FIGURE = {"mean", "iqm", "ci", "n"}
+FIGURE = {"mean", "iqm", "iqm_ci", "n"}
 
 
 @pytest.fixture(scope="module")
@@ -82,9 +82,9 @@ def test_json_is_the_object_of_the_design(registry: Path, capfd: pytest.CaptureF
     }
     assert expected <= set(summary)
     assert set(summary["m_test"]) >= FIGURE
-    assert summary["m_test"]["n"] == 4
+    assert summary["m_test"]["n"] == 3  # of four, one is the robot's own human
     assert summary["m_train"] is None
-    assert summary["episodes"] == 8
+    assert summary["episodes"] == 6
     assert list(summary["by_disability"]) == ["d1", "d9"]
     assert (summary["release"], summary["env_version"], summary["backend"]) == ("v0", 1, "native")
 
@@ -98,12 +98,13 @@ def test_both_sides_give_the_gap_and_keep_the_tables(
         word in told
         for word in ("M_test", "M_train - M_test", "d9", "worst partner", str(tmp_path / "out"))
     )
-    assert "not new to it: scratch/ippo-d1-s0-v0/human" in told.replace("\n", " ")
+    told = told.replace("\n", " ")
+    assert "not new to it, left out of the figures, kept in the tables: scratch/ippo-d1-s0" in told
     table = pl.read_parquet(tmp_path / "out" / "episodes.parquet")
     assert table.height == 16
     assert sorted(table["side"].unique()) == ["test", "train"]
     assert set(table["steps"]) == {STEPS}
-    assert json.loads((tmp_path / "out" / "summary.json").read_text())["gap"]["n"] == 8
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["gap"]["n"] == 7
 
 
 @pytest.mark.slow
@@ -133,9 +134,9 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
         "self_play",
         "best_response",
     }
-    assert all(figure["n"] == 4 for figure in found["references"].values())
+    assert all(figure["n"] == 3 for figure in found["references"].values())
     assert found["references"]["best_response"]["mean"] >= found["references"]["self_play"]["mean"]
-    assert sum(found["relative"]["bounds"]["best"].values()) == 4
+    assert sum(found["relative"]["bounds"]["best"].values()) == 3
     bounds = pl.read_parquet(tmp_path / "out" / "bounds.parquet")
     assert bounds.height == 4
     assert pl.read_parquet(tmp_path / "out" / "references.parquet").height == 3 * 4 * 2
@@ -212,7 +213,12 @@ def test_crossplay_fills_its_folder_with_self_play_on_the_diagonal(
     )
     team = "scratch/ippo-d9-s1-v0"
     assert (
-        evaluate(registry, "--partners", f"{team}/human", "--json", policy=f"zoo:{team}/robot") == 0
+        evaluate(
+            registry,
+            *("--partners", f"{team}/human", "--split", "both", "--include-own", "--json"),
+            policy=f"zoo:{team}/robot",
+        )
+        == 0
     )
     alone = json.loads(capfd.readouterr().out)["worst_partner"]["mean"]
     assert own.filter(pl.col("ego_team") == team)["return"].item() == pytest.approx(alone, rel=1e-6)
@@ -281,10 +287,12 @@ def test_a_policy_file_is_evaluated_and_one_of_another_task_refused(
     [
         (["--episodes", "0"], "episodes is 0; each pair needs at least 1"),
         (["--task", "scratchitch"], "task is 'scratchitch'; allowed are scratch"),
-        (["--backend", "gpu"], "backend is 'gpu'; allowed are auto, native"),
+        (["--backend", "gpu"], "backend is 'gpu'; allowed are auto,"),
         (["--max-envs", "0"], "max_envs is 0; allowed is 1 or more"),
         (["--seed", "-1"], "seed is -1; allowed is 0 or more"),
-        (["--split", "halves"], "halves"),
+        (["--split", "halves"], "split 'halves' is neither a side (test, train, both)"),
+        (["--split", "tset"], "nearest: test"),
+        (["--split", "both", "--partners", "scratch/ippo-d1-s0-*"], "--include-own"),
         (["--split", "half:best"], "after the colon test, train, both are allowed"),
         (["--partners", "scratch/ippo-d1-s77-v0/human"], "nearest: scratch/ippo-d1-"),
         (["--policy", "zoo:scratch/ippo-d1-s00-v0/robot"], "nearest: scratch/ippo-d1-s0-v0/robot"),
@@ -373,4 +381,4 @@ def test_standard_output_of_a_process_is_one_json_object(published: Path, tmp_pa
         text=True,
         check=True,
     )
-    assert json.loads(done.stdout)["episodes"] == 4
+    assert json.loads(done.stdout)["episodes"] == 3

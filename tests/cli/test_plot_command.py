@@ -9,7 +9,7 @@ import pytest
 
 from assistax_zoo.commands import plot
 from assistax_zoo.main import run
-from evaluation import summary, tables
+from evaluation import derived, tables
 from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, teams
 from tests.zoo.conftest import trained_team
 from zoo.publish import publish
@@ -19,8 +19,8 @@ from zoo.publish import publish
 def crossplay_folder(tmp_path: Path) -> Path:
     population = teams(6, ("ippo",), ("d1", "d9"))
     folder = tmp_path / "xp"
-    summary.save_crossplay(
-        folder, episode_table(clustered_matrix(6, 2)[:, :, None], population, population), **CONTEXT
+    derived.save_crossplay(
+        folder, episode_table(clustered_matrix(6, 2)[:, :, None], population, population), CONTEXT
     )
     return folder
 
@@ -29,7 +29,7 @@ def crossplay_folder(tmp_path: Path) -> Path:
 def evaluation_folder(tmp_path: Path) -> Path:
     returns = np.random.default_rng(0).normal(500, 50, (2, 4, 2))
     table = episode_table(returns, ["a", "b"], teams(4), ["test", "train"] * 2)
-    summary.save_evaluation(tmp_path / "ppo", table, **CONTEXT)
+    derived.save_evaluation(tmp_path / "ppo", table, CONTEXT)
     return tmp_path / "ppo"
 
 

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ import pytest
 
 from assistax_zoo.main import run
 from evaluation import tables
-from evaluation.summary import save_crossplay, save_evaluation
+from evaluation.derived import save_crossplay, save_evaluation
 from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, teams
 
 
@@ -20,9 +21,9 @@ def evaluated(folder: Path, shift: float = 0.0, **changes: Any) -> Path:
     """An evaluation of one robot with 8 partners, `shift` above that of shift 0."""
     returns = np.random.default_rng(0).normal(500, 50, (1, 8, 2)) + shift
     table = episode_table(returns, ["mine"], teams(8), ["test", "train"] * 4)
-    context: dict[str, Any] = {**CONTEXT, **changes}
+    context = dataclasses.replace(CONTEXT, **changes)
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
-    save_evaluation(folder, table, **context)
+    save_evaluation(folder, table, context)
     return folder
 
 
@@ -30,8 +31,7 @@ def evaluated(folder: Path, shift: float = 0.0, **changes: Any) -> Path:
 def crossplay(tmp_path: Path) -> Path:
     table = episode_table(clustered_matrix(6, 2)[:, :, None], teams(6), teams(6))
     table = table.with_columns((10.0 * (pl.col("partner_seed") % 2)).alias("force_mean"))
-    context: dict[str, Any] = CONTEXT
-    save_crossplay(tmp_path / "xp", table, **context)
+    save_crossplay(tmp_path / "xp", table, CONTEXT)
     return tmp_path / "xp"
 
 

@@ -112,8 +112,8 @@ def test_trained_robots_are_policy_files_that_can_be_evaluated(tmp_path, capfd):
         "ppo-s0.safetensors",
         "ppo-s1.safetensors",
     ]
-    (group,) = read_egos(result["policies"], load_registry(), "scratch")
-    assert len(group.members) == 2
+    (stack,) = read_egos(result["policies"], load_registry(), "scratch").stacks
+    assert len(stack.ids) == 2
     spec, _, metadata = storage.read_policy_file(result["policies"][1])
     assert (spec.role, metadata["seed"], metadata["training"]["steps"]) == ("robot", 1, 128)
     assert metadata["split"].startswith("scratch/half-s0-v0")

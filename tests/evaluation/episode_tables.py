@@ -2,20 +2,21 @@
 
 import itertools
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import polars as pl
 
+from evaluation.summary import Context, SplitName
+
 Team = tuple[str, str, int]  # algorithm, disability, seed
-CONTEXT: dict[str, Any] = {
-    "task": "scratch",
-    "split": {"id": "scratch-half-v0", "sha256": "0" * 64},
-    "release": "v0",
-    "env_version": 1,
-    "backend": "native",
-    "env_steps_per_second": 40_000.0,
-}
+CONTEXT = Context(
+    task="scratch",
+    split=SplitName("scratch-half-v0", "0" * 64),
+    release="v0",
+    env_version=1,
+    backend="native",
+    env_steps_per_second=40_000.0,
+)
 
 
 def team_id(team: Team) -> str:

@@ -13,9 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from evaluation.jobs import Group, Member
+from evaluation.roster import Member, Roster
 from population.policy import Policy
 from population.spec import PolicySpec
+from population.stack import PolicyStack
 
 PAYOFF = np.array([[4.0, 1.0], [0.5, 3.0]], np.float32)
 ROBOT = PolicySpec("robot", observation_size=3, action_size=2, hidden=(4,), normalise=False)
@@ -122,7 +123,19 @@ def constant_params(spec: PolicySpec, values: list[float]) -> dict[str, Any]:
     }
 
 
-def robots(*values: float) -> Group:
+def roster(spec: PolicySpec, members: tuple[Member, ...], params: Any) -> Roster:
+    """Return one stack of policies and their descriptions."""
+    by_id = {member.id: member for member in members}
+    return Roster((PolicyStack(spec, tuple(by_id), params),), by_id)
+
+
+def joined(*rosters: Roster) -> Roster:
+    """Return the policies of several, stack by stack."""
+    members = {name: member for one in rosters for name, member in one.members.items()}
+    return Roster(tuple(stack for one in rosters for stack in one.stacks), members)
+
+
+def robots(*values: float) -> Roster:
     """Return egos that always act `values[e]`: row 1 where positive, else row 0."""
     members = tuple(
         Member(
@@ -130,10 +143,10 @@ def robots(*values: float) -> Group:
         )
         for i, value in enumerate(values)
     )
-    return Group(ROBOT, members, constant_params(ROBOT, list(values)))
+    return roster(ROBOT, members, constant_params(ROBOT, list(values)))
 
 
-def humans(*values: float, disabilities: tuple[str, ...] = ()) -> Group:
+def humans(*values: float, disabilities: tuple[str, ...] = ()) -> Roster:
     """Return partners that always act `values[p]`, each with its own disability setting."""
     settings = disabilities or ("d1",) * len(values)
     members = tuple(
@@ -142,11 +155,11 @@ def humans(*values: float, disabilities: tuple[str, ...] = ()) -> Group:
         )
         for i, (value, d) in enumerate(zip(values, settings, strict=True))
     )
-    return Group(HUMAN, members, constant_params(HUMAN, list(values)))
+    return roster(HUMAN, members, constant_params(HUMAN, list(values)))
 
 
 @functools.cache
-def random_group(spec: PolicySpec, count: int, seed: int) -> Group:
+def random_roster(spec: PolicySpec, count: int, seed: int) -> Roster:
     """Return randomly initialised policies whose actions depend on what they see."""
     # Not `vmap`: batches of QR factorisations, of which orthogonal initialisation is made, can
     # deadlock on two cores.
@@ -164,4 +177,4 @@ def random_group(spec: PolicySpec, count: int, seed: int) -> Group:
         )
         for i in range(count)
     )
-    return Group(spec, members, params)
+    return roster(spec, members, params)

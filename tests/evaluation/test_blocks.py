@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from evaluation import tables
-from evaluation.evaluator import PARTS_FOLDER, run_block, run_job
+from evaluation.blocks import run_block
+from evaluation.evaluator import PARTS_FOLDER, run_job
 from evaluation.locks import locked
 from tests.evaluation.matrix_game import MatrixGame
 from tests.evaluation.test_evaluator import make_job, mixed_job

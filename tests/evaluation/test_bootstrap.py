@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from evaluation import bootstrap
+from evaluation import bootstrap, tables
 from evaluation.bootstrap import Estimate
 
 
@@ -30,7 +30,7 @@ def coverage(
     figures = [figure(rng, seed) for seed in range(repetitions)]
     return {
         name: float(np.mean([holds(getattr(one, name), 0.0) for one in figures]))
-        for name in ("ci", "mean_ci")
+        for name in ("iqm_ci", "mean_ci")
     }
 
 
@@ -43,11 +43,18 @@ def test_the_interval_is_of_the_iqm_and_the_means_has_its_own():
     figure = bootstrap.estimate(scores)
     assert figure.iqm == pytest.approx(scipy.stats.trim_mean(scores.ravel(), 0.25))
     assert figure.mean == pytest.approx(scores.mean())
-    assert figure.ci is not None
+    assert figure.iqm_ci is not None
     assert figure.mean_ci is not None
-    assert figure.ci[0] < figure.iqm < figure.ci[1] < figure.mean < figure.mean_ci[1]
+    assert figure.iqm_ci[0] < figure.iqm < figure.iqm_ci[1] < figure.mean < figure.mean_ci[1]
     assert figure.n == 240
-    assert set(figure.to_json()) == {"mean", "iqm", "ci", "mean_ci", "n", "generalises_to"}
+    assert set(tables.to_json(figure)) == {
+        "mean",
+        "iqm",
+        "iqm_ci",
+        "mean_ci",
+        "n",
+        "generalises_to",
+    }
 
 
 def test_cluster_draws_equal_resampling_whole_seeds_then_partners():
@@ -81,7 +88,7 @@ def test_stratified_agrees_with_a_plain_loop():
         for _ in range(4000)
     ]
     figure = bootstrap.estimate(scores, method="stratified", resamples=4000)
-    assert figure.ci == pytest.approx(tuple(np.quantile(draws, (0.025, 0.975))), abs=0.03)
+    assert figure.iqm_ci == pytest.approx(tuple(np.quantile(draws, (0.025, 0.975))), abs=0.03)
 
 
 def test_the_same_seed_gives_the_same_interval_however_draws_are_chunked(
@@ -89,14 +96,15 @@ def test_the_same_seed_gives_the_same_interval_however_draws_are_chunked(
 ):
     scores = np.random.default_rng(0).normal(size=(5, 9))
     whole = {
-        method: bootstrap.estimate(scores, method=method, seed=4).ci for method in bootstrap.METHODS
+        method: bootstrap.estimate(scores, method=method, seed=4).iqm_ci
+        for method in bootstrap.METHODS
     }
     monkeypatch.setattr(bootstrap, "_ENTRIES_AT_ONCE", 700)
     for method in bootstrap.METHODS:
-        assert bootstrap.estimate(scores, method=method, seed=4).ci == pytest.approx(
+        assert bootstrap.estimate(scores, method=method, seed=4).iqm_ci == pytest.approx(
             whole[method], rel=1e-12
         )
-        assert bootstrap.estimate(scores, method=method, seed=5).ci != whole[method]
+        assert bootstrap.estimate(scores, method=method, seed=5).iqm_ci != whole[method]
 
 
 @pytest.mark.parametrize(
@@ -114,7 +122,7 @@ def test_every_figure_says_what_it_generalises_to(
 ):
     figure = bootstrap.estimate(np.random.default_rng(0).normal(size=shape), method=method)
     assert figure.generalises_to == generalises_to
-    assert (figure.ci is None) == (figure.mean_ci is None) == (generalises_to == "nothing")
+    assert (figure.iqm_ci is None) == (figure.mean_ci is None) == (generalises_to == "nothing")
 
 
 def test_of_a_single_seed_only_partners_are_resampled():
@@ -133,14 +141,6 @@ def test_wrong_use_is_refused():
         ValueError, match=r"shape \(2, 3, 4\); expected \[seeds, partners\].*episodes are not seeds"
     ):
         bootstrap.estimate(np.zeros((2, 3, 4)))
-    with pytest.raises(ValueError, match=r"returns has shape \(2, 3\); expected \[episodes\]"):
-        bootstrap.estimate_episodes(np.zeros((2, 3)))
-
-
-def test_episodes_of_one_pair_speak_about_episodes_alone():
-    figure = bootstrap.estimate_episodes(np.random.default_rng(0).normal(size=50))
-    assert figure.generalises_to == "episodes"
-    assert bootstrap.estimate_episodes(np.ones(1)) == Estimate(1.0, 1.0, None, None, 1, "nothing")
 
 
 def test_draws_on_the_same_resamples_subtract_to_a_paired_difference():
@@ -204,7 +204,7 @@ def test_few_seeds_are_covered_too_little_as_documented():
     def figure(rng: np.random.Generator, seed: int) -> Estimate:
         return bootstrap.estimate(crossed(rng, 3, 32, (1.0, 0.3, 0.3)), resamples=300, seed=seed)
 
-    assert 0.65 <= coverage(figure, 300)["ci"] <= 0.85
+    assert 0.65 <= coverage(figure, 300)["iqm_ci"] <= 0.85
 
 
 def test_planted_defect_episodes_resampled_as_seeds_are_caught():

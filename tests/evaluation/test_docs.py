@@ -65,7 +65,7 @@ def test_my_robot_against_the_zoo_in_ten_lines(
 def test_a_torch_module_is_called_with_what_torch_takes():
     """Observations are float32 arrays that own their memory: `torch.as_tensor` takes them as they are."""
     from evaluation.egos import call_ego
-    from evaluation.jobs import HostEgo, Member
+    from evaluation.roster import HostEgo
 
     seen: list[np.ndarray] = []
 
@@ -73,5 +73,5 @@ def test_a_torch_module_is_called_with_what_torch_takes():
         seen.append(obs)
         return np.zeros((len(obs), 7))
 
-    call_ego(HostEgo(Member("m", "x"), act), ["p"], 2, 7)(np.zeros((2, 34), np.float32), 0)
+    call_ego(HostEgo("m", act), ["p"], 2, 7)(np.zeros((2, 34), np.float32), 0)
     assert (seen[0].dtype, seen[0].shape, seen[0].flags.writeable) == (np.float32, (2, 34), True)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from evaluation.egos import EgoError, call_ego, read_egos
-from evaluation.jobs import Group, HostEgo, Member
+from evaluation.roster import HostEgo
 from population.spec import PolicySpec
+from population.stack import PolicyStack
 from zoo.errors import ZooError
 from zoo.registry import Registry
 from zoo.storage import write_policy_file
@@ -26,7 +27,7 @@ def params(value: float) -> dict[str, Any]:
 
 
 def act_of(answer: Any) -> Any:
-    ego = HostEgo(Member("python:m:f", "x"), lambda obs: answer)
+    ego = HostEgo("python:m:f", lambda obs: answer)
     return call_ego(ego, PARTNERS, episodes=2, action_size=2)
 
 
@@ -38,12 +39,13 @@ def test_files_of_one_spec_are_stacked_in_order(tmp_path: Path):
     paths = [str(tmp_path / f"{i}.safetensors") for i in range(2)]
     for path, value in zip(paths, (1.0, 2.0), strict=True):
         write_policy_file(path, SPEC, params(value))
-    (group,) = read_egos(paths, EMPTY, "scratch")
-    assert isinstance(group, Group)
-    assert [member.id for member in group.members] == paths
-    assert group.members[0].digest != group.members[1].digest
-    assert group.params["Dense_1"]["kernel"].shape == (2, 4, 2)
-    assert group.params["Dense_1"]["kernel"][1, 0, 0] == 2.0
+    egos = read_egos(paths, EMPTY, "scratch")
+    (stack,) = egos.stacks
+    assert isinstance(stack, PolicyStack)
+    assert list(stack.ids) == list(egos.members) == paths
+    assert len({member.digest for member in egos.members.values()}) == 2
+    assert stack.params["Dense_1"]["kernel"].shape == (2, 4, 2)
+    assert stack.params["Dense_1"]["kernel"][1, 0, 0] == 2.0
 
 
 def test_a_missing_file_is_a_zoo_error(tmp_path: Path):
@@ -86,11 +88,12 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def test_a_python_factory_of_the_working_folder_is_found(module: str):
-    (ego,) = read_egos([f"python:{module}:zero"], EMPTY, "scratch")
+    egos = read_egos([f"python:{module}:zero"], EMPTY, "scratch")
+    (ego,) = egos.stacks
     assert isinstance(ego, HostEgo)
     assert ego.act(np.zeros((4, 34), np.float32)).shape == (4, 7)
-    assert ego.member.id == f"python:{module}:zero"
-    assert ego.member.team is None
+    assert ego.id == f"python:{module}:zero"
+    assert egos.members[ego.id].team is None
 
 
 @pytest.mark.parametrize(
@@ -156,4 +159,4 @@ def test_an_exception_is_told_in_one_line():
     with pytest.raises(
         EgoError, match=r"step 0: ZeroDivisionError: two lines \(test_egos.py:\d+\)"
     ):
-        call_ego(HostEgo(Member("m", "x"), act), PARTNERS, 2, 2)(np.zeros((4, 3), np.float32), 0)
+        call_ego(HostEgo("m", act), PARTNERS, 2, 2)(np.zeros((4, 3), np.float32), 0)

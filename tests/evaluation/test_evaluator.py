@@ -13,23 +13,31 @@ import polars as pl
 import pytest
 
 from evaluation import tables
+from evaluation.blocks import run_block
 from evaluation.egos import EgoError
-from evaluation.evaluator import MANIFEST_FILE, PARTS_FOLDER, Progress, check_folder, run_job
-from evaluation.jobs import Group, HostEgo, Job, Member, plan, tile_shape
+from evaluation.evaluator import PARTS_FOLDER, check_folder, run_job
+from evaluation.jobs import Job, plan, tile_shape
+from evaluation.provenance import MANIFEST_FILE, file_sha256
+from evaluation.roster import HostEgo, Member, Roster
+from evaluation.runner import Progress
+from population.stack import PolicyStack
 from tests.evaluation.matrix_game import (
     HUMAN,
     PAYOFF,
     ROBOT,
     MatrixGame,
+    constant_params,
     humans,
-    random_group,
+    joined,
+    random_roster,
     robots,
+    roster,
 )
 
 
 def make_job(egos: Any = None, partners: Any = None, **changes: Any) -> Job:
-    egos = egos or (robots(-0.5, 0.5),)
-    partners = partners or (humans(-0.5, 0.5, -0.5, disabilities=("d1", "d2", "d3")),)
+    egos = egos or robots(-0.5, 0.5)
+    partners = partners or humans(-0.5, 0.5, -0.5, disabilities=("d1", "d2", "d3"))
     # Not "native", so that `max_envs` cuts even jobs as small as these: see test_invariance.py for
     # that backend.
     options: dict[str, Any] = {
@@ -44,15 +52,18 @@ def make_job(egos: Any = None, partners: Any = None, **changes: Any) -> Job:
 
 def mixed_job(**changes: Any) -> Job:
     """Egos of two specs, so that there are two pairs of groups."""
-    deep = _renamed(random_group(dataclasses.replace(ROBOT, hidden=(4, 4)), 2, 2), "deep")
-    return make_job((random_group(ROBOT, 3, 1), deep), (random_group(HUMAN, 5, 3),), **changes)
+    deep = _renamed(random_roster(dataclasses.replace(ROBOT, hidden=(4, 4)), 2, 2), "deep")
+    return make_job(joined(random_roster(ROBOT, 3, 1), deep), random_roster(HUMAN, 5, 3), **changes)
 
 
-def _renamed(group: Group, prefix: str) -> Group:
-    members = tuple(
-        dataclasses.replace(member, id=f"{prefix}/{member.id}") for member in group.members
-    )
-    return dataclasses.replace(group, members=members)
+def _renamed(roster: Roster, prefix: str) -> Roster:
+    members = {
+        f"{prefix}/{name}": dataclasses.replace(member, id=f"{prefix}/{name}")
+        for name, member in roster.members.items()
+    }
+    [stack] = roster.stacks
+    assert isinstance(stack, PolicyStack)
+    return Roster((dataclasses.replace(stack, ids=tuple(members)),), members)
 
 
 def test_crossplay_of_the_matrix_game_is_its_payoff_matrix(tmp_path: Path):
@@ -87,7 +98,7 @@ def test_chunk_size_does_not_change_a_value(tmp_path: Path, job: Job):
 
 
 def test_padded_chunks_drop_what_was_padded(tmp_path: Path):
-    job = make_job((random_group(ROBOT, 5, 1),), (random_group(HUMAN, 5, 3),), episodes=2)
+    job = make_job(random_roster(ROBOT, 5, 1), random_roster(HUMAN, 5, 3), episodes=2)
     chunks = plan(job, 8)
     assert any(tile.rows < np.prod(tile.shape) for chunk in chunks for tile in chunk.tiles)
     assert sum(chunk.rows for chunk in chunks) == job.rows == 50
@@ -124,15 +135,15 @@ def test_a_killed_run_resumes_to_the_same_file(tmp_path: Path):
         "from evaluation.evaluator import run_job\n"
         "from tests.evaluation.matrix_game import MatrixGame\n"
         "from tests.evaluation.test_evaluator import mixed_job\n"
-        "write, count = tables.write_parquet, 0\n"
-        "def deadly(table, path):\n"
+        "write, count = tables.write_bytes, 0\n"
+        "def deadly(data, path):\n"
         "    global count\n"
         "    count += 1\n"
-        "    if count == 3:\n"
+        "    if count == 4:\n"  # the manifest is the first
         "        path.with_name('.' + path.name).write_bytes(b'half')\n"
         "        os.kill(os.getpid(), signal.SIGKILL)\n"
-        "    write(table, path)\n"
-        "tables.write_parquet = deadly\n"
+        "    write(data, path)\n"
+        "tables.write_bytes = deadly\n"
         "run_job(MatrixGame(), mixed_job(), Path(sys.argv[1]), max_envs=7)\n"
     )
     killed = subprocess.run(
@@ -155,13 +166,78 @@ def test_a_killed_run_resumes_to_the_same_file(tmp_path: Path):
     assert not (tmp_path / "killed" / PARTS_FOLDER).exists()
 
 
-def test_a_damaged_part_is_simulated_again(tmp_path: Path):
-    job, whole = mixed_job(), run_job(MatrixGame(), mixed_job(), tmp_path / "whole", max_envs=7)
-    manifest = (tmp_path / "whole" / MANIFEST_FILE).read_text()
-    (tmp_path / "torn" / PARTS_FOLDER).mkdir(parents=True)
-    (tmp_path / "torn" / MANIFEST_FILE).write_text(manifest)
-    (tmp_path / "torn" / PARTS_FOLDER / "part-00002.parquet").write_bytes(b"PAR1 torn")
-    assert run_job(MatrixGame(), job, tmp_path / "torn").table.equals(whole.table)
+def unfinished(folder: Path) -> list[Path]:
+    """Leave the parts of a run that was stopped before they were merged, and return them."""
+    for i in (1, 2):
+        run_block(MatrixGame(), mixed_job(), folder, (i, 2), max_envs=7)
+    return sorted((folder / PARTS_FOLDER).glob("part-*"))
+
+
+@pytest.mark.parametrize("damage", ["torn", "bit", "column", "swapped", "emptied"])
+def test_a_damaged_part_is_simulated_again(tmp_path: Path, damage: str):
+    """Whatever is wrong with it: also a value that Parquet's reader takes for good."""
+    whole = run_job(MatrixGame(), mixed_job(), tmp_path / "whole", max_envs=7)
+    parts = unfinished(tmp_path / "torn")
+    data = bytearray(parts[2].read_bytes())
+    if damage == "bit":
+        data[len(data) // 3] ^= 1
+    elif damage == "column":
+        changed = pl.read_parquet(parts[2]).with_columns(pl.col("return") / 2)
+        data = bytearray(tables.parquet_bytes(changed))
+    elif damage == "swapped":
+        data = bytearray(parts[3].read_bytes())
+    else:
+        data = bytearray(b"PAR1 torn" if damage == "torn" else b"")
+    parts[2].write_bytes(bytes(data))
+    again = run_job(MatrixGame(), mixed_job(), tmp_path / "torn")
+    assert again.table.equals(whole.table)
+    assert again.env_steps_per_second is not None  # that part alone was simulated
+
+
+def test_undamaged_parts_are_not_simulated_again(tmp_path: Path):
+    """What the test above would miss: that everything is simulated again."""
+    unfinished(tmp_path)
+    assert run_job(MatrixGame(), mixed_job(), tmp_path).env_steps_per_second is None
+
+
+@pytest.mark.parametrize("damage", ["bit", "halved"])
+def test_a_damaged_table_is_not_taken_for_the_answer(tmp_path: Path, damage: str):
+    first = run_job(MatrixGame(), make_job(), tmp_path)
+    path = tmp_path / tables.EPISODES_FILE
+    data = bytearray(path.read_bytes())
+    if damage == "bit":
+        data[len(data) // 2] ^= 4
+    else:
+        data = bytearray(tables.parquet_bytes(first.table.with_columns(pl.col("return") / 2)))
+    path.write_bytes(bytes(data))
+    again = run_job(MatrixGame(), make_job(), tmp_path)
+    assert again.table.equals(first.table)
+    assert again.env_steps_per_second is not None
+
+
+def test_a_manifest_that_was_changed_is_refused(tmp_path: Path):
+    run_job(MatrixGame(), make_job(), tmp_path)
+    path = tmp_path / MANIFEST_FILE
+    path.write_text(path.read_text().replace('"seed": 0', '"seed": 1'))
+    with pytest.raises(ValueError, match="changed after it was written"):
+        run_job(MatrixGame(), make_job(seed=1), tmp_path)
+
+
+def test_code_whose_dependencies_are_unknown_is_played_again(tmp_path: Path):
+    """Its source is the same, but a file of weights that it reads may not be."""
+    weights = -0.5
+
+    def act(obs: np.ndarray) -> np.ndarray:
+        return np.full((len(obs), 2), weights)
+
+    job = make_job(host(act, reusable=False))
+    first = run_job(MatrixGame(), job, tmp_path)
+    weights = 0.5
+    second = run_job(MatrixGame(), job, tmp_path)
+    assert second.env_steps_per_second is not None
+    assert not second.table["return"].equals(first.table["return"])
+    weights = -0.5
+    assert run_job(MatrixGame(), job, tmp_path, reuse=True).table.equals(second.table)
 
 
 def test_a_finished_folder_is_read_not_run_again(tmp_path: Path):
@@ -177,9 +253,9 @@ def test_a_finished_folder_is_read_not_run_again(tmp_path: Path):
     [
         ({"episodes": 4}, "episodes 3 there, 4 here"),
         ({"seed": 1}, "seed 0 there, 1 here"),
-        ({"egos": (robots(-0.5, 0.25),)}, "other egos"),
+        ({"egos": robots(-0.5, 0.25)}, "other egos"),
         (
-            {"partners": (humans(-0.5, 0.5, -0.5, disabilities=("d1", "d2", "d4")),)},
+            {"partners": humans(-0.5, 0.5, -0.5, disabilities=("d1", "d2", "d4"))},
             "other partners",
         ),
     ],
@@ -208,9 +284,9 @@ def test_a_folder_that_cannot_be_written_is_found_before_the_run(tmp_path: Path)
     [
         ({"episodes": 0}, "episodes is 0"),
         ({"seed": -1}, "seed is -1"),
-        ({"egos": ((robots(0.5), robots(0.5)))}, "given 2 times"),
+        ({"egos": joined(robots(0.5), robots(0.5))}, "given 2 times"),
         (
-            {"partners": (dataclasses.replace(humans(0.5), members=(Member("x", "y"),)),)},
+            {"partners": roster(HUMAN, (Member("x", "y"),), constant_params(HUMAN, [0.5]))},
             "no disability setting",
         ),
     ],
@@ -226,14 +302,14 @@ def test_max_envs_below_one_is_refused(tmp_path: Path):
 
 
 def test_policies_of_another_task_or_seat_are_refused(tmp_path: Path):
-    other = random_group(dataclasses.replace(ROBOT, observation_size=47), 1, 0)
+    other = random_roster(dataclasses.replace(ROBOT, observation_size=47), 1, 0)
     with pytest.raises(
         ValueError,
         match=r"observations of 47 numbers; the robot of task matrix has 3: .*another task",
     ):
-        run_job(MatrixGame(), make_job((other,)), tmp_path)
+        run_job(MatrixGame(), make_job(other), tmp_path)
     with pytest.raises(ValueError, match="is a human policy; the ego is the robot"):
-        run_job(MatrixGame(), make_job((humans(0.5),)), tmp_path)
+        run_job(MatrixGame(), make_job(humans(0.5)), tmp_path)
 
 
 class Counting:
@@ -254,13 +330,16 @@ class Counting:
         return np.full((len(obs), 2), 0.5 if self.seen > 2 else -0.5)
 
 
-def host(act: Any) -> HostEgo:
-    return HostEgo(Member("python:mine:robot", "source"), act)
+def host(act: Any, reusable: bool = True) -> Roster:
+    member = Member("python:mine:robot", "source", reusable=reusable)
+    return Roster((HostEgo(member.id, act),), {member.id: member})
 
 
 def test_a_stateful_host_ego_is_reset_at_episode_starts(tmp_path: Path):
     ego = Counting()
-    table = run_job(MatrixGame(), make_job((host(ego), robots(-0.5))), tmp_path, max_envs=6).table
+    table = run_job(
+        MatrixGame(), make_job(joined(host(ego), robots(-0.5))), tmp_path, max_envs=6
+    ).table
     assert ego.batches == [6, 6]
     mine = table.filter(pl.col("ego") == "python:mine:robot")
     assert mine["ego_team"].null_count() == mine.height == 9
@@ -281,10 +360,10 @@ def test_errors_of_a_host_ego_name_partner_and_step_and_keep_chunks(tmp_path: Pa
     with pytest.raises(
         EgoError, match=r"python:mine:robot with matrix/.*s1-v0/human, step 2: RuntimeError: boom"
     ):
-        run_job(MatrixGame(), make_job((host(breaks),)), tmp_path, max_envs=3)
+        run_job(MatrixGame(), make_job(host(breaks)), tmp_path, max_envs=3)
     assert len(list((tmp_path / PARTS_FOLDER).glob("part-*"))) == 1
     finished = run_job(
-        MatrixGame(), make_job((host(lambda obs: np.zeros((len(obs), 2))),)), tmp_path, max_envs=3
+        MatrixGame(), make_job(host(lambda obs: np.zeros((len(obs), 2)))), tmp_path, max_envs=3
     )
     assert finished.table.height == 9
 
@@ -308,6 +387,9 @@ def test_memory_that_runs_out_is_told_and_smaller_chunks_then_go_on(
 def test_the_manifest_tells_what_was_run(tmp_path: Path):
     run_job(MatrixGame(), make_job(), tmp_path)
     manifest = json.loads((tmp_path / MANIFEST_FILE).read_text())
-    assert manifest["partners"][1][:2] == ["matrix/hand-d2-s1-v0/human", "d2"]
-    assert manifest["episodes"] == 3
+    identity = manifest["identity"]
+    assert identity["partners"][1][:2] == ["matrix/hand-d2-s1-v0/human", "d2"]
+    assert identity["episodes"] == 3
     assert len(manifest["job"]) == 64
+    assert manifest["files"] == {tables.EPISODES_FILE: file_sha256(tmp_path / tables.EPISODES_FILE)}
+    assert {"processor", "versions"} <= set(manifest["made_with"])

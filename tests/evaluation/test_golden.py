@@ -13,21 +13,15 @@ import pytest
 
 from assistax_envs import make
 from evaluation import tables
-from evaluation.egos import registry_groups
 from evaluation.evaluator import run_job
 from evaluation.jobs import Job
+from evaluation.provenance import processor
+from evaluation.roster import registry_roster
 from evaluation.studies import Settings, cross_play, evaluate_policies
 from zoo.registry import load_registry
 
 GOLDEN = Path(__file__).parent / "golden"
 MADE_WITH = json.loads((GOLDEN / "made_with.json").read_text())
-
-
-def processor() -> str:
-    """Return the processor's name as Linux tells it."""
-    told = Path("/proc/cpuinfo")
-    lines = told.read_text().splitlines() if told.is_file() else []
-    return next((line.partition(": ")[2] for line in lines if line.startswith("model name")), "")
 
 
 def same_machine() -> bool:
@@ -86,7 +80,7 @@ def test_a_crossplay_with_drawn_actions(tmp_path: Path):
 def test_self_play_of_teams(tmp_path: Path):
     registry = load_registry()
     robots, humans = (
-        registry_groups(registry, registry.select("arm_assist/[im]*ppo-d1-s[01]-v1", role=role))
+        registry_roster(registry, registry.select("arm_assist/[im]*ppo-d1-s[01]-v1", role=role))
         for role in ("robot", "human")
     )
     job = Job("arm_assist", 1, "native", robots, humans, episodes=2, seed=3, paired=True)

@@ -16,9 +16,10 @@ import pytest
 
 from assistax_envs import Env, make
 from evaluation import jobs, rollout, tables
-from evaluation.egos import registry_groups
-from evaluation.evaluator import _in_order, run_block, run_job  # noqa: F401 (scripts of subprocesses use them)
-from evaluation.jobs import HostEgo, Job, Member, plan
+from evaluation.blocks import run_block  # noqa: F401 (scripts of subprocesses use it)
+from evaluation.evaluator import in_order
+from evaluation.jobs import Job, plan
+from evaluation.roster import HostEgo, Member, Roster, registry_roster
 from evaluation.runner import Runner
 from zoo.registry import load_registry
 
@@ -42,7 +43,7 @@ def scratch(length: int) -> Env:
 def real_job(sizes: tuple[int, int, int] = SIZES, **changes: Any) -> Job:
     registry = load_registry()
     egos, partners = (
-        registry_groups(
+        registry_roster(
             registry, registry.select("scratch/ippo-*", role=role, release="v1")[:count]
         )
         for role, count in zip(("robot", "human"), sizes, strict=False)
@@ -57,7 +58,7 @@ def played(
     """Return the episode table of a job in memory; compiles nothing that `runner` has compiled."""
     parts: list[pl.DataFrame] = []
     runner.run(order(plan(job, max_envs)), lambda chunk, rows: parts.append(rows))
-    return _in_order(pl.concat(parts), job)
+    return in_order(pl.concat(parts), job)
 
 
 def differing(one: pl.DataFrame, other: pl.DataFrame) -> int:
@@ -121,7 +122,9 @@ def test_batches_of_a_robot_from_outside_are_the_jobs_own():
         sizes.append(len(obs))
         return np.tanh(obs[:, :7])
 
-    job = real_job((1, 30, 5), egos=(HostEgo(Member("python:mine:robot", "source"), act),))
+    member = Member("python:mine:robot", "source")
+    mine = Roster((HostEgo(member.id, act),), {member.id: member})
+    job = real_job((1, 30, 5), egos=mine)
     runner = Runner(scratch(10), job)
     whole = played(runner, job, 2048)
     assert differing(played(runner, job, 1, lambda chunks: chunks[::-1]), whole) == 0
@@ -149,11 +152,12 @@ BLOCKS = (
 ) + WHOLE
 KILLED = (
     "import os, signal\n"
-    "write = tables.write_parquet\n"
-    "def deadly(table, path):\n"
-    "    write(table, path)\n"
-    "    os.kill(os.getpid(), signal.SIGKILL)\n"
-    "tables.write_parquet = deadly\n"
+    "write = tables.write_bytes\n"
+    "def deadly(data, path):\n"
+    "    write(data, path)\n"
+    "    if 'part-' in path.name:\n"
+    "        os.kill(os.getpid(), signal.SIGKILL)\n"
+    "tables.write_bytes = deadly\n"
 ) + WHOLE
 DEVICES = "assert len(jax.local_devices()) == 2\n" + WHOLE
 

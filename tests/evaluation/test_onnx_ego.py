@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from evaluation.egos import EgoError, call_ego, read_egos
-from evaluation.jobs import HostEgo
+from evaluation.roster import HostEgo, Member
 from population.onnx_export import to_onnx
 from population.policy import Policy
 from population.spec import PolicySpec
@@ -25,9 +25,14 @@ GRU = PolicySpec("robot", 5, 2, "gru", hidden=(8, 4))
 
 
 def load(path: Path) -> HostEgo:
-    (ego,) = read_egos([f"onnx:{path}"], EMPTY, "scratch")
+    (ego,) = read_egos([f"onnx:{path}"], EMPTY, "scratch").stacks
     assert isinstance(ego, HostEgo)
     return ego
+
+
+def described(path: Path) -> Member:
+    [member] = read_egos([f"onnx:{path}"], EMPTY, "scratch").members.values()
+    return member
 
 
 def write(path: Path, spec: PolicySpec) -> Any:
@@ -53,12 +58,12 @@ def test_two_episodes_are_those_of_the_policy(tmp_path: Path, spec: PolicySpec) 
 
 def test_its_digest_is_that_of_its_bytes(tmp_path: Path) -> None:
     write(tmp_path / "robot.onnx", MLP)
-    one = load(tmp_path / "robot.onnx").member
+    one = described(tmp_path / "robot.onnx")
     assert one.id == f"onnx:{tmp_path / 'robot.onnx'}"
     (tmp_path / "other.onnx").write_bytes(
         (tmp_path / "robot.onnx").read_bytes().replace(b"assistax-zoo", b"assistax_zoo")
     )
-    assert load(tmp_path / "other.onnx").member.digest != one.digest
+    assert described(tmp_path / "other.onnx").digest != one.digest
 
 
 def test_a_wrong_width_is_told(tmp_path: Path) -> None:

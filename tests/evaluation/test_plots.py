@@ -16,7 +16,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from evaluation import summary, tables
+from evaluation import derived, summary, tables
 from evaluation.plots import style
 from evaluation.plots.bars import disability_points, zsc_bars
 from evaluation.plots.heatmap import crossplay_heatmap
@@ -56,8 +56,8 @@ def saved(
     table = episode_table(
         clustered_matrix(len(population), clusters)[:, :, None], population, population
     )
-    pairs, order = summary.crossplay_matrix(table)
-    return pairs, order, summary.summarise_crossplay(table, **CONTEXT)
+    pairs, order = derived.crossplay_matrix(table)
+    return pairs, order, tables.to_json(summary.summarise_crossplay(table, CONTEXT))
 
 
 def draw(population: list[Team], how: Any = None, clusters: int = 3) -> tuple[Matrix, Figure]:
@@ -224,9 +224,10 @@ def test_a_small_matrix_shows_its_numbers_with_self_play_in_bold():
 
 def test_an_outsider_is_drawn_without_self_play():
     table = episode_table(np.arange(20.0).reshape(1, 20, 1), ["my robot"], teams(20))
-    pairs, order = summary.crossplay_matrix(table)
+    pairs, order = derived.crossplay_matrix(table)
     matrix = arrange(pairs, order)
-    figure = crossplay_heatmap(matrix, summary.summarise_crossplay(table, **CONTEXT))
+    told = tables.to_json(summary.summarise_crossplay(table, CONTEXT))
+    figure = crossplay_heatmap(matrix, told)
     assert not matrix.self_play.any()
     assert "from outside the zoo" in texts(figure)
     with pytest.raises(
@@ -305,14 +306,16 @@ def evaluations() -> dict[str, dict[str, Any]]:
     partners = teams(8, ("ippo",), ("d1", "d9"))
     sides = ["test", "train", "train", "test"] * 2
     return {
-        name: summary.summarise_evaluation(
-            episode_table(
-                rng.normal(500, 50, (egos, 8, 2)),
-                [f"{name}{i}" for i in range(egos)],
-                partners,
-                sides,
-            ),
-            **CONTEXT,
+        name: tables.to_json(
+            summary.summarise_evaluation(
+                episode_table(
+                    rng.normal(500, 50, (egos, 8, 2)),
+                    [f"{name}{i}" for i in range(egos)],
+                    partners,
+                    sides,
+                ),
+                CONTEXT,
+            )
         )
         for name, egos in (("ppo", 3), ("fcp", 1))
     }
@@ -328,7 +331,7 @@ def test_bars_are_as_high_as_the_iqm_and_whiskers_as_long_as_the_interval():
     )
     whiskers = sorted(tuple(line.get_ydata()) for line in axes.lines if len(line.get_ydata()) == 2)
     expected = sorted(
-        tuple(one[key]["ci"]) for one in found.values() for key in ("m_test", "m_train")
+        tuple(one[key]["iqm_ci"]) for one in found.values() for key in ("m_test", "m_train")
     )
     np.testing.assert_allclose([pair for pair in whiskers if pair != (0, 0)], expected)
     written = " ".join("\n".join(texts(figure)).split())

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from evaluation.egos import EgoError, call_ego, read_egos
-from evaluation.jobs import HostEgo, Member
 from evaluation.policy_process import PolicyProcess
+from evaluation.roster import HostEgo
 from zoo.registry import Registry
 
 EMPTY = Registry(data=cast(Any, None), path=Path("registry.json"), policies=[])
@@ -31,7 +31,7 @@ def write(path: Path, text: str) -> None:
 
 
 def read(reference: str) -> HostEgo:
-    (ego,) = read_egos([reference], EMPTY, "scratch")
+    (ego,) = read_egos([reference], EMPTY, "scratch").stacks
     assert isinstance(ego, HostEgo)
     return ego
 
@@ -60,7 +60,7 @@ def test_a_package_and_arguments(folder: Path) -> None:
 
 
 def digest(reference: str) -> tuple[str, bool]:
-    member = read(reference).member
+    [member] = read_egos([reference], EMPTY, "scratch").members.values()
     return member.digest, member.reusable
 
 
@@ -131,7 +131,7 @@ def test_a_robot_of_this_process_does_not_end_it_either(error: BaseException) ->
         raise error
 
     with pytest.raises(EgoError, match=f"step 0: {type(error).__name__}"):
-        ask(HostEgo(Member("m", "x"), act))
+        ask(HostEgo("m", act))
 
 
 def test_what_it_prints_is_not_read_as_an_answer(

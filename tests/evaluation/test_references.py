@@ -6,29 +6,35 @@ import numpy as np
 import polars as pl
 import pytest
 
-from evaluation import references
+from evaluation import tables
 from evaluation.evaluator import run_job
-from evaluation.jobs import Group, Job, ReferenceSpec
-from evaluation.reference_egos import RANDOM, ZERO, ReferencePolicy
-from evaluation.references import (
+from evaluation.jobs import Job
+from evaluation.reference_policy import ReferencePolicy
+from evaluation.references import play_references
+from evaluation.relative import (
+    COLUMN,
     CROSS_PLAY,
     NONE,
+    RANDOM,
     SELF_PLAY,
+    ZERO,
+    BoundsUsed,
+    WorstRegret,
     bounds_table,
-    play_references,
     summarise_references,
 )
+from evaluation.roster import ReferenceSpec, Roster
 from tests.evaluation.episode_tables import Team, episode_table, team_id, teams
-from tests.evaluation.matrix_game import HUMAN, ROBOT, MatrixGame, humans, random_group, robots
+from tests.evaluation.matrix_game import HUMAN, ROBOT, MatrixGame, humans, random_roster, robots
 
 
-def job_of(egos: Group, partners: Group, **options: Any) -> Job:
-    return Job("matrix", 1, "native", (egos,), (partners,), episodes=3, **options)
+def job_of(egos: Roster, partners: Roster, **options: Any) -> Job:
+    return Job("matrix", 1, "native", egos, partners, episodes=3, **options)
 
 
 @pytest.mark.parametrize("stochastic", [False, True])
 def test_own_robots_earn_what_the_diagonal_of_the_matrix_has(tmp_path: Path, stochastic: bool):
-    egos, partners = random_group(ROBOT, 5, 1), random_group(HUMAN, 5, 2)
+    egos, partners = random_roster(ROBOT, 5, 1), random_roster(HUMAN, 5, 2)
     whole = run_job(
         MatrixGame(), job_of(egos, partners, stochastic=stochastic), tmp_path / "all"
     ).table
@@ -47,7 +53,7 @@ def test_pairs_need_as_many_robots_as_humans():
 
 
 def test_random_actions_are_uniform_and_depend_on_nothing_but_the_observation():
-    policy = ReferencePolicy(ReferenceSpec(observation_size=5, action_size=3))
+    policy = ReferencePolicy(ReferenceSpec("robot", 5, 3))
     obs = jnp.asarray(np.random.default_rng(0).normal(size=(4000, 5)).astype(np.float32))
     first = jnp.zeros(len(obs), bool)
     _, actions = policy.act({"amplitude": jnp.float32(1.0)}, (), obs, first)
@@ -63,7 +69,7 @@ def test_random_actions_are_uniform_and_depend_on_nothing_but_the_observation():
 
 
 def test_references_are_played_once_for_all_policies(tmp_path: Path):
-    own = [(robots(-0.5, 0.5), humans(-0.5, 0.5))]
+    own = robots(-0.5, 0.5), humans(-0.5, 0.5)
     seen: list[str] = []
     options: dict[str, Any] = {
         "on_progress": lambda state: seen.append(f"{state.what} {state.total}")
@@ -71,7 +77,7 @@ def test_references_are_played_once_for_all_policies(tmp_path: Path):
     one = play_references(
         MatrixGame(), job_of(robots(0.3), humans(-0.5, 0.5)), own, tmp_path, **options
     )
-    assert one.group_by(references.COLUMN).len().sort(references.COLUMN).rows() == [
+    assert one.group_by(COLUMN).len().sort(COLUMN).rows() == [
         (SELF_PLAY, 6),
         (RANDOM, 6),
         (ZERO, 6),
@@ -83,6 +89,20 @@ def test_references_are_played_once_for_all_policies(tmp_path: Path):
     )
     assert again.equals(one)
     assert set(seen) == {"reference egos 0"}
+
+
+@pytest.mark.parametrize("file", [tables.EPISODES_FILE, "manifest.json"])
+def test_kept_references_that_are_damaged_are_played_again(tmp_path: Path, file: str):
+    """Halved, they would double every figure relative to them."""
+    job = job_of(robots(0.3), humans(-0.5, 0.5))
+    first = play_references(MatrixGame(), job, None, tmp_path)
+    [path] = tmp_path.glob(f"*/{file}")
+    if file == tables.EPISODES_FILE:
+        halved = pl.read_parquet(path).with_columns(pl.col("return") / 2)
+        path.write_bytes(tables.parquet_bytes(halved))
+    else:
+        path.write_text(path.read_text().replace("a", "b", 1))
+    assert play_references(MatrixGame(), job, None, tmp_path).equals(first)
 
 
 PARTNERS: list[Team] = teams(4)
@@ -139,32 +159,25 @@ def test_relative_figures_leave_out_and_name_the_unscorable():
         np.array([[25.0, 90.0, 7.0, 7.0]])[..., None], ["mine"], PARTNERS, ["test"] * 4
     )
     reference = played([0, 0, 10, 10], [50, 50, 5, None])
-    found = summarise_references(table, reference, bounds_table(reference, crossplay_pairs()))
-    relative = found["relative"]
-    assert relative["normalised_return"]["mean"] == pytest.approx((25 / 50 + 90 / 90) / 2)
-    assert relative["br_prox"]["n"] == 2
-    assert relative["regret"]["mean"] == pytest.approx(12.5)
-    assert relative["worst_regret"] == {"partner": f"{team_id(PARTNERS[0])}/human", "regret": 25.0}
-    assert relative["coverage"]["value"] == 0.5
-    assert relative["unscorable"] == [f"{team_id(team)}/human" for team in PARTNERS[2:]]
-    assert relative["bounds"] == {
-        "low": ZERO,
-        "best": {CROSS_PLAY: 1, NONE: 1, SELF_PLAY: 2},
-        "episodes": 2,
-    }
-    assert found["references"]["zero_action"]["mean"] == 5.0
-    assert found["references"]["uniform_random"] is None
+    played_by, relative = summarise_references(
+        table, reference, bounds_table(reference, crossplay_pairs())
+    )
+    assert relative.normalised_return and relative.br_prox and relative.regret
+    assert relative.coverage and played_by.zero_action
+    assert relative.normalised_return.mean == pytest.approx((25 / 50 + 90 / 90) / 2)
+    assert relative.br_prox.n == 2
+    assert relative.regret.mean == pytest.approx(12.5)
+    assert relative.worst_regret == WorstRegret(f"{team_id(PARTNERS[0])}/human", 25.0)
+    assert relative.coverage.value == 0.5
+    assert relative.unscorable == tuple(f"{team_id(team)}/human" for team in PARTNERS[2:])
+    assert relative.bounds == BoundsUsed(ZERO, {CROSS_PLAY: 1, NONE: 1, SELF_PLAY: 2}, 2)
+    assert played_by.zero_action.mean == 5.0
+    assert played_by.uniform_random is None
 
 
 def test_without_any_scorable_partner_there_is_no_figure():
     table = episode_table(np.ones((1, 4, 1)), ["mine"], PARTNERS, ["test"] * 4)
     reference = played([10] * 4, [None] * 4)
-    relative = summarise_references(table, reference, bounds_table(reference))["relative"]
-    assert (
-        relative["br_prox"]
-        is relative["coverage"]
-        is relative["regret"]
-        is relative["worst_regret"]
-        is None
-    )
-    assert len(relative["unscorable"]) == 4
+    relative = summarise_references(table, reference, bounds_table(reference))[1]
+    assert relative.br_prox is relative.coverage is relative.regret is relative.worst_regret is None
+    assert len(relative.unscorable) == 4

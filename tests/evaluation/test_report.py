@@ -5,13 +5,12 @@ import re
 import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlencode
 
 import numpy as np
 import pytest
 
-from evaluation import references, summary, tables
+from evaluation import derived, relative, tables
 from evaluation.provenance import write_run
 from evaluation.report import write_report
 from evaluation.report.html import embedded
@@ -30,9 +29,9 @@ def crossplay(tmp_path_factory: pytest.TempPathFactory) -> Path:
     table = episode_table(
         clustered_matrix(12, 3)[:, :, None] + np.array([-1.0, 1.0]), population, population
     )
-    context: dict[str, Any] = CONTEXT
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
-    write_run(folder, COMMAND, summary.save_crossplay(folder, table, **context))
+    derived.save_crossplay(folder, table, CONTEXT)
+    write_run(folder, COMMAND, simulated=True)
     return folder
 
 
@@ -45,14 +44,10 @@ def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Path:
         np.random.default_rng(0).normal(500, 50, (2, 6, 2)), [HOSTILE, "b"], partners, sides
     )
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
-    context: dict[str, Any] = CONTEXT
-    found = summary.save_evaluation(folder, table, **context)
     low = episode_table(np.full((1, 6, 2), 10.0), ["zero-action"], partners, sides)
-    bounds = references.bounds_table(played := low.with_columns(reference=low["ego"]))
-    tables.write_parquet(bounds, folder / tables.BOUNDS_FILE)
-    found |= references.summarise_references(table, played, bounds)
-    tables.write_json(found, folder / tables.SUMMARY_FILE)
-    write_run(folder, COMMAND, found)
+    bounds = relative.bounds_table(played := low.with_columns(reference=low["ego"]))
+    derived.save_evaluation(folder, table, CONTEXT, references=(played, bounds))
+    write_run(folder, COMMAND, simulated=True)
     return folder
 
 

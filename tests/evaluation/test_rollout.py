@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from assistax_envs import disability_params
-from evaluation.rollout import GAMMA, Rollout, Tally, _start, episode_seeds, segment_length
+from evaluation.jobs import episode_seeds
+from evaluation.rollout import GAMMA, Rollout, Tally, _start, segment_length
+from evaluation.roster import Roster
 from population.policy import Policy
 from population.spec import PolicySpec
+from population.stack import PolicyStack
 from tests.evaluation.matrix_game import (
     GRU,
     HUMAN,
@@ -17,18 +20,29 @@ from tests.evaluation.matrix_game import (
     ROBOT,
     MatrixGame,
     humans,
-    random_group,
+    random_roster,
     robots,
 )
 
 SETTINGS = ["d1", "d2", "d3"]
 
 
+def stack_of(roster: Roster) -> PolicyStack:
+    [stack] = roster.stacks
+    assert isinstance(stack, PolicyStack)
+    return stack
+
+
+def disabilities(roster: Roster) -> list[str]:
+    return [str(member.disability) for member in roster.describe(roster.ids)]
+
+
 def play(
-    robot: Any, human: Any, episodes: int = 3, env: MatrixGame | None = None, **options: Any
+    robots: Roster, humans: Roster, episodes: int = 3, env: MatrixGame | None = None, **options: Any
 ) -> Tally:
+    robot, human = stack_of(robots), stack_of(humans)
     rollout = Rollout(env or MatrixGame(), Policy(robot.spec), Policy(human.spec), **options)
-    settings = [member.disability for member in human.members]
+    settings = disabilities(humans)
     return rollout.run(
         robot.params, human.params, disability_params(settings), episode_seeds(7, range(episodes))
     )
@@ -116,18 +130,19 @@ def test_a_broken_episode_earns_nothing_from_then_on_and_is_marked():
     np.testing.assert_allclose(tally.force_peak, 2.5)
 
 
-def row_of(group: Any, row: int) -> Any:
-    return jax.tree.map(lambda leaf: leaf[row], group.params)
+def row_of(roster: Roster, row: int) -> Any:
+    return stack_of(roster).row(row)
 
 
 @pytest.mark.parametrize("spec", [ROBOT, GRU], ids=["mlp", "gru"])
 def test_a_block_is_what_each_pair_gives_alone(spec: PolicySpec):
     """Oracle: a loop over pairs, episodes and steps with one policy at a time."""
     env, seeds = MatrixGame(), episode_seeds(5, range(2))
-    robot, human = random_group(spec, 2, 1), random_group(HUMAN, 3, 2)
+    robot, human = random_roster(spec, 2, 1), random_roster(HUMAN, 3, 2)
     rollout = Rollout(env, Policy(spec), Policy(HUMAN))
-    settings = disability_params([str(member.disability) for member in human.members])
-    block = rollout.run(robot.params, human.params, settings, seeds)
+    settings = disability_params(disabilities(human))
+    params = stack_of(robot).params, stack_of(human).params
+    block = rollout.run(*params, settings, seeds)
     for e, p, k in np.ndindex(block.returns.shape):
         mine, theirs = row_of(robot, e), row_of(human, p)
         state = env.reset(
@@ -179,13 +194,12 @@ def test_segments_divide_the_episode():
 @pytest.mark.parametrize("stochastic", [False, True])
 def test_values_do_not_depend_on_the_block(stochastic: bool):
     wide = PolicySpec("robot", observation_size=3, action_size=2, hidden=(64, 64), normalise=True)
-    robot, human = random_group(wide, 3, 1), random_group(HUMAN, 5, 2)
+    robot, human = random_roster(wide, 3, 1), random_roster(HUMAN, 5, 2)
     whole = play(robot, human, episodes=2, stochastic=stochastic)
     rollout = Rollout(MatrixGame(), Policy(wide), Policy(HUMAN), stochastic=stochastic)
     for e, p, k in np.ndindex(3, 5, 2):
         mine, theirs = (
-            jax.tree.map(lambda leaf: leaf[None], row_of(group, row))
-            for group, row in ((robot, e), (human, p))
+            stack_of(roster).take([row]).params for roster, row in ((robot, e), (human, p))
         )
         alone = rollout.run(
             mine, theirs, disability_params([f"d{1 + p}"]), episode_seeds(7, range(k, k + 1))
@@ -212,18 +226,19 @@ def parameters_per_simulation(program: Any, simulations: int, kernel: int) -> li
 
 def test_no_simulation_has_parameters_of_its_own():
     wide = PolicySpec("robot", observation_size=3, action_size=2, hidden=(64, 64), normalise=False)
-    robot, human, shape = random_group(wide, 2, 1), random_group(HUMAN, 3, 2), (2, 3, 50)
+    robot, human, shape = random_roster(wide, 2, 1), random_roster(HUMAN, 3, 2), (2, 3, 50)
     rollout = Rollout(MatrixGame(), Policy(wide), Policy(HUMAN))
     keys = jax.vmap(jax.random.key)(jnp.arange(50))
     settings = disability_params(SETTINGS)
     loop = rollout._start(settings, keys, shape=shape)
     program = jax.make_jaxpr(lambda *a: rollout._advance(*a, None, np.int32(1), shape=shape))(
-        loop, robot.params, human.params, keys
+        loop, stack_of(robot).params, stack_of(human).params, keys
     )
     assert parameters_per_simulation(program.jaxpr, 300, 64 * 64) == []
 
     def gathered(obs: jax.Array, kernels: jax.Array) -> jax.Array:
         return jnp.einsum("no,noh->nh", obs, kernels[jnp.arange(300) // 150])
 
-    planted = jax.make_jaxpr(gathered)(jnp.zeros((300, 64)), robot.params["Dense_1"]["kernel"])
+    kernels = stack_of(robot).params["Dense_1"]["kernel"]
+    planted = jax.make_jaxpr(gathered)(jnp.zeros((300, 64)), kernels)
     assert parameters_per_simulation(planted.jaxpr, 300, 64 * 64) != []

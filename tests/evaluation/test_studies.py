@@ -36,7 +36,7 @@ def test_partners_bring_the_default_split_of_their_release() -> None:
     registry = load_registry()
     newest, test = choose_partners(registry, "scratch", None, None)
     assert newest.release == registry.release and {entry.team for entry in test} == set(newest.test)
-    older, both = choose_partners(registry, "scratch", None, "scratch/ippo-d1-s?-v0/human")
+    older, both = choose_partners(registry, "scratch", "both", "scratch/ippo-d1-s?-v0/human")
     assert older == registry.split("scratch", release="v0") and len(both) == 8
     assert (
         choose_partners(registry, "scratch", "train", "scratch/ippo-d1-*")[0] == newest
@@ -46,3 +46,25 @@ def test_partners_bring_the_default_split_of_their_release() -> None:
         match=r"none of the 8 partners that match is on the train or test side of .*half-s0-v1",
     ):
         choose_partners(registry, "scratch", "half-s0-v1:both", "scratch/ippo-d1-*-v0")
+
+
+@pytest.mark.parametrize("side", ["test", "train"])
+def test_a_glob_over_partners_keeps_to_the_side_that_was_asked_for(side: str) -> None:
+    registry = load_registry()
+    glob = "scratch/ippo-d1-s?-v0/human"
+    split, chosen = choose_partners(registry, "scratch", side, glob)
+    assert 0 < len(chosen) < 8
+    assert {split.side(entry.team) for entry in chosen} == {side}
+    if side == "test":  # which is what is meant where no side is named
+        assert choose_partners(registry, "scratch", None, glob) == (split, chosen)
+    other = split.train if side == "test" else split.test
+    with pytest.raises(
+        ValueError, match=f"none of the 1 partners that match is on the {side} side"
+    ):
+        choose_partners(registry, "scratch", side, f"{other[0]}/human")
+
+
+@pytest.mark.parametrize(("split", "near"), [("tset", "test"), ("half-s0-v2", "half-s0")])
+def test_a_split_that_is_not_there_is_told_with_its_nearest_names(split: str, near: str) -> None:
+    with pytest.raises(ValueError, match=rf"split '{split}' is neither a side .*nearest: .*{near}"):
+        choose_partners(load_registry(), "scratch", split, None)

@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from evaluation import summary, tables
+from evaluation import derived, summary, tables
 from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, team_id, teams
 
 PARTNERS = teams(12, ("ippo", "isac"), ("d1", "d9"))
@@ -18,9 +18,14 @@ def evaluation_table(egos: int = 3, k: int = 4) -> pl.DataFrame:
     return episode_table(returns, teams(egos), PARTNERS, SIDES)
 
 
+def summarised(table: pl.DataFrame) -> dict[str, Any]:
+    """Return the summary of an evaluation as it is written."""
+    return tables.to_json(summary.summarise_evaluation(table, CONTEXT))
+
+
 def test_evaluation_has_the_promised_figures_and_is_json():
     table = evaluation_table()
-    found = summary.summarise_evaluation(table, **CONTEXT)
+    found = summarised(table)
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     means = table.group_by("side").agg(pl.col("return").mean())
     by_side = dict(means.iter_rows())
@@ -29,15 +34,15 @@ def test_evaluation_has_the_promised_figures_and_is_json():
     assert found["gap"]["mean"] == pytest.approx(by_side["train"] - by_side["test"])
     assert (found["m_test"]["n"], found["m_train"]["n"]) == (24, 12)
     assert found["m_test"]["generalises_to"] == "seeds and partners"
-    assert found["split"] == CONTEXT["split"]
+    assert found["split"] == tables.to_json(CONTEXT.split)
     assert (found["episodes"], found["episodes_per_pair"], found["nonfinite"]) == (144, 4, 0)
     for name in ("release", "env_version", "backend", "env_steps_per_second", "task"):
-        assert found[name] == CONTEXT[name]
+        assert found[name] == getattr(CONTEXT, name)
 
 
 def test_groups_and_the_worst_partner_are_about_the_test_partners():
     table = evaluation_table()
-    found = summary.summarise_evaluation(table, **CONTEXT)
+    found = summarised(table)
     test = table.filter(side="test")
     for column, key in (
         ("partner_algorithm", "by_algorithm"),
@@ -57,13 +62,13 @@ def test_groups_and_the_worst_partner_are_about_the_test_partners():
 
 
 def test_only_training_partners_leave_m_test_empty():
-    found = summary.summarise_evaluation(evaluation_table().filter(side="train"), **CONTEXT)
+    found = summarised(evaluation_table().filter(side="train"))
     assert (found["m_test"], found["gap"], found["side"]) == (None, None, "train")
     assert found["m_train"]["n"] == 12
 
 
 def test_one_ego_and_one_episode_are_said_to_be_so():
-    found = summary.summarise_evaluation(evaluation_table(egos=1, k=1), **CONTEXT)
+    found = summarised(evaluation_table(egos=1, k=1))
     assert found["m_test"]["generalises_to"] == "partners"
     assert found["cvar_10"] is None
     assert found["worst_partner"]["crossfit"] is None
@@ -79,20 +84,20 @@ def test_nonfinite_episodes_are_counted_and_never_left_out():
         .otherwise("return")
         .alias("return"),
     )
-    found = summary.summarise_evaluation(table, **CONTEXT)
+    found = summarised(table)
     assert found["nonfinite"] == 3
     assert found["episodes"] == 144
     assert found["m_test"]["mean"] == pytest.approx(table.filter(side="test")["return"].mean())
     assert (
         "3 of 144 episodes became non-finite and earn 0 from then on; they count" in found["notes"]
     )
-    assert summary.partner_table(table)["nonfinite"].sum() == 3
+    assert derived.partner_table(table)["nonfinite"].sum() == 3
 
 
 def test_egos_from_outside_the_zoo_are_seeds_of_one_method():
     returns = np.random.default_rng(0).normal(500, 50, (2, 12, 2))
     table = episode_table(returns, ["a.safetensors", "b.safetensors"], PARTNERS, SIDES)
-    found = summary.summarise_evaluation(table, **CONTEXT)
+    found = summarised(table)
     assert found["egos"] == ["a.safetensors", "b.safetensors"]
     assert found["m_test"]["n"] == 16
 
@@ -100,13 +105,15 @@ def test_egos_from_outside_the_zoo_are_seeds_of_one_method():
 def test_partners_without_a_side_are_refused():
     table = evaluation_table().with_columns(pl.lit(None, pl.String).alias("side"))
     with pytest.raises(ValueError, match="evaluate against a split"):
-        summary.summarise_evaluation(table, **CONTEXT)
+        summarised(table)
 
 
 def test_crossplay_of_the_matrix_game():
     payoff = np.array([[4.0, 1.0], [0.5, 3.0]])
     pair = teams(2)
-    found = summary.summarise_crossplay(episode_table(payoff[:, :, None], pair, pair), **CONTEXT)
+    found = tables.to_json(
+        summary.summarise_crossplay(episode_table(payoff[:, :, None], pair, pair), CONTEXT)
+    )
     figures = [found[key]["mean"] for key in ("self_play", "cross_play", "gap")]
     assert figures == [3.5, 0.75, 2.75]
     assert found["relative_gap"]["value"] == pytest.approx(2.75 / 3.5)
@@ -119,7 +126,7 @@ def test_crossplay_keeps_self_play_on_the_diagonal_of_the_shared_order():
     matrix = clustered_matrix(12, 3)
     shuffled = np.random.default_rng(0).permutation(12)
     table = episode_table(matrix[:, shuffled, None], population, [population[i] for i in shuffled])
-    pairs, order = summary.crossplay_matrix(table)
+    pairs, order = derived.crossplay_matrix(table)
     by_team = {
         (row["ego_team"], row["partner_team"]): row["return"] for row in pairs.iter_rows(named=True)
     }
@@ -132,7 +139,7 @@ def test_crossplay_keeps_self_play_on_the_diagonal_of_the_shared_order():
 
 def test_other_teams_on_the_axes_share_no_order():
     table = episode_table(np.zeros((2, 3, 1)), teams(2), teams(3))
-    _, order = summary.crossplay_matrix(table)
+    _, order = derived.crossplay_matrix(table)
     assert order["teams"] is None
     assert (len(order["rows"]["order"]), len(order["columns"]["order"])) == (2, 3)
 
@@ -141,8 +148,9 @@ def test_comparison_is_paired_and_refuses_other_partners_or_keys():
     table = evaluation_table()
     better = table.with_columns(pl.col("return") + 10.0)
     found = summary.summarise_comparison(better, table)
-    assert found["test"]["mean"] == pytest.approx(10.0)
-    assert (found["test"]["partners_better"], found["train"]["partners_better"]) == (1.0, 1.0)
+    assert found.test is not None and found.train is not None
+    assert found.test.mean == pytest.approx(10.0)
+    assert (found.test.partners_better, found.train.partners_better) == (1.0, 1.0)
     with pytest.raises(ValueError, match="different partners"):
         summary.summarise_comparison(better.filter(pl.col("partner_seed") > 0), table)
     with pytest.raises(ValueError, match="different episode keys"):
@@ -150,22 +158,47 @@ def test_comparison_is_paired_and_refuses_other_partners_or_keys():
 
 
 def test_profile_falls_from_one_to_nothing():
-    profile = summary.profile_table(evaluation_table())
+    profile = derived.profile_table(evaluation_table())
     assert profile["share"][0] == 1.0
     assert profile["share"][-1] == 0.0
     assert (profile["low"] <= profile["share"]).all()
 
 
 def test_saved_folders_hold_what_is_printed(tmp_path: Path):
-    context: dict[str, Any] = CONTEXT
-    found = summary.save_evaluation(tmp_path / "m", evaluation_table(), **context)
-    assert tables.read_json(tmp_path / "m" / tables.SUMMARY_FILE) == found
+    found = derived.save_evaluation(tmp_path / "m", evaluation_table(), CONTEXT)
+    assert tables.read_json(tmp_path / "m" / tables.SUMMARY_FILE) == tables.to_json(found)
     partners = tables.read_parquet(tmp_path / "m" / tables.PARTNERS_FILE)
     assert partners.height == 12
     assert (partners["return_low"] < partners["return"]).all()
     population = teams(6)
     table = episode_table(clustered_matrix(6, 2)[:, :, None], population, population)
-    found = summary.save_crossplay(tmp_path / "x", table, **context)
-    assert tables.read_json(tmp_path / "x" / tables.SUMMARY_FILE) == found
+    found = derived.save_crossplay(tmp_path / "x", table, CONTEXT)
+    assert tables.read_json(tmp_path / "x" / tables.SUMMARY_FILE) == tables.to_json(found)
     assert tables.read_parquet(tmp_path / "x" / tables.PAIRS_FILE).height == 36
     assert set(tables.read_json(tmp_path / "x" / tables.ORDER_FILE)) >= {"rows", "columns", "teams"}
+
+
+def test_partners_trained_with_an_ego_are_kept_but_not_counted(tmp_path: Path):
+    """Of twelve partners one is the second ego's own: with it, every figure would be another."""
+    table = evaluation_table(egos=1)
+    own = f"{team_id(PARTNERS[0])}/human"
+    table = table.with_columns(
+        pl.when(pl.col("partner") == own).then(5000.0).otherwise("return").alias("return")
+    )
+    found = derived.save_evaluation(tmp_path / "new", table, CONTEXT)
+    assert found.m_test is not None and found.m_test.n == 7
+    assert found.m_test.mean < 1000
+    assert found.partners == {"train": 4, "test": 7}
+    assert found.episodes == 11 * 4
+    assert any("left out of the figures" in note and own in note for note in found.notes)
+    kept = tables.read_parquet(tmp_path / "new" / tables.PARTNERS_FILE)
+    assert kept.filter(partner=own)["return"].item() == 5000.0
+    profile = tables.read_parquet(tmp_path / "new" / tables.PROFILE_FILE)
+    assert (profile["threshold"] < 1000).all()
+    counted = derived.save_evaluation(tmp_path / "own", table, CONTEXT, include_own=True)
+    assert counted.m_test is not None and counted.m_test.n == 8
+    assert counted.m_test.mean > 1000
+    assert any("counted all the same" in note and own in note for note in counted.notes)
+    alone = table.filter(pl.col("partner") == own)
+    with pytest.raises(ValueError, match="--include-own"):
+        derived.save_evaluation(tmp_path / "none", alone, CONTEXT)

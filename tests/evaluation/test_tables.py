@@ -5,6 +5,7 @@ import polars as pl
 import pytest
 
 from evaluation import tables
+from population.files import atomic_path
 from tests.evaluation.episode_tables import episode_table, teams
 
 
@@ -128,7 +129,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path):
     tables.write_json({"a": 1}, path)
     with pytest.raises(ValueError, match="JSON compliant"):
         tables.write_json({"a": float("nan")}, path)
-    with pytest.raises(RuntimeError), tables.atomic_path(path) as temporary:
+    with pytest.raises(RuntimeError), atomic_path(path) as temporary:
         temporary.write_text("half")
         raise RuntimeError
     assert tables.read_json(path) == {"a": 1}

@@ -15,6 +15,8 @@ Reward = Callable[["ToyState", dict[str, jax.Array]], dict[str, jax.Array]]
 @dataclasses.dataclass(frozen=True)
 class ToyMeasures:
     success: jax.Array
+    force: jax.Array
+    distance: jax.Array
 
 
 @jax.tree_util.register_dataclass
@@ -31,6 +33,11 @@ class ToyState:
     nonfinite: jax.Array
     params: Any
     key: jax.Array
+
+
+def _measured(success: jax.Array) -> ToyMeasures:
+    zero = jnp.zeros(success.shape)
+    return ToyMeasures(success, zero, zero)
 
 
 class ToyEnv:
@@ -86,11 +93,16 @@ class ToyEnv:
             obs=self._observe(cue, state.key, step, shown=not self.memory),
             reward=reward,
             terms=terms,
-            measures=ToyMeasures(reward > 0.9),
+            measures=_measured(reward > 0.9),
             terminated=ended if self.terminates else jnp.zeros_like(ended),
             truncated=jnp.zeros_like(ended) if self.terminates else ended,
             step=step,
         )
+
+    @staticmethod
+    def joint_positions(state: ToyState) -> dict[str, jax.Array]:
+        """One joint each, which never turns."""
+        return dict.fromkeys(("robot", "human"), jnp.zeros((state.step.shape[0], 1)))
 
     def _blank(self, keys: jax.Array, params: Any) -> ToyState:
         n = keys.shape[0]
@@ -101,7 +113,7 @@ class ToyEnv:
             obs=self._observe(cue, keys, step, shown=True),
             reward=jnp.zeros(n),
             terms={},
-            measures=ToyMeasures(false),
+            measures=_measured(false),
             terminated=false,
             truncated=false,
             step=step,

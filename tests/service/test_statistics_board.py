@@ -43,7 +43,7 @@ def test_figures_are_those_of_the_scores() -> None:
 
 def test_a_random_robot_is_0_and_the_best_response_1() -> None:
     low, best = np.full(PARTNERS, 10.0), np.full(PARTNERS, 110.0)
-    bounds = Bounds(best, low, ("trained best response",) * PARTNERS)
+    bounds = Bounds(best, low)
     for level, expected in ((10.0, 0.0), (110.0, 1.0), (60.0, 0.5)):
         played = Method("x", np.full((2, PARTNERS, 2), level))
         [row] = standings([played], Panel(DISABILITIES, bounds))
@@ -60,8 +60,8 @@ def test_one_partner_in_ten_earns_no_more_than_the_worst_tenth() -> None:
     scores = np.random.default_rng(4).permutation(np.arange(40.0))[None]
     found = worst_tenth(scores)
     assert (scores <= found.value).sum() == 4
-    assert found.ci is not None
-    assert found.ci[0] <= found.value <= found.ci[1]
+    assert found.value_ci is not None
+    assert found.value_ci[0] <= found.value <= found.value_ci[1]
 
 
 def test_a_method_that_missed_partners_is_refused_by_name() -> None:

@@ -11,7 +11,7 @@ import polars as pl
 import pytest
 
 from assistax_envs.disability import DISABILITY_SETTINGS
-from evaluation import summary, tables
+from evaluation import derived, summary, tables
 from evaluation.statistics import probability_of_improvement
 from evaluation.strategies import summarise_strategies
 from population.spec import PolicySpec
@@ -131,8 +131,8 @@ def test_variance_is_split_between_robots_and_humans():
         assert found.human.value == pytest.approx(humans**2 / total, abs=0.02)
         assert found.robot.value + found.human.value + found.rest.value == pytest.approx(1)
         assert found.rest.value < 0.01
-        assert found.human.ci is not None
-        assert found.human.ci[0] - 0.01 < found.human.value <= found.human.ci[1]
+        assert found.human.value_ci is not None
+        assert found.human.value_ci[0] - 0.01 < found.human.value <= found.human.value_ci[1]
     assert measures.variance_shares(blocks(60)).rest.value > 0.95
 
 
@@ -142,10 +142,10 @@ def test_probability_of_improvement_with_its_interval(stratified: bool):
     x, y = rng.normal(0.5, 1, (6, 8)), rng.normal(0, 1, (5, 8))
     found = measures.improvement(x, y, stratified=stratified)
     assert found.value == probability_of_improvement(x, y)
-    assert found.ci is not None and found.ci[0] < found.value < found.ci[1]
+    assert found.value_ci is not None and found.value_ci[0] < found.value < found.value_ci[1]
     back = measures.improvement(y, x, stratified=stratified)
     assert back.value == pytest.approx(1 - found.value)
-    assert measures.improvement(x + 99, y, stratified=stratified).ci == (1, 1)
+    assert measures.improvement(x + 99, y, stratified=stratified).value_ci == (1, 1)
     assert measures.improvement(x, x, stratified=stratified).value == 0.5
 
 
@@ -157,8 +157,8 @@ def test_improvement_interval_is_that_of_plain_resampling():
         a, b, c = rng.integers(0, 5, 5), rng.integers(0, 4, 4), rng.integers(0, 7, 7)
         draws.append(probability_of_improvement(x[a][:, c], y[b][:, c]))
     found = measures.improvement(x, y, resamples=3000)
-    assert found.ci is not None
-    np.testing.assert_allclose(found.ci, np.quantile(draws, (0.025, 0.975)), atol=0.02)
+    assert found.value_ci is not None
+    np.testing.assert_allclose(found.value_ci, np.quantile(draws, (0.025, 0.975)), atol=0.02)
     columns = []
     for _ in range(3000):
         a, b = rng.integers(0, 5, (5, 7)), rng.integers(0, 4, (4, 7))
@@ -166,8 +166,8 @@ def test_improvement_interval_is_that_of_plain_resampling():
             probability_of_improvement(np.take_along_axis(x, a, 0), np.take_along_axis(y, b, 0))
         )
     found = measures.improvement(x, y, stratified=True, resamples=3000)
-    assert found.ci is not None
-    np.testing.assert_allclose(found.ci, np.quantile(columns, (0.025, 0.975)), atol=0.02)
+    assert found.value_ci is not None
+    np.testing.assert_allclose(found.value_ci, np.quantile(columns, (0.025, 0.975)), atol=0.02)
 
 
 def test_relative_gap():
@@ -175,7 +175,7 @@ def test_relative_gap():
     scores = np.where(np.array(sides) == "train", 100.0, 80.0) + np.arange(4)[:, None]
     found = measures.relative_gap(scores, sides)
     assert found.value == pytest.approx(20 / 101.5)
-    assert found.ci is not None and found.ci[0] <= found.value <= found.ci[1]
+    assert found.value_ci is not None and found.value_ci[0] <= found.value <= found.value_ci[1]
 
 
 # Claims
@@ -183,8 +183,8 @@ def test_relative_gap():
 
 def played(matrix: np.ndarray, population: list[Team] = POPULATION) -> CrossPlayed:
     table = episode_table(matrix[:, :, None], population, population)
-    pairs, order = summary.crossplay_matrix(table)
-    told = summary.summarise_crossplay(table, **CONTEXT)
+    pairs, order = derived.crossplay_matrix(table)
+    told = tables.to_json(summary.summarise_crossplay(table, CONTEXT))
     run = {"command": "assistax-zoo crossplay", "seconds": 60.0, "devices": ["cpu"]}
     return CrossPlayed(pairs, order, summarise_strategies(pairs), told, run)
 
@@ -198,7 +198,7 @@ def egos(train: float, test: float, spread: float = 5.0) -> Egos:
     pairs = tables.pair_table(table).with_columns(
         pl.Series("ego_seed", np.repeat(np.arange(SEEDS), PARTNERS))
     )
-    told = summary.summarise_evaluation(table, **CONTEXT)
+    told = tables.to_json(summary.summarise_evaluation(table, CONTEXT))
     return Egos(pairs, told, {"command": "assistax-zoo evaluate", "seconds": None}, None)
 
 
@@ -359,7 +359,7 @@ def crossplay_folder(tmp_path: Path) -> Path:
     )
     folder = tmp_path / "xp"
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
-    summary.save_crossplay(folder, table, **CONTEXT)
+    derived.save_crossplay(folder, table, CONTEXT)
     tables.write_json(
         {
             "command": "assistax-zoo crossplay --egos 'scratch/*' --lock=/mnt/a.lock --out /home/me/xp",
@@ -378,7 +378,7 @@ def evaluation_folder(
     table = episode_table(returns, names, PUBLISHED[:4], list(sides) * 2)
     folder = tmp_path / f"evaluated-{method}"
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
-    summary.save_evaluation(folder, table, **CONTEXT)
+    derived.save_evaluation(folder, table, CONTEXT)
     command = " ".join(
         ["assistax-zoo evaluate --split both", *(f"--policy {name}" for name in names)]
     )
@@ -398,7 +398,7 @@ def test_a_cross_play_is_condensed_and_read_back(crossplay_folder: Path, tmp_pat
     told = tables.read_json(out / "run.json")
     assert told["command"] == "assistax-zoo crossplay --egos 'scratch/*' --lock=a.lock --out xp"
     assert told["env_steps"] == 288_000
-    assert told["seconds"] == pytest.approx(288_000 / CONTEXT["env_steps_per_second"])
+    assert told["seconds"] == pytest.approx(288_000 / (CONTEXT.env_steps_per_second or 1.0))
 
 
 def test_the_matrix_is_the_one_that_was_played(crossplay_folder: Path, tmp_path: Path):

@@ -79,12 +79,11 @@ def page(
         if missing := [name for name in picture_names(results) if not (folder / name).is_file()]:
             raise ValueError(f"{folder} lacks {', '.join(missing)}; {again}")
     else:
-        from evaluation.tables import atomic_path
+        from evaluation.tables import write_bytes
         from tools.paper_page.figures import draw_figures
 
         draw_figures(results, folder)
-        with atomic_path(out) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_bytes(text.encode(), out)
     _warn(results.missing)
     print(f"{out} is what the tables give" if check else out)
 

@@ -125,7 +125,9 @@ def _human(played: CrossPlayed | None) -> list[Criterion]:
     shares = variance_shares(played.matrix)
     gap = played.summary["relative_gap"]
     lost = (
-        Interval(gap["value"], tuple(gap["ci"]) if gap["ci"] else None, gap["n"], "teams")
+        Interval(
+            gap["value"], tuple(gap["value_ci"]) if gap["value_ci"] else None, gap["n"], "teams"
+        )
         if gap
         else None
     )
@@ -152,12 +154,14 @@ def _gap(egos: Egos | None) -> list[Criterion]:
         return []
     gap = relative_gap(egos.scores, egos.partners["side"].to_list())
     wide, told = SMALL_GAP, _told(gap)
-    if gap.ci is None:
+    if gap.value_ci is None:
         outcome: Outcome = "undecided"
-    elif max(map(abs, gap.ci)) <= wide:
+    elif max(map(abs, gap.value_ci)) <= wide:
         outcome = "met"
     else:
-        outcome = "not met" if min(gap.ci) > wide or max(gap.ci) < -wide else "undecided"
+        outcome = (
+            "not met" if min(gap.value_ci) > wide or max(gap.value_ci) < -wide else "undecided"
+        )
     what = "(M_train - M_test) / M_train, interval over seeds"
     return [Criterion(what, told, f"interval within ±{wide:.0%}", outcome)]
 
@@ -178,17 +182,21 @@ def _egos(ppo: Egos | None, sac: Egos | None) -> list[Criterion]:
 def _against(what: str, figure: Interval, threshold: float, *, above: bool) -> Criterion:
     """Compare a share with a threshold: decided where its whole interval is on one side."""
     sign = 1 if above else -1
-    if figure.ci is None:
+    if figure.value_ci is None:
         outcome: Outcome = "undecided"
     else:
-        ends = [sign * (end - threshold) for end in figure.ci]
+        ends = [sign * (end - threshold) for end in figure.value_ci]
         outcome = "met" if min(ends) > 0 else "not met" if max(ends) < 0 else "undecided"
     limit = f"interval {'above' if above else 'below'} {threshold:.0%}"
     return Criterion(what, _told(figure), limit, outcome)
 
 
 def _told(figure: Interval) -> str:
-    interval = f" [{figure.ci[0]:.1%}, {figure.ci[1]:.1%}]" if figure.ci else ", no interval"
+    interval = (
+        f" [{figure.value_ci[0]:.1%}, {figure.value_ci[1]:.1%}]"
+        if figure.value_ci
+        else ", no interval"
+    )
     return f"{figure.value:.1%}{interval}"
 
 

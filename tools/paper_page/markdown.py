@@ -16,7 +16,7 @@ def table(
 
 
 def figure(
-    value: Mapping[str, Any] | None, digits: int = 1, key: str = "iqm", ci: str = "ci"
+    value: Mapping[str, Any] | None, digits: int = 1, key: str = "iqm", ci: str = "iqm_ci"
 ) -> str:
     """Return a point with its 95% interval, such as `939.5 [934.0, 958.0]`."""
     if value is None:

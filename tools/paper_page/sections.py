@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from assistax_envs.versions import TASKS
+from evaluation import tables
 from evaluation.bootstrap import estimate
 from tools.paper_page.claims import Claim
 from tools.paper_page.data import METHODS, CrossPlayed, Results, planned
@@ -132,7 +133,10 @@ def curves(results: Results, picture: Picture) -> str:
     for task, algorithm in found.select("task", "algorithm").unique(maintain_order=True).rows():
         curve = found.filter(task=task, algorithm=algorithm)
         end = curve.row(-1, named=True)
-        last = {"iqm": end["iqm"], "ci": None if end["low"] is None else (end["low"], end["high"])}
+        last = {
+            "iqm": end["iqm"],
+            "iqm_ci": None if end["low"] is None else (end["low"], end["high"]),
+        }
         gain = gained_last(curve)
         rising = "yes" if gain > RISING else "no"
         rows.append(
@@ -280,16 +284,16 @@ def _short_verdict(results: Results, task: str, algorithm: str) -> str:
 
 def _self_play(results: Results, task: str, algorithm: str) -> dict[str, Any] | None:
     scores = results.self_play(task, algorithm)
-    return estimate(scores).to_json() if len(scores) else None
+    return tables.to_json(estimate(scores)) if len(scores) else None
 
 
 def _agreement(ours: Mapping[str, Any] | None, theirs: Mapping[str, Any]) -> str:
     if ours is None:
         return MISSING
-    low, high = ours["ci"] or (ours["iqm"], ours["iqm"])
-    if low > theirs["ci"][1]:
+    low, high = ours["iqm_ci"] or (ours["iqm"], ours["iqm"])
+    if low > theirs["iqm_ci"][1]:
         return "above"
-    return "below" if high < theirs["ci"][0] else "agree"
+    return "below" if high < theirs["iqm_ci"][0] else "agree"
 
 
 def _orders(results: Results, task: str) -> str:
@@ -339,7 +343,7 @@ def _differences(
 def _matrix_figures(played: CrossPlayed) -> list[object]:
     told, order = played.summary, played.order["teams"]
     gap = told["relative_gap"]
-    lost = "–" if gap is None else f"{gap['value']:.1%} [{gap['ci'][0]:.1%}, {gap['ci'][1]:.1%}]"
+    lost = "–" if gap is None else "{:.1%} [{:.1%}, {:.1%}]".format(gap["value"], *gap["value_ci"])
     fit = "–" if order["silhouette"] is None else f"{order['silhouette']:.2f}"
     return [
         told["egos"],
@@ -354,7 +358,7 @@ def _matrix_figures(played: CrossPlayed) -> list[object]:
 def _shares(played: CrossPlayed) -> list[str]:
     shares = variance_shares(played.matrix)
     return [
-        f"{part.value:.0%}" + (f" [{part.ci[0]:.0%}, {part.ci[1]:.0%}]" if part.ci else "")
+        f"{part.value:.0%}" + (" [{:.0%}, {:.0%}]".format(*part.value_ci) if part.value_ci else "")
         for part in (shares.robot, shares.human, shares.rest)
     ]
 

@@ -139,4 +139,4 @@ def _bounds(partners: Sequence[PartnerScore], low: Played | None, crossplay: Any
     best = [crossplay.best_returns.get(one.partner) for one in partners]
     if None in best:
         return None
-    return Bounds(np.array(best), low.returns.mean(axis=(0, 2)), ("cross-play",) * len(partners))
+    return Bounds(np.array(best), low.returns.mean(axis=(0, 2)))

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 
-from evaluation.deep import DeepReport, tolerance, verify_deep, versions
-from population import self_play
+from evaluation import self_play_check
+from evaluation.self_play_check import SelfPlayReport, check_self_play, tolerance, versions
 from population.spec import PolicySpec
 from tests.population.toy_env import ToyEnv, constant
 from zoo.publish import publish
@@ -69,9 +70,9 @@ def registry(tmp_path: Path) -> Registry:
 
 def check(
     registry: Registry, pattern: str | None = None, env: Any = None, **arguments: Any
-) -> DeepReport:
+) -> SelfPlayReport:
     made = env or ToyEnv(constant)
-    return verify_deep(
+    return check_self_play(
         registry,
         registry.select(pattern),
         episodes=2,
@@ -117,14 +118,17 @@ def test_another_return_is_a_problem_of_its_team(registry: Registry) -> None:
 def test_a_team_whose_few_episodes_hold_a_failure_is_judged_by_more(
     registry: Registry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    play, calls = self_play.self_play, []
+    play, calls = self_play_check.play, []
 
-    def unlucky(*arguments: Any) -> Any:
-        calls.append((len(arguments[-2]), arguments[-1]))
-        first, *others = play(*arguments)
-        return [{**first, "mean": RETURN / 2} if len(calls) == 1 else first, *others]
+    def unlucky(env: Any, job: Any, max_envs: int) -> Any:
+        calls.append((len(job.egos.ids), job.episodes))
+        table = play(env, job, max_envs)
+        failed = (pl.col("ego_seed") == 0) & (len(calls) == 1)
+        return table.with_columns(
+            pl.when(failed).then(RETURN / 2).otherwise("return").alias("return")
+        )
 
-    monkeypatch.setattr(self_play, "self_play", unlucky)
+    monkeypatch.setattr(self_play_check, "play", unlucky)
     report = check(registry, "scratch/ippo-d?-s[01]-v0")
     assert calls == [(2, 2), (1, 32)] and report.ok
     assert [(team.found, team.episodes) for team in report.teams] == [(RETURN, 32), (RETURN, 2)]
@@ -165,7 +169,7 @@ def test_damage_and_misfits_are_problems_and_the_others_are_replayed(registry: R
     other = check(registry, "*-s[01]-*", ToyEnv(constant, observation_size=(5, 3, 4)))
     assert (
         not other.teams
-        and "expected observation and action sizes (5, 1) of toy, found (2, 1)" in other.problems[0]
+        and "reads observations of 2 numbers; the robot of task toy has 5" in other.problems[0]
     )
 
 
@@ -201,7 +205,7 @@ def test_the_tolerance_is_the_documented_one() -> None:
     )  # standard error 5, deviation 20
     assert tolerance(recorded, 4) == pytest.approx(50.0 + 4.0 * 20.0 * np.sqrt(1 / 16 + 1 / 4))
     with pytest.raises(ValueError, match="episodes is 0"):
-        verify_deep(Registry(None, Path(), []), [], episodes=0)
+        check_self_play(Registry(None, Path(), []), [], episodes=0)
     assert versions()["mujoco"].startswith("3.") and "jax" in versions()
 
 
@@ -209,7 +213,7 @@ def test_the_tolerance_is_the_documented_one() -> None:
 def test_a_team_of_release_v0_gives_its_recorded_return() -> None:
     registry = load_registry(ROOT / "registry.json")
     entries = registry.select("scratch/ippo-d1-s0-v0")
-    report = verify_deep(registry, entries, episodes=2)
+    report = check_self_play(registry, entries, episodes=2)
     assert report.ok and report.policies == 2 and report.backend == "native"
     halved = dataclasses.replace(report.teams[0], found=report.teams[0].found / 2)
     assert (

@@ -1,4 +1,4 @@
-"""Two egos that look at nothing, to read returns beside: zero action and uniformly random actions."""
+"""A policy that looks at nothing: the zero action, or uniformly random ones."""
 
 from typing import Any
 
@@ -6,14 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from evaluation.jobs import Member, ReferenceGroup, ReferenceSpec
-
-ZERO, RANDOM = "zero-action", "uniform-random"  # ids in the episode table
-_VERSION = "1"  # of what they do; part of their digests
+from evaluation.roster import ReferenceSpec
 
 
 class ReferencePolicy:
-    """Actions drawn uniformly from [-amplitude, amplitude], in the interface of `population.policy.Policy`.
+    """Actions drawn uniformly from [-amplitude, amplitude], in `population.policy.Policy`'s form.
 
     The draw is a hash of the observation's bits: random to look at, and the same however a job is
     cut into chunks.
@@ -37,16 +34,6 @@ class ReferencePolicy:
             rows[:, None, :] * self._weights[None], axis=-1, dtype=jnp.uint32
         )  # modulo 2**32: exact
         keys = jax.vmap(jax.random.wrap_key_data)(words)
-        draw = jax.vmap(lambda key: jax.random.uniform(key, (self.spec.action_size,), minval=-1.0))(
-            keys
-        )
-        return carry, params["amplitude"] * draw.reshape(*obs.shape[:-1], self.spec.action_size)
-
-
-def reference_group(observation_size: int, action_size: int) -> ReferenceGroup:
-    """Return the two egos for a robot of these sizes."""
-    members = tuple(Member(name, f"{name}-{_VERSION}") for name in (ZERO, RANDOM))
-    amplitude = np.array([0, 1], np.float32)
-    return ReferenceGroup(
-        ReferenceSpec(observation_size, action_size), members, {"amplitude": amplitude}
-    )
+        draw = jax.vmap(lambda key: jax.random.uniform(key, (self.spec.action_size,), minval=-1.0))
+        actions = draw(keys).reshape(*obs.shape[:-1], self.spec.action_size)
+        return carry, params["amplitude"] * actions

@@ -7,12 +7,12 @@ from typing import Any
 import pytest
 
 from assistax_zoo.main import run
-from evaluation import spread
+from evaluation import blocks
+from evaluation.blocks import run_blocks_on_ray
 from evaluation.jobs import Job
-from evaluation.spread import run_blocks_on_ray
 from population.engines import RayCluster
 from tests import untrained
-from tests.evaluation.matrix_game import GRU, MatrixGame, humans, random_group, robots
+from tests.evaluation.matrix_game import GRU, MatrixGame, humans, joined, random_roster, robots
 from tests.untrained import HUMAN, ROBOT, params_of, untrained_team
 
 SMALL = dataclasses.replace(ROBOT, hidden=(4,))
@@ -65,17 +65,17 @@ def test_parts_that_are_not_here_are_missed(tmp_path: Path, monkeypatch: pytest.
         "matrix",
         1,
         "native",
-        (robots(1.0), random_group(GRU, 1, 3)),
-        (humans(1.0, -1.0),),
+        joined(robots(1.0), random_roster(GRU, 1, 3)),
+        humans(1.0, -1.0),
         episodes=2,
     )
     monkeypatch.setattr(
-        spread, "run_blocks", lambda *_: None
+        blocks, "run_blocks", lambda *_: None
     )  # workers that wrote to a disk of their own
     with pytest.raises(ValueError, match=r"has 0 of 1 parts here; give an --out that all machines"):
         run_blocks_on_ray(MatrixGame, job, tmp_path, RayCluster(), max_envs=1)
     monkeypatch.setattr(
-        spread, "run_blocks", lambda *args: spread._run_remotely(0, 2, *args[3])
+        blocks, "run_blocks", lambda *args: blocks._run_remotely(0, 2, *args[3])
     )  # one of two did not
     with pytest.raises(ValueError, match=r"has 1 of 2 parts here; give an --out that all machines"):
         run_blocks_on_ray(MatrixGame, job, tmp_path, RayCluster(), max_envs=1)

@@ -28,8 +28,13 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
+import polars as pl
 
 from assistax_envs.versions import VERSIONS
+from evaluation.evaluator import MAX_ENVS, check_sizes
+from evaluation.jobs import TILE_ENVS, Job
+from evaluation.roster import paired_rosters
+from evaluation.runner import play
 from population.stack import PolicyStack
 from zoo.errors import ZooError
 from zoo.registry import Registry
@@ -42,6 +47,8 @@ TEAM_MARGIN = 0.05  # of the recorded mean
 TASK_MARGIN = 0.005  # of the recorded mean over a task's teams
 PACKAGES = ("assistax-zoo", "mujoco", "mujoco-mjx", "jax", "jaxlib", "flax", "numpy")
 _WIDTH_95 = 3.92  # of a 95% interval, in standard errors
+
+Pair = tuple[PolicyEntry, PolicyEntry]  # robot and human of a team
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,7 +78,7 @@ class Drift:
 
 
 @dataclasses.dataclass(frozen=True)
-class DeepReport:
+class SelfPlayReport:
     """What `verify --deep` found."""
 
     backend: str
@@ -95,7 +102,7 @@ class DeepReport:
         return {"ok": self.ok, **dataclasses.asdict(self)}
 
 
-def verify_deep(
+def check_self_play(
     registry: Registry,
     entries: Sequence[PolicyEntry],
     *,
@@ -104,7 +111,7 @@ def verify_deep(
     seed: int = 0,
     make_env: Callable[[str, str], Any] | None = None,
     on_progress: Callable[[int], None] = lambda teams: None,
-) -> DeepReport:
+) -> SelfPlayReport:
     """Load and step every entry, and replay the self-play of every team that is whole among them.
 
     Teams of another version of the environment are not replayed: the installed one is not what
@@ -123,31 +130,30 @@ def verify_deep(
         raise ValueError(f"episodes is {episodes}; give at least 1 (--episodes 4)")
     from assistax_envs import make
 
-    groups, problems = _load(registry, entries)
-    steps = {group.ids: _step_problems(group) for group in groups}
-    problems += [problem for found in steps.values() for problem in found]
+    sound, problems = _load(registry, entries)
+    steps = [problem for stack in load_stacks(registry, sound) for problem in _misstep(stack)]
+    unfit = {name for names, _ in steps for name in names}
+    problems += [problem for _, problem in steps]
     outdated = {
         entry.team for entry in entries if registry.env_version(entry) != VERSIONS.get(entry.task)
     }
     teams: list[TeamReplay] = []
-    for task, pairs in _team_blocks(
-        [group for group in groups if not steps[group.ids]], outdated
-    ).items():
+    for task, pairs in _teams(sound, unfit, outdated).items():
         env = (make_env or make)(task, backend)
         backend = env.backend
-        for robots, humans in pairs:
-            misfit = _misfit(env, robots, humans)
-            problems += [misfit] if misfit else []
-            teams += [] if misfit else _replay(registry, env, robots, humans, episodes, seed)
-            on_progress(len(robots.ids))
+        try:
+            teams += _replay(registry, env, pairs, episodes, seed)
+        except ValueError as error:  # policies of other sizes than the environment's
+            problems.append(str(error))
+        on_progress(len(pairs))
     problems += [_difference(team) for team in teams if not team.ok]
     drifts = _drifts(registry, teams)
     problems += [_drifted(drift) for drift in drifts if not drift.ok]
-    return DeepReport(
+    return SelfPlayReport(
         backend=backend,
         episodes=episodes,
         versions=versions(),
-        policies=sum(len(group.ids) for group in groups),
+        policies=len(sound),
         outdated=tuple(sorted(outdated)),
         teams=tuple(teams),
         drifts=tuple(drifts),
@@ -179,126 +185,92 @@ def _standard_error(recorded: SelfPlay, episodes: int) -> float:
 
 def _load(
     registry: Registry, entries: Sequence[PolicyEntry]
-) -> tuple[list[PolicyStack], list[str]]:
-    """Load shard by shard, so that a damaged one leaves the others to be replayed; groups are of one task."""
+) -> tuple[list[PolicyEntry], list[str]]:
+    """Load shard by shard, so that a damaged one leaves the others to be replayed."""
     problems: list[str] = []
-    sound: set[str] = set()
+    sound: list[PolicyEntry] = []
     for shard in dict.fromkeys(entry.shard for entry in entries):
         members = [entry for entry in entries if entry.shard == shard]
         try:
             load_stacks(registry, members)
-            sound |= {entry.id for entry in members}
+            sound += members
         except ZooError as error:
             problems.append(str(error))
-    kept = [entry for entry in entries if entry.id in sound]
-    tasks = dict.fromkeys(entry.task for entry in kept)
-    return [
-        g for task in tasks for g in load_stacks(registry, [e for e in kept if e.task == task])
-    ], problems
+    return sound, problems
 
 
-def _step_problems(group: PolicyStack) -> list[str]:
-    """Step every policy once from a zero observation; name those that fail or leave the action's range."""
+def _misstep(stack: PolicyStack) -> list[tuple[tuple[str, ...], str]]:
+    """Step every policy once from a zero observation; name those that fail or leave [-1, 1]."""
     import jax
     import jax.numpy as jnp
 
     from population.policy import Policy
 
-    policy = Policy(group.spec)
-    obs, first = jnp.zeros((2, group.spec.observation_size)), jnp.ones(2, bool)
+    policy = Policy(stack.spec)
+    obs, first = jnp.zeros((2, stack.spec.observation_size)), jnp.ones(2, bool)
 
     def act(params: Any) -> jax.Array:
         return policy.act(params, policy.initial_carry((2,)), obs, first)[1]
 
     try:
-        actions = np.asarray(jax.jit(lambda params: jax.lax.map(act, params))(group.params))
+        actions = np.asarray(jax.jit(lambda params: jax.lax.map(act, params))(stack.params))
     except Exception as error:  # flax has exceptions of its own for parameters of another network
         message = " ".join(str(error).split())[:200]
-        return [
-            f"{group.ids[0]} and {len(group.ids) - 1} more of its spec cannot be stepped: {message}"
-        ]
+        others = f"{stack.ids[0]} and {len(stack.ids) - 1} more of its spec"
+        return [(stack.ids, f"{others} cannot be stepped: {message}")]
     broken = ~(np.isfinite(actions) & (np.abs(actions) <= 1.0)).all(axis=(1, 2))
-    return [
-        f"{group.ids[row]}: expected actions in [-1, 1], found others"
-        for row in np.flatnonzero(broken)
-    ]
+    names = [stack.ids[row] for row in np.flatnonzero(broken)]
+    return [((name,), f"{name}: expected actions in [-1, 1], found others") for name in names]
 
 
-def _team_blocks(
-    groups: Sequence[PolicyStack], without: Collection[str]
-) -> dict[str, list[tuple[PolicyStack, PolicyStack]]]:
-    """Return, by task, the whole teams of each pair of specs: robots and humans in the same order."""
-    home = {
-        name: index
-        for index, group in enumerate(groups)
-        for name in group.ids
-        if name.rpartition("/")[0] not in without
-    }
-    members: dict[tuple[str, int, int], list[str]] = {}
-    for name, index in home.items():
-        team, _, role = name.rpartition("/")
-        if role == "robot" and f"{team}/human" in home:
-            members.setdefault((team.partition("/")[0], index, home[f"{team}/human"]), []).append(
-                team
-            )
-    blocks: dict[str, list[tuple[PolicyStack, PolicyStack]]] = {}
-    for (task, robots, humans), teams in members.items():
-        pair = (_take(groups[robots], teams, "robot"), _take(groups[humans], teams, "human"))
-        blocks.setdefault(task, []).append(pair)
-    return blocks
-
-
-def _take(group: PolicyStack, teams: Sequence[str], role: str) -> PolicyStack:
-    return group.take([group.ids.index(f"{team}/{role}") for team in teams])
-
-
-def _misfit(env: Any, *groups: PolicyStack) -> str | None:
-    """Say which policies read or act in other widths than the environment has."""
-    for group in groups:
-        role, found = group.spec.role, (group.spec.observation_size, group.spec.action_size)
-        expected = (env.observation_size[role], env.action_size[role])
-        if found != expected:
-            return f"{group.ids[0]}: expected observation and action sizes {expected} of {env.task}, found {found}"
-    return None
+def _teams(
+    entries: Sequence[PolicyEntry], unfit: Collection[str], outdated: Collection[str]
+) -> dict[str, list[Pair]]:
+    """Return the robot and the human of each whole team, by task."""
+    fit = {entry.id: entry for entry in entries if entry.id not in unfit}
+    teams: dict[str, list[Pair]] = {}
+    for entry in fit.values():
+        human = fit.get(f"{entry.team}/human")
+        if entry.role == "robot" and human and entry.team not in outdated:
+            teams.setdefault(entry.task, []).append((entry, human))
+    return teams
 
 
 def _replay(
-    registry: Registry, env: Any, robots: PolicyStack, humans: PolicyStack, episodes: int, seed: int
+    registry: Registry, env: Any, pairs: Sequence[Pair], episodes: int, seed: int
 ) -> list[TeamReplay]:
     """Play the teams, and those that differ once more and for longer."""
-    teams = _play(registry, env, robots, humans, episodes, seed)
-    differing = [team.team for team in teams if not team.ok and team.expected is not None]
+    teams = _play(registry, env, pairs, episodes, seed)
+    differing = {team.team for team in teams if not team.ok and team.expected is not None}
     if not differing:
         return teams
-    groups = (_take(group, differing, group.spec.role) for group in (robots, humans))
-    longer = {
-        team.team: team for team in _play(registry, env, *groups, episodes * LONGER, seed + 1)
-    }
+    again = [pair for pair in pairs if pair[0].team in differing]
+    longer = {team.team: team for team in _play(registry, env, again, episodes * LONGER, seed + 1)}
     return [longer.get(team.team, team) for team in teams]
 
 
 def _play(
-    registry: Registry, env: Any, robots: PolicyStack, humans: PolicyStack, episodes: int, seed: int
+    registry: Registry, env: Any, pairs: Sequence[Pair], episodes: int, seed: int
 ) -> list[TeamReplay]:
-    import jax
-
-    from assistax_envs import disability_params
-    from population.policy import Policy
-    from population.self_play import self_play
-
-    groups = {"robot": robots, "human": humans}
-    figures = self_play(
-        env,
-        {role: Policy(group.spec) for role, group in groups.items()},
-        {role: dict(group.params) for role, group in groups.items()},
-        disability_params([registry.policy(name).partner_setting for name in humans.ids]),
-        jax.random.split(jax.random.key(seed), len(robots.ids)),
-        episodes,
+    """Play each robot with its own human, every team episodes of its own."""
+    robots, humans = paired_rosters(registry, pairs)
+    job = Job(
+        task=env.task,
+        env_version=env.version,
+        backend=env.backend,
+        egos=robots,
+        partners=humans,
+        episodes=episodes,
+        seed=seed,
+        paired=True,
+        apart=True,
     )
-    teams = [name.rpartition("/")[0] for name in robots.ids]
+    check_sizes(env, job)
+    table = play(env, job, MAX_ENVS.get(env.backend, TILE_ENVS))
+    means = dict(table.group_by("ego_team").agg(pl.col("return").cast(pl.Float64).mean()).rows())
     return [
-        _compare(team, registry.team(team).self_play, float(found["mean"]), episodes)
-        for team, found in zip(teams, figures, strict=True)
+        _compare(team, registry.team(team).self_play, means[team], episodes)
+        for team in (robot.team for robot, _ in pairs)
     ]
 
 

@@ -1,14 +1,69 @@
-"""The chunks of a job spread over a Ray cluster, as blocks whose workers write into one folder."""
+"""A job in blocks: by hand, one share of its chunks each, or spread over a Ray cluster."""
 
+import dataclasses
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from evaluation import tables
-from evaluation.evaluator import MANIFEST_FILE, MAX_ENVS, PARTS_FOLDER, Progress, run_block
+from evaluation import provenance
+from evaluation.evaluator import (
+    MAX_ENVS,
+    PARTS_FOLDER,
+    check_folder,
+    check_sizes,
+    find_part,
+    is_finished,
+    open_folder,
+    simulate,
+)
 from evaluation.jobs import Job, plan
+from evaluation.locks import LOCK_FILE, locked
+from evaluation.runner import Progress
 from population.engines import NOT_SHARED, RayCluster, run_blocks
+
+
+@dataclasses.dataclass(frozen=True)
+class BlockDone:
+    """A finished block of a job."""
+
+    block: str  # such as "2/4"
+    chunks: int  # of this block
+    episodes: int
+    all_chunks: int  # of the whole job
+    missing: int  # chunks of the whole job that the folder still lacks
+
+
+def run_block(
+    env: Any,
+    job: Job,
+    folder: Path,
+    block: tuple[int, int],
+    *,
+    max_envs: int | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> BlockDone:
+    """Simulate the chunks of block (i, n), i from 1, and leave their parts in the folder.
+
+    Blocks may share a folder or have one each, also on other machines; they must be cut alike, by
+    the same `max_envs`. With the parts of all blocks in one folder, `run_job` merges them without
+    simulating anything.
+    """
+    number, count = block
+    if not 1 <= number <= count:
+        raise ValueError(f"block is {number}/{count}; allowed are 1/{count} to {count}/{count}")
+    check_sizes(env, job)
+    check_folder(folder)
+    own_lock = f"{LOCK_FILE}-{number}-of-{count}"
+    with locked(folder, shared=True), locked(folder / PARTS_FOLDER, own_lock):
+        chunks = open_folder(folder, job, max_envs or MAX_ENVS[job.backend])
+        mine = chunks[number - 1 :: count]
+        if not is_finished(folder):
+            left = [chunk for chunk in mine if not find_part(folder, chunk)]
+            simulate(env, job, folder, left, on_progress=on_progress)
+        missing = sum(not find_part(folder, chunk) for chunk in chunks)
+    done = f"{number}/{count}"
+    return BlockDone(done, len(mine), sum(chunk.rows for chunk in mine), len(chunks), missing)
 
 
 def run_blocks_on_ray(
@@ -20,7 +75,7 @@ def run_blocks_on_ray(
     max_envs: int | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> None:
-    """Simulate the chunks that a folder lacks on a cluster; `run_job` then merges them as if they came from one run.
+    """Simulate the chunks that a folder lacks on a cluster; `run_job` then merges them.
 
     There are as many blocks as the cluster runs at once, and no more than chunks.
 
@@ -37,7 +92,7 @@ def run_blocks_on_ray(
         ValueError: The cluster cannot run them, or they are not in the folder.
     """
     folder = folder.absolute()
-    if (folder / tables.EPISODES_FILE).is_file():
+    if is_finished(folder):
         return
     chunks, length = plan(job, max_envs or MAX_ENVS[job.backend]), make_env().episode_length
     began, done, count = time.perf_counter(), 0, 0
@@ -70,10 +125,8 @@ def _run_remotely(
 
 def _check_parts(job: Job, folder: Path) -> None:
     """Check that what the workers wrote can be read here: it is not simulated a second time."""
-    manifest = folder / MANIFEST_FILE
-    wanted = (
-        len(plan(job, int(tables.read_json(manifest)["max_envs"]))) if manifest.is_file() else 1
-    )
+    manifest = provenance.read_manifest(folder)
+    wanted = len(plan(job, int(manifest["max_envs"]))) if manifest else 1
     found = len(list((folder / PARTS_FOLDER).glob("part-*.parquet")))
     if found < wanted:
         raise ValueError(

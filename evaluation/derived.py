@@ -1,0 +1,145 @@
+"""What is drawn from an episode table and saved beside it: partners, profile, matrix and order."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from evaluation import tables
+from evaluation.bootstrap import estimate, profile_band
+from evaluation.clustering import cluster_profiles, cluster_teams
+from evaluation.relative import summarise_references
+from evaluation.statistics import performance_profile
+from evaluation.strategies import summarise_strategies
+from evaluation.summary import (
+    Context,
+    CrossPlaySummary,
+    EvaluationSummary,
+    summarise_crossplay,
+    summarise_evaluation,
+    without_own,
+)
+from evaluation.tables import dense_block
+
+
+def partner_table(table: pl.DataFrame, *, seed: int = 0) -> pl.DataFrame:
+    """Average over egos and episodes: one row a partner.
+
+    `return_low` and `return_high` are the ends of its mean's 95% interval over seeds.
+    """
+    block = dense_block(table)
+    measures = ("success", "force_mean", "force_peak")
+    means = table.group_by("partner").agg(
+        *(pl.col(name).cast(pl.Float64).mean() for name in measures),
+        pl.len().cast(pl.Int64).alias("episodes"),
+        pl.col("nonfinite").sum().cast(pl.Int64),
+    )
+    figures = [estimate(column, seed=seed) for column in block.scores.T]
+    intervals = [figure.mean_ci or (None, None) for figure in figures]
+    returns = pl.DataFrame(
+        {
+            "partner": block.partners["partner"],
+            "return": [figure.mean for figure in figures],
+            "return_low": [low for low, _ in intervals],
+            "return_high": [high for _, high in intervals],
+        },
+        schema_overrides={"return_low": pl.Float64, "return_high": pl.Float64},
+    )
+    described = block.partners.join(returns, on="partner", maintain_order="left")
+    return described.join(means, on="partner", maintain_order="left")
+
+
+def profile_table(table: pl.DataFrame, *, points: int = 101, seed: int = 0) -> pl.DataFrame:
+    """Return the performance profile of the evaluated side: threshold, share above it, low, high."""
+    scores = dense_block(table).evaluated_side().scores
+    thresholds = np.linspace(min(0.0, scores.min()), scores.max(), points)
+    low, high = profile_band(scores, thresholds, seed=seed) or (None, None)
+    share = performance_profile(scores, thresholds)
+    return pl.DataFrame(
+        {"threshold": thresholds, "share": share, "low": low, "high": high},
+        schema=dict.fromkeys(("threshold", "share", "low", "high"), pl.Float64),
+    )
+
+
+def crossplay_matrix(table: pl.DataFrame) -> tuple[pl.DataFrame, dict[str, Any]]:
+    """Return the matrix in long form, one row a pair, and its clustered order.
+
+    The order has `rows` and `columns`, clustered separately, and `teams`: one order for both axes,
+    with self-play on the diagonal, or None unless both axes have the same teams.
+    """
+    block = dense_block(table)
+    scores = block.scores
+    order = {
+        "linkage": "average",
+        "distance": "euclidean",
+        "rows": cluster_profiles(scores).to_json(block.egos["ego"].to_list()),
+        "columns": cluster_profiles(scores.T).to_json(block.partners["partner"].to_list()),
+        "teams": None,
+    }
+    rows, columns = block.egos["ego_team"].to_list(), block.partners["partner_team"].to_list()
+    whole = None not in rows and len(set(rows)) == len(rows)
+    if whole and sorted(rows) == sorted(columns, key=str):
+        square = scores[:, [columns.index(team) for team in rows]]
+        order["teams"] = cluster_teams(square).to_json(rows)
+    return tables.pair_table(table), order
+
+
+def save_evaluation(
+    folder: Path,
+    table: pl.DataFrame,
+    context: Context,
+    *,
+    include_own: bool = False,
+    references: tuple[pl.DataFrame, pl.DataFrame] | None = None,
+) -> EvaluationSummary:
+    """Write every table drawn from an evaluation's episodes, and its summary.
+
+    Args:
+        folder: Where the episodes are.
+        table: The episodes.
+        context: What they do not say of themselves.
+        include_own: Whether figures count partners that were trained with one of the egos.
+        references: Episodes of the reference egos and the bounds drawn from them, if they played.
+    """
+    counted = table if include_own else without_own(table)
+    if counted.is_empty():
+        raise ValueError(
+            "every partner was trained with one of the egos, hence is not new to it; choose "
+            "others, or count them with --include-own"
+        )
+    summary = summarise_evaluation(counted, context)
+    summary = dataclasses.replace(summary, notes=(*summary.notes, *_own_notes(table, include_own)))
+    tables.write_parquet(partner_table(table), folder / tables.PARTNERS_FILE)
+    tables.write_parquet(profile_table(counted), folder / tables.PROFILE_FILE)
+    if references is not None:
+        played, bounds = references
+        tables.write_parquet(played, folder / tables.REFERENCES_FILE)
+        tables.write_parquet(bounds, folder / tables.BOUNDS_FILE)
+        found, relative = summarise_references(counted, played, bounds)
+        summary = dataclasses.replace(summary, references=found, relative=relative)
+    tables.write_json(summary, folder / tables.SUMMARY_FILE)
+    return summary
+
+
+def save_crossplay(folder: Path, table: pl.DataFrame, context: Context) -> CrossPlaySummary:
+    """Write pairs, their clustered order, the partners' strategies, and the summary."""
+    summary = summarise_crossplay(table, context)
+    pairs, order = crossplay_matrix(table)
+    tables.write_parquet(pairs, folder / tables.PAIRS_FILE)
+    if set(tables.BEHAVIOUR) <= set(pairs.columns):
+        tables.write_json(summarise_strategies(pairs), folder / tables.STRATEGIES_FILE)
+    tables.write_json(order, folder / tables.ORDER_FILE)
+    tables.write_json(summary, folder / tables.SUMMARY_FILE)
+    return summary
+
+
+def _own_notes(table: pl.DataFrame, include_own: bool) -> list[str]:
+    """Say which partners are not new to the egos: M_test is about partners that they never met."""
+    new = set(without_own(table)["partner"])
+    own = [name for name in table["partner"].unique(maintain_order=True) if name not in new]
+    if not own:
+        return []
+    done = "counted all the same" if include_own else "left out of the figures, kept in the tables"
+    return [f"trained with one of the egos, hence not new to it, {done}: {', '.join(own)}"]
