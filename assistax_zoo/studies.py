@@ -14,7 +14,7 @@ from evaluation.studies import Settings, choose_partners, evaluate_policies
 from evaluation.studies import cross_play as play_population
 from evaluation.summary import CrossPlaySummary
 from evaluation.tables import to_json
-from population.engines import RayCluster
+from population.ray_blocks import RayCluster
 
 Shown = bool | Callable[[Progress], None]
 

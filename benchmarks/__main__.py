@@ -155,9 +155,10 @@ def train(
     Example:
         python -m benchmarks train --task scratch --algorithm ippo --seeds 8
     """
-    from assistax_zoo.commands.train import check_names, parse_changes
+    from assistax_zoo.commands.train import parse_changes
+    from population.team_training import check_names
 
-    check_names(task, ())
+    check_names(task)
     _check_seconds(seconds)
     if not 1 <= seeds <= 4096:
         raise ValueError(f"seeds is {seeds}; allowed is 1 to 4096")

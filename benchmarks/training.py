@@ -11,8 +11,9 @@ import jax.numpy as jnp
 
 from benchmarks.timing import REPEATS, calls_within, timed
 from population.config import Member, SACConfig, TrainConfig, TrainerConfig
-from population.rollout import Environment
-from population.train import Trainer, initial_state, make_trainer
+from population.environment import Environment
+from population.train import initial_state, make_trainer
+from population.trainer import Trainer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,7 +98,7 @@ def _work(
 
 def _light(state: Any) -> Any:
     """Return a state without its replay, which collecting does not read."""
-    return dataclasses.replace(state, replay=None) if hasattr(state, "replay") else state
+    return dataclasses.replace(state, replay=())
 
 
 def _used(collected: tuple[Any, Any, Any]) -> tuple[Any, Any]:

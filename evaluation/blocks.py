@@ -20,7 +20,7 @@ from evaluation.evaluator import (
 from evaluation.jobs import Job, plan
 from evaluation.locks import LOCK_FILE, locked
 from evaluation.runner import Progress
-from population.engines import NOT_SHARED, RayCluster, run_blocks
+from population.ray_blocks import NOT_SHARED, RayCluster, run_blocks
 
 
 @dataclasses.dataclass(frozen=True)

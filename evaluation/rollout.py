@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from population.mapping import member_map
+from population.members import member_map
 
 GAMMA = 0.99  # of the discounted return
 # Most environment steps in one call: between calls there is progress, and a key press is heard.

@@ -23,7 +23,7 @@ from evaluation.relative import bounds_table
 from evaluation.roster import Roster, paired_rosters, registry_roster
 from evaluation.runner import Progress
 from evaluation.summary import Context, CrossPlaySummary, EvaluationSummary, SplitName
-from population.engines import RayCluster
+from population.ray_blocks import RayCluster
 from zoo.errors import RegistryVersionError, SplitError, listing
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split

@@ -1,5 +1,7 @@
 """Training state on disk, through Orbax: whole or not at all, and the same bits when read back on any devices."""
 
+import hashlib
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
-KEEP = 2  # newest checkpoints that stay on disk
+KEEP = 2  # newest checkpoints that stay on disk: one to go on from, one if that is damaged
+_DIGEST = "sha256"
 
 
 class Checkpoints:
@@ -32,9 +35,10 @@ class Checkpoints:
         Raises:
             OSError: It cannot be written; those that exist are untouched.
         """
-        last = self.latest()
+        last, arrays = self.latest(), _to_arrays(state)
+        arrays[_DIGEST] = _digest(arrays)
         try:
-            self._manager.save(update, args=ocp.args.StandardSave(_to_arrays(state)))
+            self._manager.save(update, args=ocp.args.StandardSave(arrays))
         except Exception as error:
             reason = str(error).strip().partition("\n")[0]
             kept = (
@@ -47,31 +51,62 @@ class Checkpoints:
                 f"{kept}; free some space there and run the same command again to go on"
             ) from error
 
-    def restore(self, update: int, like: Any) -> Any:
-        """Return the state of a checkpoint.
+    def restore_latest(self, like: Any) -> tuple[int, Any] | None:
+        """Return the newest checkpoint that is whole, as updates and state; None without any.
+
+        A damaged one is warned of and removed, and the one before it is taken: the run repeats the
+        updates between them.
 
         Args:
-            update: Which checkpoint.
             like: A state of the same structure, on the devices that the result is to lie on.
 
         Raises:
-            ValueError: The checkpoint holds a state of another structure.
+            ValueError: There are checkpoints, and none can be read.
         """
-        try:
-            saved: Any = self._manager.restore(
-                update, args=ocp.args.StandardRestore(_to_arrays(like))
-            )
-        except Exception as error:
-            reason = str(error).strip().partition("\n")[0]
+        updates, reason = sorted(self._manager.all_steps(), reverse=True), ""
+        for update in updates:
+            try:
+                state = self._restore(update, like)
+            except Exception as error:
+                reason = reason or str(error).strip().partition("\n")[0]
+                continue
+            for damaged in (newer for newer in updates if newer > update):
+                warnings.warn(
+                    f"the checkpoint of update {damaged} in {self.folder} is damaged ({reason}); "
+                    f"going on from the one of update {update}",
+                    stacklevel=2,
+                )
+                self._manager.delete(damaged)
+            return update, state
+        if updates:
             raise ValueError(
-                f"cannot read the checkpoint of update {update} in {self.folder}: {reason}; "
+                f"cannot read the checkpoint of update {updates[0]} in {self.folder}: {reason}; "
                 "it was written by another version or is damaged: start a new run in another folder"
-            ) from error
+            )
+        return None
+
+    def _restore(self, update: int, like: Any) -> Any:
+        like_arrays = _to_arrays(like)
+        like_arrays[_DIGEST] = _digest({})
+        saved: Any = self._manager.restore(update, args=ocp.args.StandardRestore(like_arrays))
+        digest = saved.pop(_DIGEST, None)
+        if digest is None or not np.array_equal(digest, _digest(saved)):
+            raise ValueError("its bytes are not those that were written")
         return _from_arrays(saved, like)
 
     def close(self) -> None:
         """Release the folder."""
         self._manager.close()
+
+
+def _digest(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the sha256 of all leaves [32]: Orbax itself loads flipped bits without a word."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        leaf = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name}:{leaf.dtype}:{leaf.shape};".encode())
+        digest.update(leaf.reshape(-1).view(np.uint8).data)
+    return np.frombuffer(digest.digest(), np.uint8)
 
 
 def _to_arrays(state: Any) -> dict[str, np.ndarray]:

@@ -350,6 +350,32 @@ class TrainConfig:
         return cls(**fields)
 
 
+def make_run(
+    task: str,
+    algorithm: str,
+    members: Sequence[Member],
+    steps: int,
+    trainer: TrainerConfig,
+    *,
+    checkpoint_every: int | None = None,
+    updates_per_call: int | None = None,
+    self_play_episodes: int = 16,
+    partners: Sequence[str] = (),
+) -> TrainConfig:
+    """Return a run; what is None is the trainer's own."""
+    return TrainConfig(
+        task=task,
+        algorithm=algorithm,
+        members=tuple(members),
+        steps=steps,
+        trainer=trainer,
+        checkpoint_every=trainer.checkpoint_every if checkpoint_every is None else checkpoint_every,
+        updates_per_call=trainer.updates_per_call if updates_per_call is None else updates_per_call,
+        self_play_episodes=self_play_episodes,
+        partners=tuple(partners),
+    )
+
+
 def traced_values(config: TrainerConfig, members: Sequence[Member]) -> dict[str, list[float]]:
     """Return every traced hyperparameter of every member: the config's, or its own."""
     return {

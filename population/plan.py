@@ -17,8 +17,8 @@ from typing import Any, Literal
 
 from assistax_envs.disability import DISABILITY_SETTINGS
 from assistax_envs.versions import TASKS
-from population.config import Member, TrainConfig, TrainerConfig, make_members, preset
-from population.runs import RunFolder
+from population.config import Member, TrainConfig, make_members, make_run, preset
+from population.run_folder import RunFolder
 
 PLAN_VERSION = 1
 _NAME = re.compile(r"[a-z][a-z0-9_]*(-[a-z0-9_]+)*")
@@ -74,12 +74,10 @@ class Group:
             "different settings",
         )
         _check(isinstance(self.set, dict), self, "set", "an object of hyperparameters")
-        _check(
-            self.max_members is None or _above_0(self.max_members),
-            self,
-            "max_members",
-            "an integer above 0",
-        )
+        _check(_above_0(self.steps), self, "steps", "an integer above 0")
+        for name in ("max_members", "updates_per_call", "checkpoint_every"):
+            value = getattr(self, name)
+            _check(value is None or _above_0(value), self, name, "an integer above 0")
         release = isinstance(self.adopt, str) and _RELEASE.fullmatch(self.adopt)
         _check(
             self.adopt is None or bool(release), self, "adopt", "an earlier release, such as 'v0'"
@@ -91,26 +89,16 @@ class Group:
         """Every team, setting by setting."""
         return make_members(self.seeds, self.disabilities)
 
-    @property
-    def trainer(self) -> TrainerConfig:
-        """Hyperparameters of the group."""
-        return preset(self.algorithm, **self.set)
-
     def config(self, members: Sequence[Member]) -> TrainConfig:
         """Return the run that trains some of the members."""
-        trainer = self.trainer
-        return TrainConfig(
-            task=self.task,
-            algorithm=self.algorithm,
-            members=tuple(members),
-            steps=self.steps,
-            trainer=trainer,
-            checkpoint_every=trainer.checkpoint_every
-            if self.checkpoint_every is None
-            else self.checkpoint_every,
-            updates_per_call=trainer.updates_per_call
-            if self.updates_per_call is None
-            else self.updates_per_call,
+        return make_run(
+            self.task,
+            self.algorithm,
+            members,
+            self.steps,
+            preset(self.algorithm, **self.set),
+            checkpoint_every=self.checkpoint_every,
+            updates_per_call=self.updates_per_call,
             self_play_episodes=self.self_play_episodes,
         )
 

@@ -9,30 +9,34 @@ part of its state.
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
 
-from population import normaliser, replay, rollout
-from population.config import Member, SACConfig, traced_values
+from population import experience, normaliser, replay_buffer
+from population.config import SACConfig
 from population.critic import Critic, CriticSpec
-from population.mapping import member_map
+from population.environment import Environment
+from population.experience import Sampler
+from population.frozen_partners import FrozenPartners
+from population.members import member_map
 from population.networks import Params, normalise
-from population.normaliser import Statistics
-from population.partners import Partners
-from population.policy import Gaussian, Policy
-from population.replay import Replay, Transitions
-from population.rollout import Batch, Environment, Simulations
-from population.spec import ROLES, PolicySpec
-
-Metrics = dict[str, jax.Array]
-
-_UNIFORM_LIMIT = (
-    0.999  # of exploring actions: the squashed end of a raw action that is still finite
+from population.policy import Gaussian
+from population.replay_buffer import Replay, Transitions
+from population.trainer import (
+    MemberState,
+    Metrics,
+    Trainer,
+    TrainState,
+    descended,
+    optimiser,
 )
+
+# Of exploring actions: the squashed end of a raw action that is still finite.
+_UNIFORM_LIMIT = 0.999
 
 
 @jax.tree_util.register_dataclass
@@ -59,112 +63,48 @@ class Learner:
     optimisers: dict[str, Any]  # by the names of networks
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class MemberState:
-    """What a member learns; leaves [M, ...] for all members."""
+class SAC(Trainer):
+    """Trains with SAC: `isac` has local critics, `masac` central ones."""
 
-    learners: dict[str, Learner]  # by role
-    statistics: dict[str, Statistics]  # of the observations, by role and "global"
-    key: jax.Array
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class TrainState:
-    """Everything that a run needs to go on."""
-
-    members: MemberState
-    simulations: Simulations
-    replay: Replay
-    update: jax.Array  # rounds done
-
-
-class SAC:
-    """Trains teams, or egos with partners, in an environment; `initial` and `update` may be jitted.
-
-    Raises:
-        ValueError: If the rollout is longer than an episode, or partners do not fit.
-    """
+    hyper_type = Hyper
 
     def __init__(
-        self, config: SACConfig, env: Environment, updates: int, partners: Partners | None = None
+        self,
+        config: SACConfig,
+        env: Environment,
+        updates: int,
+        partners: FrozenPartners | None = None,
     ) -> None:
-        rollout.check(env, config, partners)
-        if config.critic == "central" and partners:
+        super().__init__(config, env, updates, partners)
+        central = config.critic == "central"
+        if central and partners:
             raise ValueError(
                 "critic is 'central', which reads both roles' next actions, and partners are "
                 "frozen: choose local"
             )
         self.config = config
-        self.env = env
-        self.partners = partners
-        self.slots = math.ceil(
-            min(config.replay_size, updates * config.batch_steps) / config.batch_steps
-        )
-        self.roles = rollout.learning_roles(partners)
-        self.specs: dict[str, PolicySpec] = rollout.policy_specs(config, env, self.roles)
-        self.policies = {role: Policy(spec) for role, spec in self.specs.items()}
-        central = config.critic == "central"
-        self.critic_obs: dict[str, str] = {
-            role: "global" if central else role for role in self.roles
-        }
         self.critic_actions: dict[str, tuple[str, ...]] = {
             role: self.roles if central else (role,) for role in self.roles
         }
-        self.inputs = tuple(dict.fromkeys([*self.roles, *self.critic_obs.values()]))
-        self.critics: dict[str, Critic] = {role: self._critic(role) for role in self.roles}
-
-    def initial(self, keys: jax.Array, env_params: Any) -> TrainState:
-        """Return the state before the first update.
-
-        Args:
-            keys: One key for each member [M].
-            env_params: Parameters of the environment for each simulation [N], member by member.
-        """
-        config = self.config
-        split = jax.vmap(lambda key: jax.random.split(key, 4))(keys)
-        env_state = self.env.reset(
-            rollout.simulation_keys(split[:, 0], config.num_envs), env_params
-        )
-        stagger = jax.vmap(
-            lambda key: jax.random.randint(key, (config.num_envs,), 0, self.env.episode_length)
-        )
-        return TrainState(
-            members=member_map(self._initial_member)(split[:, 2], split[:, 3]),
-            simulations=rollout.begin(
-                env_state, self.policies, len(keys), stagger(split[:, 1]).reshape(-1), self.partners
-            ),
-            replay=replay.empty(
-                len(keys),
-                self.slots,
-                config.rollout_steps,
-                config.num_envs,
-                {name: self.env.observation_size[name] for name in self.inputs},
-                {role: self.env.action_size[role] for role in self.roles},
-            ),
-            update=jnp.zeros((), jnp.int32),
-        )
-
-    def hyper(self, members: Sequence[Member]) -> Hyper:
-        """Return the traced hyperparameters of every member: the config's, or its own."""
-        values = traced_values(self.config, members)
-        return Hyper(**{name: jnp.asarray(row, jnp.float32) for name, row in values.items()})
+        self.critics = {role: self._critic(role) for role in self.roles}
 
     def update(
         self, state: TrainState, hyper: Hyper, partners: Any = ()
     ) -> tuple[TrainState, Metrics]:
-        """Collect one rollout and, after exploring, learn from the replay; metrics are [M], losses 0 before that."""
+        """Collect one rollout and, after exploring, learn from the replay.
+
+        Metrics are [M]; losses are 0 as long as actions are explored at random.
+        """
         exploring = self._exploring(state)
         state, batch, keys = self.collect(state, partners)
-        batch = rollout.by_member(batch, len(keys))
-        kept = replay.add(
-            state.replay, batch, {role: jnp.tanh(raw) for role, raw in batch.raw.items()}
-        )
+        batch = experience.by_member(batch, len(keys))
+        actions = {role: jnp.tanh(raw) for role, raw in batch.raw.items()}
+        kept = replay_buffer.add(state.replay, batch, actions)
 
         def learn(members: MemberState) -> tuple[MemberState, Metrics]:
             keys_of = jax.vmap(jax.random.split)(keys)
-            drawn = replay.draw(kept, keys_of[:, 0], (self.config.updates, self.config.batch_size))
+            shape = (self.config.updates, self.config.batch_size)
+            drawn = replay_buffer.draw(kept, keys_of[:, 0], shape)
             return member_map(self._learn)(members, drawn, hyper, keys_of[:, 1])
 
         def wait(members: MemberState) -> tuple[MemberState, Metrics]:
@@ -178,11 +118,11 @@ class SAC:
             merge = jax.vmap(normaliser.update)
             statistics = {name: merge(statistics[name], batch.obs[name]) for name in self.inputs}
         members = dataclasses.replace(members, statistics=statistics)
-        metrics |= jax.vmap(rollout.episode_metrics)(batch)
-        return TrainState(members, state.simulations, kept, state.update + 1), metrics
+        metrics |= jax.vmap(experience.episode_metrics)(batch)
+        return TrainState(members, state.simulations, state.update + 1, kept), metrics
 
-    def collect(self, state: TrainState, partners: Any = ()) -> tuple[TrainState, Batch, jax.Array]:
-        """Return the state after a rollout, the rollout, and the keys [M] to learn from it with."""
+    def sampler(self, state: TrainState) -> Sampler:
+        """Return how raw actions are drawn: uniformly while exploring, else from the policy."""
         exploring = self._exploring(state)
 
         def sample(gaussian: Gaussian, key: jax.Array) -> jax.Array:
@@ -192,48 +132,50 @@ class SAC:
             )
             return jnp.where(exploring, jnp.arctanh(uniform), gaussian.sample(drawn))
 
-        return rollout.collect_next(self, state, partners, sample)
+        return sample
 
     def policy_params(self, members: MemberState) -> dict[str, Params]:
         """Return parameters as `Policy` reads them, by role; leaves [M, ...]."""
         return {
-            role: self._actor(role, members, members.learners[role].networks["actor"])
+            role: self.with_normaliser(role, members, members.learners[role].networks["actor"])
             for role in self.roles
         }
 
+    def initial_replay(self, members: int) -> Replay:
+        """Return an empty replay for all members, no longer than the run."""
+        config, steps = self.config, self.config.batch_steps
+        return replay_buffer.empty(
+            members,
+            math.ceil(min(config.replay_size, self.updates * steps) / steps),
+            config.rollout_steps,
+            config.num_envs,
+            {name: self.env.observation_size[name] for name in self.inputs},
+            {role: self.env.action_size[role] for role in self.roles},
+        )
+
+    def initial_learners(self, keys: Mapping[str, jax.Array]) -> dict[str, Learner]:
+        """Return one member's learners, with a key for each role."""
+        return {role: self._initial_learner(role, keys[role]) for role in self.roles}
+
+    def _initial_learner(self, role: str, key: jax.Array) -> Learner:
+        actor, first, second = jax.random.split(key, 3)
+        critic = {
+            "first": self.critics[role].init(first),
+            "second": self.critics[role].init(second),
+        }
+        networks = {
+            "actor": self.policies[role].init(actor),
+            "critic": critic,
+            "log_alpha": jnp.log(jnp.asarray(self.config.initial_alpha)),
+        }
+        networks["actor"].pop("normaliser", None)
+        optimisers = {
+            name: self._optimiser(name, 1.0).init(params) for name, params in networks.items()
+        }
+        return Learner(networks, critic, optimisers)
+
     def _exploring(self, state: TrainState) -> jax.Array:
         return state.update * self.config.batch_steps < self.config.exploration_steps
-
-    def _initial_member(self, key: jax.Array, carried: jax.Array) -> MemberState:
-        learners = {}
-        # As many keys as there are roles, whoever learns: a robot starts the same with partners as
-        # in a team.
-        for role, role_key in zip(ROLES, jax.random.split(key, len(ROLES)), strict=True):
-            if role not in self.roles:
-                continue
-            actor, first, second = jax.random.split(role_key, 3)
-            critic = {
-                "first": self.critics[role].init(first),
-                "second": self.critics[role].init(second),
-            }
-            networks = {
-                "actor": self.policies[role].init(actor),
-                "critic": critic,
-                "log_alpha": jnp.log(jnp.asarray(self.config.initial_alpha)),
-            }
-            networks["actor"].pop("normaliser", None)
-            learners[role] = Learner(
-                networks=networks,
-                target=critic,
-                optimisers={
-                    name: self._optimiser(name, 1.0).init(params)
-                    for name, params in networks.items()
-                },
-            )
-        statistics = {
-            name: normaliser.empty(self.env.observation_size[name]) for name in self.inputs
-        }
-        return MemberState(learners, statistics, carried)
 
     def _learn(
         self, member: MemberState, drawn: Transitions, hyper: Hyper, key: jax.Array
@@ -278,7 +220,7 @@ class SAC:
         key: jax.Array,
         hyper: Hyper,
     ) -> tuple[dict[str, Learner], Metrics]:
-        """Take a step of every role's critics towards the soft targets of one minibatch [B, ...]."""
+        """Take a step of every role's critics towards the soft targets of a minibatch [B, ...]."""
         new, metrics = {}, {}
         next_action, next_log_prob = self._act(learners, member, batch.next_obs, key)
         for role, learner in learners.items():
@@ -287,23 +229,32 @@ class SAC:
             target = soft_target(
                 batch.reward, batch.terminated, next_q, next_log_prob[role], alpha, hyper.gamma
             )
-
-            def loss(
-                critic: Params, role: str = role, target: jax.Array = target
-            ) -> tuple[jax.Array, jax.Array]:
-                q = self._values(role, critic, member, batch.obs, batch.action)
-                return jnp.square(q - target[None]).mean(1).sum(), q
-
-            gradient, q = jax.grad(loss, has_aux=True)(learner.networks["critic"])
-            learner = self._descended(learner, "critic", gradient, hyper.q_lr, hyper.max_grad_norm)
-            slow = optax.incremental_update(learner.networks["critic"], learner.target, hyper.tau)
-            new[role] = dataclasses.replace(learner, target=slow)
-            metrics |= {
-                f"q_loss_{role}": jnp.square(q - target[None]).mean(),
-                f"q_{role}": q.mean(),
-                f"critic_grad_norm_{role}": optax.tree.norm(gradient),
-            }
+            new[role], logged = self._improve_critic(role, learner, member, batch, target, hyper)
+            metrics |= logged
         return new, metrics
+
+    def _improve_critic(
+        self,
+        role: str,
+        learner: Learner,
+        member: MemberState,
+        batch: Transitions,
+        target: jax.Array,
+        hyper: Hyper,
+    ) -> tuple[Learner, Metrics]:
+        def loss(critic: Params) -> tuple[jax.Array, jax.Array]:
+            q = self._values(role, critic, member, batch.obs, batch.action)
+            return critic_loss(q, target), q
+
+        gradient, q = jax.grad(loss, has_aux=True)(learner.networks["critic"])
+        clipped = self._optimiser("critic", hyper.max_grad_norm)
+        learner = descended(learner, "critic", gradient, clipped, hyper.q_lr)
+        slow = optax.incremental_update(learner.networks["critic"], learner.target, hyper.tau)
+        return dataclasses.replace(learner, target=slow), {
+            f"q_loss_{role}": jnp.square(q - target[None]).mean(),
+            f"q_{role}": q.mean(),
+            f"critic_grad_norm_{role}": optax.tree.norm(gradient),
+        }
 
     def _improve_policies(
         self,
@@ -316,44 +267,44 @@ class SAC:
         """Take a step of every role's policy and temperature on one minibatch [B, ...]."""
         new, metrics = {}, {}
         for role, role_key in zip(learners, jax.random.split(key, len(learners)), strict=True):
-            learner = learners[role]
-            log_alpha = learner.networks["log_alpha"]
-
-            def loss(
-                actor: Params,
-                role: str = role,
-                key: jax.Array = role_key,
-                learner: Learner = learner,
-            ) -> tuple[jax.Array, jax.Array]:
-                action, log_prob = self._draw(role, actor, member, batch.obs[role], key)
-                actions = {**batch.action, role: action}
-                q = self._values(role, learner.networks["critic"], member, batch.obs, actions).min(
-                    0
-                )
-                return (jnp.exp(learner.networks["log_alpha"]) * log_prob - q).mean(), log_prob
-
-            (value, log_prob), gradient = jax.value_and_grad(loss, has_aux=True)(
-                learner.networks["actor"]
+            new[role], logged = self._improve_policy(
+                role, learners[role], member, batch, role_key, hyper
             )
-            learner = self._descended(
-                learner, "actor", gradient, hyper.policy_lr, hyper.max_grad_norm
-            )
-            if self.config.autotune:
-                surplus = (
-                    -log_prob.mean() + hyper.target_entropy_scale * self.specs[role].action_size
-                )
-                rate = hyper.alpha_lr
-                learner = self._descended(
-                    learner, "log_alpha", jnp.exp(log_alpha) * surplus, rate, jnp.inf
-                )
-            new[role] = learner
-            metrics |= {
-                f"policy_loss_{role}": value,
-                f"entropy_{role}": -log_prob.mean(),
-                f"alpha_{role}": jnp.exp(log_alpha),
-                f"actor_grad_norm_{role}": optax.tree.norm(gradient),
-            }
+            metrics |= logged
         return new, metrics
+
+    def _improve_policy(
+        self,
+        role: str,
+        learner: Learner,
+        member: MemberState,
+        batch: Transitions,
+        key: jax.Array,
+        hyper: Hyper,
+    ) -> tuple[Learner, Metrics]:
+        log_alpha, critic = learner.networks["log_alpha"], learner.networks["critic"]
+
+        def loss(actor: Params) -> tuple[jax.Array, jax.Array]:
+            action, log_prob = self._draw(role, actor, member, batch.obs[role], key)
+            q = self._values(role, critic, member, batch.obs, {**batch.action, role: action})
+            return policy_loss(jnp.exp(log_alpha), log_prob, q), log_prob
+
+        (value, log_prob), gradient = jax.value_and_grad(loss, has_aux=True)(
+            learner.networks["actor"]
+        )
+        clipped = self._optimiser("actor", hyper.max_grad_norm)
+        learner = descended(learner, "actor", gradient, clipped, hyper.policy_lr)
+        if self.config.autotune:
+            target = -hyper.target_entropy_scale * self.specs[role].action_size
+            slope = temperature_gradient(log_alpha, log_prob, target)
+            plain = self._optimiser("log_alpha", jnp.inf)
+            learner = descended(learner, "log_alpha", slope, plain, hyper.alpha_lr)
+        return learner, {
+            f"policy_loss_{role}": value,
+            f"entropy_{role}": -log_prob.mean(),
+            f"alpha_{role}": jnp.exp(log_alpha),
+            f"actor_grad_norm_{role}": optax.tree.norm(gradient),
+        }
 
     def _act(
         self,
@@ -376,7 +327,9 @@ class SAC:
         self, role: str, actor: Params, member: MemberState, obs: jax.Array, key: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         first = jnp.zeros(obs.shape[:-1], bool)
-        _, gaussian = self.policies[role].step(self._actor(role, member, actor), (), obs, first)
+        _, gaussian = self.policies[role].step(
+            self.with_normaliser(role, member, actor), (), obs, first
+        )
         raw = gaussian.sample(key)
         return gaussian.action(raw), gaussian.log_prob(raw)
 
@@ -404,12 +357,6 @@ class SAC:
             ]
         )
 
-    def _actor(self, role: str, member: MemberState, actor: Params) -> Params:
-        """Return an actor's parameters with what normalises its observations; leading axes are free."""
-        if not self.config.normalise:
-            return actor
-        return {**actor, "normaliser": normaliser.to_params(member.statistics[role])}
-
     def _critic(self, role: str) -> Critic:
         width = self.env.observation_size[self.critic_obs[role]]
         width += sum(self.env.action_size[other] for other in self.critic_actions[role])
@@ -418,31 +365,8 @@ class SAC:
     def _optimiser(
         self, name: str, max_grad_norm: jax.Array | float
     ) -> optax.GradientTransformation:
-        """Return clip and Adam of a network, before the learning rate; a temperature is not clipped."""
-        adam = optax.scale_by_adam(eps=self.config.adam_eps)
-        return (
-            adam
-            if name == "log_alpha"
-            else optax.chain(optax.clip_by_global_norm(max_grad_norm), adam)
-        )
-
-    def _descended(
-        self,
-        learner: Learner,
-        name: str,
-        gradient: Any,
-        rate: jax.Array,
-        max_grad_norm: jax.Array | float,
-    ) -> Learner:
-        """Return the learner after one step of one of its networks."""
-        optimiser = self._optimiser(name, max_grad_norm)
-        steps, state = optimiser.update(gradient, learner.optimisers[name])
-        params = jax.tree.map(lambda leaf, step: leaf - rate * step, learner.networks[name], steps)
-        return dataclasses.replace(
-            learner,
-            networks={**learner.networks, name: params},
-            optimisers={**learner.optimisers, name: state},
-        )
+        """Return the optimiser of a network; a temperature is one number, and not clipped."""
+        return optimiser(self.config.adam_eps, None if name == "log_alpha" else max_grad_norm)
 
 
 def soft_target(
@@ -468,3 +392,40 @@ def soft_target(
     """
     value = next_q.min(0) - alpha * next_log_prob
     return reward + gamma * jnp.where(terminated, 0.0, value)
+
+
+def critic_loss(q: jax.Array, target: jax.Array) -> jax.Array:
+    """Return sum_i E[(Q_i(s, a) - target)^2] (Haarnoja et al., 2018, equation 5, twice it).
+
+    Args:
+        q: What both critics say of replayed actions [2, B].
+        target: Their soft targets [B].
+    """
+    return jnp.square(q - target[None]).mean(1).sum()
+
+
+def policy_loss(alpha: jax.Array, log_prob: jax.Array, q: jax.Array) -> jax.Array:
+    """Return E[alpha log pi(a | s) - min_i Q_i(s, a)] (Haarnoja et al., 2018, equation 7).
+
+    Args:
+        alpha: Temperature.
+        log_prob: Log densities of new actions [B].
+        q: What both critics say of them [2, B].
+    """
+    return (alpha * log_prob - q.min(0)).mean()
+
+
+def temperature_gradient(
+    log_alpha: jax.Array, log_prob: jax.Array, target_entropy: jax.Array
+) -> jax.Array:
+    """Return the slope of J = E[-alpha log pi - alpha target] over log alpha.
+
+    dJ / dlog alpha = alpha (H - target) with the entropy H = -E[log pi] (Haarnoja et al., 2018,
+    equation 18).
+
+    Args:
+        log_alpha: Logarithm of the temperature.
+        log_prob: Log densities of new actions [B].
+        target_entropy: What the entropy is to be.
+    """
+    return jnp.exp(log_alpha) * (-log_prob.mean() - target_entropy)

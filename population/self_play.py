@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
-from population.mapping import member_map
+from population.environment import Environment
+from population.members import flatten, member_map, split
 from population.networks import Params
 from population.policy import Policy
-from population.rollout import Environment, flatten, split
 
 _RESAMPLES = 2000
 _LEVEL = 95.0
@@ -26,7 +26,7 @@ def self_play(
     keys: jax.Array,
     episodes: int,
 ) -> list[dict[str, Any]]:
-    """Play episodes of every team and return `mean`, `iqm`, `ci`, `n` and `success` of each.
+    """Play episodes of every team and return `mean`, `iqm`, `mean_ci`, `n` and `success` of each.
 
     The interval is a percentile bootstrap over a team's episodes: it says how well these episodes
     determine this team's return, and nothing about other seeds.
@@ -99,7 +99,7 @@ def _figures(returns: np.ndarray, success: np.ndarray) -> dict[str, Any]:
     return {
         "mean": float(returns.mean()),
         "iqm": float(stats.trim_mean(returns, 0.25)),
-        "ci": [float(low), float(high)],
+        "mean_ci": [float(low), float(high)],
         "n": len(returns),
         "success": float(success.mean()),
     }

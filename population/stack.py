@@ -51,6 +51,29 @@ def map_leaves(function: Any, params: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def flatten(params: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
+    """Return the arrays of nested parameters by '/'-joined path."""
+    leaves = {}
+    for name, value in params.items():
+        if isinstance(value, Mapping):
+            leaves |= flatten(value, f"{prefix}{name}/")
+        else:
+            leaves[f"{prefix}{name}"] = np.ascontiguousarray(value)
+    return leaves
+
+
+def unflatten(leaves: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Return the nested parameters of leaves by '/'-joined path: the inverse of `flatten`."""
+    tree: dict[str, Any] = {}
+    for path, value in leaves.items():
+        *folders, name = path.split("/")
+        node = tree
+        for folder in folders:
+            node = node.setdefault(folder, {})
+        node[name] = value
+    return tree
+
+
 def _stacked(trees: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {
         name: _stacked([tree[name] for tree in trees])

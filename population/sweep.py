@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from population.config import Member, TrainConfig, preset
-from population.engines import NOT_SHARED, RayCluster, run_blocks
-from population.rollout import Environment
-from population.runs import write_atomically
+from population.config import Member, TrainConfig, make_run, preset
+from population.environment import Environment
+from population.files import atomic_path, atomic_write
+from population.ray_blocks import NOT_SHARED, RayCluster, run_blocks
 from population.train import Progress, train
 
 RESULTS, BEST = "sweep.parquet", "preset.json"
@@ -155,15 +155,8 @@ class Sweep:
             for seed in range(self.seeds)
         )
         trainer = preset(self.algorithm, **{**self.fixed, **discrete})
-        return TrainConfig(
-            task=self.task,
-            algorithm=self.algorithm,
-            members=members,
-            steps=self.steps,
-            trainer=trainer,
-            checkpoint_every=trainer.checkpoint_every,
-            updates_per_call=trainer.updates_per_call,
-            self_play_episodes=0,
+        return make_run(
+            self.task, self.algorithm, members, self.steps, trainer, self_play_episodes=0
         )
 
     def _discrete(self) -> dict[str, tuple[Any, ...]]:
@@ -265,12 +258,13 @@ def _collect(sweep: Sweep, folder: Path) -> pl.DataFrame:
             )
         )
     results = pl.concat(tables).sort("configuration", "seed")
-    results.write_parquet(folder / RESULTS)
+    with atomic_path(folder / RESULTS) as temporary:
+        results.write_parquet(temporary)
     content = {
         "algorithm": sweep.algorithm,
         "hyperparameters": {**sweep.fixed, **best(results, points)},
     }
-    write_atomically(folder / BEST, (json.dumps(content, indent=2) + "\n").encode())
+    atomic_write(folder / BEST, (json.dumps(content, indent=2) + "\n").encode())
     return results
 
 

@@ -1,5 +1,6 @@
 """A training run, from configuration to finished teams in a folder."""
 
+import contextlib
 import dataclasses
 import datetime
 import importlib.metadata
@@ -7,9 +8,8 @@ import shutil
 import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,19 +17,18 @@ import numpy as np
 import polars as pl
 
 from assistax_envs import disability_params
+from assistax_envs.disability import Disability
 from assistax_envs.interrupts import interruptible
 from population.checkpoints import Checkpoints
 from population.config import MIXED, Member, PPOConfig, TrainConfig
-from population.networks import Params
-from population.partners import Partners
-from population.policy import Policy
+from population.devices import SECOND_AXIS, WHOLE, Shares, state_specs
+from population.environment import Environment
+from population.frozen_partners import FrozenPartners
 from population.ppo import PPO
-from population.rollout import Environment
-from population.runs import RunFolder, extends, metrics_table
+from population.run_folder import RunFolder, extends, metrics_table
 from population.sac import SAC
 from population.self_play import self_play
-from population.sharding import SECOND_AXIS, WHOLE, Shares, state_specs
-from population.spec import PolicySpec
+from population.trainer import Trainer, TrainState
 
 _SELF_PLAY = 1  # folded into a member's key: episodes of the final evaluation
 _LOSSES = (
@@ -42,47 +41,6 @@ _LOSSES = (
     "critic_grad_norm",
 )
 _LIBRARIES = ("jax", "flax", "optax", "mujoco")
-
-
-Metrics = dict[str, jax.Array]
-
-
-class State(Protocol):
-    """Training state: a pytree that holds at least these."""
-
-    @property
-    def members(self) -> Any: ...
-    @property
-    def update(self) -> jax.Array: ...
-
-
-class Trainer(Protocol):
-    """An algorithm for many members at once; `PPO` and `SAC` are two."""
-
-    env: Environment
-    specs: dict[str, PolicySpec]  # of the roles that learn
-    policies: dict[str, Policy]
-    partners: Partners | None
-
-    def initial(self, keys: jax.Array, env_params: Any) -> Any:
-        """Return the state before the first update, for member keys [M] and simulations [N]."""
-        ...
-
-    def update(self, state: Any, hyper: Any, partners: Any = ()) -> tuple[Any, Metrics]:
-        """Collect and learn once; metrics are [M]."""
-        ...
-
-    def collect(self, state: Any, partners: Any = ()) -> tuple[Any, Any, jax.Array]:
-        """Return the state after a rollout, the rollout, and the keys [M] to learn from it with."""
-        ...
-
-    def hyper(self, members: Sequence[Member]) -> Any:
-        """Return the traced hyperparameters [M]."""
-        ...
-
-    def policy_params(self, members: Any) -> dict[str, Params]:
-        """Return parameters as `Policy` reads them, leaves [M, ...], by role."""
-        ...
 
 
 class DivergedError(ValueError):
@@ -107,16 +65,17 @@ def train(
     env: Environment,
     folder: Path | str,
     *,
-    partners: Partners | None = None,
+    partners: FrozenPartners | None = None,
     resume: bool = True,
     stop_on_divergence: bool = True,
     progress: Callable[[Progress], None] | None = None,
     devices: Sequence[jax.Device] | None = None,
 ) -> Path:
-    """Train the members of a run and return its folder; a run that was interrupted goes on to the same result.
+    """Train the members of a run and return its folder.
 
-    With partners, who are frozen, a member is an ego in the other seat. Several devices share the
-    members: as many as divide their number. A run may go on on other devices than it began on.
+    A run that was interrupted goes on to the same result. With partners, who are frozen, a member
+    is an ego in the other seat. Several devices share the members: as many as divide their number.
+    A run may go on on other devices than it began on.
 
     Args:
         config: What to train.
@@ -135,12 +94,74 @@ def train(
         DivergedError: A loss became NaN or infinite; the last good checkpoint stays.
         OSError: The folder cannot be written.
     """
+    _check(config, env, partners)
+    trainer, run = make_trainer(config, env, partners), RunFolder(folder)
+    run.open(config, {"version": env.version, "backend": env.backend}, resume)
+    if run.finished(config):
+        return run.folder
+
+    def work(check: Callable[[], None]) -> None:
+        def report(state: Progress) -> None:
+            check()
+            if progress is not None:
+                progress(state)
+
+        # The threads of the devices end before this does, whatever happens.
+        with (
+            Shares(len(config.members), devices) as shares,
+            contextlib.closing(Checkpoints(run.checkpoints)) as checkpoints,
+        ):
+            training = _Training(config, trainer, shares, run, checkpoints)
+            state, metrics = training.loop(*training.load(), report, stop_on_divergence)
+            training.finish(state, metrics)
+
+    interruptible(work)
+    if not extends(config.trainer):
+        # A replay for each member, and nothing can go on from them.
+        shutil.rmtree(run.checkpoints, ignore_errors=True)
+    return run.folder
+
+
+def make_trainer(
+    config: TrainConfig, env: Environment, partners: FrozenPartners | None = None
+) -> Trainer:
+    """Return the trainer of a run."""
+    if isinstance(config.trainer, PPOConfig):
+        return PPO(config.trainer, env, config.updates, partners)
+    return SAC(config.trainer, env, config.updates, partners)
+
+
+def initial_state(
+    config: TrainConfig, trainer: Trainer, shares: Shares | None = None
+) -> TrainState:
+    """Return the state of a run before its first update, on one device if there are no shares."""
+    shares = shares or Shares(len(config.members), jax.local_devices()[:1])
+    keys = jnp.stack([member_key(member) for member in config.members])
+    settings: list[str | Disability] = []
+    for member in config.members:
+        if trainer.partners:
+            settings += trainer.partners.settings(config.trainer.num_envs)
+        else:
+            settings += [member.disability] * config.trainer.num_envs
+    start = shares.put((keys, disability_params(settings)))
+    initial = shares.jit(trainer.initial, state_specs(jax.eval_shape(trainer.initial, *start)))
+    # Copied, so that no two leaves share a buffer: each is donated to the first update.
+    return jax.tree.map(jnp.copy, initial(*start))
+
+
+def member_key(member: Member) -> jax.Array:
+    """Return a member's key: its own, whoever trains beside it."""
+    return jax.random.fold_in(jax.random.key(member.seed), zlib.crc32(member.disability.encode()))
+
+
+def _check(config: TrainConfig, env: Environment, partners: FrozenPartners | None) -> None:
+    """Check that environment, configuration and partners are of one run."""
     if env.task != config.task:
         raise ValueError(
             f"the environment's task is {env.task!r}, the run's is {config.task!r}; give the same "
             "task"
         )
-    if config.partners != (partners.names if partners else ()):
+    if config.partners != (partners.ids if partners else ()):
         raise ValueError(
             "the partners given are not those that the configuration names; give the same, in its "
             "order"
@@ -152,151 +173,110 @@ def train(
                 f"has {MIXED!r}, because each partner brings its own, and a team has one of d1 to "
                 "d9"
             )
-    trainer, shares = make_trainer(config, env, partners), Shares(len(config.members), devices)
-    run = RunFolder(folder)
-    run.open(config, {"version": env.version, "backend": env.backend}, resume)
-    if run.finished(config):
-        return run.folder
-
-    def work(check: Callable[[], None]) -> None:
-        def report(state: Progress) -> None:
-            check()
-            if progress is not None:
-                progress(state)
-
-        _run(config, trainer, shares, run, report, stop_on_divergence)
-
-    interruptible(work)
-    return run.folder
 
 
-def make_trainer(
-    config: TrainConfig, env: Environment, partners: Partners | None = None
-) -> Trainer:
-    """Return the trainer of a run."""
-    if isinstance(config.trainer, PPOConfig):
-        return PPO(config.trainer, env, config.updates, partners)
-    return SAC(config.trainer, env, config.updates, partners)
+@dataclasses.dataclass(frozen=True)
+class _Training:
+    """One run, from its newest checkpoint to its teams."""
 
+    config: TrainConfig
+    trainer: Trainer
+    shares: Shares
+    run: RunFolder
+    checkpoints: Checkpoints
 
-def initial_state(config: TrainConfig, trainer: Trainer, shares: Shares | None = None) -> Any:
-    """Return the state of a run before its first update, on one device if there are no shares."""
-    shares = shares or Shares(len(config.members), jax.local_devices()[:1])
-    keys = jnp.stack([member_key(member) for member in config.members])
-    simulations, partners = config.trainer.num_envs, trainer.partners
-    settings = [
-        setting
-        for member in config.members
-        for setting in (
-            partners.settings(simulations) if partners else [member.disability] * simulations
-        )
-    ]
-    start = shares.put((keys, disability_params(settings)))
-    initial = shares.jit(trainer.initial, state_specs(jax.eval_shape(trainer.initial, *start)))
-    # Copied, so that no two leaves share a buffer: each is donated to the first update.
-    return jax.tree.map(jnp.copy, initial(*start))
+    def load(self) -> tuple[TrainState, list[pl.DataFrame]]:
+        """Return the state and metrics of the newest whole checkpoint, or of the beginning."""
+        state = initial_state(self.config, self.trainer, self.shares)
+        found = self.checkpoints.restore_latest(state)
+        if found is None:
+            return state, []
+        done, state = found
+        if done > self.config.updates:
+            raise ValueError(
+                f"{self.run.folder} has already trained "
+                f"{done * self.config.trainer.batch_steps} steps; ask for at least that many"
+            )
+        return state, [self.run.read_metrics(done)]
 
+    def loop(
+        self,
+        state: TrainState,
+        metrics: list[pl.DataFrame],
+        progress: Callable[[Progress], None],
+        stop_on_divergence: bool,
+    ) -> tuple[TrainState, pl.DataFrame]:
+        """Update until the run is done, saving metrics and state every `checkpoint_every` updates.
 
-def _run(
-    config: TrainConfig,
-    trainer: Trainer,
-    shares: Shares,
-    run: RunFolder,
-    progress: Callable[[Progress], None],
-    stop_on_divergence: bool,
-) -> None:
-    """Train from the newest checkpoint, or the beginning, to the finished teams."""
-    checkpoints = Checkpoints(run.checkpoints)
-    try:
-        state, metrics = _load(config, trainer, shares, run, checkpoints)
-        state, metrics = _loop(
-            config, trainer, shares, state, metrics, run, checkpoints, progress, stop_on_divergence
-        )
-    finally:
-        checkpoints.close()
-    _finish(config, trainer, shares, state, metrics, run)
-    if not extends(config.trainer):
-        # A replay for each member, and nothing can go on from them.
-        shutil.rmtree(run.checkpoints, ignore_errors=True)
+        The last state is saved only where a longer run can go on from it: with a replay for each
+        member it may be large.
+        """
+        config, done = self.config, int(state.update)
+        advance = self._advance(state)
+        if done < config.updates:
+            self.run.teams.unlink(missing_ok=True)
+        clock = _Clock(float(metrics[-1]["seconds"][-1]) if metrics else 0.0, done)
+        while done < config.updates:
+            updates = min(config.updates_per_call, config.updates - done)
+            state, values = advance(state, updates)
+            rows = metrics_table(
+                values, config.members, done, config.trainer.batch_steps, clock.seconds()
+            )
+            metrics.append(rows)
+            done += updates
+            saving = done // config.checkpoint_every > (done - updates) // config.checkpoint_every
+            ending = done == config.updates
+            if stop_on_divergence and (bad := _diverged(values)):
+                self.run.write_metrics(pl.concat(metrics))
+                raise DivergedError(_divergence(bad, rows, config, self.checkpoints))
+            if saving or ending:
+                metrics = [pl.concat(metrics)]
+                self.run.write_metrics(metrics[0])
+            if extends(config.trainer) if ending else saving:
+                self.checkpoints.save(done, state)
+            progress(clock.progress(config, done, rows))
+        return state, pl.concat(metrics)
 
+    def _advance(
+        self, state: TrainState
+    ) -> Callable[[TrainState, int], tuple[TrainState, dict[str, np.ndarray]]]:
+        """Return what makes some updates, and returns their metrics [updates, M]."""
+        trainer, shares = self.trainer, self.shares
 
-def member_key(member: Member) -> jax.Array:
-    """Return a member's key: its own, whoever trains beside it."""
-    return jax.random.fold_in(jax.random.key(member.seed), zlib.crc32(member.disability.encode()))
+        def scan(state: Any, hyper: Any, partners: Any, *, updates: int) -> Any:
+            return jax.lax.scan(
+                lambda state, _: trainer.update(state, hyper, partners), state, length=updates
+            )
 
+        specs = (state_specs(state), SECOND_AXIS)
+        jitted = shares.jit(scan, specs, static_argnames="updates", donate_argnames="state")
+        hyper = shares.put(trainer.hyper(self.config.members))
+        partners = shares.put(trainer.partners.params if trainer.partners else (), WHOLE)
 
-def _load(
-    config: TrainConfig, trainer: Trainer, shares: Shares, run: RunFolder, checkpoints: Checkpoints
-) -> tuple[State, list[pl.DataFrame]]:
-    """Return the state and metrics of the newest checkpoint, or of the beginning."""
-    state = initial_state(config, trainer, shares)
-    done = checkpoints.latest()
-    if done is None:
-        return state, []
-    if done > config.updates:
-        steps = done * config.trainer.batch_steps
-        raise ValueError(
-            f"{run.folder} has already trained {steps} steps; ask for at least that many"
-        )
-    return checkpoints.restore(done, state), [run.read_metrics(done)]
+        def advance(state: TrainState, updates: int) -> tuple[TrainState, dict[str, np.ndarray]]:
+            state, values = jitted(state, hyper, partners, updates=updates)
+            return state, jax.device_get(values)
 
+        return advance
 
-def _loop(
-    config: TrainConfig,
-    trainer: Trainer,
-    shares: Shares,
-    state: State,
-    metrics: list[pl.DataFrame],
-    run: RunFolder,
-    checkpoints: Checkpoints,
-    progress: Callable[[Progress], None],
-    stop_on_divergence: bool,
-) -> tuple[State, pl.DataFrame]:
-    """Update until the run is done, saving metrics and then the state every `checkpoint_every` updates.
-
-    The last state is saved only where a longer run can go on from it: with a replay for each member
-    it may be large.
-    """
-    specs = (state_specs(state), SECOND_AXIS)
-    advance = shares.jit(
-        partial(_advance, trainer), specs, static_argnames="updates", donate_argnames="state"
-    )
-    hyper = shares.put(trainer.hyper(config.members))
-    partners = shares.put(trainer.partners.params if trainer.partners else (), WHOLE)
-    done = int(state.update)
-    if done < config.updates:
-        run.teams.unlink(missing_ok=True)
-    clock = _Clock(float(metrics[-1]["seconds"][-1]) if metrics else 0.0, done)
-    while done < config.updates:
-        updates = min(config.updates_per_call, config.updates - done)
-        state, values = advance(state, hyper, partners, updates=updates)
-        values = jax.device_get(values)
-        rows = metrics_table(
-            values, config.members, done, config.trainer.batch_steps, clock.seconds()
-        )
-        metrics.append(rows)
-        done += updates
-        saving = done // config.checkpoint_every > (done - updates) // config.checkpoint_every
-        ending = done == config.updates
-        if stop_on_divergence and (bad := _diverged(values)):
-            run.write_metrics(pl.concat(metrics))
-            raise DivergedError(_divergence(bad, rows, config, checkpoints))
-        if saving or ending:
-            metrics = [pl.concat(metrics)]
-            run.write_metrics(metrics[0])
-        if extends(config.trainer) if ending else saving:
-            checkpoints.save(done, state)
-        progress(clock.progress(config, done, rows))
-    return state, pl.concat(metrics)
-
-
-def _advance(
-    trainer: Trainer, state: State, hyper: Any, partners: Any, *, updates: int
-) -> tuple[State, Metrics]:
-    """Return the state after some updates, and their metrics [updates, M]."""
-    return jax.lax.scan(
-        lambda state, _: trainer.update(state, hyper, partners), state, length=updates
-    )
+    def finish(self, state: TrainState, metrics: pl.DataFrame) -> None:
+        """Evaluate the final policies in self-play, unless they are egos, and write them."""
+        config, trainer = self.config, self.trainer
+        # On one device: a few episodes of each team are less than an update was.
+        params = jax.jit(trainer.policy_params)(self.shares.gather(state.members))
+        figures: list[dict[str, Any] | None] = [None] * len(config.members)
+        if config.self_play_episodes and not trainer.partners:
+            figures[:] = self_play(
+                trainer.env,
+                trainer.policies,
+                params,
+                disability_params([member.disability for member in config.members]),
+                jnp.stack([jax.random.fold_in(member_key(m), _SELF_PLAY) for m in config.members]),
+                config.self_play_episodes,
+            )
+        seconds = float(metrics["seconds"][-1])
+        training = _provenance(config, trainer.env, self.shares, seconds)
+        self.run.write_teams(config, trainer.specs, jax.device_get(params), training, figures)
 
 
 class _Clock:
@@ -348,30 +328,6 @@ def _divergence(
         f"by update {rows['update'].max()}; {kept} in {checkpoints.folder}; "
         f"start a new run with a {lower} or a max_grad_norm below {config.trainer.max_grad_norm:g}"
     )
-
-
-def _finish(
-    config: TrainConfig,
-    trainer: Trainer,
-    shares: Shares,
-    state: State,
-    metrics: pl.DataFrame,
-    run: RunFolder,
-) -> None:
-    """Evaluate the final policies in self-play, unless they are egos, and write them."""
-    # On one device: a few episodes of each team are less than an update was.
-    params = jax.jit(trainer.policy_params)(shares.gather(state.members))
-    results: list[dict[str, Any] | None] = [None] * len(config.members)
-    if config.self_play_episodes and not trainer.partners:
-        keys = jnp.stack(
-            [jax.random.fold_in(member_key(member), _SELF_PLAY) for member in config.members]
-        )
-        env_params = disability_params([member.disability for member in config.members])
-        results[:] = self_play(
-            trainer.env, trainer.policies, params, env_params, keys, config.self_play_episodes
-        )
-    training = _provenance(config, trainer.env, shares, float(metrics["seconds"][-1]))
-    run.write_teams(config, trainer.specs, jax.device_get(params), training, results)
 
 
 def _provenance(

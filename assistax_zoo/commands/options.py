@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
-    from population.engines import RayCluster
+    from population.ray_blocks import RayCluster
 
 
 @Parameter(name="*")
@@ -70,7 +70,7 @@ class Engine:
         Raises:
             ValueError: An option of Ray is given without it, or has a wrong value.
         """
-        from population.engines import RayCluster
+        from population.ray_blocks import RayCluster
 
         names = ("ray_address", "ray_cpus", "ray_gpus")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}

@@ -8,7 +8,7 @@ from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from assistax_zoo.commands.train import run_training
+from assistax_zoo.commands.train import shown_training
 from assistax_zoo.commands.zoo import print_table
 from assistax_zoo.console import print_json
 from assistax_zoo.plan_status import Status, survey, team_id, write_progress
@@ -162,9 +162,9 @@ class _Work:
 
     def write_curves(self, folder: Path) -> None:
         """Write the learning curves of the finished runs that have their metrics."""
+        from population.learning_curves import write_curves
         from population.plan import find_blocks
-        from population.runs import RunFolder
-        from population.thinning import write_curves
+        from population.run_folder import RunFolder
 
         for group in self.groups:
             finished = [
@@ -206,6 +206,8 @@ class _Work:
         return None
 
     def _train(self, status: Status, block: "Block") -> None:
+        from population.team_training import run_training
+
         teams = f"{len(block.members)} teams, {status.group.task} {status.group.algorithm}"
         print(
             f"{block.name}: {teams}, {block.config().steps} steps each", file=sys.stderr, flush=True
@@ -223,10 +225,10 @@ class _Work:
                 ),
                 flush=True,
             )
-        if block.state == "new":  # killed while it wrote its first file
-            (block.folder / ".config.json.tmp").unlink(missing_ok=True)
         self.record(trying=block.name)
-        run_training(block.config(), self.backend, block.folder, True, self.json_lines)
+        config = block.config()
+        with shown_training(f"{config.task} {config.algorithm}", self.json_lines) as progress:
+            run_training(config, self.backend, block.folder, progress=progress)
 
     def _adopted(self, status: Status) -> "list[TrainedTeam]":
         from zoo.republish import read_published

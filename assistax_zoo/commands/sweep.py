@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from assistax_zoo.commands.options import Engine
-from assistax_zoo.commands.train import check_names, parse_changes, parse_steps
+from assistax_zoo.commands.train import parse_changes, parse_steps
 from assistax_zoo.console import print_json, progress, stdout_is_data
 
 if TYPE_CHECKING:
@@ -60,6 +60,8 @@ def sweep(
         assistax-zoo sweep --task scratch --algorithm ippo --configurations 168 --seeds 3 --out
         sweeps/ippo
     """
+    from population.team_training import check_names
+
     check_names(task, [disability])
     total, fixed, cluster = parse_steps(steps), parse_changes(set_), engine.cluster()
     work = configurations * seeds * total

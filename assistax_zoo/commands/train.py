@@ -8,7 +8,7 @@ import os
 import re
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
@@ -17,9 +17,8 @@ from cyclopts import Parameter
 from assistax_zoo.console import SECONDS_BETWEEN_LINES, print_json, stdout_is_data
 
 if TYPE_CHECKING:
-    from population.config import TrainConfig
-    from population.partners import Partners
     from population.train import Progress
+    from population.trained_run import TrainedRun
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "b": 10**9}
 
@@ -77,90 +76,47 @@ def train(
         assistax-zoo train --task scratch --disability d1,d3 --seeds 8 --steps 10M --out
         runs/scratch-ippo
     """
-    from population.config import TrainConfig, make_members
-    from population.config import preset as make_preset
+    from population.team_training import check_names, read_preset, train_teams
 
-    check_names(task, settings := disability.split(","))
-    algorithm, changes = read_preset(preset, algorithm)
+    check_names(task)
+    changes: dict[str, Any] = {}
+    if preset is not None:
+        algorithm, changes = read_preset(preset, algorithm)
+    algorithm, settings = algorithm or "ippo", disability.split(",")
     changes |= parse_changes(set_) | ({} if num_envs is None else {"num_envs": num_envs})
-    trainer = make_preset(algorithm, **changes)
-    config = TrainConfig(
-        task=task,
-        algorithm=algorithm,
-        members=make_members(parse_seeds(seeds), settings),
-        steps=parse_steps(steps),
-        trainer=trainer,
-        checkpoint_every=trainer.checkpoint_every if checkpoint_every is None else checkpoint_every,
-        updates_per_call=trainer.updates_per_call if updates_per_call is None else updates_per_call,
-        self_play_episodes=self_play_episodes,
-    )
-    run_training(config, backend, out, resume, json_lines, tensorboard=tensorboard)
-    _report(out, json, json_lines)
-
-
-def run_training(
-    config: "TrainConfig",
-    backend: str,
-    out: Path,
-    resume: bool,
-    json_lines: bool,
-    partners: "Partners | None" = None,
-    tensorboard: Path | None = None,
-) -> None:
-    """Train, showing progress on standard error, or on standard output as JSON lines, and in event files if wanted."""
-    sys.stdout.flush()
-    with os.fdopen(os.dup(1), "w") as stdout, stdout_is_data(), contextlib.ExitStack() as stack:
-        shown = JsonLines(stdout) if json_lines else LiveLine(config, sys.stderr)
-        stack.callback(shown.close)
-        from assistax_envs import make
-        from population.train import train as train_members
-
-        if tensorboard is None:
-            train_members(
-                config,
-                make(config.task, backend),
-                out,
-                partners=partners,
-                resume=resume,
-                progress=shown,
-            )
-            return
-        from population.tensorboard import EventFiles
-
-        files = stack.enter_context(contextlib.closing(EventFiles(config, out, tensorboard)))
-
-        def progress(report: "Progress") -> None:
-            files(report)
-            shown(report)
-
-        train_members(
-            config,
-            make(config.task, backend),
-            out,
-            partners=partners,
+    with shown_training(f"{task} {algorithm}", json_lines) as progress:
+        run = train_teams(
+            task,
+            algorithm,
+            folder=out,
+            disabilities=settings,
+            seeds=parse_seeds(seeds),
+            steps=parse_steps(steps),
+            hyperparameters=changes,
+            backend=backend,
+            self_play_episodes=self_play_episodes,
+            checkpoint_every=checkpoint_every,
+            updates_per_call=updates_per_call,
             resume=resume,
+            tensorboard=tensorboard,
             progress=progress,
         )
-        files.catch_up()
+    _report(run, json, json_lines)
 
 
-def read_preset(path: Path | None, algorithm: str | None) -> tuple[str, dict[str, Any]]:
-    """Return the algorithm and the changed hyperparameters of a preset file; without a file, no changes."""
-    if path is None:
-        return algorithm or "ippo", {}
-    try:
-        content = jsonlib.loads(path.read_text(encoding="utf-8"))
-        found, changes = content["algorithm"], dict(content["hyperparameters"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(
-            f"{path} is no preset ({type(error).__name__}: {error}); give a JSON object with "
-            "algorithm and hyperparameters, such as the preset.json of `assistax-zoo sweep`"
-        ) from None
-    if algorithm not in (None, found):
-        raise ValueError(
-            f"algorithm is {algorithm!r}, but {path} is a preset of {found}; leave --algorithm out"
-        )
-    return found, changes
+@contextlib.contextmanager
+def shown_training(name: str, json_lines: bool) -> "Generator[LiveLine | JsonLines]":
+    """Show a training's reports on standard error, or as JSON lines on standard output.
+
+    What libraries print meanwhile goes to standard error.
+    """
+    sys.stdout.flush()
+    with os.fdopen(os.dup(1), "w") as stdout, stdout_is_data():
+        shown = JsonLines(stdout) if json_lines else LiveLine(name, sys.stderr)
+        try:
+            yield shown
+        finally:
+            shown.close()
 
 
 def parse_steps(text: str) -> int:
@@ -202,23 +158,11 @@ def parse_changes(words: Sequence[str]) -> dict[str, Any]:
     return changes
 
 
-def check_names(task: str, settings: Sequence[str]) -> None:
-    """Check task and disability settings before anything slow is imported."""
-    from assistax_envs import DISABILITY_SETTINGS, TASKS
-
-    if task not in TASKS:
-        raise ValueError(f"task is {task!r}; allowed are {', '.join(TASKS)}")
-    if unknown := [setting for setting in settings if setting not in DISABILITY_SETTINGS]:
-        raise ValueError(
-            f"disability is {unknown[0]!r}; allowed are {', '.join(DISABILITY_SETTINGS)}"
-        )
-
-
 class LiveLine:
     """Shows a run on one line of a terminal, or on a line every ten seconds elsewhere."""
 
-    def __init__(self, config: "TrainConfig", stream: TextIO) -> None:
-        self._name, self._stream = f"{config.task} {config.algorithm}", stream
+    def __init__(self, name: str, stream: TextIO) -> None:
+        self._name, self._stream = name, stream
         self._live, self._open, self._shown = stream.isatty(), False, -math.inf
         self._return: str | None = None
 
@@ -278,29 +222,35 @@ class JsonLines:
         """Nothing to end: every report is a whole line."""
 
 
-def _report(out: Path, json: bool, json_lines: bool) -> None:
+def _report(run: "TrainedRun", json: bool, json_lines: bool) -> None:
     """Print the finished teams."""
-    teams = jsonlib.loads((out / "teams.json").read_text())
-    rows = [{**team["team"], "self_play": team["self_play"]} for team in teams]
+    task, algorithm = run.config.task, run.config.algorithm
+    rows = [
+        {
+            "task": task,
+            "algorithm": algorithm,
+            "disability": member.disability,
+            "seed": member.seed,
+            "self_play": figures,
+        }
+        for member, figures in zip(run.config.members, run.self_play, strict=True)
+    ]
     if json_lines:
-        print(jsonlib.dumps({"run": str(out), "teams": rows}), flush=True)
+        print(jsonlib.dumps({"run": str(run.folder), "teams": rows}), flush=True)
     elif json:
-        print_json({"run": out, "training": teams[0]["training"], "teams": rows})
+        print_json({"run": run.folder, "training": run.training, "teams": rows})
     else:
-        for row in rows:
-            name, figures = (
-                f"{row['task']}/{row['algorithm']}-{row['disability']}-s{row['seed']}",
-                row["self_play"],
-            )
-            low, high = figures["ci"] if figures else (math.nan, math.nan)
-            measured = (
-                f"self-play return {figures['mean']:.1f} ({low:.1f} to {high:.1f})"
-                if figures
-                else "not evaluated"
-            )
-            print(f"{name}  {measured}")
-        publish = f"assistax-zoo publish {out} --release v0 --registry my-zoo/registry.json"
-        print(f"{len(rows)} teams in {out}; next: {publish}")
+        for name, figures in zip(run.names, run.self_play, strict=True):
+            print(f"{name}  {_measured(figures)}")
+        publish = f"assistax-zoo publish {run.folder} --release v0 --registry my-zoo/registry.json"
+        print(f"{len(rows)} teams in {run.folder}; next: {publish}")
+
+
+def _measured(figures: Mapping[str, Any] | None) -> str:
+    if figures is None:
+        return "not evaluated"
+    low, high = figures["mean_ci"]
+    return f"self-play return {figures['mean']:.1f} ({low:.1f} to {high:.1f})"
 
 
 def _count(steps: int) -> str:

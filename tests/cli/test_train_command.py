@@ -7,7 +7,6 @@ from assistax_zoo.commands.train import (
     parse_changes,
     parse_seeds,
     parse_steps,
-    read_preset,
 )
 from assistax_zoo.main import run
 
@@ -60,20 +59,6 @@ def test_hyperparameters_are_read_as_values():
         parse_changes(["gru"])
 
 
-def test_a_preset_file_stands_for_algorithm_and_hyperparameters(tmp_path):
-    path = tmp_path / "preset.json"
-    path.write_text('{"algorithm": "mappo", "hyperparameters": {"gamma": 0.95}}')
-    assert read_preset(path, None) == read_preset(path, "mappo") == ("mappo", {"gamma": 0.95})
-    assert read_preset(None, None) == ("ippo", {})
-    with pytest.raises(ValueError, match="is a preset of mappo; leave --algorithm out"):
-        read_preset(path, "ippo")
-    path.write_text("[1]")
-    with pytest.raises(
-        ValueError, match=r"preset\.json is no preset .* give a JSON object with algorithm"
-    ):
-        read_preset(path, None)
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -107,10 +92,9 @@ def test_a_live_line_says_how_far_the_run_is(capsys):
 
     import polars as pl
 
-    from population.config import TrainConfig, make_members
     from population.train import Progress
 
-    line = LiveLine(TrainConfig("scratch", "ippo", make_members([0], ["d1"]), 10), sys.stderr)
+    line = LiveLine("scratch ippo", sys.stderr)
     line(
         Progress(
             3,

@@ -3,10 +3,7 @@ import re
 
 import pytest
 
-from assistax_envs.disability import DISABILITY_SETTINGS
-from assistax_zoo.commands.train_ego import load_partners, shared_out
 from assistax_zoo.main import run
-from population.config import preset
 from zoo import storage
 from zoo.registry import load_registry
 
@@ -20,35 +17,6 @@ TINY = [
     "--set",
     "hidden=(8, 8)",
 ]
-
-
-def unreadable(test, loaded):
-    """Return a `_verified_row` that notes what is taken from shards and cannot take a row of the test half."""
-    take = storage._verified_row
-
-    def row(*place):
-        entry = place[-1]
-        if entry.id.rpartition("/")[0] in test:
-            raise OSError(f"the row of {entry.id} is unreadable")
-        loaded.append(entry.id)
-        return take(*place)
-
-    return row
-
-
-def test_only_the_training_half_is_loaded(monkeypatch):
-    registry = load_registry()
-    split, loaded = registry.split("scratch", "half"), []
-    monkeypatch.setattr(storage, "_verified_row", unreadable(split.test, loaded))
-    partners = load_partners(registry, split)
-    assert sorted(partners.names) == sorted(loaded) == [f"{team}/human" for team in split.train]
-    assert list(partners.disabilities) == [
-        DISABILITY_SETTINGS[name.split("/")[1].split("-")[1]] for name in partners.names
-    ]
-    with pytest.raises(
-        OSError, match="is unreadable"
-    ):  # the guard bites: other halves would be seen
-        load_partners(registry, split.model_copy(update={"train": split.test}))
 
 
 @pytest.mark.parametrize(
@@ -68,25 +36,6 @@ def test_wrong_values_get_one_line(words, message, tmp_path, capsys):
     assert run(["train-ego", "--task", "scratch", *words, "--out", str(tmp_path / "run")]) == 1
     assert re.search(message, capsys.readouterr().err)
     assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize(
-    ("algorithm", "partners", "told"),
-    [
-        (
-            "ippo",
-            99,
-            "99 partners of half, 12 simulations each, 1188 in place of the preset's 1024\n",
-        ),
-        ("isac", 99, "99 partners of half, 1 simulation each, 99 in place of the preset's 64\n"),
-        ("isac", 59, "59 partners of half, 1 simulation each, 59 in place of the preset's 64\n"),
-        ("ippo", 16, "16 partners of half, 64 simulations each\n"),
-    ],
-)
-def test_the_preset_is_fitted_to_the_partners_and_says_so(algorithm, partners, told, capsys):
-    trainer = shared_out(preset(algorithm), partners, "half", keep=False)
-    assert trainer.num_envs % partners == 0 == trainer.num_envs % getattr(trainer, "minibatches", 1)
-    assert capsys.readouterr().err == told
 
 
 @pytest.mark.slow

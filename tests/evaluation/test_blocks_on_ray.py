@@ -10,7 +10,7 @@ from assistax_zoo.main import run
 from evaluation import blocks
 from evaluation.blocks import run_blocks_on_ray
 from evaluation.jobs import Job
-from population.engines import RayCluster
+from population.ray_blocks import RayCluster
 from tests import untrained
 from tests.evaluation.matrix_game import GRU, MatrixGame, humans, joined, random_roster, robots
 from tests.untrained import HUMAN, ROBOT, params_of, untrained_team

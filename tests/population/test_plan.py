@@ -7,9 +7,9 @@ import polars as pl
 import pytest
 
 from population.config import TrainConfig, make_members, preset
+from population.learning_curves import thin, write_curves
 from population.plan import Group, find_blocks, read_plan
-from population.runs import RunFolder
-from population.thinning import thin, write_curves
+from population.run_folder import RunFolder
 
 V1 = Path(__file__).parents[2] / "zoo" / "plans" / "v1.json"
 GROUP = {

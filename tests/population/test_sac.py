@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from assistax_envs import disability_params
-from population import policy, replay
+from population import policy, replay_buffer
 from population.config import Member, SACConfig, preset
 from population.sac import SAC, soft_target
 from population.self_play import self_play
@@ -159,7 +159,7 @@ def test_a_replayed_successor_is_the_observation_that_was_reached(kind):
     env = ToyEnv(match)
     config = SACConfig(**{**SMALL, "replay_size": 160, "exploration_steps": 10**6})
     _, state, _ = run(env, config, updates=9, kind=kind)
-    drawn = replay.draw(state.replay, jax.random.split(jax.random.key(1), 1), (2, 1000))
+    drawn = replay_buffer.draw(state.replay, jax.random.split(jax.random.key(1), 1), (2, 1000))
     assert drawn.obs["human"].shape == (1, 2, 1000, 3)
     here, there = (np.asarray(x["robot"])[..., 1].reshape(-1) for x in (drawn.obs, drawn.next_obs))
     known = np.sin(np.arange(env.episode_length + 1))

@@ -30,14 +30,14 @@ def play(reward, episodes=16, **changes):
 
 @pytest.mark.parametrize("terminates", [False, True])
 def test_a_constant_reward_gives_the_length_of_the_episode(terminates):
-    figures = {"mean": 20.0, "iqm": 20.0, "ci": [20.0, 20.0], "n": 16, "success": 1.0}
+    figures = {"mean": 20.0, "iqm": 20.0, "mean_ci": [20.0, 20.0], "n": 16, "success": 1.0}
     assert play(constant, terminates=terminates) == [figures] * TEAMS
 
 
 def test_an_interval_holds_the_mean_and_figures_repeat():
     results = play(match)
     for figures in results:
-        assert figures["ci"][0] <= figures["mean"] <= figures["ci"][1]
+        assert figures["mean_ci"][0] <= figures["mean"] <= figures["mean_ci"][1]
     assert results == play(match)
     assert len({figures["mean"] for figures in results}) == TEAMS
 

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 
 import jax
 import numpy as np
@@ -16,7 +17,7 @@ import safetensors.numpy
 from population.checkpoints import Checkpoints
 from population.config import Member, TrainConfig, make_members, preset
 from population.policy import Policy
-from population.runs import RunFolder
+from population.run_folder import RunFolder
 from population.spec import PolicySpec
 from population.train import DivergedError, train
 from tests.population.toy_env import ToyEnv, match
@@ -122,6 +123,55 @@ def test_a_killed_run_goes_on_to_the_same_bits(finished, tmp_path, update):
         pl.read_parquet(path / "metrics.parquet").drop("seconds") for path in (folder, finished)
     )
     assert kept.equals(whole)
+
+
+def flip_a_bit(folder):
+    """Flip a bit in the middle of the largest file."""
+    file = max(
+        (path for path in folder.rglob("*") if path.is_file()), key=lambda p: p.stat().st_size
+    )
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(content)
+
+
+def cut_off(folder):
+    """Truncate every file, as a disk that lost its cache does."""
+    for file in folder.rglob("*"):
+        if file.is_file():
+            file.write_bytes(file.read_bytes()[:10])
+
+
+@pytest.mark.parametrize("damage", [flip_a_bit, cut_off])
+def test_a_damaged_checkpoint_is_told_and_the_one_before_is_taken(finished, tmp_path, damage):
+    folder, updates = tmp_path / "run", []
+    with pytest.raises(Killed):
+        train(CONFIG, ToyEnv(match), folder, progress=kill_after(5))
+    damage(folder / "checkpoints" / "4")
+    with pytest.warns(UserWarning, match="the checkpoint of update 4 .* is damaged .* update 2"):
+        train(CONFIG, ToyEnv(match), folder, progress=lambda report: updates.append(report.update))
+    assert updates == [3, 4, 5, 6]
+    for name in ("robot.safetensors", "human.safetensors"):
+        assert (folder / name).read_bytes() == (finished / name).read_bytes()
+
+
+def test_a_run_whose_checkpoints_are_all_damaged_is_refused(tmp_path):
+    folder = tmp_path / "run"
+    with pytest.raises(Killed):
+        train(CONFIG, ToyEnv(match), folder, progress=kill_after(5))
+    cut_off(folder / "checkpoints")
+    with pytest.raises(
+        ValueError, match=r"cannot read the checkpoint of update 4 .* another folder"
+    ):
+        train(CONFIG, ToyEnv(match), folder)
+
+
+def test_no_thread_outlives_a_run_that_is_stopped(tmp_path):
+    before = set(threading.enumerate())
+    with pytest.raises(Killed):
+        train(CONFIG, ToyEnv(match), tmp_path / "run", progress=kill_after(2))
+    left = {thread.name for thread in set(threading.enumerate()) - before}
+    assert not {name for name in left if name.startswith(("device", "Thread"))}
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from population.config import PPOConfig, TrainConfig, make_members
-from population.runs import RunFolder
+from population.run_folder import RunFolder
 from zoo.errors import FormatError, ImmutableError, PublishError, RegistryError
 from zoo.publish import publish
 from zoo.registry import Registry, load_registry

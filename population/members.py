@@ -1,4 +1,4 @@
-"""Mapping over members and partners."""
+"""The axis of members: M train side by side, and N simulations are theirs, member by member."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,7 +7,7 @@ import jax
 
 
 def member_map(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Map over the leading member axis of all arguments.
+    """Map over the leading axis, of members or of partners, of all arguments.
 
     Vectorised on accelerators. On a CPU members are taken in turn: a product of plain matrices is
     faster there than a batched one.
@@ -22,3 +22,15 @@ def member_map(function: Callable[..., Any]) -> Callable[..., Any]:
         return jax.lax.map(lambda args: function(*args), args)
 
     return mapped
+
+
+def split(tree: Any, members: int) -> Any:
+    """Reshape the simulation axis [N, ...] of every leaf to [M, N/M, ...]."""
+    return jax.tree.map(
+        lambda leaf: leaf.reshape(members, leaf.shape[0] // members, *leaf.shape[1:]), tree
+    )
+
+
+def flatten(tree: Any) -> Any:
+    """Reshape every leaf [M, N/M, ...] to [N, ...]."""
+    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), tree)

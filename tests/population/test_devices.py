@@ -14,13 +14,15 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
+from assistax_envs.disability import DISABILITY_SETTINGS
 from population import train as training
 from population.checkpoints import Checkpoints
 from population.config import MIXED, Member, TrainConfig, preset
-from population.partners import PartnerGroup, Partners
+from population.devices import Shares
+from population.frozen_partners import FrozenPartners
 from population.policy import Policy
-from population.sharding import Shares
 from population.spec import PolicySpec
+from population.stack import PolicyStack
 from population.train import initial_state, make_trainer, train
 from tests.population.toy_env import ToyEnv, match
 
@@ -55,18 +57,21 @@ def population():
             Policy(spec).init(key) for key in jax.random.split(jax.random.key(seed), len(pair))
         ]
         groups.append(
-            PartnerGroup(
-                spec, pair, ("d1", "d3"), jax.tree.map(lambda *leaves: np.stack(leaves), *trees)
-            )
+            PolicyStack(spec, pair, jax.tree.map(lambda *leaves: np.stack(leaves), *trees))
         )
-    return Partners(groups)
+    settings = {
+        name: DISABILITY_SETTINGS[setting]
+        for pair in names
+        for name, setting in zip(pair, ("d1", "d3"), strict=True)
+    }
+    return FrozenPartners(groups, settings)
 
 
 def arguments(case, members=4):
     """Return the configuration and the partners of a case."""
     partners = population() if case == "ego" else None
     team = tuple(Member(seed, MIXED if partners else f"d{1 + seed % 9}") for seed in range(members))
-    names = partners.names if partners else ()
+    names = partners.ids if partners else ()
     config = TrainConfig(
         "toy",
         case,
@@ -126,7 +131,9 @@ def save_and_restore(case, folder):
     checkpoints.save(1, states[2])
     rows = {}
     for count, like in states.items():
-        restored = checkpoints.restore(1, like)
+        found = checkpoints.restore_latest(like)
+        assert found is not None and found[0] == 1
+        restored = found[1]
         for path, leaf, begun, saved in zip(
             *leaves(restored), leaves(like)[1], leaves(states[2])[1], strict=True
         ):
@@ -161,7 +168,7 @@ def on_several_devices(function, *given):
     )
     # Programs this small take longer to compile than to run.
     flags += " --xla_backend_optimization_level=0"
-    code = "import json, sys; from tests.population import test_sharding as tests; "
+    code = "import json, sys; from tests.population import test_devices as tests; "
     code += f"tests.{function.__name__}(*json.loads(sys.argv[1]))"
     process = subprocess.run(
         [sys.executable, "-c", code, json.dumps(given)],

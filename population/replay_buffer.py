@@ -16,7 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from population.rollout import Batch
+from population.experience import Batch
 
 
 @jax.tree_util.register_dataclass

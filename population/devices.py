@@ -45,6 +45,13 @@ class Shares:
     def __len__(self) -> int:
         return len(self.devices)
 
+    def __enter__(self) -> "Shares":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Wait for the threads to end: none may hold a device when the interpreter stops."""
+        self._threads.shutdown()
+
     def jit(
         self, function: Callable[..., Any], out_specs: Any = FIRST_AXIS, **options: Any
     ) -> Callable[..., Any]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from assistax_envs import disability_params
-from population import sharing
+from population import shared_network
 from population.config import Member, PPOConfig, preset
 from population.policy import Policy
 from population.ppo import PPO
@@ -27,7 +27,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 def test_an_exported_policy_acts_as_the_shared_network_does(role, variant):
     """The shared network reads [obs, 0, one-hot]; the role's ordinary policy reads obs."""
     observation, action = SIZES[role]
-    width = sharing.padded_size({role: sizes[0] for role, sizes in SIZES.items()})
+    width = shared_network.padded_size({role: sizes[0] for role, sizes in SIZES.items()})
     assert width == 9
     shared = Policy(
         PolicySpec("robot", width, 3, hidden=(8, 6), normalise=False, **VARIANTS[variant])
@@ -43,20 +43,20 @@ def test_an_exported_policy_acts_as_the_shared_network_does(role, variant):
         for k, leaf in zip(jax.random.split(keys[1], 99), leaves, strict=False)
     ]
     params = jax.tree.unflatten(tree, draws)
-    folded = sharing.fold(params, role, observation, action)
+    folded = shared_network.fold(params, role, observation, action)
     assert jax.tree.map(jnp.shape, folded) == jax.tree.map(
         lambda leaf: leaf.shape, jax.eval_shape(own.init, keys[0])
     )
     obs, first = jax.random.normal(keys[2], (4, observation)), jnp.zeros(4, bool)
     _, wanted = shared.step(
-        params, shared.initial_carry((4,)), sharing.pad(obs, role, width), first
+        params, shared.initial_carry((4,)), shared_network.pad(obs, role, width), first
     )
     _, found = own.step(folded, own.initial_carry((4,)), obs, first)
     np.testing.assert_allclose(found.mean, wanted.mean[:, :action], rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(found.log_std, wanted.log_std[:, :action], rtol=1e-4, atol=1e-5)
     other = "human" if role == "robot" else "robot"
     _, different = shared.step(
-        params, shared.initial_carry((4,)), sharing.pad(obs, other, width), first
+        params, shared.initial_carry((4,)), shared_network.pad(obs, other, width), first
     )
     assert not np.allclose(found.mean, different.mean[:, :action], atol=1e-3)
 

@@ -9,7 +9,6 @@
 """
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,9 @@ import polars as pl
 import safetensors.numpy
 
 from population.config import Member, PPOConfig, TrainConfig, TrainerConfig
+from population.files import atomic_path, atomic_write
 from population.spec import PolicySpec
+from population.stack import flatten
 
 METADATA_KEY = "assistax"  # safetensors bytes are stable with one metadata key only
 _MAY_CHANGE = (
@@ -78,7 +79,7 @@ class RunFolder:
                     f"{self.folder} holds a run with another configuration: {differences}; "
                     "repeat that configuration to resume it, or choose a new folder"
                 )
-        write_atomically(self._config, (json.dumps(wanted, indent=2) + "\n").encode())
+        atomic_write(self._config, (json.dumps(wanted, indent=2) + "\n").encode())
 
     def finished(self, config: TrainConfig) -> bool:
         """Return whether the folder holds the teams of this run, trained to its end."""
@@ -97,9 +98,8 @@ class RunFolder:
 
     def write_metrics(self, metrics: pl.DataFrame) -> None:
         """Replace the metrics."""
-        temporary = self._metrics.with_suffix(".tmp")
-        metrics.write_parquet(temporary)
-        os.replace(temporary, self._metrics)
+        with atomic_path(self._metrics) as temporary:
+            metrics.write_parquet(temporary)
 
     def write_teams(
         self,
@@ -115,7 +115,7 @@ class RunFolder:
             metadata = {"spec": spec.to_json(), "rows": rows}
             text = json.dumps(metadata, sort_keys=True, separators=(",", ":"))
             leaves = dict(sorted(flatten(params[role]).items()))
-            write_atomically(
+            atomic_write(
                 self.folder / f"{role}.safetensors",
                 safetensors.numpy.save(leaves, {METADATA_KEY: text}),
             )
@@ -136,7 +136,7 @@ class RunFolder:
             }
             for row, (member, result) in enumerate(zip(config.members, self_play, strict=True))
         ]
-        write_atomically(self.teams, (json.dumps(teams, indent=2) + "\n").encode())
+        atomic_write(self.teams, (json.dumps(teams, indent=2) + "\n").encode())
 
     def _read_config(self) -> dict[str, Any]:
         try:
@@ -184,31 +184,6 @@ def metrics_table(
     means = [name for name in columns if name == "return" or name.startswith("term_")]
     table = table.with_columns(pl.col(name).fill_nan(None) for name in means)
     return table.cast({name: dtype for name, dtype in _SCHEMA.items() if name in table.columns})
-
-
-def flatten(params: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
-    """Return the arrays of nested dicts by '/'-joined path."""
-    leaves = {}
-    for name, value in params.items():
-        if isinstance(value, Mapping):
-            leaves |= flatten(value, f"{prefix}{name}/")
-        else:
-            leaves[f"{prefix}{name}"] = np.ascontiguousarray(value)
-    return leaves
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write to a temporary sibling, flush it to disk, and rename it over `path`."""
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
 
 
 def _differences(found: Any, wanted: Any, ignored: Sequence[str], path: str = "") -> str:

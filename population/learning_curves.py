@@ -1,12 +1,12 @@
 """Learning curves kept small: a run's metrics at a hundred points, one file for each group of a plan."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import polars as pl
 
 from population.config import TrainConfig
+from population.files import atomic_path
 
 POINTS = 100
 _MEMBER = ["task", "algorithm", "disability", "seed"]
@@ -60,8 +60,6 @@ def write_curves(path: Path, runs: Sequence[tuple[pl.DataFrame, TrainConfig]]) -
     old = pl.read_parquet(path) if path.is_file() else new.clear()
     table = pl.concat([old.join(new, on=_MEMBER, how="anti"), new]).sort(*_MEMBER, "steps")
     if not path.is_file() or not table.equals(old):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        table.write_parquet(temporary, compression="zstd", statistics=False)
-        os.replace(temporary, path)
+        with atomic_path(path) as temporary:
+            table.write_parquet(temporary, compression="zstd", statistics=False)
     return table

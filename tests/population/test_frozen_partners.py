@@ -10,13 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from assistax_envs import disability_params
+from assistax_envs import DISABILITY_SETTINGS, disability_params
 from population.config import MIXED, Member, PPOConfig, SACConfig, TrainConfig
-from population.partners import PartnerGroup, Partners, fitting_envs
+from population.frozen_partners import FrozenPartners, fitting_envs
 from population.policy import Policy
 from population.ppo import PPO
 from population.sac import SAC
 from population.spec import PolicySpec
+from population.stack import PolicyStack
 from population.train import initial_state, train
 from tests.population import test_sac
 from tests.population.test_ppo import FAST_COMPILE, SMALL
@@ -26,16 +27,18 @@ PLAIN = PolicySpec("human", 3, 2, hidden=(8,))
 SQUASHED = PolicySpec("human", 3, 2, hidden=(4, 4), squash="tanh", std="state", normalise=False)
 
 
-def group(spec, names, disabilities, seed=0):
+def stack(spec, names, seed=0):
     keys = jax.random.split(jax.random.key(seed), len(names))
     trees = [Policy(spec).init(key) for key in keys]
     params = jax.tree.map(lambda *leaves: 3.0 * np.stack(leaves) + 0.1, *trees)
-    return PartnerGroup(spec, tuple(names), tuple(disabilities), params)
+    return PolicyStack(spec, tuple(names), params)
 
 
-def population():
-    return Partners(
-        [group(PLAIN, ("a", "b"), ("d1", "d3")), group(SQUASHED, ("c",), ("d9",), seed=1)]
+def population(first="a"):
+    stacks = [stack(PLAIN, (first, "b")), stack(SQUASHED, ("c",), seed=1)]
+    names = {first: "d1", "b": "d3", "c": "d9"}
+    return FrozenPartners(
+        stacks, {name: DISABILITY_SETTINGS[setting] for name, setting in names.items()}
     )
 
 
@@ -62,11 +65,11 @@ def test_every_partner_acts_in_its_share_and_nowhere_else(platform, monkeypatch)
     _, action = partners.act(partners.params, carry, obs, first, members)
     assert action.shape == (12, 2)
     for row in range(len(obs)):
-        name = partners.names[row // share % 3]
+        name = partners.ids[row // share % 3]
         [(spec, params)] = [
-            (g.spec, jax.tree.map(itemgetter(g.names.index(name)), g.params))
-            for g in partners.groups
-            if name in g.names
+            (g.spec, jax.tree.map(itemgetter(g.ids.index(name)), g.params))
+            for g in partners.stacks
+            if name in g.ids
         ]
         _, wanted = Policy(spec).act(params, (), obs[row], first[row])
         np.testing.assert_allclose(action[row], wanted, rtol=1e-5, atol=1e-6)
@@ -121,18 +124,19 @@ def test_simulations_are_as_near_to_the_preset_as_equal_shares_allow(
 def test_with_more_partners_than_simulations_each_has_one():
     """99 partners of three specs, as egos of a zoo of several algorithms meet them."""
     specs = PLAIN, SQUASHED, dataclasses.replace(PLAIN, hidden=(5, 4))
-    groups = [
-        group(spec, [f"{index}-{row}" for row in range(33)], ["d1"] * 33, seed=index)
+    stacks = [
+        stack(spec, [f"{index}-{row}" for row in range(33)], seed=index)
         for index, spec in enumerate(specs)
     ]
-    partners = Partners(groups)
+    settings = {name: DISABILITY_SETTINGS["d1"] for one in stacks for name in one.ids}
+    partners = FrozenPartners(stacks, settings)
     count = fitting_envs(64, len(partners))
     partners.check(ToyEnv(match), count)
     obs = jax.random.normal(jax.random.key(2), (2 * count, 3))
     carry = partners.initial_carry(len(obs))
     _, action = partners.act(partners.params, carry, obs, jnp.zeros(len(obs), bool), 2)
     for row in (0, 32, 33, 98, 99, 197):
-        spec, params = specs[row % 99 // 33], groups[row % 99 // 33].params
+        spec, params = specs[row % 99 // 33], stacks[row % 99 // 33].params
         _, wanted = Policy(spec).act(
             jax.tree.map(itemgetter(row % 33), params), (), obs[row], jnp.zeros((), bool)
         )
@@ -150,10 +154,8 @@ def test_a_run_of_egos_is_written_without_self_play(tmp_path):
     ]
     assert list(egos[0]["roles"]) == ["robot"] and egos[0]["self_play"] is None
     with pytest.raises(ValueError, match="another configuration: partners"):
-        other = Partners(
-            [group(PLAIN, ("x", "b"), ("d1", "d3")), group(SQUASHED, ("c",), ("d9",), seed=1)]
-        )
-        train(dataclasses.replace(run, partners=other.names), ToyEnv(match), folder, partners=other)
+        other = population("x")
+        train(dataclasses.replace(run, partners=other.ids), ToyEnv(match), folder, partners=other)
 
 
 @pytest.mark.parametrize(
@@ -201,3 +203,8 @@ def test_partners_of_another_task_are_refused(tmp_path):
             tmp_path / "run",
             partners=population(),
         )
+
+
+def test_a_partner_without_a_setting_is_refused():
+    with pytest.raises(ValueError, match="partner a has no disability setting"):
+        FrozenPartners([stack(PLAIN, ("a",))], {})

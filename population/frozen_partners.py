@@ -1,39 +1,21 @@
 """Frozen partners of an ego's training: who acts in the other seat."""
 
-import dataclasses
 import math
-from collections.abc import Sequence
-from typing import Any, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from assistax_envs.disability import Disability
-from population.mapping import member_map
+from population.environment import Environment
+from population.members import member_map
 from population.networks import Carry
 from population.policy import Policy
-from population.spec import PolicySpec
+from population.stack import PolicyStack
 
 
-class PartnerEnvironment(Protocol):
-    """What a population is held against: the widths of an environment."""
-
-    task: str
-    observation_size: dict[str, int]
-    action_size: dict[str, int]
-
-
-@dataclasses.dataclass(frozen=True)
-class PartnerGroup:
-    """Partners of one spec, stacked."""
-
-    spec: PolicySpec
-    names: tuple[str, ...]  # [P]
-    disabilities: tuple[str | Disability, ...]  # of each [P]
-    params: Any  # leaves [P, ...]
-
-
-class Partners:
+class FrozenPartners:
     """Partners who act with their most likely action, each in the same number of simulations.
 
     A member's simulations are laid out [partner, simulation], so that a partner's network reads one
@@ -41,45 +23,48 @@ class Partners:
     does.
 
     Args:
-        groups: The partners by spec.
+        stacks: The partners by spec.
+        settings: The disability setting of each, by id.
 
     Raises:
-        ValueError: There is none, or not all sit in the same seat.
+        ValueError: There is none, not all sit in the same seat, or a setting is missing.
     """
 
-    def __init__(self, groups: Sequence[PartnerGroup]) -> None:
-        roles = {group.spec.role for group in groups}
+    def __init__(self, stacks: Sequence[PolicyStack], settings: Mapping[str, Disability]) -> None:
+        roles = {stack.spec.role for stack in stacks}
         if len(roles) != 1:
             raise ValueError(
                 f"partners are of roles {sorted(roles)}; give partners that all sit in the same "
                 "seat"
             )
         self.role: str = next(iter(roles))
-        self.groups = tuple(groups)
-        self.names = tuple(name for group in groups for name in group.names)
-        self.disabilities = tuple(setting for group in groups for setting in group.disabilities)
-        self._policies = tuple(Policy(group.spec) for group in groups)
+        self.stacks = tuple(stacks)
+        self.ids = tuple(name for stack in stacks for name in stack.ids)
+        if missing := [name for name in self.ids if name not in settings]:
+            raise ValueError(f"partner {missing[0]} has no disability setting; give one for each")
+        self._settings = tuple(settings[name] for name in self.ids)
+        self._policies = tuple(Policy(stack.spec) for stack in stacks)
 
     def __len__(self) -> int:
-        return len(self.names)
+        return len(self.ids)
 
     @property
     def params(self) -> Any:
         """Their parameters, as `act` takes them."""
-        return tuple(jax.tree.map(jnp.asarray, group.params) for group in self.groups)
+        return tuple(jax.tree.map(jnp.asarray, stack.params) for stack in self.stacks)
 
-    def check(self, env: PartnerEnvironment, num_envs: int) -> None:
+    def check(self, env: Environment, num_envs: int) -> None:
         """Check that they can act in the environment, each in an equal share of the simulations.
 
         Raises:
             ValueError: They cannot.
         """
-        for group in self.groups:
-            found = group.spec.observation_size, group.spec.action_size
+        for stack in self.stacks:
+            found = stack.spec.observation_size, stack.spec.action_size
             wanted = env.observation_size[self.role], env.action_size[self.role]
             if found != wanted:
                 raise ValueError(
-                    f"partner {group.names[0]} has observation and action size {found}; those of "
+                    f"partner {stack.ids[0]} has observation and action size {found}; those of "
                     f"the {self.role} in {env.task} are {wanted}: give partners of this task and "
                     "environment version"
                 )
@@ -90,16 +75,14 @@ class Partners:
                 f"share, so choose a multiple of {len(self)}, such as {fitting}"
             )
 
-    def settings(self, num_envs: int) -> list[str | Disability]:
+    def settings(self, num_envs: int) -> list[Disability]:
         """Return the disability setting of each simulation of a member."""
-        return [setting for setting in self.disabilities for _ in range(num_envs // len(self))]
+        return [setting for setting in self._settings for _ in range(num_envs // len(self))]
 
     def initial_carry(self, simulations: int) -> tuple[Carry, ...]:
-        """Return carries before the first observation, by group [P, N / partners, ...]."""
+        """Return carries before the first observation, by stack [P, N / partners, ...]."""
         share = simulations // len(self)
-        return tuple(
-            policy.initial_carry((len(group.names), share)) for policy, group in self._pairs()
-        )
+        return tuple(policy.initial_carry((len(stack), share)) for policy, stack in self._pairs())
 
     def act(
         self, params: Any, carry: tuple[Carry, ...], obs: jax.Array, first: jax.Array, members: int
@@ -108,8 +91,8 @@ class Partners:
         count = len(self)
         obs, first = (_by_partner(leaf, members, count) for leaf in (obs, first))
         carries, actions, start = [], [], 0
-        for index, (policy, group) in enumerate(self._pairs()):
-            block = slice(start, start := start + len(group.names))
+        for index, (policy, stack) in enumerate(self._pairs()):
+            block = slice(start, start := start + len(stack))
             new, action = member_map(policy.act)(
                 params[index], carry[index], obs[block], first[block]
             )
@@ -118,8 +101,8 @@ class Partners:
         action = jnp.concatenate(actions).reshape(count, members, -1, actions[0].shape[-1])
         return tuple(carries), jnp.moveaxis(action, 1, 0).reshape(-1, action.shape[-1])
 
-    def _pairs(self) -> list[tuple[Policy, PartnerGroup]]:
-        return list(zip(self._policies, self.groups, strict=True))
+    def _pairs(self) -> list[tuple[Policy, PolicyStack]]:
+        return list(zip(self._policies, self.stacks, strict=True))
 
 
 def fitting_envs(num_envs: int, partners: int, minibatches: int = 1) -> int:

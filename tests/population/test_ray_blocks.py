@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from population import engines
+from population import ray_blocks
 from population import sweep as sweeps
-from population.engines import BlocksFailedError, RayCluster, run_blocks
+from population.ray_blocks import BlocksFailedError, RayCluster, run_blocks
 from population.sweep import run_sweep, run_sweep_on_ray
 from tests.population.test_sweep import plan
 from tests.population.toy_env import ToyEnv, match
@@ -19,7 +19,7 @@ from tests.population.toy_env import ToyEnv, match
 def two_cpus():
     import ray
 
-    engines._connect(ray, None, num_cpus=2)
+    ray_blocks._connect(ray, None, num_cpus=2)
     yield
     ray.shutdown()
 
@@ -82,10 +82,10 @@ def test_what_a_cluster_can_never_give_is_refused(two_cpus, tmp_path):
 def test_a_block_takes_a_whole_machine_unless_it_has_a_gpu(two_cpus):
     import ray
 
-    assert engines._resolved(ray, RayCluster()).cpus == 2
-    assert engines._slots(ray, RayCluster(cpus=0.5)) == 4
-    assert engines._resolved(ray, RayCluster(gpus=0.5)).cpus == 1
-    assert engines._variables(RayCluster(gpus=0.5))["XLA_PYTHON_CLIENT_MEM_FRACTION"] == "0.450"
+    assert ray_blocks._resolved(ray, RayCluster()).cpus == 2
+    assert ray_blocks._slots(ray, RayCluster(cpus=0.5)) == 4
+    assert ray_blocks._resolved(ray, RayCluster(gpus=0.5)).cpus == 1
+    assert ray_blocks._variables(RayCluster(gpus=0.5))["XLA_PYTHON_CLIENT_MEM_FRACTION"] == "0.450"
 
 
 def test_results_that_are_not_here_are_missed(tmp_path, monkeypatch):

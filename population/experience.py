@@ -1,37 +1,21 @@
 """Collecting a chunk of experience from all simulations of all members."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from assistax_envs import select
-from population.config import TrainerConfig
-from population.mapping import member_map
+from population.environment import Environment, EnvState
+from population.frozen_partners import FrozenPartners
+from population.members import flatten, member_map, split
 from population.networks import Carry, Params
-from population.partners import Partners
 from population.policy import Gaussian, Policy
-from population.spec import ROLES, PolicySpec, Role
 
-EnvState = Any  # the environment's own state; axis N first in every leaf
 Sampler = Callable[[Gaussian, jax.Array], jax.Array]  # draws raw actions with a key
-
-
-class Environment(Protocol):
-    """What trainers need of an environment; `assistax_envs.Env` is one."""
-
-    task: str
-    backend: str
-    version: int
-    episode_length: int
-    observation_size: dict[str, int]
-    action_size: dict[str, int]
-
-    def reset(self, keys: jax.Array, params: Any) -> EnvState: ...
-    def step(self, state: EnvState, action: dict[str, jax.Array]) -> EnvState: ...
 
 
 @jax.tree_util.register_dataclass
@@ -66,9 +50,8 @@ class Batch:
     raw: dict[str, jax.Array]  # raw actions [T, N, A], by role
     log_prob: dict[str, jax.Array]  # of the raw actions [T, N], by role
     reward: jax.Array  # [T, N]
-    terminated: (
-        jax.Array
-    )  # [T, N]; a simulation that diverged earns 0 from then on: its value is known to be 0
+    # [T, N]; a simulation that diverged earns 0 from then on: its value is known to be 0.
+    terminated: jax.Array
     truncated: jax.Array  # [T, N]
     final_obs: dict[str, jax.Array]  # at a simulation's time limit, before its reset [N, O]
     last_obs: dict[str, jax.Array]  # after the chunk [N, O]
@@ -78,24 +61,12 @@ class Batch:
     nonfinite: jax.Array  # number of simulations that diverged [N]
 
 
-def split(tree: Any, members: int) -> Any:
-    """Reshape the simulation axis [N, ...] of every leaf to [M, N/M, ...]."""
-    return jax.tree.map(
-        lambda leaf: leaf.reshape(members, leaf.shape[0] // members, *leaf.shape[1:]), tree
-    )
-
-
-def flatten(tree: Any) -> Any:
-    """Reshape every leaf [M, N/M, ...] to [N, ...]."""
-    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), tree)
-
-
 def begin(
     env: EnvState,
     policies: Mapping[str, Policy],
     members: int,
     stagger: jax.Array,
-    partners: Partners | None = None,
+    partners: FrozenPartners | None = None,
 ) -> Simulations:
     """Return simulations at the states of `env`, their step counters set to `stagger` [N].
 
@@ -124,7 +95,7 @@ def collect(
     state: Simulations,
     fresh: EnvState,
     inputs: tuple[str, ...],
-    partners: Partners | None = None,
+    partners: FrozenPartners | None = None,
     partner_params: Any = (),
     sample: Sampler = Gaussian.sample,
 ) -> tuple[Simulations, Batch]:
@@ -195,41 +166,6 @@ def collect(
     )
 
 
-def collect_next(
-    trainer: Any, state: Any, partner_params: Any, sample: Sampler = Gaussian.sample
-) -> tuple[Any, Batch, jax.Array]:
-    """Return a trainer's state after its next rollout, the rollout, and the keys [M] to learn from it with.
-
-    Args:
-        trainer: A `population.train.Trainer`, with its `config` and the `inputs` of its learners.
-        state: Its state, with `members` whose `key` is [M], and `simulations`.
-        partner_params: Parameters of frozen partners.
-        sample: How raw actions are drawn.
-    """
-    config, members = trainer.config, state.members
-    keys = jax.vmap(lambda key: jax.random.split(key, 4))(members.key)
-    fresh = trainer.env.reset(
-        simulation_keys(keys[:, 0], config.num_envs), state.simulations.env.params
-    )
-    act_keys = jax.vmap(lambda key: jax.random.split(key, config.rollout_steps), out_axes=1)(
-        keys[:, 1]
-    )
-    simulations, batch = collect(
-        trainer.env,
-        trainer.policies,
-        trainer.policy_params(members),
-        act_keys,
-        state.simulations,
-        fresh,
-        trainer.inputs,
-        trainer.partners,
-        partner_params,
-        sample,
-    )
-    members = dataclasses.replace(members, key=keys[:, 3])
-    return dataclasses.replace(state, members=members, simulations=simulations), batch, keys[:, 2]
-
-
 def by_member(batch: Batch, members: int) -> Batch:
     """Move the member axis of a batch to the front: [T, N, ...] becomes [M, T, N/M, ...]."""
 
@@ -255,43 +191,6 @@ def episode_metrics(batch: Batch) -> dict[str, jax.Array]:
         "reward": batch.reward.mean(),
         "nonfinite": batch.nonfinite.sum(),
     }
-
-
-def learning_roles(partners: Partners | None) -> tuple[Role, ...]:
-    """Return the roles that learn: both, or the one that frozen partners leave."""
-    return tuple(role for role in ROLES if not partners or role != partners.role)
-
-
-def policy_specs(
-    config: TrainerConfig, env: Environment, roles: Sequence[Role]
-) -> dict[str, PolicySpec]:
-    """Return the network shapes of the roles."""
-    names = ("torso", "hidden", "activation", "squash", "std", "normalise")
-    same: dict[str, Any] = {name: getattr(config, name) for name in names}
-    return {
-        role: PolicySpec(role, env.observation_size[role], env.action_size[role], **same)
-        for role in roles
-    }
-
-
-def simulation_keys(keys: jax.Array, num_envs: int) -> jax.Array:
-    """Return one key for each simulation [N] from one for each member [M]."""
-    return jax.vmap(lambda key: jax.random.split(key, num_envs))(keys).reshape(-1)
-
-
-def check(env: Environment, config: TrainerConfig, partners: Partners | None) -> None:
-    """Check that an environment, the trainer's configuration and the partners fit.
-
-    Raises:
-        ValueError: They do not.
-    """
-    if config.rollout_steps > env.episode_length:
-        raise ValueError(
-            f"rollout_steps is {config.rollout_steps}; an episode of {env.task} has "
-            f"{env.episode_length} steps, so choose at most that many"
-        )
-    if partners:
-        partners.check(env, config.num_envs)
 
 
 @jax.tree_util.register_dataclass

@@ -1,0 +1,193 @@
+"""Robots trained with frozen partners of the zoo, for zero-shot coordination."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from population.config import MIXED, Member, TrainConfig, TrainerConfig, make_run, preset
+from population.files import atomic_write
+from population.team_training import check_names, numbered, run_training
+from population.trained_run import TrainedRun
+from zoo.registry import Registry
+from zoo.schema import Split
+from zoo.storage import load_stacks, write_policy_file
+
+if TYPE_CHECKING:
+    from population.frozen_partners import FrozenPartners
+    from population.train import Progress
+
+ALGORITHMS = {"ppo": "ippo", "sac": "isac"}  # a single robot's algorithm, and the preset it takes
+POLICIES, SPLIT = "policies", "split.json"  # within a run: the trained robots, and their split
+
+
+@dataclasses.dataclass(frozen=True)
+class EgoTraining:
+    """What is to be trained, and with whom."""
+
+    config: TrainConfig
+    partners: "FrozenPartners"
+    split: Split
+    preset_envs: int  # simulations of a member in the preset, before they were shared out
+
+    @property
+    def summary(self) -> str:
+        """How the simulations are shared out, in a line."""
+        envs, count = self.config.trainer.num_envs, len(self.partners)
+        share = f"{envs // count} simulation{'s' * (envs > count)} each"
+        line = f"{count} partners of {self.split.id}, {share}"
+        if envs == self.preset_envs:
+            return line
+        return f"{line}, {envs} in place of the preset's {self.preset_envs}"
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainedEgos:
+    """Robots of one method, one for each seed."""
+
+    run: TrainedRun
+    split: Split
+    files: tuple[Path, ...]  # a policy file for each seed
+
+
+def prepare(
+    registry: Registry,
+    task: str,
+    *,
+    split: str | None = None,
+    algorithm: str = "ppo",
+    seeds: int | Sequence[int] = 1,
+    steps: int = 20_000_000,
+    hyperparameters: Mapping[str, Any] | None = None,
+    checkpoint_every: int | None = None,
+    updates_per_call: int | None = None,
+) -> EgoTraining:
+    """Return what is to be trained with the partners of a split's training half.
+
+    Every partner gets the same share of the simulations, under its own disability setting. Unless
+    `num_envs` is among the hyperparameters, it is the number nearest to the preset's that partners
+    and minibatches can share.
+
+    Args:
+        registry: Where the partners are.
+        task: Task.
+        split: Split whose training half are the partners: an id or the beginning of one; default
+            the release's own.
+        algorithm: "ppo" or "sac".
+        seeds: How many, numbered from 0, or which.
+        steps: Environment steps of each robot, rounded up to whole updates.
+        hyperparameters: Changes of the preset.
+        checkpoint_every: Updates between checkpoints; default the algorithm's.
+        updates_per_call: Updates dispatched to the device at once; default the algorithm's.
+
+    Raises:
+        ValueError: An argument is not allowed, or the simulations cannot be shared out.
+        zoo.errors.ZooError: There is no such split, or its partners cannot be read.
+    """
+    check_names(task)
+    if algorithm not in ALGORITHMS:
+        raise ValueError(f"algorithm is {algorithm!r}; allowed are {', '.join(ALGORITHMS)}")
+    changes = dict(hyperparameters or {})
+    trainer = preset(ALGORITHMS[algorithm], **changes)
+    chosen = registry.split(task, split)
+    shared = shared_out(trainer, len(chosen.train), keep="num_envs" in changes)
+    partners = load_partners(registry, chosen)
+    config = make_run(
+        task,
+        algorithm,
+        tuple(Member(seed, MIXED) for seed in numbered(seeds)),
+        steps,
+        shared,
+        self_play_episodes=0,
+        checkpoint_every=checkpoint_every,
+        updates_per_call=updates_per_call,
+        partners=partners.ids,
+    )
+    return EgoTraining(config, partners, chosen, trainer.num_envs)
+
+
+def train_egos(
+    training: EgoTraining,
+    folder: Path | str | None = None,
+    *,
+    backend: str = "auto",
+    resume: bool = True,
+    tensorboard: Path | None = None,
+    progress: "Callable[[Progress], None] | None" = None,
+) -> TrainedEgos:
+    """Train the robots and write a policy file for each.
+
+    The run folder is that of teams with the robot's role alone, and says which split it was trained
+    with. A run that was interrupted goes on to the same result.
+
+    Args:
+        training: What `prepare` returns.
+        folder: Folder of the run; default a new temporary one.
+        backend: Physics, or "auto" for the fastest one here.
+        resume: Whether to go on with a run that the folder holds.
+        tensorboard: Folder for TensorBoard event files.
+        progress: Called after every dispatch.
+    """
+    split = training.split
+    run = run_training(
+        training.config,
+        backend,
+        folder,
+        partners=training.partners,
+        resume=resume,
+        tensorboard=tensorboard,
+        progress=progress,
+    )
+    # What publishing reads: an ego's entry names the split it was trained with, and its sha256.
+    atomic_write(run.folder / SPLIT, split.model_dump_json().encode())
+    return TrainedEgos(run, split, tuple(_write_policies(run, split)))
+
+
+def shared_out(trainer: TrainerConfig, partners: int, *, keep: bool) -> TrainerConfig:
+    """Return hyperparameters with simulations of which every partner gets the same share.
+
+    Args:
+        trainer: Hyperparameters.
+        partners: How many partners.
+        keep: Whether the number of simulations was asked for, and is to be kept.
+
+    Raises:
+        ValueError: It is to be kept, and has no such share.
+    """
+    from population.frozen_partners import fitting_envs
+
+    fitting = fitting_envs(trainer.num_envs, partners, getattr(trainer, "minibatches", 1))
+    if not keep:
+        return dataclasses.replace(trainer, num_envs=fitting)
+    if trainer.num_envs % partners:
+        raise ValueError(
+            f"num_envs is {trainer.num_envs} with {partners} partners; every partner gets the same "
+            f"share, so choose {fitting}, or leave --num-envs out"
+        )
+    return trainer
+
+
+def load_partners(registry: Registry, split: Split) -> "FrozenPartners":
+    """Return the humans of a split's training half; no row of the test half is read."""
+    from population.frozen_partners import FrozenPartners
+
+    entries = [registry.policy(f"{team}/human") for team in split.train]
+    settings = {entry.id: entry.partner_setting for entry in entries}
+    return FrozenPartners(load_stacks(registry, entries), settings)
+
+
+def _write_policies(run: TrainedRun, split: Split) -> list[Path]:
+    """Write a policy file for each robot of a finished run."""
+    [(_, robots)] = run.policies.items()
+    files = []
+    for row, member in enumerate(run.config.members):
+        files.append(run.folder / POLICIES / f"{run.config.algorithm}-s{member.seed}.safetensors")
+        metadata = {
+            "task": run.config.task,
+            "algorithm": run.config.algorithm,
+            "seed": member.seed,
+            "split": split.id,
+            "training": {"run": run.folder.resolve().name, **run.training},
+        }
+        write_policy_file(files[-1], robots.spec, robots.row(row), metadata)
+    return files

@@ -1,0 +1,160 @@
+"""Training from plain arguments: what the command line and the Python interface call."""
+
+import contextlib
+import json
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from assistax_envs.disability import DISABILITY_SETTINGS
+from assistax_envs.versions import TASKS
+from population.config import TrainConfig, make_members, make_run, preset
+from population.trained_run import TrainedRun, read_trained_run
+
+if TYPE_CHECKING:
+    from population.frozen_partners import FrozenPartners
+    from population.train import Progress
+
+
+def train_teams(
+    task: str,
+    algorithm: str = "ippo",
+    *,
+    folder: Path | str | None = None,
+    disabilities: Sequence[str] = ("d1",),
+    seeds: int | Sequence[int] = 1,
+    steps: int = 10_000_000,
+    hyperparameters: Mapping[str, Any] | None = None,
+    backend: str = "auto",
+    self_play_episodes: int = 16,
+    checkpoint_every: int | None = None,
+    updates_per_call: int | None = None,
+    resume: bool = True,
+    tensorboard: Path | None = None,
+    progress: "Callable[[Progress], None] | None" = None,
+) -> TrainedRun:
+    """Train teams of a robot and a human, every seed with every disability setting, in one program.
+
+    Args:
+        task: Task, such as "scratch".
+        algorithm: Preset of hyperparameters: ippo, mappo, isac or masac.
+        folder: Folder of the run; one that was interrupted goes on. Default a new temporary one.
+        disabilities: Settings of the human, such as ("d1", "d3").
+        seeds: How many, numbered from 0, or which.
+        steps: Environment steps of each team, rounded up to whole updates.
+        hyperparameters: Changes of the preset, such as {"learning_rate": 3e-4, "torso": "gru"}.
+        backend: Physics, or "auto" for the fastest one here.
+        self_play_episodes: Episodes of each team's final evaluation; 0 leaves it out.
+        checkpoint_every: Updates between checkpoints; default the algorithm's.
+        updates_per_call: Updates dispatched to the device at once; default the algorithm's.
+        resume: Whether to go on with a run that the folder holds.
+        tensorboard: Folder for TensorBoard event files.
+        progress: Called after every dispatch.
+
+    Raises:
+        ValueError: An argument is not allowed, or the folder holds another run.
+        population.train.DivergedError: A loss became NaN or infinite.
+    """
+    check_names(task, disabilities)
+    config = make_run(
+        task,
+        algorithm,
+        make_members(numbered(seeds), disabilities),
+        steps,
+        preset(algorithm, **(hyperparameters or {})),
+        self_play_episodes=self_play_episodes,
+        checkpoint_every=checkpoint_every,
+        updates_per_call=updates_per_call,
+    )
+    return run_training(
+        config, backend, folder, resume=resume, tensorboard=tensorboard, progress=progress
+    )
+
+
+def run_training(
+    config: TrainConfig,
+    backend: str = "auto",
+    folder: Path | str | None = None,
+    *,
+    partners: "FrozenPartners | None" = None,
+    resume: bool = True,
+    tensorboard: Path | None = None,
+    progress: "Callable[[Progress], None] | None" = None,
+) -> TrainedRun:
+    """Train a configured run, with event files if they are wanted, and read it back.
+
+    Args:
+        config: What to train.
+        backend: Physics.
+        folder: Folder of the run; default a new temporary one.
+        partners: Frozen partners of egos, as `config.partners` names them.
+        resume: Whether to go on with a run that the folder holds.
+        tensorboard: Folder for TensorBoard event files.
+        progress: Called after every dispatch.
+    """
+    from assistax_envs import make
+    from population.train import train
+
+    folder = Path(folder or tempfile.mkdtemp(prefix=f"assistax-{config.task}-"))
+    reports = [progress] if progress else []
+    with contextlib.ExitStack() as stack:
+        files = None
+        if tensorboard is not None:
+            from population.tensorboard import EventFiles
+
+            files = EventFiles(config, folder, tensorboard)
+            reports.insert(0, stack.enter_context(contextlib.closing(files)))
+
+        def report(state: "Progress") -> None:
+            for each in reports:
+                each(state)
+
+        env = make(config.task, backend)
+        train(
+            config,
+            env,
+            folder,
+            partners=partners,
+            resume=resume,
+            progress=report,
+        )
+        if files is not None:
+            files.catch_up()
+    return read_trained_run(folder)
+
+
+def read_preset(path: Path, algorithm: str | None = None) -> tuple[str, dict[str, Any]]:
+    """Return the algorithm and the changed hyperparameters of a preset file, as a sweep writes it.
+
+    Raises:
+        ValueError: The file is no preset, or one of another algorithm than was asked for.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        found, changes = content["algorithm"], dict(content["hyperparameters"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(
+            f"{path} is no preset ({type(error).__name__}: {error}); give a JSON object with "
+            "algorithm and hyperparameters, such as the preset.json of `assistax-zoo sweep`"
+        ) from None
+    if algorithm not in (None, found):
+        raise ValueError(
+            f"algorithm is {algorithm!r}, but {path} is a preset of {found}; leave --algorithm out"
+        )
+    return found, changes
+
+
+def check_names(task: str, disabilities: Sequence[str] = ()) -> None:
+    """Refuse an unknown task or disability setting before anything slow is imported."""
+    if task not in TASKS:
+        raise ValueError(f"task is {task!r}; allowed are {', '.join(TASKS)}")
+    if unknown := [name for name in disabilities if name not in DISABILITY_SETTINGS]:
+        raise ValueError(
+            f"disability is {unknown[0]!r}; allowed are {', '.join(DISABILITY_SETTINGS)}"
+        )
+
+
+def numbered(seeds: int | Sequence[int]) -> Sequence[int]:
+    """Return seeds: a number of them is counted from 0."""
+    return range(seeds) if isinstance(seeds, int) else seeds

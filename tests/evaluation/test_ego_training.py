@@ -1,0 +1,76 @@
+"""Robots that train with a split's training half."""
+
+import pytest
+
+from assistax_envs.disability import DISABILITY_SETTINGS
+from evaluation.ego_training import load_partners, prepare, shared_out
+from population.config import preset
+from zoo import storage
+from zoo.registry import load_registry
+
+
+def unreadable(test, loaded):
+    """Return a `_verified_row` that notes what is taken from shards and cannot take a row of the test half."""
+    take = storage._verified_row
+
+    def row(*place):
+        entry = place[-1]
+        if entry.id.rpartition("/")[0] in test:
+            raise OSError(f"the row of {entry.id} is unreadable")
+        loaded.append(entry.id)
+        return take(*place)
+
+    return row
+
+
+def test_only_the_training_half_is_loaded(monkeypatch):
+    registry = load_registry()
+    split, loaded = registry.split("scratch", "half"), []
+    monkeypatch.setattr(storage, "_verified_row", unreadable(split.test, loaded))
+    partners = load_partners(registry, split)
+    assert sorted(partners.ids) == sorted(loaded) == [f"{team}/human" for team in split.train]
+    assert partners.settings(len(partners)) == [
+        DISABILITY_SETTINGS[name.split("/")[1].split("-")[1]] for name in partners.ids
+    ]
+    with pytest.raises(
+        OSError, match="is unreadable"
+    ):  # the guard bites: other halves would be seen
+        load_partners(registry, split.model_copy(update={"train": split.test}))
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "partners", "share", "envs"),
+    [("ippo", 99, 12, 1188), ("isac", 99, 1, 99), ("isac", 59, 1, 59), ("ippo", 16, 64, 1024)],
+)
+def test_the_preset_is_fitted_to_the_partners(algorithm, partners, share, envs):
+    trainer = shared_out(preset(algorithm), partners, keep=False)
+    assert (trainer.num_envs, trainer.num_envs // partners) == (envs, share)
+    assert trainer.num_envs % getattr(trainer, "minibatches", 1) == 0
+
+
+def test_a_training_is_prepared_and_says_how_simulations_are_shared():
+    training = prepare(load_registry(), "scratch", split="half-s0-v0", seeds=[3, 5], steps=1000)
+    assert [member.seed for member in training.config.members] == [3, 5]
+    assert training.config.partners == training.partners.ids
+    assert training.config.self_play_episodes == 0
+    assert training.summary == "16 partners of scratch/half-s0-v0-f4c7b97d, 64 simulations each"
+    fitted = prepare(
+        load_registry(), "scratch", split="half-s0-v0", algorithm="sac", hyperparameters={}
+    )
+    assert fitted.summary.endswith("4 simulations each")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"algorithm": "ippo"}, "algorithm is 'ippo'; allowed are ppo, sac"),
+        ({"task": "swim"}, "task is 'swim'"),
+        (
+            {"split": "half-s0-v0", "hyperparameters": {"num_envs": 20}},
+            "num_envs is 20 with 16 partners; .* choose 16, or leave",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        prepare(load_registry(), **{"task": "scratch", **changes})
