@@ -1,4 +1,4 @@
-"""Assistive tasks for a robot and a human on MuJoCo, batch first. Usable without the rest of this project."""
+"""Assistive tasks for a robot and a human on MuJoCo, batch first. Usable on its own."""
 
 import importlib
 from typing import TYPE_CHECKING

@@ -1,4 +1,7 @@
-"""The picture of what can touch what: each scene beside the geoms of its contact pairs, coloured by owner."""
+"""The picture of what can touch what.
+
+Each scene beside the geoms of its contact pairs, coloured by owner.
+"""
 
 import copy
 from collections.abc import Sequence
@@ -25,13 +28,16 @@ INK, PAPER = (25, 30, 38), (255, 255, 255)
 
 
 def pair_geoms(model: mujoco.MjModel) -> dict[str, str]:
-    """Return the owner ("robot", "human" or "furniture") of each geom that is in a contact pair, by the geom's name."""
+    """Return who owns each geom of a contact pair, by its name: robot, human or furniture."""
     ids = sorted({int(geom) for geom in (*model.pair_geom1, *model.pair_geom2)})
     return {model.geom(geom).name: _owner(model.geom(geom).name) for geom in ids}
 
 
 def touches(model: mujoco.MjModel) -> dict[str, list[str]]:
-    """Return what each geom can touch, every contact pair once: the robot's geoms first, then the human's arm."""
+    """Return what each geom can touch, every contact pair once.
+
+    The robot's geoms first, then the human's arm.
+    """
     found: dict[str, list[str]] = {}
     for pair in zip(model.pair_geom1, model.pair_geom2, strict=True):
         first, second = sorted((model.geom(int(geom)).name for geom in pair), key=_rank)
@@ -40,7 +46,7 @@ def touches(model: mujoco.MjModel) -> dict[str, list[str]]:
 
 
 def collision_model(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Return a copy in which the geoms of contact pairs have their owner's colour and all others are not drawn."""
+    """Return a copy that draws the geoms of contact pairs alone, in their owner's colour."""
     shown, owners = copy.copy(model), pair_geoms(model)
     shown.geom_matid[:] = -1
     for index in range(model.ngeom):
@@ -53,7 +59,9 @@ def collision_model(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def picture(tasks: Sequence[str], width: int = 480, height: int = 360) -> np.ndarray:
-    """Draw a row for each task: its scene, the geoms of its contact pairs alone, and the pairs in words.
+    """Draw a row for each task.
+
+    Its scene, the geoms of its contact pairs alone, and the pairs in words.
 
     Returns:
         uint8 [rows, 2 * width, 3].
@@ -72,7 +80,10 @@ def picture(tasks: Sequence[str], width: int = 480, height: int = 360) -> np.nda
 
 
 def _rank(geom: str) -> int:
-    """Order geoms for reading: tool, robot's hand, human's arm, the rest of the human, furniture."""
+    """Order geoms for reading.
+
+    Tool, robot's hand, human's arm, the rest of the human, furniture.
+    """
     groups = (
         geom == "robot_tool",
         _owner(geom) == "robot" and geom != "robot_hand",

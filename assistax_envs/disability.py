@@ -1,4 +1,4 @@
-"""Disability settings d1..d9 of the human, readable without JAX or MuJoCo (paper, section 3.1 and Table 6)."""
+"""Disability settings d1..d9 of the human (paper, 3.1 and Table 6). Imports no JAX or MuJoCo."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""The environment: a task on a physics backend, batch first, inside jit and scan on every backend."""
+"""The environment: a task on a physics backend, batch first, inside jit and scan."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -187,7 +187,7 @@ class Env:
         height: int = 480,
         caption: tuple[str, ...] = (),
     ) -> np.ndarray:
-        """Draw simulation `index` as uint8 [height, width, 3], on the CPU or a GPU, without a display.
+        """Draw simulation `index` as uint8 [height, width, 3], with or without a GPU or a display.
 
         Args:
             state: [N] simulations.
@@ -210,7 +210,10 @@ class Env:
     def _control(
         self, params: EnvParams, action: dict[str, jax.Array], shake: jax.Array
     ) -> jax.Array:
-        """Return the actuators' controls [N, nu]: what is left of the human's strength, and its tremor."""
+        """Return the actuators' controls [N, nu].
+
+        What is left of the human's strength, and its tremor.
+        """
         human = jnp.clip(action["human"], -1.0, 1.0) * params.strength[:, None] + shake
         control = jnp.zeros((human.shape[0], self.model.nu), jnp.float32)
         control = control.at[:, self._actuators["robot"]].set(jnp.clip(action["robot"], -1.0, 1.0))
@@ -230,7 +233,10 @@ class Env:
         )
 
     def _shake(self, state: EnvState) -> tuple[jax.Array, jax.Array]:
-        """Advance the tremor; return its filter state and torque share [N, 3]. Costs nothing where none has one."""
+        """Advance the tremor.
+
+        Return its filter state and torque share [N, 3]. Costs nothing where none has one.
+        """
 
         def noise(state: EnvState) -> tuple[jax.Array, jax.Array]:
             keys = jax.vmap(jax.random.fold_in)(state.key, state.step)
@@ -277,7 +283,10 @@ def disability_params(settings: Sequence[str | Disability]) -> EnvParams:
 
 
 def select(mask: jax.Array, on_true: Any, on_false: Any) -> Any:
-    """Choose whole simulations: leafwise `where` with `mask` [N] over the first axis of two like pytrees."""
+    """Choose whole simulations.
+
+    Leafwise `where` with `mask` [N] over the first axis of two like pytrees.
+    """
 
     def choose(a: jax.Array, b: jax.Array) -> jax.Array:
         return jnp.where(mask.reshape(mask.shape + (1,) * (a.ndim - 1)), a, b)

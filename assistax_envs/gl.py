@@ -18,7 +18,7 @@ class RenderError(ValueError):
 
 
 def open_context(width: int, height: int) -> tuple[str, Any]:
-    """Return "egl" or "osmesa" and its context (`make_current`, `free`) for frames of up to `width` x `height` pixels.
+    """Return "egl" or "osmesa" and its context, for frames of up to `width` x `height` pixels.
 
     MUJOCO_GL=egl or MUJOCO_GL=osmesa leaves no choice.
 
@@ -45,7 +45,7 @@ def open_context(width: int, height: int) -> tuple[str, Any]:
 
 @contextlib.contextmanager
 def functions_from(platform: str) -> Generator[None]:
-    """Let MuJoCo's C code, which asks the environment, load OpenGL's functions from the platform."""
+    """Let MuJoCo's C code load OpenGL's functions from the platform that the environment names."""
     before = os.environ.get(CHOICE)
     os.environ[CHOICE] = platform
     try:

@@ -21,7 +21,7 @@ class Figures:
 
 
 def write(pixels: np.ndarray, figures: Figures, caption: tuple[str, ...] = ()) -> np.ndarray:
-    """Return a copy of uint8 `pixels` [H, W, 3] with figures at the upper left and the caption at the lower left."""
+    """Return a copy of uint8 `pixels` [H, W, 3] with figures (upper left) and caption (lower)."""
     height, width = pixels.shape[:2]
     picture = Image.fromarray(np.ascontiguousarray(pixels))
     size = max(9, min(height // 34, width // 40))

@@ -38,7 +38,10 @@ ARROW_LENGTH = 0.01  # m for each N
 
 
 class Renderer:
-    """Draws simulations of one model at one size; holds an OpenGL context, so use it from one thread."""
+    """Draws simulations of one model at one size.
+
+    Holds an OpenGL context, so use it from one thread.
+    """
 
     def __init__(
         self, model: mujoco.MjModel, task: Task, width: int = 640, height: int = 480
@@ -176,7 +179,7 @@ class Renderer:
         geom.size[:] = radius
 
     def _draw_force(self, newtons: float) -> None:
-        """Draw an arrow that ends where the tool presses, as long as the force that the step recorded."""
+        """Draw an arrow that ends where the tool presses, as long as the recorded force."""
         forces, points = [np.zeros(3)], [np.zeros(3)]
         for i, contact in enumerate(self._data.contact):
             if sign := self._sign(contact):
@@ -194,7 +197,7 @@ class Renderer:
         mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, ARROW_WIDTH, start, point)
 
     def _sign(self, contact: Any) -> int:
-        """Return 1 where the tool pushes the arm along the contact's frame, -1 where against it, else 0."""
+        """Return 1 where the tool pushes the arm along the contact's frame, -1 against, else 0."""
         for sign, (tool, arm) in ((1, contact.geom), (-1, contact.geom[::-1])):
             if self.model.geom_bodyid[tool] == self._tool and arm in self._arm:
                 return sign

@@ -23,7 +23,10 @@ class TremorFilter:
         return jnp.zeros((size, joints, 2), jnp.float32)
 
     def step(self, state: jax.Array, noise: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Filter `noise` [N, joints] once (transposed direct form II); return the state and the output."""
+        """Filter `noise` [N, joints] once (transposed direct form II).
+
+        Return the state and the output.
+        """
         output = self._b[0] * noise + state[..., 0]
         first = self._b[1] * noise - self._a[1] * output + state[..., 1]
         second = self._b[2] * noise - self._a[2] * output

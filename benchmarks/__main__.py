@@ -139,8 +139,8 @@ def train(
 ) -> None:
     """Measure environment steps per second of training, and where its time goes.
 
-    The shares are of physics, networks and updates. Whole updates, rollouts alone and physics alone are timed in turns; medians of three,
-    compilation not counted.
+    The shares are of physics, networks and updates. Whole updates, rollouts alone and physics
+    alone are timed in turns; medians of three, compilation not counted.
 
     Args:
         task: Task.

@@ -76,7 +76,9 @@ def measure_env(env: Any, batch: int, seconds: float = 3.0) -> EnvSpeed:
 def measure_evaluator(
     env: Any, shape: tuple[int, int, int], seconds: float = 3.0
 ) -> EvaluatorSpeed:
-    """Measure the evaluator against the raw environment: untrained policies, E x P pairs, K episodes.
+    """Measure the evaluator against the raw environment.
+
+    Untrained policies, E x P pairs, K episodes.
 
     The evaluator cuts the job as it would any other; the environment steps all simulations at once.
     """

@@ -1,4 +1,7 @@
-"""Training state on disk, through Orbax: whole or not at all, and the same bits when read back on any devices."""
+"""Training state on disk, through Orbax.
+
+Whole or not at all, and the same bits when read back on any devices.
+"""
 
 import hashlib
 import warnings
@@ -110,7 +113,10 @@ def _digest(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def _to_arrays(state: Any) -> dict[str, np.ndarray]:
-    """Return the leaves by path; typed keys become their data, and empty leaves, which Orbax refuses, are left out."""
+    """Return the leaves by path.
+
+    Typed keys become their data, and empty leaves, which Orbax refuses, are left out.
+    """
     return {
         _name(path): np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
         for path, leaf in jax.tree_util.tree_leaves_with_path(state)

@@ -13,7 +13,10 @@ MIXED = (
 
 @dataclasses.dataclass(frozen=True)
 class PPOConfig:
-    """Hyperparameters of PPO; the defaults are the paper's IPPO (appendix, hyperparameters of IPPO)."""
+    """Hyperparameters of PPO.
+
+    The defaults are the paper's IPPO (appendix, hyperparameters of IPPO).
+    """
 
     kind: ClassVar[str] = "ppo"
     # Traced, so that members of one program may differ in them.
@@ -107,7 +110,10 @@ class PPOConfig:
 
 @dataclasses.dataclass(frozen=True)
 class SACConfig:
-    """Hyperparameters of SAC; the defaults are the paper's ISAC (appendix, hyperparameters of ISAC)."""
+    """Hyperparameters of SAC.
+
+    The defaults are the paper's ISAC (appendix, hyperparameters of ISAC).
+    """
 
     kind: ClassVar[str] = "sac"
     # Traced, so that members of one program may differ in them.
@@ -261,7 +267,7 @@ def preset(algorithm: str, **changes: Any) -> TrainerConfig:
 
 @dataclasses.dataclass(frozen=True)
 class Member:
-    """One team in training, a robot and a human that learn together, or one ego that learns with partners."""
+    """A team in training, robot and human together, or one ego that learns with partners."""
 
     seed: int  # draws its networks, its resets and its actions
     # The human's setting, "d1".."d9"; "mixed" for an ego, whose partners each have their own.

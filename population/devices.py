@@ -1,4 +1,6 @@
-"""Members spread over the devices of a host: each device runs the ordinary program on its share of them.
+"""Members spread over the devices of a host.
+
+Each device runs the ordinary program on its share of them.
 
 Members never read one another, so no device waits for another: each is given its own program by its
 own thread. One program over all devices would do on a CPU, but XLA's compiler crashes on one that
@@ -55,7 +57,7 @@ class Shares:
     def jit(
         self, function: Callable[..., Any], out_specs: Any = FIRST_AXIS, **options: Any
     ) -> Callable[..., Any]:
-        """Return `jax.jit(function, **options)`, which is written for any number of members, as a function of all.
+        """Return a jitted function of all members, from one that is written for any number of them.
 
         Positional arguments are as `put` returns them, keywords are static; `out_specs` say how
         results are put together, one for all leaves or a tree like the result's.

@@ -21,7 +21,10 @@ Sampler = Callable[[Gaussian, jax.Array], jax.Array]  # draws raw actions with a
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Episodes:
-    """Episodes in progress; one that did not start at its first step is not `whole`, and is never counted."""
+    """Episodes in progress.
+
+    One that did not start at its first step is not `whole`, and is never counted.
+    """
 
     whole: jax.Array  # [N] bool
     sums: dict[str, jax.Array]  # "return" and "term_..." so far [N]
@@ -99,7 +102,9 @@ def collect(
     partner_params: Any = (),
     sample: Sampler = Gaussian.sample,
 ) -> tuple[Simulations, Batch]:
-    """Act for T steps in all simulations; an episode that ends goes on from its simulation's state in `fresh`.
+    """Act for T steps in all simulations.
+
+    An episode that ends goes on from its simulation's state in `fresh`.
 
     Args:
         env: The environment.
@@ -213,7 +218,10 @@ def _act(
 ) -> tuple[
     dict[str, Carry], tuple[dict[str, jax.Array], dict[str, jax.Array], dict[str, jax.Array]]
 ]:
-    """Let one member's policies act; return carries, and actions, raw actions and log probabilities by role."""
+    """Let one member's policies act.
+
+    Return carries, and actions, raw actions and log probabilities by role.
+    """
     carry, action, raw, log_prob = {}, {}, {}, {}
     for role, role_key in zip(policies, jax.random.split(key, len(policies)), strict=True):
         carry[role], gaussian = policies[role].step(params[role], carries[role], obs[role], first)

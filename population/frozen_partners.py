@@ -87,7 +87,10 @@ class FrozenPartners:
     def act(
         self, params: Any, carry: tuple[Carry, ...], obs: jax.Array, first: jax.Array, members: int
     ) -> tuple[tuple[Carry, ...], jax.Array]:
-        """Return the new carries and the actions [N, A] of obs [N, O], where N is [member, partner, simulation]."""
+        """Return new carries and actions [N, A] of obs [N, O].
+
+        N is [member, partner, simulation].
+        """
         count = len(self)
         obs, first = (_by_partner(leaf, members, count) for leaf in (obs, first))
         carries, actions, start = [], [], 0
@@ -106,7 +109,7 @@ class FrozenPartners:
 
 
 def fitting_envs(num_envs: int, partners: int, minibatches: int = 1) -> int:
-    """Return the number of simulations, nearest to one, of which partners and minibatches have equal shares.
+    """Return the number of simulations, nearest to `num_envs`, that can be shared out equally.
 
     With more partners than simulations this is one for each partner, or a few where minibatches ask
     for it.

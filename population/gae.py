@@ -16,7 +16,7 @@ def advantages(
     gamma: jax.Array | float,
     lam: jax.Array | float,
 ) -> jax.Array:
-    """Return the advantages (Schulman et al., 2016, equation 16), for episodes that also end by time.
+    """Return advantages (Schulman et al., 2016, equation 16) for episodes that also end by time.
 
     delta_t = r_t + gamma (1 - terminated_t) V(next_t) - V_t and
     A_t = delta_t + gamma lam (1 - ended_t) A_{t+1}, where ended = terminated or truncated and
@@ -56,7 +56,7 @@ def values(
     last_obs: jax.Array,
     last_first: jax.Array,
 ) -> tuple[Carry, jax.Array, jax.Array]:
-    """Return the critic's carry after a chunk, the values [T, N] of its observations and those of their successors.
+    """Return the critic's carry after a chunk, and values [T, N] of observations and successors.
 
     A time limit occurs at most once for a simulation in a chunk, so one extra observation for each
     holds all of them.

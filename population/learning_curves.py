@@ -1,4 +1,7 @@
-"""Learning curves kept small: a run's metrics at a hundred points, one file for each group of a plan."""
+"""Learning curves kept small.
+
+A run's metrics at a hundred points, one file for each group of a plan.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -21,7 +21,9 @@ class Dense:
 
 @dataclasses.dataclass(frozen=True)
 class GRU:
-    """Gates in the order reset, update, new: `r`, `z` = sigmoid(input + recurrent), `n` = tanh(input + r * recurrent).
+    """Gates in the order reset, update, new.
+
+    `r`, `z` = sigmoid(input + recurrent), `n` = tanh(input + r * recurrent).
 
     The next carry, and output, is `(1 - z) * n + z * carry`.
     """
@@ -45,7 +47,7 @@ class NetworkPlan:
 
 
 def network_plan(spec: PolicySpec, params: Mapping[str, Any]) -> NetworkPlan:
-    """Return the parts of `Policy(spec)` with these parameters (nested dict, without a stacked axis).
+    """Return the parts of `Policy(spec)` with these parameters (nested, without a stacked axis).
 
     Raises:
         ValueError: A parameter is missing.

@@ -1,4 +1,7 @@
-"""What policies and critics share: the torso, unrolling over time, and the normalisation of observations."""
+"""What policies and critics share.
+
+The torso, unrolling over time, and the normalisation of observations.
+"""
 
 import math
 from collections.abc import Callable
@@ -34,7 +37,10 @@ def dense(width: int, scale: float) -> nn.Dense:
 def torso(
     spec: TorsoSpec, carry: Carry, obs: jax.Array, first: jax.Array
 ) -> tuple[Carry, jax.Array]:
-    """Apply the hidden layers; to be called inside a compact module, which then owns the layers by flat names."""
+    """Apply the hidden layers.
+
+    To be called inside a compact module, which then owns the layers by flat names.
+    """
     activation = {"tanh": nn.tanh, "relu": nn.relu}[spec.activation]
     embedding = spec.hidden[:-1] if spec.torso == "gru" else spec.hidden
     features = obs
@@ -47,7 +53,10 @@ def torso(
 
 
 def initial_carry(spec: TorsoSpec, batch_shape: tuple[int, ...]) -> Carry:
-    """Return the recurrent state before the first observation: () for a feed-forward torso, else [*batch_shape, H]."""
+    """Return the recurrent state before the first observation.
+
+    () for a feed-forward torso, else [*batch_shape, H].
+    """
     return jnp.zeros((*batch_shape, spec.hidden[-1])) if spec.torso == "gru" else ()
 
 
@@ -66,6 +75,6 @@ def unroll(
 
 
 def normalise(normaliser: Params, obs: jax.Array) -> jax.Array:
-    """Return obs [..., O] centred and scaled by `normaliser` (mean [O], std [O]), clipped to a fixed limit."""
+    """Return obs [..., O] centred and scaled by mean [O] and std [O], clipped to a fixed limit."""
     mean, std = (jnp.broadcast_to(normaliser[name], obs.shape) for name in ("mean", "std"))
     return jnp.clip((obs - mean) / std, -NORMALISED_LIMIT, NORMALISED_LIMIT)

@@ -1,4 +1,6 @@
-"""A plan: every team of a release, in groups that train in one program each; what exists of it, what is missing.
+"""A plan: every team of a release, in groups that train in one program each.
+
+What exists of it, what is missing.
 
 A group is one task and one algorithm, with all its disability settings and seeds. Its run folders
 are `NAME`, `NAME-2`, ... in the folder of the plan's runs, each with a block of its members. What a
@@ -261,7 +263,10 @@ def _existing(group: Group, out: Path) -> Iterator[Block]:
 
 
 def _finished_members(group: Group, path: Path) -> tuple[Member, ...]:
-    """Return the members that a run's teams.json names: all that is left of some runs but their parameters."""
+    """Return the members that a run's teams.json names.
+
+    All that is left of some runs but their parameters.
+    """
     try:
         teams = [item["team"] for item in json.loads(path.read_text(encoding="utf-8"))]
         for team in teams:

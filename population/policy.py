@@ -26,7 +26,7 @@ _NODES, _WEIGHTS = (x.astype(np.float32) for x in np.polynomial.hermite_e.hermeg
 @partial(jax.tree_util.register_dataclass, data_fields=["mean", "log_std"], meta_fields=["squash"])
 @dataclasses.dataclass(frozen=True)
 class Gaussian:
-    """Diagonal Gaussian over raw actions [..., A], and the way a raw action becomes an action in [-1, 1].
+    """Diagonal Gaussian over raw actions [..., A], and how one becomes an action in [-1, 1].
 
     With "clip" the limits belong to the environment: densities are those of the raw action. With
     "tanh" they are densities of the squashed action.
@@ -49,7 +49,10 @@ class Gaussian:
         return self.action(self.mean)
 
     def log_prob(self, raw: jax.Array) -> jax.Array:
-        """Return the log density [...] of a raw action [..., A]; with "tanh", of the action it is squashed to."""
+        """Return the log density [...] of a raw action [..., A].
+
+        With "tanh", of the action it is squashed to.
+        """
         score = (raw - self.mean) * jnp.exp(-self.log_std)
         density = -0.5 * (jnp.square(score) + math.log(2.0 * math.pi)) - self.log_std
         if self.squash == "tanh":
@@ -57,7 +60,10 @@ class Gaussian:
         return density.sum(-1)
 
     def entropy(self) -> jax.Array:
-        """Return the entropy [...]; for "tanh" the mean log slope is integrated by Gauss-Hermite quadrature."""
+        """Return the entropy [...].
+
+        For "tanh" the mean log slope is integrated by Gauss-Hermite quadrature.
+        """
         entropy = self.log_std + 0.5 * (1.0 + math.log(2.0 * math.pi))
         if self.squash == "tanh":
             std = jnp.exp(self.log_std)
@@ -70,7 +76,10 @@ class Gaussian:
 
 
 class Policy:
-    """The network of a `PolicySpec`; parameters are plain nested dicts, and leading axes are free."""
+    """The network of a `PolicySpec`.
+
+    Parameters are plain nested dicts, and leading axes are free.
+    """
 
     def __init__(self, spec: PolicySpec) -> None:
         self.spec = spec
@@ -122,7 +131,10 @@ class Policy:
         first: jax.Array,
         key: jax.Array | None = None,
     ) -> tuple[Carry, jax.Array]:
-        """Return the new carry and an action [..., A] in [-1, 1]: drawn with `key`, deterministic without."""
+        """Return the new carry and an action [..., A] in [-1, 1].
+
+        Drawn with `key`, deterministic without.
+        """
         carry, distribution = self.step(params, carry, obs, first)
         if key is None:
             return carry, distribution.mode()

@@ -225,7 +225,10 @@ class PPO(Trainer):
         hyper: Hyper,
         key: jax.Array,
     ) -> tuple[Learner, Metrics]:
-        """Take a step for each minibatch of each epoch; one is a random set of whole simulations."""
+        """Take a step for each minibatch of each epoch.
+
+        One is a random set of whole simulations.
+        """
         config = self.config
         clipped = optimiser(config.adam_eps, hyper.max_grad_norm)
 

@@ -1,4 +1,6 @@
-"""Blocks of work on a Ray cluster: tasks that leave their results as files in a folder that all machines share.
+"""Blocks of work on a Ray cluster.
+
+Tasks that leave their results as files in a folder that all machines share.
 
 Ray itself is imported on use only.
 """
@@ -174,7 +176,10 @@ def _slots(ray: Any, cluster: RayCluster) -> int:
 
 
 def _variables(cluster: RayCluster) -> dict[str, str]:
-    """Return the environment variables of a worker; where blocks share a GPU, each gets its part of the memory."""
+    """Return the environment variables of a worker.
+
+    Where blocks share a GPU, each gets its part of the memory.
+    """
     variables = {name: os.environ[name] for name in _INHERITED if name in os.environ}
     if 0 < cluster.gpus < 1:
         variables["XLA_PYTHON_CLIENT_MEM_FRACTION"] = f"{0.9 * cluster.gpus:.3f}"

@@ -66,7 +66,10 @@ def empty(
 
 
 def add(replay: Replay, batch: Batch, action: dict[str, jax.Array]) -> Replay:
-    """Return the replay with a rollout in the place of the oldest; its leaves are [M, T, n, ...]."""
+    """Return the replay with a rollout in the place of the oldest.
+
+    Its leaves are [M, T, n, ...].
+    """
     slot = replay.rollouts % replay.reward.shape[1]
 
     def write(ring: jax.Array, rollout: jax.Array) -> jax.Array:
@@ -89,7 +92,7 @@ def add(replay: Replay, batch: Batch, action: dict[str, jax.Array]) -> Replay:
 
 
 def draw(replay: Replay, keys: jax.Array, shape: tuple[int, ...]) -> Transitions:
-    """Return transitions drawn uniformly and with replacement, leaves [M, *shape, ...], with one key a member [M]."""
+    """Return transitions drawn uniformly with replacement: leaves [M, *shape, ...] for keys [M]."""
     members, slots, steps, simulations = replay.reward.shape
     filled = jnp.minimum(replay.rollouts, slots) * (steps * simulations)
     index = jax.vmap(lambda key: jax.random.randint(key, shape, 0, filled))(keys)

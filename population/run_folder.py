@@ -109,7 +109,7 @@ class RunFolder:
         training: Mapping[str, Any],
         self_play: Sequence[Mapping[str, Any] | None],
     ) -> None:
-        """Write the parameters, leaves [M, ...] by role, then `teams.json`, which marks the run as finished."""
+        """Write the parameters [M, ...] by role, then `teams.json`: the run is finished."""
         rows = [f"{config.task}/{config.algorithm}-{member.label}" for member in config.members]
         for role, spec in specs.items():
             metadata = {"spec": spec.to_json(), "rows": rows}
@@ -146,7 +146,10 @@ class RunFolder:
 
 
 def extends(trainer: TrainerConfig) -> bool:
-    """Return whether a run may be made longer: its length sets neither learning rate nor the size of a replay."""
+    """Return whether a run may be made longer.
+
+    Its length sets neither learning rate nor the size of a replay.
+    """
     return isinstance(trainer, PPOConfig) and not trainer.anneal_lr
 
 

@@ -180,7 +180,9 @@ class SAC(Trainer):
     def _learn(
         self, member: MemberState, drawn: Transitions, hyper: Hyper, key: jax.Array
     ) -> tuple[MemberState, Metrics]:
-        """Improve one member on U minibatches, leaves [U, B, ...]: its critics on each, its policies behind them.
+        """Improve one member on U minibatches, leaves [U, B, ...].
+
+        Its critics on each, its policies behind them.
 
         After every `policy_delay` steps of the critics, policy and temperature take as many, on the
         same minibatches: the delay lets critics settle and costs the policy no steps.

@@ -1,4 +1,6 @@
-"""Shared parameters: one network for both roles, that reads a padded observation and the role's one-hot.
+"""Shared parameters.
+
+One network for both roles, that reads a padded observation and the role's one-hot.
 
 Padding with zeros and a constant one-hot need never be built: the padded rows of the first kernel
 do nothing, and the one-hot adds one of its rows to the bias. `fold` makes an ordinary network of
@@ -52,7 +54,10 @@ def fold(
 
 
 def pad(obs: jax.Array, role: str, width: int) -> jax.Array:
-    """Return the shared network's input [..., width] of obs [..., O]: what `fold` makes unnecessary."""
+    """Return the shared network's input [..., width] of obs [..., O].
+
+    What `fold` makes unnecessary.
+    """
     one_hot = jnp.broadcast_to(
         jnp.eye(len(ROLES))[ROLES.index(role)], (*obs.shape[:-1], len(ROLES))
     )
@@ -61,7 +66,10 @@ def pad(obs: jax.Array, role: str, width: int) -> jax.Array:
 
 
 def _heads(params: Params) -> list[str]:
-    """Return the names of the output layers: the last dense one, or the last two with a state-dependent deviation."""
+    """Return the names of the output layers.
+
+    The last dense one, or the last two with a state-dependent deviation.
+    """
     dense = sorted(
         (name for name in params if name.startswith("Dense_")), key=lambda name: int(name[6:])
     )

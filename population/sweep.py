@@ -113,7 +113,10 @@ class Sweep:
             )
 
     def points(self) -> list[dict[str, Any]]:
-        """Return the configurations: the grid over discrete values in turn, random draws of the others."""
+        """Return the configurations.
+
+        The grid over discrete values in turn, random draws of the others.
+        """
         rng = np.random.default_rng(self.seed)
         grid = list(itertools.product(*self._discrete().values()))
         return [
@@ -171,7 +174,7 @@ def run_sweep(
     folder: Path,
     progress: Callable[[int, int, Progress], None] | None = None,
 ) -> pl.DataFrame:
-    """Train every configuration, block by block, and return one row for each configuration and seed.
+    """Train every configuration, block by block; return a row for each configuration and seed.
 
     The folder holds a run for each block, `sweep.parquet`, and the best configuration as
     `preset.json`. A sweep that was interrupted goes on. A configuration that diverges has no final
@@ -293,7 +296,9 @@ def score(metrics: pl.DataFrame) -> pl.DataFrame:
 
 
 def best(results: pl.DataFrame, points: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the configuration with the highest mean final return over seeds; one with a diverged seed is never it.
+    """Return the configuration with the highest mean final return over seeds.
+
+    One with a diverged seed is never it.
 
     Raises:
         ValueError: No configuration has a final return for every seed.
@@ -314,7 +319,9 @@ def best(results: pl.DataFrame, points: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def read_space(data: Mapping[str, Any]) -> Space:
-    """Return the space of JSON values: {"low", "high", "log"} for a range, a list for discrete values.
+    """Return the space of JSON values.
+
+    {"low", "high", "log"} for a range, a list for discrete values.
 
     Raises:
         ValueError: A value is neither.
@@ -331,7 +338,8 @@ def read_space(data: Mapping[str, Any]) -> Space:
             space[name] = tuple(tuple(item) if isinstance(item, list) else item for item in value)
         else:
             raise ValueError(
-                f'{name} is {value!r}; give {{"low": 1e-4, "high": 1e-2, "log": true}} or a list such as [64, 128]'
+                f'{name} is {value!r}; give {{"low": 1e-4, "high": 1e-2, "log": true}} or a list '
+                "such as [64, 128]"
             )
     return space
 

@@ -1,4 +1,7 @@
-"""TensorBoard event files of a run: for each member a folder of scalars over its environment steps."""
+"""TensorBoard event files of a run.
+
+For each member a folder of scalars over its environment steps.
+"""
 
 import struct
 import time
@@ -64,7 +67,10 @@ class EventFiles:
             self._flush()
 
     def catch_up(self, before: int | None = None) -> None:
-        """Write what the run's metrics have and the files lack, once; only of updates `before` one if it is given."""
+        """Write what the run's metrics have and the files lack, once.
+
+        Only of updates `before` one if it is given.
+        """
         if not self._caught_up and self._metrics.exists():
             rows = pl.read_parquet(self._metrics)
             self._write(rows if before is None else rows.filter(pl.col("update") < before), {})
@@ -150,7 +156,7 @@ def _files(folder: Path) -> Iterable[Path]:
 
 
 def _records(data: bytes) -> Iterator[bytes]:
-    """Yield the whole records of an event file, each between its length with a checksum and its own checksum."""
+    """Yield the whole records of an event file, each between its length and its checksum."""
     start = 0
     while len(data) - start >= 12:
         (length,) = struct.unpack_from("<Q", data, start)

@@ -18,7 +18,7 @@ METADATA_KEY = "assistax"
 def to_torch(
     spec: PolicySpec, params: Mapping[str, Any], metadata: Mapping[str, Any] | None = None
 ) -> bytes:
-    """Return safetensors bytes of a state dict with PyTorch's names and layout (weights are [out, in]).
+    """Return safetensors bytes of a state dict with PyTorch's names and layout: weights [out, in].
 
     `layers.I.weight`, `layers.I.bias`, `mean.weight`, `mean.bias`; `log_std`, or `log_std.weight`
     and `log_std.bias`; with normalisation `obs_mean` and `obs_std`; of a recurrent policy

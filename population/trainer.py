@@ -150,7 +150,10 @@ class Trainer(abc.ABC):
     def update(
         self, state: TrainState, hyper: Any, partners: Any = ()
     ) -> tuple[TrainState, Metrics]:
-        """Collect one rollout and learn; metrics are [M], `partners` are frozen ones' parameters."""
+        """Collect one rollout and learn.
+
+        Metrics are [M], `partners` are frozen ones' parameters.
+        """
 
     @abc.abstractmethod
     def policy_params(self, members: MemberState) -> dict[str, Params]:

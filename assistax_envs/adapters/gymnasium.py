@@ -20,7 +20,9 @@ Partner = Callable[
 
 
 class AssistaxEnv(gymnasium.Env):
-    """A robot's task with a partner that is part of the environment; an episode is truncated at its 1000th step.
+    """A robot's task with a partner that is part of the environment.
+
+    An episode is truncated at its 1000th step.
 
     The partner is any callable from the human's observation to its action; one that remembers has a
     method `reset`, called at episode starts. Without a partner the human is passive: no torque at
@@ -71,7 +73,10 @@ class AssistaxEnv(gymnasium.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode; with a seed it and those after it are reproducible. `options` are not used."""
+        """Start an episode.
+
+        With a seed it and those after it are reproducible. `options` are not used.
+        """
         super().reset(seed=seed)
         self._simulation.reset(self.np_random)
         if callable(restart := getattr(self.partner, "reset", None)):
@@ -79,7 +84,10 @@ class AssistaxEnv(gymnasium.Env):
         return self._simulation.observation("robot"), self._simulation.info()
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Advance by 20 ms: the partner acts on the same moment's observation; actions are clipped to [-1, 1]."""
+        """Advance by 20 ms: the partner acts on the same moment's observation.
+
+        Actions are clipped to [-1, 1].
+        """
         if self.partner is None:
             answer = np.zeros(self._simulation.env.action_size["human"], np.float32)
         else:
@@ -103,7 +111,7 @@ class AssistaxEnv(gymnasium.Env):
 
 
 def register() -> tuple[str, ...]:
-    """Register every task as `assistax/TASK-vVERSION` for `gymnasium.make`, and return these ids."""
+    """Register every task as `assistax/TASK-vVERSION` for `gymnasium.make`; return these ids."""
     ids = {task: f"assistax/{task}-v{version}" for task, version in VERSIONS.items()}
     for task, name in ids.items():
         if name not in gymnasium.registry:

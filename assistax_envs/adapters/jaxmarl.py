@@ -43,7 +43,9 @@ class Box:
 
 
 class AssistaxMarlEnv:
-    """A task for the agents "robot" and "human" by JaxMARL's rules: steps reset a simulation that is done.
+    """A task for the agents "robot" and "human" by JaxMARL's rules.
+
+    Steps reset a simulation that is done.
 
     Rewards and dones are by agent and under "__all__"; `done` is the time limit, for an episode
     ends by time only. `infos` are [2], a value for each agent, as JaxMARL's scripts reshape them.
@@ -114,7 +116,10 @@ class AssistaxMarlEnv:
         return self.get_obs(state), state
 
     def step_batch(self, keys: jax.Array, state: EnvState, actions: dict[str, jax.Array]) -> Step:
-        """Advance N simulations; what `jax.vmap(env.step)` returns. Resets cost nothing while none is done."""
+        """Advance N simulations.
+
+        What `jax.vmap(env.step)` returns. Resets cost nothing while none is done.
+        """
         _, after, rewards, dones, infos = self._step_env_batch(state, actions)
         after = jax.lax.cond(
             jnp.any(dones["__all__"]),
@@ -166,7 +171,7 @@ class AssistaxMarlEnv:
 
 
 def _batched(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return `function`, of arguments [N, ...], such that vmap over it calls it once with the mapped axis merged in."""
+    """Return `function` of arguments [N, ...] such that vmap over it calls it once, axes merged."""
     mapped = jax.custom_batching.custom_vmap(function)
 
     @mapped.def_vmap

@@ -18,7 +18,10 @@ ROLES = ("robot", "human")
 
 
 class AssistaxParallelEnv(pettingzoo.ParallelEnv):
-    """A task for two agents, "robot" and "human", who share the reward; an episode is truncated at its 1000th step."""
+    """A task for two agents, "robot" and "human", who share the reward.
+
+    An episode is truncated at its 1000th step.
+    """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's own type
         "name": "assistax",
@@ -36,7 +39,10 @@ class AssistaxParallelEnv(pettingzoo.ParallelEnv):
         render_mode: str | None = None,
         camera: str | None = None,
     ) -> None:
-        """See `assistax_envs.make`; `disability` is the human's, `render_mode` is None or "rgb_array"."""
+        """See `assistax_envs.make`.
+
+        `disability` is the human's, `render_mode` is None or "rgb_array".
+        """
         check_render_mode(render_mode)
         self.render_mode = render_mode
         self.possible_agents = list(ROLES)
@@ -58,7 +64,10 @@ class AssistaxParallelEnv(pettingzoo.ParallelEnv):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
-        """Start an episode; with a seed it and those after it are reproducible. `options` are not used."""
+        """Start an episode.
+
+        With a seed it and those after it are reproducible. `options` are not used.
+        """
         if seed is not None:
             self._rng = np.random.default_rng(seed)
         self._simulation.reset(self._rng)
@@ -74,7 +83,10 @@ class AssistaxParallelEnv(pettingzoo.ParallelEnv):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Advance by 20 ms; actions are clipped to [-1, 1]. Without agents left, nothing happens."""
+        """Advance by 20 ms.
+
+        Actions are clipped to [-1, 1]. Without agents left, nothing happens.
+        """
         if not self.agents:
             return {}, {}, {}, {}, {}
         self._simulation.step(actions)

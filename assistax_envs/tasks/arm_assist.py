@@ -1,4 +1,4 @@
-"""Arm assist: the robot lifts the human's hanging arm back onto the bed (paper, sections 3.1 and A)."""
+"""Arm assist: the robot lifts the human's hanging arm back onto the bed (paper, 3.1 and A)."""
 
 import dataclasses
 from typing import ClassVar, Literal

@@ -105,7 +105,10 @@ class Sensors:
 
 
 class Task(Protocol):
-    """A task: where episodes start, what roles see, what is rewarded. Pure JAX on sensor values, batch axis first."""
+    """A task: where episodes start, what roles see, what is rewarded.
+
+    Pure JAX on sensor values, batch axis first.
+    """
 
     name: str
     weights: dict[str, float]  # of the reward terms
@@ -117,13 +120,16 @@ class Task(Protocol):
         ...
 
     def targets(self, task_state: Any, readings: Readings) -> dict[str, jax.Array]:
-        """Return where the targets are, by name, for pictures: [N, K, 3] in m; NaN where one is not to be shown."""
+        """Return where the targets are, by name, for pictures: [N, K, 3] in m.
+
+        NaN where one is not to be shown.
+        """
         ...
 
     def transition(
         self, task_state: Any, readings: Readings
     ) -> tuple[Any, dict[str, jax.Array], dict[str, jax.Array], Measures]:
-        """Return the next task state, observations, unweighted reward terms [N] and measures after a step."""
+        """Return the next task state, observations, unweighted reward terms [N] and measures."""
         ...
 
 
@@ -131,7 +137,10 @@ class Pose:
     """Where joints start: a value for each named joint, and uniform noise about it."""
 
     def __init__(self, model: mujoco.MjModel, start: dict[str, tuple[float, float, float]]) -> None:
-        """Take `start`: joint -> (angle, lowest offset, highest offset), rad; other joints start at zero."""
+        """Take `start`: joint -> (angle, lowest offset, highest offset), rad.
+
+        Other joints start at zero.
+        """
         addresses = np.array([model.joint(name).qposadr[0] for name in start])
         table = np.array(list(start.values()), np.float32)
         self.angle, self._low, self._high = (np.zeros(model.nq, np.float32) for _ in range(3))
@@ -186,7 +195,10 @@ def rotate(quaternion: jax.Array, vector: jax.Array) -> jax.Array:
 
 
 def observations(readings: Readings, *goal: jax.Array) -> dict[str, jax.Array]:
-    """Lay out Table 4: own proprioception first, then tool, force, arm and `goal`; "global" is the whole table."""
+    """Lay out Table 4: own proprioception first, then tool, force, arm and `goal`.
+
+    "global" is the whole table.
+    """
     tool = (readings.tool_position, readings.tool_orientation, readings.tool_force)
     robot = (readings.robot_position, readings.robot_velocity)
     human = (readings.human_position, readings.human_velocity)

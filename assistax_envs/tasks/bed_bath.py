@@ -1,4 +1,4 @@
-"""Bed bath: the robot wipes 52 points of the human's right arm, one after another (paper, sections 3.1 and A)."""
+"""Bed bath: the robot wipes 52 points of the human's right arm in turn (paper, 3.1 and A)."""
 
 import dataclasses
 from typing import ClassVar
@@ -48,7 +48,10 @@ class BedBathState:
 
 
 class BedBath:
-    """Reach the next point and touch there: `exp(-d^2/sigma) + [d < 0.1] [f > 0]`, the second once for each point."""
+    """Reach the next point and touch there.
+
+    `exp(-d^2/sigma) + [d < 0.1] [f > 0]`, the second once for each point.
+    """
 
     name = "bed_bath"
     target_colours: ClassVar = {

@@ -1,4 +1,4 @@
-"""Scratch: the robot moves its stick to a point on the human's right arm and scratches it (paper, 3.1 and A)."""
+"""Scratch: the robot scratches a point on the human's right arm (paper, 3.1 and A)."""
 
 import dataclasses
 from typing import ClassVar
@@ -43,7 +43,10 @@ class ScratchState:
 
 
 class Scratch:
-    """Reach the target, then press and move: `exp(-d^2/sigma) + [d < 0.1] (v/v* e^(-v/v*)) (f/f* e^(-f/f*))`."""
+    """Reach the target, then press and move.
+
+    `exp(-d^2/sigma) + [d < 0.1] (v/v* e^(-v/v*)) (f/f* e^(-f/f*))`.
+    """
 
     name = "scratch"
     target_colours: ClassVar = {"itch": (0.95, 0.05, 0.55, 1.0)}  # of `targets`, RGBA
@@ -69,13 +72,19 @@ class Scratch:
         return self.pose.draw(pose_key), ScratchState(segment, jnp.append(around, along))
 
     def targets(self, task_state: ScratchState, readings: Readings) -> dict[str, jax.Array]:
-        """Return where the targets are, by name, for pictures: [N, K, 3] in m; NaN where one is not to be shown."""
+        """Return where the targets are, by name, for pictures: [N, K, 3] in m.
+
+        NaN where one is not to be shown.
+        """
         return {"itch": segment_points(readings, task_state.segment, task_state.offset)[:, None]}
 
     def transition(
         self, task_state: ScratchState, readings: Readings
     ) -> tuple[ScratchState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
-        """See `Task.transition`; the goal holds while the tool touches the arm within reach of the target."""
+        """See `Task.transition`.
+
+        The goal holds while the tool touches the arm within reach of the target.
+        """
         towards, distance = to_target(
             segment_points(readings, task_state.segment, task_state.offset), readings
         )

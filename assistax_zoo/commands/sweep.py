@@ -33,7 +33,9 @@ def sweep(
     engine: Engine = Engine(),
     json: bool = False,
 ) -> None:
-    """Try hyperparameters: random over continuous ones, a grid over discrete ones, many at once in one program.
+    """Try hyperparameters.
+
+    Random over continuous ones, a grid over discrete ones, many at once in one program.
 
     The same command again goes on where a sweep was interrupted. The best configuration is written
     as preset.json, which `assistax-zoo train --preset` reads.

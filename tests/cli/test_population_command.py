@@ -1,4 +1,6 @@
-"""`assistax-zoo train population`: toy environments under a real task's name, real training, a registry of its own."""
+"""`assistax-zoo train population`: toy environments under a real task's name, real training, a
+registry of its own.
+"""
 
 import json
 import subprocess
@@ -34,7 +36,9 @@ class ToyScratch(ToyEnv):
 
 @pytest.fixture
 def place(tmp_path, monkeypatch):
-    """A folder with a plan of two groups, and an environment that costs nothing and that nobody can improve in."""
+    """A folder with a plan of two groups, and an environment that costs nothing and that nobody can
+    improve in.
+    """
     use_toy(monkeypatch)
     write_plan(tmp_path, ONE, OTHER)
     return tmp_path
@@ -70,7 +74,8 @@ def test_a_plan_is_trained_and_published_once(place, capsys):
     assert run(words(place, "--curves", str(place / "curves"))) == 0
     registry = load_registry(place / "registry.json")
     assert [entry.team for entry in registry.policies[::2]] == [
-        "scratch/ippo-d1-s0-v1", "scratch/ippo-d1-s1-v1", "scratch/ippo-d3-s0-v1", "scratch/ippo-d3-s5-v1",
+        "scratch/ippo-d1-s0-v1", "scratch/ippo-d1-s1-v1", "scratch/ippo-d3-s0-v1",
+        "scratch/ippo-d3-s5-v1",
     ]  # fmt: skip
     assert verify(registry).ok
     # Reward 1 a step whatever is done: nothing can be learned, and the teams are in the zoo with
@@ -130,7 +135,9 @@ def test_a_release_becomes_the_default_once_its_plan_is_whole(place):
 
 
 def test_an_interrupted_run_goes_on_as_it_was_begun(place, monkeypatch, capsys):
-    """The folder holds two members of four; its configuration stands, whatever the plan says meanwhile."""
+    """The folder holds two members of four; its configuration stands, whatever the plan says
+    meanwhile.
+    """
     group = {**ONE, "disabilities": ["d1", "d9"], "max_members": 2, "checkpoint_every": 1}
     write_plan(place, group)
     interrupt_after(monkeypatch, updates=2)

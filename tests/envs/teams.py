@@ -1,4 +1,6 @@
-"""Published teams as fixed policies for tests of the environment; the tests may look into the layers above."""
+"""Published teams as fixed policies for tests of the environment; the tests may look into the
+layers above.
+"""
 
 from collections.abc import Callable
 

@@ -1,4 +1,5 @@
-"""Backends earn the same: returns of a published team over 64 episodes, paired by start, on MuJoCo and on MJX.
+"""Backends earn the same: returns of a published team over 64 episodes, paired by start, on MuJoCo
+and on MJX.
 
 The team touches and presses, or lifts, for a third of the time or more, which is where float32 and
 float64 part: single episodes differ, and what must not differ is their mean, because policies
@@ -35,7 +36,9 @@ SMALL = 0.005  # of the mean return: a difference that is sure, but does not mat
 def returns(
     task: str, backend: str, gravity: float = 1.0, setting: str | None = None
 ) -> tuple[np.ndarray, float]:
-    """Return what each episode earned [64], and the share of steps with the tool on the arm or the goal reached."""
+    """Return what each episode earned [64], and the share of steps with the tool on the arm or the
+    goal reached.
+    """
     env = assistax_envs.make(task, backend)
     env._physics.model.opt.gravity[:] *= gravity
     act = team(TEAMS[task], EPISODES)
@@ -54,7 +57,9 @@ def returns(
 
 
 def differ(ours: np.ndarray, theirs: np.ndarray) -> bool:
-    """Return whether the mean of the paired differences is surely not 0, and large enough to matter."""
+    """Return whether the mean of the paired differences is surely not 0, and large enough to
+    matter.
+    """
     difference = ours - theirs
     error = difference.std(ddof=1) / np.sqrt(difference.size)
     return bool(

@@ -1,4 +1,6 @@
-"""The scenes behave like the world: measured on MuJoCo itself, for every task. docs/environments.md has the figures."""
+"""The scenes behave like the world: measured on MuJoCo itself, for every task. docs/environments.md
+has the figures.
+"""
 
 import jax
 import mujoco
@@ -102,7 +104,9 @@ def _contact_torque(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 
 
 def _gravity_torque(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Return what must hold the arm up [nv]: weights times lever arms, from masses and positions alone."""
+    """Return what must hold the arm up [nv]: weights times lever arms, from masses and positions
+    alone.
+    """
     torque = np.zeros(model.nv)
     for body in ("human_right_upper_arm", "human_right_lower_arm"):
         jacobian = np.zeros((3, model.nv))
@@ -112,7 +116,9 @@ def _gravity_torque(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 
 
 def _nearest(model: mujoco.MjModel, task: str, seed: int) -> float:
-    """Return how near the tool gets to a drawn target by damped least squares from several starts, m."""
+    """Return how near the tool gets to a drawn target by damped least squares from several starts,
+    m.
+    """
     rng = np.random.default_rng(seed)
     data = mujoco.MjData(model)
     definition = TASK_CLASSES[task](model)

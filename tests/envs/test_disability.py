@@ -16,7 +16,8 @@ ELBOW = "human_right_elbow"
 
 def test_settings_are_numbered_with_strength_running_fastest() -> None:
     assert [(s.elbow_range, s.strength) for s in DISABILITY_SETTINGS.values()] == [
-        (1.0, 1.0), (1.0, 0.7), (1.0, 0.4), (0.7, 1.0), (0.7, 0.7), (0.7, 0.4), (0.4, 1.0), (0.4, 0.7), (0.4, 0.4),
+        (1.0, 1.0), (1.0, 0.7), (1.0, 0.4), (0.7, 1.0), (0.7, 0.7), (0.7, 0.4), (0.4, 1.0), (0.4,
+        0.7), (0.4, 0.4),
     ]  # fmt: skip
     assert list(DISABILITY_SETTINGS) == [f"d{i}" for i in range(1, 10)]
 

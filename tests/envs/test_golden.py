@@ -1,4 +1,5 @@
-"""Golden trajectories guard the environment's version: what they pin changes only together with `VERSIONS`.
+"""Golden trajectories guard the environment's version: what they pin changes only together with
+`VERSIONS`.
 
 Fixed keys, fixed actions, the first 50 steps: where joints and tools went and what was earned. To
 renew them after a version was raised: `python -m tests.envs.test_golden`.

@@ -1,4 +1,6 @@
-"""Pictures: what must be seen is seen, the same state gives the same bytes, and a machine that cannot draw says so."""
+"""Pictures: what must be seen is seen, the same state gives the same bytes, and a machine that
+cannot draw says so.
+"""
 
 import ctypes.util
 import dataclasses
@@ -81,7 +83,9 @@ def test_the_force_is_an_arrow_that_grows(two: EnvState, monkeypatch: pytest.Mon
 
 
 def pressed(env, state: EnvState) -> EnvState:
-    """Return a state whose upper arm lies against the stick: found by turning the shoulder, without the physics."""
+    """Return a state whose upper arm lies against the stick: found by turning the shoulder, without
+    the physics.
+    """
     data = mujoco.MjData(env.model)
     tool, arm = (env.model.geom(name).id for name in ("robot_tool", "human_right_lower_arm"))
     base = np.asarray(state.physics.qpos)
@@ -145,7 +149,9 @@ def test_a_machine_without_opengl_says_what_to_install(monkeypatch: pytest.Monke
 
 @needs("libosmesa6", ctypes.util.find_library("OSMesa"))
 def test_osmesa_steps_in_for_egl_and_draws_the_same(tmp_path: Path):
-    """In a process of its own, because PyOpenGL takes one platform a process; EGL fails there for want of a device."""
+    """In a process of its own, because PyOpenGL takes one platform a process; EGL fails there for
+    want of a device.
+    """
     script = (
         "import sys, jax, numpy as np, assistax_envs\n"
         f"env = assistax_envs.make({TASK!r}, 'native')\n"

@@ -23,7 +23,8 @@ def test_no_step_earns_more_than_the_bound() -> None:
 
 @pytest.mark.parametrize(
     ("distance", "speed", "force", "paid"),
-    [(0.099, 0.1, 3.0, np.exp(-2.0)), (0.101, 0.1, 3.0, 0.0), (0.05, 0.0, 3.0, 0.0), (0.05, 0.1, 0.0, 0.0),
+    [(0.099, 0.1, 3.0, np.exp(-2.0)), (0.101, 0.1, 3.0, 0.0), (0.05, 0.0, 3.0, 0.0), (0.05, 0.1,
+    0.0, 0.0),
      (0.05, 0.2, 3.0, 2 * np.exp(-3.0)), (0.05, 0.1, 6.0, 2 * np.exp(-3.0))],
 )  # fmt: skip
 def test_scratching_pays_only_near_the_target_and_best_at_the_set_point(

@@ -1,4 +1,5 @@
-"""The Warp backend without a GPU: Warp's kernels also compile for the CPU, slowly, and do the same there.
+"""The Warp backend without a GPU: Warp's kernels also compile for the CPU, slowly, and do the same
+there.
 
 Runs where the extra `warp` is installed.
 """

@@ -1,4 +1,5 @@
-"""Trained robots keep to the datasheet: what full torques on all joints could exceed, no published robot does.
+"""Trained robots keep to the datasheet: what full torques on all joints could exceed, no published
+robot does.
 
 docs/environments.md has the figures of four teams a task; here is the fastest team of scratch, over
 two episodes.
@@ -41,5 +42,7 @@ def test_a_trained_robot_stays_within_the_pandas_speed() -> None:
 
 @pytest.mark.slow
 def test_torques_that_switch_at_random_do_not() -> None:
-    """Planted: full torques, drawn anew every half second, are the play that the limit is exceeded in."""
+    """Planted: full torques, drawn anew every half second, are the play that the limit is exceeded
+    in.
+    """
     assert fastest(random_players(EPISODES, hold=25, seed=0)) > 1.0

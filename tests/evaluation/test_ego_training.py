@@ -10,7 +10,9 @@ from zoo.registry import load_registry
 
 
 def unreadable(test, loaded):
-    """Return a `_verified_row` that notes what is taken from shards and cannot take a row of the test half."""
+    """Return a `_verified_row` that notes what is taken from shards and cannot take a row of the
+    test half.
+    """
     take = storage._verified_row
 
     def row(*place):

@@ -1,4 +1,6 @@
-"""Several devices share the members of a run. A CPU is made several devices in processes of their own."""
+"""Several devices share the members of a run. A CPU is made several devices in processes of their
+own.
+"""
 
 import contextlib
 import dataclasses
@@ -32,9 +34,11 @@ HOST_DEVICES = 4
 ROUNDING = 1e-5
 TRAINERS = {
     "ippo": preset("ippo", num_envs=8, rollout_steps=10, hidden=(8, 8), minibatches=2, epochs=1),
-    "ego": preset("ippo", num_envs=8, rollout_steps=10, torso="gru", hidden=(8,), minibatches=2, epochs=1),
+    "ego": preset("ippo", num_envs=8, rollout_steps=10, torso="gru", hidden=(8,), minibatches=2,
+    epochs=1),
     "isac": preset(
-        "isac", num_envs=8, rollout_steps=10, replay_size=240, exploration_steps=80, batch_size=8, updates=2,
+        "isac", num_envs=8, rollout_steps=10, replay_size=240, exploration_steps=80, batch_size=8,
+        updates=2,
         policy_delay=1, hidden=(8,),
     ),
 }  # fmt: skip
@@ -45,7 +49,9 @@ class Killed(Exception):
 
 
 def population():
-    """Return two recurrent partners and one that is not: carries of [partner, member x simulation], and none."""
+    """Return two recurrent partners and one that is not: carries of [partner, member x simulation],
+    and none.
+    """
     specs = [
         PolicySpec("human", 3, 2, torso="gru", hidden=(8,)),
         PolicySpec("human", 3, 2, hidden=(4,)),
@@ -86,7 +92,9 @@ def arguments(case, members=4):
 
 
 def in_another_order(config, trainer, shares=None):
-    """Return the initial state with a planted defect: simulations lie with another member, and so on another device."""
+    """Return the initial state with a planted defect: simulations lie with another member, and so
+    on another device.
+    """
     state = initial_state(config, trainer, shares)
     moved = jax.tree.map(
         lambda leaf: jax.numpy.roll(leaf, trainer.config.num_envs, axis=0), state.simulations.env
@@ -120,7 +128,9 @@ def train_each(case, runs):
 
 
 def save_and_restore(case, folder):
-    """Save a state that lies on two devices and restore it for 1, 2 and 4; print each one's simulations."""
+    """Save a state that lies on two devices and restore it for 1, 2 and 4; print each one's
+    simulations.
+    """
     config, partners = arguments(case)
     trainer = make_trainer(config, ToyEnv(match), partners)
     states = {
@@ -200,7 +210,9 @@ def devices_of(folder):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", TRAINERS)
 def test_members_end_on_several_devices_as_on_one(case, tmp_path):
-    """On as many devices a resumed run ends with the same bits, on another number with the same but for rounding."""
+    """On as many devices a resumed run ends with the same bits, on another number with the same but
+    for rounding.
+    """
 
     def run(name, devices, *, until=None, copy_of=None, planted=False):
         source = str(tmp_path / copy_of) if copy_of else None

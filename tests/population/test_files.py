@@ -22,7 +22,8 @@ def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path: Path) -> None
 def test_what_a_killed_writer_left_is_removed_once_it_is_old(tmp_path: Path) -> None:
     target = tmp_path / "a[1].bin"
     code = (
-        "import os, signal, sys; from pathlib import Path; from population.files import atomic_path\n"
+        "import os, signal, sys; from pathlib import Path\n"
+        "from population.files import atomic_path\n"
         "with atomic_path(Path(sys.argv[1])) as temporary:\n"
         "    temporary.write_bytes(b'half'); os.kill(os.getpid(), signal.SIGKILL)"
     )

@@ -56,7 +56,9 @@ def config(kind, members=2, **changes):
 
 @pytest.mark.parametrize("platform", ["cpu", "gpu"])
 def test_every_partner_acts_in_its_share_and_nowhere_else(platform, monkeypatch):
-    """Simulations are [member, partner, simulation]; the oracle asks each partner simulation by simulation."""
+    """Simulations are [member, partner, simulation]; the oracle asks each partner simulation by
+    simulation.
+    """
     partners, members, share = population(), 2, 2
     monkeypatch.setattr(jax, "default_backend", lambda: platform)
     obs = jax.random.normal(jax.random.key(5), (members * 3 * share, 3))

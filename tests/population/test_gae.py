@@ -43,7 +43,9 @@ def test_a_value_that_is_not_finite_after_termination_does_no_harm():
 
 @pytest.mark.parametrize("torso", ["mlp", "gru"])
 def test_next_values_are_those_before_a_reset(torso):
-    """Against a critic stepped by hand along each simulation, with the final observation as one more step."""
+    """Against a critic stepped by hand along each simulation, with the final observation as one
+    more step.
+    """
     critic = Critic(CriticSpec(3, torso, (8, 8)))
     params = critic.init(jax.random.key(0))
     rng = np.random.default_rng(1)
@@ -54,7 +56,8 @@ def test_next_values_are_those_before_a_reset(torso):
     first = np.concatenate([np.ones((1, SIMULATIONS), bool), truncated])
     carry0 = critic.initial_carry((SIMULATIONS,))
     _, value, next_value = gae.values(
-        critic, params, carry0, obs[:-1], jnp.asarray(first[:-1]), jnp.asarray(truncated), final_obs, obs[-1],
+        critic, params, carry0, obs[:-1], jnp.asarray(first[:-1]), jnp.asarray(truncated),
+        final_obs, obs[-1],
         jnp.asarray(first[-1]),
     )  # fmt: skip
     for n in range(SIMULATIONS):

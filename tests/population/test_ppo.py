@@ -65,7 +65,9 @@ def deterministic_return(env, ppo, state, count=1):
 
 @pytest.mark.parametrize("terminates", [False, True], ids=["time-limit", "planted-termination"])
 def test_value_of_a_constant_reward_bootstraps_through_the_time_limit(terminates):
-    """1 / (1 - gamma) = 10 where an episode ends by time; the planted termination must pull it down."""
+    """1 / (1 - gamma) = 10 where an episode ends by time; the planted termination must pull it
+    down.
+    """
     env = ToyEnv(constant, terminates=terminates)
     ppo, state, metrics = run(env, PPOConfig(**{**SMALL, "gae_lambda": 0.8}))
     learner = state.members.learners["robot"]
@@ -132,7 +134,9 @@ def test_learning_replays_the_policy_that_acted(planted, monkeypatch):
 
 
 class Coupled(PPO):
-    """A planted defect: the human's clip shrinks with what the robot learns, as one clip over both would make it."""
+    """A planted defect: the human's clip shrinks with what the robot learns, as one clip over both
+    would make it.
+    """
 
     def _learn_role(self, name, member, batch, hyper, key):
         if name == "human":
@@ -191,7 +195,9 @@ def test_a_member_learns_the_same_whoever_trains_beside_it(platform, monkeypatch
 
 
 class Diverging(ToyEnv):
-    """Physics that diverge in some simulations at their third step: frozen, earning 0, as the environment's are."""
+    """Physics that diverge in some simulations at their third step: frozen, earning 0, as the
+    environment's are.
+    """
 
     def step(self, state, action):
         after = super().step(state, action)

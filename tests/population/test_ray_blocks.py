@@ -44,7 +44,10 @@ def work(number: int, count: int, folder: Path) -> None:
 def test_a_sweep_goes_on_after_a_failed_block_and_ends_as_a_local_one(two_cpus, tmp_path):
     sweep, done = plan(), []
     make_env = partial(toy_that_fails_once, tmp_path / "marker")
-    reason = r"1 of 3 blocks failed: block-00\d: RuntimeError: out of luck; what is finished is kept, and the same"
+    reason = (
+        r"1 of 3 blocks failed: block-00\d: RuntimeError: out of luck; what is finished is kept, "
+        "and the same"
+    )
     with pytest.raises(BlocksFailedError, match=reason):
         run_sweep_on_ray(sweep, make_env, tmp_path / "ray", RayCluster(cpus=1), done.append)
     assert len(done) == 2 and not (tmp_path / "ray" / "sweep.parquet").exists()

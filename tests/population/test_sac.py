@@ -51,7 +51,9 @@ def run(env, config, members=(MEMBER,), updates=200, kind=SAC):
 
 
 def values(sac, state, role, action):
-    """Return what the first member's critics say of its simulations' observations under an action [N, A]."""
+    """Return what the first member's critics say of its simulations' observations under an action
+    [N, A].
+    """
     member = jax.tree.map(lambda leaf: leaf[0], state.members)
     return sac._values(
         role, member.learners[role].networks["critic"], member, state.simulations.env.obs, action
@@ -64,7 +66,9 @@ def values(sac, state, role, action):
     ids=["time-limit", "planted-termination"],
 )
 def test_value_of_a_constant_reward_bootstraps_through_the_time_limit(terminates):
-    """1 / (1 - gamma) = 10 where an episode ends by time; the planted termination must pull it down."""
+    """1 / (1 - gamma) = 10 where an episode ends by time; the planted termination must pull it
+    down.
+    """
     config = SACConfig(**SMALL, autotune=False, initial_alpha=1e-6)
     sac, state, metrics = run(ToyEnv(constant, terminates=terminates), config, updates=150)
     q = values(sac, state, "robot", {"robot": jnp.zeros((8, 1))})
@@ -86,7 +90,9 @@ def unsquashed(raw):
     ids=["squashed", "planted-unsquashed"],
 )
 def test_without_a_task_the_policy_becomes_uniform_over_its_actions(planted, monkeypatch):
-    """Largest entropy in [-1, 1] is that of the uniform density: mean |a| is 1/2, and log 2 a dimension."""
+    """Largest entropy in [-1, 1] is that of the uniform density: mean |a| is 1/2, and log 2 a
+    dimension.
+    """
     if planted:
         monkeypatch.setattr(policy, "_log_slope", unsquashed)
     config = SACConfig(**SMALL, autotune=False, initial_alpha=0.5, critic="local")
@@ -155,7 +161,9 @@ class Misplaced(SAC):
 
 @pytest.mark.parametrize("kind", [SAC, pytest.param(Misplaced, marks=pytest.mark.slow)])
 def test_a_replayed_successor_is_the_observation_that_was_reached(kind):
-    """The toy's noise is the sine of the step, so each pair of neighbours is known; the ring is written over twice."""
+    """The toy's noise is the sine of the step, so each pair of neighbours is known; the ring is
+    written over twice.
+    """
     env = ToyEnv(match)
     config = SACConfig(**{**SMALL, "replay_size": 160, "exploration_steps": 10**6})
     _, state, _ = run(env, config, updates=9, kind=kind)

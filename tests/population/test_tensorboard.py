@@ -52,7 +52,9 @@ def whole(tmp_path_factory):
 
 
 def check(events, metrics, speeds):
-    """Hold all files against the metrics of the run: every step once, in order, with the same values."""
+    """Hold all files against the metrics of the run: every step once, in order, with the same
+    values.
+    """
     table = pl.read_parquet(metrics)
     assert sorted(path.name for path in events.iterdir()) == sorted(MEMBERS)
     for member, name in enumerate(MEMBERS):

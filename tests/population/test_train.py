@@ -176,9 +176,12 @@ def test_no_thread_outlives_a_run_that_is_stopped(tmp_path):
 
 @pytest.mark.slow
 def test_a_killed_run_of_sac_goes_on_to_the_same_bits(tmp_path):
-    """The replay is part of the checkpoint: what is drawn after resuming is what would have been drawn."""
+    """The replay is part of the checkpoint: what is drawn after resuming is what would have been
+    drawn.
+    """
     trainer = preset(
-        "masac", num_envs=4, rollout_steps=5, replay_size=60, exploration_steps=30, batch_size=8, updates=2,
+        "masac", num_envs=4, rollout_steps=5, replay_size=60, exploration_steps=30, batch_size=8,
+        updates=2,
         policy_delay=1, hidden=(8, 8),
     )  # fmt: skip
     members = make_members([0, 3], ["d1"])

@@ -167,7 +167,9 @@ def together(state: ToyState, action: dict[str, jax.Array]) -> dict[str, jax.Arr
 
 
 def numpy_gae(reward, value, next_value, terminated, truncated, gamma, lam) -> np.ndarray:
-    """Advantages by the definition: a sum of discounted errors up to the episode's end, step by step."""
+    """Advantages by the definition: a sum of discounted errors up to the episode's end, step by
+    step.
+    """
     steps, simulations = reward.shape
     result = np.zeros_like(reward)
     for n in range(simulations):
