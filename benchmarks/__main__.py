@@ -155,7 +155,7 @@ def train(
     Example:
         python -m benchmarks train --task scratch --algorithm ippo --seeds 8
     """
-    from assistax_zoo.commands.train import parse_changes
+    from assistax_zoo.commands.options import parse_changes
     from population.team_training import check_names
 
     check_names(task)

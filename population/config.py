@@ -57,6 +57,7 @@ class PPOConfig:
         "parameter"  # log standard deviation: one vector, or a head on the torso
     )
     normalise: bool = True  # whether observations are normalised by running statistics
+    initial_log_std: float = -0.5  # log standard deviation of actions before training
     shared: bool = False  # whether one network acts for both roles, and one critic values for both
 
     def __post_init__(self) -> None:
@@ -88,6 +89,7 @@ class PPOConfig:
                 name,
                 "a number in [0, 1]",
             )
+        _check_log_std(self)
         for name in ("anneal_lr", "normalise", "shared"):
             _check(isinstance(getattr(self, name), bool), self, name, "true or false")
         if self.shared and self.torso == "gru" and len(self.hidden) < 2:
@@ -165,6 +167,7 @@ class SACConfig:
     hidden: tuple[int, ...] = (128, 128)  # widths of the hidden layers
     activation: Literal["tanh", "relu"] = "relu"  # after each hidden layer
     normalise: bool = True  # whether observations are normalised by running statistics
+    initial_log_std: float = -0.5  # log standard deviation of actions before training
 
     def __post_init__(self) -> None:
         if self.torso == "gru":
@@ -202,6 +205,7 @@ class SACConfig:
                 name,
                 "a number in [0, 1]",
             )
+        _check_log_std(self)
         for name in ("autotune", "normalise"):
             _check(isinstance(getattr(self, name), bool), self, name, "true or false")
         if self.updates % self.policy_delay:
@@ -404,6 +408,11 @@ def _check_hidden(config: TrainerConfig) -> None:
     _check(
         widths and len(config.hidden) > 0, config, "hidden", "a tuple of widths, such as (128, 128)"
     )
+
+
+def _check_log_std(config: TrainerConfig) -> None:
+    value = config.initial_log_std
+    _check(_number(value) and -5 <= value <= 1, config, "initial_log_std", "a number in [-5, 1]")
 
 
 def _number(value: Any) -> bool:

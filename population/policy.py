@@ -14,9 +14,9 @@ from population import networks
 from population.networks import Carry, Params
 from population.spec import PolicySpec
 
-INITIAL_LOG_STD = (
-    -0.5
-)  # a standard deviation of 0.6: nine of ten draws of an untrained policy lie within the limits
+# A standard deviation of 0.6: nine of ten draws of an untrained policy lie within the limits. A
+# constant of published networks; what a run begins with is `initial_log_std` of its trainer.
+INITIAL_LOG_STD = -0.5
 LOG_STD_RANGE = (-5.0, 1.0)
 MEAN_SCALE = 0.01  # orthogonal gain of the head: an untrained policy acts around zero
 
@@ -85,12 +85,18 @@ class Policy:
         self.spec = spec
         self._module = _Actor(spec)
 
-    def init(self, key: jax.Array) -> Params:
-        """Return fresh parameters; with `spec.normalise` they hold an identity "normaliser"."""
+    def init(self, key: jax.Array, log_std: float = INITIAL_LOG_STD) -> Params:
+        """Return fresh parameters; with `spec.normalise` they hold an identity "normaliser".
+
+        Args:
+            key: Draws them.
+            log_std: Logarithm of the standard deviation at the start.
+        """
         size = self.spec.observation_size
         params = self._module.init(
             key, self.initial_carry(()), jnp.zeros(size), jnp.zeros((), bool)
         )["params"]
+        params = _with_log_std(params, log_std)
         if self.spec.normalise:
             params = {**params, "normaliser": {"mean": jnp.zeros(size), "std": jnp.ones(size)}}
         return params
@@ -156,6 +162,18 @@ class _Actor(nn.Module):
         else:
             log_std = self.param("log_std", nn.initializers.constant(INITIAL_LOG_STD), (size,))
         return carry, (mean, jnp.broadcast_to(jnp.clip(log_std, *LOG_STD_RANGE), mean.shape))
+
+
+def _with_log_std(params: Params, log_std: float) -> Params:
+    """Return fresh parameters with another initial standard deviation: the vector, or the bias.
+
+    The network adds `INITIAL_LOG_STD` to its state-dependent head, so the bias is the difference.
+    """
+    if "log_std" in params:
+        return {**params, "log_std": jnp.full_like(params["log_std"], log_std)}
+    head = max((name for name in params if name.startswith("Dense_")), key=lambda n: int(n[6:]))
+    bias = params[head]["bias"] + (log_std - INITIAL_LOG_STD)
+    return {**params, head: {**params[head], "bias": bias}}
 
 
 def _log_slope(raw: jax.Array) -> jax.Array:

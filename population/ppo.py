@@ -128,7 +128,7 @@ class PPO(Trainer):
     def _initial_learner(self, roles: tuple[str, ...], key: jax.Array) -> Learner:
         actor, critic = jax.random.split(key)
         networks = {
-            "actor": self._network(roles).init(actor),
+            "actor": self._network(roles).init(actor, self.config.initial_log_std),
             "critic": self._value_network(roles).init(critic),
         }
         networks["actor"].pop("normaliser", None)

@@ -72,7 +72,8 @@ class RunFolder:
                 f"{self.folder} already holds a run; resume it, or choose a new folder"
             )
         else:
-            found = self._read_config()
+            # As this version reads it: a run from before a hyperparameter existed has its default.
+            found = {**self._read_config(), "config": self.config().to_json()}
             may_change = (*_MAY_CHANGE, *(("steps",) if extends(config.trainer) else ()))
             if differences := _differences(found, wanted, may_change):
                 raise ValueError(

@@ -164,7 +164,7 @@ class SAC(Trainer):
             "second": self.critics[role].init(second),
         }
         networks = {
-            "actor": self.policies[role].init(actor),
+            "actor": self.policies[role].init(actor, self.config.initial_log_std),
             "critic": critic,
             "log_alpha": jnp.log(jnp.asarray(self.config.initial_alpha)),
         }

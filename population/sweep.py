@@ -10,6 +10,7 @@ import itertools
 import json
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from population.config import Member, TrainConfig, make_run, preset
 from population.environment import Environment
 from population.files import atomic_path, atomic_write
 from population.ray_blocks import NOT_SHARED, RayCluster, run_blocks
+from population.team_training import check_names
 from population.train import Progress, train
 
 RESULTS, BEST = "sweep.parquet", "preset.json"
@@ -112,6 +114,11 @@ class Sweep:
                 self.algorithm, **{**self.fixed, **dict(zip(self._discrete(), point, strict=True))}
             )
 
+    @property
+    def total_steps(self) -> int:
+        """Environment steps of all configurations and seeds."""
+        return self.configurations * self.seeds * self.steps
+
     def points(self) -> list[dict[str, Any]]:
         """Return the configurations.
 
@@ -166,6 +173,46 @@ class Sweep:
         return {
             name: values for name, values in self.space.items() if not isinstance(values, Range)
         }
+
+
+def make_sweep(task: str, algorithm: str, space: Path | None = None, **fields: Any) -> Sweep:
+    """Return a sweep over the space of a JSON file, or over the trainer's built-in one.
+
+    Raises:
+        ValueError: Task, setting, algorithm or space are not allowed.
+    """
+    check_names(task, [fields["disability"]] if "disability" in fields else [])
+    kind = preset(algorithm, **fields.get("fixed", {})).kind
+    return Sweep(task, algorithm, SPACES[kind] if space is None else read_space(space), **fields)
+
+
+def sweep_task(
+    sweep: Sweep,
+    folder: Path,
+    backend: str = "auto",
+    cluster: RayCluster | None = None,
+    advance: Callable[[int], None] = lambda steps: None,
+) -> tuple[pl.DataFrame, dict[str, Any]]:
+    """Do a sweep here or on a cluster; return a row for each run, and the best hyperparameters.
+
+    Args:
+        sweep: What to try.
+        folder: Where results are kept.
+        backend: Physics.
+        cluster: Where blocks run, if not here.
+        advance: Called with the environment steps that were done since it was last called.
+    """
+    from assistax_envs import make
+
+    make_env = partial(make, sweep.task, backend)
+    if cluster is None:
+        results = run_sweep(sweep, make_env(), folder, _Advance(advance, sweep.total_steps))
+    else:
+        sizes = [len(points) * sweep.seeds * sweep.steps for points, _ in sweep.blocks()]
+        results = run_sweep_on_ray(
+            sweep, make_env, folder, cluster, lambda number: advance(sizes[number])
+        )
+    return results, json.loads((folder / BEST).read_text())["hyperparameters"]
 
 
 def run_sweep(
@@ -318,30 +365,47 @@ def best(results: pl.DataFrame, points: list[dict[str, Any]]) -> dict[str, Any]:
     return points[whole["configuration"][0]]
 
 
-def read_space(data: Mapping[str, Any]) -> Space:
-    """Return the space of JSON values.
-
-    {"low", "high", "log"} for a range, a list for discrete values.
+def read_space(path: Path) -> Space:
+    """Return the space of a JSON file: {"low", "high", "log"} for a range, a list for values.
 
     Raises:
-        ValueError: A value is neither.
+        ValueError: It is not an object of such values.
     """
-    space: dict[str, Range | tuple[Any, ...]] = {}
-    for name, value in data.items():
-        if (
-            isinstance(value, Mapping)
-            and set(value) <= {"low", "high", "log"}
-            and {"low", "high"} <= set(value)
-        ):
-            space[name] = Range(**value)
-        elif isinstance(value, list) and value:
-            space[name] = tuple(tuple(item) if isinstance(item, list) else item for item in value)
-        else:
-            raise ValueError(
-                f'{name} is {value!r}; give {{"low": 1e-4, "high": 1e-2, "log": true}} or a list '
-                "such as [64, 128]"
-            )
-    return space
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(
+            f"{path} is not JSON ({error}); give an object of hyperparameters"
+        ) from None
+    if not isinstance(content, dict) or not content:
+        raise ValueError(
+            f"{path} holds {type(content).__name__}; give an object with at least one "
+            "hyperparameter"
+        )
+    return {name: _values(name, value) for name, value in content.items()}
+
+
+def _values(name: str, value: Any) -> Range | tuple[Any, ...]:
+    if isinstance(value, dict) and {"low", "high"} <= set(value) <= {"low", "high", "log"}:
+        return Range(**value)
+    if isinstance(value, list) and value:
+        return tuple(tuple(item) if isinstance(item, list) else item for item in value)
+    raise ValueError(
+        f'{name} is {value!r}; give {{"low": 1e-4, "high": 1e-2, "log": true}} or a list such as '
+        "[64, 128]"
+    )
+
+
+class _Advance:
+    """Turns the progress of blocks into environment steps since the last report."""
+
+    def __init__(self, advance: Callable[[int], None], total: int) -> None:
+        self._advance, self._total, self._done = advance, total, 0
+
+    def __call__(self, block: int, blocks: int, report: Progress) -> None:
+        done = int(self._total * (block + report.update / report.updates) / blocks)
+        self._advance(done - self._done)
+        self._done = done
 
 
 def _numbered(

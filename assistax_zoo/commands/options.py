@@ -1,13 +1,20 @@
 """Options that several commands share, each group flattened into a command's own."""
 
+import ast
 import dataclasses
+import math
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
     from population.ray_blocks import RayCluster
+    from population.sweep import Sweep
+
+_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "b": 10**9}
 
 
 @Parameter(name="*")
@@ -81,3 +88,143 @@ class Engine:
                 f"{', '.join('--' + name.replace('_', '-') for name in given)} needs --engine ray"
             )
         return None
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Training:
+    """How a run trains.
+
+    Attributes:
+        seeds: How many, numbered from 0, or which: 8, 0-7 or 2,5.
+        backend: Physics: native, mjx, mjx-warp, or auto for the fastest one here.
+        num_envs: Simulations of each team or robot; default the preset's, or the nearest to it that
+            frozen partners can share.
+        set_: Another hyperparameter, such as learning_rate=3e-4, torso=gru or shared=true; repeat
+            it for more.
+        checkpoint_every: Updates between checkpoints; default 20 for PPO, 2000 for SAC, whose
+            updates are short.
+        updates_per_call: Updates dispatched to the device at once; default 1 for PPO, 20 for SAC.
+        resume: Go on with a run that the folder holds.
+        tensorboard: Folder for TensorBoard event files, which several runs may share; needs
+            assistax-zoo[tensorboard].
+    """
+
+    seeds: str = "1"
+    backend: str = "auto"
+    num_envs: int | None = None
+    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = ()
+    checkpoint_every: int | None = None
+    updates_per_call: int | None = None
+    resume: bool = True
+    tensorboard: Path | None = None
+
+    def what(self, steps: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Return what is trained, as the functions of training take it.
+
+        Args:
+            steps: Environment steps, as they were typed.
+            changes: Hyperparameters that `--set` may override.
+        """
+        changes = {**(changes or {}), **parse_changes(self.set_)}
+        if self.num_envs is not None:
+            changes["num_envs"] = self.num_envs
+        return {
+            "seeds": parse_seeds(self.seeds),
+            "steps": parse_steps(steps),
+            "hyperparameters": changes,
+            "checkpoint_every": self.checkpoint_every,
+            "updates_per_call": self.updates_per_call,
+        }
+
+    def how(self) -> dict[str, Any]:
+        """Return on what it is trained and what is written."""
+        return {
+            "backend": self.backend,
+            "resume": self.resume,
+            "tensorboard": self.tensorboard,
+        }
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Search:
+    """What a sweep tries.
+
+    Attributes:
+        space: JSON file, by hyperparameter a range {"low", "high", "log"} or a list of values;
+            default a built-in one.
+        configurations: Number of configurations.
+        seeds: Seeds of each.
+        disability: Setting of the human, such as d1.
+        steps: Environment steps of each configuration and seed, such as 2M.
+        block: Most configurations x seeds in one program; lower it if memory runs out.
+        seed: Seed of the random draws.
+        set_: A hyperparameter that all configurations share, such as num_envs=512; repeat it for
+            more.
+    """
+
+    space: Path | None = None
+    configurations: int = 168
+    seeds: int = 3
+    disability: str = "d1"
+    steps: str = "2M"
+    block: int = 64
+    seed: int = 0
+    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = ()
+
+    def sweep(self, task: str, algorithm: str) -> "Sweep":
+        """Return the sweep of a task and an algorithm."""
+        from population.sweep import make_sweep
+
+        return make_sweep(
+            task,
+            algorithm,
+            space=self.space,
+            configurations=self.configurations,
+            seeds=self.seeds,
+            disability=self.disability,
+            steps=parse_steps(self.steps),
+            block=self.block,
+            seed=self.seed,
+            fixed=parse_changes(self.set_),
+        )
+
+
+def parse_steps(text: str) -> int:
+    """Return a number of steps written as 250000, 500k, 10M or 2e7."""
+    match = re.fullmatch(
+        r"([0-9]+(?:\.[0-9]*)?(?:[eE][0-9]{1,2})?)([kmgb]?)", text.strip(), re.IGNORECASE
+    )
+    steps = float(match[1]) * _UNITS[match[2].lower()] if match else 0.0
+    if not 1.0 <= steps < 1e15:
+        raise ValueError(f"steps is {text!r}; give a number above 0, such as 500k, 10M or 2e7")
+    return math.ceil(steps)
+
+
+def parse_seeds(text: str) -> list[int]:
+    """Return the seeds of "8" (0 to 7), "0-7" or "2,5"."""
+    ranges = [re.fullmatch(r"(\d+)(?:-(\d+))?", part.strip()) for part in text.split(",")]
+    if text.strip().isdigit():
+        seeds = list(range(int(text)))
+    else:
+        seeds = [seed for r in ranges if r for seed in range(int(r[1]), int(r[2] or r[1]) + 1)]
+    if not seeds or not all(ranges) or len(set(seeds)) < len(seeds):
+        raise ValueError(
+            f"seeds is {text!r}; give how many, such as 8, or which, such as 0-7 or 2,5, each once"
+        )
+    return seeds
+
+
+def parse_changes(words: Sequence[str]) -> dict[str, Any]:
+    """Return the hyperparameters of words such as "learning_rate=3e-4"."""
+    changes = {}
+    for word in words:
+        name, equals, value = word.partition("=")
+        if not equals or not name:
+            raise ValueError(f"--set is {word!r}; give name=value, such as learning_rate=3e-4")
+        try:
+            changes[name.strip()] = ast.literal_eval(value)
+        except (ValueError, SyntaxError):
+            changes[name.strip()] = {"true": True, "false": False}.get(value.lower(), value)
+    return changes

@@ -1,26 +1,21 @@
 """The command that trains teams."""
 
-import ast
 import contextlib
 import json as jsonlib
 import math
 import os
-import re
 import sys
 import time
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
-from cyclopts import Parameter
-
+from assistax_zoo.commands.options import Training
 from assistax_zoo.console import SECONDS_BETWEEN_LINES, print_json, stdout_is_data
 
 if TYPE_CHECKING:
     from population.train import Progress
     from population.trained_run import TrainedRun
-
-_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "b": 10**9}
 
 
 def train(
@@ -30,16 +25,9 @@ def train(
     algorithm: str | None = None,
     preset: Path | None = None,
     disability: str = "d1",
-    seeds: str = "1",
     steps: str = "10M",
-    backend: str = "auto",
-    num_envs: int | None = None,
-    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
     self_play_episodes: int = 16,
-    checkpoint_every: int | None = None,
-    updates_per_call: int | None = None,
-    resume: bool = True,
-    tensorboard: Path | None = None,
+    training: Training = Training(),
     json: bool = False,
     json_lines: bool = False,
 ) -> None:
@@ -55,20 +43,10 @@ def train(
         preset: JSON file of hyperparameters in place of a built-in preset, as `assistax-zoo sweep`
             writes it.
         disability: Settings of the human, comma-separated, such as d1,d3.
-        seeds: How many, numbered from 0, or which: 8, 0-7 or 2,5.
         steps: Environment steps of each team, such as 500k, 10M or 2e7; rounded up to whole
             updates.
-        backend: Physics: native, mjx, mjx-warp, or auto for the fastest one here.
-        num_envs: Simulations of each team; default the preset's.
-        set_: Another hyperparameter, such as learning_rate=3e-4, torso=gru or shared=true; repeat
-            it for more.
         self_play_episodes: Episodes of each team's final evaluation; 0 leaves it out.
-        checkpoint_every: Updates between checkpoints; default 20 for PPO, 2000 for SAC, whose
-            updates are short.
-        updates_per_call: Updates dispatched to the device at once; default 1 for PPO, 20 for SAC.
-        resume: Go on with a run that the folder holds.
-        tensorboard: Folder for TensorBoard event files, which several runs may share; needs
-            assistax-zoo[tensorboard].
+        training: How it trains.
         json: Print the teams as JSON at the end.
         json_lines: Print a JSON object for each report on standard output instead of the live line.
 
@@ -76,30 +54,23 @@ def train(
         assistax-zoo train --task scratch --disability d1,d3 --seeds 8 --steps 10M --out
         runs/scratch-ippo
     """
-    from population.team_training import check_names, read_preset, train_teams
+    from population.team_training import read_preset, train_teams
 
-    check_names(task)
     changes: dict[str, Any] = {}
     if preset is not None:
         algorithm, changes = read_preset(preset, algorithm)
-    algorithm, settings = algorithm or "ippo", disability.split(",")
-    changes |= parse_changes(set_) | ({} if num_envs is None else {"num_envs": num_envs})
+    algorithm = algorithm or "ippo"
+    what = training.what(steps, changes)
     with shown_training(f"{task} {algorithm}", json_lines) as progress:
         run = train_teams(
             task,
             algorithm,
             folder=out,
-            disabilities=settings,
-            seeds=parse_seeds(seeds),
-            steps=parse_steps(steps),
-            hyperparameters=changes,
-            backend=backend,
+            disabilities=disability.split(","),
             self_play_episodes=self_play_episodes,
-            checkpoint_every=checkpoint_every,
-            updates_per_call=updates_per_call,
-            resume=resume,
-            tensorboard=tensorboard,
             progress=progress,
+            **what,
+            **training.how(),
         )
     _report(run, json, json_lines)
 
@@ -117,45 +88,6 @@ def shown_training(name: str, json_lines: bool) -> "Generator[LiveLine | JsonLin
             yield shown
         finally:
             shown.close()
-
-
-def parse_steps(text: str) -> int:
-    """Return a number of steps written as 250000, 500k, 10M or 2e7."""
-    match = re.fullmatch(
-        r"([0-9]+(?:\.[0-9]*)?(?:[eE][0-9]{1,2})?)([kmgb]?)", text.strip(), re.IGNORECASE
-    )
-    steps = float(match[1]) * _UNITS[match[2].lower()] if match else 0.0
-    if not 1.0 <= steps < 1e15:
-        raise ValueError(f"steps is {text!r}; give a number above 0, such as 500k, 10M or 2e7")
-    return math.ceil(steps)
-
-
-def parse_seeds(text: str) -> list[int]:
-    """Return the seeds of "8" (0 to 7), "0-7" or "2,5"."""
-    ranges = [re.fullmatch(r"(\d+)(?:-(\d+))?", part.strip()) for part in text.split(",")]
-    if text.strip().isdigit():
-        seeds = list(range(int(text)))
-    else:
-        seeds = [seed for r in ranges if r for seed in range(int(r[1]), int(r[2] or r[1]) + 1)]
-    if not seeds or not all(ranges) or len(set(seeds)) < len(seeds):
-        raise ValueError(
-            f"seeds is {text!r}; give how many, such as 8, or which, such as 0-7 or 2,5, each once"
-        )
-    return seeds
-
-
-def parse_changes(words: Sequence[str]) -> dict[str, Any]:
-    """Return the hyperparameters of words such as "learning_rate=3e-4"."""
-    changes = {}
-    for word in words:
-        name, equals, value = word.partition("=")
-        if not equals or not name:
-            raise ValueError(f"--set is {word!r}; give name=value, such as learning_rate=3e-4")
-        try:
-            changes[name.strip()] = ast.literal_eval(value)
-        except (ValueError, SyntaxError):
-            changes[name.strip()] = {"true": True, "false": False}.get(value.lower(), value)
-    return changes
 
 
 class LiveLine:

@@ -3,11 +3,10 @@
 import json as jsonlib
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from cyclopts import Parameter
-
-from assistax_zoo.commands.train import parse_changes, parse_seeds, parse_steps, shown_training
+from assistax_zoo.commands.options import Training
+from assistax_zoo.commands.train import shown_training
 from assistax_zoo.console import print_json
 
 if TYPE_CHECKING:
@@ -20,15 +19,8 @@ def train_ego(
     out: Path,
     split: str | None = None,
     algorithm: str = "ppo",
-    seeds: str = "1",
     steps: str = "20M",
-    backend: str = "auto",
-    num_envs: int | None = None,
-    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
-    checkpoint_every: int | None = None,
-    updates_per_call: int | None = None,
-    resume: bool = True,
-    tensorboard: Path | None = None,
+    training: Training = Training(),
     registry: Path | None = None,
     json: bool = False,
     json_lines: bool = False,
@@ -45,19 +37,9 @@ def train_ego(
         split: Split whose training half are the partners: an id or the beginning of one; default
             the release's own.
         algorithm: ppo or sac.
-        seeds: How many, numbered from 0, or which: 16, 0-7 or 2,5.
         steps: Environment steps of each robot, such as 500k, 20M or 2e7; rounded up to whole
             updates.
-        backend: Physics: native, mjx, mjx-warp, or auto for the fastest one here.
-        num_envs: Simulations of each robot, a multiple of the number of partners; default the
-            nearest to the preset's.
-        set_: Another hyperparameter, such as learning_rate=3e-4 or torso=gru; repeat it for more.
-        checkpoint_every: Updates between checkpoints; default 20 for PPO, 2000 for SAC, whose
-            updates are short.
-        updates_per_call: Updates dispatched to the device at once; default 1 for PPO, 20 for SAC.
-        resume: Go on with a run that the folder holds.
-        tensorboard: Folder for TensorBoard event files, which several runs may share; needs
-            assistax-zoo[tensorboard].
+        training: How it trains.
         registry: Registry to read instead of the installed one.
         json: Print the policy files as JSON at the end.
         json_lines: Print a JSON object for each report on standard output instead of the live line.
@@ -66,35 +48,14 @@ def train_ego(
         assistax-zoo train-ego --task scratch --split half --algorithm ppo --seeds 16 --steps 20M
         --out runs/ego
     """
-    from population.team_training import check_names
-
-    check_names(task)
-    changes = parse_changes(set_) | ({} if num_envs is None else {"num_envs": num_envs})
-    numbers, total = parse_seeds(seeds), parse_steps(steps)
+    what = training.what(steps)
     with shown_training(f"{task} {algorithm}", json_lines) as progress:
         from evaluation.ego_training import prepare, train_egos
         from zoo.registry import load_registry
 
-        training = prepare(
-            load_registry(registry),
-            task,
-            split=split,
-            algorithm=algorithm,
-            seeds=numbers,
-            steps=total,
-            hyperparameters=changes,
-            checkpoint_every=checkpoint_every,
-            updates_per_call=updates_per_call,
-        )
-        print(training.summary, file=sys.stderr)
-        egos = train_egos(
-            training,
-            out,
-            backend=backend,
-            resume=resume,
-            tensorboard=tensorboard,
-            progress=progress,
-        )
+        prepared = prepare(load_registry(registry), task, split=split, algorithm=algorithm, **what)
+        print(prepared.summary, file=sys.stderr)
+        egos = train_egos(prepared, out, progress=progress, **training.how())
     _report(egos, json, json_lines)
 
 

@@ -2,12 +2,8 @@ import json
 
 import pytest
 
-from assistax_zoo.commands.train import (
-    LiveLine,
-    parse_changes,
-    parse_seeds,
-    parse_steps,
-)
+from assistax_zoo.commands.options import parse_changes, parse_seeds, parse_steps
+from assistax_zoo.commands.train import LiveLine
 from assistax_zoo.main import run
 
 TINY = [

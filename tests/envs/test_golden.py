@@ -28,7 +28,9 @@ FIRST_ANGLES = 5e-3  # rad, of either backend over the first 10 steps
 
 
 def trajectory(task: str, backend: str) -> dict:
-    """Return observations and rewards at `STEPS`, and the return so far, rounded to what is pinned."""
+    """Return observations and rewards at `STEPS`, and the return so far, rounded to what is
+    pinned.
+    """
     states = play(
         task,
         backend,

@@ -87,7 +87,7 @@ def test_numbers_of_seeds_and_lists_of_them(tmp_path):
         ({"disabilities": ["d1", "d1"]},
         "disabilities is ('d1', 'd1'); it must be different settings"),
         ({"seeds": 0},
-        "group scratch-ippo: seeds is (); it must be a number above 0, or a list of at least one seed"),
+        "group scratch-ippo: seeds is (); it must be a number above 0, or a list of at least one"),
         ({"seeds": True}, "seeds is True; it must be a list"),
         ({"seeds": [1, 1]}, "seeds is (1, 1); it must be different numbers"),
         ({"seeds": [-1]}, "seed is -1; it must be an integer from 0"),

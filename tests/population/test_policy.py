@@ -107,7 +107,9 @@ def test_entropy_is_the_mean_negative_log_prob(squash):
 
 
 def test_squashed_density_integrates_to_one():
-    """Without the slope of tanh it would not: the planted defect of an unsquashed log probability."""
+    """Without the slope of tanh it would not: the planted defect of an unsquashed log
+    probability.
+    """
     action = np.linspace(-0.9999, 0.9999, 20_001)
     raw = jnp.asarray(np.arctanh(action)[:, None], jnp.float32)
     broad = jnp.zeros_like(raw)
@@ -115,3 +117,17 @@ def test_squashed_density_integrates_to_one():
         density = np.exp(np.asarray(Gaussian(broad, broad, squash).log_prob(raw), np.float64))
         integral = np.trapezoid(density, action)
         assert (abs(integral - 1.0) < 0.01) == (total is not None)
+
+
+@pytest.mark.parametrize("torso", ["mlp", "gru"])
+@pytest.mark.parametrize("std", ["parameter", "state"])
+def test_a_policy_begins_with_the_standard_deviation_it_is_given(std, torso):
+    policy = Policy(PolicySpec("robot", 5, 2, torso=torso, std=std, hidden=(8, 8)))
+    obs, first = jnp.ones((3, 5)), jnp.ones(3, bool)
+    for params, log_std in (
+        (policy.init(jax.random.key(0)), -0.5),
+        (policy.init(jax.random.key(0), -2.0), -2.0),
+    ):
+        _, gaussian = policy.step(params, policy.initial_carry((3,)), obs, first)
+        np.testing.assert_allclose(gaussian.log_std, log_std, atol=0.05)
+        assert jnp.abs(gaussian.mean).max() < 0.1

@@ -4,7 +4,7 @@ import polars as pl
 import pytest
 
 from population.config import preset
-from population.sweep import Range, Sweep, best, read_space, run_sweep, score
+from population.sweep import SPACES, Range, Sweep, best, make_sweep, read_space, run_sweep, score
 from tests.population.toy_env import ToyEnv, match
 
 FIXED = {"num_envs": 8, "rollout_steps": 10, "hidden": (8, 8), "epochs": 1}
@@ -86,15 +86,28 @@ def test_the_best_configuration_has_no_seed_that_diverged():
         ({"gamma": {"low": 0, "high": 1}}, "it must have 0 < low < high"),
     ],
 )
-def test_a_bad_space_is_named(data, message):
+def test_a_bad_space_is_named(data, message, tmp_path):
+    path = tmp_path / "space.json"
+    path.write_text(json.dumps(data))
     with pytest.raises(ValueError, match=message):
-        read_space(data)
+        read_space(path)
+
+
+def test_a_space_is_read_from_its_file(tmp_path):
+    path = tmp_path / "space.json"
+    path.write_text('{"gamma": {"low": 0.9, "high": 0.99}, "hidden": [[8, 8], [16]]}')
+    assert read_space(path) == {"gamma": Range(0.9, 0.99), "hidden": ((8, 8), (16,))}
+    assert make_sweep("scratch", "ippo", path).space == read_space(path)
+    assert make_sweep("scratch", "masac").space == SPACES["sac"]
+    for text, message in (("{", "is not JSON"), ("[1]", "holds list; give an object")):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=message):
+            read_space(path)
+    with pytest.raises(ValueError, match="disability is 'd10'"):
+        make_sweep("scratch", "ippo", disability="d10")
 
 
 def test_a_sweep_that_cannot_run_is_refused_before_it_starts():
-    assert read_space({"gamma": {"low": 0.9, "high": 0.99}, "hidden": [[8, 8], [16]]})[
-        "hidden"
-    ] == ((8, 8), (16,))
     with pytest.raises(ValueError, match="epochs has a range; ranges are for learning_rate"):
         Sweep("toy", "ippo", {"epochs": Range(1, 4)})
     with pytest.raises(ValueError, match="multiple of minibatches"):

@@ -21,7 +21,9 @@ MEMBERS = ("toy-ippo-d1-s0", "toy-ippo-d1-s3", "toy-ippo-d9-s0", "toy-ippo-d9-s3
 
 
 def scalars(folder: Path) -> dict[str, list[tuple[int, float]]]:
-    """Return every (step, value) of a member's files by tag; what was written twice is there twice."""
+    """Return every (step, value) of a member's files by tag; what was written twice is there
+    twice.
+    """
     reader = EventAccumulator(
         str(folder), size_guidance={"scalars": 0}, purge_orphaned_data=False
     ).Reload()

@@ -162,7 +162,9 @@ def match(state: ToyState, action: dict[str, jax.Array]) -> dict[str, jax.Array]
 
 
 def together(state: ToyState, action: dict[str, jax.Array]) -> dict[str, jax.Array]:
-    """Reward at most 1 a step, and only if both act on their cue: either alone earns 0 on average."""
+    """Reward at most 1 a step, and only if both act on their cue: either alone earns 0 on
+    average.
+    """
     return {"together": action["robot"] * state.cue["robot"] * action["human"] * state.cue["human"]}
 
 
