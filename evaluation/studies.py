@@ -117,7 +117,7 @@ def evaluate_policies(
     summary = save_evaluation(
         folder, result.table, context, include_own=include_own, references=played
     )
-    _seal(registry, folder)
+    _seal(registry, folder, chosen)
     return summary
 
 
@@ -191,7 +191,7 @@ def cross_play(
     context = _context(registry, job, manifest, releases, result)
     summary = save_crossplay(folder, result.table, context)
     _draw(folder, summary)
-    _seal(registry, folder)
+    _seal(registry, folder, [*robots, *humans])
     return summary
 
 
@@ -335,11 +335,11 @@ def _context(
     )
 
 
-def _seal(registry: Registry, folder: Path) -> None:
-    """Write the hashes of all files, and of the registry that the partners came from."""
-    provenance.seal(
-        folder, registry={"root": getattr(registry, "root", None), "lock": registry.lock}
-    )
+def _seal(registry: Registry, folder: Path, entries: Sequence[PolicyEntry]) -> None:
+    """Write the hashes of all files, and the roots of the releases that the policies are of."""
+    releases = sorted({entry.release for entry in entries})
+    roots = {release: registry.root(release) for release in releases}
+    provenance.seal(folder, registry={"roots": roots, "lock": registry.lock})
 
 
 def _crossplay_pairs(folder: Path, task: str) -> pl.DataFrame:
