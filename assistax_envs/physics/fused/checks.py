@@ -59,7 +59,7 @@ class UnsupportedModelError(ValueError):
 
 def check_supported(model: mujoco.MjModel) -> None:
     """Raise `UnsupportedModelError` with all that the engine cannot do, if there is anything."""
-    parts = _options, _absent, _bodies, _joints, _actuators, _geoms, _pairs, _sensors
+    parts = _options, _absent, _joints, _actuators, _geoms, _pairs, _sensors
     problems = [problem for part in parts for problem in part(model)]
     if problems:
         raise UnsupportedModelError(
@@ -101,14 +101,9 @@ def _absent(model: mujoco.MjModel) -> Iterator[str]:
             yield f"{meaning} ({name})"
 
 
-def _bodies(model: mujoco.MjModel) -> Iterator[str]:
-    if not model.nv:
-        yield "a model without joints"
-    if mujoco.mj_version() and np.any(model.body_mass < 0):
-        yield "negative masses"
-
-
 def _joints(model: mujoco.MjModel) -> Iterator[str]:
+    if not model.njnt:
+        yield "a model without joints"
     for joint in range(model.njnt):
         kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
         if kind != mujoco.mjtJoint.mjJNT_HINGE:
@@ -167,8 +162,6 @@ def _pairs(model: mujoco.MjModel) -> Iterator[str]:
         static = [model.body_weldid[model.geom_bodyid[i]] == 0 for i in ids]
         if kinds.count(PLANE) == 2 or all(static):
             yield f"the pair {names}, of which neither moves"
-        if any(kind == PLANE and not still for kind, still in zip(kinds, static, strict=True)):
-            yield f"a plane that moves, in the pair {names}"
         if model.pair_dim[pair] != 3:
             yield f"condim {model.pair_dim[pair]} of the pair {names} (only 3)"
         friction = model.pair_friction[pair]

@@ -11,10 +11,10 @@ import dataclasses
 import mujoco
 
 from assistax_envs.physics.fused.expressions import (
-    Block,
     Scalar,
-    Value,
     Vector,
+    maximum,
+    minimum,
     multiply_add,
     multiply_subtract,
     reciprocal,
@@ -102,16 +102,16 @@ def candidates(model: mujoco.MjModel, geoms: dict[int, Geom]) -> list[Candidate]
     return places
 
 
-def gap(block: Block, candidate: Candidate) -> Scalar:
+def gap(candidate: Candidate) -> Scalar:
     """Return a number whose sign is that of the distance between the surfaces."""
     first, second = candidate.first, candidate.second
     if candidate.end:
         return _plane_gap(first, second, candidate.end)
     between = subtract(first.position, second.position)
     if first.half_length:
-        between = _between_segments(block, first, second, between)
+        between = _between_segments(first, second, between)
     elif second.half_length:
-        between = _from_segment(block, second, between)
+        between = _from_segment(second, between)
     return dot(between, between, -((first.radius + second.radius) ** 2))
 
 
@@ -121,13 +121,13 @@ def _plane_gap(plane: Geom, other: Geom, end: int) -> Scalar:
     return dot(plane.axis, nearest, height - other.radius)
 
 
-def _from_segment(block: Block, capsule: Geom, between: Vector) -> Vector:
+def _from_segment(capsule: Geom, between: Vector) -> Vector:
     """Return the vector from a segment's nearest point, given that from its middle."""
-    x = clip(block, dot(capsule.axis, between) * (1.0 / capsule.half_length**2))
+    x = clip(dot(capsule.axis, between) * (1.0 / capsule.half_length**2))
     return [multiply_subtract(x, a, b) for a, b in zip(capsule.axis, between, strict=True)]
 
 
-def _between_segments(block: Block, first: Geom, second: Geom, between: Vector) -> Vector:
+def _between_segments(first: Geom, second: Geom, between: Vector) -> Vector:
     """Return the shortest vector from the second to the first segment.
 
     Nearest points of the lines, clipped to the first segment; then the second segment's best for
@@ -136,15 +136,15 @@ def _between_segments(block: Block, first: Geom, second: Geom, between: Vector) 
     a, b = first.half_length**2, second.half_length**2
     c = -dot(first.axis, second.axis)
     u, v = -dot(first.axis, between), dot(second.axis, between)
-    determinant = block.apply("maximum", multiply_subtract(c, c, a * b), SMALLEST_DETERMINANT)
+    determinant = maximum(multiply_subtract(c, c, a * b), SMALLEST_DETERMINANT)
     inverse = reciprocal(determinant)
-    x = clip(block, multiply_subtract(c, v, b * u) * inverse)
-    y = clip(block, multiply_subtract(c, x, v) * (1.0 / b))
-    x = clip(block, multiply_subtract(c, y, u) * (1.0 / a))
+    x = clip(multiply_subtract(c, v, b * u) * inverse)
+    y = clip(multiply_subtract(c, x, v) * (1.0 / b))
+    x = clip(multiply_subtract(c, y, u) * (1.0 / a))
     between = [multiply_add(x, s, d) for s, d in zip(first.axis, between, strict=True)]
     return [multiply_subtract(y, s, d) for s, d in zip(second.axis, between, strict=True)]
 
 
-def clip(block: Block, x: Scalar) -> Value:
+def clip(x: Scalar) -> Scalar:
     """Return x between -1 and 1, the ends of a segment."""
-    return block.apply("maximum", block.apply("minimum", x, 1.0), -1.0)
+    return maximum(minimum(x, 1.0), -1.0)

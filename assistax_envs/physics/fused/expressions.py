@@ -156,6 +156,16 @@ def reciprocal(x: Scalar) -> Scalar:
     return x.block.apply("reciprocal", x) if isinstance(x, Value) else 1.0 / x
 
 
+def minimum(a: Scalar, b: Scalar) -> Scalar:
+    """Return the smaller number."""
+    return _extremum("minimum", min, a, b)
+
+
+def maximum(a: Scalar, b: Scalar) -> Scalar:
+    """Return the larger number."""
+    return _extremum("maximum", max, a, b)
+
+
 def literal(x: float) -> str:
     """Return `x` rounded to single precision, as C++."""
     return f"{float(np.float32(x))!r}f"
@@ -164,6 +174,16 @@ def literal(x: float) -> str:
 def text(x: Scalar) -> str:
     """Return a run-time value's name, or a constant as a `real`."""
     return x.name if isinstance(x, Value) else f"splat({literal(x)})"
+
+
+def _extremum(
+    operation: str, fold: Callable[[float, float], float], a: Scalar, b: Scalar
+) -> Scalar:
+    if isinstance(a, Value):
+        return a.block.apply(operation, a, b)
+    if isinstance(b, Value):
+        return b.block.apply(operation, b, a)  # C++ has it for a value and a constant in this order
+    return fold(a, b)
 
 
 def _block(*operands: Scalar) -> Block | None:

@@ -2,7 +2,7 @@
 
 import mujoco
 
-from assistax_envs.physics.fused.expressions import Block, Scalar, Value, multiply_add
+from assistax_envs.physics.fused.expressions import Block, Scalar, maximum, minimum, multiply_add
 
 
 def joint_forces(block: Block, model: mujoco.MjModel, bias: list[Scalar]) -> list[Scalar]:
@@ -21,11 +21,9 @@ def joint_forces(block: Block, model: mujoco.MjModel, bias: list[Scalar]) -> lis
     return forces
 
 
-def _control(block: Block, model: mujoco.MjModel, actuator: int) -> Value:
+def _control(block: Block, model: mujoco.MjModel, actuator: int) -> Scalar:
     control = block.input(f"u[{actuator}]")
     if not model.actuator_ctrllimited[actuator]:
         return control
     low, high = (float(x) for x in model.actuator_ctrlrange[actuator])
-    # Constants as `real`: `minimum` takes two of a kind.
-    control = block.apply("maximum", control, low)
-    return block.apply("minimum", control, high)
+    return minimum(maximum(control, low), high)

@@ -134,6 +134,8 @@ FN void newton(const Rows& rows, int n, const real* products, real* forces, int*
     KEEP_LOOP for (int r = 0; r < n; ++r) {
       real d = rows.free[r];
       KEEP_LOOP for (int s = 0; s < n; ++s) d = d + products[packed(r, s)] * y[s];
+      // On rows that act this is -R y, of which rounding leaves more.
+      d = select(x[r] < 0.0f, -rows.slack[r] * y[r], d);
       next[r] = d;
       changed = either(changed, differ(d < 0.0f, x[r] < 0.0f));
       real step = y[r] - forces[r];
@@ -141,9 +143,10 @@ FN void newton(const Rows& rows, int n, const real* products, real* forces, int*
       slope.per_step = slope.per_step + step * (d - x[r]);
       slope.whole = slope.whole + y[r] * (d - rows.free[r]);
     }
-    // Rows may keep changing sides where rounding decides: a step that changes the acceleration by
-    // less than SETTLED of what all rows do to it is the last one. The first step has no start.
-    if (iteration > 0)
+    // Where rounding decides on which side a row is, rows may change sides for ever: after some
+    // iterations, a step that changes accelerations by less than SETTLED of what all rows do to
+    // them is the last.
+    if (iteration >= PATIENCE)
       changed = both(changed, slope.per_step > SETTLED * SETTLED * slope.whole);
     // The first x is a guess, no acceleration: its solution is where to start.
     mask whole = iteration == 0 ? open : both(open, invert(changed));

@@ -7,7 +7,7 @@ import mujoco
 
 from assistax_envs.physics.fused import collision, constraints, factorisation, inertia, kinematics
 from assistax_envs.physics.fused.checks import check_supported
-from assistax_envs.physics.fused.expressions import Block, Scalar, literal, text
+from assistax_envs.physics.fused.expressions import Block, Scalar, literal, minimum, text
 from assistax_envs.physics.fused.forces import joint_forces
 from assistax_envs.physics.fused.inertia import Entries
 from assistax_envs.physics.fused.sensors import sensor_values
@@ -17,7 +17,8 @@ VERSION = 1  # of the generator; goes up whenever any number that a program comp
 MAX_CONTACTS = 12  # at once in one simulation; more are left out and flagged
 MAX_ITERATIONS = 20  # of Newton's method in a substep
 MAX_SEARCHES = 20  # steps of a line search
-SETTLED = 1e-4  # a step of Newton's method that changes accelerations by less of them is the last
+PATIENCE = 6  # iterations; then one that changes accelerations by less than
+SETTLED = 1e-4  # of what constraints do to them is the last
 OVERFLOWED = 1  # added to a simulation's flags by each substep in which contacts were left out
 UNSETTLED = 1 << 16  # and by each in which the constraint forces did not settle
 
@@ -99,7 +100,7 @@ def derive(model: mujoco.MjModel) -> Dynamics:
     forces = joint_forces(block, model, bias)
     geoms = collision.contact_geoms(model, tree, poses)
     places = collision.candidates(model, geoms)
-    gaps = [collision.gap(block, place) for place in places]
+    gaps = [collision.gap(place) for place in places]
     near = _nearest(block, model, gaps)
     # The integrator `implicitfast` takes the dampers at the end of the substep: (M + h B) a = f.
     implicit = dict(matrix)
@@ -124,9 +125,9 @@ def _nearest(block: Block, model: mujoco.MjModel, gaps: list[Scalar]) -> Scalar:
         if model.jnt_limited[i]:
             angle = block.input(f"q[{i}]")
             for inside in (angle - block.input(f"lo[{i}]"), block.input(f"hi[{i}]") - angle):
-                near = block.apply("minimum", inside, near)
+                near = minimum(inside, near)
     for gap in gaps:
-        near = block.apply("minimum", gap, near)
+        near = minimum(gap, near)
     return near
 
 
@@ -154,6 +155,7 @@ def _sizes(model: mujoco.MjModel, dynamics: Dynamics) -> str:
         "MAX_ROWS": limits + 4 * MAX_CONTACTS,
         "MAX_ITERATIONS": MAX_ITERATIONS,
         "MAX_SEARCHES": MAX_SEARCHES,
+        "PATIENCE": PATIENCE,
         "SETTLED": literal(SETTLED),
         "OVERFLOWED": OVERFLOWED,
         "UNSETTLED": UNSETTLED,

@@ -1,6 +1,8 @@
 """Models and states for the tests of the fused engine, and MuJoCo's C engine as their oracle."""
 
+import copy
 import functools
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -11,23 +13,19 @@ from assistax_envs.models import build_model
 from assistax_envs.physics.fused import generate
 from assistax_envs.physics.fused.runtime import cache, cpu
 
+ELBOW = "human_right_elbow"
+DEEP = 0.025  # m; the thinnest two capsules that meet have their axes 0.041 apart
 TASKS = "scratch", "bed_bath", "arm_assist"
 scene = functools.cache(build_model)
 
 
 def converged(model: mujoco.MjModel) -> mujoco.MjModel:
     """Return a copy of the model whose solver runs until nothing changes."""
-    copy = mujoco.MjModel.from_xml_string("<mujoco/>") if model is None else _copy(model)
-    copy.opt.iterations, copy.opt.ls_iterations = 100, 50
-    copy.opt.tolerance, copy.opt.ls_tolerance = 1e-12, 1e-6
-    copy.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    return copy
-
-
-def _copy(model: mujoco.MjModel) -> mujoco.MjModel:
-    import copy
-
-    return copy.copy(model)
+    model = copy.copy(model)
+    model.opt.iterations, model.opt.ls_iterations = 100, 50
+    model.opt.tolerance, model.opt.ls_tolerance = 1e-12, 1e-6
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    return model
 
 
 class States:
@@ -44,30 +42,98 @@ class States:
 
 
 def random_states(model: mujoco.MjModel, n: int, seed: int, beyond: float = 0.01) -> States:
-    """Draw angles over the joints' ranges and `beyond` that share of them, and full torques."""
+    """Draw angles over the joints' ranges and `beyond` that share of them, and full torques.
+
+    Returns fewer than `n`: without those in which bodies are so deep in each other that the axes of
+    capsules cross, where a contact's direction is anybody's guess.
+    """
     rng = np.random.default_rng(seed)
     low, high = model.jnt_range.T
     share = rng.uniform(-beyond, 1 + beyond, (n, model.nq))
-    return States(
+    states = States(
         low + (high - low) * share,
         rng.normal(size=(n, model.nv)),
         rng.uniform(-1, 1, (n, model.nu)),
     )
+    return states[np.array([deepest(model, qpos) < DEEP for qpos in states.qpos])]
 
 
-def touching_states(model: mujoco.MjModel, n: int, seed: int) -> States:
-    """Draw states until `n` have contacts, none of them deep."""
-    found: list[np.ndarray] = []
-    data, states = mujoco.MjData(model), random_states(model, 40 * n, seed)
-    for i in range(len(states)):
-        data.qpos[:] = states.qpos[i]
+def deepest(model: mujoco.MjModel, qpos: np.ndarray) -> float:
+    """Return the depth of the deepest contact, in m."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    return -min((contact.dist for contact in data.contact), default=0.0)
+
+
+@functools.cache
+def touching_states(task: str, each: int = 6) -> States:
+    """Return states in which each of the scene's pairs in turn touches, by up to 8 mm."""
+    model, rng = scene(task), np.random.default_rng(11)
+    data, found = mujoco.MjData(model), []
+    for pair in range(model.npair):
+        count = len(found) + each
+        while len(found) < count:
+            if (qpos := _touching(model, data, pair, rng)) is not None:
+                found.append(qpos)
+    n = len(found)
+    return States(
+        np.array(found), rng.normal(size=(n, model.nv)), rng.uniform(-1, 1, (n, model.nu))
+    )
+
+
+def _touching(model, data, pair: int, rng: np.random.Generator) -> np.ndarray | None:
+    """Move from random angles towards the pair's touch by random steps; None if others collide."""
+    # Not to the very limit: whether that is passed depends on rounding alone.
+    low, high = model.jnt_range.T + np.array([[1e-3], [-1e-3]])
+    geoms = int(model.pair_geom1[pair]), int(model.pair_geom2[pair])
+    depth = rng.uniform(1e-4, 8e-3)
+
+    def miss(qpos: np.ndarray) -> float:
+        data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_collision(model, data)
-        if 0 < data.ncon <= 5 and data.contact.dist.min() > -0.03:
-            found.append(i)
-    assert len(found) >= n, len(found)
-    return states[np.array(found[:n])]
+        return abs(mujoco.mj_geomDistance(model, data, *geoms, 5.0, None) + depth)
+
+    best = rng.uniform(low, high)
+    least = miss(best)
+    for _ in range(600):
+        trial = np.clip(best + rng.normal(size=model.nq) * min(0.2, 2 * least), low, high)
+        if (missed := miss(trial)) < least:
+            best, least = trial, missed
+        if least < 5e-5:
+            break
+    miss(best)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    return (
+        best
+        if deepest(model, best) < DEEP and any(set(c.geom) == set(geoms) for c in data.contact)
+        else None
+    )
+
+
+def resting_states(task: str, n: int) -> States:
+    """Return states in which all has come to rest: bodies lie and lean, and joints hang."""
+    model, drawn = converged(scene(task)), team_states(task)[0][:n]
+    data = mujoco.MjData(model)
+    for i in range(n):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = drawn.qpos[i]
+        mujoco.mj_step(model, data, 400)
+        drawn.qpos[i], drawn.qvel[i], drawn.ctrl[i] = data.qpos, data.qvel, 0.0
+    return drawn
+
+
+@functools.cache
+def team_states(task: str) -> tuple[States, np.ndarray]:
+    """Return states of trained teams, shuffled, and the joints' ranges [N, njnt, 2] in each."""
+    with np.load(Path(__file__).with_name("team_states.npz")) as file:
+        arrays = {k.removeprefix(f"{task}_"): v for k, v in file.items() if k.startswith(task)}
+    model = scene(task)
+    ranges = np.tile(model.jnt_range.astype(np.float32), (len(arrays["qpos"]), 1, 1))
+    ranges[:, model.joint(ELBOW).id] = arrays["elbow"]
+    order = np.random.default_rng(0).permutation(len(ranges))
+    return States(*(arrays[name] for name in ("qpos", "qvel", "ctrl")))[order], ranges[order]
 
 
 def oracle(
@@ -121,3 +187,20 @@ def engine(task: str, lanes: int = 8) -> Engine:
 def relative_error(got: np.ndarray, want: np.ndarray, before: np.ndarray) -> np.ndarray:
     """Return the error of each velocity change [N], relative to its size."""
     return np.linalg.norm(got - want, axis=1) / np.linalg.norm(want - before, axis=1)
+
+
+def sensitivity(
+    model: mujoco.MjModel, states: States, substeps: int = 1, ranges: np.ndarray | None = None
+) -> np.ndarray:
+    """Return how much velocities [N] differ when angles do by 1e-7 rad: single precision's step.
+
+    The largest of four directions; large where a touch begins or ends, and in stiff contacts.
+    """
+    _, want, _ = oracle(model, states, substeps, ranges)
+    signs = np.random.default_rng(12).choice([-1.0, 1.0], (4, 1, model.nq))
+    moved = []
+    for sign in np.concatenate([signs[:2], -signs[:2]]):
+        other = copy.copy(states)
+        other.qpos = states.qpos.astype(float) + 1e-7 * sign
+        moved.append(np.linalg.norm(oracle(model, other, substeps, ranges)[1] - want, axis=1))
+    return np.max(moved, axis=0)

@@ -1,5 +1,7 @@
 """The straight-line code, run in double precision with NumPy, topic by topic against MuJoCo."""
 
+import copy
+
 import mujoco
 import numpy as np
 import pytest
@@ -13,12 +15,16 @@ N = 20
 
 
 class Run:
-    """A task's straight-line code at random states, and MuJoCo's data at each of them."""
+    """A task's straight-line code at random states, and MuJoCo's data at each of them.
 
-    def __init__(self, task: str) -> None:
+    `planted`, if given, is what the code is derived from instead of the task's model.
+    """
+
+    def __init__(self, task: str, planted: mujoco.MjModel | None = None) -> None:
+        self.task = task
         self.model = scene(task)
-        self.dynamics: Dynamics = derive(self.model)
-        self.states = random_states(self.model, N, seed=1)
+        self.dynamics: Dynamics = derive(planted or self.model)
+        self.states = random_states(self.model, 4 * N, seed=1)[:N]
         self.data = [self._mujoco(i) for i in range(N)]
         inputs = {f"q[{k}]": self.states.qpos[:, k].astype(float) for k in range(self.model.nq)}
         inputs |= {f"qd[{k}]": self.states.qvel[:, k].astype(float) for k in range(self.model.nv)}
@@ -108,3 +114,27 @@ def test_sensors(run: Run) -> None:
     got = run.array(run.dynamics.sensors)
     np.testing.assert_allclose(got[:, keep], want[:, keep], atol=1e-12)
     assert keep.sum() > 50
+
+
+NUMBERS = (
+    "body_mass body_inertia body_ipos actuator_gear dof_damping dof_armature jnt_stiffness jnt_axis"
+)
+
+
+@pytest.mark.parametrize("field", NUMBERS.split())
+def test_one_percent_of_any_one_number_is_seen(field: str) -> None:
+    true = Run("arm_assist")
+    planted = copy.copy(true.model)
+    values = getattr(planted, field)
+    moves = planted.body_weldid != 0 if field.startswith("body") else np.ones(len(values), bool)
+    for index in np.flatnonzero(values.reshape(len(values), -1)[:, 0] * moves):
+        before = values[index].copy()
+        values[index] += (
+            0.01 * np.abs(before).max() * (np.arange(before.size) == 0).reshape(before.shape)
+        )
+        wrong = Run("arm_assist", planted)
+        values[index] = before
+        with pytest.raises(AssertionError):
+            test_inertia_matrix(wrong)
+            test_forces(wrong)
+            test_accelerations_are_those_of_implicitfast(wrong)
