@@ -105,11 +105,8 @@ def _touching(model, data, pair: int, rng: np.random.Generator) -> np.ndarray | 
     miss(best)
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)
-    return (
-        best
-        if deepest(model, best) < DEEP and any(set(c.geom) == set(geoms) for c in data.contact)
-        else None
-    )
+    touches = any(set(contact.geom) == set(geoms) for contact in data.contact)
+    return best if touches and deepest(model, best) < DEEP else None
 
 
 def resting_states(task: str, n: int) -> States:

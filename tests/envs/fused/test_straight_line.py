@@ -116,12 +116,12 @@ def test_sensors(run: Run) -> None:
     assert keep.sum() > 50
 
 
-NUMBERS = (
-    "body_mass body_inertia body_ipos actuator_gear dof_damping dof_armature jnt_stiffness jnt_axis"
+NUMBERS = ["body_inertia", "actuator_gear", "dof_damping", "dof_armature", "jnt_stiffness"]
+
+
+@pytest.mark.parametrize(
+    "field", ["body_mass", *(pytest.param(name, marks=pytest.mark.slow) for name in NUMBERS)]
 )
-
-
-@pytest.mark.parametrize("field", NUMBERS.split())
 def test_one_percent_of_any_one_number_is_seen(field: str) -> None:
     true = Run("arm_assist")
     planted = copy.copy(true.model)
@@ -129,9 +129,7 @@ def test_one_percent_of_any_one_number_is_seen(field: str) -> None:
     moves = planted.body_weldid != 0 if field.startswith("body") else np.ones(len(values), bool)
     for index in np.flatnonzero(values.reshape(len(values), -1)[:, 0] * moves):
         before = values[index].copy()
-        values[index] += (
-            0.01 * np.abs(before).max() * (np.arange(before.size) == 0).reshape(before.shape)
-        )
+        values[index] = 1.01 * before
         wrong = Run("arm_assist", planted)
         values[index] = before
         with pytest.raises(AssertionError):
