@@ -106,7 +106,8 @@ def test_sensors(task: str) -> None:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_trajectories_of_twenty_control_steps(task: str) -> None:
-    states, ranges = (x[:30] for x in team_states(task))
+    states, ranges = team_states(task)
+    states, ranges = states[:30], ranges[:30]
     moved = copy.copy(states)
     moved.qpos = states.qpos.astype(float) + 1e-7
     want, other = (oracle(scene(task), x, 80, ranges)[0] for x in (states, moved))
