@@ -221,7 +221,7 @@ def installed_settings() -> dict[str, DisabilitySetting]:
 
 
 def _fresh(data: RegistryFile, candidates: Sequence[_Candidate]) -> list[_Candidate]:
-    """Return the candidates not published yet, in order; refuse what would change those that are."""
+    """Return the candidates not published yet, in order; refuse what would change others."""
     if not candidates:
         raise _refusal("publication", "at least one team", "none")
     owners = {
