@@ -83,15 +83,16 @@ def fetch(
     policies: dict[str, list[PolicyEntry]] = {}
     for entry in entries:
         policies.setdefault(split_namespace(entry.shard)[0], []).append(entry)
-    counts = [0, 0, 0]  # shards, of them present, bytes
+    counts, sources = [0, 0, 0], []  # shards, of them present, bytes
     for namespace, members in policies.items():
         source = open_remote(added_remote(namespace)) if namespace else remote
         shards = list(dict.fromkeys(split_namespace(entry.shard)[1] for entry in members))
+        sources += [source.name] if source else []
         found = _fetch_part(registry.part(namespace), shards, source, on_total, workers)
         counts = [before + now for before, now in zip(counts, found, strict=True)]
     return Report(
         registry=str(registry.path),
-        remote=remote.name if remote else None,
+        remote=", ".join(sources) or None,
         revision=remote.revision if remote and counts[0] > counts[1] else None,
         policies=sum(map(len, policies.values())),
         shards=counts[0],

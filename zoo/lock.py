@@ -81,7 +81,7 @@ def make_lock(
         "root": registry.root(release),
         "leaves": _leaves(registry, release, entries, pinned),
         "registry": sha256(registry.path.read_bytes()),
-        "disability_settings": _settings_digest(registry),
+        "disability_settings": _settings_digest(registry, release),
         "environments": {
             task: registry.data.releases[release].environments[task] for task in _tasks(entries)
         },
@@ -176,13 +176,10 @@ def apply_lock(registry: Registry, lock: Lock, *, task: str, split: str | None =
         }
     )
     return dataclasses.replace(
-        build_registry(data, registry.path), lock=lock.sha256, parts=registry.parts
+        build_registry(data, registry.path),
+        lock=lock.sha256,
+        parts=registry.parts or {"": registry},  # a root is of all that the release holds
     )
-
-
-def _narrowed(name: str, team: Team, lock: Lock) -> Team:
-    rows = {role: row for role, row in team.policies.items() if f"{name}/{role}" in lock.policies}
-    return team.model_copy(update={"policies": rows})
 
 
 def locked_entries(registry: Registry, lock: Lock) -> list[PolicyEntry]:
@@ -193,6 +190,11 @@ def locked_entries(registry: Registry, lock: Lock) -> list[PolicyEntry]:
     """
     _check(registry, lock)
     return [entry for entry in registry.policies if entry.id in lock.policies]
+
+
+def _narrowed(name: str, team: Team, lock: Lock) -> Team:
+    rows = {role: row for role, row in team.policies.items() if f"{name}/{role}" in lock.policies}
+    return team.model_copy(update={"policies": rows})
 
 
 def _check(registry: Registry, lock: Lock) -> None:
@@ -212,7 +214,7 @@ def _check(registry: Registry, lock: Lock) -> None:
         registry,
         "disability settings",
         {"": lock.disability_settings},
-        {"": _settings_digest(registry)},
+        {"": _settings_digest(registry, lock.release)},
     )
     _compare(
         registry, "split", {pinned.id: pinned.sha256 for pinned in lock.splits.values()}, splits
@@ -300,10 +302,10 @@ def _tasks(entries: Sequence[PolicyEntry]) -> list[str]:
     return sorted({entry.task for entry in entries})
 
 
-def _settings_digest(registry: Registry) -> str:
-    return _digest(
-        {name: setting.model_dump() for name, setting in registry.data.disability_settings.items()}
-    )
+def _settings_digest(registry: Registry, release: str) -> str:
+    """Return the sha256 of the settings of the zoo that a release is of, whatever was added."""
+    settings = registry.part(split_namespace(release)[0]).data.disability_settings
+    return _digest({name: setting.model_dump() for name, setting in settings.items()})
 
 
 def _digest(content: Mapping[str, Any]) -> str:

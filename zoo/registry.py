@@ -145,7 +145,10 @@ class Registry:
         namespace, name = split_namespace(id or release or "")
         if namespace in self.parts and namespace:
             wanted = {"id": name} if id else {"release": name}
-            return qualify_split(self.parts[namespace].split(task, **wanted), namespace)
+            theirs = qualify_split(self.parts[namespace].split(task, **wanted), namespace)
+            if theirs not in self.splits:  # narrowed down by a lock to others
+                raise _split_error(f"split {theirs.id}", "one of this registry", "none")
+            return theirs
         split = (
             self._named_split(task, id)
             if id
@@ -222,7 +225,9 @@ def parse_registry(text: str, source: str) -> RegistryFile:
             next_step="upgrade with `pip install --upgrade assistax-zoo`",
         )
     try:
-        return RegistryFile.model_validate_json(first_schema(text) if version == 1 else text)
+        if version == 1:  # which has no roots of its own
+            return with_roots(RegistryFile.model_validate_json(first_schema(text)))
+        return RegistryFile.model_validate_json(text)
     except ValidationError as error:
         raise _registry_error(source, first_problem(error)) from None
 

@@ -77,7 +77,7 @@ def root_problems(data: RegistryFile) -> list[str]:
         f"release {name}: expected root {release.root}, found {found}; an entry, a split, a "
         "setting or the provenance of a run was changed, added or removed"
         for name, release in data.releases.items()
-        if release.root and (found := release_root(data, name)) != release.root
+        if (found := release_root(data, name)) != release.root
     ]
 
 

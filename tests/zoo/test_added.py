@@ -9,7 +9,7 @@ import pytest
 from assistax_zoo.main import run
 from tests.zoo.hub_server import Hub
 from zoo.added import add, remove
-from zoo.errors import IdError, IntegrityError, RemoteError, UnknownIdError
+from zoo.errors import IdError, IntegrityError, RemoteError, SplitError, UnknownIdError
 from zoo.fetch import ensure_local, fetch
 from zoo.locations import default_remote, set_default_remote
 from zoo.lock import apply_lock, make_lock
@@ -96,6 +96,7 @@ def test_their_splits_and_locks_are_theirs(
     lab: Registry, registry: Registry, teams, publish_to
 ) -> None:
     publish_to(teams(("mappo",)), lab.path)
+    ours = make_lock(registry, registry.policies)
     add(str(lab.path.parent), "lab")
     both = load_registry()
     split = both.split("scratch", release="lab:v0")
@@ -103,6 +104,10 @@ def test_their_splits_and_locks_are_theirs(
     assert both.split("scratch", split.id) == split != both.split("scratch")
     assert all(team.startswith("lab:") and team in both.data.teams for team in split.train)
     assert both.split("scratch") == registry.split("scratch")
+    alone = apply_lock(both, ours, task="scratch")  # a lock from before the zoo was added
+    assert alone.policies == registry.policies and alone.root("v0") == ours.root
+    with pytest.raises(SplitError, match="lab:scratch/half"):
+        alone.split("scratch", split.id)
     lock = make_lock(both, both.select(release="lab:v0", algorithm="mappo"))
     assert lock.root == both.root("lab:v0")
     narrowed = apply_lock(both, lock, task="scratch")

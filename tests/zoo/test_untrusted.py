@@ -1,6 +1,5 @@
 """Files from elsewhere: bounds hold before parsing, and no text reaches a terminal raw."""
 
-import json
 import os
 import signal
 import subprocess
@@ -17,7 +16,7 @@ from zoo.card import find_cards, markdown_card
 from zoo.errors import FormatError, RegistryError, RemoteError, shorten
 from zoo.fetch import fetch
 from zoo.locations import cached_shard
-from zoo.registry import Registry, load_registry, parse_registry
+from zoo.registry import Registry, load_registry, parse_registry, save_registry
 from zoo.remotes import open_remote
 from zoo.runs import read_run
 from zoo.untrusted import MAX_VALUES
@@ -88,13 +87,13 @@ def test_a_long_value_is_cut_before_it_is_written_out() -> None:
 
 
 def test_escapes_and_links_do_not_leave_a_card(registry: Registry, capsys) -> None:
-    data = json.loads(registry.path.read_text())
     evil = "\x1b]0;owned\x07 [click](javascript:alert(1)) <script>"
-    data["runs"]["scratch-ippo"]["notes"] = {"remark": evil, "\x1b[31m": 1}
-    for release in data["releases"].values():
-        release.pop("root")
-    registry.path.write_text(json.dumps(data))
-    loaded = load_registry(registry.path)
+    run_of_all = registry.data.runs["scratch-ippo"].model_copy(
+        update={"notes": {"remark": evil, "\x1b[31m": 1}}
+    )
+    data = registry.data.model_copy(update={"runs": {"scratch-ippo": run_of_all}})
+    registry.path.unlink()
+    loaded = save_registry(data, registry.path)
     text = markdown_card(find_cards(loaded, "scratch/ippo-d1-s0-v0"))
     assert "\x1b" not in text and "\\[click\\](javascript" in text and "<script" not in text
     assert run(["show", "scratch/ippo-d1-s0-v0", "--registry", str(registry.path)]) == 0
