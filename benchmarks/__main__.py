@@ -13,7 +13,7 @@ from assistax_zoo.console import print_json, stdout_is_data
 def run(arguments: Sequence[str]) -> int:
     """Run one benchmark and return its exit code: 0 done, 1 error, 2 wrong usage."""
     app = App(name="python -m benchmarks", help="Speed on this machine.")
-    for command in (env, evaluate, train, fetch):
+    for command in (env, evaluate, train, fetch, ladder, pages):
         app.command(command)
     try:
         app(arguments, print_error=False, exit_on_error=False, result_action="return_value")
@@ -224,6 +224,66 @@ def fetch(*, policies: int = 1000, json: bool = False) -> None:
         f"  fetch      {row['fetch_seconds']:8.2f} s for all shards; "
         f"{row['fetch_mb_per_second']:.0f} MB/s at best"
     )
+
+
+def ladder(*, attempts: int = 1000, submitters: int = 20, json: bool = False) -> None:
+    """Let submitters climb by a board's answers, with the Ladder and without.
+
+    Args:
+        attempts: Attempts of each submitter.
+        submitters: How many there are; the figures are their means.
+        json: Print JSON.
+
+    Example:
+        python -m benchmarks ladder
+    """
+    from benchmarks.ladder import attack_all
+
+    rows = attack_all(attempts, submitters)
+    if json:
+        print_json(rows)
+        return
+    print(f"{attempts} attempts, {submitters} submitters; gains in points of return")
+    print("shared  attack  board   answers  shown on A  gain on B  largest  half-width on B")
+    for row in rows:
+        print(
+            f"{row['shared']:6.2f}  {row['attack']:6}  {row['board']:6}  {row['answers']:7.1f}  "
+            f"{row['shown']:10.1f}  {row['gain_b']:9.2f}  {row['largest_gain_b']:7.2f}  "
+            f"{row['half_width']:15.2f}"
+        )
+
+
+def pages(
+    *,
+    url: str = "http://127.0.0.1:8000",
+    readers: int = 200,
+    seconds: float = 20.0,
+    json: bool = False,
+) -> None:
+    """Measure how long a running server takes for its pages while many read them.
+
+    Args:
+        url: Address of the server, which `assistax-zoo serve` prints.
+        readers: How many read at once; each opens a page every five seconds or so.
+        seconds: How long they read.
+        json: Print JSON.
+
+    Example:
+        python -m benchmarks pages --url http://127.0.0.1:8000 --readers 200
+    """
+    from benchmarks.pages import read_pages
+
+    _check_seconds(seconds)
+    rows = [dataclasses.asdict(row) for row in read_pages(url, readers, seconds)]
+    if json:
+        print_json(rows)
+        return
+    print(f"{readers} readers for {seconds:g} s; milliseconds until the whole page was there")
+    for row in rows:
+        print(
+            f"{row['page']:22} {row['reads']:6} reads  median {row['median_ms']:7.1f}  "
+            f"p95 {row['p95_ms']:7.1f}  {row['failed']} failed"
+        )
 
 
 def _tasks(task: str) -> tuple[str, ...]:

@@ -193,8 +193,22 @@ def _hidden_answer(
     desk.database.one_at_a_time(connection, f"ladder {row.season} {row.submitter}")
     best = _shown_last(connection, row, job.version)
     new = means(row.id)
-    value = ladder_release(None if best is None else means(best), new)
+    attempt = 1 + _scored_before(connection, row, job.version)
+    value = ladder_release(None if best is None else means(best), new, attempt=attempt)
     return None if value is None else {"mean": value, "n": int(new.size)}
+
+
+def _scored_before(connection: sa.Connection, row: Any, version: str) -> int:
+    """Return how many other submissions of this lab panel A has scored in this season."""
+    s, r = t.scores.c, t.submissions.c
+    query = (
+        sa.select(sa.func.count())
+        .select_from(t.scores)
+        .join(t.submissions, r.id == s.submission)
+        .where(r.season == row.season, r.submitter == row.submitter, r.id != row.id)
+        .where(s.panel == "A", s.version == version)
+    )
+    return connection.execute(query).scalar_one()
 
 
 def _shown_last(connection: sa.Connection, row: Any, version: str) -> str | None:

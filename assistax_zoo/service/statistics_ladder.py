@@ -5,8 +5,10 @@ after a thousand attempts it has learnt the panel and not the task. The Ladder s
 where it beats the team's last shown one by more than chance allows, and shows it rounded. Any
 other attempt is answered with silence, which tells next to nothing.
 
-Blum and Hardt ask for one standard error of the paired losses. A panel has fewer partners than a
-data set has rows, so the bar here is higher: a one-sided t-test at 95%.
+Blum and Hardt ask for one standard error of the paired losses. Here the bar is higher, because it
+must hold for all attempts together: 5% is the chance that any answer in a whole season is luck, and
+attempt t may spend a share 1 / (t (t + 1)) of it. The sum of all shares is 1, however many follow.
+What that buys is measured by `python -m benchmarks ladder`.
 """
 
 import math
@@ -18,7 +20,7 @@ CONFIDENCE = 0.95
 
 
 def ladder_release(
-    best: np.ndarray | None, new: np.ndarray, *, confidence: float = CONFIDENCE
+    best: np.ndarray | None, new: np.ndarray, *, attempt: int, confidence: float = CONFIDENCE
 ) -> float | None:
     """Return what to show of an attempt: its rounded mean, or None for silence.
 
@@ -26,17 +28,22 @@ def ladder_release(
         best: mean return with each partner [P] of the attempt that was shown last; None if the
             team was shown nothing yet. Neither array ever leaves the server.
         new: mean return of this attempt with the same partners, in the same order.
-        confidence: of the paired test over partners.
+        attempt: number of this attempt among the team's scored ones on this panel, from 1.
+        confidence: in all answers of the season together.
 
     Raises:
-        ValueError: fewer than two partners, not finite, or other partners than the best's.
+        ValueError: no such attempt, fewer than two partners, other partners than the best's, or
+            a score that is not finite.
     """
     _check(best, new)
+    if attempt < 1:
+        raise ValueError(f"attempt is {attempt}; the first is 1")
     if best is None:
         return _round(new.mean(), standard_error(new))
     gains = new - best
     error = standard_error(gains)
-    if gains.mean() <= scipy.stats.t.ppf(confidence, gains.size - 1) * error:
+    share = (1 - confidence) / (attempt * (attempt + 1))
+    if gains.mean() <= scipy.stats.t.isf(share, gains.size - 1) * error:
         return None
     return _round(new.mean(), error)
 

@@ -1,0 +1,86 @@
+"""Readers of a running server's pages: how long each page takes while many read."""
+
+import asyncio
+import dataclasses
+import random
+import re
+import time
+
+import httpx2
+import numpy as np
+
+PAUSE = 5.0  # seconds that a reader looks at a page, on average
+
+
+@dataclasses.dataclass(frozen=True)
+class PageSpeed:
+    """How long one kind of page took."""
+
+    page: str
+    reads: int
+    median_ms: float
+    p95_ms: float
+    failed: int
+
+
+def read_pages(url: str, readers: int, seconds: float) -> list[PageSpeed]:
+    """Let readers read for a while and return a row for each kind of page, and one for all."""
+    found = asyncio.run(_read_all(url, readers, seconds))
+    kinds = sorted({kind for kind, _, _ in found})
+    rows = [_row(kind, [one for one in found if one[0] == kind]) for kind in kinds]
+    return [*rows, _row("all", found)]
+
+
+_Read = tuple[str, float, bool]  # kind of page, seconds, whether it came
+
+
+async def _read_all(url: str, readers: int, seconds: float) -> list[_Read]:
+    limits = httpx2.Limits(max_connections=readers)
+    async with httpx2.AsyncClient(base_url=url, limits=limits, timeout=30.0) as client:
+        pages = await _pages(client)
+        for address in pages.values():  # what is computed once is computed before
+            await client.get(address)
+        end = time.monotonic() + seconds
+        readings = [_reader(client, pages, end, random.Random(i)) for i in range(readers)]
+        return [one for reading in await asyncio.gather(*readings) for one in reading]
+
+
+async def _pages(client: httpx2.AsyncClient) -> dict[str, str]:
+    """Return one address of each kind of page that the server has."""
+    home = (await client.get("/")).text
+    tasks = re.findall(r'href="(/tasks/[a-z_]+)"', home)
+    board = (await client.get(tasks[0])).text
+    kinds = {
+        "submission": r'href="(/submissions/\w+)"',
+        "compare": r'href="(/tasks/\w+/compare)"',
+        "explorer": r'href="(/tasks/\w+/explorer)"',
+        "partners": r'href="(/tasks/\w+/partners)"',
+        "season": r'href="(/seasons/\w+)"',
+    }
+    found = {kind: re.search(pattern, board) for kind, pattern in kinds.items()}
+    known = {kind: one[1] for kind, one in found.items() if one}
+    return {"home": "/", "board": tasks[0], "ledger": "/ledger", **known}
+
+
+async def _reader(
+    client: httpx2.AsyncClient, pages: dict[str, str], end: float, rng: random.Random
+) -> list[_Read]:
+    """Open page after page; the first after a part of a pause, so that not all begin at once."""
+    found: list[_Read] = []
+    await asyncio.sleep(rng.uniform(0, PAUSE))
+    while time.monotonic() < end:
+        kind, address = rng.choice(list(pages.items()))
+        began = time.monotonic()
+        try:
+            came = (await client.get(address)).status_code == 200
+        except httpx2.HTTPError:
+            came = False
+        found.append((kind, time.monotonic() - began, came))
+        await asyncio.sleep(rng.uniform(0.5, 1.5) * PAUSE)
+    return found
+
+
+def _row(kind: str, reads: list[_Read]) -> PageSpeed:
+    times = np.array([seconds for _, seconds, _ in reads]) * 1000
+    median, p95 = (float(np.quantile(times, at)) if reads else 0.0 for at in (0.5, 0.95))
+    return PageSpeed(kind, len(reads), median, p95, sum(not came for _, _, came in reads))
