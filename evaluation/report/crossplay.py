@@ -1,7 +1,6 @@
 """The page's sections about a cross-play."""
 
 from collections.abc import Mapping
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,10 @@ from evaluation.plots.matrix import arrange, short_names
 from evaluation.report import html
 from evaluation.report.matrix_data import matrix_data
 
-_VIEWER = """<div class="controls">
+_INTRODUCTION = """<h2>Every robot with every human</h2>
+<p>Point at a cell for the pair, click to hold it. Drag to move; zoom with the buttons, with + and -,
+or with the wheel once the matrix was clicked. Dots and bold figures are self-play.</p>"""
+_VIEWER = html.Html("""<div class="controls">
 <label>order <select id="order"></select></label>
 <label>colour <select id="measure"></select></label>
 <label>find <input id="find" type="search" placeholder="part of an id" size="14"></label>
@@ -22,10 +24,10 @@ _VIEWER = """<div class="controls">
 <span class="scale"><span id="low"></span><i id="ramp"></i><span id="high"></span></span>
 </div>
 <div class="viewer"><canvas id="matrix" tabindex="0" role="img" aria-label="cross-play matrix; the tables below and the
-static figure hold the same values"></canvas><div id="tip" hidden></div></div>"""
+static figure hold the same values"></canvas><div id="tip" hidden></div></div>""")
 
 
-def crossplay_sections(folder: Path, summary: Mapping[str, Any]) -> list[str]:
+def crossplay_sections(folder: Path, summary: Mapping[str, Any]) -> list[html.Html]:
     """Return headline, matrix, tables, strategies and the static figure."""
     pairs, order = (
         tables.read_parquet(folder / tables.PAIRS_FILE),
@@ -40,24 +42,23 @@ def crossplay_sections(folder: Path, summary: Mapping[str, Any]) -> list[str]:
     return [
         _tiles(summary),
         html.notes(summary["notes"]),
-        "<h2>Every robot with every human</h2>",
-        "<p>Point at a cell for the pair, click to hold it. Drag to move; zoom with the buttons, "
-        "with + and -, or with the wheel once the matrix was clicked. Dots and bold figures are "
-        "self-play.</p>",
+        html.Html(_INTRODUCTION),
         _VIEWER,
         _key(data),
         html.embedded("matrix-data", data),
-        "<noscript><p>The matrix needs JavaScript; the static figure below does "
-        "not.</p></noscript>",
-        "<h2>Self-play and cross-play</h2>",
+        html.Html(
+            "<noscript><p>The matrix needs JavaScript; the static figure below does "
+            "not.</p></noscript>"
+            "<h2>Self-play and cross-play</h2>"
+        ),
         html.figures_table(_figures(summary), "return of an episode"),
         _best(summary),
         *(_strategies(strategies) if strategies else []),
-        f"<h2>Static figure</h2>{static}",
+        html.fill("<h2>Static figure</h2>{}", static),
     ]
 
 
-def _tiles(summary: Mapping[str, Any]) -> str:
+def _tiles(summary: Mapping[str, Any]) -> html.Html:
     tiles = []
     for name, key in (("self-play", "self_play"), ("cross-play", "cross_play"), ("gap", "gap")):
         if figure := summary[key]:
@@ -69,18 +70,18 @@ def _tiles(summary: Mapping[str, Any]) -> str:
         )
     best = summary["best_ego"]
     tiles.append(html.tile(f"{best['mean']:.0f}", "best robot, mean return", best["ego"]))
-    return f'<div class="tiles">{"".join(tiles)}</div>'
+    return html.tiles(tiles)
 
 
-def _key(data: Mapping[str, Any]) -> str:
+def _key(data: Mapping[str, Any]) -> html.Html:
     parts = []
     for trait in ("disability", "algorithm"):
-        parts.append(f"<b>{trait}</b>")
+        parts.append(html.fill("<b>{}</b>", trait))
         parts += [
             html.swatch(colour, name + _meaning(name))
             for name, colour in data["palettes"][trait].items()
         ]
-    return f'<div class="key">{"".join(parts)}</div>'
+    return html.fill('<div class="key">{}</div>', html.join(parts))
 
 
 def _meaning(name: str) -> str:
@@ -100,19 +101,19 @@ def _figures(summary: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _best(summary: Mapping[str, Any]) -> str:
+def _best(summary: Mapping[str, Any]) -> html.Html:
     stability = summary["rank_stability"]
     if not stability:
-        return ""
+        return html.Html("")
     text = (
         "Ranking of the robots on random halves of the humans: Kendall's τ "
         f"{stability['tau']:.2f}, between {stability['spread'][0]:.2f} and "
         f"{stability['spread'][1]:.2f} in 95% of {stability['halvings']} halvings."
     )
-    return f"<p>{escape(text)}</p>"
+    return html.fill("<p>{}</p>", text)
 
 
-def _strategies(found: Mapping[str, Any]) -> list[str]:
+def _strategies(found: Mapping[str, Any]) -> list[html.Html]:
     names = [one["partner"] for one in found["partners"]]
     short = dict(zip(names, short_names(names), strict=True))
     headings = [("cluster", ""), ("medoid", ""), ("humans", "")]
@@ -140,15 +141,23 @@ def _strategies(found: Mapping[str, Any]) -> list[str]:
     clear = "" if len(found["clusters"]) > 1 else " None is clear: all are one."
     diversity = found["br_div"]
     parts = [
-        "<h2>Strategies of the humans</h2>",
-        "<p>Behaviour with the best robot of this cross-play: average linkage on features scaled "
-        f"to [0, 1]{silhouette}.{clear} BR-Div: rank {diversity['rank']} of {diversity['n']}, "
-        f"participation ratio {diversity['participation_ratio']:.2f}.</p>",
+        html.Html("<h2>Strategies of the humans</h2>"),
+        html.fill(
+            "<p>Behaviour with the best robot of this cross-play: average linkage on features "
+            "scaled to [0, 1]{}.{} BR-Div: rank {} of {}, participation ratio {}.</p>",
+            silhouette,
+            clear,
+            diversity["rank"],
+            diversity["n"],
+            f"{diversity['participation_ratio']:.2f}",
+        ),
         html.table(headings, rows),
-        "<p>A diverse subset, greedily by log-determinant: "
-        f"{escape(', '.join(found['diverse_subset']))}.</p>",
+        html.fill(
+            "<p>A diverse subset, greedily by log-determinant: {}.</p>",
+            ", ".join(found["diverse_subset"]),
+        ),
         _incompatible(found["incompatible"]),
-        "<h3>Each human with its best robot</h3>",
+        html.Html("<h3>Each human with its best robot</h3>"),
         html.table(
             [("human", ""), ("best robot", ""), ("cluster", ""), *headings[3:]], each, sortable=True
         ),
@@ -156,15 +165,17 @@ def _strategies(found: Mapping[str, Any]) -> list[str]:
     return [part for part in parts if part]
 
 
-def _incompatible(pair: Mapping[str, Any] | None) -> str:
+def _incompatible(pair: Mapping[str, Any] | None) -> html.Html:
     if not pair:
-        return ""
+        return html.Html("")
     own, exchanged = (
         " and ".join(f"{value:.0f}" for value in pair[key])
         for key in ("returns", "returns_exchanged")
     )
-    first, second = (escape(name) for name in pair["partners"])
-    return (
-        f"<p>The most incompatible two: <b>{first}</b> and <b>{second}</b>. With their best robots "
-        f"they earn {own}, with the robots exchanged {exchanged}.</p>"
+    return html.fill(
+        "<p>The most incompatible two: <b>{}</b> and <b>{}</b>. With their best robots they earn "
+        "{}, with the robots exchanged {}.</p>",
+        *pair["partners"],
+        own,
+        exchanged,
     )

@@ -1,7 +1,6 @@
 """The page's sections about the evaluation of a robot."""
 
 from collections.abc import Mapping
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from evaluation.report import html
 _MEASURES = (("success", "of episodes"), ("force_mean", "N"), ("force_peak", "N"))
 
 
-def evaluation_sections(folder: Path, summary: Mapping[str, Any]) -> list[str]:
+def evaluation_sections(folder: Path, summary: Mapping[str, Any]) -> list[html.Html]:
     """Return headline, figures, tables and partners."""
     name = folder.resolve().name
     partners = tables.read_parquet(folder / tables.PARTNERS_FILE)
@@ -24,17 +23,17 @@ def evaluation_sections(folder: Path, summary: Mapping[str, Any]) -> list[str]:
         _tiles(summary),
         html.notes(summary["notes"]),
         _policies(summary),
-        "<h2>Return with partners it never met</h2>",
+        html.Html("<h2>Return with partners it never met</h2>"),
         html.figures_table(_figures(summary), "return of an episode"),
         *(_references(summary) if summary.get("references") else []),
-        f"<h2>Figures</h2>{_drawn(folder, name, summary)}",
-        "<h2>Each partner</h2>",
-        "<p>Means over robots and episodes. A click on a heading sorts.</p>",
+        html.fill("<h2>Figures</h2>{}", _drawn(folder, name, summary)),
+        html.Html("<h2>Each partner</h2>"),
+        html.Html("<p>Means over robots and episodes. A click on a heading sorts.</p>"),
         _partners(folder, partners),
     ]
 
 
-def _tiles(summary: Mapping[str, Any]) -> str:
+def _tiles(summary: Mapping[str, Any]) -> html.Html:
     tiles = []
     for name, key in (
         ("M_test, IQM", "m_test"),
@@ -51,13 +50,13 @@ def _tiles(summary: Mapping[str, Any]) -> str:
         )
     worst = summary["worst_partner"]
     tiles.append(html.tile(f"{worst['mean']:.0f}", "worst partner, mean", worst["partner"]))
-    return f'<div class="tiles">{"".join(tiles)}</div>'
+    return html.tiles(tiles)
 
 
-def _policies(summary: Mapping[str, Any]) -> str:
-    listed = ", ".join(f"<code>{escape(name)}</code>" for name in summary["egos"])
+def _policies(summary: Mapping[str, Any]) -> html.Html:
+    listed = html.join((html.fill("<code>{}</code>", name) for name in summary["egos"]), ", ")
     what = "Policy" if len(summary["egos"]) == 1 else f"{len(summary['egos'])} seeds of one method"
-    return f"<p>{what}: {listed}</p>"
+    return html.fill("<p>{}: {}</p>", what, listed)
 
 
 def _figures(summary: Mapping[str, Any]) -> dict[str, Any]:
@@ -72,17 +71,20 @@ def _figures(summary: Mapping[str, Any]) -> dict[str, Any]:
     return figures
 
 
-def _references(summary: Mapping[str, Any]) -> list[str]:
+def _references(summary: Mapping[str, Any]) -> list[html.Html]:
     relative = summary["relative"]
     own = {"these policies": summary[f"m_{summary['side']}"]}
     compared = {name.replace("_", " "): figure for name, figure in summary["references"].items()}
     shares = {"normalised return": relative["normalised_return"], "BR-Prox": relative["br_prox"]}
     sources = ", ".join(f"{name} for {count}" for name, count in relative["bounds"]["best"].items())
     parts = [
-        "<h2>What that means</h2>",
-        f"<p>Reference egos with the same {summary['side']} partners and episodes. The best "
-        f"response is the best robot known with each partner: {escape(sources)} of them; a lower "
-        "bound of the true one.</p>",
+        html.Html("<h2>What that means</h2>"),
+        html.fill(
+            "<p>Reference egos with the same {} partners and episodes. The best response is the "
+            "best robot known with each partner: {} of them; a lower bound of the true one.</p>",
+            summary["side"],
+            sources,
+        ),
         html.figures_table(own | compared, "return of an episode"),
         html.figures_table(shares, "0 is zero action, 1 the best response", digits=2),
     ]
@@ -91,19 +93,24 @@ def _references(summary: Mapping[str, Any]) -> list[str]:
         share = covered["value_ci"]
         ends = f", 95% {share[0]:.0%} to {share[1]:.0%}" if share else ""
         parts.append(
-            f"<p>Within {covered['epsilon']:.0%} of the best response with {covered['value']:.0%} "
-            f"of partners{ends}. Mean regret {relative['regret']['mean']:.1f}, the largest "
-            f"{worst['regret']:.1f} with <code>{escape(worst['partner'])}</code>.</p>"
+            html.fill(
+                "<p>Within {} of the best response with {} of partners{}. Mean regret {}, the "
+                "largest {} with <code>{}</code>.</p>",
+                f"{covered['epsilon']:.0%}",
+                f"{covered['value']:.0%}",
+                ends,
+                f"{relative['regret']['mean']:.1f}",
+                f"{worst['regret']:.1f}",
+                worst["partner"],
+            )
         )
     if relative["unscorable"]:
-        parts.append(
-            "<p>Unscorable, best response at or below L: "
-            f"{escape(', '.join(relative['unscorable']))}.</p>"
-        )
+        named = ", ".join(relative["unscorable"])
+        parts.append(html.fill("<p>Unscorable, best response at or below L: {}.</p>", named))
     return parts
 
 
-def _drawn(folder: Path, name: str, summary: Mapping[str, Any]) -> str:
+def _drawn(folder: Path, name: str, summary: Mapping[str, Any]) -> html.Html:
     named = {name: summary}
     profile = {name: tables.read_parquet(folder / tables.PROFILE_FILE)}
     caption = f"Band: pointwise 95% bootstrap.\n{provenance(named)}"
@@ -115,10 +122,10 @@ def _drawn(folder: Path, name: str, summary: Mapping[str, Any]) -> str:
             "performance profile",
         ),
     ]
-    return f'<div class="figures">{"".join(drawn)}</div>'
+    return html.fill('<div class="figures">{}</div>', html.join(drawn))
 
 
-def _partners(folder: Path, partners: pl.DataFrame) -> str:
+def _partners(folder: Path, partners: pl.DataFrame) -> html.Html:
     headings = [("partner", ""), ("side", ""), ("disability", ""), ("mean return", "")]
     headings += [(name.replace("_", " "), unit) for name, unit in _MEASURES]
     columns = ["partner", "side", "partner_disability", "return", *(name for name, _ in _MEASURES)]

@@ -2,7 +2,6 @@
 
 import hashlib
 from collections.abc import Mapping
-from html import escape
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -42,19 +41,12 @@ def write_report(folder: Path, path: Path) -> None:
     tables.write_bytes(text.encode(), path)
 
 
-def _page(title: str, head: str, sections: list[str]) -> str:
-    assets = resources.files("evaluation.report") / "assets"
-    css, sorting, matrix = (
-        (assets / name).read_text("utf-8") for name in ("report.css", "tables.js", "matrix.js")
-    )
-    body = "\n".join(sections)
-    scripts = [sorting, matrix] if 'id="matrix-data"' in body else [sorting]
-    return f"""<!doctype html>
+_PAGE = """<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{escape(title)}</title>
+<title>{title}</title>
 <link rel="icon" href="data:,">
 <style>
 {css}</style>
@@ -66,13 +58,25 @@ def _page(title: str, head: str, sections: list[str]) -> str:
 <main>
 {body}
 </main>
-{"".join(f"<script>{script}</script>" for script in scripts)}
+{scripts}
 </body>
 </html>
 """
 
 
-def _head(title: str, folder: Path, summary: Mapping[str, Any]) -> str:
+def _page(title: str, head: html.Html, sections: list[html.Html]) -> html.Html:
+    assets = resources.files("evaluation.report") / "assets"
+    css, sorting, matrix = (
+        html.Html((assets / name).read_text("utf-8"))
+        for name in ("report.css", "tables.js", "matrix.js")
+    )
+    body = html.join(sections, "\n")
+    scripts = [sorting, matrix] if 'id="matrix-data"' in body else [sorting]
+    run = html.join(html.fill("<script>{}</script>", script) for script in scripts)
+    return html.fill(_PAGE, title=title, css=css, head=head, body=body, scripts=run)
+
+
+def _head(title: str, folder: Path, summary: Mapping[str, Any]) -> html.Html:
     run = _run(folder)
     facts = [
         f"release {summary['release']}",
@@ -83,19 +87,19 @@ def _head(title: str, folder: Path, summary: Mapping[str, Any]) -> str:
         *([f"split {summary['split']['id']}"] if summary["split"] else []),
         *([run["date"].partition("T")[0]] if run else []),
     ]
-    return f"<h1>{escape(title)}</h1>\n{html.chips(facts)}"
+    return html.fill("<h1>{}</h1>\n{}", title, html.chips(facts))
 
 
-def _origin(folder: Path, summary: Mapping[str, Any]) -> str:
+def _origin(folder: Path, summary: Mapping[str, Any]) -> html.Html:
     """Return how the figures came about: command, versions, hashes."""
     run = _run(folder)
     manifest = read_manifest(folder) or {}
     identity = manifest.get("identity", {})
-    parts = ["<h2>How to repeat it</h2>"]
+    parts = [html.Html("<h2>How to repeat it</h2>")]
     if run:
-        parts.append(f"<pre>{escape(run['command'])}</pre>")
+        parts.append(html.fill("<pre>{}</pre>", run["command"]))
         machine = f"Python {run['python']}, {run['platform']}, {', '.join(run['devices'])}; finished {run['date']}"
-        parts.append(f'<p class="muted">{escape(machine)}</p>')
+        parts.append(html.fill('<p class="muted">{}</p>', machine))
         parts.append(
             html.table(
                 [("package", ""), ("version", "")], [list(row) for row in run["versions"].items()]
@@ -106,24 +110,37 @@ def _origin(folder: Path, summary: Mapping[str, Any]) -> str:
         rows: list[list[html.Cell]] = [
             [name, str(identity[name])] for name in settings if name in identity
         ]
-        parts += ["<h3>Settings</h3>", html.table([("setting", ""), ("value", "")], rows)]
+        parts += [
+            html.Html("<h3>Settings</h3>"),
+            html.table([("setting", ""), ("value", "")], rows),
+        ]
     hashes: list[list[html.Cell]] = [
         [name, digest] for name, digest in _hashes(folder, summary, manifest).items()
     ]
+<<<<<<< HEAD
     parts += ["<h3>Hashes (sha256)</h3>", html.table([("what", ""), ("sha256", "")], hashes)]
     if identity:
         members: list[list[html.Cell]] = [["robot", row[0], row[1]] for row in identity["egos"]]
         members += [["human", row[0], row[3]] for row in identity["partners"]]
+=======
+    parts += [
+        html.Html("<h3>Hashes (sha256)</h3>"),
+        html.table([("what", ""), ("sha256", "")], hashes),
+    ]
+    if manifest:
+        members: list[list[html.Cell]] = [["robot", row[0], row[-1]] for row in manifest["egos"]]
+        members += [["human", row[0], row[-1]] for row in manifest["partners"]]
+>>>>>>> b70f9a3 (The report escapes by construction: what is not marked as HTML is text, wherever it enters the page)
         listed = html.table([("seat", ""), ("policy", ""), ("sha256", "")], members, sortable=True)
-        parts.append(
-            f"<details><summary>{len(members)} policies with their "
-            f"hashes</summary>{listed}</details>"
-        )
+        told = "<details><summary>{} policies with their hashes</summary>{}</details>"
+        parts.append(html.fill(told, len(members), listed))
     parts.append(
-        "<footer>Made by assistax-zoo from saved tables; this page loads nothing from "
-        "elsewhere.</footer>"
+        html.Html(
+            "<footer>Made by assistax-zoo from saved tables; this page loads nothing from "
+            "elsewhere.</footer>"
+        )
     )
-    return "\n".join(parts)
+    return html.join(parts, "\n")
 
 
 def _hashes(

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
@@ -13,11 +14,12 @@ import pytest
 from evaluation import derived, relative, tables
 from evaluation.provenance import write_run
 from evaluation.report import write_report
-from evaluation.report.html import embedded
+from evaluation.report.html import Html, embedded, fill, join
 from evaluation.report.matrix_data import matrix_data
 from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, team_id, teams
 from tests.system import CHROMIUM, needs
 
+ROOT = Path(__file__).parents[2]
 HOSTILE = "python:my</script><script>alert(1)</script>&amp;:f"
 COMMAND = "assistax-zoo crossplay --task scratch --out 'x & <y>'"
 
@@ -121,6 +123,59 @@ def test_ids_cannot_break_out_of_the_page(evaluation: Path, tmp_path: Path):
     assert "</script" not in embedded("x", {"id": HOSTILE}).removesuffix("</script>")
     body = embedded("x", {"id": HOSTILE}).partition(">")[2].removesuffix("</script>")
     assert json.loads(body) == {"id": HOSTILE}
+
+
+def attack(folder: Path, name: str, path: tuple[str, ...], value: Any) -> None:
+    """Replace one field of a received file."""
+    content = tables.read_json(folder / name)
+    inner = content
+    for key in path[:-1]:
+        inner = inner[key]
+    assert path[-1] in inner
+    inner[path[-1]] = value
+    tables.write_json(content, folder / name)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "path"),
+    [
+        ("crossplay", tables.STRATEGIES_FILE, ("br_div", "rank")),
+        ("crossplay", tables.STRATEGIES_FILE, ("diverse_subset",)),
+        ("crossplay", tables.SUMMARY_FILE, ("release",)),
+        ("crossplay", tables.SUMMARY_FILE, ("best_ego", "ego")),
+        ("evaluation", tables.SUMMARY_FILE, ("notes",)),
+        ("evaluation", tables.SUMMARY_FILE, ("episodes_per_pair",)),
+    ],
+)
+def test_no_field_of_a_received_folder_runs_in_the_page(
+    kind: str, name: str, path: tuple[str, ...], request: pytest.FixtureRequest, tmp_path: Path
+):
+    folder = Path(shutil.copytree(request.getfixturevalue(kind), tmp_path / "received"))
+    clean = Links(page_of(folder, tmp_path)).tags.count("script")
+    listed = path[-1] in ("notes", "diverse_subset")
+    attack(folder, name, path, [HOSTILE] if listed else HOSTILE)
+    text = page_of(folder, tmp_path)
+    assert "<script>alert" not in text and "&lt;script&gt;alert" in text
+    assert Links(text).tags.count("script") == clean
+
+
+def test_the_evaluated_side_is_text_like_any_other(evaluation: Path, tmp_path: Path):
+    folder = Path(shutil.copytree(evaluation, tmp_path / "received"))
+    content = tables.read_json(folder / tables.SUMMARY_FILE)
+    content["side"], content[f"m_{HOSTILE}"] = HOSTILE, content["m_test"]
+    tables.write_json(content, folder / tables.SUMMARY_FILE)
+    text = page_of(folder, tmp_path)
+    assert "<script>alert" not in text and "&lt;script&gt;alert" in text
+
+
+def test_what_is_not_marked_as_html_is_escaped_wherever_it_enters():
+    piece = fill("<p>{} {}</p>", "<b>", Html("<i>"))
+    assert piece == "<p>&lt;b&gt; <i></p>"
+    assert join([piece, "<b>"]) == f"{piece}&lt;b&gt;"
+    assert fill("{}", f"<p>{'<b>'}</p>") == "&lt;p&gt;&lt;b&gt;&lt;/p&gt;"  # a forgotten mark shows
+    for path in (ROOT / "evaluation" / "report").glob("*.py"):
+        code = path.read_text(encoding="utf-8")
+        assert not re.search(r"Html\(\s*f[\"']", code) or path.name == "html.py", path
 
 
 def test_the_matrix_holds_the_saved_pairs_in_every_order(crossplay: Path):
