@@ -22,8 +22,10 @@ if TYPE_CHECKING:
         load_result,
     )
     from assistax_zoo.studies import cross_play, evaluate
+    from assistax_zoo.training import train_ego
     from assistax_zoo.zoos import Zoo, fetch, open_zoo
     from evaluation.partners import Partner
+    from population.team_training import train_teams as train
 
 __all__ = [
     "Comparison",
@@ -38,6 +40,8 @@ __all__ = [
     "load_result",
     "open_zoo",
     "render",
+    "train",
+    "train_ego",
 ]
 
 _HOMES = {
@@ -52,17 +56,20 @@ _HOMES = {
         "load_result",
     ),
     "assistax_zoo.films": ("render",),
+    "assistax_zoo.training": ("train_ego",),
+    "population.team_training": ("train_teams",),
 }
 
 
 def __getattr__(name: str) -> Any:
     """Load a name's module when the name is first used."""
+    wanted = {"train": "train_teams"}.get(name, name)
     for home, names in _HOMES.items():
-        if name in names:
+        if wanted in names and name in __all__:
             from assistax_zoo.shadows import refuse_shadows
 
             refuse_shadows()
-            return getattr(importlib.import_module(home), name)
+            return getattr(importlib.import_module(home), wanted)
     offered = ", ".join(__all__)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it offers {offered}")
 

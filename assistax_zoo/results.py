@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Any, Literal
 import polars as pl
 
 from evaluation import tables
-from evaluation.summary import summarise_comparison
+from evaluation.bootstrap import Estimate
+from evaluation.relative import References, Relative
+from evaluation.summary import (
+    BestEgo,
+    ComparisonSummary,
+    CrossPlaySummary,
+    EvaluationSummary,
+    NamedWorst,
+    read_summary,
+    summarise_comparison,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -81,7 +91,7 @@ class _Result:
         shutil.copytree(self.folder, partial)
         return partial.rename(target)
 
-    def _figures(self) -> dict[str, Any]:
+    def _figures(self) -> dict[str, Estimate | None]:
         """Return the headline figures by name."""
         raise NotImplementedError
 
@@ -92,7 +102,7 @@ class _Result:
     def _repr_html_(self) -> str:
         from evaluation.report import html
 
-        figures = {name: figure for name, figure in self._figures().items() if figure}
+        figures = {name: vars(figure) for name, figure in self._figures().items() if figure}
         table = html.figures_table(figures, f"{self.summary.task}: return of an episode")
         return f"{table}{html.notes(self.notes)}"
 
@@ -100,43 +110,45 @@ class _Result:
 class EvaluationResult(_Result):
     """M_test of a robot, or of the seeds of one method."""
 
+    summary: EvaluationSummary
+
     @property
-    def m_test(self) -> Any:
+    def m_test(self) -> Estimate | None:
         """Return with partners of the test side, None if none played: mean, IQM, intervals, n."""
         return self.summary.m_test
 
     @property
-    def m_train(self) -> Any:
+    def m_train(self) -> Estimate | None:
         """The same with partners of the training side."""
         return self.summary.m_train
 
     @property
-    def gap(self) -> Any:
+    def gap(self) -> Estimate | None:
         """`m_train` less `m_test`, where both played."""
         return self.summary.gap
 
     @property
-    def by_algorithm(self) -> dict[str, Any]:
+    def by_algorithm(self) -> dict[str, Estimate]:
         """The return with the partners of each algorithm."""
         return self.summary.by_algorithm
 
     @property
-    def by_disability(self) -> dict[str, Any]:
+    def by_disability(self) -> dict[str, Estimate]:
         """The return with the partners of each disability setting."""
         return self.summary.by_disability
 
     @property
-    def worst_partner(self) -> Any:
+    def worst_partner(self) -> NamedWorst:
         """The partner with the lowest mean return: `partner`, `mean` and what it is."""
         return self.summary.worst_partner
 
     @property
-    def references(self) -> Any:
+    def references(self) -> References | None:
         """Returns of zero and random actions and of each partner's own robot, if they played."""
         return self.summary.references
 
     @property
-    def relative(self) -> Any:
+    def relative(self) -> Relative | None:
         """The return on the scale from zero action to best response, if references played."""
         return self.summary.relative
 
@@ -157,7 +169,7 @@ class EvaluationResult(_Result):
 
         return evaluation_figure([self.folder], kind, Path(path))
 
-    def _figures(self) -> dict[str, Any]:
+    def _figures(self) -> dict[str, Estimate | None]:
         sides = {"M_test": self.m_test, "M_train": self.m_train, "M_train - M_test": self.gap}
         return {**sides, **self.by_disability}
 
@@ -165,23 +177,25 @@ class EvaluationResult(_Result):
 class CrossPlayResult(_Result):
     """Every robot of a population with every human."""
 
+    summary: CrossPlaySummary
+
     @property
-    def self_play(self) -> Any:
+    def self_play(self) -> Estimate | None:
         """Return of robots with the humans they were trained with: mean, IQM, intervals, n."""
         return self.summary.self_play
 
     @property
-    def cross_play(self) -> Any:
+    def cross_play(self) -> Estimate | None:
         """Return of robots with all other humans."""
         return self.summary.cross_play
 
     @property
-    def gap(self) -> Any:
+    def gap(self) -> Estimate | None:
         """`self_play` less `cross_play`."""
         return self.summary.gap
 
     @property
-    def best_ego(self) -> Any:
+    def best_ego(self) -> BestEgo:
         """The robot with the highest mean return: `ego` and `mean`."""
         return self.summary.best_ego
 
@@ -204,25 +218,20 @@ class CrossPlayResult(_Result):
 
         return crossplay_figure(self.folder, Path(path), order)
 
-    def _figures(self) -> dict[str, Any]:
+    def _figures(self) -> dict[str, Estimate | None]:
         names = {"self-play": self.self_play, "cross-play": self.cross_play}
         return {**names, "self-play - cross-play": self.gap}
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class Comparison:
+class Comparison(ComparisonSummary):
     """Method a minus method b: paired differences over the same partners and episodes."""
 
     task: str
-    test: Any  # with the test partners, None if not both met them
-    train: Any
-    notes: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures as `compare --json` prints them."""
-        found = {"test": self.test, "train": self.train}
-        sides = {side: figure for side, figure in found.items() if figure}
-        return {"task": self.task, **sides, "notes": list(self.notes)}
+        return tables.to_json(self)
 
     def __repr__(self) -> str:
         sides = {"test": self.test, "train": self.train}
@@ -238,12 +247,10 @@ def load_result(folder: Path | str) -> EvaluationResult | CrossPlayResult:
         ValueError: A file of it is damaged, or it is neither an evaluation nor a cross-play.
     """
     folder = Path(folder)
-    summary = tables.read_json(folder / tables.SUMMARY_FILE)
-    if "m_test" in summary:
-        return EvaluationResult(fields(summary), folder)
-    if "cross_play" in summary:
-        return CrossPlayResult(fields(summary), folder)
-    raise ValueError(f"{folder} holds neither an evaluation nor a cross-play")
+    summary = read_summary(folder)
+    if isinstance(summary, EvaluationSummary):
+        return EvaluationResult(summary, folder)
+    return CrossPlayResult(summary, folder)
 
 
 def compare(
@@ -267,9 +274,8 @@ def compare(
                 f"{name} is {found[0]} in {first.folder} and {found[1]} in {second.folder}; "
                 "evaluate both methods alike"
             )
-    found = tables.to_json(summarise_comparison(first.episodes, second.episodes, seed=seed))
-    sides = {side: fields(found[side]) for side in tables.SIDES}
-    return Comparison(first.summary.task, **sides, notes=tuple(found["notes"]))
+    summary = summarise_comparison(first.episodes, second.episodes, seed=seed)
+    return Comparison(**vars(summary), task=first.summary.task)
 
 
 def _evaluation(result: "EvaluationResult | Path | str") -> EvaluationResult:
@@ -279,18 +285,6 @@ def _evaluation(result: "EvaluationResult | Path | str") -> EvaluationResult:
     return found
 
 
-def _brief(figure: Any) -> str:
-    ends = figure["iqm_ci"]
-    return f"{figure['iqm']:.1f}" + (f" [{ends[0]:.1f}, {ends[1]:.1f}]" if ends else "")
-
-
-class _Fields(dict):
-    def __getattr__(self, name: str) -> Any:
-        return self[name]
-
-
-def fields(value: Any) -> Any:
-    """Return JSON values whose objects have their keys as attributes."""
-    if isinstance(value, dict):
-        return _Fields({name: fields(item) for name, item in value.items()})
-    return value
+def _brief(figure: Estimate) -> str:
+    ends = figure.iqm_ci
+    return f"{figure.iqm:.1f}" + (f" [{ends[0]:.1f}, {ends[1]:.1f}]" if ends else "")

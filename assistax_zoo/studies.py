@@ -6,14 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from assistax_zoo.console import cache_folder, command_line, study_progress
-from assistax_zoo.results import CrossPlayResult, EvaluationResult, TemporaryFolder, fields
+from assistax_zoo.results import CrossPlayResult, EvaluationResult, TemporaryFolder
 from assistax_zoo.zoos import Zoo, open_zoo
 from evaluation.provenance import write_run
 from evaluation.runner import Progress
 from evaluation.studies import Settings, choose_partners, evaluate_policies
 from evaluation.studies import cross_play as play_population
 from evaluation.summary import CrossPlaySummary
-from evaluation.tables import to_json
 from population.ray_blocks import RayCluster
 
 Shown = bool | Callable[[Progress], None]
@@ -109,7 +108,7 @@ def evaluate(
             on_progress=on_progress,
         )
     write_run(folder, command_line(), simulated=summary.env_steps_per_second is not None)
-    return EvaluationResult(fields(to_json(summary)), folder, keep)
+    return EvaluationResult(summary, folder, keep)
 
 
 def cross_play(
@@ -170,7 +169,7 @@ def cross_play(
         )
     assert isinstance(summary, CrossPlaySummary)  # no block was asked for
     write_run(folder, command_line(), simulated=summary.env_steps_per_second is not None)
-    return CrossPlayResult(fields(to_json(summary)), folder, keep)
+    return CrossPlayResult(summary, folder, keep)
 
 
 def play_block(

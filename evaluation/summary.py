@@ -3,9 +3,12 @@
 import dataclasses
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import polars as pl
+from pydantic import TypeAdapter, ValidationError
 
 from evaluation import tables
 from evaluation.bootstrap import Draws, Estimate, Interval
@@ -82,7 +85,7 @@ class EvaluationSummary(Summary, ZeroShot):
     `side` is the test side, or the training side if only that was played.
     """
 
-    side: str
+    side: Literal["train", "test"]
     by_algorithm: dict[str, Estimate]
     by_disability: dict[str, Estimate]
     fairness: Fairness | None  # None with a single disability setting
@@ -119,6 +122,31 @@ class ComparisonSummary:
     test: Difference | None
     train: Difference | None
     notes: tuple[str, ...]
+
+
+def read_summary(folder: Path) -> EvaluationSummary | CrossPlaySummary:
+    """Return the summary of a folder, which somebody else may have written: every field checked.
+
+    Raises:
+        FileNotFoundError: There is none, or it is not finished.
+        ValueError: It is damaged, or neither of an evaluation nor of a cross-play.
+    """
+    content = tables.read_json(folder / tables.SUMMARY_FILE)
+    kind = EvaluationSummary if "m_test" in content else CrossPlaySummary
+    if kind is CrossPlaySummary and "cross_play" not in content:
+        raise ValueError(
+            f"{folder} holds neither an evaluation nor a cross-play; see `assistax-zoo evaluate "
+            "--help`"
+        )
+    try:
+        return TypeAdapter(kind).validate_python(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"]))
+        raise ValueError(
+            f"{folder / tables.SUMMARY_FILE} is damaged, or of another version: {place}: "
+            f"{first['msg']}; run again"
+        ) from None
 
 
 def without_own(table: pl.DataFrame) -> pl.DataFrame:

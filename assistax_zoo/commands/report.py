@@ -1,9 +1,12 @@
 """What finished folders tell: differences of two methods, strategies of partners, and a page for people."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from assistax_zoo.console import print_json
+
+if TYPE_CHECKING:
+    from evaluation.metrics import Difference
 
 
 def compare(a: Path, b: Path, /, *, seed: int = 0, json: bool = False) -> None:
@@ -72,13 +75,12 @@ def report(folder: Path, /, *, out: Path) -> None:
     print(out)
 
 
-def _print_difference(side: str, figure: dict[str, Any]) -> None:
-    interval = "" if figure["mean_ci"] is None else " [{:+.1f}, {:+.1f}]".format(*figure["mean_ci"])
-    chance = "" if figure["p_positive"] is None else f", P(A > B) {figure['p_positive']:.3f}"
+def _print_difference(side: str, found: "Difference") -> None:
+    interval = "" if found.mean_ci is None else " [{:+.1f}, {:+.1f}]".format(*found.mean_ci)
+    chance = "" if found.p_positive is None else f", P(A > B) {found.p_positive:.3f}"
     print(
-        f"  {side:5} partners: mean {figure['mean']:+.1f}{interval}, 95% for new "
-        f"{figure['generalises_to']}{chance}; better with {figure['partners_better']:.0%} of "
-        "partners"
+        f"  {side:5} partners: mean {found.mean:+.1f}{interval}, 95% for new "
+        f"{found.generalises_to}{chance}; better with {found.partners_better:.0%} of partners"
     )
 
 

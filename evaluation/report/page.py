@@ -11,6 +11,7 @@ from evaluation.provenance import read_manifest
 from evaluation.report import html
 from evaluation.report.crossplay import crossplay_sections
 from evaluation.report.evaluation import evaluation_sections
+from evaluation.summary import EvaluationSummary, read_summary
 
 
 def write_report(folder: Path, path: Path) -> None:
@@ -24,19 +25,15 @@ def write_report(folder: Path, path: Path) -> None:
         raise ValueError(
             f"{path.name} ends in {path.suffix or 'nothing'!r}; a report is written as .html"
         )
-    summary = tables.read_json(folder / tables.SUMMARY_FILE)
-    if "m_test" in summary:
+    found = read_summary(folder)
+    summary = tables.to_json(found)
+    if isinstance(found, EvaluationSummary):
         title, sections = (
-            f"Zero-shot evaluation: {summary['task']}",
+            f"Zero-shot evaluation: {found.task}",
             evaluation_sections(folder, summary),
         )
-    elif "cross_play" in summary:
-        title, sections = f"Cross-play: {summary['task']}", crossplay_sections(folder, summary)
     else:
-        raise ValueError(
-            f"{folder} holds neither an evaluation nor a cross-play; see `assistax-zoo evaluate "
-            "--help`"
-        )
+        title, sections = f"Cross-play: {found.task}", crossplay_sections(folder, summary)
     text = _page(title, _head(title, folder, summary), [*sections, _origin(folder, summary)])
     tables.write_bytes(text.encode(), path)
 
@@ -117,20 +114,13 @@ def _origin(folder: Path, summary: Mapping[str, Any]) -> html.Html:
     hashes: list[list[html.Cell]] = [
         [name, digest] for name, digest in _hashes(folder, summary, manifest).items()
     ]
-<<<<<<< HEAD
-    parts += ["<h3>Hashes (sha256)</h3>", html.table([("what", ""), ("sha256", "")], hashes)]
-    if identity:
-        members: list[list[html.Cell]] = [["robot", row[0], row[1]] for row in identity["egos"]]
-        members += [["human", row[0], row[3]] for row in identity["partners"]]
-=======
     parts += [
         html.Html("<h3>Hashes (sha256)</h3>"),
         html.table([("what", ""), ("sha256", "")], hashes),
     ]
-    if manifest:
-        members: list[list[html.Cell]] = [["robot", row[0], row[-1]] for row in manifest["egos"]]
-        members += [["human", row[0], row[-1]] for row in manifest["partners"]]
->>>>>>> b70f9a3 (The report escapes by construction: what is not marked as HTML is text, wherever it enters the page)
+    if identity:
+        members: list[list[html.Cell]] = [["robot", row[0], row[1]] for row in identity["egos"]]
+        members += [["human", row[0], row[3]] for row in identity["partners"]]
         listed = html.table([("seat", ""), ("policy", ""), ("sha256", "")], members, sortable=True)
         told = "<details><summary>{} policies with their hashes</summary>{}</details>"
         parts.append(html.fill(told, len(members), listed))
