@@ -139,7 +139,7 @@ def _hashes(
     hashes = {}
     if summary["split"]:
         hashes[f"split {summary['split']['id']}"] = summary["split"]["sha256"]
-    if manifest:
+    if "job" in manifest:
         hashes["job: policies, settings and software"] = manifest["job"]
     names = (
         tables.EPISODES_FILE,
