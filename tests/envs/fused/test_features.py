@@ -1,12 +1,21 @@
 """What our scenes use little or not at all: planted in small models, against MuJoCo."""
 
+import copy
 import functools
 
 import mujoco
 import numpy as np
 import pytest
 
-from tests.envs.fused.scenes import Engine, States, oracle, relative_error
+from tests.envs.fused.scenes import (
+    Engine,
+    States,
+    oracle,
+    relative_error,
+    scene,
+    sensitivity,
+    team_states,
+)
 
 HEAD = """
 <mujoco>
@@ -169,3 +178,19 @@ def test_parallel_capsules_touch_twice() -> None:
     assert relative_error(got, velocity, states.qvel).max() < 3e-4
     scale = np.abs(sensors).max(axis=1, keepdims=True) + 1.0
     assert (np.abs(sensed - sensors) / scale).max() < 1e-3
+
+
+def test_a_softer_scene_is_another_program() -> None:
+    """Skin that yields, a stiffer trunk, a weaker robot: numbers of the model, not of the engine."""
+    model = copy.copy(scene("scratch"))
+    model.pair_solref[:, 0] = np.linspace(0.02, 0.08, model.npair)
+    model.pair_solimp[:, 0] = np.linspace(0.5, 0.9, model.npair)
+    model.jnt_stiffness[:3] *= 3.0
+    model.dof_damping[:3] *= 3.0
+    model.actuator_gear[:7] *= 0.3
+    states, ranges = team_states("scratch")
+    states, ranges = states[:60], ranges[:60]
+    _, want, _ = oracle(model, states, 1, ranges)
+    error = np.linalg.norm(Engine(model)(states, 1, ranges)[1] - want, axis=1)
+    change = np.linalg.norm(want - states.qvel, axis=1)
+    assert (error / (1e-6 * (1 + change) + sensitivity(model, states, 1, ranges))).max() < 10
