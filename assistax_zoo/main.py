@@ -34,6 +34,7 @@ COMMANDS = {
     "compare": "assistax_zoo.commands.report:compare",
     "strategies": "assistax_zoo.commands.report:strategies",
     "report": "assistax_zoo.commands.report:report",
+    "replay": "assistax_zoo.commands.provenance:replay",
     "train": "assistax_zoo.commands.train:train",
     "train-ego": "assistax_zoo.commands.train_ego:train_ego",
     "sweep": "assistax_zoo.commands.sweep:sweep",

@@ -43,7 +43,10 @@ class Interval:
 
 @dataclasses.dataclass(frozen=True)
 class Draws:
-    """A figure and its replicates; figures replicated on the same resamples subtract to a paired difference."""
+    """A figure and its replicates.
+
+    Figures replicated on the same resamples subtract to a paired difference.
+    """
 
     mean: float
     iqm: float
@@ -73,7 +76,7 @@ class Draws:
 def estimate(
     scores: np.ndarray, *, method: Method = "cluster", resamples: int = RESAMPLES, seed: int = 0
 ) -> Estimate:
-    """IQM and mean of scores [S, P], or [S] for seeds with one partner, with 95% bootstrap intervals.
+    """IQM and mean of scores [S, P], or [S] with one partner, with 95% bootstrap intervals.
 
     `cluster` resamples whole seeds, then partners, because a seed's scores all come from one
     policy; of a single seed only the partners are resampled. `stratified` resamples seeds within
@@ -100,7 +103,10 @@ def estimate(
 def profile_band(
     scores: np.ndarray, thresholds: np.ndarray, *, resamples: int = RESAMPLES, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Pointwise cluster band (low [T], high [T]) of the performance profile of scores [S, P]; None for one score."""
+    """Pointwise cluster band (low [T], high [T]) of the performance profile of scores [S, P].
+
+    None for one score.
+    """
     scores = score_matrix(scores)
     if scores.size == 1:
         return None
@@ -116,7 +122,10 @@ def profile_band(
 def curve_band(
     values: np.ndarray, *, resamples: int = RESAMPLES, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """IQM over seeds at each point of curves [S, T] with its pointwise band: (iqm, low, high); None for one seed."""
+    """IQM over seeds at each point of curves [S, T] with its pointwise band: (iqm, low, high).
+
+    None for one seed.
+    """
     values = score_matrix(values)
     if len(values) == 1:
         return None
@@ -140,7 +149,10 @@ def generalises_to(shape: tuple[int, int], method: Method = "cluster") -> str:
 def interval(
     replicates: np.ndarray, to: str, confidence: float = 0.95
 ) -> tuple[float, float] | None:
-    """Percentile interval of replicates [B]; None if nothing was resampled or over 5% of them are undefined."""
+    """Percentile interval of replicates [B].
+
+    None if nothing was resampled or over 5% of them are undefined.
+    """
     defined = replicates[np.isfinite(replicates)]
     if to == NOTHING or defined.size < 0.95 * replicates.size:
         return None
@@ -149,7 +161,10 @@ def interval(
 
 
 def replicate(values: np.ndarray, counts: Iterable[np.ndarray], to: str) -> Draws:
-    """Evaluate mean and IQM of values [n] on every row of the chunks of counts; `to` is what they generalise to."""
+    """Evaluate mean and IQM of values [n] on every row of the chunks of counts.
+
+    `to` is what they generalise to.
+    """
     values = entries(values)
     parts = [(weighted_mean(values, chunk), weighted_iqm(values, chunk)) for chunk in counts]
     means, iqms = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -163,7 +178,7 @@ def replicate_crossed(
     to: str,
     mask: np.ndarray | None = None,
 ) -> Draws:
-    """Evaluate mean and IQM of a matrix [R, C], or of its cells under `mask`, with rows and columns resampled."""
+    """Replicate a matrix [R, C], or its cells under `mask`, with rows and columns resampled."""
     mask = np.ones(scores.shape, bool) if mask is None else mask
     rows, columns = np.nonzero(mask)
     order = np.argsort(scores[rows, columns], kind="stable")  # sorted once here, not in every chunk
@@ -188,7 +203,10 @@ def draw_counts(units: int, resamples: int, rng: np.random.Generator) -> np.ndar
 def cluster_counts(
     shape: tuple[int, int], resamples: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Counts of whole seeds [B, S] and of partners [B, P]; a single seed or partner is always drawn once."""
+    """Counts of whole seeds [B, S] and of partners [B, P].
+
+    A single seed or partner is always drawn once.
+    """
     rng = np.random.default_rng(seed)
     return draw_counts(shape[0], resamples, rng), draw_counts(shape[1], resamples, rng)
 
@@ -212,7 +230,7 @@ def stratified_counts(shape: tuple[int, int], resamples: int, seed: int) -> Iter
 def crossed_counts(
     row_counts: np.ndarray, column_counts: np.ndarray, rows: np.ndarray, columns: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Yield chunks [b, n] of counts of the cells at (rows [n], columns [n]), where rows and columns were resampled."""
+    """Yield chunks [b, n] of counts of cells (rows [n], columns [n]), where both were resampled."""
     for chunk in _chunks(len(row_counts), rows.size):
         counts = np.take(row_counts[chunk].astype(float), rows, axis=1)
         counts *= np.take(column_counts[chunk].astype(float), columns, axis=1)

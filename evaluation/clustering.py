@@ -76,7 +76,9 @@ def cluster_profiles(profiles: np.ndarray) -> Clustering:
 
 
 def cluster_teams(matrix: np.ndarray) -> Clustering:
-    """Cluster teams by a square matrix [T, T]: how a team's robot fares with all humans and its human with all robots.
+    """Cluster teams by a square matrix [T, T].
+
+    How a team's robot fares with all humans and its human with all robots.
 
     Rows and columns then share one order, and self-play stays on the diagonal.
     """
@@ -90,7 +92,10 @@ def cluster_teams(matrix: np.ndarray) -> Clustering:
 
 
 def team_branches(matrix: np.ndarray) -> list[np.ndarray]:
-    """Return the teams below each node of `cluster_teams`' tree, the root last; quicker, for it orders no leaves."""
+    """Return the teams below each node of `cluster_teams`' tree, the root last.
+
+    Quicker, for it orders no leaves.
+    """
     return branches(hierarchy.average(distance.pdist(_team_profiles(matrix))))
 
 
@@ -108,7 +113,10 @@ def branches(linkage: np.ndarray) -> list[np.ndarray]:
 
 
 def silhouette(labels: np.ndarray, distances: np.ndarray) -> float:
-    """Mean silhouette (b - a) / max(a, b) of labels [n] under distances [n, n]; a member alone scores 0."""
+    """Mean silhouette (b - a) / max(a, b) of labels [n] under distances [n, n].
+
+    A member alone scores 0.
+    """
     members = labels[None, :] == np.unique(labels)[:, None]
     sizes = members.sum(axis=1)
     sums = distances @ members.T

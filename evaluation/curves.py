@@ -16,7 +16,9 @@ COLUMNS = {
 
 
 def learning_curves(metrics: pl.DataFrame, *, points: int = 100, seed: int = 0) -> pl.DataFrame:
-    """Return curves with columns disability, steps, iqm, low, high and seeds; no band for a single seed.
+    """Return curves with columns disability, steps, iqm, low, high and seeds.
+
+    No band for a single seed.
 
     Args:
         metrics: a run's metrics: steps, disability, seed, and return, which is null where no

@@ -52,7 +52,10 @@ def partner_table(table: pl.DataFrame, *, seed: int = 0) -> pl.DataFrame:
 
 
 def profile_table(table: pl.DataFrame, *, points: int = 101, seed: int = 0) -> pl.DataFrame:
-    """Return the performance profile of the evaluated side: threshold, share above it, low, high."""
+    """Return the performance profile of the evaluated side.
+
+    Threshold, share above it, low, high.
+    """
     scores = dense_block(table).evaluated_side().scores
     thresholds = np.linspace(min(0.0, scores.min()), scores.max(), points)
     low, high = profile_band(scores, thresholds, seed=seed) or (None, None)

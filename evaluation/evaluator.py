@@ -1,4 +1,6 @@
-"""Run a job chunk by chunk into a folder: resumable, and the table does not depend on how it was cut.
+"""Run a job chunk by chunk into a folder.
+
+Resumable, and the table does not depend on how it was cut.
 
 The folder holds `manifest.json` (see `evaluation.provenance`), one Parquet part for each finished
 chunk, and at the end `episodes.parquet` in their place. A part's name ends in the sha256 of its
@@ -106,8 +108,8 @@ def check_sizes(env: Any, job: Job) -> None:
                     )
 
 
-def check_folder(folder: Path) -> None:
-    """Create an output folder, and find out now, not after the run, that it cannot be written."""
+def check_folder(folder: Path, advice: str = "choose another --out") -> None:
+    """Create a folder, and find out now, not after the run, that it cannot be written."""
     probe = folder / f".writable-{uuid.uuid4().hex[:8]}"
     try:
         if folder.exists() and not folder.is_dir():
@@ -116,9 +118,7 @@ def check_folder(folder: Path) -> None:
         probe.write_bytes(b"")
         probe.unlink()
     except OSError as error:
-        raise OSError(
-            f"cannot write to {folder} ({error.strerror or error}); choose another --out"
-        ) from error
+        raise OSError(f"cannot write to {folder} ({error.strerror or error}); {advice}") from error
 
 
 def forget(folder: Path) -> None:
@@ -169,7 +169,10 @@ def simulate(
     devices: Sequence[jax.Device] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> tuple[float | None, float]:
-    """Run chunks, leaving each one's part; return env steps per second and compilation's seconds."""
+    """Run chunks, leaving each one's part.
+
+    Return env steps per second and compilation's seconds.
+    """
     meter = Meter(sum(chunk.rows for chunk in chunks) * env.episode_length, on_progress)
     meter.report()
     runner = Runner(env, job, devices)

@@ -15,8 +15,8 @@ import numpy as np
 
 from evaluation.roster import HostEgo, Member, Roster
 
-# Goes up when the same job would give other tables. 2: the table has columns of behaviour. 3: tiles, by which values differ in
-# the last bit. 4: disability settings by value, and the engine.
+# Goes up when the same job would give other tables. 2: columns of behaviour. 3: tiles, by which
+# values differ in the last bit. 4: disability settings by value, and the engine.
 EVALUATOR_VERSION = 4
 TILE_ENVS = 512  # most simulations at once on `native`: more are no faster on two cores
 
@@ -76,7 +76,10 @@ class Job:
 
     @property
     def reusable(self) -> bool:
-        """Whether the identity covers all that the table depends on: a finished one is the answer."""
+        """Whether the identity covers all that the table depends on.
+
+        A finished one is the answer.
+        """
         return all(self.egos.members[name].reusable for name in self.egos.ids)
 
     def identity(self) -> dict[str, Any]:

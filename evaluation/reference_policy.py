@@ -28,7 +28,10 @@ class ReferencePolicy:
     def act(
         self, params: Any, carry: tuple[()], obs: jax.Array, first: jax.Array
     ) -> tuple[tuple[()], jax.Array]:
-        """Return actions [..., A] for observations [..., O]; `params` holds a scalar "amplitude"."""
+        """Return actions [..., A] for observations [..., O].
+
+        `params` holds a scalar "amplitude".
+        """
         rows = jax.lax.bitcast_convert_type(obs, jnp.uint32).reshape(-1, self.spec.observation_size)
         words = jnp.sum(
             rows[:, None, :] * self._weights[None], axis=-1, dtype=jnp.uint32

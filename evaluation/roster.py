@@ -1,4 +1,4 @@
-"""Who plays in a seat: stacks of policies and robots from outside, each policy described by its id."""
+"""Who plays in a seat: stacks of policies and robots from outside, each described by its id."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence

@@ -65,7 +65,7 @@ class TeamReplay:
 
 @dataclasses.dataclass(frozen=True)
 class Drift:
-    """Mean difference of a task's teams from their recorded returns, as a share of the recorded mean."""
+    """Mean difference of a task's teams from their records, as a share of the recorded mean."""
 
     task: str
     found: float

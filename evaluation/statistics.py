@@ -1,4 +1,6 @@
-"""Aggregates of scores [S, P]: seeds of one method by partners, each score a mean over a pair's episodes.
+"""Aggregates of scores [S, P].
+
+Seeds of one method by partners, each score a mean over a pair's episodes.
 
 Definitions follow rliable (Agarwal et al., arXiv 2108.13264). The `weighted_` forms take counts [B,
 n], how often each entry stands in each of B resamples, and give one figure for each: exact, and
@@ -9,7 +11,7 @@ import numpy as np
 
 
 def iqm(values: np.ndarray) -> float:
-    """Interquartile mean: the mean after floor(n / 4) entries are cut at either end, as rliable cuts them."""
+    """Interquartile mean: floor(n / 4) entries are cut at either end, as rliable cuts them."""
     ordered = np.sort(entries(values))
     cut = ordered.size // 4
     return float(ordered[cut : ordered.size - cut].mean())
@@ -26,7 +28,7 @@ def median(scores: np.ndarray) -> float:
 
 
 def probability_of_improvement(x: np.ndarray, y: np.ndarray) -> float:
-    """Mean over partners of P(a seed of x beats a seed of y with that partner), ties counting one half.
+    """Mean over partners of P(a seed of x beats a seed of y with it), ties counting one half.
 
     Args:
         x: scores [S, P] of one method.
@@ -49,7 +51,7 @@ def performance_profile(values: np.ndarray, thresholds: np.ndarray) -> np.ndarra
 
 
 def tail_weights(values: np.ndarray, counts: np.ndarray, alpha: float) -> np.ndarray:
-    """Weights [B, n], each row summing to 1, of the lowest share `alpha` of the entries [B, n] with their counts."""
+    """Weights [B, n], rows summing to 1, of the lowest share `alpha` of counted entries."""
     if not 0.0 < alpha <= 1.0:
         raise ValueError(f"alpha is {alpha}; allowed is a share in (0, 1]")
     order = np.argsort(values, axis=1, kind="stable")
@@ -69,7 +71,10 @@ def weighted_mean(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 
 def weighted_iqm(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Interquartile mean [B] of values [n] under whole-number counts [B, n]; NaN where a row of counts is empty."""
+    """Interquartile mean [B] of values [n] under whole-number counts [B, n].
+
+    NaN where a row of counts is empty.
+    """
     if np.any(np.diff(values) < 0):
         order = np.argsort(values, kind="stable")
         values, counts = values[order], counts[:, order]
@@ -101,7 +106,10 @@ def entries(values: np.ndarray) -> np.ndarray:
 
 
 def score_matrix(scores: np.ndarray) -> np.ndarray:
-    """Return scores as [S, P]; [S] counts as seeds with one partner, and an axis of episodes is refused."""
+    """Return scores as [S, P].
+
+    [S] counts as seeds with one partner, and an axis of episodes is refused.
+    """
     scores = np.asarray(scores, float)
     if scores.ndim not in (1, 2):
         raise ValueError(

@@ -1,4 +1,6 @@
-"""Strategies of partners: how the best robot of a cross-play behaves with each of them, and who behaves alike.
+"""Strategies of partners.
+
+How the best robot of a cross-play behaves with each of them, and who behaves alike.
 
 A partner's features are means over the episodes of the robot with the highest mean return with it,
 each scaled to [0, 1] over the partners (theta and phi of BR-Div, ZSC-Eval, arXiv 2310.05208).
@@ -70,7 +72,7 @@ def best_responses(pairs: pl.DataFrame) -> Responses:
 
 
 def summarise_strategies(pairs: pl.DataFrame) -> dict[str, Any]:
-    """Return clusters of partners with medoids, BR-Div, a diverse subset and the most incompatible two, JSON-ready."""
+    """Return clusters with medoids, BR-Div, a diverse subset and the most incompatible two."""
     found = best_responses(pairs)
     scaled = scale_features(found.features)
     clustering = cluster_profiles(scaled)
@@ -109,7 +111,10 @@ def _clusters(found: Responses, clustering: Clustering) -> list[dict[str, Any]]:
 
 
 def _incompatible(found: Responses) -> dict[str, Any] | None:
-    """Two partners whose best robots lose the most with each other: the lesser of the two losses is the greatest."""
+    """Two partners whose best robots lose the most with each other.
+
+    The lesser of the two losses is the greatest.
+    """
     own = np.diag(found.returns)
     loss = own[None, :] - found.returns  # [robot's partner b, played partner a]
     mutual = np.minimum(loss, loss.T)

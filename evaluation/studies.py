@@ -98,9 +98,9 @@ def evaluate_policies(
     """
     if not policies:
         raise ValueError("no policy given; name at least one, for example --policy zoo:TEAM/robot")
-    for needed in (folder, references):
-        if needed is not None:
-            check_folder(needed)
+    check_folder(folder)
+    if references is not None:
+        check_folder(references, "leave reference egos out with --no-references")
     pairs = None if crossplay is None else _crossplay_pairs(crossplay, settings.task)
     manifest, chosen = choose_partners(registry, settings.task, split, partners)
     egos = _read_egos(registry, policies, settings.task)
@@ -212,7 +212,10 @@ def _draw(folder: Path, summary: CrossPlaySummary) -> None:
 def in_release(
     registry: Registry, patterns: str | Sequence[str], release: str, *, task: str, role: str
 ) -> list[PolicyEntry]:
-    """Return the policies of a release that match; a pattern that names a release is looked up in all."""
+    """Return the policies of a release that match.
+
+    A pattern that names a release is looked up in all.
+    """
     found: dict[str, PolicyEntry] = {}
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
         named = re.search(r"-v\d+(/|$)", pattern)
@@ -234,11 +237,12 @@ def check_env_version(registry: Registry, entries: Sequence[PolicyEntry]) -> Non
             ]
             raise RegistryVersionError(
                 f"policy {entry.id}",
-                expected=f"version {VERSIONS[entry.task]} of environment {entry.task}, as installed",
+                expected=f"version {VERSIONS[entry.task]} of environment {entry.task}, as "
+                "installed",
                 found=f"release {entry.release}, trained on version {trained}",
                 done="nothing was evaluated",
-                next_step=f"choose policies of a release of this version (here {listing(fitting)}), or install the "
-                f"assistax-zoo of release {entry.release}",
+                next_step="choose policies of a release of this version (here "
+                f"{listing(fitting)}), or install the assistax-zoo of release {entry.release}",
             )
 
 
@@ -311,7 +315,7 @@ def _play_references(
     kept: Path,
     on_progress: Callable[[Progress], None] | None,
 ) -> pl.DataFrame:
-    """Return the reference egos' episodes with the partners, each partner's own robot among them."""
+    """Return the reference egos' episodes with the partners, their own robots among them."""
     from evaluation.references import play_references
 
     robots = {entry.team: entry for entry in registry.policies if entry.role == "robot"}

@@ -162,7 +162,9 @@ def validate_episodes(table: pl.DataFrame) -> pl.DataFrame:
 
 
 def dense_block(table: pl.DataFrame) -> Block:
-    """Lay a table out as [E, P, K]: algorithm, disability, seed, then id give the order of egos and partners.
+    """Lay a table out as [E, P, K].
+
+    Algorithm, disability, seed, then id give the order of egos and partners.
 
     Raises:
         ValueError: a pair lacks an episode or has one twice, or one id has two descriptions.
@@ -209,7 +211,7 @@ def pair_table(table: pl.DataFrame) -> pl.DataFrame:
 
 
 def write_episodes(table: pl.DataFrame, path: Path) -> None:
-    """Validate the table, bring it to `SCHEMA`'s types and write it as Parquet, whole or not at all."""
+    """Validate the table, bring it to `SCHEMA`'s types and write it, whole or not at all."""
     validate_episodes(table)
     types = {**SCHEMA, **{name: pl.Float32() for name in term_columns(table)}}
     write_parquet(table.select(pl.col(name).cast(types[name]) for name in table.columns), path)

@@ -111,11 +111,12 @@ def verify(
 ) -> None:
     """Check every published byte, split, figure and reference; exit code 1 if anything is wrong.
 
+    Given a folder of results, its files are held against the manifest that it holds instead.
     With --deep the policies are loaded and stepped too, and the teams replay their self-play, each
     under its own disability setting: a judgement on the installed MuJoCo, MJX and JAX.
 
     Args:
-        pattern: Glob over the policies that --deep replays; default all.
+        pattern: A folder of results; or a glob over the policies that --deep replays, default all.
         deep: Replay self-play, and compare it with the recorded returns.
         release: Only this release, with --deep.
         episodes: Episodes of each team, with --deep.
@@ -127,6 +128,12 @@ def verify(
     Example:
         assistax-zoo verify 'scratch/ippo-d1-*' --deep
     """
+    if pattern and not deep and Path(pattern).is_dir():
+        from assistax_zoo.commands.provenance import verify_results
+
+        if not verify_results(Path(pattern), json):
+            raise SystemExit(1)
+        return
     if (pattern or release) and not deep:
         raise ValueError(
             "a pattern and --release choose what --deep replays; bytes are always checked all: add "

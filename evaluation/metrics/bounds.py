@@ -1,4 +1,7 @@
-"""Returns relative to what is possible with a partner: normalised return, BR-Prox, regret, coverage."""
+"""Returns relative to what is possible with a partner.
+
+Normalised return, BR-Prox, regret, coverage.
+"""
 
 import dataclasses
 
@@ -36,7 +39,10 @@ class Bounds:
 
     @property
     def scorable(self) -> np.ndarray:
-        """Partners [P] with B > L; with the others every ego would score alike: they are left out."""
+        """Partners [P] with B > L.
+
+        With the others every ego would score alike: they are left out.
+        """
         return self.best > self.low
 
 
@@ -48,7 +54,10 @@ class Coverage(Interval):
 
 
 def normalised_return(scores: np.ndarray, bounds: Bounds) -> np.ndarray:
-    """X = (J - L) / (B - L) of scores [S, P], not clipped; NaN in the columns of unscorable partners."""
+    """X = (J - L) / (B - L) of scores [S, P], not clipped.
+
+    NaN in the columns of unscorable partners.
+    """
     scores = score_matrix(scores)
     if scores.shape[1] != bounds.best.size:
         raise ValueError(
@@ -71,7 +80,10 @@ def br_prox(
 
 
 def regret(scores: np.ndarray, bounds: Bounds) -> np.ndarray:
-    """B - J for each partner [P], J averaged over seeds; negative where the ego is better than B."""
+    """B - J for each partner [P], J averaged over seeds.
+
+    Negative where the ego is better than B.
+    """
     return bounds.best - score_matrix(scores).mean(axis=0)
 
 

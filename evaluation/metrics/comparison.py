@@ -60,7 +60,7 @@ def paired_difference(
 
 
 def rank_stability(scores: np.ndarray, *, halvings: int = 200, seed: int = 0) -> Stability:
-    """Kendall's tau-b of the egos' ranking, by mean score [E, P], between random halves of the partners.
+    """Kendall's tau-b of the egos' ranking, by mean of [E, P], between random halves of partners.
 
     A halving on which all egos tie has no ranking and is left out.
     """

@@ -52,7 +52,7 @@ def self_play_mask(rows: Traits, columns: Traits) -> np.ndarray:
 def cross_play(
     scores: np.ndarray, rows: Traits, columns: Traits, *, resamples: int = RESAMPLES, seed: int = 0
 ) -> CrossPlay:
-    """SP = mean_a X[a, a] and XP = mean_{a != b} X[a, b] of a matrix X [R, C], with intervals over teams.
+    """SP = mean_a X[a, a], XP = mean_{a != b} X[a, b] of X [R, C], with intervals over teams.
 
     A team on both axes is one unit: resampled with its robot and its human. A pair of a team with
     itself is self-play, however often the team is drawn, and never enters XP.
@@ -98,7 +98,7 @@ def cross_play(
 def _self_play(
     scores: np.ndarray, own: np.ndarray, team_counts: np.ndarray, to: str
 ) -> Draws | None:
-    """Replicate self-play: a team drawn twice counts twice, not with its row's times its column's counts."""
+    """Replicate self-play: a team drawn twice counts twice, not four times."""
     rows, columns = np.nonzero(own)
     return replicate(scores[rows, columns], [team_counts[:, rows]], to) if rows.size else None
 
@@ -120,7 +120,10 @@ def _team_counts(
     resamples: int,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Counts of rows [B, R] and columns [B, C]: teams on both axes are drawn together, the others on their own axis."""
+    """Counts of rows [B, R] and columns [B, C].
+
+    Teams on both axes are drawn together, the others on their own axis.
+    """
     shared = sorted(_shared(rows, columns))
     shared_counts = draw_counts(len(shared), resamples, rng) if shared else None
     counts = []

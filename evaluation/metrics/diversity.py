@@ -1,4 +1,4 @@
-"""BR-Div: diversity of a population by the behaviour of best responses to it (ZSC-Eval, arXiv 2310.05208)."""
+"""BR-Div: diversity by the behaviour of best responses (ZSC-Eval, arXiv 2310.05208)."""
 
 import dataclasses
 import math
@@ -20,7 +20,7 @@ class Diversity:
 
 
 def br_diversity(features: np.ndarray) -> Diversity:
-    """Diversity of mean behaviour features theta [P, F] of best responses, each feature scaled to [0, 1]."""
+    """Diversity of behaviour features theta [P, F] of best responses, each scaled to [0, 1]."""
     phi = scale_features(features)
     values = np.linalg.eigvalsh(phi @ phi.T).clip(min=0.0)
     rank = int(np.count_nonzero(values > _TOLERANCE * values.max())) if values.max() > 0 else 0
@@ -30,7 +30,9 @@ def br_diversity(features: np.ndarray) -> Diversity:
 
 
 def greedy_subset(features: np.ndarray, size: int) -> list[int]:
-    """Pick `size` diverse partners of features [P, F]: each raises the log-determinant of the picked kernel the most.
+    """Pick `size` diverse partners of features [P, F].
+
+    Each raises the log-determinant of the picked kernel the most.
 
     Greedy Cholesky updates (Chen et al., arXiv 1709.05135); ties go to the first.
     """

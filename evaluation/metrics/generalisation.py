@@ -62,7 +62,9 @@ def zero_shot(
 def group_draws(
     scores: np.ndarray, groups: Sequence[str | None], *, resamples: int = RESAMPLES, seed: int = 0
 ) -> dict[str, Draws]:
-    """Replicate mean and IQM of scores [S, P] for each group of partners [P], in order of names; None is left out.
+    """Replicate mean and IQM of scores [S, P] for each group of partners [P], in order of names.
+
+    None is left out.
 
     Seeds are resampled once for all groups, partners within each group: groups subtract to paired
     differences.
@@ -84,7 +86,10 @@ def group_draws(
 
 
 def fairness(draws: dict[str, Draws]) -> Fairness:
-    """Compare groups by their mean: `gap = max_g M_g - min_g M_g`, taken anew in every draw for its interval."""
+    """Compare groups by their mean.
+
+    `gap = max_g M_g - min_g M_g`, taken anew in every draw for its interval.
+    """
     if not draws:
         raise ValueError("there are no groups of partners; at least one is needed")
     means = {name: draw.mean for name, draw in draws.items()}

@@ -78,7 +78,10 @@ def episode_table(
 
 
 def clustered_matrix(count: int, clusters: int, seed: int = 0) -> np.ndarray:
-    """Return a matrix [T, T] of 900 within a cluster and 300 less across; team t is in cluster t mod clusters."""
+    """Return a matrix [T, T] of 900 within a cluster and 300 less across.
+
+    Team t is in cluster t mod clusters.
+    """
     rng = np.random.default_rng(seed)
     group = np.arange(count) % clusters
     matrix = 900.0 - 300.0 * (group[:, None] != group[None, :]) + rng.normal(0, 10, (count, count))

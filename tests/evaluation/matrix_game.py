@@ -1,4 +1,4 @@
-"""A 2x2 matrix game in the environment's protocol, and policies that always choose one row or column.
+"""A 2x2 matrix game in the environment's protocol, and policies that always choose alike.
 
 Reward of a step: PAYOFF[row, column] times the partner's strength ("payoff"), and a draw of the
 episode's key ("luck"). Row and column are the signs of the actions. Human observations hold the

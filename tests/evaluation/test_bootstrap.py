@@ -208,7 +208,10 @@ def test_few_seeds_are_covered_too_little_as_documented():
 
 
 def test_planted_defect_episodes_resampled_as_seeds_are_caught():
-    """Eight episodes of each of 8 seeds taken for 64 seeds: intervals then miss the truth more often than not."""
+    """Eight episodes of each of 8 seeds taken for 64 seeds.
+
+    Intervals then miss the truth more often than not.
+    """
 
     def wrong(rng: np.random.Generator, seed: int) -> Estimate:
         scores = crossed(rng, 8, 8, (1.0, 0.3, 0.3))

@@ -28,7 +28,10 @@ def test_medoid_is_the_member_nearest_to_all_others():
 
 
 def test_outliers_alone_are_no_structure():
-    """One point far from all others, which form two groups: the groups are found, not the outlier alone."""
+    """One point far from all others, which form two groups.
+
+    The groups are found, not the outlier alone.
+    """
     points = np.concatenate([np.linspace(0, 1, 6), np.linspace(5, 6, 6), [100.0]])[:, None]
     assert [
         len(np.flatnonzero(clustering.cluster_profiles(points).labels == i)) for i in range(3)
@@ -36,7 +39,10 @@ def test_outliers_alone_are_no_structure():
 
 
 def test_fewer_than_a_twentieth_are_outliers():
-    """Two points far from all others, which form two groups: enough for a cluster of 13, but not of 60."""
+    """Two points far from all others, which form two groups.
+
+    Enough for a cluster of 13, but not of 60.
+    """
     for count, sizes in ((6, [2, 12]), (29, [2, 29, 29])):
         points = np.concatenate(
             [np.linspace(0, 1, count), np.linspace(5, 6, count), [100.0, 100.1]]

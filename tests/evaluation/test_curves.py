@@ -7,7 +7,10 @@ from evaluation.curves import learning_curves
 
 
 def metrics(seeds: int = 8) -> pl.DataFrame:
-    """Updates of 100 steps; episodes end at every second update; the return is 10 x update + seed."""
+    """Updates of 100 steps; episodes end at every second update.
+
+    The return is 10 x update + seed.
+    """
     rows = [
         {
             "steps": 100 * u,

@@ -63,7 +63,10 @@ def test_my_robot_against_the_zoo_in_ten_lines(
 
 
 def test_a_torch_module_is_called_with_what_torch_takes():
-    """Observations are float32 arrays that own their memory: `torch.as_tensor` takes them as they are."""
+    """Observations are float32 arrays that own their memory.
+
+    `torch.as_tensor` takes them as they are.
+    """
     from evaluation.egos import call_ego
     from evaluation.roster import HostEgo
 

@@ -277,6 +277,10 @@ def test_a_folder_that_cannot_be_written_is_found_before_the_run(tmp_path: Path)
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(OSError, match=r"cannot write to .*file/out.*--out"):
         check_folder(tmp_path / "file" / "out")
+    for device in ("/dev/null", "/dev/full"):
+        with pytest.raises(OSError, match=r"cannot write to .*it is no folder.*--out"):
+            check_folder(Path(device))
+        assert Path(device).is_char_device()
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""On `native`, and on the real scene, no value depends on how a job is cut, ordered, killed or spread over devices."""
+"""On `native`, no value depends on how a job is cut, ordered, killed or spread over devices."""
 
 import functools
 import os
@@ -106,7 +106,7 @@ def test_other_policies_in_the_job_do_not_change_a_value():
 
 @pytest.mark.slow
 def test_the_check_sees_a_plan_whose_tiles_follow_max_envs(monkeypatch: pytest.MonkeyPatch):
-    """Planted: tiles by `max_envs`, and a program in which XLA fuses networks and environment as it likes."""
+    """Planted: tiles by `max_envs`, and a program in which XLA fuses as it likes."""
     monkeypatch.setattr(rollout, "_once", lambda: None)
     monkeypatch.setattr(rollout, "member_map", jax.vmap)
     job = real_job(backend="mjx")

@@ -31,7 +31,10 @@ def test_zero_shot_separates_the_sides_and_leaves_out_partners_on_neither():
 
 
 def test_the_generalisation_gap_is_paired_by_seed():
-    """Seeds differ by hundreds, the gap of each is 5: the gap's interval does not see the seeds' differences."""
+    """Seeds differ by hundreds, the gap of each is 5.
+
+    The gap's interval does not see the seeds' differences.
+    """
     seeds = np.array([[0.0], [300.0], [600.0], [900.0]])
     scores = np.concatenate([seeds + np.zeros((4, 6)), seeds + np.full((4, 6), 5.0)], axis=1)
     figures = metrics.zero_shot(scores, ["test"] * 6 + ["train"] * 6)
@@ -193,7 +196,10 @@ def test_cvar_crossfit_equals_its_definition():
 
 
 def test_planted_defect_a_tail_valued_on_its_own_choice_is_too_low():
-    """All partners are alike, so the tail's true value is 0: cross-fitting finds it, the naive tail does not."""
+    """All partners are alike, so the tail's true value is 0.
+
+    Cross-fitting finds it, the naive tail does not.
+    """
     returns = np.random.default_rng(0).normal(size=(1, 100, 8))
     naive = np.sort(returns.mean(axis=(0, 2)))[:10].mean()
     assert naive < -0.5

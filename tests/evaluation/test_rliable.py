@@ -1,4 +1,7 @@
-"""Cross-check with rliable (Agarwal et al., arXiv 2108.13264) where it is there: `pip install rliable 'pandas<3'`."""
+"""Cross-check with rliable (Agarwal et al., arXiv 2108.13264) where it is there.
+
+`pip install rliable 'pandas<3'`.
+"""
 
 import inspect
 from typing import Any

@@ -209,7 +209,7 @@ def test_values_do_not_depend_on_the_block(stochastic: bool):
 
 
 def parameters_per_simulation(program: Any, simulations: int, kernel: int) -> list[str]:
-    """Return the equations whose result is as large as one kernel for each simulation, at any depth."""
+    """Return the equations, at any depth, whose result holds a kernel for each simulation."""
     found = []
     for equation in program.eqns:
         for value in equation.outvars:

@@ -1,3 +1,4 @@
+import errno
 from pathlib import Path
 
 import numpy as np
@@ -158,3 +159,34 @@ def test_pair_table_averages_the_episodes_of_a_pair():
     )
     assert pairs["episodes"].unique().to_list() == [4]
     assert pairs["ego_seed"].to_list() == [0, 0, 0, 1, 1, 1]
+
+
+def test_a_full_disk_is_called_so_and_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    path = tmp_path / tables.EPISODES_FILE
+    tables.write_episodes(small(), path)
+
+    def full(target: Path, data: bytes) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(target))
+
+    monkeypatch.setattr(tables, "atomic_write", full)
+    with pytest.raises(OSError, match=r"the disk is full: .*episodes.parquet needs \d+ bytes"):
+        tables.write_episodes(small(), path)
+    assert tables.read_episodes(path).height == small().height
+
+
+def test_a_panic_of_the_reader_is_a_damaged_file_and_an_interrupt_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Rust's panic is no Exception: it passes every handler, as Ctrl-C should."""
+    tables.write_parquet(small(), tmp_path / "t.parquet")
+    panic = type("PanicException", (BaseException,), {})
+    for raised, told in ((panic("index out of bounds"), ValueError), (KeyboardInterrupt(), None)):
+
+        def read(path: Path, raised: BaseException = raised) -> None:
+            raise raised
+
+        monkeypatch.setattr(tables.pl, "read_parquet", read)
+        with pytest.raises(told or KeyboardInterrupt, match="not a readable" if told else None):
+            tables.read_parquet(tmp_path / "t.parquet")
