@@ -29,9 +29,10 @@ class Client:
         patience: float = PATIENCE,
     ) -> None:
         """Prepare to speak with a server, such as "http://localhost:8800"."""
-        headers = {"Authorization": f"Bearer {token}"} if token else {}
+        self.address = address.rstrip("/")
+        self.headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._http = transport or httpx2.Client(base_url=address, timeout=60.0)
-        self._headers, self._patience = headers, patience
+        self._patience = patience
 
     def call(self, method: str, path: str, **options: Any) -> Any:
         """Return the response to a request.
@@ -40,7 +41,7 @@ class Client:
             Problem: The server does not grant it.
             OSError: It did not answer for as long as patience lasts.
         """
-        headers = {**self._headers, **options.pop("headers", {})}
+        headers = {**self.headers, **options.pop("headers", {})}
         end, pause = time.monotonic() + self._patience, 0.2
         while True:
             try:

@@ -61,9 +61,15 @@ def add_jobs(
 
 
 def lease_job(
-    database: Database, worker: str, versions: Sequence[str], now: float
+    database: Database,
+    worker: str,
+    versions: Sequence[str],
+    now: float,
+    connected: Sequence[str] = (),
 ) -> tuple[Lease | None, list[str]]:
     """Take the next job that a worker of these versions can do.
+
+    Jobs of live robots are given out only while their clients are `connected`.
 
     Returns:
         The lease, or None where nothing waits; and the submissions that have failed too often.
@@ -71,6 +77,8 @@ def lease_job(
     with database.write() as connection:
         exhausted = expire_leases(database, connection, now)
         query = sa.select(t.jobs).where(c.state == "waiting", c.version.in_(versions))
+        live = sa.select(t.submissions.c.id).where(t.submissions.c.kind == "live")
+        query = query.where(c.submission.not_in(live) | c.submission.in_(connected))
         order = query.order_by(c.turn, c.created_at, c.submission, c.panel, c.chunk).limit(1)
         row = connection.execute(database.take(order)).first()
         if row is None:

@@ -21,10 +21,12 @@ from assistax_zoo.service.catalogue import (
 from assistax_zoo.service.clock import Clock, system_clock
 from assistax_zoo.service.contract import Queries
 from assistax_zoo.service.database import Database
+from assistax_zoo.service.live.rooms import GONE_SECONDS, Rooms
 from assistax_zoo.service.problems import Problem
 from assistax_zoo.service.receipts import Signer
 from assistax_zoo.service.scoring import Work
 from assistax_zoo.service.submissions import Draft
+from assistax_zoo.service.vocabulary import FINAL_STATES
 
 Admit = Callable[[bytes, str], str]  # (file, task) -> format; raises Refusal
 
@@ -56,9 +58,14 @@ class Service:
         """End a submission because its submitter wants so."""
         submissions.withdraw(self.database, submission, submitter, self.clock())
 
-    def lease(self, worker: str, versions: Sequence[str]) -> Work | None:
-        """Give a worker the next job that it can do."""
-        lease, exhausted = jobs.lease_job(self.database, worker, versions, self.clock())
+    def lease(
+        self, worker: str, versions: Sequence[str], rooms: Rooms | None = None
+    ) -> Work | None:
+        """Give a worker the next job that it can do; `rooms` say which live clients are there."""
+        connected = () if rooms is None else rooms.connected()
+        if rooms is not None:
+            self._end_absent(rooms)
+        lease, exhausted = jobs.lease_job(self.database, worker, versions, self.clock(), connected)
         for submission in exhausted:
             self._fail(submission, "worker_errors")
         return None if lease is None else self._work(lease)
@@ -96,6 +103,43 @@ class Service:
         desk = results.Desk(self.database, self.artefacts, self.signer)
         return results.accept(desk, job, secret, data, partners, seconds, self.clock())
 
+    def owns_live(self, submission: str, submitter: str | None) -> bool:
+        """Return whether a live submission that has not ended is this lab's."""
+        s = t.submissions.c
+        where = s.id == submission, s.submitter == submitter, s.kind == "live"
+        with self.database.read() as connection:
+            query = sa.select(s.id).where(*where, s.state.not_in(FINAL_STATES))
+            return connection.execute(query).first() is not None
+
+    def live_submission(self, job: str, secret: str) -> str:
+        """Return the live submission of a job that this lease holds."""
+        with self.database.read() as connection:
+            row = jobs.held_job(connection, job, secret)
+        if row is None or row.state != "leased":
+            raise Problem("lease_lost", "this job is no longer yours; take the next")
+        return row.submission
+
+    def live_away(self, job: str, secret: str) -> None:
+        """Take back a job whose client is away, unless it is with hidden partners.
+
+        Playing those again from the start would show the robot the same episodes twice.
+        """
+        with self.database.read() as connection:
+            row = jobs.held_job(connection, job, secret)
+        if row is not None and row.panel == "public":
+            jobs.give_back(self.database, job, secret)
+        elif row is not None:
+            self._fail(row.submission, "client_gone")
+
+    def live_failed(self, submission: str, reason: str) -> None:
+        """End a live submission for a reason of `vocabulary.FAILURES`."""
+        self._fail(submission, reason)
+
+    def live_refused(self, submission: str, code: str) -> None:
+        """End a live submission whose robot gave a wrong answer."""
+        with self.database.write() as connection:
+            submissions.refuse(self.database, connection, submission, code, self.clock())
+
     def create_season(self, plan: seasons.Plan, folder: Path, public: Any) -> str:
         """Make a season of a private release; see `seasons`."""
         args = self.database, self.artefacts, plan, folder, public
@@ -120,6 +164,16 @@ class Service:
     def adopt_version(self) -> int:
         """Score anew what was scored by other versions; return how many submissions that is."""
         return adopt_version(self)
+
+    def _end_absent(self, rooms: Rooms) -> None:
+        """End live submissions whose clients have not come for too long."""
+        s = t.submissions.c
+        query = sa.select(s.id).where(s.kind == "live", s.state.not_in(FINAL_STATES))
+        with self.database.read() as connection:
+            waiting = connection.execute(query).scalars().all()
+        for submission in waiting:
+            if rooms.away_for(submission) > GONE_SECONDS:
+                self._fail(submission, "client_gone")
 
     def _fail(self, submission: str, reason: str) -> None:
         with self.database.write() as connection:

@@ -70,7 +70,9 @@ def hand_in(
     kind = "live" if live else "file"
     submission = client.submit(data, request_id=new_id(20), kind=kind, **given)
     if live:
-        raise ValueError("live robots are not served yet; submit a file")
+        from assistax_zoo.service.live.client import play_live
+
+        play_live(client, submission["id"], _robot_at_home(live, fields["task"]))
     return watch_submission(client, submission["id"]) if watch or live else submission
 
 
@@ -101,6 +103,17 @@ def verify_revealed(client: Client, name: str, root: str) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         count = seasons.verify_season(statement, packed, root, Path(folder))
     return {"season": statement["name"], "root": root, "partners": count, "proved": True}
+
+
+def _robot_at_home(reference: str, task: str) -> Any:
+    """Return the callable of a robot such as python:mine:make, as `evaluate` makes it."""
+    from evaluation.egos import read_egos
+    from zoo.registry import load_registry
+
+    [ego] = read_egos([reference], load_registry(), task)
+    if not hasattr(ego, "act"):
+        raise ValueError(f"{reference} can be submitted as a file; --live is for robots in Python")
+    return ego.act
 
 
 def _try_work(task: str, format: str, partners: tuple[str, ...]) -> Work:

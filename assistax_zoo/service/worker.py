@@ -23,7 +23,7 @@ from population.files import sha256
 log = logging.getLogger("assistax_zoo.service")
 IDLE_SECONDS = 2.0  # between two looks at an empty queue
 
-LiveRobot = Callable[[Work], Any]  # a callable [N, O] -> [N, A] that asks the live client
+MakeLive = Callable[[Work], Any]  # a callable [N, O] -> [N, A] that asks the live client
 
 
 class Worker:
@@ -34,7 +34,7 @@ class Worker:
         client: Client,
         scorer: Scorer,
         *,
-        live: LiveRobot | None = None,
+        live: MakeLive | None = None,
         idle: float = IDLE_SECONDS,
         beat: float = LEASE_SECONDS / 4,
     ) -> None:

@@ -1,5 +1,6 @@
 """A worker as a process: its signals, its log, its scorer."""
 
+import functools
 import os
 import signal
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Any
 from assistax_zoo.service.api.operations import log_to_stderr
 from assistax_zoo.service.catalogue import ZooCatalogue
 from assistax_zoo.service.client import Client
+from assistax_zoo.service.live.robot import LiveRobot
 from assistax_zoo.service.worker import Worker
 from assistax_zoo.service.zoo_scorer import ZooScorer
 
@@ -23,7 +25,8 @@ def run_worker(
     scorer = ZooScorer(loaded, ZooCatalogue(loaded, backend), backend)
     signal.signal(signal.SIGTERM, _leave)
     try:
-        Worker(client, scorer).run(until_empty=until_empty)
+        live = functools.partial(LiveRobot, client)
+        Worker(client, scorer, live=live).run(until_empty=until_empty)
     except SystemExit:
         # Threads of XLA may still run: the interpreter's shutdown would unload what they call.
         os._exit(0)

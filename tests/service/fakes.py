@@ -52,7 +52,7 @@ class FakeScorer:
     def play(self, work: Work, robot: Any, release: bytes | None) -> pl.DataFrame:
         if robot == b"broken":
             raise Refusal("not_finite")
-        strength = float(robot.decode().split()[1])
+        strength = play_live(work, robot) if callable(robot) else float(robot.decode().split()[1])
         rows = [(name, k) for name in work.partners for k in range(work.episodes)]
         return pl.DataFrame(
             {
@@ -65,6 +65,14 @@ class FakeScorer:
                 "nonfinite": [False] * len(rows),
             }
         )
+
+
+def play_live(work: Work, robot: Any, steps: int = 6) -> float:
+    """Return the mean of a live robot's actions; it is shown who it plays with, and when."""
+    rows = len(work.partners) * work.episodes
+    robot.reset(rows)
+    actions = [robot(np.full((rows, 4), step, np.float32)) for step in range(steps)]
+    return float(np.mean(actions))
 
 
 class FakeClock:

@@ -43,7 +43,7 @@ def open_season(service: Service, budget: int = 3) -> str:
         "state": "draft",
         "budget": budget,
         "rules": "",
-        "release": "0" * 64,
+        "release": service.artefacts.put(b"a packed release"),
         "secret": {"leaves": leaves},
         "panel_sizes": {"A": SIZE, "B": SIZE},
         "created_at": 0.0,

@@ -7,6 +7,7 @@ from fastapi import FastAPI
 from assistax_zoo.service.api import operations, public, submitting, working
 from assistax_zoo.service.api.errors import add_error_handlers
 from assistax_zoo.service.api.guards import BodyLimit, Limiter
+from assistax_zoo.service.live.routes import add_live
 from assistax_zoo.service.service import Service
 
 DESCRIPTION = "Submit a robot, and be scored on partners that nobody has."
@@ -18,6 +19,7 @@ def create_app(service: Service) -> FastAPI:
     app.state.service, app.state.limiter = service, Limiter()
     for module in (public, submitting, working, operations):
         app.include_router(module.router)
+    add_live(app)
     add_error_handlers(app)
     operations.add_observation(app)
     app.add_middleware(BodyLimit)

@@ -45,7 +45,8 @@ class Counted(BaseModel):
 @router.post("/lease", responses={204: {"description": "nothing waits"}})
 def lease(request: Request, worker: Worker, body: LeaseRequest) -> Any:
     """Take the next job, or 204 where nothing waits."""
-    work: Work | None = request.app.state.service.lease(body.worker, body.versions)
+    service, rooms = request.app.state.service, request.app.state.rooms
+    work: Work | None = service.lease(body.worker, body.versions, rooms)
     return Response(status_code=204) if work is None else work
 
 

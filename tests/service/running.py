@@ -1,0 +1,55 @@
+"""A server on loopback, in a thread of this process."""
+
+import contextlib
+import dataclasses
+import socket
+import threading
+import time
+from collections.abc import Generator
+
+import uvicorn
+
+from assistax_zoo.service.api.app import create_app
+from assistax_zoo.service.client import Client
+from assistax_zoo.service.service import Service
+from assistax_zoo.service.vocabulary import Scope
+
+
+@dataclasses.dataclass
+class Served:
+    """A running server, and the clients that end with it."""
+
+    service: Service
+    address: str
+    clients: list[Client] = dataclasses.field(default_factory=list)
+
+    def client(self, scope: Scope, submitter: str = "lab", patience: float = 5.0) -> Client:
+        name = submitter if scope == "submit" else None
+        token = self.service.create_token((scope,), submitter=name)
+        self.clients.append(Client(self.address, token, patience=patience))
+        return self.clients[-1]
+
+
+@contextlib.contextmanager
+def served(service: Service, port: int = 0) -> Generator[Served]:
+    """Serve until the block ends."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", port))
+        port = probe.getsockname()[1]
+    config = uvicorn.Config(
+        create_app(service), port=port, log_level="error", ws="websockets-sansio", lifespan="off"
+    )
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    while not server.started:
+        time.sleep(0.01)
+    running = Served(service, f"http://127.0.0.1:{port}")
+    try:
+        yield running
+    finally:
+        for client in running.clients:
+            client.close()
+        server.should_exit = True
+        server.force_exit = True
+        thread.join()
