@@ -6,6 +6,7 @@ is allocated.
 """
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -77,10 +78,21 @@ def _check_model(model: Any) -> None:
     if any(domain not in ("", "ai.onnx") or version not in OPSETS for domain, version in sets):
         raise Refusal("opset_not_allowed", str(sets[:4]))
     graph = model.graph
+    if any(not isinstance(name, str) for name in _names(graph)):
+        raise Refusal("malformed", "a name is no text")
     if len(sets) != 1 or graph.sparse_initializer or graph.quantization_annotation:
         raise Refusal("operator_not_allowed", "sparse or quantised weights, or several opsets")
     if len(graph.node) > MAX_NODES or len(graph.initializer) > MAX_TENSORS:
         raise Refusal("graph_too_large", f"{len(graph.node)} nodes")
+
+
+def _names(graph: Any) -> Iterator[Any]:
+    """Yield every name; protobuf returns bytes for one that is not UTF-8."""
+    for values in (graph.initializer, graph.input, graph.output):
+        yield from (value.name for value in values)
+    for node in graph.node:
+        yield from (node.op_type, node.domain, *node.input, *node.output)
+        yield from (attribute.name for attribute in node.attribute)
 
 
 class _Graph:

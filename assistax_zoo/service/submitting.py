@@ -110,7 +110,7 @@ def _robot_at_home(reference: str, task: str) -> Any:
     from evaluation.egos import read_egos
     from zoo.registry import load_registry
 
-    [ego] = read_egos([reference], load_registry(), task)
+    [ego] = read_egos([reference], load_registry(), task).stacks
     if not hasattr(ego, "act"):
         raise ValueError(f"{reference} can be submitted as a file; --live is for robots in Python")
     return ego.act
