@@ -1,4 +1,7 @@
-"""How far a plan is: what its registry and its run folders hold, what it cost, and the file that says so."""
+"""How far a plan is.
+
+What its registry and its run folders hold, what it cost, and the file that says so.
+"""
 
 import dataclasses
 import datetime
@@ -103,7 +106,10 @@ def team_id(group: "Group", key: "Key", release: str) -> "TeamId":
 
 
 def steps_to_train(blocks: Sequence["Block"]) -> int:
-    """Return the environment steps that all members of unfinished runs take; a begun run counts whole."""
+    """Return the environment steps that all members of unfinished runs take.
+
+    A begun run counts whole.
+    """
     configs = [block.config() for block in blocks if block.state != "finished"]
     return sum(
         config.updates * config.trainer.batch_steps * len(config.members) for config in configs
@@ -158,7 +164,10 @@ def _adoptable(
 def _published_runs(
     group: "Group", published: frozenset["Key"], release: str, registry: "Registry | None"
 ) -> dict[str, dict[str, Any]]:
-    """Return the runs of the published teams; an adopted run has its release's name and counts all it trained."""
+    """Return the runs of the published teams.
+
+    An adopted run has its release's name and counts all it trained.
+    """
     runs: dict[str, dict[str, Any]] = {}
     for key in sorted(published):
         assert registry is not None
@@ -174,7 +183,10 @@ def _published_runs(
 
 
 def _origin(group: "Group", key: "Key", release: str, registry: "Registry") -> str | None:
-    """Return the release that a team was adopted from: the one whose team has the same parameters."""
+    """Return the release that a team was adopted from.
+
+    The one whose team has the same parameters.
+    """
     earlier = (
         registry.data.teams.get(str(team_id(group, key, group.adopt))) if group.adopt else None
     )
@@ -211,7 +223,10 @@ def _of_registry(registry: "Registry", run: str) -> Measured:
 
 
 def _cost(run: Measured, teams: int, together: int) -> dict[str, Any]:
-    """Return what a run cost; its speed is that of all the teams which it trained together, on one device."""
+    """Return what a run cost.
+
+    Its speed is that of all the teams which it trained together, on one device.
+    """
     spent = run.device_seconds
     return {
         "teams": teams,
@@ -225,7 +240,10 @@ def _cost(run: Measured, teams: int, together: int) -> dict[str, Any]:
 
 
 def _device_seconds(runs: Iterable[Mapping[str, Any]]) -> float:
-    """Return the time that runs took on all their devices; what another release paid for is left out."""
+    """Return the time that runs took on all their devices.
+
+    What another release paid for is left out.
+    """
     return sum(
         (run.get("seconds") or 0.0) * run.get("devices", 1)
         for run in runs
@@ -243,7 +261,7 @@ def _teams_of(registry: "Registry", run: str) -> int:
 def _speeds(
     registry: "Registry | None", out: Path, groups: Sequence["Group"]
 ) -> dict[tuple[str, str], float]:
-    """Return measured training steps a second and device by task and algorithm, of the largest run of each."""
+    """Return training steps a second and device by task and algorithm, of the largest runs."""
     from population.plan import find_blocks
 
     largest: dict[tuple[str, str], tuple[float, float]] = {}
@@ -268,7 +286,10 @@ def _speeds(
 
 
 def _like(group: "Group", speeds: Mapping[tuple[str, str], float]) -> str | None:
-    """Return the algorithm of the same task whose measured speed fits best: the same, else one of the same trainer."""
+    """Return the algorithm of the same task whose measured speed fits best.
+
+    The same, else one of the same trainer.
+    """
     near = [name for name in _KINDS if _KINDS[name] == _KINDS[group.algorithm]]
     return next((name for name in (group.algorithm, *near) if (group.task, name) in speeds), None)
 
@@ -276,7 +297,7 @@ def _like(group: "Group", speeds: Mapping[tuple[str, str], float]) -> str | None
 def write_progress(
     path: Path, plan: "Plan", statuses: Sequence[Status], errors: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Write what is known of a plan's progress to its file, beside what other processes wrote, and return it.
+    """Write a plan's progress to its file, beside what other processes wrote, and return it.
 
     What the registry and the run folders say replaces what the file said of the same run; runs that
     only another process can see stay until their teams are published.
@@ -310,7 +331,10 @@ def write_progress(
 
 
 def _entry(status: Status, old: Mapping[str, Any], errors: Mapping[str, str]) -> dict[str, Any]:
-    """Return a group's entry: its runs as seen now, and those of the file that nothing has replaced."""
+    """Return a group's entry.
+
+    Its runs as seen now, and those of the file that nothing has replaced.
+    """
     before = old.get("runs", {})
     runs = {name: _dated(run, before.get(name, {})) for name, run in status.runs.items()}
     complete = len(status.published) == len(status.group.members)

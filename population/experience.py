@@ -102,9 +102,7 @@ def collect(
     partner_params: Any = (),
     sample: Sampler = Gaussian.sample,
 ) -> tuple[Simulations, Batch]:
-    """Act for T steps in all simulations.
-
-    An episode that ends goes on from its simulation's state in `fresh`.
+    """Act for T steps; an episode that ends goes on from its simulation's state in `fresh`.
 
     Args:
         env: The environment.
@@ -120,19 +118,11 @@ def collect(
     """
     members = keys.shape[1]
     act = member_map(partial(_act, policies, sample))
-    zeros = jax.tree.map(
-        jnp.zeros_like, (state.episodes.sums, {name: state.env.obs[name] for name in inputs})
-    )
-    count = jnp.zeros(state.first.shape, jnp.int32)
 
-    def step(
-        loop: tuple[Simulations, _Tally], keys: jax.Array
-    ) -> tuple[tuple[Simulations, _Tally], dict[str, Any]]:
+    def step(loop: _Loop, keys: jax.Array) -> tuple[_Loop, dict[str, Any]]:
         state, tally = loop
-        obs = {role: state.env.obs[role] for role in policies}
-        carry, acted = act(
-            params, state.carry, split(obs, members), split(state.first, members), keys
-        )
+        obs = split({role: state.env.obs[role] for role in policies}, members)
+        carry, acted = act(params, state.carry, obs, split(state.first, members), keys)
         action, raw, log_prob = flatten(acted)
         partner_carry = state.partners
         if partners:
@@ -145,30 +135,21 @@ def collect(
         truncated = after.truncated & ~terminated
         ended = terminated | truncated
         episodes, tally = _account(state.episodes, tally, after, ended, truncated)
-        seen = {
-            "obs": {name: state.env.obs[name] for name in inputs},
-            "first": state.first,
-            "raw": raw,
-            "log_prob": log_prob,
-            "reward": after.reward,
-            "terminated": terminated,
-            "truncated": truncated,
-        }
-        return (
-            Simulations(select(ended, fresh, after), carry, partner_carry, ended, episodes),
-            tally,
-        ), seen
+        seen = {"obs": {name: state.env.obs[name] for name in inputs}, "first": state.first}
+        seen |= {"raw": raw, "log_prob": log_prob, "reward": after.reward}
+        seen |= {"terminated": terminated, "truncated": truncated}
+        state = Simulations(select(ended, fresh, after), carry, partner_carry, ended, episodes)
+        return (state, tally), seen
 
-    tally = _Tally(final_obs=zeros[1], finished=count, finished_sums=zeros[0], nonfinite=count)
-    (after, tally), seen = jax.lax.scan(step, (state, tally), keys)
+    (after, tally), seen = jax.lax.scan(step, (state, _empty_tally(state, inputs)), keys)
     last_obs = {name: after.env.obs[name] for name in inputs}
-    return after, Batch(
-        carry=flatten(state.carry),
-        last_obs=last_obs,
-        last_first=after.first,
+    fields: dict[str, Any] = {
         **seen,
         **_fields(tally),
-    )
+        "last_obs": last_obs,
+        "last_first": after.first,
+    }
+    return after, Batch(carry=flatten(state.carry), **fields)
 
 
 def by_member(batch: Batch, members: int) -> Batch:
@@ -205,6 +186,16 @@ class _Tally:
     finished: jax.Array
     finished_sums: dict[str, jax.Array]
     nonfinite: jax.Array
+
+
+_Loop = tuple[Simulations, _Tally]
+
+
+def _empty_tally(state: Simulations, inputs: tuple[str, ...]) -> _Tally:
+    zeros = partial(jax.tree.map, jnp.zeros_like)
+    count = jnp.zeros(state.first.shape, jnp.int32)
+    final_obs = zeros({name: state.env.obs[name] for name in inputs})
+    return _Tally(final_obs, count, zeros(state.episodes.sums), count)
 
 
 def _act(
