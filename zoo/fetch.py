@@ -19,6 +19,7 @@ from zoo.locations import (
     write_errors,
 )
 from zoo.namespaces import split_namespace
+from zoo.parallel import run_all
 from zoo.registry import (
     MAX_REGISTRY_BYTES,
     Registry,
@@ -26,7 +27,7 @@ from zoo.registry import (
     load_registry,
     parse_registry,
 )
-from zoo.remotes import Remote, open_remote, read_file, run_all
+from zoo.remotes import Remote, open_remote, read_file
 from zoo.roots import lost_leaves, root_problems
 from zoo.schema import PolicyEntry
 from zoo.storage import read_shard

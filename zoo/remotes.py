@@ -5,18 +5,16 @@ A remote has the layout of a checkout: `registry.json`, and the shards at the pa
 
 import contextlib
 import dataclasses
-import queue
 import re
 import threading
-import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any, NoReturn, Protocol, TypeVar
 
 from zoo.errors import MissingFileError, OfflineError, RemoteError, shorten
+from zoo.parallel import run_all
 
 CHUNK = 1 << 20
-SLACK, SLOWEST = 60.0, 32_768  # seconds, and bytes a second, that a fetch may take at most
 _HUB = re.compile(r"hf://(?P<repo>[\w.-]+/[\w.-]+)(?:@(?P<revision>[^@\s]+))?")
 _RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+|\*)")
 _TRANSIENT = (408, 425, 429, 500, 502, 503, 504)
@@ -147,47 +145,6 @@ def read_file(remote: Remote, path: str, limit: int) -> bytes:
     what = f"{path} of {remote.name}"
     [content] = run_all([lambda stop: with_retries(read, what)], 1, limit, what)
     return content
-
-
-def run_all(
-    works: Sequence[Callable[[threading.Event], T]], workers: int, size: int, what: str
-) -> list[T]:
-    """Return what every work returns; the first error stops the others through their event.
-
-    The threads are daemons: neither an interrupt nor a server that sends a byte a second waits for
-    them. All must be done within `SLACK` seconds and what `size` bytes take at `SLOWEST`.
-
-    Raises:
-        RemoteError: It takes longer than that.
-    """
-    stop, todo, done = threading.Event(), queue.SimpleQueue(), queue.SimpleQueue()
-
-    def serve() -> None:
-        with contextlib.suppress(queue.Empty):
-            while not stop.is_set():
-                index, work = todo.get_nowait()
-                try:
-                    done.put((index, work(stop), None))
-                except BaseException as error:
-                    done.put((index, None, error))
-
-    for item in enumerate(works):
-        todo.put(item)
-    for _ in range(min(workers, len(works))):
-        threading.Thread(target=serve, daemon=True).start()
-    ends, results = time.monotonic() + SLACK + size / SLOWEST, {}
-    try:
-        while len(results) < len(works):
-            index, result, error = done.get(timeout=max(0.0, ends - time.monotonic()))
-            if error:
-                raise error
-            results[index] = result
-    except queue.Empty:
-        found = f"no end within {SLACK + size / SLOWEST:.0f} seconds"
-        refuse(what, "all bytes", found, "fetch again later, or from another remote")
-    finally:
-        stop.set()
-    return [results[index] for index in range(len(works))]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,7 +11,7 @@ import pytest
 
 from assistax_zoo.main import run
 from tests.zoo.hub_server import Fault, Hub
-from zoo import remotes
+from zoo import parallel
 from zoo.card import find_cards, markdown_card
 from zoo.errors import FormatError, RegistryError, RemoteError, shorten
 from zoo.fetch import fetch
@@ -112,8 +112,8 @@ def bare(large: Registry, hub: Hub, cache: Path, tmp_path: Path) -> Registry:
 
 
 def test_a_server_that_sends_a_byte_a_second_is_left(bare: Registry, hub: Hub, monkeypatch) -> None:
-    monkeypatch.setattr(remotes, "SLACK", 0.5)
-    monkeypatch.setattr(remotes, "SLOWEST", 10_000_000)
+    monkeypatch.setattr(parallel, "SLACK", 0.5)
+    monkeypatch.setattr(parallel, "SLOWEST", 10_000_000)
     hub.faults = [Fault("GET .*safetensors", pause=0.1, slice=1)]
     began = time.perf_counter()
     with pytest.raises(RemoteError, match="no end within"):
@@ -132,6 +132,7 @@ def test_an_interrupt_does_not_wait_for_a_server_that_hangs(bare: Registry, hub:
         while not hub.count("GET .*safetensors"):
             assert time.monotonic() < ends and process.poll() is None
             time.sleep(0.05)
+        time.sleep(0.5)  # until the main thread waits as well
         process.send_signal(signal.SIGINT)
         began = time.perf_counter()
         assert process.wait(timeout=30) == 130
