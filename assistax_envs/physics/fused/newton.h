@@ -153,6 +153,9 @@ FN void newton(const Rows& rows, int n, const real* products, real* forces, int*
     mask partly = both(open, invert(whole));
     real share = splat(1.0f);
     if (any(partly)) share = line_search(rows, n, x, next, slope, partly);
+    // No share of a small step lowers the cost: x is where it is least, as far as rounding shows.
+    mask stuck = both(partly, both(share <= 0.0f, slope.per_step < STUCK * STUCK * slope.whole));
+    changed = both(changed, invert(stuck));
     KEEP_LOOP for (int r = 0; r < n; ++r) {
       real force = select(partly, forces[r] + share * (y[r] - forces[r]), forces[r]);
       forces[r] = select(whole, y[r], force);

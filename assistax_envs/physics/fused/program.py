@@ -19,6 +19,7 @@ MAX_ITERATIONS = 20  # of Newton's method in a substep
 MAX_SEARCHES = 20  # steps of a line search
 PATIENCE = 6  # iterations; then one that changes accelerations by less than
 SETTLED = 1e-4  # of what constraints do to them is the last
+STUCK = 1e-3  # the same, where no share of the step lowers the cost
 OVERFLOWED = 1  # added to a simulation's flags by each substep in which contacts were left out
 UNSETTLED = 1 << 16  # and by each in which the constraint forces did not settle
 
@@ -157,6 +158,7 @@ def _sizes(model: mujoco.MjModel, dynamics: Dynamics) -> str:
         "MAX_SEARCHES": MAX_SEARCHES,
         "PATIENCE": PATIENCE,
         "SETTLED": literal(SETTLED),
+        "STUCK": literal(STUCK),
         "OVERFLOWED": OVERFLOWED,
         "UNSETTLED": UNSETTLED,
         "IMPRATIO": literal(model.opt.impratio),
