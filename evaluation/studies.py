@@ -332,6 +332,7 @@ def _context(
         task=job.task,
         env_version=job.env_version,
         backend=job.backend,
+        engine=dict(job.engine),
         release=release,
         split=SplitName(split.id, split.sha256) if split else None,
         lock=registry.lock,

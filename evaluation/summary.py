@@ -51,6 +51,7 @@ class Context:
     task: str
     env_version: int
     backend: str
+    engine: dict[str, str] = dataclasses.field(default_factory=dict)  # its name and version
     release: str | None = None  # of the partners
     split: SplitName | None = None
     lock: str | None = None  # sha256 of the lock file that narrowed the registry down
