@@ -1,13 +1,13 @@
 """An opened zoo: its partners, loaded and ready to play."""
 
 import dataclasses
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from zoo.fetch import REMOTE_VARIABLE, Report, remote_registry
+from zoo.fetch import Report, remote_registry
 from zoo.fetch import fetch as fetch_entries
+from zoo.locations import default_remote
 from zoo.registry import Registry, load_registry
 from zoo.remotes import Remote, open_remote
 from zoo.schema import PolicyEntry
@@ -82,6 +82,30 @@ class Zoo:
         entries = self.select(pattern, **fields)
         return fetch_entries(self.registry, entries, self.remote, on_total=on_total)
 
+    def export(self, id: str, out: Path | str) -> Path:
+        """Write one policy, deterministic and with its normaliser; return the file.
+
+        Args:
+            id: A policy's id.
+            out: File to write: .safetensors, .onnx, or .pt for PyTorch.
+
+        Raises:
+            ValueError: The ending is another, or the format's package is not installed.
+            ZooError: There is no such policy, or its bytes are not those of the registry.
+        """
+        from zoo.export import export_policy
+
+        formats: dict[str, Literal["safetensors", "onnx", "torch"]] = {
+            ".safetensors": "safetensors",
+            ".onnx": "onnx",
+            ".pt": "torch",
+        }
+        path = Path(out)
+        if path.suffix not in formats:
+            raise ValueError(f"{path.name} ends in none of {', '.join(formats)}")
+        export_policy(id, formats[path.suffix], path, lambda: self.registry)
+        return path
+
     def __repr__(self) -> str:
         return f"Zoo({str(self.registry.path)!r}, {len(self.registry.policies)} policies)"
 
@@ -111,7 +135,7 @@ def open_zoo(source: "str | Path | Zoo | Registry | None" = None) -> Zoo:
         return Zoo(remote_registry(remote), remote)
     if source is not None and Path(source).is_dir():
         source = Path(source) / "registry.json"
-    remote = os.environ.get(REMOTE_VARIABLE)
+    remote = default_remote()
     return Zoo(load_registry(source), open_remote(remote) if remote else None)
 
 

@@ -20,6 +20,7 @@ def evaluate(
     include_own: bool = False,
     references: bool = True,
     crossplay: Path | None = None,
+    fetch: bool = False,
     reuse: bool = False,
     out: Path | None = None,
     source: Source = Source(),
@@ -45,6 +46,7 @@ def evaluate(
             the next time.
         crossplay: Folder of a finished cross-play, whose best robots may be the partners' best
             responses.
+        fetch: Bring partners that are missing here from the remote.
         reuse: Take what --out holds of a robot from Python code though its module does not declare
             what it depends on; else it is played again.
         out: Folder for the tables.
@@ -66,6 +68,7 @@ def evaluate(
             include_own=include_own,
             references=references,
             crossplay=crossplay,
+            fetch=fetch,
             reuse=reuse,
             zoo=source.registry,
             lock=source.lock,
