@@ -48,7 +48,7 @@ def cache_folder(name: str) -> Path:
 
 
 def print_json(value: Any) -> None:
-    """Print one JSON document on standard output; NaN and infinities become null, which JSON has no word for."""
+    """Print one JSON document on standard output; NaN and infinities become null."""
     print(json.dumps(_plain(value), indent=2, ensure_ascii=False), flush=True)
 
 

@@ -158,7 +158,7 @@ def build_app() -> App:
     """Return the app with every command registered, none of them imported."""
     app = App(
         name="assistax-zoo",
-        help="Pretrained partners for assistive robots, and the evaluation of robot policies against them.",
+        help="Pretrained partners for assistive robots, and the evaluation of robots against them.",
         version=_version,
         default_parameter=Parameter(negative_iterable=()),  # no --empty-policy beside --policy
         suppress_keyboard_interrupt=False,
@@ -174,14 +174,14 @@ def build_app() -> App:
 
 
 def _add_subcommands(app: App, arguments: Sequence[str]) -> None:
-    """Register the commands under one that also runs alone; that one is loaded, so only if it is named."""
+    """Register the commands under one that also runs alone: it is loaded, so only if named."""
     for name in SUBCOMMANDS.keys() & {*arguments[:1]}:
         for command, path in SUBCOMMANDS[name].items():
             app[name].command(path, name=command)
 
 
 def _complete_help(app: App, arguments: Sequence[str]) -> None:
-    """Load what a group's help lists; end a command's help with its docstring's example, which cyclopts leaves out."""
+    """Load what a group's help lists; end a command's help with its docstring's example."""
     named = app.parse_commands([word for word in arguments if word not in app.help_flags])[1][-1]
     named.resolved_commands()
     if named.default_command is None:
@@ -215,7 +215,8 @@ def _message(error: Exception) -> str:
     if isinstance(error, ZooError | ValueError | TypeError | OSError):
         return str(error)
     first_line = str(error).partition("\n")[0]
-    return f"{type(error).__name__}: {first_line}\nthis is unexpected: {DEBUG_VARIABLE}=1 shows where it happened"
+    hint = f"this is unexpected: {DEBUG_VARIABLE}=1 shows where it happened"
+    return f"{type(error).__name__}: {first_line}\n{hint}"
 
 
 def _fail(message: str, code: int) -> int:
@@ -234,5 +235,5 @@ def _check_stdout() -> None:
 
 
 def _silence_stdout() -> None:
-    """Point standard output at nothing, so that the interpreter's own flush on exit does not fail again."""
+    """Point standard output at nothing: the interpreter's flush on exit would fail again."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,4 +1,4 @@
-"""Play one episode to look at, and film it: an .mp4 or .gif of its course, or a .png strip of moments."""
+"""Play one episode to look at, and film it: .mp4 or .gif, or a .png strip of moments."""
 
 import contextlib
 import errno
@@ -21,7 +21,10 @@ from population.files import atomic_path
 RATE = 50  # control steps a second
 ENDINGS = (".mp4", ".gif", ".png")
 MOMENTS = 4  # pictures in a strip
-VIDEO_HELP = "an .mp4 needs the package imageio-ffmpeg; install it with: pip install 'assistax-zoo[video]', or write .gif"
+VIDEO_HELP = (
+    "an .mp4 needs the package imageio-ffmpeg; install it with: pip install "
+    "'assistax-zoo[video]', or write .gif"
+)
 
 Act = Callable[[np.ndarray], np.ndarray]
 
@@ -127,7 +130,7 @@ def film(
 
 
 def moments(steps: int) -> Sequence[int]:
-    """Return the steps of a strip: the last is the end, and the first lie closer together, where most happens."""
+    """Return the steps of a strip: the first lie closer together, the last is the end."""
     return sorted({round(steps * ((i + 1) / MOMENTS) ** 2) for i in range(MOMENTS)})
 
 

@@ -1,4 +1,4 @@
-"""A robot from an ONNX file, run by onnxruntime in a process of its own: any exporter's, recurrent or not.
+"""A robot from an ONNX file of any exporter, run by onnxruntime in a process of its own.
 
 A model is data from a stranger. It is checked operator by operator before onnxruntime sees it, and
 its process may take so much memory and no more.

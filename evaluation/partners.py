@@ -93,7 +93,7 @@ class Partner:
 
 
 def zoo_partner(registry: Registry, policy: str, role: str = "human") -> Partner:
-    """Return one policy of the registry by its id or its team's id, hashes checked, with its disability setting.
+    """Return one policy of the registry by its id or its team's, hashes checked.
 
     Raises:
         ZooError: no policy of that role has the id, or its bytes are not those of the registry.
@@ -119,7 +119,7 @@ def seat_policy(
     task: str,
     seed: int = 0,
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Return who plays `role`: a callable from an observation [O] to an action [A], checked to fit the seat.
+    """Return who plays `role`, checked to fit: from an observation [O] to an action [A].
 
     Args:
         reference: zoo:ID, a path to a .safetensors file, "zero", or "random"; for the robot also

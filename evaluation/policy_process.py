@@ -1,4 +1,4 @@
-"""A robot from outside in a process of its own: its modules do not meet ours, and nothing it does ends a run."""
+"""A robot in a process of its own: its modules do not meet ours, nothing it does ends a run."""
 
 import os
 import subprocess

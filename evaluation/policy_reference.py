@@ -1,4 +1,4 @@
-"""The one grammar of references to policies: `--policy`, `--robot`, `--human`, `assistax_zoo.evaluate`."""
+"""The one grammar of references to policies: of `--policy`, `--robot`, `--human`, `evaluate`."""
 
 import dataclasses
 import re

@@ -55,7 +55,7 @@ def receive(stream: BinaryIO) -> tuple[dict[str, Any], np.ndarray | None]:
 
 
 def told(error: BaseException) -> str:
-    """Say an exception in one line without control characters, with the place in the user's code."""
+    """Say an exception in one printable line, with the place in the user's code."""
     frames = traceback.extract_tb(error.__traceback__)
     place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
     text = "".join(c if c.isprintable() else " " for c in str(error))
@@ -133,7 +133,7 @@ def _import(path: str, name: str) -> ModuleType:
 
 
 def _own_files(module: ModuleType, foreign: list[str]) -> list[str]:
-    """Return the module's file first, then those of its folder and the working one that it imported."""
+    """Return the module's file, then those of its folder and the working one that it imported."""
     own = Path(module.__file__ or "").resolve()
     found = [getattr(each, "__file__", None) for each in list(sys.modules.values())]
     files = {Path(file).resolve() for file in found if file and file.endswith(".py")} - {own}

@@ -71,7 +71,7 @@ def profile(folders: tuple[Path, ...], /, *, out: Path) -> None:
 
 
 def curves(run: Path, /, *, out: Path) -> None:
-    """Draw a training run's learning curves: IQM over seeds with 95% bands, one line a disability setting.
+    """Draw a training run's learning curves: IQM over seeds with 95% bands, a line a setting.
 
     Args:
         run: Folder that `assistax-zoo train --out` filled, or is filling.

@@ -23,11 +23,11 @@ def render(
     disability: str | None = None,
     registry: str | None = None,
 ) -> None:
-    """Film an episode of a robot and a human, with targets, contact force and reward drawn on; no display is needed.
+    """Film an episode of a robot and a human, with targets, contact force and reward drawn on.
 
-    The human plays under its own disability setting. An .mp4 or .gif runs in real time, a .png
-    shows four moments. With --collisions no episode is played: a .png shows the scene beside the
-    shapes that can touch, with the pairs.
+    No display is needed. The human plays under its own disability setting. An .mp4 or .gif runs in
+    real time, a .png shows four moments. With --collisions no episode is played: a .png shows the
+    scene beside the shapes that can touch, with the pairs.
 
     Args:
         task: Task, such as scratch; with --collisions also all.

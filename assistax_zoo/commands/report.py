@@ -1,4 +1,4 @@
-"""What finished folders tell: differences of two methods, strategies of partners, and a page for people."""
+"""What finished folders tell: differences of methods, strategies of partners, and a page."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,7 +36,7 @@ def compare(a: Path, b: Path, /, *, seed: int = 0, json: bool = False) -> None:
 
 
 def strategies(folder: Path, /, *, json: bool = False) -> None:
-    """Group partners by behaviour: forces, distance, joint travel, time to first contact and success.
+    """Group partners by behaviour: forces, distance, joint travel, first contact and success.
 
     A partner's behaviour is that of the pair with its best robot in the cross-play.
 
@@ -58,9 +58,10 @@ def strategies(folder: Path, /, *, json: bool = False) -> None:
 
 
 def report(folder: Path, /, *, out: Path) -> None:
-    """Write one page about a finished evaluation or cross-play: figures, tables, command, versions and hashes.
+    """Write one page about a finished evaluation or cross-play, for a browser.
 
-    The page needs nothing but a browser; a cross-play can be zoomed and searched in it.
+    It has figures, tables, command, versions and hashes, and loads nothing from elsewhere; a
+    cross-play can be zoomed and searched in it.
 
     Args:
         folder: Folder that `assistax-zoo evaluate --out` or `crossplay --out` filled.

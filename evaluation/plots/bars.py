@@ -1,4 +1,4 @@
-"""Figures of evaluations: returns with training and test partners, and with each disability setting."""
+"""Figures of evaluations: returns with training and test partners, and with each setting."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,7 +12,7 @@ _TRAIN, _TEST = "#9ecae1", "#08519c"
 
 
 def zsc_bars(summaries: Mapping[str, Mapping[str, Any]]) -> Figure:
-    """Draw M_train beside M_test of each method (paper, Figures 6 and 14): IQM with its 95% interval.
+    """Draw M_train beside M_test of each method, IQM with its 95% interval (paper, Figures 6, 14).
 
     Args:
         summaries: what `evaluate` saved, by the method's name.
@@ -52,7 +52,7 @@ def zsc_bars(summaries: Mapping[str, Mapping[str, Any]]) -> Figure:
 
 
 def disability_points(summaries: Mapping[str, Mapping[str, Any]]) -> Figure:
-    """Draw each method's return with the partners of each disability setting: IQM with its 95% interval."""
+    """Draw each method's return with the partners of each setting: IQM with its 95% interval."""
     settings = sorted({name for summary in summaries.values() for name in summary["by_disability"]})
     figure, axes = _canvas(
         summaries, "Return by the partner's disability setting", 2.4 + 0.55 * len(settings)
@@ -81,7 +81,7 @@ def disability_points(summaries: Mapping[str, Mapping[str, Any]]) -> Figure:
 
 
 def provenance(summaries: Mapping[str, Mapping[str, Any]]) -> str:
-    """Say how many robots, partners and episodes stand behind a figure, of which release and split."""
+    """Say how many robots, partners and episodes are behind a figure, of which release."""
     lines = []
     for name, summary in summaries.items():
         partners = ", ".join(

@@ -1,4 +1,4 @@
-"""Clustered cross-play heatmap (paper, Figure 4): dendrograms, strips, clusters with medoids, caption."""
+"""Clustered cross-play heatmap (paper, Figure 4): dendrograms, strips, clusters, caption."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -210,7 +210,7 @@ def _draw_margin(
     side: Side,
     palettes: Mapping[str, Mapping[str, str]],
 ) -> None:
-    """Draw what stands before an axis, from the matrix outwards: disability, algorithm, clusters, dendrogram."""
+    """Draw, from the matrix outwards: disability, algorithm, clusters, dendrogram."""
     seat = "ego" if edge == "left" else "partner"
 
     def beside(offset: float, thickness: float, label: str) -> Axes:

@@ -102,7 +102,7 @@ def arrange(pairs: pl.DataFrame, order: Mapping[str, Any], how: Order | None = N
 
 
 def short_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Shorten ids by what they share: the task before the team, the role after it, the release if it is the same."""
+    """Shorten ids by what they share: task, role, and the release if it is the same."""
     parts = [name.split("/") for name in names]
     short = [
         part[1] if len(part) in (2, 3) else name for name, part in zip(names, parts, strict=True)

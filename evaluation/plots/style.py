@@ -51,7 +51,7 @@ def _wrap(text: str, width: float) -> list[str]:
 
 
 def write_caption(figure: Figure, text: str) -> None:
-    """Write a caption at the foot of a figure, broken where the figure ends; it takes `caption_height` inches."""
+    """Write a caption of `caption_height` inches at the foot of a figure, broken into lines."""
     width, height = figure.get_size_inches()
     lines = "\n".join(_wrap(text, width))
     figure.text(

@@ -16,7 +16,7 @@ _DECADES = 1.5  # values that span more than this many powers of ten are drawn o
 
 
 def sweep_panels(results: pl.DataFrame, *, title: str, caption: str) -> Figure:
-    """Draw one panel for each hyperparameter (paper, Figures 9 to 13): a point for each configuration and seed.
+    """Draw a panel for each hyperparameter, a point a configuration and seed (Figures 9 to 13).
 
     The configuration with the best mean final return is marked in every panel.
 

@@ -1,4 +1,4 @@
-"""Treemap of a population (paper, Figure 2): one area for each algorithm, in it one for each disability setting."""
+"""Treemap of a population (paper, Figure 2): areas for algorithms, in them for settings."""
 
 from collections.abc import Sequence
 
@@ -100,7 +100,7 @@ def _counts(teams: pl.DataFrame, column: str) -> list[tuple[str, int]]:
 def _areas(
     counts: Sequence[tuple[str, int]], x: float, y: float, dx: float, dy: float
 ) -> list[tuple[float, ...]]:
-    """Lay counts out as rectangles (x, y, dx, dy) of proportional area, squares as nearly as possible."""
+    """Lay counts out as rectangles (x, y, dx, dy) of proportional area, nearly squares."""
     sizes = squarify.normalize_sizes([count for _, count in counts], dx, dy)
     return [
         (box["x"], box["y"], box["dx"], box["dy"]) for box in squarify.squarify(sizes, x, y, dx, dy)

@@ -12,8 +12,8 @@ from evaluation.report import html
 from evaluation.report.matrix_data import matrix_data
 
 _INTRODUCTION = """<h2>Every robot with every human</h2>
-<p>Point at a cell for the pair, click to hold it. Drag to move; zoom with the buttons, with + and -,
-or with the wheel once the matrix was clicked. Dots and bold figures are self-play.</p>"""
+<p>Point at a cell for the pair, click to hold it. Drag to move; zoom with the buttons, with +
+and -, or with the wheel once the matrix was clicked. Dots and bold figures are self-play.</p>"""
 _VIEWER = html.Html("""<div class="controls">
 <label>order <select id="order"></select></label>
 <label>colour <select id="measure"></select></label>
@@ -23,8 +23,9 @@ _VIEWER = html.Html("""<div class="controls">
 <button id="all" title="whole matrix (0)">all</button></span>
 <span class="scale"><span id="low"></span><i id="ramp"></i><span id="high"></span></span>
 </div>
-<div class="viewer"><canvas id="matrix" tabindex="0" role="img" aria-label="cross-play matrix; the tables below and the
-static figure hold the same values"></canvas><div id="tip" hidden></div></div>""")
+<div class="viewer"><canvas id="matrix" tabindex="0" role="img" aria-label="cross-play matrix;
+the tables below and the static figure hold the same values"></canvas>
+<div id="tip" hidden></div></div>""")
 
 
 def crossplay_sections(folder: Path, summary: Mapping[str, Any]) -> list[html.Html]:

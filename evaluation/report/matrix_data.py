@@ -27,7 +27,7 @@ _DIGITS = 4  # significant, of what is only looked at
 def matrix_data(
     pairs: pl.DataFrame, order: Mapping[str, Any], strategies: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Return axes, measures, orders and palettes; the values of a measure are [robots][humans] in the table's order."""
+    """Return axes, measures as [robots][humans] in the table's order, orders and palettes."""
     rows, columns = (_axis(pairs, seat) for seat in ("ego", "partner"))
     shape = len(rows), len(columns)
     measures = {

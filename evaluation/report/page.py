@@ -95,7 +95,8 @@ def _origin(folder: Path, summary: Mapping[str, Any]) -> html.Html:
     parts = [html.Html("<h2>How to repeat it</h2>")]
     if run:
         parts.append(html.fill("<pre>{}</pre>", run["command"]))
-        machine = f"Python {run['python']}, {run['platform']}, {', '.join(run['devices'])}; finished {run['date']}"
+        where = f"Python {run['python']}, {run['platform']}, {', '.join(run['devices'])}"
+        machine = f"{where}; finished {run['date']}"
         parts.append(html.fill('<p class="muted">{}</p>', machine))
         parts.append(
             html.table(

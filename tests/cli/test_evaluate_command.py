@@ -189,7 +189,7 @@ def test_several_policies_are_seeds_of_one_method(
 def test_crossplay_fills_its_folder_with_self_play_on_the_diagonal(
     registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
-    """Two teams of each setting; self-play is what `evaluate` gives for the robot with its own human."""
+    """Two teams of each setting; self-play is what `evaluate` gives for a robot's own human."""
     out, teams = tmp_path / "xp", "scratch/ippo-d?-s[01]-v0"
     words = ["--task", "scratch", "--episodes", 2, "--backend", "native", "--registry", registry]
     globs = ["--egos", f"{teams}/robot", "--partners", f"{teams}/human"]

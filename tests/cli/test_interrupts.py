@@ -1,4 +1,4 @@
-"""Ctrl-C: a command ends with one line and code 130, a function raises and leaves the interpreter alive."""
+"""Ctrl-C: a command ends with one line and code 130, a function raises, and Python lives on."""
 
 import os
 import random
@@ -108,7 +108,8 @@ for seconds in map(float, sys.argv[2:]):
         print("swallowed")
     except KeyboardInterrupt:
         print("interrupted")
-print(jax.numpy.arange(3).sum(), len([t for t in threading.enumerate() if "interruptible" in t.name]))
+left = [thread for thread in threading.enumerate() if "interruptible" in thread.name]
+print(jax.numpy.arange(3).sum(), len(left))
 """
 
 

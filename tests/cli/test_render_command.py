@@ -1,4 +1,4 @@
-"""`assistax-zoo render`: films and strips of an episode, and one clear line where there can be none."""
+"""`assistax-zoo render`: films and strips of an episode, or one clear line why not."""
 
 import itertools
 import os
