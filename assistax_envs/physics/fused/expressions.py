@@ -168,7 +168,7 @@ def maximum(a: Scalar, b: Scalar) -> Scalar:
 
 def literal(x: float) -> str:
     """Return `x` rounded to single precision, as C++."""
-    return f"{float(np.float32(x))!r}f"
+    return f"{np.float32(x)!s}f"
 
 
 def text(x: Scalar) -> str:

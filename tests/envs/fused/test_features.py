@@ -181,7 +181,7 @@ def test_parallel_capsules_touch_twice() -> None:
 
 
 def test_a_softer_scene_is_another_program() -> None:
-    """Skin that yields, a stiffer trunk, a weaker robot: numbers of the model, not of the engine."""
+    """Skin that yields, a stiffer trunk, a weaker robot: the model's numbers, not the engine's."""
     model = copy.copy(scene("scratch"))
     model.pair_solref[:, 0] = np.linspace(0.02, 0.08, model.npair)
     model.pair_solimp[:, 0] = np.linspace(0.5, 0.9, model.npair)

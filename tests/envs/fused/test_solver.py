@@ -1,14 +1,16 @@
 """What the solver says of itself, and numbers that must not change without a new version."""
 
 import hashlib
+import re
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from assistax_envs.physics.fused import VERSION
+from assistax_envs.physics.fused import VERSION, generate
 from assistax_envs.physics.fused.program import MAX_CONTACTS
-from tests.envs.fused.scenes import TASKS, Engine, States, engine, team_states
+from tests.envs.fused.scenes import TASKS, Engine, States, engine, oracle, team_states
 
 # A heavy bar over as many balls as can be asked for, each of which it touches.
 ROW = """
@@ -75,3 +77,20 @@ def test_golden_numbers(task: str) -> None:
     states, ranges = team_states(task)
     results = engine(task)(states[:200], 4, ranges[:200])
     assert hashlib.sha256(b"".join(x.tobytes() for x in results)).hexdigest()[:16] == GOLDEN[task]
+
+
+def test_the_worked_example_is_what_is_generated() -> None:
+    page = (Path(__file__).parents[3] / "docs/engine.md").read_text()
+    model, *programs = re.findall(r"```(?:xml|cpp)\n(.*?)```", page, re.DOTALL)
+    source = generate(mujoco.MjModel.from_xml_string(model)).source
+    shown = [line.split("//")[0].strip() for text in programs for line in text.splitlines()]
+    assert len(shown) > 10 and [line for line in shown if line not in source.splitlines()] == []
+
+
+def test_a_model_without_contacts() -> None:
+    page = (Path(__file__).parents[3] / "docs/engine.md").read_text()
+    model = mujoco.MjModel.from_xml_string(re.findall(r"```xml\n(.*?)```", page, re.DOTALL)[0])
+    states = States(np.array([[0.3], [1.02]]), np.array([[1.0], [2.0]]), np.array([[0.5], [-1.0]]))
+    want = oracle(model, states, 4)
+    for got, expected in zip(Engine(model)(states, 4), want, strict=True):
+        np.testing.assert_allclose(got, expected, rtol=2e-6)
