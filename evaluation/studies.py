@@ -93,8 +93,8 @@ def evaluate_policies(
         on_progress: Told how far the run is.
 
     Raises:
-        ValueError: Something asked for does not exist or does not fit the task.
-        ZooError: The registry cannot give what was asked for.
+        ValueError: What was asked for does not exist or does not fit the task.
+        ZooError: The registry cannot give it.
     """
     if not policies:
         raise ValueError("no policy given; name at least one, for example --policy zoo:TEAM/robot")
@@ -114,9 +114,8 @@ def evaluate_policies(
         played = _play_references(registry, env, job, chosen, settings, references, on_progress)
         played = played, bounds_table(played, pairs)
     context = _context(registry, job, manifest, manifest.release, result)
-    summary = save_evaluation(
-        folder, result.table, context, include_own=include_own, references=played
-    )
+    given = {"include_own": include_own, "references": played}
+    summary = save_evaluation(folder, result.table, context, **given)
     _seal(registry, folder, chosen)
     return summary
 
