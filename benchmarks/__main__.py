@@ -255,7 +255,7 @@ def ladder(*, attempts: int = 1000, submitters: int = 20, json: bool = False) ->
 
 def pages(
     *,
-    url: str = "http://127.0.0.1:8000",
+    url: str = "http://127.0.0.1:8800",
     readers: int = 200,
     seconds: float = 20.0,
     json: bool = False,
@@ -269,7 +269,7 @@ def pages(
         json: Print JSON.
 
     Example:
-        python -m benchmarks pages --url http://127.0.0.1:8000 --readers 200
+        python -m benchmarks pages --url http://127.0.0.1:8800 --readers 200
     """
     from benchmarks.pages import read_pages
 

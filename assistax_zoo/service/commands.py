@@ -59,7 +59,7 @@ def serve(
     own = serving.worker_token(service, data) if workers else ""
     local = address.replace("0.0.0.0", "127.0.0.1")
     with serving.local_workers(workers, local, own, options):
-        serving.run_server(service, host, port)
+        serving.run_server(service, host, port, films=data / "films", registry=registry)
 
 
 def worker(

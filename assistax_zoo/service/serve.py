@@ -3,6 +3,7 @@
 DIR/service.db      SQLite, if no other database is given
 DIR/artefacts/      robots, results and private releases by sha256, if no store is given
 DIR/signing-key.pem
+DIR/films/          of pairs of published policies, made when a reader asks
 DIR/worker-token    of the local workers; only the owner can read it
 """
 
@@ -86,8 +87,8 @@ def worker_token(service: Service, data: Path) -> str:
     return token
 
 
-def run_server(service: Service, host: str, port: int) -> None:
-    """Serve until SIGINT or SIGTERM; requests under way are answered first."""
+def run_server(service: Service, host: str, port: int, **pages: Any) -> None:
+    """Serve until SIGINT or SIGTERM, ending requests first; `pages` go to `add_pages`."""
     import uvicorn
 
     from assistax_zoo.service.api.app import create_app
@@ -95,7 +96,7 @@ def run_server(service: Service, host: str, port: int) -> None:
 
     log_to_stderr()
     config = uvicorn.Config(
-        create_app(service),
+        create_app(service, **pages),
         host=host,
         port=port,
         log_level="warning",

@@ -48,7 +48,7 @@ def make_app(folder: Path, robots: tuple[Robot, ...] = ROBOTS, **options: Any) -
     app = FastAPI()
     catalogue = SimpleNamespace(tasks=("scratch", "bed_bath", "arm_assist"))
     service = SimpleNamespace(queries=Queries(fill(folder, robots)), catalogue=catalogue)
-    add_pages(app, service, videos=folder / "videos", **options)
+    add_pages(app, service, films=folder / "films", **options)
     return app
 
 

@@ -1,6 +1,7 @@
 """The application: routes, guards, and the pages if they are installed."""
 
 import importlib.util
+from typing import Any
 
 from fastapi import FastAPI
 
@@ -13,8 +14,8 @@ from assistax_zoo.service.service import Service
 DESCRIPTION = "Submit a robot, and be scored on partners that nobody has."
 
 
-def create_app(service: Service) -> FastAPI:
-    """Return the application that serves the API and the pages."""
+def create_app(service: Service, **pages: Any) -> FastAPI:
+    """Return the application that serves the API and the pages; `pages` go to `add_pages`."""
     app = FastAPI(title="assistax-zoo", description=DESCRIPTION, docs_url=None, redoc_url=None)
     app.state.service, app.state.limiter = service, Limiter()
     for module in (public, submitting, working, operations):
@@ -24,5 +25,5 @@ def create_app(service: Service) -> FastAPI:
     operations.add_observation(app)
     app.add_middleware(BodyLimit)
     if importlib.util.find_spec("assistax_zoo.service.pages"):
-        importlib.import_module("assistax_zoo.service.pages").add_pages(app, service)
+        importlib.import_module("assistax_zoo.service.pages").add_pages(app, service, **pages)
     return app

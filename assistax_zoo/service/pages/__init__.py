@@ -21,7 +21,7 @@ from assistax_zoo.service.pages.season_routes import season_router
 from assistax_zoo.service.pages.security import FormTokens, SecurityHeaders
 from assistax_zoo.service.pages.site import NotFoundError, Site
 from assistax_zoo.service.pages.videos import Videos
-from zoo.registry import Registry, load_registry
+from zoo.registry import load_registry
 
 FILMS = Path("~/.cache/assistax-zoo/films")  # where no other folder is given
 
@@ -53,9 +53,9 @@ def add_pages(
     app: FastAPI,
     service: Service,
     *,
-    videos: Path | None = None,
+    films: Path | None = None,
     crossplays: Path | None = None,
-    registry: Registry | None = None,
+    registry: Path | None = None,
     form_key: bytes | None = None,
 ) -> None:
     """Add the pages to an application.
@@ -63,20 +63,20 @@ def add_pages(
     Args:
         app: the application.
         service: the service.
-        videos: folder in which films of pairs are kept; one of this user's if not given.
+        films: folder in which films of pairs are kept; one of this user's if not given.
         crossplays: folder with a finished cross-play for each task; the published ones of a
             checkout if not given.
-        registry: where partners come from; the installed one if not given.
+        registry: file that partners are read from; the installed one if not given.
         form_key: signs tokens of forms; the same one for all processes behind one address.
     """
     played = CrossPlays(crossplays)
     site = Site(
         tasks=service.catalogue.tasks,
         queries=service.queries,
-        registry=registry or load_registry(),
+        registry=load_registry(registry),
         crossplays=played,
         boards=Boards(service.queries, played),
-        videos=Videos((videos or FILMS).expanduser()),
+        videos=Videos((films or FILMS).expanduser()),
         cache=PageCache(),
         tokens=FormTokens(form_key),
     )

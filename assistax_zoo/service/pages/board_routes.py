@@ -1,5 +1,6 @@
 """Pages of scores: the tasks, a task's board, and two of its methods side by side."""
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,7 @@ def board_values(site: Site, task: str) -> dict[str, Any]:
     }
 
 
+@functools.lru_cache(maxsize=64)  # a board is computed anew when a score is added, and only then
 def compare_values(board: Board, a: str, b: str) -> dict[str, Any]:
     """Return the paired difference of two methods, each named by one of its submissions.
 

@@ -35,7 +35,7 @@ class Played:
         return self.newest.submitter == REFERENCE
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Board:
     """All methods of a task, under one version of everything that decides a score."""
 
