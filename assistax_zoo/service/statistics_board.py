@@ -41,6 +41,7 @@ class Method:
 
     name: str
     returns: np.ndarray  # [S, P, K]: its seeds, the panel's partners, the panel's episodes
+    competes: bool = True  # False for a row that others are measured by
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,8 +49,8 @@ class Standing:
     """One row of a board."""
 
     name: str
-    place: int  # shared by methods that cannot be told apart
-    lowest: int  # rank no lower than this, at 95% for the whole board
+    place: int | None  # shared by methods that cannot be told apart; None if it does not compete
+    lowest: int | None  # rank no lower than this, at 95% for the whole board
     m_test: Estimate
     worst_tenth: Interval  # one partner in ten earns less
     cvar: Interval | None  # mean of the lowest tenth of partners; None with one episode a pair
@@ -66,17 +67,34 @@ def standings(
         ValueError: there are no methods, or one has not played the whole panel.
     """
     _check(methods, panel)
-    scores = [method.returns.mean(axis=2) for method in methods]
-    ranks = rank_methods(scores, resamples=resamples, seed=seed)
+    ranks = _rank_competitors(methods, resamples, seed)
     rows = [
-        _standing(method, panel, int(place), int(lowest), resamples, seed)
-        for method, place, lowest in zip(methods, ranks.places, ranks.lowest, strict=True)
+        _standing(method, panel, *ranks.get(method.name, (None, None)), resamples, seed)
+        for method in methods
     ]
     return tuple(sorted(rows, key=lambda row: (-row.m_test.mean, row.name)))
 
 
+def _rank_competitors(
+    methods: Sequence[Method], resamples: int, seed: int
+) -> dict[str, tuple[int, int]]:
+    """Return place and worst rank of each method that competes."""
+    names = [method.name for method in methods if method.competes]
+    if not names:
+        return {}
+    scores = [method.returns.mean(axis=2) for method in methods if method.competes]
+    ranks = rank_methods(scores, resamples=resamples, seed=seed)
+    places = zip(ranks.places.tolist(), ranks.lowest.tolist(), strict=True)
+    return dict(zip(names, places, strict=True))
+
+
 def _standing(
-    method: Method, panel: Panel, place: int, lowest: int, resamples: int, seed: int
+    method: Method,
+    panel: Panel,
+    place: int | None,
+    lowest: int | None,
+    resamples: int,
+    seed: int,
 ) -> Standing:
     scores = method.returns.mean(axis=2)
     groups = group_draws(scores, panel.disabilities, resamples=resamples, seed=seed)

@@ -116,7 +116,7 @@ def test_a_seasons_secret_is_on_no_page(client: TestClient, addresses: list[str]
 def test_methods_that_cannot_be_told_apart_share_a_place(client: TestClient) -> None:
     text = client.get("/tasks/scratch").text
     places = re.findall(r'<span class="rank">(\d)', text)
-    assert places == ["1", "1", "3", "4", "5", "6"]
+    assert places == ["1", "1", "3", "4"], "rows to measure by have none"
     assert text.index("ppo ego") < text.index("sac ego") < text.index("scripted")
 
 

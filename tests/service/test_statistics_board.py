@@ -25,6 +25,12 @@ def test_rows_come_with_the_highest_mean_first_and_shared_places() -> None:
     ]
 
 
+def test_a_row_to_measure_by_takes_no_place() -> None:
+    low, high = method("low", 100, 0), method("high", 150, 1)
+    rows = standings([low, Method("reference", high.returns, competes=False)], Panel(DISABILITIES))
+    assert [(row.name, row.place) for row in rows] == [("reference", None), ("low", 1)]
+
+
 def test_figures_are_those_of_the_scores() -> None:
     one = method("one", 100, 2)
     [row] = standings([one], Panel(DISABILITIES))

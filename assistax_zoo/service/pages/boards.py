@@ -13,7 +13,7 @@ from assistax_zoo.service.statistics_board import Method, Panel, Standing, stand
 from evaluation.metrics import Bounds
 
 REFERENCE = "reference"  # the submitter of rows that others are measured by
-LOW = "random"  # the reference that earns a normalised return of 0
+LOW = ("random", "zero action")  # references that earn a normalised return of 0, the first there is
 _NEWEST = 100_000  # submissions of a board; all of them
 
 
@@ -91,13 +91,17 @@ class Boards:
         if not methods:
             return None
         partners = _panel(scores)
-        low = next((m for m in methods if m.is_reference and m.newest.method == LOW), None)
+        references = {one.newest.method: one for one in methods if one.is_reference}
+        low = next((references[name] for name in LOW if name in references), None)
         panel = Panel(
             tuple(one.disability for one in partners),
             _bounds(partners, low, self._crossplays.of(task)),
         )
         by_name = {method.newest.id: method for method in methods}
-        rows = standings([Method(name, one.returns) for name, one in by_name.items()], panel)
+        rows = standings(
+            [Method(name, one.returns, not one.is_reference) for name, one in by_name.items()],
+            panel,
+        )
         named = tuple((row, by_name[row.name]) for row in rows)
         return Board(task, version, identity, partners, named)
 
