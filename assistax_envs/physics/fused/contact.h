@@ -118,24 +118,17 @@ FN void complete_frame(real frame[3][3], mask has_tangent, const real* tangent) 
   s[2] = n[0] * t[1] - n[1] * t[0];
 }
 
-// Where on the segments of two capsules the contact is, each in [-1, 1].
-FN void contact_ends(const real* a, const real* b, real& x, real& y) {
-  real dif[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
-  real aa = maximum(dot3(a + 3, a + 3), 1e-12f), bb = maximum(dot3(b + 3, b + 3), 1e-12f);
-  real ab = -dot3(a + 3, b + 3), u = -dot3(a + 3, dif), v = dot3(b + 3, dif);
-  real determinant = maximum(aa * bb - ab * ab, SMALLEST_DETERMINANT);
-  mask given_x = x < NEAREST, given_y = y < NEAREST;
-  real nearest = clip((bb * u - ab * v) / determinant);
-  real other = clip((v - ab * nearest) / bb);
-  nearest = clip((u - ab * other) / aa);
-  x = select(given_x, x, nearest);
-  y = select(given_y, y, other);
-}
+// The two geoms of the contacts in one slot, for all lanes.
+struct Touch {
+  real first[6], second[6];  // position and half axis
+  real first_radius, second_radius;
+  real x, y;  // where on each segment, or NEAREST
+  mask on_plane, capsule;  // what the first and the second are
+};
 
-// The contact in slot k of every lane; lanes that have none there take candidate 0's numbers.
-FN void place_contact(const Stage& now, const ContactList& list, int k, Contact& contact) {
-  real a[6], b[6];
-  Gathered first[6], second[6], first_radius, second_radius, x_given, y_given, plane, capsule;
+// Lanes that have no contact in slot k take candidate 0's numbers.
+FN void gather_touch(const Stage& now, const ContactList& list, int k, Touch& touch) {
+  Gathered first[6], second[6], first_radius, second_radius, x, y, plane, half_length;
   LANES(l) {
     int c = list.candidate[k][l];
     bool none = c < 0;
@@ -146,43 +139,77 @@ FN void place_contact(const Stage& now, const ContactList& list, int k, Contact&
     }
     first_radius.at[l] = GEOM[data.first].radius;
     second_radius.at[l] = GEOM[data.second].radius;
-    x_given.at[l] = none ? NEAREST : list.first_end[k][l];
-    y_given.at[l] = none ? NEAREST : list.second_end[k][l];
+    x.at[l] = none ? NEAREST : list.first_end[k][l];
+    y.at[l] = none ? NEAREST : list.second_end[k][l];
     plane.at[l] = data.end == 0.0f ? 0.0f : 1.0f;
-    capsule.at[l] = GEOM[data.second].half_length;
+    half_length.at[l] = GEOM[data.second].half_length;
   }
   UNROLL for (int j = 0; j < 6; ++j) {
-    a[j] = all(first[j]);
-    b[j] = all(second[j]);
+    touch.first[j] = all(first[j]);
+    touch.second[j] = all(second[j]);
   }
-  real x = all(x_given), y = all(y_given), ra = all(first_radius), rb = all(second_radius);
-  contact_ends(a, b, x, y);
+  touch.first_radius = all(first_radius);
+  touch.second_radius = all(second_radius);
+  touch.x = all(x);
+  touch.y = all(y);
+  touch.on_plane = all(plane) > 0.5f;
+  touch.capsule = all(half_length) > 0.0f;
+}
+
+// Find where on the segments the contact is, each in [-1, 1], as `collision.py` does.
+FN void find_nearest(Touch& touch) {
+  const real *a = touch.first, *b = touch.second;
+  real dif[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
+  real aa = maximum(dot3(a + 3, a + 3), 1e-12f), bb = maximum(dot3(b + 3, b + 3), 1e-12f);
+  real ab = -dot3(a + 3, b + 3), u = -dot3(a + 3, dif), v = dot3(b + 3, dif);
+  real determinant = maximum(aa * bb - ab * ab, SMALLEST_DETERMINANT);
+  real x = clip((bb * u - ab * v) / determinant);
+  real y = clip((v - ab * x) / bb);
+  x = clip((u - ab * y) / aa);
+  touch.x = select(touch.x < NEAREST, touch.x, x);
+  touch.y = select(touch.y < NEAREST, touch.y, y);
+}
+
+// Two spheres about the points `from` and `to` of the segments: the contact is half way between.
+FN void place_spheres(const Touch& touch, const real* from, const real* to, Contact& contact) {
+  real* normal = contact.frame[0];
+  UNROLL for (int j = 0; j < 3; ++j) normal[j] = to[j] - from[j];
+  real length = square_root(dot3(normal, normal)), inverse = 1.0f / maximum(length, 1e-9f);
+  contact.distance = length - touch.first_radius - touch.second_radius;
+  real deep = touch.first_radius + 0.5f * contact.distance;
+  UNROLL for (int j = 0; j < 3; ++j) {
+    normal[j] = normal[j] * inverse;
+    contact.point[j] = from[j] + normal[j] * deep;
+  }
+}
+
+// A sphere about the point `to` on a plane, in the lanes that have one.
+FN void place_on_plane(const Touch& touch, const real* to, Contact& contact) {
+  real *normal = contact.frame[0], above[3];
+  UNROLL for (int j = 0; j < 3; ++j) {
+    normal[j] = select(touch.on_plane, touch.first[3 + j], normal[j]);
+    above[j] = to[j] - touch.first[j];
+  }
+  real height = dot3(normal, above) - touch.second_radius;
+  contact.distance = select(touch.on_plane, height, contact.distance);
+  real deep = touch.second_radius + 0.5f * contact.distance;
+  UNROLL for (int j = 0; j < 3; ++j)
+    contact.point[j] = select(touch.on_plane, to[j] - normal[j] * deep, contact.point[j]);
+}
+
+// The contact in slot k of every lane.
+FN void place_contact(const Stage& now, const ContactList& list, int k, Contact& contact) {
+  Touch touch;
+  gather_touch(now, list, k, touch);
+  find_nearest(touch);
   real from[3], to[3];
   UNROLL for (int j = 0; j < 3; ++j) {
-    from[j] = a[j] + x * a[3 + j];
-    to[j] = b[j] + y * b[3 + j];
-    contact.frame[0][j] = to[j] - from[j];
+    from[j] = touch.first[j] + touch.x * touch.first[3 + j];
+    to[j] = touch.second[j] + touch.y * touch.second[3 + j];
   }
-  real* normal = contact.frame[0];
-  real length = square_root(dot3(normal, normal)), inverse = 1.0f / maximum(length, 1e-9f);
-  UNROLL for (int j = 0; j < 3; ++j) normal[j] = normal[j] * inverse;
-  contact.distance = length - ra - rb;
-  UNROLL for (int j = 0; j < 3; ++j)
-    contact.point[j] = from[j] + normal[j] * (ra + 0.5f * contact.distance);
+  place_spheres(touch, from, to, contact);
 #ifdef HAS_PLANE
-  mask on_plane = all(plane) > 0.5f;
-  real above[3];
-  UNROLL for (int j = 0; j < 3; ++j) {
-    normal[j] = select(on_plane, a[3 + j], normal[j]);
-    above[j] = to[j] - a[j];
-  }
-  contact.distance = select(on_plane, dot3(normal, above) - rb, contact.distance);
-  UNROLL for (int j = 0; j < 3; ++j) {
-    real point = to[j] - normal[j] * (rb + 0.5f * contact.distance);
-    contact.point[j] = select(on_plane, point, contact.point[j]);
-  }
-  complete_frame(contact.frame, both(on_plane, all(capsule) > 0.0f), b + 3);
-#else
-  complete_frame(contact.frame, splat(0.0f) > 1.0f, b + 3);
+  place_on_plane(touch, to, contact);
 #endif
+  complete_frame(contact.frame, both(touch.on_plane, touch.capsule), touch.second + 3);
 }

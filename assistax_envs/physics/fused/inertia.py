@@ -26,6 +26,7 @@ from assistax_envs.physics.fused.vectors import (
     product,
     rotate,
     scale,
+    subtract,
 )
 
 Entries = dict[tuple[int, int], Scalar]  # of a symmetric matrix, by (dof, one that carries it)
@@ -81,7 +82,9 @@ def _rotated_tensor(rotation: Matrix, tensor: np.ndarray) -> list[Scalar]:
     return [dot(half[a], rotation[b]) for a, b in indices]
 
 
-def inertia_matrix(tree: Tree, poses: list[Pose], inertias: list[Inertia], armature) -> Entries:
+def inertia_matrix(
+    tree: Tree, poses: list[Pose], inertias: list[Inertia], armature: np.ndarray
+) -> Entries:
     """Return the joint-space inertia M: each joint moves all that it carries as one rigid body."""
     composite, parents, entries = list(inertias), tree.parents, {}
     for i in reversed(range(len(parents))):
@@ -96,7 +99,11 @@ def inertia_matrix(tree: Tree, poses: list[Pose], inertias: list[Inertia], armat
 
 
 def bias_forces(
-    tree: Tree, poses: list[Pose], motions: list[Motion], inertias: list[Inertia], gravity
+    tree: Tree,
+    poses: list[Pose],
+    motions: list[Motion],
+    inertias: list[Inertia],
+    gravity: np.ndarray,
 ) -> list[Scalar]:
     """Return the torques under which no joint accelerates: Coriolis forces and gravity."""
     links = zip(tree.links, poses, motions, inertias, strict=True)
@@ -112,7 +119,9 @@ def bias_forces(
     return bias
 
 
-def _bias_force(link: Link, pose: Pose, motion: Motion, inertia: Inertia, gravity) -> Force:
+def _bias_force(
+    link: Link, pose: Pose, motion: Motion, inertia: Inertia, gravity: np.ndarray
+) -> Force:
     """Return the force on one link: rate of change of its momentum, less its weight."""
     if link.mass <= 0.0:
         return ZERO, ZERO
@@ -122,17 +131,16 @@ def _bias_force(link: Link, pose: Pose, motion: Motion, inertia: Inertia, gravit
     force = cross(motion.angular, momentum, force)
     if is_constant(link.heavy_mass, 0.0) and not link.heavy_moment.any():
         return moment, force
-    return _less_weight(link, pose, inertia, gravity, moment, force)
+    weight_moment, weight = _weight(link, pose, inertia, gravity)
+    return subtract(moment, weight_moment), subtract(force, weight)
 
 
-def _less_weight(link: Link, pose, inertia: Inertia, gravity, moment, force) -> Force:
-    """Subtract the weight, which acts where the mass is that gravity compensation leaves."""
-    up = [-float(g) for g in gravity]
+def _weight(link: Link, pose: Pose, inertia: Inertia, gravity: np.ndarray) -> Force:
+    """Return a link's weight, which acts where the mass is that gravity compensation leaves."""
     share = link.heavy_mass / link.mass
     if np.allclose(link.heavy_moment, share * link.moment, atol=1e-12):
         lever = scale(share, inertia.moment)
     else:
         carried = scale(link.heavy_mass, pose.position)
         lever = rotate(pose.rotation, link.heavy_moment.tolist(), carried)
-    force = [multiply_add(link.heavy_mass, g, f) for g, f in zip(up, force, strict=True)]
-    return cross(lever, up, moment), force
+    return cross(lever, gravity.tolist()), scale(link.heavy_mass, gravity.tolist())
