@@ -226,12 +226,8 @@ def _fail(message: str, code: int) -> int:
 
 def _check_stdout() -> None:
     """Say it now, not after the work, that there is nowhere to print to."""
-    try:
-        os.fstat(1)
-    except OSError:
-        raise ValueError(
-            "standard output is closed; direct it to a file, or to /dev/null"
-        ) from None
+    if sys.stdout is None:
+        raise ValueError("standard output is closed; direct it to a file, or to /dev/null")
 
 
 def _silence_stdout() -> None:

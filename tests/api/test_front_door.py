@@ -67,6 +67,22 @@ def test_a_module_in_the_place_of_ours_is_refused_by_name(tmp_path: Path, shadow
     )
 
 
+def test_the_command_refuses_such_a_module_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "assistax_envs.py").write_text("")
+    done = subprocess.run(
+        [sys.executable, "-m", "assistax_zoo", "list"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert done.returncode == 1 and done.stdout == ""
+    assert done.stderr.startswith(
+        f"error: {tmp_path / 'assistax_envs.py'} has the name of a package"
+    )
+    assert done.stderr.count("\n") == 1
+
+
 @pytest.mark.parametrize("module", ["assistax_zoo.zoos", "assistax_zoo.studies"])
 def test_examples_run(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
     import doctest

@@ -148,6 +148,13 @@ def test_a_reader_that_leaves_is_no_error() -> None:
     assert process.returncode == main.EXIT_BROKEN_PIPE
 
 
+def test_a_closed_standard_output_is_told() -> None:
+    script = f"exec {sys.executable} -m assistax_zoo list >&-"
+    done = subprocess.run(["sh", "-c", script], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == main.EXIT_ERROR
+    assert done.stderr.startswith("error: standard output is closed; direct it to a file")
+
+
 def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.run(["--help"]) == 0
     lines = [line.strip("│ ").split(maxsplit=1) for line in capsys.readouterr().out.splitlines()]

@@ -51,7 +51,7 @@ def test_methods_evaluated_unlike_are_not_compared(tmp_path: Path, crossplay: Pa
     a, b = evaluated(tmp_path / "a"), evaluated(tmp_path / "b", backend="mjx")
     for other, told in (
         (b, "backend is native in"),
-        (crossplay, "holds no evaluation"),
+        (crossplay, "holds a cross-play; compare takes evaluations"),
         (tmp_path / "c", "not exist"),
     ):
         assert call("compare", a, other) == 1
