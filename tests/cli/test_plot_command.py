@@ -121,7 +121,8 @@ def test_evaluations_are_drawn_by_method(draw, evaluation_folder: Path, tmp_path
 
 def test_a_crossplay_is_not_an_evaluation(crossplay_folder: Path, tmp_path: Path):
     with pytest.raises(
-        ValueError, match="xp holds no evaluation; give a folder that `assistax-zoo evaluate"
+        ValueError,
+        match="xp holds a cross-play; this figure is of a folder that `assistax-zoo evaluate",
     ):
         plot.zsc((crossplay_folder,), out=tmp_path / "x.png")
 
