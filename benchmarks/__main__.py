@@ -40,7 +40,7 @@ def env(
 
     Args:
         task: Task, or all.
-        backend: native, mjx, mjx-warp or auto; several with commas.
+        backend: fused, native, mjx, mjx-warp or auto; several with commas.
         batch: Numbers of simulations, with commas.
         seconds: Measuring time of each figure, about.
         json: Print JSON.
@@ -86,7 +86,7 @@ def evaluate(
 
     Args:
         task: Task, or all.
-        backend: native, mjx, mjx-warp or auto.
+        backend: fused, native, mjx, mjx-warp or auto.
         shape: Robots, partners and episodes of the block, with commas.
         seconds: Measuring time of each of the two, about.
         json: Print JSON.
@@ -145,7 +145,7 @@ def train(
     Args:
         task: Task.
         algorithm: ippo, mappo, isac or masac.
-        backend: native, mjx, mjx-warp or auto.
+        backend: fused, native, mjx, mjx-warp or auto.
         seeds: Teams trained side by side.
         num_envs: Simulations of each team; default the preset's.
         set_: Another hyperparameter, such as rollout_steps=32; repeat it for more.

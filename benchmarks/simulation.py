@@ -116,7 +116,7 @@ def measure_evaluator(
 
 def device_name(backend: str) -> str:
     """Return what the backend computes on."""
-    if backend == "native":
+    if backend == "native" or jax.default_backend() == "cpu":
         return f"{len(os.sched_getaffinity(0))} CPU cores"
     return jax.devices()[0].device_kind
 

@@ -25,7 +25,7 @@ class Playing:
     Attributes:
         episodes: Episodes of each pair.
         seed: Seed of the episodes, the same for every pair.
-        backend: native, mjx, mjx-warp, or auto for the fastest here.
+        backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
         stochastic: Draw actions instead of taking each policy's most likely one.
         max_envs: Most simulations in a saved part, and on a GPU at once; lower it if memory runs
             out.
@@ -97,7 +97,7 @@ class Training:
 
     Attributes:
         seeds: How many, numbered from 0, or which: 8, 0-7 or 2,5.
-        backend: Physics: native, mjx, mjx-warp, or auto for the fastest one here.
+        backend: Physics: fused, native, mjx, mjx-warp, or auto for the fastest one.
         num_envs: Simulations of each team or robot; default the preset's, or the nearest to it that
             frozen partners can share.
         set_: Another hyperparameter, such as learning_rate=3e-4, torso=gru or shared=true; repeat

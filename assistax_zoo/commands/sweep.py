@@ -27,7 +27,7 @@ def sweep(
         out: Folder of the sweep: a run for each block, sweep.parquet, preset.json.
         algorithm: Preset that is varied: ippo, mappo, isac or masac.
         search: What is tried.
-        backend: Physics: native, mjx, mjx-warp, or auto for the fastest one here.
+        backend: Physics: fused, native, mjx, mjx-warp, or auto for the fastest one.
         engine: What runs the blocks.
         json: Print the results as JSON.
 

@@ -1,0 +1,87 @@
+"""Do teams earn the same on two engines? Self-play of published teams, paired by team and start.
+
+python -m benchmarks.engines --task scratch --teams 30 --episodes 64
+"""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from cyclopts import run
+
+from assistax_envs import make
+from assistax_zoo.console import print_json, stdout_is_data
+from evaluation.evaluator import run_job
+from evaluation.jobs import Job
+from evaluation.roster import paired_rosters
+from zoo import load_registry
+
+EQUIVALENT = 0.005  # of the mean return: engines that differ by less are taken for the same
+
+
+def compare(task: str, teams: int, episodes: int, ours: str, theirs: str) -> dict[str, float | int]:
+    """Return how the mean return of `ours` differs from that of `theirs`.
+
+    Of the task's teams, `teams` are taken at even distances in the order of the registry, so that
+    all algorithms and impairments are among them. The interval is over teams.
+    """
+    returns = {backend: _returns(task, teams, episodes, backend) for backend in (ours, theirs)}
+    means = {
+        b: table.group_by("ego_team").agg(pl.col("return").mean()) for b, table in returns.items()
+    }
+    joined = means[ours].join(means[theirs], on="ego_team", suffix="_theirs")
+    difference = (joined["return"] - joined["return_theirs"]).to_numpy()
+    mean = float(joined["return_theirs"].mean())  # ty: ignore
+    margin = 1.96 * float(difference.std(ddof=1)) / np.sqrt(len(difference))
+    return {
+        "teams": len(difference),
+        "episodes": episodes,
+        "mean": mean,
+        "difference_share": float(difference.mean()) / abs(mean),
+        "margin_share": margin / abs(mean),
+        "largest_of_a_team": float(np.abs(difference).max()),
+        "nonfinite": int(returns[ours]["nonfinite"].sum()),
+        "nonfinite_theirs": int(returns[theirs]["nonfinite"].sum()),
+    }
+
+
+def _returns(task: str, teams: int, episodes: int, backend: str) -> pl.DataFrame:
+    registry, env = load_registry(), make(task, backend)
+    entries = {entry.id: entry for entry in registry.policies if entry.task == task}
+    pairs = [
+        (entry, entries[f"{entry.team}/human"])
+        for entry in entries.values()
+        if entry.role == "robot" and f"{entry.team}/human" in entries
+    ]
+    picked = [pairs[i] for i in np.linspace(0, len(pairs) - 1, teams).astype(int)]
+    robots, humans = paired_rosters(registry, picked)
+    job = Job(
+        task=task,
+        env_version=env.version,
+        backend=env.backend,
+        egos=robots,
+        partners=humans,
+        episodes=episodes,
+        paired=True,
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        return run_job(env, job, Path(folder, "job")).table
+
+
+def main(
+    task: str,
+    *,
+    teams: int = 30,
+    episodes: int = 64,
+    ours: str = "fused",
+    theirs: str = "native",
+) -> None:
+    """Print the comparison as JSON."""
+    with stdout_is_data():
+        result = compare(task, teams, episodes, ours, theirs)
+    print_json({"task": task, "ours": ours, "theirs": theirs, **result})
+
+
+if __name__ == "__main__":
+    run(main)
