@@ -52,7 +52,7 @@ class Admission:
                 from assistax_zoo.service.onnx_admission import admit_onnx
 
                 spec, params = admit_onnx(data, observation_size, action_size)
-                robot = Robot(ONNX, dataclasses.replace(spec, action_size=action_size), params)
+                robot = Robot(ONNX, spec, params)
             else:
                 raise Refusal("unknown_format")
             _check_finite(robot)

@@ -51,7 +51,7 @@ def admit_onnx(data: bytes, observation_size: int, action_size: int) -> tuple[An
     model = _parse(data)
     _check_model(model)
     graph = _Graph(model.graph)
-    program, params = graph.program()
+    program, params = graph.program(action_size)
     _check_sizes(program, params, observation_size, action_size)
     return program, params
 
@@ -105,7 +105,7 @@ class _Graph:
         self._count = 0  # of integers
         self._nodes: list[Any] = []
 
-    def program(self) -> tuple[Any, dict[str, Any]]:
+    def program(self, action_size: int) -> tuple[Any, dict[str, Any]]:
         """Return the program and its parameters."""
         from assistax_zoo.service.onnx_program import OnnxProgram
 
@@ -120,8 +120,9 @@ class _Graph:
         if len(outputs) < 1 + (len(widths) > 1) or not set(outputs) <= names:
             raise Refusal("wrong_interface", "too few outputs")
         program = OnnxProgram(
+            role="robot",
             observation_size=widths[0],
-            action_size=0,  # known when shapes are computed
+            action_size=action_size,  # held against the graph's own with all other shapes
             carry_size=widths[1] if len(widths) > 1 else 0,
             inputs=tuple(value.name for value in inputs),
             outputs=outputs,

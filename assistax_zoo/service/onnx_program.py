@@ -7,11 +7,13 @@ graph share a compiled program. Semantics: https://onnx.ai/onnx/operators/
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from population.spec import PolicySpec
 
 Attributes = Mapping[str, Any]
 Value = Any  # a JAX array, or a tuple of ints: shapes and indices are never computed from data
@@ -27,19 +29,16 @@ class Node:
     attributes: tuple[tuple[str, Any], ...] = ()
 
 
-@dataclasses.dataclass(frozen=True)
-class OnnxProgram:
-    """A graph without its weights; stands where a `PolicySpec` stands."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OnnxProgram(PolicySpec):
+    """A graph without its weights; of a `PolicySpec` it has the role and the sizes."""
 
-    observation_size: int
-    action_size: int
     carry_size: int  # 0 of a robot without memory
     inputs: tuple[str, ...]  # obs, then carry, then first
     outputs: tuple[str, ...]  # action, then the next carry
     weights: tuple[str, ...]  # names in the graph of parameters "w0", "w1", ...
     constants: tuple[tuple[str, int | tuple[int, ...]], ...]  # integers, by name
     nodes: tuple[Node, ...]
-    role: Literal["robot"] = "robot"
 
     def make_policy(self) -> "OnnxPolicy":
         """Return what plays this graph."""

@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import polars as pl
 
 from assistax_zoo.service.admission import Admission, robot_sizes
@@ -70,12 +71,13 @@ class ZooScorer:
 
     def _file(self, work: Work, data: bytes) -> Any:
         from evaluation.roster import Member, Roster
-        from population.stack import stack_policies
+        from population.stack import PolicyStack, map_leaves
 
         robot = self._admission.read(data, work.task)
         member = Member("robot", hashlib.sha256(data).hexdigest())
-        stacks = stack_policies([(member.id, robot.spec, robot.params)])
-        return Roster(stacks, {member.id: member})
+        params = map_leaves(lambda leaf: np.asarray(leaf)[None], robot.params)
+        stack = PolicyStack(robot.spec, (member.id,), params)
+        return Roster((stack,), {member.id: member})
 
 
 def _live(act: Any) -> Any:
