@@ -154,10 +154,15 @@ class Engine:
     """The generated program of a model, compiled by the runtime for one number of lanes."""
 
     def __init__(
-        self, model: mujoco.MjModel, lanes: int = 8, features: tuple[str, ...] = cpu.NATIVE
+        self,
+        model: mujoco.MjModel,
+        lanes: int = 8,
+        features: tuple[str, ...] = cpu.NATIVE,
+        contraction: str = "off",
     ) -> None:
         program = generate(model)
-        text = program.source + f"#define NSENS {program.nsensordata}\n"
+        source = program.source.replace("contract(off)", f"contract({contraction})")
+        text = source + f"#define NSENS {program.nsensordata}\n"
         key = cache.key([text.encode(), str(lanes).encode(), *(x.encode() for x in features)])
         self._name = f"test_{key}"
         self._widths = program.nq, program.nv, program.nsensordata
