@@ -15,7 +15,7 @@ from assistax_zoo.service.pages.board_routes import board_router
 from assistax_zoo.service.pages.boards import Boards
 from assistax_zoo.service.pages.cache import PageCache, respond
 from assistax_zoo.service.pages.crossplays import CrossPlays
-from assistax_zoo.service.pages.partner_routes import explorer_router, partner_router
+from assistax_zoo.service.pages.partner_routes import explorer_router, pair_router, partner_router
 from assistax_zoo.service.pages.rendering import static_files
 from assistax_zoo.service.pages.season_routes import season_router
 from assistax_zoo.service.pages.security import FormTokens, SecurityHeaders
@@ -80,7 +80,8 @@ def add_pages(
         cache=PageCache(),
         tokens=FormTokens(form_key),
     )
-    for router in (board_router, season_router, partner_router, explorer_router):
+    routers = board_router, season_router, partner_router, pair_router, explorer_router
+    for router in routers:
         app.include_router(router(site))
 
     @app.get("/static/{name}", include_in_schema=False)

@@ -20,7 +20,7 @@ _BEST = 5  # robots on a card
 
 
 def partner_router(site: Site) -> APIRouter:
-    """Return the routes."""
+    """Return the routes of the list of partners and of their cards."""
     router = APIRouter(include_in_schema=False)
 
     @router.get("/tasks/{task}/partners")
@@ -48,6 +48,13 @@ def partner_router(site: Site) -> APIRouter:
 
         return site.page(request, f"{task} {team}", STILL, "partner.html", values)
 
+    return router
+
+
+def pair_router(site: Site) -> APIRouter:
+    """Return the routes of pairs, and of the form that asks for a film."""
+    router = APIRouter(include_in_schema=False)
+
     @router.get("/tasks/{task}/pair")
     def find_pair(task: str, robot: str, human: str) -> Response:
         address = "/".join(quote(part, safe="") for part in (site.task(task), robot, human))
@@ -74,7 +81,10 @@ def partner_router(site: Site) -> APIRouter:
         if not site.tokens.accepts(request, form_token):
             message = "This form was not written by this page. Go back, load it anew and try again."
             return site.fresh("error.html", request.url.path, 403, message=message)
-        site.videos.ask(find_policies(site, site.task(task), robot, human))
+        state = site.videos.ask(find_policies(site, site.task(task), robot, human))
+        if state == "full":
+            message = "Many films are waiting already. Please ask again in some minutes."
+            return site.fresh("error.html", request.url.path, 503, message=message)
         return RedirectResponse(request.url.path, 303)
 
     return router

@@ -66,6 +66,7 @@ def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
     return {
         "submission": submission,
         "row": board.of(submission.id) if board else None,
+        "comparable": board is not None and len(board.rows) > 1,
         "scores": sorted(scores, key=lambda one: (-one.created_at, one.panel)),
         "newest": versions[0] if versions else None,
         "receipt": table_rows(receipt["content"]) if receipt else None,
