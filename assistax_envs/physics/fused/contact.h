@@ -17,7 +17,9 @@ struct ContactList {
 
 FN float clip_lane(float x) { return x > 1.0f ? 1.0f : x < -1.0f ? -1.0f : x; }
 
-FN float dot_lane(const float* a, const float* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+FN float dot_lane(const float* a, const float* b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
 
 // Whether two capsules of one lane touch at x on the first and y on the second segment.
 FN bool touch_at(const float* a, const float* b, float x, float y, float reach) {
@@ -61,7 +63,7 @@ FN int contact_ends(const Stage& now, int candidate, int l, float ends[2][2]) {
   return parallel_contacts(a, b, GEOM[data.first].radius + GEOM[data.second].radius, ends);
 }
 
-// List what touches in every lane; a lane with more than MAX_CONTACTS keeps the first and is flagged.
+// List what touches in every lane; one with more than MAX_CONTACTS keeps the first, and is flagged.
 FN void list_contacts(const Stage& now, ContactList& list, int* flags) {
   integer touching[(NCANDIDATE + 31) / 32 + 1];
   UNROLL for (int w = 0; w < (NCANDIDATE + 31) / 32; ++w) touching[w] = splat(0);

@@ -1,4 +1,4 @@
-// The arithmetic that the engine's text is written in: `real` is one number of each of W simulations.
+// The arithmetic of the engine's text: a `real` is one number of each of W simulations.
 //
 // W is 1 on a GPU, where each thread has a simulation; on a CPU `real` is a vector of W floats.
 // Only operations that IEEE 754 rounds correctly are used (+ - * / sqrt), never contracted into

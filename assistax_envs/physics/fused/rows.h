@@ -1,6 +1,6 @@
 // Constraint rows of active joint limits and contacts: MuJoCo's soft constraints.
 //
-// A row with Jacobian J asks for the acceleration J a = aref = -B J v - K i(r) r, where r < 0 is how
+// A row with Jacobian J asks for the acceleration J a = aref = -B J v - K i(r) r; r < 0 is how
 // far the constraint is violated and i(r), its impedance, says how hard it is; it may be missed, by
 // R times the row's force (MuJoCo, Computation: Solver parameters). A contact has four rows, the
 // edges of a pyramid about the friction cone: normal +- friction times each tangent.
