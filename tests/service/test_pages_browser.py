@@ -1,5 +1,6 @@
 """Pages in a real browser: read, found with the keyboard, and drawn; nothing keeps anybody out."""
 
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -7,8 +8,10 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
+from tests.service import running
 from tests.service.board_data import make_app
 from tests.service.browser import accessibility_faults, browsing, opened, served
+from tests.service.fakes import draft, new_service, new_submitter, work_off
 from tests.system import CHROMIUM, needs
 
 pytestmark = [pytest.mark.slow, needs("chromium", CHROMIUM)]
@@ -188,6 +191,23 @@ def test_a_page_about_something_unfinished_looks_again_by_itself(
         expect(page.get_by_role("status")).to_contain_text("queued")
         finish(tmp_path, waiting.rpartition("/")[2])
         expect(page.get_by_role("status")).to_contain_text("it has functions", timeout=15_000)
+
+
+def test_a_submission_is_watched_from_the_queue_to_its_place(
+    browser: Browser, tmp_path: Path
+) -> None:
+    service = new_service(tmp_path)
+    with running.served(service) as server, opened(browser) as page:
+        id = service.submit(new_submitter(service), draft(5.0))
+        page.goto(f"{server.address}/submissions/{id}")
+        expect(page.get_by_role("status")).to_contain_text("number 1 in the queue")
+        work_off(service)
+        expect(page.get_by_role("status")).to_contain_text("place 1", timeout=15_000)
+        with page.expect_download() as download:
+            page.get_by_role("link", name="Download it").click()
+        assert json.loads(Path(download.value.path()).read_text())["content"]["submission"] == id
+        page.get_by_role("link", name="scratch", exact=True).last.click()
+        expect(page.get_by_role("row", name="mine")).to_contain_text("5.5")
 
 
 def finish(folder: Path, submission: str) -> None:
