@@ -44,22 +44,22 @@ def serve(
         assistax-zoo serve --data board
     """
     serving = _module("serve")
-    _stop_gracefully()
-    service = serving.open_service(
-        data, database=database, artefacts=artefacts, registry=registry, backend=backend
-    )
-    port = serving.free_port(host, port)
-    address = f"http://{host}:{port}"
-    token = serving.first_token(service)
-    service.adopt_version()
-    print(f"serving {address} from {data}; Ctrl-C stops", file=sys.stderr, flush=True)
-    if token:
-        print(f"organiser's token, shown once: {token}", file=sys.stderr, flush=True)
-    options = ["--backend", backend, *(["--registry", str(registry)] if registry else [])]
-    own = serving.worker_token(service, data) if workers else ""
-    local = address.replace("0.0.0.0", "127.0.0.1")
-    with serving.local_workers(workers, local, own, options):
-        serving.run_server(service, host, port, films=data / "films", registry=registry)
+    with serving.stopped_by_signals():
+        service = serving.open_service(
+            data, database=database, artefacts=artefacts, registry=registry, backend=backend
+        )
+        port = serving.free_port(host, port)
+        token = serving.first_token(service)
+        own = serving.worker_token(service, data) if workers else ""
+        service.adopt_version()
+        address = f"http://{host}:{port}"
+        print(f"serving {address} from {data}; Ctrl-C stops", file=sys.stderr, flush=True)
+        if token:
+            print(f"organiser's token, shown once: {token}", file=sys.stderr, flush=True)
+        options = ["--backend", backend, *(["--registry", str(registry)] if registry else [])]
+        local = address.replace("0.0.0.0", "127.0.0.1")
+        with serving.local_workers(workers, local, own, options):
+            serving.run_server(service, host, port)
 
 
 def worker(
@@ -359,13 +359,6 @@ def _client(url: str | None, token_file: Path | None) -> "Client":
     address = url or os.environ.get(SERVER_VARIABLE) or SERVER
     token = token_file.read_text().strip() if token_file else os.environ.get(TOKEN_VARIABLE)
     return _module("client").Client(address, token)
-
-
-def _stop_gracefully() -> None:
-    """Let the server itself handle Ctrl-C: other commands end within two seconds."""
-    import signal
-
-    signal.set_wakeup_fd(-1)
 
 
 def _print(answer: Any, json: bool) -> None:

@@ -30,6 +30,7 @@ DATABASE_FILE, ARTEFACTS_FOLDER = "service.db", "artefacts"
 WORKER_TOKEN_FILE = "worker-token"
 STOP_SECONDS = 20  # for requests and jobs that are under way
 TOKEN_VARIABLE = "ASSISTAX_ZOO_TOKEN"
+PARENT_VARIABLE = "ASSISTAX_ZOO_PARENT"  # a local worker ends when this process is gone
 
 
 def open_service(
@@ -110,6 +111,20 @@ def run_server(service: Service, host: str, port: int, **pages: Any) -> None:
 
 
 @contextlib.contextmanager
+def stopped_by_signals() -> Generator[None]:
+    """End the block, with its workers, at Ctrl-C and at SIGTERM.
+
+    uvicorn answers what is under way, then raises the signal once more; before it has started,
+    nothing else would catch it. The wake-up pipe of other commands, which ends those within two
+    seconds, is taken away.
+    """
+    signal.set_wakeup_fd(-1)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with contextlib.suppress(KeyboardInterrupt):
+        yield
+
+
+@contextlib.contextmanager
 def local_workers(count: int, address: str, token: str, options: list[str]) -> Generator[None]:
     """Run workers as processes, start them again when they die, and stop them at the end."""
     over = threading.Event()
@@ -129,7 +144,7 @@ def local_workers(count: int, address: str, token: str, options: list[str]) -> G
 
 def _keep_working(over: threading.Event, address: str, token: str, options: list[str]) -> None:
     command = [sys.executable, "-m", "assistax_zoo", "worker", "--url", address, *options]
-    environment = {**os.environ, TOKEN_VARIABLE: token}
+    environment = {**os.environ, TOKEN_VARIABLE: token, PARENT_VARIABLE: str(os.getpid())}
     while not over.is_set():
         began = time.monotonic()
         # A group of its own: Ctrl-C reaches the server alone, which then stops its workers.

@@ -3,6 +3,8 @@
 import functools
 import os
 import signal
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ from assistax_zoo.service.api.operations import log_to_stderr
 from assistax_zoo.service.catalogue import ZooCatalogue
 from assistax_zoo.service.client import Client
 from assistax_zoo.service.live.robot import LiveRobot
+from assistax_zoo.service.serve import PARENT_VARIABLE
 from assistax_zoo.service.worker import Worker
 from assistax_zoo.service.zoo_scorer import ZooScorer
 
@@ -24,12 +27,21 @@ def run_worker(
     loaded = load_registry(registry)
     scorer = ZooScorer(loaded, ZooCatalogue(loaded, backend), backend)
     signal.signal(signal.SIGTERM, _leave)
+    if parent := os.environ.get(PARENT_VARIABLE):
+        threading.Thread(target=_outlive_not, args=(int(parent),), daemon=True).start()
     try:
         live = functools.partial(LiveRobot, client)
         Worker(client, scorer, live=live).run(until_empty=until_empty)
     except SystemExit:
         # Threads of XLA may still run: the interpreter's shutdown would unload what they call.
         os._exit(0)
+
+
+def _outlive_not(parent: int) -> None:
+    """End when the server that started this worker is gone, however it went."""
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(0)
 
 
 def _leave(*_: Any) -> None:
