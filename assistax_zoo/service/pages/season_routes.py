@@ -69,6 +69,7 @@ def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
         "comparable": board is not None and len(board.rows) > 1,
         "scores": sorted(scores, key=lambda one: (-one.created_at, one.panel)),
         "newest": versions[0] if versions else None,
+        "key": receipt["content"].get("key", "KEY") if receipt else None,
         "receipt": table_rows(receipt["content"]) if receipt else None,
         "partners": sorted(zip(partners, means, strict=True), key=lambda pair: pair[1]),
         "axis": axis_over(means),
