@@ -164,7 +164,7 @@ class PlanTraining:
         )
         if block.state == "begun" and (differences := block.differences()):
             print(
-                f"{block.name} goes on as it was begun: {'; '.join(differences)}",
+                f"{block.name} goes on as it was begun: {differences}",
                 file=sys.stderr,
                 flush=True,
             )

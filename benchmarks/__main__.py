@@ -156,7 +156,7 @@ def train(
         python -m benchmarks train --task scratch --algorithm ippo --seeds 8
     """
     from assistax_zoo.commands.options import parse_changes
-    from population.team_training import check_names
+    from population.config import check_names
 
     check_names(task)
     _check_seconds(seconds)

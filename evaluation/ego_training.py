@@ -5,9 +5,17 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from population.config import MIXED, Member, TrainConfig, TrainerConfig, make_run, preset
+from population.config import (
+    MIXED,
+    Member,
+    TrainConfig,
+    TrainerConfig,
+    check_names,
+    make_run,
+    preset,
+)
 from population.files import atomic_write
-from population.team_training import check_names, numbered, run_training
+from population.team_training import numbered, run_training
 from population.trained_run import TrainedRun
 from zoo.registry import Registry
 from zoo.schema import Split

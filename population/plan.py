@@ -1,89 +1,70 @@
 """A plan: every team of a release, in groups that train in one program each.
 
-What exists of it, what is missing.
-
 A group is one task and one algorithm, with all its disability settings and seeds. Its run folders
 are `NAME`, `NAME-2`, ... in the folder of the plan's runs, each with a block of its members. What a
-run folder holds is decided when it is
-begun: a plan that changes later adds new folders, and never alters those that are there. Imports no
-    JAX.
+run folder holds is decided when it is begun: a plan that changes later adds new folders, and never
+alters those that are there. Imports no JAX.
 """
 
+import collections
 import dataclasses
 import fnmatch
 import json
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import count
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from assistax_envs.disability import DISABILITY_SETTINGS
-from assistax_envs.versions import TASKS
-from population.config import Member, TrainConfig, make_members, make_run, preset
-from population.run_folder import RunFolder
+from pydantic import (
+    BeforeValidator,
+    Field,
+    NonNegativeInt,
+    PositiveInt,
+    TypeAdapter,
+    ValidationError,
+)
 
-PLAN_VERSION = 1
-_NAME = re.compile(r"[a-z][a-z0-9_]*(-[a-z0-9_]+)*")
-_RELEASE = re.compile(r"v(0|[1-9][0-9]*)")
+from population.checked import Many, checked, first_problem
+from population.config import Member, TrainConfig, check_names, make_members, make_run, preset
+from population.run_folder import RunFolder, differences
+
+# The last word of a group's name is no number, or it were taken for another's second folder.
+_NAME = re.compile(r"[a-z][a-z0-9_]*((-[a-z0-9_]+)*-[0-9]*[a-z_][a-z0-9_]*)?")
 
 Key = tuple[str, int]  # disability setting and seed: a team within its group
+Release = Annotated[str, Field(pattern=r"^v(0|[1-9][0-9]*)$")]
 
 
-@dataclasses.dataclass(frozen=True)
+def _counted(seeds: Any) -> Any:
+    """Return the seeds that a number of them stands for: 0 to that number - 1."""
+    return range(seeds) if type(seeds) is int else seeds
+
+
+@checked
 class Group:
     """Teams of one task and algorithm that train side by side."""
 
     name: str  # names its run folders, such as "scratch-ippo"
     task: str  # environment task
     algorithm: str  # preset of hyperparameters, and the name under which the teams are listed
-    disabilities: tuple[str, ...]  # the human's settings
-    seeds: tuple[int, ...]  # training seeds; a number in the file stands for 0 to that number - 1
-    steps: int  # environment steps of each team
+    disabilities: Many[str]  # the human's settings
+    seeds: Annotated[Many[int], BeforeValidator(_counted)]  # how many, or which
+    steps: PositiveInt  # environment steps of each team
     set: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # changes of the preset
-    updates_per_call: int | None = (
-        None  # updates dispatched to the device at once; None: the trainer's default
-    )
-    checkpoint_every: int | None = None  # updates between checkpoints; None: the trainer's default
-    self_play_episodes: int = 16  # episodes of each team's final evaluation; 0 leaves it out
-    max_members: int | None = (
-        None  # most teams in one run, so that it fits the device; None: all in one
-    )
-    adopt: str | None = None  # earlier release whose teams of at least `steps` join unchanged
+    updates_per_call: PositiveInt | None = None  # dispatched at once; None: the trainer's default
+    checkpoint_every: PositiveInt | None = None  # in updates; None: the trainer's default
+    self_play_episodes: NonNegativeInt = 16  # of each team's final evaluation; 0 leaves it out
+    max_members: PositiveInt | None = None  # most teams in one run, so that it fits the device
+    adopt: Release | None = None  # whose teams of at least `steps` join unchanged
 
     def __post_init__(self) -> None:
-        if isinstance(self.seeds, int) and not isinstance(self.seeds, bool):
-            object.__setattr__(self, "seeds", tuple(range(self.seeds)))
-        for name in ("disabilities", "seeds"):
-            _check(isinstance(getattr(self, name), list | tuple), self, name, "a list")
-            object.__setattr__(self, name, tuple(getattr(self, name)))
-        _check(
-            _whole_name(self.name),
-            self,
-            "name",
-            "lower-case words joined by '-', the last one not a number",
-        )
-        _check(self.task in TASKS, self, "task", f"one of {', '.join(TASKS)}")
-        _check(bool(self.seeds), self, "seeds", "a number above 0, or a list of at least one seed")
-        _check(len(set(self.seeds)) == len(self.seeds), self, "seeds", "different numbers")
-        known = bool(self.disabilities) and all(
-            name in DISABILITY_SETTINGS for name in self.disabilities
-        )
-        _check(known, self, "disabilities", f"a list of {', '.join(DISABILITY_SETTINGS)}")
-        _check(
-            len(set(self.disabilities)) == len(self.disabilities),
-            self,
-            "disabilities",
-            "different settings",
-        )
-        _check(isinstance(self.set, dict), self, "set", "an object of hyperparameters")
-        _check(_above_0(self.steps), self, "steps", "an integer above 0")
-        for name in ("max_members", "updates_per_call", "checkpoint_every"):
-            value = getattr(self, name)
-            _check(value is None or _above_0(value), self, name, "an integer above 0")
-        release = isinstance(self.adopt, str) and _RELEASE.fullmatch(self.adopt)
-        _check(
-            self.adopt is None or bool(release), self, "adopt", "an earlier release, such as 'v0'"
-        )
+        if not _NAME.fullmatch(self.name):
+            raise ValueError(
+                f"name is {self.name!r}; it must be lower-case words joined by '-', the last one "
+                "not a number"
+            )
+        check_names(self.task, self.disabilities)
         self.config(self.members)  # checks the rest
 
     @property
@@ -105,38 +86,32 @@ class Group:
         )
 
 
-@dataclasses.dataclass(frozen=True)
+@checked
 class Plan:
     """The teams of a release."""
 
-    release: str  # release that they join, such as "v1"
-    groups: tuple[Group, ...]  # in the order in which they are trained
+    version: Literal[1]  # of the plan's format
+    release: Release  # release that they join, such as "v1"
+    groups: Annotated[Many[Group], Field(min_length=1)]  # in the order in which they are trained
     description: str = ""  # of the release, in one sentence
 
     def __post_init__(self) -> None:
-        release = isinstance(self.release, str) and _RELEASE.fullmatch(self.release)
-        _check(bool(release), self, "release", "a release such as 'v1'")
-        _check(isinstance(self.description, str), self, "description", "a sentence")
-        if not self.groups:
-            raise ValueError("the plan has no groups; give at least one")
-        names: dict[str, Group] = {}
-        teams: dict[tuple[str, str, str, int], str] = {}
+        owners: dict[str, str] = {}  # group of each team
+        names = collections.Counter(group.name for group in self.groups)
+        if (name := max(names, key=names.__getitem__)) and names[name] > 1:
+            raise ValueError(f"two groups have the name {name!r}; give each its own")
         for group in self.groups:
-            if group.name in names:
-                raise ValueError(f"two groups have the name {group.name!r}; give each its own")
-            names[group.name] = group
             if group.adopt == self.release:
                 raise ValueError(
                     f"group {group.name} adopts {group.adopt!r}, the plan's own release; name an "
                     "earlier"
                 )
             for member in group.members:
-                team = (group.task, group.algorithm, member.disability, member.seed)
-                other = teams.setdefault(team, group.name)
+                team = f"{group.task}/{group.algorithm}-{member.label}"
+                other = owners.setdefault(team, group.name)
                 if other != group.name:
-                    label = f"{group.task}/{group.algorithm}-{member.label}"
                     raise ValueError(
-                        f"groups {other} and {group.name} both have team {label}; leave it out of "
+                        f"groups {other} and {group.name} both have team {team}; leave it out of "
                         "one"
                     )
 
@@ -162,22 +137,9 @@ def read_plan(path: Path) -> Plan:
         OSError: It cannot be read.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"plan {path} is not JSON ({error})") from None
-    try:
-        fields = _fields(content, Plan, "the plan", extra=("version",))
-        if fields.pop("version", None) != PLAN_VERSION:
-            raise ValueError(
-                f"version is {content.get('version')!r}; this installation reads version "
-                f"{PLAN_VERSION}"
-            )
-        if not isinstance(fields["groups"], list):
-            raise ValueError(f"groups is {type(fields['groups']).__name__}; give a list of groups")
-        groups = tuple(_group(item, place) for place, item in enumerate(fields.pop("groups")))
-        return Plan(groups=groups, **fields)
-    except ValueError as error:
-        raise ValueError(f"plan {path}: {error}") from None
+        return TypeAdapter(Plan).validate_json(path.read_bytes())
+    except ValidationError as error:
+        raise ValueError(f"plan {path}: {first_problem(error)}") from None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -207,20 +169,10 @@ class Block:
             else RunFolder(self.folder).config()
         )
 
-    def differences(self) -> list[str]:
-        """Say in which numbers a begun run is another than the plan now wants."""
-        wanted, found = self.group.config(self.members), self.config()
-        pairs = [("steps", found.steps, wanted.steps)]
-        pairs += [
-            (field.name, getattr(found.trainer, field.name), getattr(wanted.trainer, field.name))
-            for field in dataclasses.fields(wanted.trainer)
-            if type(found.trainer) is type(wanted.trainer)
-        ]
-        return [
-            f"{name} is {there} there and {here} in the plan"
-            for name, there, here in pairs
-            if there != here
-        ]
+    def differences(self) -> str:
+        """Say in what a begun run is another than the plan now wants; "" if in nothing."""
+        wanted = self.group.config(self.members)
+        return differences(self.config().to_json(), wanted.to_json())
 
 
 def find_blocks(group: Group, out: Path, done: Collection[Key] = ()) -> list[Block]:
@@ -239,8 +191,10 @@ def find_blocks(group: Group, out: Path, done: Collection[Key] = ()) -> list[Blo
     missing = [member for member in group.members if (member.disability, member.seed) not in held]
     size = group.max_members or len(group.members)
     parts = [tuple(missing[start : start + size]) for start in range(0, len(missing), size)]
-    names = _free_names(group, {block.name for block in known})
-    new = [Block(group, out / next(names), part, "new") for part in parts]
+    taken = {block.name for block in known}
+    names = (f"{group.name}-{number}" if number > 1 else group.name for number in count(1))
+    free = (name for name in names if name not in taken)
+    new = [Block(group, out / next(free), part, "new") for part in parts]
     wanted = {(member.disability, member.seed) for member in group.members} - set(done)
     return [block for block in known if block.keys & wanted] + new
 
@@ -284,62 +238,3 @@ def _check_owner(group: Group, folder: Path, task: str, algorithm: str) -> None:
             f"{folder} holds a run of {task} {algorithm}, but group {group.name} is {group.task} "
             f"{group.algorithm}; choose another --out, or rename the group"
         )
-
-
-def _free_names(group: Group, taken: Collection[str]) -> Iterator[str]:
-    number = 1
-    while True:
-        name = group.name if number == 1 else f"{group.name}-{number}"
-        if name not in taken:
-            yield name
-        number += 1
-
-
-def _group(item: Any, place: int) -> Group:
-    name = item.get("name") if isinstance(item, dict) else None
-    where = f"group {name}" if isinstance(name, str) else f"group number {place + 1}"
-    fields = _fields(item, Group, where)
-    try:
-        return Group(**fields)
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{where}: {error}") from None
-
-
-def _fields(
-    content: Any, kind: type[Plan] | type[Group], where: str, extra: tuple[str, ...] = ()
-) -> dict[str, Any]:
-    """Check that an object has the fields of a dataclass, and return them."""
-    if not isinstance(content, dict):
-        raise ValueError(f"{where} is {type(content).__name__}; give an object")
-    fields = dataclasses.fields(kind)
-    allowed = [*extra, *(field.name for field in fields)]
-    if unknown := sorted(content.keys() - allowed):
-        raise ValueError(
-            f"{where} has the unknown field {unknown[0]!r}; allowed are {', '.join(allowed)}"
-        )
-    plain = (dataclasses.MISSING, dataclasses.MISSING)
-    needed = [
-        *extra,
-        *(field.name for field in fields if (field.default, field.default_factory) == plain),
-    ]
-    if missing := [name for name in needed if name not in content]:
-        raise ValueError(f"{where} lacks {', '.join(missing)}")
-    return dict(content)
-
-
-def _whole_name(name: Any) -> bool:
-    """Return whether a group's name cannot be taken for the second folder of another group."""
-    return (
-        isinstance(name, str)
-        and bool(_NAME.fullmatch(name))
-        and not name.rpartition("-")[2].isdigit()
-    )
-
-
-def _above_0(value: Any) -> bool:
-    return type(value) is int and value >= 1
-
-
-def _check(valid: bool, config: object, name: str, allowed: str) -> None:
-    if not valid:
-        raise ValueError(f"{name} is {getattr(config, name)!r}; it must be {allowed}")

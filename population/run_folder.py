@@ -75,9 +75,9 @@ class RunFolder:
             # As this version reads it: a run from before a hyperparameter existed has its default.
             found = {**self._read_config(), "config": self.config().to_json()}
             may_change = (*_MAY_CHANGE, *(("steps",) if extends(config.trainer) else ()))
-            if differences := _differences(found, wanted, may_change):
+            if there := differences(found, wanted, may_change):
                 raise ValueError(
-                    f"{self.folder} holds a run with another configuration: {differences}; "
+                    f"{self.folder} holds a run with another configuration: {there}; "
                     "repeat that configuration to resume it, or choose a new folder"
                 )
         atomic_write(self._config, (json.dumps(wanted, indent=2) + "\n").encode())
@@ -190,11 +190,13 @@ def metrics_table(
     return table.cast({name: dtype for name, dtype in _SCHEMA.items() if name in table.columns})
 
 
-def _differences(found: Any, wanted: Any, ignored: Sequence[str], path: str = "") -> str:
-    """Describe the first fields in which two configurations differ."""
+def differences(
+    found: Any, wanted: Any, ignored: Sequence[str] = _MAY_CHANGE, path: str = ""
+) -> str:
+    """Describe the fields in which two configurations, or parts of them, differ."""
     if isinstance(found, Mapping) and isinstance(wanted, Mapping):
         parts = [
-            _differences(
+            differences(
                 found.get(name), wanted.get(name), ignored, f"{path}.{name}" if path else name
             )
             for name in dict.fromkeys([*found, *wanted])

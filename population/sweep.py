@@ -12,23 +12,24 @@ import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import polars as pl
+from pydantic import Field, PositiveInt, TypeAdapter, ValidationError
 
-from population.config import Member, TrainConfig, make_run, preset
+from population.checked import checked, first_problem
+from population.config import Member, TrainConfig, check_names, make_run, preset
 from population.environment import Environment
 from population.files import atomic_path, atomic_write
 from population.ray_blocks import NOT_SHARED, RayCluster, run_blocks
-from population.team_training import check_names
 from population.train import Progress, train
 
 RESULTS, BEST = "sweep.parquet", "preset.json"
 FINAL_SHARE = 0.1  # of a run: the final return is the mean over its last tenth
 
 
-@dataclasses.dataclass(frozen=True)
+@checked
 class Range:
     """Values of a continuous hyperparameter."""
 
@@ -37,15 +38,10 @@ class Range:
     log: bool = True  # whether values are uniform in their logarithm
 
     def __post_init__(self) -> None:
-        if (
-            not self.low < self.high
-            or not math.isfinite(self.high - self.low)
-            or (self.log and self.low <= 0)
-        ):
+        if not self.low < self.high or (self.log and self.low <= 0):
             positive = "0 < " if self.log else ""
             raise ValueError(
-                f"a range is from {self.low} to {self.high}; it must have {positive}low < high, "
-                "both finite"
+                f"a range is from {self.low} to {self.high}; it must have {positive}low < high"
             )
 
     def draw(self, rng: np.random.Generator) -> float:
@@ -57,9 +53,9 @@ class Range:
         return float(f"{value:.4g}")
 
 
-Space = Mapping[
-    str, Range | tuple[Any, ...]
-]  # a tuple holds the values of a discrete hyperparameter
+Value = bool | int | float | str | tuple[int, ...]
+# A tuple holds the values of a discrete hyperparameter.
+Space = Mapping[str, Range | Annotated[tuple[Value, ...], Field(min_length=1)]]
 
 SPACES: Mapping[str, Space] = {
     "ppo": {
@@ -78,27 +74,23 @@ SPACES: Mapping[str, Space] = {
 }
 
 
-@dataclasses.dataclass(frozen=True)
+@checked
 class Sweep:
     """What to try."""
 
     task: str  # environment task
     algorithm: str  # preset that is varied
     space: Space  # hyperparameters by name
-    configurations: int = 168  # number of points
-    seeds: int = 3  # seeds of each point
+    configurations: PositiveInt = 168  # number of points
+    seeds: PositiveInt = 3  # seeds of each point
     disability: str = "d1"  # the human's setting
-    steps: int = 2_000_000  # environment steps of each member
-    block: int = 64  # most members in one program
+    steps: PositiveInt = 2_000_000  # environment steps of each member
+    block: PositiveInt = 64  # most members in one program
     seed: int = 0  # draws the points
-    fixed: Mapping[str, Any] = dataclasses.field(
-        default_factory=dict
-    )  # other changes of the preset
+    # Other changes of the preset.
+    fixed: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("configurations", "seeds", "steps", "block"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be at least 1")
         if self.block < self.seeds:
             raise ValueError(
                 f"block is {self.block}; it must hold the {self.seeds} seeds of a configuration"
@@ -118,6 +110,10 @@ class Sweep:
     def total_steps(self) -> int:
         """Environment steps of all configurations and seeds."""
         return self.configurations * self.seeds * self.steps
+
+    def block_steps(self, number: int) -> int:
+        """Environment steps of one block."""
+        return len(self.blocks()[number][0]) * self.seeds * self.steps
 
     def points(self) -> list[dict[str, Any]]:
         """Return the configurations.
@@ -206,12 +202,9 @@ def sweep_task(
 
     make_env = partial(make, sweep.task, backend)
     if cluster is None:
-        results = run_sweep(sweep, make_env(), folder, _Advance(advance, sweep.total_steps))
+        results = run_sweep(sweep, make_env(), folder, advance)
     else:
-        sizes = [len(points) * sweep.seeds * sweep.steps for points, _ in sweep.blocks()]
-        results = run_sweep_on_ray(
-            sweep, make_env, folder, cluster, lambda number: advance(sizes[number])
-        )
+        results = run_sweep_on_ray(sweep, make_env, folder, cluster, advance)
     return results, json.loads((folder / BEST).read_text())["hyperparameters"]
 
 
@@ -219,7 +212,7 @@ def run_sweep(
     sweep: Sweep,
     env: Environment,
     folder: Path,
-    progress: Callable[[int, int, Progress], None] | None = None,
+    advance: Callable[[int], None] = lambda steps: None,
 ) -> pl.DataFrame:
     """Train every configuration, block by block; return a row for each configuration and seed.
 
@@ -231,17 +224,10 @@ def run_sweep(
         sweep: What to try.
         env: The environment of the task.
         folder: Where results are kept.
-        progress: Called with the block's number, the number of blocks, and the block's progress.
+        advance: Called with the environment steps that were done since it was last called.
     """
-    count = len(sweep.blocks())
-    for number in range(count):
-        _train_block(
-            sweep,
-            number,
-            env,
-            folder,
-            None if progress is None else _numbered(progress, number, count),
-        )
+    for number in range(len(sweep.blocks())):
+        _train_block(sweep, number, env, folder, advance)
     return _collect(sweep, folder)
 
 
@@ -250,7 +236,7 @@ def run_sweep_on_ray(
     make_env: Callable[[], Environment],
     folder: Path,
     cluster: RayCluster,
-    on_done: Callable[[int], None] | None = None,
+    advance: Callable[[int], None] = lambda steps: None,
 ) -> pl.DataFrame:
     """Do what `run_sweep` does with the blocks spread over a Ray cluster; the table is the same.
 
@@ -259,7 +245,7 @@ def run_sweep_on_ray(
         make_env: Makes the environment of the task, on each worker.
         folder: Where results are kept: shared by all machines, under the same path.
         cluster: Where blocks run.
-        on_done: Called with the number of each block that is done.
+        advance: Called with the environment steps of each block that is done.
 
     Raises:
         BlocksFailedError: Blocks failed; the others' runs are kept.
@@ -267,7 +253,13 @@ def run_sweep_on_ray(
     names = [_block(number) for number in range(len(sweep.blocks()))]
     folder = folder.absolute()
     folder.mkdir(parents=True, exist_ok=True)
-    run_blocks(cluster, lambda _: names, _train_remotely, (sweep, make_env, folder), on_done)
+    run_blocks(
+        cluster,
+        lambda _: names,
+        _train_remotely,
+        (sweep, make_env, folder),
+        lambda number: advance(sweep.block_steps(number)),
+    )
     if missing := [name for name in names if not (folder / name).exists()]:
         raise ValueError(
             f"the workers are done, but {folder} lacks {', '.join(missing)} here; {NOT_SHARED}"
@@ -286,10 +278,18 @@ def _train_block(
     number: int,
     env: Environment,
     folder: Path,
-    progress: Callable[[Progress], None] | None = None,
+    advance: Callable[[int], None] = lambda steps: None,
 ) -> None:
     _, config = sweep.blocks()[number]
-    train(config, env, folder / _block(number), stop_on_divergence=False, progress=progress)
+    size, shown = sweep.block_steps(number), 0
+
+    def report(progress: Progress) -> None:
+        nonlocal shown
+        before, shown = shown, size * progress.update // progress.updates
+        advance(shown - before)
+
+    train(config, env, folder / _block(number), stop_on_divergence=False, progress=report)
+    advance(size - shown)  # of a block that was finished before
 
 
 def _collect(sweep: Sweep, folder: Path) -> pl.DataFrame:
@@ -370,48 +370,16 @@ def read_space(path: Path) -> Space:
 
     Raises:
         ValueError: It is not an object of such values.
+        OSError: It cannot be read.
     """
+    kind: TypeAdapter[Space] = TypeAdapter(Annotated[Space, Field(min_length=1)])
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+        return kind.validate_json(path.read_bytes(), strict=True)
+    except ValidationError as error:
         raise ValueError(
-            f"{path} is not JSON ({error}); give an object of hyperparameters"
+            f'{path}: {first_problem(error)}; give an object of hyperparameters, each {{"low": '
+            '1e-4, "high": 1e-2, "log": true} or a list such as [64, 128]'
         ) from None
-    if not isinstance(content, dict) or not content:
-        raise ValueError(
-            f"{path} holds {type(content).__name__}; give an object with at least one "
-            "hyperparameter"
-        )
-    return {name: _values(name, value) for name, value in content.items()}
-
-
-def _values(name: str, value: Any) -> Range | tuple[Any, ...]:
-    if isinstance(value, dict) and {"low", "high"} <= set(value) <= {"low", "high", "log"}:
-        return Range(**value)
-    if isinstance(value, list) and value:
-        return tuple(tuple(item) if isinstance(item, list) else item for item in value)
-    raise ValueError(
-        f'{name} is {value!r}; give {{"low": 1e-4, "high": 1e-2, "log": true}} or a list such as '
-        "[64, 128]"
-    )
-
-
-class _Advance:
-    """Turns the progress of blocks into environment steps since the last report."""
-
-    def __init__(self, advance: Callable[[int], None], total: int) -> None:
-        self._advance, self._total, self._done = advance, total, 0
-
-    def __call__(self, block: int, blocks: int, report: Progress) -> None:
-        done = int(self._total * (block + report.update / report.updates) / blocks)
-        self._advance(done - self._done)
-        self._done = done
-
-
-def _numbered(
-    progress: Callable[[int, int, Progress], None], number: int, count: int
-) -> Callable[[Progress], None]:
-    return lambda report: progress(number, count, report)
 
 
 def _block(number: int) -> str:

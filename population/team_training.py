@@ -7,9 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from assistax_envs.disability import DISABILITY_SETTINGS
-from assistax_envs.versions import TASKS
-from population.config import TrainConfig, make_members, make_run, preset
+from population.config import TrainConfig, check_names, make_members, make_run, preset
 from population.trained_run import TrainedRun, read_trained_run
 
 if TYPE_CHECKING:
@@ -143,16 +141,6 @@ def read_preset(path: Path, algorithm: str | None = None) -> tuple[str, dict[str
             f"algorithm is {algorithm!r}, but {path} is a preset of {found}; leave --algorithm out"
         )
     return found, changes
-
-
-def check_names(task: str, disabilities: Sequence[str] = ()) -> None:
-    """Refuse an unknown task or disability setting before anything slow is imported."""
-    if task not in TASKS:
-        raise ValueError(f"task is {task!r}; allowed are {', '.join(TASKS)}")
-    if unknown := [name for name in disabilities if name not in DISABILITY_SETTINGS]:
-        raise ValueError(
-            f"disability is {unknown[0]!r}; allowed are {', '.join(DISABILITY_SETTINGS)}"
-        )
 
 
 def numbered(seeds: int | Sequence[int]) -> Sequence[int]:
