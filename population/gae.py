@@ -2,20 +2,21 @@
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
 
 from population.critic import Critic
 from population.networks import Carry, Params
 
 
 def advantages(
-    reward: jax.Array,
-    value: jax.Array,
-    next_value: jax.Array,
-    terminated: jax.Array,
-    truncated: jax.Array,
-    gamma: jax.Array | float,
-    lam: jax.Array | float,
-) -> jax.Array:
+    reward: Float[Array, " T *batch"],
+    value: Float[Array, " T *batch"],
+    next_value: Float[Array, " T *batch"],
+    terminated: Bool[Array, " T *batch"],
+    truncated: Bool[Array, " T *batch"],
+    gamma: Float[Array, ""] | float,
+    lam: Float[Array, ""] | float,
+) -> Float[Array, " T *batch"]:
     """Return advantages (Schulman et al., 2016, equation 16) for episodes that also end by time.
 
     delta_t = r_t + gamma (1 - terminated_t) V(next_t) - V_t and
@@ -49,13 +50,13 @@ def values(
     critic: Critic,
     params: Params,
     carry: Carry,
-    obs: jax.Array,
-    first: jax.Array,
-    truncated: jax.Array,
-    final_obs: jax.Array,
-    last_obs: jax.Array,
-    last_first: jax.Array,
-) -> tuple[Carry, jax.Array, jax.Array]:
+    obs: Float[Array, "T N O"],
+    first: Bool[Array, "T N"],
+    truncated: Bool[Array, "T N"],
+    final_obs: Float[Array, "N O"],
+    last_obs: Float[Array, "N O"],
+    last_first: Bool[Array, " N"],
+) -> tuple[Carry, Float[Array, "T N"], Float[Array, "T N"]]:
     """Return the critic's carry after a chunk, and values [T, N] of observations and successors.
 
     A time limit occurs at most once for a simulation in a chunk, so one extra observation for each

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import jax
 import jax.numpy as jnp
 from flax import linen as nn
+from jaxtyping import Array, Float
 
 Params = dict[str, Any]  # nested dicts of arrays
 Carry = Any  # () for a feed-forward network, [..., H] for a recurrent one
@@ -74,7 +75,7 @@ def unroll(
     return jax.lax.scan(lambda carry, x: step(params, carry, *x), carry, (obs, first))
 
 
-def normalise(normaliser: Params, obs: jax.Array) -> jax.Array:
+def normalise(normaliser: Params, obs: Float[Array, "*batch O"]) -> Float[Array, "*batch O"]:
     """Return obs [..., O] centred and scaled by mean [O] and std [O], clipped to a fixed limit."""
     mean, std = (jnp.broadcast_to(normaliser[name], obs.shape) for name in ("mean", "std"))
     return jnp.clip((obs - mean) / std, -NORMALISED_LIMIT, NORMALISED_LIMIT)

@@ -4,6 +4,7 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from population.networks import Params
 
@@ -25,7 +26,7 @@ def empty(size: int) -> Statistics:
     return Statistics(jnp.zeros(()), jnp.zeros(size), jnp.ones(size))
 
 
-def update(statistics: Statistics, obs: jax.Array) -> Statistics:
+def update(statistics: Statistics, obs: Float[Array, "*batch O"]) -> Statistics:
     """Merge a batch obs [..., O] into the statistics (parallel variance of Chan et al., 1979)."""
     flat = obs.reshape(-1, obs.shape[-1])
     count = statistics.count + flat.shape[0]

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import linen as nn
+from jaxtyping import Array, Bool, Float
 
 from population import networks
 from population.networks import Carry, Params
@@ -40,7 +41,7 @@ class Gaussian:
         """Draw a raw action [..., A]."""
         return self.mean + jnp.exp(self.log_std) * jax.random.normal(key, self.mean.shape)
 
-    def action(self, raw: jax.Array) -> jax.Array:
+    def action(self, raw: Float[Array, "*batch A"]) -> Float[Array, "*batch A"]:
         """Return the action in [-1, 1] for a raw action."""
         return jnp.tanh(raw) if self.squash == "tanh" else jnp.clip(raw, -1.0, 1.0)
 
@@ -48,7 +49,7 @@ class Gaussian:
         """Return the deterministic action in [-1, 1]."""
         return self.action(self.mean)
 
-    def log_prob(self, raw: jax.Array) -> jax.Array:
+    def log_prob(self, raw: Float[Array, "*batch A"]) -> Float[Array, "*batch"]:
         """Return the log density [...] of a raw action [..., A].
 
         With "tanh", of the action it is squashed to.
@@ -106,7 +107,11 @@ class Policy:
         return networks.initial_carry(self.spec, batch_shape)
 
     def step(
-        self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
+        self,
+        params: Params,
+        carry: Carry,
+        obs: Float[Array, "*batch O"],
+        first: Bool[Array, "*batch"],
     ) -> tuple[Carry, Gaussian]:
         """Return the new carry and the distribution over actions.
 
@@ -133,10 +138,10 @@ class Policy:
         self,
         params: Params,
         carry: Carry,
-        obs: jax.Array,
-        first: jax.Array,
+        obs: Float[Array, "*batch O"],
+        first: Bool[Array, "*batch"],
         key: jax.Array | None = None,
-    ) -> tuple[Carry, jax.Array]:
+    ) -> tuple[Carry, Float[Array, "*batch A"]]:
         """Return the new carry and an action [..., A] in [-1, 1].
 
         Drawn with `key`, deterministic without.

@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
+from jaxtyping import Array, Float
 
 from population import experience, gae, normaliser, shared_network
 from population.config import PPOConfig
@@ -310,8 +311,8 @@ class PPO(Trainer):
 
 
 def ppo_loss(
-    gaussian: Gaussian, value: jax.Array, samples: Samples, hyper: Hyper
-) -> tuple[jax.Array, Metrics]:
+    gaussian: Gaussian, value: Float[Array, "T N"], samples: Samples, hyper: Hyper
+) -> tuple[Float[Array, ""], Metrics]:
     """Return the loss of one role, and what to log.
 
     L = -E[min(r A, clip(r, 1 - eps, 1 + eps) A)] + c_v E[(V - target)^2] / 2 - c_e E[H], where

@@ -15,6 +15,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
+from jaxtyping import Array, Bool, Float
 
 from population import experience, normaliser, replay_buffer
 from population.config import SACConfig
@@ -372,13 +373,13 @@ class SAC(Trainer):
 
 
 def soft_target(
-    reward: jax.Array,
-    terminated: jax.Array,
-    next_q: jax.Array,
-    next_log_prob: jax.Array,
-    alpha: jax.Array | float,
-    gamma: jax.Array | float,
-) -> jax.Array:
+    reward: Float[Array, " B"],
+    terminated: Bool[Array, " B"],
+    next_q: Float[Array, "2 B"],
+    next_log_prob: Float[Array, " B"],
+    alpha: Float[Array, ""] | float,
+    gamma: Float[Array, ""] | float,
+) -> Float[Array, " B"]:
     """Return r + gamma (1 - terminated) (min_i Q_i(s', a') - alpha log pi(a' | s')).
 
     Haarnoja et al., 2018, "Soft Actor-Critic Algorithms and Applications", equations 3 and 6, with
@@ -396,7 +397,7 @@ def soft_target(
     return reward + gamma * jnp.where(terminated, 0.0, value)
 
 
-def critic_loss(q: jax.Array, target: jax.Array) -> jax.Array:
+def critic_loss(q: Float[Array, "2 B"], target: Float[Array, " B"]) -> Float[Array, ""]:
     """Return sum_i E[(Q_i(s, a) - target)^2] (Haarnoja et al., 2018, equation 5, twice it).
 
     Args:
@@ -406,7 +407,9 @@ def critic_loss(q: jax.Array, target: jax.Array) -> jax.Array:
     return jnp.square(q - target[None]).mean(1).sum()
 
 
-def policy_loss(alpha: jax.Array, log_prob: jax.Array, q: jax.Array) -> jax.Array:
+def policy_loss(
+    alpha: Float[Array, ""], log_prob: Float[Array, " B"], q: Float[Array, "2 B"]
+) -> Float[Array, ""]:
     """Return E[alpha log pi(a | s) - min_i Q_i(s, a)] (Haarnoja et al., 2018, equation 7).
 
     Args:
@@ -418,8 +421,8 @@ def policy_loss(alpha: jax.Array, log_prob: jax.Array, q: jax.Array) -> jax.Arra
 
 
 def temperature_gradient(
-    log_alpha: jax.Array, log_prob: jax.Array, target_entropy: jax.Array
-) -> jax.Array:
+    log_alpha: Float[Array, ""], log_prob: Float[Array, " B"], target_entropy: Float[Array, ""]
+) -> Float[Array, ""]:
     """Return the slope of J = E[-alpha log pi - alpha target] over log alpha.
 
     dJ / dlog alpha = alpha (H - target) with the entropy H = -E[log pi] (Haarnoja et al., 2018,

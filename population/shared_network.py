@@ -9,8 +9,8 @@ one role that way, exactly; training, acting and publishing all use it.
 
 from collections.abc import Mapping
 
-import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from population.networks import Params
 from population.spec import ROLES
@@ -53,7 +53,7 @@ def fold(
     return folded
 
 
-def pad(obs: jax.Array, role: str, width: int) -> jax.Array:
+def pad(obs: Float[Array, "*batch O"], role: str, width: int) -> Float[Array, "*batch {width}"]:
     """Return the shared network's input [..., width] of obs [..., O].
 
     What `fold` makes unnecessary.
