@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 from assistax_zoo.plan_status import Status, survey, team_id, write_progress
 
 if TYPE_CHECKING:
+    from filelock import AcquireReturnProxy
+
     from population.plan import Block, Group, Plan
     from zoo.registry import Registry
     from zoo.runs import TrainedTeam
@@ -136,7 +138,7 @@ class PlanTraining:
                         folder / f"{group.name}.parquet", list(zip(tables, configs, strict=True))
                     )
 
-    def _take(self, tried: set[str]) -> "tuple[Status, Block, contextlib.ExitStack] | None":
+    def _take(self, tried: set[str]) -> "tuple[Status, Block, AcquireReturnProxy] | None":
         """Return the first run to be trained that no other process holds, with the lock on it."""
         for name in [
             block.name
@@ -152,7 +154,7 @@ class PlanTraining:
                 for block in status.blocks:
                     if block.name == name and block.state != "finished":
                         return status, block, hold
-            hold.close()
+            hold.lock.release()
         return None
 
     def _train(self, status: Status, block: "Block") -> None:
@@ -214,19 +216,19 @@ class PlanTraining:
             print(f"{name} failed: {self.errors[name]}", file=sys.stderr, flush=True)
 
 
-def _hold(out: Path, name: str) -> contextlib.ExitStack | None:
+def _hold(out: Path, name: str) -> "AcquireReturnProxy | None":
     """Take the lock of a run, or return None if another process has it.
 
     A killed process lets go.
     """
-    from evaluation.locks import locked
+    from filelock import Timeout
 
-    stack = contextlib.ExitStack()
+    from population.files import exclusive
+
     try:
-        stack.enter_context(locked(out, f".{name}.lock"))
-    except ValueError:
+        return exclusive(out / name).acquire(blocking=False)
+    except Timeout:
         return None
-    return stack
 
 
 def _waiting_teams(status: Status, block: "Block") -> "list[TrainedTeam]":

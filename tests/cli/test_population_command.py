@@ -230,8 +230,8 @@ def test_one_failure_leaves_the_other_groups_alone(place, capsys):
 def test_a_run_that_another_process_holds_is_left_to_it(place, monkeypatch, capsys):
     """A real process holds the lock, as on another GPU; once it is killed, the run is free."""
     script = (
-        "import sys, pathlib, time; from evaluation.locks import locked\n"
-        f"with locked(pathlib.Path({str(place / 'runs')!r}), '.toy-other.lock'):\n"
+        "import pathlib, time; from population.files import exclusive\n"
+        f"with exclusive(pathlib.Path({str(place / 'runs' / 'toy-other')!r})):\n"
         "    print('held', flush=True); time.sleep(60)"
     )
     write_plan(place, OTHER)
