@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import reprlib
 from typing import Annotated, Any, TypeVar, dataclass_transform
 
 import pydantic
@@ -11,6 +12,7 @@ C = TypeVar("C")
 T = TypeVar("T")
 
 Many = Annotated[tuple[T, ...], Field(strict=False)]  # of a JSON file it is a list
+Widths = Annotated[Many[pydantic.PositiveInt], Field(min_length=1)]  # of hidden layers
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -48,4 +50,4 @@ def first_problem(error: ValidationError) -> str:
     if problem["type"] == "missing":
         return f"{where} is missing"
     allowed = problem["msg"].replace("Input should", "it must")
-    return f"{where} is {problem['input']!r}; {allowed}"
+    return f"{where} is {reprlib.repr(problem['input'])}; {allowed}"

@@ -10,12 +10,11 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, Pos
 
 from assistax_envs.disability import DISABILITY_SETTINGS
 from assistax_envs.versions import TASKS
-from population.checked import Many, Share, checked
+from population.checked import Many, Share, Widths, checked
 
 # Stands for the disability setting of an ego, which trains with partners of several.
 MIXED = "mixed"
 
-Widths = Annotated[tuple[PositiveInt, ...], Field(strict=False, min_length=1)]
 LogStd = Annotated[float, Field(ge=-5, le=1)]
 
 

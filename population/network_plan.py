@@ -54,7 +54,6 @@ def network_plan(spec: PolicySpec, params: Mapping[str, Any]) -> NetworkPlan:
     """
     embeddings = len(spec.hidden) - (spec.torso == "gru")
     try:
-        heads = _dense(params[f"Dense_{embeddings}"])
         return NetworkPlan(
             spec=spec,
             normaliser=(_f32(params["normaliser"]["mean"]), _f32(params["normaliser"]["std"]))
@@ -62,7 +61,7 @@ def network_plan(spec: PolicySpec, params: Mapping[str, Any]) -> NetworkPlan:
             else None,
             hidden=tuple(_dense(params[f"Dense_{index}"]) for index in range(embeddings)),
             gru=_gru(params["GRUCell_0"]) if spec.torso == "gru" else None,
-            mean=heads,
+            mean=_dense(params[f"Dense_{embeddings}"]),
             log_std=_dense(params[f"Dense_{embeddings + 1}"])
             if spec.std == "state"
             else _f32(params["log_std"]),
@@ -71,10 +70,6 @@ def network_plan(spec: PolicySpec, params: Mapping[str, Any]) -> NetworkPlan:
         raise ValueError(
             f"parameters lack {error}, which a {spec.torso} policy of spec {spec.digest} has"
         ) from None
-
-
-def _normaliser(params: Mapping[str, Any]) -> tuple[Array, Array]:
-    return _f32(params["mean"]), _f32(params["std"])
 
 
 def _gru(params: Mapping[str, Any]) -> GRU:
