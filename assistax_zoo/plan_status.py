@@ -8,14 +8,12 @@ import datetime
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from population.plan import Block, Group, Key, Plan
     from zoo.ids import TeamId
     from zoo.registry import Registry
-
-_KINDS = {"ippo": "ppo", "mappo": "ppo", "isac": "sac", "masac": "sac"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,13 +24,10 @@ class Status:
     published: frozenset["Key"]  # teams that the release has
     adoptable: frozenset["Key"]  # teams that another release has, and this one not yet
     blocks: tuple["Block", ...]  # runs that hold, or are to hold, the others
-    runs: Mapping[
-        str, Mapping[str, Any]
-    ]  # published and finished runs: what progress.json says of them
-    estimate: (
-        float | None
-    )  # device minutes of what is missing; None if nothing like it was measured
-    estimated_from: str | None  # algorithm whose speed the estimate takes
+    # What progress.json says of published and finished runs, by name.
+    runs: Mapping[str, Mapping[str, Any]]
+    # Training steps a second and device that were measured, by task and algorithm.
+    speeds: Mapping[tuple[str, str], int] = dataclasses.field(default_factory=dict)
 
     @property
     def done(self) -> frozenset["Key"]:
@@ -55,6 +50,24 @@ class Status:
             (member.disability, member.seed) for member in self.group.members
         } & block.keys - self.done
 
+    @property
+    def estimated_from(self) -> str | None:
+        """Algorithm whose speed on the task fits best: the same, else one of the same trainer."""
+        from population.config import PRESETS
+
+        own = self.group.algorithm
+        near = [name for name in PRESETS if PRESETS[name][0] == PRESETS[own][0]]
+        measured = [name for name in (own, *near) if (self.group.task, name) in self.speeds]
+        return measured[0] if measured and steps_to_train(self.blocks) else None
+
+    @property
+    def estimate(self) -> float | None:
+        """Device minutes of what is missing; None if nothing like it was measured."""
+        if not (steps := steps_to_train(self.blocks)):
+            return 0.0
+        source = self.estimated_from
+        return round(steps / self.speeds[self.group.task, source] / 60, 1) if source else None
+
     def to_json(self) -> dict[str, Any]:
         """Return the row of a table."""
         return {
@@ -66,24 +79,9 @@ class Status:
             "missing": self.missing,
             "steps_to_train": steps_to_train(self.blocks),
             "device_minutes": round(_device_seconds(self.runs.values()) / 60, 1),
-            "device_minutes_to_go": None if self.estimate is None else round(self.estimate, 1),
+            "device_minutes_to_go": self.estimate,
             "estimated_from": self.estimated_from,
         }
-
-
-class Measured(NamedTuple):
-    """What one training measured."""
-
-    steps: int  # of each team
-    seconds: float | None
-    device: str | None
-    devices: int
-    date: str | None
-
-    @property
-    def device_seconds(self) -> float | None:
-        """Time on all devices together."""
-        return None if self.seconds is None else self.seconds * self.devices
 
 
 def survey(
@@ -94,8 +92,9 @@ def survey(
     Raises:
         ValueError: A group adopts a release that the registry does not have.
     """
-    speeds = _speeds(registry, out, groups)
-    return [_status(group, release, out, registry, speeds) for group in groups]
+    statuses = [_status(group, release, out, registry) for group in groups]
+    speeds = _speeds(registry, statuses)
+    return [dataclasses.replace(status, speeds=speeds) for status in statuses]
 
 
 def team_id(group: "Group", key: "Key", release: str) -> "TeamId":
@@ -116,13 +115,7 @@ def steps_to_train(blocks: Sequence["Block"]) -> int:
     )
 
 
-def _status(
-    group: "Group",
-    release: str,
-    out: Path,
-    registry: "Registry | None",
-    speeds: Mapping[tuple[str, str], float],
-) -> Status:
+def _status(group: "Group", release: str, out: Path, registry: "Registry | None") -> Status:
     from population.plan import find_blocks
 
     teams = {(member.disability, member.seed) for member in group.members}
@@ -136,10 +129,7 @@ def _status(
     )
     blocks = tuple(find_blocks(group, out, published | adopted))
     runs = _published_runs(group, published, release, registry) | _finished_runs(blocks)
-    steps = steps_to_train(blocks)
-    source = _like(group, speeds)
-    estimate = 0.0 if not steps else steps / speeds[group.task, source] / 60 if source else None
-    return Status(group, published, adopted, blocks, runs, estimate, source if steps else None)
+    return Status(group, published, adopted, blocks, runs)
 
 
 def _adoptable(
@@ -172,13 +162,13 @@ def _published_runs(
     for key in sorted(published):
         assert registry is not None
         run = registry.team(str(team_id(group, key, release))).run
-        measured = _of_registry(registry, run)
         origin = _origin(group, key, release, registry)
         # Runs of equal name, settings and seconds are one entry of the registry, but not one here.
         name = f"{origin}/{run}" if origin else run
         state = {"state": "adopted", "from": origin} if origin else {"state": "published"}
         count = runs.get(name, {"teams": 0})["teams"] + 1
-        runs[name] = state | _cost(measured, count, _teams_of(registry, run) if origin else count)
+        together = _teams_of(registry, run) if origin else count
+        runs[name] = state | _of_registry(registry, run, count, together)
     return runs
 
 
@@ -200,42 +190,38 @@ def _origin(group: "Group", key: "Key", release: str, registry: "Registry") -> s
 
 
 def _finished_runs(blocks: Sequence["Block"]) -> dict[str, dict[str, Any]]:
-    return {
-        block.name: {"state": "trained"}
-        | _cost(_of_folder(block.folder), len(block.members), len(block.members))
-        for block in blocks
-        if block.state == "finished"
-    }
+    runs = {}
+    for block in blocks:
+        if block.state == "finished":
+            teams = json.loads((block.folder / "teams.json").read_text(encoding="utf-8"))
+            training = teams[0]["training"]
+            cost = _cost(training, training.get("devices", 1), len(teams), len(teams))
+            runs[block.name] = {"state": "trained"} | cost
+    return runs
 
 
-def _of_folder(folder: Path) -> Measured:
-    """Return what a finished run folder says of its training."""
-    training = json.loads((folder / "teams.json").read_text(encoding="utf-8"))[0]["training"]
-    fields = {name: training.get(name) for name in ("seconds", "device", "date")}
-    return Measured(steps=training["steps"], devices=training.get("devices", 1), **fields)
-
-
-def _of_registry(registry: "Registry", run: str) -> Measured:
+def _of_registry(registry: "Registry", run: str, teams: int, together: int) -> dict[str, Any]:
+    """Return what a published run cost that trained some teams together."""
     training = registry.data.runs[run]
     devices = training.notes.get("devices")
     count = devices if isinstance(devices, int) else 1
-    return Measured(training.steps, training.seconds, training.device, count, training.date)
+    return _cost(training.model_dump(), count, teams, together)
 
 
-def _cost(run: Measured, teams: int, together: int) -> dict[str, Any]:
+def _cost(training: Mapping[str, Any], devices: int, teams: int, together: int) -> dict[str, Any]:
     """Return what a run cost.
 
     Its speed is that of all the teams which it trained together, on one device.
     """
-    spent = run.device_seconds
+    steps, seconds = training["steps"], training.get("seconds")
     return {
         "teams": teams,
-        "steps": run.steps,
-        "device": run.device,
-        "devices": run.devices,
-        "seconds": run.seconds,
-        "steps_per_second": round(run.steps * together / spent) if spent else None,
-        "trained": run.date,
+        "steps": steps,
+        "device": training.get("device"),
+        "devices": devices,
+        "seconds": seconds,
+        "steps_per_second": round(steps * together / (seconds * devices)) if seconds else None,
+        "trained": training.get("date"),
     }
 
 
@@ -258,40 +244,22 @@ def _teams_of(registry: "Registry", run: str) -> int:
     )
 
 
-def _speeds(
-    registry: "Registry | None", out: Path, groups: Sequence["Group"]
-) -> dict[tuple[str, str], float]:
+def _speeds(registry: "Registry | None", statuses: Sequence[Status]) -> dict[tuple[str, str], int]:
     """Return training steps a second and device by task and algorithm, of the largest runs."""
-    from population.plan import find_blocks
-
-    largest: dict[tuple[str, str], tuple[float, float]] = {}
-
-    def add(task: str, algorithm: str, run: Measured, teams: int) -> None:
-        if seconds := run.device_seconds:
-            steps = float(run.steps * teams)
-            largest[task, algorithm] = max(
-                largest.get((task, algorithm), (0.0, 0.0)), (steps, steps / seconds)
-            )
-
+    runs = [
+        ((status.group.task, status.group.algorithm), run)
+        for status in statuses
+        for run in status.runs.values()
+        if run["state"] == "trained"
+    ]
     if registry:
-        for run, kind in {
-            entry.run: (entry.task, entry.algorithm) for entry in registry.policies
-        }.items():
-            add(*kind, _of_registry(registry, run), _teams_of(registry, run))
-    for group in groups:
-        for block in find_blocks(group, out):
-            if block.state == "finished":
-                add(group.task, group.algorithm, _of_folder(block.folder), len(block.members))
-    return {kind: speed for kind, (_, speed) in largest.items()}
-
-
-def _like(group: "Group", speeds: Mapping[tuple[str, str], float]) -> str | None:
-    """Return the algorithm of the same task whose measured speed fits best.
-
-    The same, else one of the same trainer.
-    """
-    near = [name for name in _KINDS if _KINDS[name] == _KINDS[group.algorithm]]
-    return next((name for name in (group.algorithm, *near) if (group.task, name) in speeds), None)
+        kinds = {entry.run: (entry.task, entry.algorithm) for entry in registry.policies}
+        counts = {run: _teams_of(registry, run) for run in kinds}
+        runs += [
+            (kinds[run], _of_registry(registry, run, count, count)) for run, count in counts.items()
+        ]
+    runs.sort(key=lambda item: item[1]["steps"] * item[1]["teams"])
+    return {kind: run["steps_per_second"] for kind, run in runs if run["steps_per_second"]}
 
 
 def write_progress(

@@ -166,7 +166,7 @@ class PlanTraining:
         )
         if block.state == "begun" and (differences := block.differences()):
             print(
-                f"{block.name} goes on as it was begun: {differences}",
+                f"{block.name} goes on as it was begun, not as the plan says: {differences}",
                 file=sys.stderr,
                 flush=True,
             )

@@ -153,7 +153,7 @@ def test_an_interrupted_run_goes_on_as_it_was_begun(place, monkeypatch, capsys):
     write_plan(place, {**group, "steps": 64, "disabilities": ["d9", "d1"]})
     assert run(words(place)) == 0
     assert (
-        "toy-one goes on as it was begun: steps is 96 there and 64 in the plan"
+        "toy-one goes on as it was begun, not as the plan says: steps is 96 there and 64 here"
         in capsys.readouterr().err
     )
     assert json.loads((place / "runs" / "toy-one" / "config.json").read_text()) == begun
