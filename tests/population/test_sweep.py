@@ -99,7 +99,8 @@ def test_a_space_is_read_from_its_file(tmp_path):
     assert read_space(path) == {"gamma": Range(0.9, 0.99), "hidden": ((8, 8), (16,))}
     assert make_sweep("scratch", "ippo", path).space == read_space(path)
     assert make_sweep("scratch", "masac").space == SPACES["sac"]
-    for text, message in (("{", "is not JSON"), ("[1]", "give an object"), ("{}", "at least 1 item")):
+    refused = {"{": "is not JSON", "[1]": "give an object", "{}": "at least 1 item"}
+    for text, message in refused.items():
         path.write_text(text)
         with pytest.raises(ValueError, match=message):
             read_space(path)
