@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from population.spec import PolicySpec
 from zoo.errors import FormatError, IntegrityError, ZooError
-from zoo.registry import Registry, save_registry
+from zoo.registry import Registry, build_registry
 from zoo.storage import (
     check_params,
     encode_shard,
@@ -142,7 +142,7 @@ def test_a_row_that_is_not_the_registrys_is_refused(registry: Registry) -> None:
         **registry.data.teams,
         entry.team: team.model_copy(update={"policies": {"robot": swapped}}),
     }
-    tampered = save_registry(registry.data.model_copy(update={"teams": teams}), registry.path)
+    tampered = build_registry(registry.data.model_copy(update={"teams": teams}), registry.path)
     with pytest.raises(
         IntegrityError,
         match=f"{entry.id}: expected sha256 {other.sha256}, found sha256 {entry.sha256}",
