@@ -247,7 +247,9 @@ def _season(database: Database, connection: sa.Connection, name: str, state: str
     query = sa.select(t.seasons).where((c.id == name) | (c.name == name))
     row = connection.execute(query if database.is_sqlite else query.with_for_update()).first()
     if row is None:
-        raise Problem("not_found", f"no season {name!r}; `season list` shows them")
+        raise Problem(
+            "not_found", f"no season {name!r}; GET /api/seasons lists the open and closed ones"
+        )
     if row.state != state:
         raise Problem("too_late", f"season {row.name} is {row.state}; expected {state}")
     return row
