@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo results bench test test-slow lint types install lock clean
+.PHONY: help demo results bench test test-slow attack lint types install lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -12,7 +12,8 @@ help:
 	@echo 'make results    write docs/results.md and its figures from the tables in docs/data/v1'
 	@echo 'make bench      speed of environments, training, evaluator and registry on this machine'
 	@echo 'make test       lint, types, tests'
-	@echo 'make test-slow  the tests marked slow'
+	@echo 'make test-slow  the tests marked slow, and a tenth of the attacks'
+	@echo 'make attack     kills, interrupts, damaged files and hostile servers: about an hour'
 	@echo 'make lint       ruff, rules and format'
 	@echo 'make types      ty'
 	@echo 'make lock       resolve requirements.lock anew'
@@ -37,10 +38,15 @@ bench: $(STAMP)
 	$(BIN)/python -m benchmarks fetch
 
 test: lint types
-	$(BIN)/python -m pytest -n 2 -m "not slow"
+	$(BIN)/python -m pytest -n 2 -m "not slow and not attack"
 
 test-slow: $(STAMP)
-	$(BIN)/python -m pytest -n 2 -m slow
+	$(BIN)/python -m pytest -n 2 -m "slow or attack"
+
+# Counts go to attack.jsonl, one line a family. One process at a time, since times are measured.
+attack: $(STAMP)
+	rm -f attack.jsonl
+	ASSISTAX_ATTACK=1 ASSISTAX_ATTACK_LOG=attack.jsonl $(BIN)/python -m pytest -m attack -s tests/attack
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -207,6 +207,11 @@ class Env:
             self._renderers[size] = Renderer(self.model, self._task, width, height)
         return self._renderers[size].frame(state, index, camera, caption)
 
+    def close(self) -> None:
+        """Give back what `render` drew with: an OpenGL context belongs to the thread that drew."""
+        while self._renderers:
+            self._renderers.popitem()[1].close()
+
     def _control(
         self, params: EnvParams, action: dict[str, jax.Array], shake: jax.Array
     ) -> jax.Array:

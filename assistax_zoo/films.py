@@ -1,5 +1,6 @@
 """Films of an episode."""
 
+import contextlib
 import functools
 from collections.abc import Callable
 from pathlib import Path
@@ -75,7 +76,8 @@ def render(
                 on_step()
 
         states = play(env, *act, setting, seed, length, on_step=stepped)
-        film(states, functools.partial(env.render, **size), out, length, fps)
+        with contextlib.closing(env):  # in this thread, which drew
+            film(states, functools.partial(env.render, **size), out, length, fps)
 
     interruptible(work)
     return out

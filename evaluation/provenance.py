@@ -108,6 +108,24 @@ def has_whole(folder: Path, name: str) -> bool:
     return path.is_file() and recorded == file_sha256(path)
 
 
+def check_whole(folder: Path) -> None:
+    """Refuse to draw figures from a finished folder that is not what its manifest says.
+
+    A folder without a manifest passes: nobody says what it was. The matrix's picture is nobody's
+    source, and may have been drawn again.
+
+    Raises:
+        ValueError: A file was changed, damaged or lost.
+    """
+    files = (read_manifest(folder) or {}).get("files", {})
+    if not isinstance(files, dict):
+        raise ValueError(f"{folder / MANIFEST_FILE} is damaged; run again")
+    sources = {name: one for name, one in files.items() if name != tables.MATRIX_FIGURE}
+    for name, digest in sources.items():
+        if problem := _file_problem(folder, name, digest):
+            raise ValueError(f"{problem}; take the folder from where it was made, or run again")
+
+
 def verify_folder(folder: Path) -> FolderReport:
     """Hold every file of a finished folder, received from anybody, against its manifest."""
     try:

@@ -348,6 +348,7 @@ def _seal(registry: Registry, folder: Path, entries: Sequence[PolicyEntry]) -> N
 
 def _crossplay_pairs(folder: Path, task: str) -> pl.DataFrame:
     """Read the pairs of a finished cross-play of this task and environment version."""
+    provenance.check_whole(folder)
     summary = tables.read_json(folder / tables.SUMMARY_FILE)
     found = summary.get("task"), summary.get("env_version")
     if found != (task, VERSIONS[task]):

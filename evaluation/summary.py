@@ -28,6 +28,7 @@ from evaluation.metrics import (
     worst_partner,
     zero_shot,
 )
+from evaluation.provenance import check_whole
 from evaluation.relative import References, Relative
 from evaluation.tables import Block, dense_block
 
@@ -130,8 +131,10 @@ def read_summary(folder: Path) -> EvaluationSummary | CrossPlaySummary:
 
     Raises:
         FileNotFoundError: There is none, or it is not finished.
-        ValueError: It is damaged, or neither of an evaluation nor of a cross-play.
+        ValueError: A file of the folder is damaged, or it is neither an evaluation's nor a
+            cross-play's.
     """
+    check_whole(folder)
     content = tables.read_json(folder / tables.SUMMARY_FILE)
     kind = EvaluationSummary if "m_test" in content else CrossPlaySummary
     if kind is CrossPlaySummary and "cross_play" not in content:

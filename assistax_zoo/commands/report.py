@@ -48,8 +48,10 @@ def strategies(folder: Path, /, *, json: bool = False) -> None:
         assistax-zoo strategies xp
     """
     from evaluation import tables
+    from evaluation.provenance import check_whole
     from evaluation.strategies import summarise_strategies
 
+    check_whole(folder)
     found = summarise_strategies(tables.read_parquet(folder / tables.PAIRS_FILE))
     if json:
         print_json(found)

@@ -9,6 +9,7 @@ import polars as pl
 
 from evaluation import tables
 from evaluation.plots.style import check_path, save_figure
+from evaluation.provenance import check_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -143,6 +144,7 @@ def require(folder: Path, command: str, *names: str) -> None:
             f"{folder} lacks {', '.join(missing)}; run `assistax-zoo {command} --out {folder}` to "
             "its end, a run that was stopped goes on"
         )
+    check_whole(folder)
 
 
 def _zsc(summaries: dict[str, Any], folders: Sequence[Path]) -> "Figure":

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from evaluation import derived, relative, tables
-from evaluation.provenance import write_run
+from evaluation.provenance import seal, write_run
 from evaluation.report import write_report
 from evaluation.report.html import Html, embedded, fill, join
 from evaluation.report.matrix_data import matrix_data
@@ -127,7 +127,7 @@ def test_ids_cannot_break_out_of_the_page(evaluation: Path, tmp_path: Path):
 
 
 def attack(folder: Path, name: str, path: tuple[str, ...], value: Any) -> None:
-    """Replace one field of a received file."""
+    """Replace one field of a received file, and seal the folder as its sender can."""
     content = tables.read_json(folder / name)
     inner = content
     for key in path[:-1]:
@@ -135,6 +135,7 @@ def attack(folder: Path, name: str, path: tuple[str, ...], value: Any) -> None:
     assert path[-1] in inner
     inner[path[-1]] = value
     tables.write_json(content, folder / name)
+    seal(folder)
 
 
 @pytest.mark.parametrize(
@@ -166,6 +167,16 @@ def test_a_received_summary_with_a_wrong_field_is_refused_by_name(
     folder = Path(shutil.copytree(evaluation, tmp_path / "received"))
     attack(folder, tables.SUMMARY_FILE, (field,), HOSTILE)
     with pytest.raises(ValueError, match=rf"is damaged, or of another version: .*{field}"):
+        page_of(folder, tmp_path)
+
+
+def test_no_figure_is_drawn_from_a_file_that_is_not_what_was_written(
+    evaluation: Path, tmp_path: Path
+):
+    folder = Path(shutil.copytree(evaluation, tmp_path / "received"))
+    bounds = tables.read_parquet(folder / tables.BOUNDS_FILE)
+    tables.write_parquet(bounds.head(bounds.height // 2), folder / tables.BOUNDS_FILE)
+    with pytest.raises(ValueError, match=r"bounds\.parquet: expected sha256"):
         page_of(folder, tmp_path)
 
 

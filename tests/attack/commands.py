@@ -1,0 +1,112 @@
+"""The commands under attack: what they are called with, and what must be the same in the end."""
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from population.spec import PolicySpec
+from tests.untrained import params_of, published, untrained_team
+
+ROBOT = PolicySpec("robot", observation_size=2, action_size=1, hidden=(8,))
+HUMAN = PolicySpec("human", observation_size=3, action_size=2, hidden=(8,))
+# Figures of the machine, not of the policies.
+UNSTEADY = {"env_steps_per_second", "seconds", "date", "made_with", "sha256", "versions"}
+Figures = Mapping[str, str]
+
+
+@dataclasses.dataclass(frozen=True)
+class Command:
+    """Words of a command, and its figures in the folder where it ran."""
+
+    words: Sequence[str]
+    figures: Callable[[Path], Figures]
+
+
+def small_zoo(folder: Path) -> Path:
+    """Publish four teams, and return their registry."""
+    teams = [
+        untrained_team(
+            disability,
+            seed,
+            robot=(ROBOT, params_of(ROBOT, 10 * place + seed)),
+            human=(HUMAN, params_of(HUMAN, 100 + 10 * place + seed)),
+        )
+        for place, disability in enumerate(("d1", "d9"))
+        for seed in range(2)
+    ]
+    return published(teams, folder)
+
+
+def commands(registry: Path, run: Path, result: Path) -> dict[str, Command]:
+    """Return the commands; a finished training run and a finished evaluation are given to some."""
+    toy = ["--task", "scratch", "--backend", "native"]
+    zoo = ["--registry", str(registry)]
+    ego = ["--policy", "zoo:scratch/ippo-d1-s0-v0/robot", "--episodes", "2", "--max-envs", "2"]
+    return {
+        "evaluate": Command(["evaluate", *toy, *zoo, *ego, "--out", "out"], results_of("out")),
+        "crossplay": Command(
+            ["crossplay", *toy, *zoo, "--episodes", "1", "--max-envs", "4", "--out", "out"],
+            results_of("out"),
+        ),
+        "train": Command([*TRAIN, "--out", "out"], files_of("out", "*.safetensors")),
+        "publish": Command(
+            ["publish", str(run), "--release", "v1", "--date", "2027-01-31"]
+            + ["--registry", "mine/registry.json"],
+            files_of("mine", "**/*.*"),
+        ),
+        "fetch": Command(
+            ["fetch", "--from", str(registry.parent)], files_of("cache", "**/*.safetensors")
+        ),
+        "report": Command(["report", str(result), "--out", "page.html"], files_of(".", "*.html")),
+        "render": Command(
+            ["render", "--task", "scratch", "--robot", "random", "--human", "zero"]
+            + ["--out", "strip.png", "--steps", "8", "--width", "64", "--height", "48"],
+            files_of(".", "*.png"),
+        ),
+    }
+
+
+TRAIN = ["train", "--task", "scratch", "--disability", "d1", "--seeds", "1", "--steps", "192"]
+TRAIN += ["--backend", "native", "--num-envs", "4", "--set", "rollout_steps=8"]
+TRAIN += ["--set", "minibatches=2", "--set", "hidden=(8, 8)", "--self-play-episodes", "0"]
+
+
+def results_of(name: str) -> Callable[[Path], Figures]:
+    """Return what reads a results folder: its tables by their bytes, its summary by its figures."""
+
+    def read(home: Path) -> Figures:
+        found = dict(files_of(name, "*.parquet")(home))
+        for path in (home / name).glob("*.json"):
+            if path.name not in ("manifest.json", "run.json"):
+                found[path.name] = digest(json.dumps(_steady(json.loads(path.read_text()))))
+        return found
+
+    return read
+
+
+def files_of(folder: str, pattern: str) -> Callable[[Path], Figures]:
+    """Return what reads the files that anybody would take for finished: hidden ones are not."""
+
+    def read(home: Path) -> Figures:
+        root = home / folder
+        found = [path for path in root.glob(pattern) if path.is_file()]
+        visible = [path for path in found if not path.name.startswith(".")]
+        return {
+            str(path.relative_to(root)): hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in visible
+        }
+
+    return read
+
+
+def digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _steady(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _steady(one) for name, one in value.items() if name not in UNSTEADY}
+    return [_steady(one) for one in value] if isinstance(value, list) else value

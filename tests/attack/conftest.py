@@ -1,0 +1,33 @@
+"""A zoo of four untrained teams, a training run and an evaluation, made once for all attacks."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.attack.commands import Command, commands, small_zoo
+from tests.attack.process import call
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with `zoo/registry.json`, the run `run` and the evaluation `result`."""
+    home = tmp_path_factory.mktemp("made")
+    registry = small_zoo(home / "zoo")
+    table = commands(registry, home / "run", home / "result")
+    for name, target in (("train", "run"), ("evaluate", "result")):
+        done = call(table[name].words, home / name)
+        assert done.code == 0, done.err
+        shutil.move(home / name / "out", home / target)
+    return home
+
+
+@pytest.fixture(scope="session")
+def table(made: Path) -> dict[str, Command]:
+    """The commands under attack, on what was made."""
+    return commands(made / "zoo" / "registry.json", made / "run", made / "result")
+
+
+@pytest.fixture(scope="session")
+def registry_path(made: Path) -> Path:
+    return made / "zoo" / "registry.json"

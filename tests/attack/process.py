@@ -1,0 +1,176 @@
+"""A command in a process of its own, forked from one that has imported everything: cheap to kill.
+
+The server that forks never starts JAX, since XLA's threads would not survive; each child does.
+"""
+
+import dataclasses
+import json
+import multiprocessing
+import os
+import resource
+import signal
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+CONTEXT = multiprocessing.get_context("forkserver")
+CONTEXT.set_forkserver_preload(["tests.attack.preload"])
+COMPILED = Path("~/.cache/assistax-zoo/xla-tests").expanduser()
+
+
+@dataclasses.dataclass(frozen=True)
+class Attack:
+    """What happens to a process."""
+
+    kill_at: int | None = None  # the write at which it kills itself
+    limits: Mapping[str, int] = dataclasses.field(default_factory=dict)  # RLIMIT_...
+    closed: tuple[int, ...] = ()  # descriptors
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """How a process ended."""
+
+    code: int | None  # minus the signal's number if one ended it
+    out: str
+    err: str
+    seconds: float
+    peak: int  # bytes of memory
+    writes: int
+    outside: tuple[str, ...]  # written outside its folder
+
+
+Press = tuple[int, float]  # a signal, and after how many seconds it is sent
+
+
+def call(
+    words: Sequence[str], home: Path, attack: Attack | None = None, press: Press | None = None
+) -> Outcome:
+    """Run one command whose files all lie in `home`, and return how it ended."""
+    home.mkdir(parents=True, exist_ok=True)
+    ready, started = home / "ready", None
+    ready.unlink(missing_ok=True)
+    child: Any = CONTEXT.Process(target=_child, args=(list(words), str(home), attack or Attack()))
+    began = time.monotonic()
+    child.start()
+    peak, pressed = 0, None
+    while child.is_alive() and time.monotonic() - began < 60:
+        if started is None and ready.exists():
+            started = time.monotonic()
+        if press and pressed is None and started and time.monotonic() - started >= press[1]:
+            pressed = time.monotonic()
+            os.kill(child.pid, press[0])
+        peak = max(peak, _peak(child.pid))
+        child.join(0.02)
+    ended = time.monotonic()
+    if child.is_alive():
+        child.kill()
+        child.join()
+    told = home / "writes.json"
+    seen = json.loads(told.read_text()) if told.is_file() else {}
+    return Outcome(
+        child.exitcode,
+        _told(home / "out.txt"),
+        _told(home / "err.txt"),
+        ended - (pressed or began),
+        peak,
+        seen.get("count", 0),
+        tuple(seen.get("outside", ())),
+    )
+
+
+def _child(words: list[str], home: str, attack: Attack) -> None:
+    from assistax_zoo import main
+    from tests.attack.watch import Watch
+
+    os.chdir(home)
+    _redirect(Path(home))
+    _environment(home)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    if words[0] != "render":
+        _play_a_toy()
+    for name, value in attack.limits.items():
+        resource.setrlimit(getattr(resource, name), (value, value))
+    for descriptor in attack.closed:
+        os.close(descriptor)
+    (Path(home) / "ready").touch()
+    watch = Watch([Path(home), COMPILED], attack.kill_at)
+    sys.argv = ["assistax-zoo", *words]
+    try:
+        code = main.run()
+    except SystemExit as ended:
+        code = ended.code if isinstance(ended.code, int) else 1
+    watch.on = False
+    _end(watch, Path(home), code)
+
+
+def _play_a_toy() -> None:
+    """Put an environment in place of the tasks whose physics would take minutes to compile."""
+    import assistax_envs
+    from tests.population.toy_env import ToyEnv, match
+
+    def make(task: str, backend: str = "native", **_: Any) -> ToyEnv:
+        toy = ToyEnv(match)
+        toy.task, toy.backend = task, "native"
+        return toy
+
+    assistax_envs.make = make
+
+
+def _end(watch: Any, home: Path, code: int) -> None:
+    """Leave without the interpreter's shutdown, which would take longer than the command."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError):
+            code = code or 1
+    try:
+        (home / "writes.json").write_text(
+            json.dumps({"count": watch.count, "outside": watch.outside})
+        )
+    except OSError:
+        pass  # a full disk, or a limit: this trial's writes are not known
+    os._exit(code)
+
+
+def _redirect(home: Path) -> None:
+    for descriptor, name in ((1, "out.txt"), (2, "err.txt")):
+        file = os.open(home / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        os.dup2(file, descriptor)
+        os.close(file)
+    sys.stdout = open(1, "w", closefd=False)
+    sys.stderr = open(2, "w", closefd=False, buffering=1)
+
+
+def _environment(home: str) -> None:
+    os.environ |= {
+        "HOME": home,
+        "XDG_CACHE_HOME": f"{home}/cache",
+        "ASSISTAX_ZOO_CACHE": f"{home}/cache/zoo",
+        "TMPDIR": home,
+        "JAX_PLATFORMS": "cpu",
+        "JAX_COMPILATION_CACHE_DIR": str(COMPILED),
+    }
+
+
+def _told(path: Path) -> str:
+    """Return what the process wrote; one that was killed at once wrote nothing."""
+    return path.read_text(errors="replace") if path.is_file() else ""
+
+
+def _peak(pid: int) -> int:
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) * 1024 for line in lines if line.startswith("VmHWM")), 0)
+
+
+def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    """Wait for something."""
+    ends = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < ends, "nothing happened"
+        time.sleep(0.01)

@@ -1,0 +1,62 @@
+"""SIGKILL at writes and at random moments: nothing half-made is taken for whole, nothing is lost.
+
+After each kill, every file that looks finished is the one of an undisturbed run; then the same
+command again ends with all of them.
+"""
+
+import signal
+from pathlib import Path
+
+import pytest
+
+from tests.attack.commands import Command, Figures
+from tests.attack.ledger import Ledger, attack
+from tests.attack.process import Attack, Outcome, call
+
+KILLS = {  # of the whole attack: 300
+    "evaluate": 60,
+    "crossplay": 50,
+    "train": 40,
+    "publish": 50,
+    "fetch": 50,
+    "report": 40,
+    "render": 10,
+}
+
+
+def strike(ledger: Ledger, command: Command, home: Path, whole: Outcome, trial: int) -> Outcome:
+    """Kill at a write in two of three trials, else after a time."""
+    if trial % 3 < 2:
+        at = ledger.random.randint(1, max(whole.writes, 1))
+        return call(command.words, home, Attack(kill_at=at))
+    seconds = ledger.random.uniform(0.05, 1.0) * whole.seconds
+    return call(command.words, home, press=(signal.SIGKILL, seconds))
+
+
+def check(command: Command, home: Path, wanted: Figures) -> None:
+    left = command.figures(home)
+    wrong = [name for name, digest in left.items() if wanted.get(name) != digest]
+    assert not wrong, f"after the kill {wrong} are not those of an undisturbed run"
+    again = call(command.words, home)
+    assert again.code == 0, f"the next run ended with {again.code}: {again.err[-300:]}"
+    assert "Traceback" not in again.err, again.err[-300:]
+    assert not again.outside, again.outside
+    assert command.figures(home) == wanted, "the next run's figures are others"
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("name", KILLS)
+def test_killed_commands_go_on(name: str, table: dict[str, Command], tmp_path: Path) -> None:
+    command = table[name]
+    call(command.words, tmp_path / "warm")  # so that kills do not fall into a compilation
+    whole = call(command.words, tmp_path / "whole")
+    wanted = command.figures(tmp_path / "whole")
+    assert whole.code == 0 and wanted and not whole.outside, (whole, wanted)
+    with attack(f"kills of {name}") as ledger:
+        for trial in range(ledger.wanted(KILLS[name])):
+            home = tmp_path / str(trial)
+            with ledger.trial(f"{name} {trial}"):
+                killed = strike(ledger, command, home, whole, trial)
+                assert killed.code in (-signal.SIGKILL, 0), killed.err[-300:]
+                assert not killed.outside and killed.peak < 1 << 30
+                check(command, home, wanted)
