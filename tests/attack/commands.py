@@ -53,8 +53,7 @@ def commands(registry: Path, run: Path, result: Path) -> dict[str, Command]:
         ),
         "train": Command([*TRAIN, "--out", "out"], files_of("out", "*.safetensors")),
         "publish": Command(
-            ["publish", str(run), "--release", "v1", "--date", "2027-01-31"]
-            + ["--registry", "mine/registry.json"],
+            [*f"publish {run} --release v1 --date 2027-01-31".split(), *MINE],
             files_of("mine", "**/*.*"),
         ),
         "fetch": Command(
@@ -62,13 +61,14 @@ def commands(registry: Path, run: Path, result: Path) -> dict[str, Command]:
         ),
         "report": Command(["report", str(result), "--out", "page.html"], files_of(".", "*.html")),
         "render": Command(
-            ["render", "--task", "scratch", "--robot", "random", "--human", "zero"]
-            + ["--out", "strip.png", "--steps", "8", "--width", "64", "--height", "48"],
+            "render --task scratch --robot random --human zero --out strip.png --steps 8"
+            " --width 64 --height 48".split(),
             files_of(".", "*.png"),
         ),
     }
 
 
+MINE = ["--registry", "mine/registry.json"]
 TRAIN = ["train", "--task", "scratch", "--disability", "d1", "--seeds", "1", "--steps", "192"]
 TRAIN += ["--backend", "native", "--num-envs", "4", "--set", "rollout_steps=8"]
 TRAIN += ["--set", "minibatches=2", "--set", "hidden=(8, 8)", "--self-play-episodes", "0"]

@@ -3,6 +3,7 @@
 The server that forks never starts JAX, since XLA's threads would not survive; each child does.
 """
 
+import contextlib
 import dataclasses
 import json
 import multiprocessing
@@ -116,7 +117,7 @@ def _play_a_toy() -> None:
         toy.task, toy.backend = task, "native"
         return toy
 
-    assistax_envs.make = make
+    assistax_envs.make = make  # ty: ignore[invalid-assignment]
 
 
 def _end(watch: Any, home: Path, code: int) -> None:
@@ -126,12 +127,9 @@ def _end(watch: Any, home: Path, code: int) -> None:
             stream.flush()
         except (OSError, ValueError):
             code = code or 1
-    try:
-        (home / "writes.json").write_text(
-            json.dumps({"count": watch.count, "outside": watch.outside})
-        )
-    except OSError:
-        pass  # a full disk, or a limit: this trial's writes are not known
+    seen = {"count": watch.count, "outside": watch.outside}
+    with contextlib.suppress(OSError):  # on a full disk this trial's writes are not known
+        (home / "writes.json").write_text(json.dumps(seen))
     os._exit(code)
 
 
@@ -140,8 +138,8 @@ def _redirect(home: Path) -> None:
         file = os.open(home / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         os.dup2(file, descriptor)
         os.close(file)
-    sys.stdout = open(1, "w", closefd=False)
-    sys.stderr = open(2, "w", closefd=False, buffering=1)
+    sys.stdout = os.fdopen(1, "w", closefd=False)
+    sys.stderr = os.fdopen(2, "w", closefd=False, buffering=1)
 
 
 def _environment(home: str) -> None:

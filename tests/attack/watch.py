@@ -26,7 +26,7 @@ class Watch:
         self.on = True
         self._flush = os.fsync
         sys.addaudithook(self._hook)
-        os.fsync = self._fsync
+        os.fsync = self._fsync  # ty: ignore[invalid-assignment]
 
     def _hook(self, event: str, arguments: tuple[Any, ...]) -> None:
         if not self.on:
