@@ -61,13 +61,14 @@ def commands(registry: Path, run: Path, result: Path) -> dict[str, Command]:
         ),
         "report": Command(["report", str(result), "--out", "page.html"], files_of(".", "*.html")),
         "render": Command(
-            "render --task scratch --robot random --human zero --out strip.png --steps 8"
-            " --width 64 --height 48".split(),
+            RENDER.split(),
             files_of(".", "*.png"),
         ),
     }
 
 
+RENDER = "render --task scratch --robot random --human zero --out strip.png --steps 8"
+RENDER += " --width 64 --height 48"
 MINE = ["--registry", "mine/registry.json"]
 TRAIN = ["train", "--task", "scratch", "--disability", "d1", "--seeds", "1", "--steps", "192"]
 TRAIN += ["--backend", "native", "--num-envs", "4", "--set", "rollout_steps=8"]
