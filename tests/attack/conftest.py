@@ -10,11 +10,15 @@ from tests.attack.process import call
 
 
 @pytest.fixture(scope="session")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with `zoo/registry.json`, the run `run` and the evaluation `result`."""
+def registry_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return small_zoo(tmp_path_factory.mktemp("zoo"))
+
+
+@pytest.fixture(scope="session")
+def made(registry_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the training run `run` and the evaluation `result`."""
     home = tmp_path_factory.mktemp("made")
-    registry = small_zoo(home / "zoo")
-    table = commands(registry, home / "run", home / "result")
+    table = commands(registry_path, home / "run", home / "result")
     for name, target in (("train", "run"), ("evaluate", "result")):
         done = call(table[name].words, home / name)
         assert done.code == 0, done.err
@@ -23,11 +27,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def table(made: Path) -> dict[str, Command]:
+def table(made: Path, registry_path: Path) -> dict[str, Command]:
     """The commands under attack, on what was made."""
-    return commands(made / "zoo" / "registry.json", made / "run", made / "result")
-
-
-@pytest.fixture(scope="session")
-def registry_path(made: Path) -> Path:
-    return made / "zoo" / "registry.json"
+    return commands(registry_path, made / "run", made / "result")
