@@ -104,6 +104,7 @@ def run_server(service: Service, host: str, port: int, **pages: Any) -> None:
         access_log=False,  # it would hold addresses and queries; ours holds routes
         timeout_graceful_shutdown=STOP_SECONDS,
         limit_concurrency=1000,
+        ws="websockets-sansio",  # the one of uvicorn's implementations that is not deprecated
         ws_max_size=4 * 1024 * 1024,
         server_header=False,
     )
