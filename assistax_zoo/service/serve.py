@@ -28,6 +28,7 @@ from assistax_zoo.service.service import Service
 
 DATABASE_FILE, ARTEFACTS_FOLDER = "service.db", "artefacts"
 WORKER_TOKEN_FILE = "worker-token"
+_stopping = threading.Event()
 STOP_SECONDS = 20  # for requests and jobs that are under way
 TOKEN_VARIABLE = "ASSISTAX_ZOO_TOKEN"
 PARENT_VARIABLE = "ASSISTAX_ZOO_PARENT"  # a local worker ends when this process is gone
@@ -108,7 +109,8 @@ def run_server(service: Service, host: str, port: int, **pages: Any) -> None:
         ws_max_size=4 * 1024 * 1024,
         server_header=False,
     )
-    uvicorn.Server(config).run()
+    if not _stopping.is_set():
+        uvicorn.Server(config).run()
 
 
 @contextlib.contextmanager
@@ -120,9 +122,16 @@ def stopped_by_signals() -> Generator[None]:
     seconds, is taken away.
     """
     signal.set_wakeup_fd(-1)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
     with contextlib.suppress(KeyboardInterrupt):
         yield
+
+
+def _interrupt(*_: Any) -> None:
+    # Remembered too: an exception that strikes in a destructor is lost.
+    _stopping.set()
+    raise KeyboardInterrupt
 
 
 @contextlib.contextmanager
