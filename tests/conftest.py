@@ -1,4 +1,4 @@
-"""What holds for every test: strict JAX on the CPU, a compilation cache of their own, annotations checked in calls.
+"""What holds for every test: strict JAX on the CPU, an own compilation cache, checked annotations.
 
 Rank promotion is an error in tests. MJX itself promotes ranks: whatever calls into it does so under
 `jax.numpy_rank_promotion("allow")`, which also serves users who are strict.
@@ -39,7 +39,7 @@ CHECK = BeartypeConf(
 
 
 def check_annotations(function: FunctionType, *_: Any, **__: Any) -> Callable:
-    """Check a function's annotations in calls, but no constructor's: JAX rebuilds states with placeholders in them."""
+    """Check a function's annotations in calls; no constructor's: JAX puts placeholders in."""
     if function.__name__ == "__init__":
         return function
     return beartype(conf=CHECK)(function)

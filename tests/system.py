@@ -1,4 +1,4 @@
-"""Tests that need a package of the operating system: skipped without it, but not where it must be there."""
+"""Tests that need a package of the operating system: skipped where it may be missing."""
 
 import os
 import shutil
@@ -11,7 +11,7 @@ CHROMIUM = next(
 
 
 def needs(package: str, found: object) -> pytest.MarkDecorator:
-    """Skip a test whose system package was not found; with REQUIRE_SYSTEM=1, which CI sets, let it fail."""
+    """Skip a test whose system package is missing; let it fail under CI's REQUIRE_SYSTEM=1."""
     required = os.environ.get("REQUIRE_SYSTEM") == "1"
     reason = f"needs {package} (Debian: apt-get install {package})"
     return pytest.mark.skipif(not found and not required, reason=reason)

@@ -188,8 +188,8 @@ def test_help_has_an_example(capsys) -> None:
 def test_looking_at_policies_imports_nothing_heavy(zoo: Path, tmp_path: Path) -> None:
     code = (
         "import sys\nfrom assistax_zoo.main import run\n"
-        f"for words in (['list'], ['verify'], ['show', {FIRST!r}, '--card', {str(tmp_path / 'c.md')!r}]): "
-        "assert run(words) == "
+        f"for words in (['list'], ['verify'], ['show', {FIRST!r}, '--card', "
+        f"{str(tmp_path / 'c.md')!r}]): assert run(words) == "
         "0\nprint(sorted({'jax', 'mujoco', 'flax', 'matplotlib', 'polars', 'scipy'} & "
         "set(sys.modules)))"
     )

@@ -1,4 +1,4 @@
-"""The results page: planted populations give the verdicts they should, both ways; the committed page is up to date."""
+"""The results page: planted populations give the verdicts they should; the page is up to date."""
 
 import dataclasses
 import json
@@ -55,7 +55,7 @@ def blocks(count: int = 20, across: float = 0.4) -> np.ndarray:
 
 
 def additive(robots: float, humans: float, count: int = 20, noise: float = 10.0) -> np.ndarray:
-    """No strategies: robots and humans are better or worse by standard deviations of exactly these sizes."""
+    """No strategies: robots and humans are better or worse by exactly these deviations."""
     rng = np.random.default_rng(1)
     quality = rng.normal(size=(2, count))
     quality = (quality - quality.mean(axis=1, keepdims=True)) / quality.std(axis=1, keepdims=True)
@@ -64,7 +64,7 @@ def additive(robots: float, humans: float, count: int = 20, noise: float = 10.0)
 
 
 def poor_half(count: int = 20) -> np.ndarray:
-    """Return = quality of the robot x quality of the human: half of the teams are poor, none is incompatible."""
+    """Return = robot's quality x human's: half of the teams are poor, none is incompatible."""
     quality = np.where(np.arange(count) % 2, 1.0, 0.3)
     return 900 * quality[:, None] * quality[None] + np.random.default_rng(2).normal(
         0, 10, (count, count)
@@ -362,7 +362,8 @@ def crossplay_folder(tmp_path: Path) -> Path:
     derived.save_crossplay(folder, table, CONTEXT)
     tables.write_json(
         {
-            "command": "assistax-zoo crossplay --egos 'scratch/*' --lock=/mnt/a.lock --out /home/me/xp",
+            "command": "assistax-zoo crossplay --egos 'scratch/*' --lock=/mnt/a.lock "
+            "--out /home/me/xp",
             "devices": ["cpu"],
         },
         folder / "run.json",
@@ -534,7 +535,7 @@ def published(tmp_path: Path) -> Registry:
 
 @pytest.fixture
 def words(tmp_path: Path, crossplay_folder: Path) -> list[str]:
-    """Data of a partial release: cross-play, egos and curves of scratch; and the command for its page."""
+    """Data of a partial release, cross-play, egos and curves of scratch; and its page's command."""
     data = tmp_path / "data"
     folders = [
         crossplay_folder,

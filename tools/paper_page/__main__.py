@@ -89,7 +89,7 @@ def page(
 
 
 def collect(folders: tuple[Path, ...], /, *, out: Path) -> None:
-    """Condense finished folders of crossplay, evaluate --split both and train-ego into a release's tables.
+    """Condense folders of crossplay, evaluate --split both and train-ego into a release's tables.
 
     A row an episode becomes a row a pair; egos are named by their files, so that no path of a
     machine is kept.

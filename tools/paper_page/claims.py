@@ -59,7 +59,7 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """Say whether the claim holds here: every criterion must be met, and without the last nothing is left."""
+        """Say whether the claim holds: every criterion is met; without the last nothing is left."""
         if not self.criteria:
             return "not measured yet"
         outcomes = {criterion.outcome for criterion in self.criteria}

@@ -2,7 +2,7 @@
 
 | folder of | becomes |
 |---|---|
-| `assistax-zoo crossplay --out` | `crossplay/TASK/`: a row a pair, order, strategies, summary, run |
+| `assistax-zoo crossplay --out` | `crossplay/TASK/`: a row a pair, order, strategies, summary |
 | `assistax-zoo evaluate --split both --out` | `egos/TASK-METHOD/`: a row a pair, summary, run |
 | `assistax-zoo train-ego --out` | `egos/TASK-METHOD/training.json`: steps, device and seconds |
 
@@ -113,7 +113,7 @@ def _collect_training(folder: Path, data: Path) -> Path:
 
 
 def _known_task(told: Mapping[str, Any], folder: Path) -> str:
-    """Return the task that a received folder names: it becomes a folder's name, so it must be one of ours."""
+    """Return the task that a received folder names: one of ours, since a folder is named so."""
     if told.get("task") not in TASKS:
         raise ValueError(
             f"{folder} names the task {told.get('task')!r}; allowed are {', '.join(TASKS)}"
@@ -136,7 +136,7 @@ def _egos(references: list[str], folder: Path) -> tuple[str, dict[str, tuple[str
 
 
 def _run(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
-    """Return how the folder came about, without this machine's paths, and with the seconds of simulation."""
+    """Return how the folder came about: without paths, with the seconds of simulation."""
     path = folder / tables.RUN_FILE
     run = tables.read_json(path) if path.is_file() else {}
     steps = (

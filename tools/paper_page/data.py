@@ -1,4 +1,4 @@
-"""What the page is made from: the release's registry entries, committed tables, the paper's figures and notes."""
+"""What the page is made from: registry entries, committed tables, the paper's figures, notes."""
 
 import dataclasses
 import functools
@@ -208,7 +208,7 @@ def read_paper() -> dict[str, Any]:
 
 
 def read_notes(path: Path) -> dict[str, str]:
-    """Return the hand-written reasons: in a Markdown file, what follows each heading `## SECTION`."""
+    """Return the hand-written reasons: what follows each heading `## SECTION` in Markdown."""
     if not path.is_file():
         return {}
     parts = re.split(r"^## +(.+?) *$", path.read_text(encoding="utf-8"), flags=re.MULTILINE)

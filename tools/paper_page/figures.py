@@ -39,7 +39,10 @@ def _treemap(results: Results) -> Figure:
         {"task": e.task, "algorithm": e.algorithm, "disability": e.disability}
         for e in results.humans
     ]
-    caption = f"n = {len(rows)} human partners of release {results.release}. Areas are numbers of partners."
+    caption = (
+        f"n = {len(rows)} human partners of release {results.release}. "
+        "Areas are numbers of partners."
+    )
     return population_treemap(pl.DataFrame(rows), caption=caption)
 
 

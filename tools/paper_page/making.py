@@ -1,4 +1,4 @@
-"""The page's last section: which commands made the tables, on what device, and in how many minutes."""
+"""The page's last section: which commands made the tables, on what device, in how many minutes."""
 
 import re
 from collections.abc import Sequence
@@ -72,7 +72,10 @@ def _played(results: Results) -> list[list[object]]:
     rows: list[list[object]] = []
     for what, found in named.items():
         run, told = found.run, found.summary
-        much = f"{told['episodes']:,} episodes, {told['episodes_per_pair']} a pair, {told['nonfinite']} non-finite"
+        much = (
+            f"{told['episodes']:,} episodes, {told['episodes_per_pair']} a pair, "
+            f"{told['nonfinite']} non-finite"
+        )
         devices = ", ".join(sorted(set(run.get("devices", [])))) or "–"
         rows.append([what, much, devices, told["backend"], _minutes([run["seconds"]])])
     return rows

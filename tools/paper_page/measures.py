@@ -1,4 +1,4 @@
-"""What the paper's claims are checked by: of a square matrix of returns [robots, humans], and of scores [S, P].
+"""What the paper's claims are checked by: of returns [robots, humans], and of scores [S, P].
 
 In a matrix the same team stands in row i and column i, so that self-play is the diagonal.
 """
@@ -20,7 +20,7 @@ _SETTLED = 30  # rounds after which the filled diagonal no longer moves
 
 @dataclasses.dataclass(frozen=True)
 class Exchange:
-    """The two branches of the tree of teams that lose the most with each other, and whether chance does as much."""
+    """The two branches of the tree that lose the most with each other; whether chance does so."""
 
     loss: float  # share of the return; 0 if no two branches lose
     groups: tuple[
@@ -40,7 +40,7 @@ class VarianceShares:
 
 
 def incompatible_share(matrix: np.ndarray, fraction: float = 0.5) -> float:
-    """Share of robots with other teams' humans, [T, T] without self-play, that earn less than a fraction of self-play.
+    """Share of pairs of different teams, [T, T], that earn less than a fraction of self-play.
 
     The yardstick is the lesser of the two teams' self-play returns: a poor team is no evidence of
     incompatibility. Where it is not positive, a pair is counted as compatible.
@@ -54,7 +54,7 @@ def incompatible_share(matrix: np.ndarray, fraction: float = 0.5) -> float:
 def largest_exchange_loss(
     matrix: np.ndarray, *, permutations: int = PERMUTATIONS, seed: int = 0
 ) -> Exchange:
-    """Find the two branches of the tree of Figure 4, 5% of the teams or more each, that lose the most with each other.
+    """Find the two branches of Figure 4's tree, of 5% of the teams or more, that lose the most.
 
     Two branches lose `1 - max(A's robots with B's humans, B's with A's) / min(within A, within B)`,
     of mean cross-play
@@ -85,7 +85,7 @@ def largest_exchange_loss(
 def variance_shares(
     matrix: np.ndarray, *, resamples: int = _RESAMPLED_MATRICES, seed: int = 0
 ) -> VarianceShares:
-    """Split the variance of cross-play returns into robots, humans and the rest, with intervals over teams.
+    """Split the variance of cross-play returns into robots, humans and the rest, with intervals.
 
     Two-way analysis of variance of [T, T]; the diagonal, self-play, is replaced by what the means
     predict. Resampling adds about 1 / T of the rest to either mean's share, so that one near 0 may
@@ -148,7 +148,7 @@ def improvement(
 def relative_gap(
     scores: np.ndarray, sides: Sequence[str | None], *, resamples: int = RESAMPLES, seed: int = 0
 ) -> Interval:
-    """(M_train - M_test) / M_train of scores [S, P], with an interval over new seeds and the same partners."""
+    """(M_train - M_test) / M_train of scores [S, P], with an interval over new seeds."""
     scores, labels = score_matrix(scores), np.array(sides, object)
     counts = draw_counts(len(scores), resamples, np.random.default_rng(seed))
     train, test = (

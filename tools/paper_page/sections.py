@@ -26,7 +26,7 @@ where the last one is not met it *does not hold*. *Undecided*: an interval reach
   two strategies of the paper's Figure 5.
 - *Variance explained*: two-way analysis of variance of cross-play returns; intervals over teams.
 - *P(A > B)*: chance that a seed of A beats a seed of B with the same partner. In self-play seeds are resampled, of egos
-  seeds and partners."""
+  seeds and partners."""  # noqa: E501
 _VERDICTS = ("holds", "holds in part", "undecided", "does not hold", MISSING)
 
 
@@ -160,7 +160,8 @@ def curves(results: Results, picture: Picture) -> str:
         "still rising",
     ]
     drawn = image(picture("curves.png"), "Learning curves")
-    return f"{drawn}\n\n{table(headings, rows, (2, 3, 4, 5))}\n\nStill rising: a gain of more than {RISING:.0%}."
+    rising = f"Still rising: a gain of more than {RISING:.0%}."
+    return f"{drawn}\n\n{table(headings, rows, (2, 3, 4, 5))}\n\n{rising}"
 
 
 def cross_play(results: Results, picture: Picture) -> str:
@@ -196,7 +197,8 @@ def cross_play(results: Results, picture: Picture) -> str:
         (2, 3),
     )
     drawn = [
-        f"**{spoken(task).capitalize()}**\n\n{image(picture(f'crossplay_{task}.png'), f'Cross-play of {spoken(task)}')}"
+        f"**{spoken(task).capitalize()}**\n\n"
+        + image(picture(f"crossplay_{task}.png"), f"Cross-play of {spoken(task)}")
         for task in TASKS
         if task in results.crossplay
     ]
@@ -266,7 +268,8 @@ def claim_table(claims: Sequence[Claim]) -> str:
         if not claim.criteria:
             rows.append([*name, "–", "–", "–", MISSING])
         rows += [[*name, c.what, c.value, c.threshold, _bold(c.outcome)] for c in claim.criteria]
-    return f"{table(['claim', 'task', 'criterion', 'found', 'threshold', 'outcome'], rows)}\n\n{_MEANINGS}"
+    headings = ["claim", "task", "criterion", "found", "threshold", "outcome"]
+    return f"{table(headings, rows)}\n\n{_MEANINGS}"
 
 
 def _teams(results: Results, task: str) -> str:
