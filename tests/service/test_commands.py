@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx2
 import pytest
 
 from assistax_zoo.main import run
@@ -59,10 +60,23 @@ def board(tmp_path: Path) -> Iterator[dict[str, Any]]:
     lines = [process.stderr.readline() for _ in range(2)]
     address, token = lines[0].split()[1], lines[1].split()[-1]
     environment = {"ASSISTAX_ZOO_SERVER": address, "ASSISTAX_ZOO_TOKEN": token}
+    _wait_until_it_answers(address)
     yield {"data": data, "registry": registry, "environment": environment}
     process.send_signal(signal.SIGTERM)
     process.communicate(timeout=60)
     assert process.returncode == 0
+
+
+def _wait_until_it_answers(address: str) -> None:
+    end = time.monotonic() + 120
+    while True:
+        try:
+            assert httpx2.get(f"{address}/api/health").status_code == 200
+            return
+        except httpx2.TransportError:
+            if time.monotonic() > end:
+                raise
+            time.sleep(0.2)
 
 
 @pytest.mark.slow
