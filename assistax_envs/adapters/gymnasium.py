@@ -46,7 +46,7 @@ class AssistaxEnv(gymnasium.Env):
         Args:
             task: one of `assistax_envs.TASKS`.
             partner: who acts for the human.
-            disability: the human's; by default the partner's own `disability`, where it has one,
+            disability: the human's; by default the partner's own `setting`, where it has one,
                 else "d1".
             backend: see `assistax_envs.make`.
             weights: reward weights that replace those of Table 5.

@@ -56,7 +56,7 @@ def test_evaluate_compares_the_evaluator_with_the_environment(capfd: pytest.Capt
     ("words", "told"),
     [
         (["--task", "feeding"], "task is 'feeding'; allowed are all, scratch"),
-        (["--backend", "gpu"], "backend is 'gpu'; allowed are auto, native"),
+        (["--backend", "gpu"], "backend is 'gpu'; allowed are auto, fused, native"),
         (["--batch", "64,many"], "batch is '64,many'; expected whole numbers"),
         (["--batch", "0"], "expected whole numbers of at least 1"),
         (["--batch", ","], "give at least one value"),

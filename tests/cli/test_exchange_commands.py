@@ -144,7 +144,7 @@ def test_deep_names_policies_that_do_not_fit_the_environment(zoo: Path, capsys) 
     assert (
         report["ok"] is False
         and report["problems"] == []
-        and "found (5, 2)" in report["deep"]["problems"][0]
+        and "reads observations of 5 numbers" in report["deep"]["problems"][0]
     )
 
 

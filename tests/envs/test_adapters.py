@@ -184,7 +184,7 @@ def test_gymnasium_is_registered_on_request_only(short: int):
 class Partner:
     """Remembers what it was asked."""
 
-    disability = assistax_envs.DISABILITY_SETTINGS["d9"]
+    setting = assistax_envs.DISABILITY_SETTINGS["d9"]
 
     def __init__(self) -> None:
         self.resets, self.seen = 0, []

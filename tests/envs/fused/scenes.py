@@ -111,7 +111,7 @@ def _touching(model, data, pair: int, rng: np.random.Generator) -> np.ndarray | 
 
 def resting_states(task: str, n: int) -> States:
     """Return states in which all has come to rest: bodies lie and lean, and joints hang."""
-    model, drawn = converged(scene(task)), team_states(task)[0][:n]
+    model, drawn = converged(scene(task)), team_states(task)[0][np.arange(n)]  # a copy
     data = mujoco.MjData(model)
     for i in range(n):
         mujoco.mj_resetData(model, data)
