@@ -4,6 +4,7 @@ A registry, a lock, a shard and a sealed folder have hashes, so that every chang
 policy file and a run folder are their owner's alone: there the damage must not do harm.
 """
 
+import json
 import shutil
 import sys
 from collections.abc import Callable
@@ -155,7 +156,7 @@ def test_results(made: Path, inside: Path) -> None:
     manifest = (result / provenance.MANIFEST_FILE).read_bytes()
 
     def check(whole: bytes, data: bytes) -> None:
-        changed = data != whole
+        changed = data != whole and not _same_json(whole, data)  # written with other spaces
         assert bool(provenance.verify_folder(result).problems) == changed
         try:
             write_report(result, inside / "page.html")
@@ -179,6 +180,13 @@ def test_results(made: Path, inside: Path) -> None:
             spoil(ledger, path, 50, check, path.name)
             if path.name != provenance.MANIFEST_FILE:
                 spoil(ledger, path, 30, sealed, f"sealed {path.name}")
+
+
+def _same_json(one: bytes, other: bytes) -> bool:
+    try:
+        return json.loads(one) == json.loads(other)
+    except ValueError:
+        return False
 
 
 def test_parts_and_tables(inside: Path) -> None:
