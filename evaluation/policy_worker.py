@@ -25,6 +25,9 @@ import numpy as np
 _LENGTHS = struct.Struct("<IQ")  # bytes of the JSON object, bytes of the array
 
 
+LONGEST_MESSAGE = 1000  # characters
+
+
 class LoadError(Exception):
     """Why a robot cannot be loaded, in the words that the user reads."""
 
@@ -58,9 +61,14 @@ def told(error: BaseException) -> str:
     """Say an exception in one printable line, with the place in the user's code."""
     frames = traceback.extract_tb(error.__traceback__)
     place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-    text = "".join(c if c.isprintable() else " " for c in str(error))
-    message = " ".join(text.split())
+    message = one_line(str(error))
     return f"{type(error).__name__}{': ' if message else ''}{message}{place}"
+
+
+def one_line(text: str) -> str:
+    """Return text that somebody else may have chosen as one printable line, cut where it is long."""
+    text = text[:LONGEST_MESSAGE]
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
 
 
 def serve() -> None:
@@ -87,7 +95,7 @@ def serve() -> None:
                 if answer.dtype.kind not in "fiu":
                     raise TypeError(f"returned {answer.dtype} of shape {answer.shape}")
         except LoadError as error:
-            reply, answer = {"error": str(error)}, None
+            reply, answer = {"error": one_line(str(error))}, None
         except BaseException as error:  # SystemExit too: the robot's code does not end a run
             reply, answer = {"error": told(error)}, None
         send(outbox, reply, answer)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from population import parquet
 from population.files import atomic_write
 
 # Names of the files in the folder that `evaluate --out` or `crossplay --out` fills.
@@ -240,16 +241,7 @@ def read_parquet(path: Path) -> pl.DataFrame:
         raise FileNotFoundError(
             f"{path} does not exist; run `assistax-zoo evaluate` or `crossplay` with --out first"
         )
-    try:
-        return pl.read_parquet(path)
-    except BaseException as error:
-        # Polars' reader can panic on damaged bytes: a BaseException, which no handler expects.
-        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
-            raise
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ValueError(
-            f"{path} is not a readable Parquet file ({reason}); delete it and run again"
-        ) from None
+    return parquet.read_parquet(path)
 
 
 def write_bytes(data: bytes, path: Path) -> None:

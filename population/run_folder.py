@@ -19,6 +19,7 @@ import safetensors.numpy
 
 from population.config import Member, PPOConfig, TrainConfig, TrainerConfig
 from population.files import atomic_path, atomic_write
+from population.parquet import read_parquet
 from population.spec import PolicySpec
 from population.stack import flatten
 
@@ -86,16 +87,31 @@ class RunFolder:
         """Return whether the folder holds the teams of this run, trained to its end."""
         if not self.teams.exists():
             return False
-        steps = json.loads(self.teams.read_text())[0]["training"]["steps"]
+        try:
+            steps = json.loads(self.teams.read_text())[0]["training"]["steps"]
+        except (ValueError, KeyError, TypeError, IndexError) as error:
+            raise ValueError(
+                f"{self.teams} is damaged ({type(error).__name__}: {error}); delete it, then the "
+                "same command writes it again"
+            ) from None
         return steps == config.updates * config.trainer.batch_steps
 
     def config(self) -> TrainConfig:
         """Return the configuration of the run in this folder."""
-        return TrainConfig.from_json(self._read_config()["config"])
+        content = self._read_config()
+        try:
+            return TrainConfig.from_json(dict(content["config"]))
+        except (LookupError, TypeError, ValueError, AttributeError) as error:
+            raise ValueError(
+                f"{self._config} is damaged ({type(error).__name__}: {error}); choose a new folder"
+            ) from None
 
     def read_metrics(self, until: int) -> pl.DataFrame:
         """Return the metrics of the first `until` updates."""
-        return pl.read_parquet(self._metrics).filter(pl.col("update") <= until)
+        table = read_parquet(self._metrics)
+        if not isinstance(table.schema.get("update"), pl.Int64):
+            raise ValueError(f"{self._metrics} is damaged; start a new run in another folder")
+        return table.filter(pl.col("update") <= until)
 
     def write_metrics(self, metrics: pl.DataFrame) -> None:
         """Replace the metrics."""

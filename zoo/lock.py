@@ -128,6 +128,8 @@ def read_lock(path: Path) -> Lock:
         lock = Lock.model_validate_json(text)
     except ValidationError as error:
         _refuse(source, "a lock file", first_problem(error), remedy)
+    if (lock.lock_version == LOCK_VERSION) != (lock.root is not None):  # it is not in the sha256
+        _refuse(source, f"content of version {version}", "another's: it was edited", remedy)
     dumped = lock.model_dump(mode="json", exclude={"lock_version", "sha256"}, exclude_unset=True)
     found = _digest(dumped)
     if found != lock.sha256:

@@ -6,6 +6,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import polars as pl
+
 from evaluation import tables
 from evaluation.provenance import read_manifest
 from evaluation.report import html
@@ -25,6 +27,19 @@ def write_report(folder: Path, path: Path) -> None:
         raise ValueError(
             f"{path.name} ends in {path.suffix or 'nothing'!r}; a report is written as .html"
         )
+    try:
+        text = _folder_page(folder)
+    except (pl.exceptions.PolarsError, *_STRANGE) as error:
+        # A folder that somebody sent: its hashes may be right and its tables no tables of ours.
+        reason = (str(error).splitlines() or [""])[0][:200]
+        raise ValueError(
+            f"{folder} is damaged, or of another version ({type(error).__name__}: {reason!a}); "
+            "run again"
+        ) from None
+    tables.write_bytes(text.encode(), path)
+
+
+def _folder_page(folder: Path) -> str:
     found = read_summary(folder)
     summary = tables.to_json(found)
     if isinstance(found, EvaluationSummary):
@@ -34,10 +49,11 @@ def write_report(folder: Path, path: Path) -> None:
         )
     else:
         title, sections = f"Cross-play: {found.task}", crossplay_sections(folder, summary)
-    text = _page(title, _head(title, folder, summary), [*sections, _origin(folder, summary)])
-    tables.write_bytes(text.encode(), path)
+    return _page(title, _head(title, folder, summary), [*sections, _origin(folder, summary)])
 
 
+# What tables and fields of other kinds than ours lead to.
+_STRANGE = (ArithmeticError, AttributeError, LookupError, TypeError)
 _PAGE = """<!doctype html>
 <html lang="en">
 <head>

@@ -1,0 +1,264 @@
+"""Five thousand damaged files of every kind: refused in a line, found by `verify`, or made again.
+
+A registry, a lock, a shard and a sealed folder have hashes, so that every change must be found. A
+policy file and a run folder are their owner's alone: there the damage must not do harm.
+"""
+
+import json
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from evaluation import provenance
+from evaluation.evaluator import run_job
+from evaluation.report import write_report
+from population.checkpoints import Checkpoints
+from population.run_folder import RunFolder
+from tests.attack.damage import BYTES, damaged, tensors
+from tests.attack.ledger import Ledger, attack
+from tests.attack.watch import Watch
+from tests.evaluation.matrix_game import MatrixGame
+from tests.evaluation.test_evaluator import make_job, unfinished
+from zoo.errors import ZooError
+from zoo.lock import make_lock, read_lock, write_lock
+from zoo.registry import Registry, load_registry
+from zoo.runs import read_run
+from zoo.storage import load_stacks, read_policy_file, write_policy_file
+from zoo.tensors import flatten
+from zoo.verify import verify
+
+pytestmark = pytest.mark.attack
+REFUSALS = (ZooError, ValueError, OSError)  # what the command line says in one line
+
+
+def told(error: BaseException) -> None:
+    text = str(error)
+    assert len(text) < 3000 and "\x1b" not in text, text[:200]
+
+
+@pytest.fixture
+def inside(tmp_path: Path) -> Path:
+    """A folder; what is written elsewhere while the test runs is a failure."""
+    return tmp_path
+
+
+def spoil(
+    ledger: Ledger, path: Path, count: int, check: Callable[[bytes, bytes], None], name: str
+) -> None:
+    """Damage one file in many ways, one at a time; `check` is given the old and the new bytes."""
+    whole = path.read_bytes()
+    watch = Watch([path.parent, Path("/tmp")])
+    for trial in range(ledger.wanted(count)):
+        data = damaged(ledger.random, whole, path.suffix)
+        path.write_bytes(data)
+        with ledger.trial(f"{name} {trial} {sys.getsizeof(data)}"):
+            try:
+                check(whole, data)
+            except REFUSALS as error:
+                told(error)
+            assert not watch.outside, watch.outside
+    watch.on = False
+    path.write_bytes(whole)
+
+
+def copied(registry_path: Path, folder: Path) -> Registry:
+    shutil.copytree(registry_path.parent, folder / "zoo")
+    return load_registry(folder / "zoo" / "registry.json")
+
+
+def test_registries(registry_path: Path, inside: Path) -> None:
+    true = copied(registry_path, inside)
+
+    def check(whole: bytes, data: bytes) -> None:
+        found = load_registry(true.path)
+        if found.data != true.data:
+            assert not verify(found).ok, "a changed registry passes `verify`"
+
+    with attack("damaged registries") as ledger:
+        spoil(ledger, true.path, 1200, check, "registry")
+
+
+def test_locks(registry_path: Path, inside: Path) -> None:
+    registry = load_registry(registry_path)
+    path = inside / "mine.json"
+    true = make_lock(registry, registry.policies)
+    write_lock(true, path)
+
+    def check(whole: bytes, data: bytes) -> None:
+        assert read_lock(path) == true, "a changed lock is read"
+
+    with attack("damaged locks") as ledger:
+        spoil(ledger, path, 600, check, "lock")
+
+
+def test_shards(registry_path: Path, inside: Path) -> None:
+    registry = copied(registry_path, inside)
+    entry = registry.policies[0]
+
+    def check(whole: bytes, data: bytes) -> None:
+        load_stacks(registry, [entry])
+        assert data == whole, "a changed shard is loaded"
+
+    with attack("damaged shards") as ledger:
+        spoil(ledger, registry.shard_path(entry.shard), 1000, check, "shard")
+
+
+def test_policy_files(registry_path: Path, inside: Path) -> None:
+    registry = load_registry(registry_path)
+    entry = registry.policies[0]
+    (stack,) = load_stacks(registry, [entry])
+    leaves = {name: value[0] for name, value in flatten(stack.params).items()}
+    path = inside / "policy.safetensors"
+    write_policy_file(path, entry.spec, leaves)
+
+    def check(whole: bytes, data: bytes) -> None:
+        found = flatten(read_policy_file(path).params)
+        assert all(np.isfinite(value).all() for value in found.values())
+
+    with attack("damaged policies") as ledger:
+        spoil(ledger, path, 800, check, "policy")
+
+
+def test_run_folders(made: Path, inside: Path) -> None:
+    run = Path(shutil.copytree(made / "run", inside / "run"))
+    config = RunFolder(run).config()
+
+    def check(whole: bytes, data: bytes) -> None:
+        def resume() -> None:
+            folder = RunFolder(run)
+            folder.config()
+            folder.finished(config)
+            folder.read_metrics(99)
+
+        for read in (resume, lambda: read_run(run)):
+            try:
+                read()
+            except REFUSALS as error:
+                told(error)
+
+    with attack("damaged run folders") as ledger:
+        names = ("teams.json", "config.json", "robot.safetensors", "metrics.parquet")
+        for name in names:
+            spoil(ledger, run / name, 125, check, name)
+
+
+def test_results(made: Path, inside: Path) -> None:
+    """A damaged file is found by `verify`, and no page is made from it.
+
+    Sealed anew, as whoever sends a folder can, it makes no harm.
+    """
+    result = Path(shutil.copytree(made / "result", inside / "result"))
+    manifest = (result / provenance.MANIFEST_FILE).read_bytes()
+
+    def check(whole: bytes, data: bytes) -> None:
+        changed = data != whole and not _same_json(whole, data)  # written with other spaces
+        assert bool(provenance.verify_folder(result).problems) == changed
+        try:
+            write_report(result, inside / "page.html")
+            assert not changed, "a page was made from a damaged file"
+        except REFUSALS as error:
+            told(error)
+
+    def sealed(whole: bytes, data: bytes) -> None:
+        try:
+            provenance.seal(result)
+            provenance.verify_folder(result)
+            write_report(result, inside / "page.html")
+            assert "<script>alert(1)" not in (inside / "page.html").read_text()
+        finally:
+            (result / provenance.MANIFEST_FILE).write_bytes(manifest)
+
+    files = [one for one in sorted(result.iterdir()) if one.is_file()]
+    files = [one for one in files if not one.name.startswith(".") and one.suffix != ".png"]
+    with attack("damaged results") as ledger:
+        for path in files:
+            spoil(ledger, path, 50, check, path.name)
+            if path.name != provenance.MANIFEST_FILE:
+                spoil(ledger, path, 30, sealed, f"sealed {path.name}")
+
+
+def _same_json(one: bytes, other: bytes) -> bool:
+    try:
+        return json.loads(one) == json.loads(other)
+    except ValueError:
+        return False
+
+
+def test_parts_and_tables(inside: Path) -> None:
+    """What is damaged is played again; the answer is the same."""
+    job = make_job()
+    true = run_job(MatrixGame(), job, inside / "whole").table
+    run_job(MatrixGame(), job, inside / "finished")
+    unfinished(inside / "parts")
+    mixed = run_job(MatrixGame(), _mixed(), inside / "mixed", max_envs=7).table
+    with attack("damaged parts and tables") as ledger:
+        for trial in range(ledger.wanted(100)):
+            name, wanted = ledger.random.choice((("finished", true), ("parts", mixed)))
+            folder = Path(shutil.copytree(inside / name, inside / f"{name}{trial}"))
+            files = [one for one in folder.rglob("*.*") if one.suffix in (".json", ".parquet")]
+            path = ledger.random.choice(files)
+            path.write_bytes(damaged(ledger.random, path.read_bytes(), path.suffix))
+            with ledger.trial(f"{name} {path.name}"):
+                again = job if name == "finished" else _mixed()
+                try:
+                    assert run_job(MatrixGame(), again, folder).table.equals(wanted)
+                except REFUSALS as error:
+                    assert path.name == provenance.MANIFEST_FILE, error
+            shutil.rmtree(folder)
+
+
+def _mixed() -> object:
+    from tests.evaluation.test_evaluator import mixed_job
+
+    return mixed_job()
+
+
+@pytest.mark.filterwarnings("ignore:the checkpoint of update")
+def test_checkpoints(inside: Path) -> None:
+    """The state is one that was saved, to the bit, or there is none."""
+    states = {step: {"w": jnp.arange(200.0) * step, "step": jnp.asarray(step)} for step in (1, 2)}
+    saved = Checkpoints(inside / "whole")
+    for step, state in states.items():
+        saved.save(step, state)
+    saved.close()
+    with attack("damaged checkpoints") as ledger:
+        for trial in range(ledger.wanted(200)):
+            folder = Path(shutil.copytree(inside / "whole", inside / str(trial)))
+            files = [one for one in folder.rglob("*") if one.is_file() and one.stat().st_size]
+            path = ledger.random.choice(files)
+            path.write_bytes(ledger.random.choice(BYTES)(ledger.random, path.read_bytes()))
+            with ledger.trial(f"checkpoint {path.relative_to(folder)}"):
+                _restore(folder, states)
+            shutil.rmtree(folder)
+
+
+def _restore(folder: Path, states: dict[int, dict]) -> None:
+    try:
+        checkpoints = Checkpoints(folder)
+        found = checkpoints.restore_latest(states[1])
+        checkpoints.close()
+    except REFUSALS as error:
+        return told(error)
+    assert found is not None
+    wanted = states[found[0]]
+    assert all(np.array_equal(found[1][name], wanted[name]) for name in wanted)
+    return None
+
+
+def test_the_harness_finds_what_it_looks_for(registry_path: Path, inside: Path) -> None:
+    """Planted: a loader that believes every shard, and a `verify` that believes every file."""
+    registry = copied(registry_path, inside)
+    path = registry.shard_path(registry.policies[0].shard)
+    ledger = Ledger("planted")
+
+    def believe(whole: bytes, data: bytes) -> None:
+        assert data == whole
+
+    spoil(ledger, path, 100, believe, "shard")
+    assert len(ledger.failures) == ledger.trials
+    assert tensors(ledger.random, path.read_bytes()) != path.read_bytes()
