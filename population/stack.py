@@ -23,7 +23,9 @@ class PolicyStack:
     def take(self, rows: Sequence[int]) -> "PolicyStack":
         """Return the policies in these rows, in this order."""
         ids = tuple(self.ids[row] for row in rows)
-        return PolicyStack(self.spec, ids, map_leaves(lambda leaf: leaf[np.asarray(rows)], self.params))
+        return PolicyStack(
+            self.spec, ids, map_leaves(lambda leaf: leaf[np.asarray(rows)], self.params)
+        )
 
     def row(self, index: int) -> dict[str, Any]:
         """Return the parameters of one policy, without the stacked axis."""
