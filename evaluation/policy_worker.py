@@ -66,7 +66,7 @@ def told(error: BaseException) -> str:
 
 
 def one_line(text: str) -> str:
-    """Return text that somebody else may have chosen as one printable line, cut where it is long."""
+    """Return text that somebody else may have chosen as one printable line, cut if long."""
     text = text[:LONGEST_MESSAGE]
     return " ".join("".join(c if c.isprintable() else " " for c in text).split())
 

@@ -206,7 +206,8 @@ ROBOTS = {
     "answers None": "def make(): return lambda obs: None",
     "answers text": "def make(): return lambda obs: 'left'",
     "answers another shape": "def make(): return lambda obs: obs[:1]",
-    "answers 2**30 numbers": "import numpy as n\ndef make(): return lambda o: n.zeros((2**15, 2**15), bool)",
+    "answers 2**30 numbers": "import numpy as n\n"
+    "def make(): return lambda o: n.zeros((2**15, 2**15), bool)",
     "answers NaN": "def make(): return lambda obs: obs[:, :2] * float('nan')",
     "answers objects": "import numpy as n\ndef make(): return lambda o: n.array([{}] * len(o))",
     "prints": "def make():\n print('{' * 10**6)\n return lambda obs: print(obs)",
