@@ -117,7 +117,9 @@ def _unfinished(service: Service) -> bool:
 def _check(service: Service, season: str, count: int) -> None:
     found = service.queries.submissions(limit=1000)
     assert len(found) == count  # none lost, none twice
-    assert {each.state for each in found} == {"scored", "refused"}
+    # A job that was struck at each of its tries fails, and its attempt is given back.
+    states = {each.state for each in found}
+    assert {"scored"} <= states <= {"scored", "refused", "failed"}
     for each in found:
         attempt = "spent" if each.state == "scored" else "refunded"
         assert (each.attempt, each.place) == (attempt, None)
