@@ -120,16 +120,3 @@ def test_ladder_lets_submitters_climb(capfd: pytest.CaptureFixture[str]):
     boards = {(row["shared"], row["attack"], row["board"]): row for row in rows}
     assert len(boards) == len(rows) == 18
     assert boards[0.0, "climb", "exact"]["answers"] > boards[0.0, "climb", "ladder"]["answers"]
-
-
-@pytest.mark.slow
-def test_pages_reads_every_kind_of_page(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
-    from tests.service.board_data import make_app
-    from tests.service.browser import served
-
-    with served(make_app(tmp_path)) as address:
-        assert run(["pages", "--url", address, "--readers", "30", "--seconds", "6", "--json"]) == 0
-    rows = {row["page"]: row for row in json.loads(capfd.readouterr().out)}
-    assert {"board", "submission", "explorer", "all"} <= rows.keys()
-    assert rows["all"]["failed"] == 0
-    assert rows["all"]["reads"] == sum(rows[kind]["reads"] for kind in rows if kind != "all")

@@ -40,15 +40,22 @@ COMMANDS = {
 SOON = 2.0  # seconds from the key press to the end of the process
 
 
+# As from a terminal: a shell's background jobs ignore the signal.
+COMMAND = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from assistax_zoo.main import run
+sys.exit(run())
+"""
+
+
 def begin(words: list[str], folder: Path) -> subprocess.Popen:
-    # As from a terminal: a shell's background jobs ignore the signal.
     return subprocess.Popen(
-        [sys.executable, "-m", "assistax_zoo", *words],
+        [sys.executable, "-c", COMMAND, *words],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         env={**os.environ, "XDG_CACHE_HOME": str(folder / "cache")},
     )
 
