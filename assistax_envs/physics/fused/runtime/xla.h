@@ -2,7 +2,7 @@
 
 // XLA asks each call once for which version of the interface it was compiled, and what it may do.
 static bool answered(XLA_FFI_CallFrame* frame, XLA_FFI_Handler_Traits traits) {
-  XLA_FFI_Extension_Base* extension = frame->extension_start;
+  auto extension = frame->extension_start;  // its type was renamed in jaxlib 0.11
   if (extension == nullptr || extension->type != XLA_FFI_Extension_Metadata) return false;
   XLA_FFI_Metadata* metadata = ((XLA_FFI_Metadata_Extension*)extension)->metadata;
   metadata->api_version.major_version = XLA_FFI_API_MAJOR;
