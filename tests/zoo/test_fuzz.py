@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from population.files import sha256
+from tests.attack.damage import cut, flip, grow, splice, zero
 from zoo.errors import ZooError
 from zoo.registry import Registry, build_registry, load_registry, parse_registry
 from zoo.storage import load_stacks, parse_stacked
@@ -23,35 +24,6 @@ from zoo.verify import verify
 
 CASES = 10_000
 Damage = Callable[[random.Random, bytes], bytes]
-
-
-def flip(rng: random.Random, data: bytes) -> bytes:
-    position = rng.randrange(len(data))
-    return (
-        data[:position] + bytes([data[position] ^ (1 << rng.randrange(8))]) + data[position + 1 :]
-    )
-
-
-def cut(rng: random.Random, data: bytes) -> bytes:
-    return data[: rng.randrange(len(data))]
-
-
-def grow(rng: random.Random, data: bytes) -> bytes:
-    return data + rng.randbytes(rng.randrange(1, 40))
-
-
-def splice(rng: random.Random, data: bytes) -> bytes:
-    """Replace a stretch by random bytes, or by another stretch of the same file."""
-    start, length = rng.randrange(len(data)), rng.randrange(1, 60)
-    other = rng.randrange(len(data))
-    patch = rng.randbytes(rng.randrange(9)) if rng.random() < 0.5 else data[other : other + length]
-    return data[:start] + patch + data[start + length :]
-
-
-def zero(rng: random.Random, data: bytes) -> bytes:
-    start = rng.randrange(len(data))
-    length = rng.randrange(1, 4096)
-    return data[:start] + bytes(len(data[start : start + length])) + data[start + length :]
 
 
 def number(rng: random.Random, data: bytes) -> bytes:
