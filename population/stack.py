@@ -60,7 +60,7 @@ def flatten(params: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray
         if isinstance(value, Mapping):
             leaves |= flatten(value, f"{prefix}{name}/")
         else:
-            leaves[f"{prefix}{name}"] = np.ascontiguousarray(value)
+            leaves[f"{prefix}{name}"] = np.asarray(value, order="C")
     return leaves
 
 

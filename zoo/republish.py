@@ -4,11 +4,11 @@ from collections.abc import Iterable
 from typing import Any
 
 from assistax_envs.versions import VERSIONS
+from population.stack import unflatten
 from zoo.ids import TeamId
 from zoo.registry import Registry
 from zoo.runs import TrainedTeam
 from zoo.storage import load_leaves
-from zoo.tensors import unflatten
 
 
 def republishable(

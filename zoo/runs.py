@@ -16,11 +16,12 @@ from typing import Any
 from pydantic import ValidationError
 
 from population.spec import PolicySpec, Role
+from population.stack import unflatten
 from zoo.errors import FormatError, shorten
 from zoo.schema import Split, first_problem, spec_from_json
 from zoo.splits import check_split
 from zoo.storage import StackedFile, parse_stacked, take_row
-from zoo.tensors import read_bytes, unflatten
+from zoo.tensors import read_bytes
 from zoo.untrusted import parse_json, read_text
 
 _MAX_TEAMS_BYTES = 16 * 1024 * 1024

@@ -10,7 +10,7 @@ import numpy as np
 
 from population.files import atomic_write, sha256
 from population.spec import PolicySpec
-from population.stack import PolicyStack, stack_policies
+from population.stack import PolicyStack, stack_policies, unflatten
 from zoo.errors import FormatError, IntegrityError, shorten
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, spec_from_json
@@ -22,7 +22,6 @@ from zoo.tensors import (
     flatten,
     read_bytes,
     row_sha256,
-    unflatten,
 )
 
 

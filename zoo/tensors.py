@@ -11,6 +11,7 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
+from population import stack
 from population.files import sha256
 from zoo.errors import FormatError, IntegrityError, shorten
 from zoo.untrusted import parse_json
@@ -24,34 +25,15 @@ _LEAF = re.compile(r"[A-Za-z0-9_]{1,64}(/[A-Za-z0-9_]{1,64}){0,7}")
 Leaves = dict[str, np.ndarray]
 
 
-def flatten(params: Mapping[str, Any], prefix: str = "") -> Leaves:
+def flatten(params: Mapping[str, Any]) -> Leaves:
     """Return a nested dict's arrays by '/'-joined path, in sorted order.
 
     Raises:
         FormatError: A name or a value cannot be stored.
     """
-    leaves: Leaves = {}
-    for name, value in params.items():
-        path = f"{prefix}{name}"
-        if isinstance(value, Mapping):
-            leaves |= flatten(value, f"{path}/")
-        else:
-            leaves[path] = np.asarray(value)
-    if not prefix:
-        _check_leaves(leaves, "parameters")
+    leaves = stack.flatten(params)
+    _check_leaves(leaves, "parameters")
     return dict(sorted(leaves.items()))
-
-
-def unflatten(leaves: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Return the nested dict of leaves named by '/'-joined path: the inverse of `flatten`."""
-    tree: dict[str, Any] = {}
-    for path, value in leaves.items():
-        *folders, name = path.split("/")
-        node = tree
-        for folder in folders:
-            node = node.setdefault(folder, {})
-        node[name] = value
-    return tree
 
 
 def row_sha256(leaves: Mapping[str, np.ndarray]) -> str:

@@ -9,6 +9,7 @@ from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
 from population.spec import PolicySpec
+from population.stack import unflatten
 from zoo.errors import FormatError, IntegrityError, ZooError
 from zoo.registry import Registry, build_registry
 from zoo.storage import (
@@ -20,7 +21,7 @@ from zoo.storage import (
     take_row,
     write_policy_file,
 )
-from zoo.tensors import MAX_HEADER_BYTES, decode, encode, flatten, row_sha256, unflatten
+from zoo.tensors import MAX_HEADER_BYTES, decode, encode, flatten, row_sha256
 
 
 def leaves_equal(one, other) -> bool:
