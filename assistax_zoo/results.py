@@ -100,11 +100,10 @@ class _Result:
         return f"{type(self).__name__}({self.summary.task}: {', '.join(told)})"
 
     def _repr_html_(self) -> str:
-        from evaluation.report import html
+        from evaluation.report.page import figures_html
 
         figures = {name: vars(figure) for name, figure in self._figures().items() if figure}
-        table = html.figures_table(figures, f"{self.summary.task}: return of an episode")
-        return f"{table}{html.notes(self.notes)}"
+        return figures_html(figures, f"{self.summary.task}: return of an episode", self.notes)
 
 
 class EvaluationResult(_Result):

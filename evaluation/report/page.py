@@ -1,19 +1,42 @@
-"""Assemble the page: what was found, the figures, the tables, and how to repeat it."""
+"""One page about a finished folder: what was found, the figures, the tables, how to repeat it.
 
-import hashlib
-from collections.abc import Mapping
+The words are in `templates/`. What enters one is text, and is escaped there: a template that is
+careless with an id shows its tags to the reader, and runs nothing.
+"""
+
+import base64
+import functools
+import io
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import jinja2
+import matplotlib
 import polars as pl
+from markupsafe import Markup
+from matplotlib.figure import Figure
 
+from assistax_envs.disability import DISABILITY_SETTINGS
 from evaluation import tables
-from evaluation.provenance import read_manifest
-from evaluation.report import html
-from evaluation.report.crossplay import crossplay_sections
-from evaluation.report.evaluation import evaluation_sections
+from evaluation.plots.bars import disability_points, provenance, zsc_bars
+from evaluation.plots.heatmap import crossplay_heatmap
+from evaluation.plots.lines import performance_profile
+from evaluation.plots.matrix import arrange, short_names
+from evaluation.provenance import file_sha256, read_manifest
+from evaluation.report.matrix_data import matrix_data
 from evaluation.summary import EvaluationSummary, read_summary
+
+# What tables and fields of other kinds than ours lead to.
+_STRANGE = (
+    *(ArithmeticError, AttributeError, LookupError, TypeError),
+    *(jinja2.UndefinedError, pl.exceptions.PolarsError),
+)
+_HASHED = (
+    *(tables.EPISODES_FILE, tables.PAIRS_FILE, tables.REFERENCES_FILE),
+    *(tables.BOUNDS_FILE, tables.SUMMARY_FILE),
+)
 
 
 def write_report(folder: Path, path: Path) -> None:
@@ -28,8 +51,8 @@ def write_report(folder: Path, path: Path) -> None:
             f"{path.name} ends in {path.suffix or 'nothing'!r}; a report is written as .html"
         )
     try:
-        text = _folder_page(folder)
-    except (pl.exceptions.PolarsError, *_STRANGE) as error:
+        text = _page(folder)
+    except _STRANGE as error:
         # A folder that somebody sent: its hashes may be right and its tables no tables of ours.
         reason = (str(error).splitlines() or [""])[0][:200]
         raise ValueError(
@@ -39,138 +62,133 @@ def write_report(folder: Path, path: Path) -> None:
     tables.write_bytes(text.encode(), path)
 
 
-def _folder_page(folder: Path) -> str:
-    found = read_summary(folder)
-    summary = tables.to_json(found)
-    if isinstance(found, EvaluationSummary):
-        title, sections = (
-            f"Zero-shot evaluation: {found.task}",
-            evaluation_sections(folder, summary),
-        )
-    else:
-        title, sections = f"Cross-play: {found.task}", crossplay_sections(folder, summary)
-    return _page(title, _head(title, folder, summary), [*sections, _origin(folder, summary)])
+def figures_html(
+    figures: Mapping[str, Mapping[str, Any] | None], what: str, notes: Iterable[str]
+) -> str:
+    """Return estimates as a table, with what a reader has to know of them."""
+    given = {"figures": list(figures.items()), "what": what, "notes": list(notes)}
+    return templates().get_template("figures.html").render(given)
 
 
-# What tables and fields of other kinds than ours lead to.
-_STRANGE = (ArithmeticError, AttributeError, LookupError, TypeError)
-_PAGE = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title>
-<link rel="icon" href="data:,">
-<style>
-{css}</style>
-</head>
-<body>
-<header>
-{head}
-</header>
-<main>
-{body}
-</main>
-{scripts}
-</body>
-</html>
-"""
-
-
-def _page(title: str, head: html.Html, sections: list[html.Html]) -> html.Html:
+@functools.cache
+def templates() -> jinja2.Environment:
+    """Return the page's templates, which escape whatever enters them."""
+    found = jinja2.Environment(
+        loader=jinja2.PackageLoader("evaluation.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        extensions=["jinja2.ext.do"],
+    )
+    # In the order of their making, which the viewer's menus have.
+    found.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     assets = resources.files("evaluation.report") / "assets"
-    css, sorting, matrix = (
-        html.Html((assets / name).read_text("utf-8"))
-        for name in ("report.css", "tables.js", "matrix.js")
-    )
-    body = html.join(sections, "\n")
-    scripts = [sorting, matrix] if 'id="matrix-data"' in body else [sorting]
-    run = html.join(html.fill("<script>{}</script>", script) for script in scripts)
-    return html.fill(_PAGE, title=title, css=css, head=head, body=body, scripts=run)
+    known: dict[str, Any] = {
+        "asset": lambda name: Markup((assets / name).read_text("utf-8")),
+        "letter": lambda number: chr(ord("A") + number),
+        "settings": DISABILITY_SETTINGS,
+    }
+    found.globals.update(known)
+    return found
 
 
-def _head(title: str, folder: Path, summary: Mapping[str, Any]) -> html.Html:
-    run = _run(folder)
-    facts = [
-        f"release {summary['release']}",
-        f"environment version {summary['env_version']}",
-        f"backend {summary['backend']}",
-        f"{summary['episodes']:,} episodes, {summary['episodes_per_pair']} a pair",
-        f"{summary['nonfinite']} non-finite",
-        *([f"split {summary['split']['id']}"] if summary["split"] else []),
-        *([run["date"].partition("T")[0]] if run else []),
-    ]
-    return html.fill("<h1>{}</h1>\n{}", title, html.chips(facts))
-
-
-def _origin(folder: Path, summary: Mapping[str, Any]) -> html.Html:
-    """Return how the figures came about: command, versions, hashes."""
-    run = _run(folder)
-    manifest = read_manifest(folder) or {}
-    identity = manifest.get("identity", {})
-    parts = [html.Html("<h2>How to repeat it</h2>")]
-    if run:
-        parts.append(html.fill("<pre>{}</pre>", run["command"]))
-        where = f"Python {run['python']}, {run['platform']}, {', '.join(run['devices'])}"
-        machine = f"{where}; finished {run['date']}"
-        parts.append(html.fill('<p class="muted">{}</p>', machine))
-        parts.append(
-            html.table(
-                [("package", ""), ("version", "")], [list(row) for row in run["versions"].items()]
-            )
-        )
-    if identity:
-        settings = ("backend", "episodes", "seed", "stochastic", "evaluator_version")
-        rows: list[list[html.Cell]] = [
-            [name, str(identity[name])] for name in settings if name in identity
-        ]
-        parts += [
-            html.Html("<h3>Settings</h3>"),
-            html.table([("setting", ""), ("value", "")], rows),
-        ]
-    hashes: list[list[html.Cell]] = [
-        [name, digest] for name, digest in _hashes(folder, summary, manifest).items()
-    ]
-    parts += [
-        html.Html("<h3>Hashes (sha256)</h3>"),
-        html.table([("what", ""), ("sha256", "")], hashes),
-    ]
-    if identity:
-        members: list[list[html.Cell]] = [["robot", row[0], row[1]] for row in identity["egos"]]
-        members += [["human", row[0], row[3]] for row in identity["partners"]]
-        listed = html.table([("seat", ""), ("policy", ""), ("sha256", "")], members, sortable=True)
-        told = "<details><summary>{} policies with their hashes</summary>{}</details>"
-        parts.append(html.fill(told, len(members), listed))
-    parts.append(
-        html.Html(
-            "<footer>Made by assistax-zoo from saved tables; this page loads nothing from "
-            "elsewhere.</footer>"
-        )
-    )
-    return html.join(parts, "\n")
-
-
-def _hashes(
-    folder: Path, summary: Mapping[str, Any], manifest: Mapping[str, Any]
-) -> dict[str, str]:
+def _page(folder: Path) -> str:
+    found, manifest = read_summary(folder), read_manifest(folder) or {}
+    kind = "evaluation" if isinstance(found, EvaluationSummary) else "crossplay"
+    summary = tables.to_json(found)
     hashes = {}
-    if summary["split"]:
-        hashes[f"split {summary['split']['id']}"] = summary["split"]["sha256"]
+    if found.split:
+        hashes[f"split {found.split.id}"] = found.split.sha256
     if "job" in manifest:
         hashes["job: policies, settings and software"] = manifest["job"]
-    names = (
-        tables.EPISODES_FILE,
-        tables.PAIRS_FILE,
-        tables.REFERENCES_FILE,
-        tables.BOUNDS_FILE,
-        tables.SUMMARY_FILE,
+    there = [name for name in _HASHED if (folder / name).is_file()]
+    return (
+        templates()
+        .get_template(f"{kind}.html")
+        .render(
+            summary=summary,
+            run=_read(folder, tables.RUN_FILE),
+            identity=manifest.get("identity"),
+            hashes=hashes | {name: file_sha256(folder / name) for name in there},
+            **{"evaluation": _evaluation, "crossplay": _crossplay}[kind](folder, summary),
+        )
     )
-    for name in names:
-        if (folder / name).is_file():
-            hashes[name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
-    return hashes
 
 
-def _run(folder: Path) -> dict[str, Any] | None:
-    path = folder / tables.RUN_FILE
+def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the figures of an evaluation, and the table of its partners."""
+    name = folder.resolve().name
+    named, profile = {name: summary}, tables.read_parquet(folder / tables.PROFILE_FILE)
+    caption = f"Band: pointwise 95% bootstrap.\n{provenance(named)}"
+    drawn = performance_profile({name: profile}, task=summary["task"], caption=caption)
+    headings, columns = [*_PARTNER], list(_PARTNER.values())
+    partners = tables.read_parquet(folder / tables.PARTNERS_FILE)
+    if (folder / tables.BOUNDS_FILE).is_file():
+        bounds = tables.read_parquet(folder / tables.BOUNDS_FILE)
+        partners = partners.join(
+            bounds, on="partner", how="left", maintain_order="left"
+        ).with_columns(regret=pl.col("best") - pl.col("return"))
+        headings, columns = [*headings, *_BOUNDS], [*columns, *_BOUNDS.values()]
+    shown = partners.with_columns(pl.Series("partner", short_names(list(partners["partner"]))))
+    return {
+        "images": {
+            "returns with training and test partners": _embedded(zsc_bars(named)),
+            "returns by the partner's disability setting": _embedded(disability_points(named)),
+            "performance profile": _embedded(drawn),
+        },
+        "headings": headings,
+        "rows": shown.select(columns).sort("return").rows(),
+    }
+
+
+# Heading and unit -> column.
+_PARTNER = {
+    ("partner", ""): "partner",
+    ("side", ""): "side",
+    ("disability", ""): "partner_disability",
+    ("mean return", ""): "return",
+    ("success", "of episodes"): "success",
+    ("force mean", "N"): "force_mean",
+    ("force peak", "N"): "force_peak",
+}
+_BOUNDS = {
+    ("regret", ""): "regret",
+    ("zero action", "L"): "low",
+    ("best response", "B"): "best",
+    ("source of B", ""): "source",
+}
+
+
+def _crossplay(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the matrix, the viewer's data and the strategies of a cross-play."""
+    pairs = tables.read_parquet(folder / tables.PAIRS_FILE)
+    order = tables.read_json(folder / tables.ORDER_FILE)
+    strategies = _read(folder, tables.STRATEGIES_FILE)
+    listed = strategies["partners"] if strategies else ()
+    return {
+        "data": matrix_data(pairs, order, strategies),
+        "strategies": strategies,
+        "short": _short([one["partner"] for one in listed])
+        | _short([one["robot"] for one in listed]),
+        "static": _embedded(crossplay_heatmap(arrange(pairs, order), summary), "png"),
+    }
+
+
+def _short(names: Sequence[str]) -> dict[str, str]:
+    return dict(zip(names, short_names(names), strict=True))
+
+
+def _embedded(figure: Figure, kind: str = "svg") -> str:
+    """Return a figure as an address that holds it."""
+    buffer = io.BytesIO()
+    metadata = {"Date": None} if kind == "svg" else {"Software": None}
+    with matplotlib.rc_context({"svg.hashsalt": "assistax-zoo"}):
+        figure.savefig(buffer, format=kind, dpi=150, metadata=metadata)
+    data = base64.b64encode(buffer.getvalue()).decode()
+    return f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{data}"
+
+
+def _read(folder: Path, name: str) -> dict[str, Any] | None:
+    path = folder / name
     return tables.read_json(path) if path.is_file() else None
