@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Generator
+from types import FrameType
 
 EXIT_INTERRUPT = 130
 GRACE = 1.0  # seconds for the command to stop by itself; a compilation may take ten times that
@@ -27,15 +28,26 @@ def ended_by_interrupts() -> Generator[None]:
     The main thread gets its KeyboardInterrupt as always, but not before XLA's or MuJoCo's C++ code
     returns. So a thread is told of the signal too, through a pipe that C code writes to. What is
     finished is kept: every file is written beside its place, then renamed.
+
+    Raises:
+        OSError: This process may open no more files, or start no more threads.
     """
     told, tell = os.pipe()
     os.set_blocking(tell, False)
+    try:
+        threading.Thread(target=_watch, args=(told,), name="interrupts", daemon=True).start()
+    except RuntimeError as error:
+        raise OSError(f"{error}: too many threads or too little memory") from None
     before = signal.set_wakeup_fd(tell, warn_on_full_buffer=False)
+    remembers = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if remembers:  # not where it is ignored, as in the background
+        signal.signal(signal.SIGINT, _interrupt)
     sys.unraisablehook = _hide_interrupts
-    threading.Thread(target=_watch, args=(told,), name="interrupts", daemon=True).start()
     try:
         yield
     finally:
+        if remembers:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.set_wakeup_fd(before)
         sys.unraisablehook = sys.__unraisablehook__
         os.close(tell)  # the thread reads the pipe's end, and is gone
@@ -52,6 +64,12 @@ def end_now() -> None:
     os._exit(EXIT_INTERRUPT)
 
 
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """Remember Ctrl-C before anybody's handler can make another error of it."""
+    _interrupted.set()
+    raise KeyboardInterrupt
+
+
 def _hide_interrupts(unraisable: "sys.UnraisableHookArgs") -> None:
     """Say nothing where Ctrl-C struck in a destructor and was lost: `_watch` ends the process."""
     if unraisable.exc_type is not KeyboardInterrupt:
@@ -61,7 +79,7 @@ def _hide_interrupts(unraisable: "sys.UnraisableHookArgs") -> None:
 def _watch(told: int) -> None:
     while number := os.read(told, 1):
         if number[0] == signal.SIGINT:
-            _interrupted.set()
+            _interrupted.set()  # the main thread may be far from handling it
             time.sleep(GRACE)
             end_now()
     os.close(told)

@@ -4,6 +4,7 @@ Commands are registered by import path, so that `assistax-zoo list` never pays f
 matplotlib.
 """
 
+import contextlib
 import inspect
 import os
 import re
@@ -15,6 +16,7 @@ from cyclopts import App, CycloptsError, Parameter
 
 from assistax_zoo.console import remember_command
 from assistax_zoo.interrupts import EXIT_INTERRUPT, end_now, ended_by_interrupts, interrupted
+from zoo.errors import ZooError
 
 DEBUG_VARIABLE = "ASSISTAX_ZOO_DEBUG"
 EXIT_ERROR, EXIT_USAGE, EXIT_BROKEN_PIPE = 1, 2, 141
@@ -118,8 +120,15 @@ def run(arguments: Sequence[str] | None = None) -> int:
     if arguments is not None:
         code = _run(arguments)
         return _fail("interrupted", code) if code == EXIT_INTERRUPT else code
-    with ended_by_interrupts():
-        code = _run(sys.argv[1:])
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(ended_by_interrupts())
+        except OSError as error:
+            return _fail(str(error), EXIT_ERROR)
+        try:
+            code = _run(sys.argv[1:])
+        except KeyboardInterrupt:  # in the midst of telling an error
+            code = EXIT_INTERRUPT
         if code == EXIT_INTERRUPT:
             end_now()
         return code
@@ -208,8 +217,6 @@ def _version() -> str:
 
 
 def _message(error: Exception) -> str:
-    from zoo.errors import ZooError
-
     if isinstance(error, OSError) and error.strerror and error.filename:
         return f"{error.strerror}: {error.filename}"
     if isinstance(error, ZooError | ValueError | TypeError | OSError):

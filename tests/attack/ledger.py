@@ -12,6 +12,8 @@ import time
 from collections.abc import Generator
 from pathlib import Path
 
+from tests.attack.process import Outcome
+
 SHARE = float(os.environ.get("ASSISTAX_ATTACK", "0.1"))  # of the trials
 SEED = os.environ.get("ASSISTAX_ATTACK_SEED", "0")
 LOG = os.environ.get("ASSISTAX_ATTACK_LOG")  # a file to which every family adds its counts
@@ -22,8 +24,11 @@ class Ledger:
     """The trials of one family; a failed one does not stop those after it."""
 
     def __init__(self, family: str) -> None:
-        self.family, self.trials, self.slowest = family, 0, 0.0
+        self.family, self.trials = family, 0
+        self.slowest = self.largest = 0.0  # seconds without waiting for a processor; MiB
+        self.struck = 0  # trials whose kill or interrupt came before the command's end
         self.failures: list[str] = []
+        self._excused = 0.0  # seconds of a trial that were judged command by command
         self.random = random.Random(f"{family} {SEED}")
 
     def wanted(self, whole: int) -> int:
@@ -34,17 +39,31 @@ class Ledger:
     def trial(self, name: str) -> Generator[None]:
         """Count what happens within as one trial, and an error of any kind as its failure."""
         self.trials += 1
-        began, before = time.monotonic(), _peak_memory()
+        began, before, waited = time.monotonic(), _peak_memory(), _waited()
         try:
             yield
-            spent, grown = time.monotonic() - began, _peak_memory() - before
-            self.slowest = max(self.slowest, spent)
-            assert spent < SECONDS, f"took {spent:.0f} s"
-            assert grown < MEMORY, f"took {grown >> 20} MiB"
+            self._bounded(
+                time.monotonic() - began - (_waited() - waited) - self._excused,
+                _peak_memory() - before,
+            )
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # a panic of a Rust library is no Exception
             self.failures.append(f"{name}: {type(error).__name__}: {str(error)[:500]}")
+        self._excused = 0.0
+
+    def judge(self, outcome: Outcome) -> None:
+        """Hold a command's end against what holds for every command, however it was struck."""
+        self._excused += outcome.seconds
+        assert "Traceback" not in outcome.err, outcome.err[-400:]
+        assert not outcome.outside, f"written outside: {outcome.outside}"
+        self._bounded(outcome.seconds - outcome.waited, outcome.peak)
+
+    def _bounded(self, seconds: float, memory: int) -> None:
+        self.slowest = max(self.slowest, seconds)
+        self.largest = max(self.largest, memory / (1 << 20))
+        assert seconds < SECONDS, f"took {seconds:.0f} s"
+        assert memory < MEMORY, f"took {memory >> 20} MiB"
 
     def close(self) -> None:
         """Print the counts, and fail if a trial did."""
@@ -52,7 +71,9 @@ class Ledger:
             "family": self.family,
             "trials": self.trials,
             "failures": len(self.failures),
+            **({"struck": self.struck} if self.struck else {}),
             "slowest_seconds": round(self.slowest, 1),
+            "most_memory_mib": round(self.largest),
         }
         print(json.dumps(line), *self.failures, sep="\n")
         if LOG:
@@ -75,3 +96,8 @@ def _peak_memory() -> int:
         if line.startswith("VmHWM"):
             return int(line.split()[1]) * 1024
     return 0
+
+
+def _waited() -> float:
+    """Return how many seconds this thread was ready to run, and waited for a processor."""
+    return int(Path("/proc/thread-self/schedstat").read_text().split()[1]) / 1e9

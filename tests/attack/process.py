@@ -1,6 +1,10 @@
-"""A command in a process of its own, forked from one that has imported everything: cheap to kill.
+"""A command in a process of its own, forked from one that has imported most of it: cheap to kill.
 
-The server that forks never starts JAX, since XLA's threads would not survive; each child does.
+The server that forks has no thread but its own, since no other would survive; so each child starts
+JAX, and imports Polars.
+
+Others use this machine too. What a process waited for a processor is no fault of its own: the
+kernel counts it for every thread, and times are judged without it.
 """
 
 import contextlib
@@ -37,13 +41,15 @@ class Outcome:
     code: int | None  # minus the signal's number if one ended it
     out: str
     err: str
-    seconds: float
+    seconds: float  # from its start or the key press to its end
+    waited: float  # of them, for a processor
+    computed: float  # seconds of processors, from when it was ready
     peak: int  # bytes of memory
     writes: int
     outside: tuple[str, ...]  # written outside its folder
 
 
-Press = tuple[int, float]  # a signal, and after how many seconds it is sent
+Press = tuple[int, float]  # a signal, and after how much computing it is sent, in seconds
 
 
 def call(
@@ -51,35 +57,65 @@ def call(
 ) -> Outcome:
     """Run one command whose files all lie in `home`, and return how it ended."""
     home.mkdir(parents=True, exist_ok=True)
-    ready, started = home / "ready", None
+    ready, pressed = home / "ready", None
     ready.unlink(missing_ok=True)
     child: Any = CONTEXT.Process(target=_child, args=(list(words), str(home), attack or Attack()))
     began = time.monotonic()
     child.start()
-    peak, pressed = 0, None
-    while child.is_alive() and time.monotonic() - began < 60:
-        if started is None and ready.exists():
-            started = time.monotonic()
-        if press and pressed is None and started and time.monotonic() - started >= press[1]:
+    seen = _Seen(child.pid)
+    while child.is_alive() and time.monotonic() - began < 120:
+        if seen.ready is None and ready.exists():
+            seen.ready = seen.computed
+        if press and pressed is None and seen.ready is not None and seen.since() >= press[1]:
             pressed = time.monotonic()
+            seen.waited_before = seen.waited
             os.kill(child.pid, press[0])
-        peak = max(peak, _peak(child.pid))
         child.join(0.02)
+        seen.look()
     ended = time.monotonic()
     if child.is_alive():
         child.kill()
         child.join()
     told = home / "writes.json"
-    seen = json.loads(told.read_text()) if told.is_file() else {}
+    writes = json.loads(told.read_text()) if told.is_file() else {}
     return Outcome(
         child.exitcode,
         _told(home / "out.txt"),
         _told(home / "err.txt"),
         ended - (pressed or began),
-        peak,
-        seen.get("count", 0),
-        tuple(seen.get("outside", ())),
+        seen.waited - seen.waited_before,
+        seen.since(),
+        seen.peak,
+        writes.get("count", 0),
+        tuple(writes.get("outside", ())),
     )
+
+
+class _Seen:
+    """What the kernel tells of a process while it runs: its memory, its work and its waiting."""
+
+    def __init__(self, pid: int) -> None:
+        self.folder = Path(f"/proc/{pid}")
+        self.peak, self.computed, self.waited, self.waited_before = 0, 0.0, 0.0, 0.0
+        self.ready: float | None = None  # what it had computed by then
+
+    def look(self) -> None:
+        with contextlib.suppress(OSError, StopIteration, ValueError):  # it is ending
+            lines = (self.folder / "status").read_text().splitlines()
+            peak = next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
+            self.peak = max(self.peak, peak * 1024)
+            ticks = (self.folder / "stat").read_text().rpartition(")")[2].split()[11:13]
+            self.computed = sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
+            self.waited = max(self.waited, waited(self.folder))
+
+    def since(self) -> float:
+        return self.computed - (self.ready or 0.0)
+
+
+def waited(process: Path) -> float:
+    """Return how many seconds a process waited for a processor: of its threads, the longest."""
+    told = [path.read_text().split() for path in process.glob("task/*/schedstat")]
+    return max(int(words[1]) for words in told) / 1e9
 
 
 def _child(words: list[str], home: str, attack: Attack) -> None:
@@ -156,14 +192,6 @@ def _environment(home: str) -> None:
 def _told(path: Path) -> str:
     """Return what the process wrote; one that was killed at once wrote nothing."""
     return path.read_text(errors="replace") if path.is_file() else ""
-
-
-def _peak(pid: int) -> int:
-    try:
-        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    except OSError:
-        return 0
-    return next((int(line.split()[1]) * 1024 for line in lines if line.startswith("VmHWM")), 0)
 
 
 def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
