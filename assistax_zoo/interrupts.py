@@ -30,14 +30,12 @@ def ended_by_interrupts() -> Generator[None]:
     finished is kept: every file is written beside its place, then renamed.
 
     Raises:
-        OSError: This process may open no more files, or start no more threads.
+        OSError: This process may open no more files.
+        RuntimeError: It may start no more threads.
     """
     told, tell = os.pipe()
     os.set_blocking(tell, False)
-    try:
-        threading.Thread(target=_watch, args=(told,), name="interrupts", daemon=True).start()
-    except RuntimeError as error:
-        raise OSError(f"{error}: too many threads or too little memory") from None
+    threading.Thread(target=_watch, args=(told,), name="interrupts", daemon=True).start()
     before = signal.set_wakeup_fd(tell, warn_on_full_buffer=False)
     remembers = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if remembers:  # not where it is ignored, as in the background

@@ -123,8 +123,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     with contextlib.ExitStack() as stack:
         try:
             stack.enter_context(ended_by_interrupts())
-        except OSError as error:
-            return _fail(str(error), EXIT_ERROR)
+        except (OSError, RuntimeError) as error:  # no more files, no more threads
+            return _fail(_message(error), EXIT_ERROR)
         try:
             code = _run(sys.argv[1:])
         except KeyboardInterrupt:  # in the midst of telling an error
@@ -221,6 +221,8 @@ def _message(error: Exception) -> str:
         return f"{error.strerror}: {error.filename}"
     if isinstance(error, ZooError | ValueError | TypeError | OSError):
         return str(error)
+    if isinstance(error, MemoryError) or "can't start new thread" in str(error):
+        return "this process may take no more memory, or start no more threads; see `ulimit -a`"
     first_line = str(error).partition("\n")[0]
     hint = f"this is unexpected: {DEBUG_VARIABLE}=1 shows where it happened"
     return f"{type(error).__name__}: {first_line}\n{hint}"

@@ -7,6 +7,7 @@ Others use this machine too. What a process waited for a processor is no fault o
 kernel counts it for every thread, and times are judged without it.
 """
 
+import _thread
 import contextlib
 import dataclasses
 import json
@@ -15,6 +16,7 @@ import os
 import resource
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -31,6 +33,8 @@ class Attack:
 
     kill_at: int | None = None  # the write at which it kills itself
     limits: Mapping[str, int] = dataclasses.field(default_factory=dict)  # RLIMIT_...
+    more_files: int | None = None  # that it may open beside those that are open
+    more_threads: int | None = None  # that Python may start
     closed: tuple[int, ...] = ()  # descriptors
 
 
@@ -128,12 +132,9 @@ def _child(words: list[str], home: str, attack: Attack) -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     if words[0] != "render":
         _play_a_toy()
-    for name, value in attack.limits.items():
-        resource.setrlimit(getattr(resource, name), (value, value))
-    for descriptor in attack.closed:
-        os.close(descriptor)
     (Path(home) / "ready").touch()
     watch = Watch([Path(home), COMPILED], attack.kill_at)
+    _strain(attack)
     sys.argv = ["assistax-zoo", *words]
     try:
         code = main.run()
@@ -141,6 +142,35 @@ def _child(words: list[str], home: str, attack: Attack) -> None:
         code = ended.code if isinstance(ended.code, int) else 1
     watch.on = False
     _end(watch, Path(home), code)
+
+
+def _strain(attack: Attack) -> None:
+    """Take from this process what the attack takes."""
+    for descriptor in attack.closed:
+        (sys.stdin, sys.stdout, sys.stderr)[descriptor].close()
+        with contextlib.suppress(OSError):
+            os.close(descriptor)
+    if attack.closed == (1,):
+        sys.stdout = None  # as the interpreter starts without it
+    limits = dict(attack.limits)
+    if attack.more_files is not None:
+        limits["RLIMIT_NOFILE"] = len(os.listdir("/proc/self/fd")) - 1 + attack.more_files
+    for name, value in limits.items():
+        resource.setrlimit(getattr(resource, name), (value, value))
+    if attack.more_threads is not None:
+        threading._start_new_thread = _few(attack.more_threads)  # ty: ignore[missing-attribute]
+
+
+def _few(count: int) -> Callable[..., int]:
+    """Start so many threads; the kernel's own bound does not hold for root."""
+    left = iter(range(count))
+
+    def start(*arguments: Any, **options: Any) -> int:
+        if next(left, None) is None:
+            raise RuntimeError("can't start new thread")
+        return _thread.start_new_thread(*arguments, **options)
+
+    return start
 
 
 def _play_a_toy() -> None:
@@ -160,7 +190,8 @@ def _end(watch: Any, home: Path, code: int) -> None:
     """Leave without the interpreter's shutdown, which would take longer than the command."""
     for stream in (sys.stdout, sys.stderr):
         try:
-            stream.flush()
+            if stream is not None:
+                stream.flush()
         except (OSError, ValueError):
             code = code or 1
     seen = {"count": watch.count, "outside": watch.outside}

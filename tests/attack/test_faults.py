@@ -1,6 +1,7 @@
 """Faults of the machine: no room, no right to write, no descriptors, little memory."""
 
 import contextlib
+import signal
 import subprocess
 from collections.abc import Generator
 from pathlib import Path
@@ -8,26 +9,31 @@ from pathlib import Path
 import pytest
 
 from tests.attack.commands import Command
-from tests.attack.ledger import attack
+from tests.attack.ledger import Ledger, attack
 from tests.attack.process import Attack, Outcome, call
 
+MIB = 1 << 20
 FAULTS: dict[str, Attack] = {
     **{f"files of {size} bytes": Attack(limits={"RLIMIT_FSIZE": size}) for size in (0, 300, 4000)},
-    **{f"{count} descriptors": Attack(limits={"RLIMIT_NOFILE": count}) for count in (8, 12, 20)},
-    **{f"{size} MiB": Attack(limits={"RLIMIT_AS": size << 20}) for size in (1, 600, 1200)},
+    **{f"{count} more descriptors": Attack(more_files=count) for count in (0, 1, 2, 5, 12)},
+    **{f"{count} more threads": Attack(more_threads=count) for count in (0, 1, 3)},
+    **{f"{size} MiB": Attack(limits={"RLIMIT_AS": size * MIB}) for size in (1, 600, 1200)},
     "no standard input": Attack(closed=(0,)),
     "no standard output": Attack(closed=(1,)),
 }
 DISKS = {"a full disk": "size=64k", "a disk of 200 kB": "size=200k", "read-only": "ro"}
-CHEAP = ("publish", "fetch", "report")  # without JAX, whose C++ ends where memory does
+CHEAP = ("publish", "fetch", "report")
 
 
-def ended_well(outcome: Outcome) -> None:
+def ended_well(ledger: Ledger, outcome: Outcome, fault: Attack) -> None:
+    ledger.judge(outcome)
     told = outcome.err[-400:]
+    # Where memory ends within a C++ library, it aborts, and no handler of ours is asked.
+    if outcome.code == -signal.SIGABRT and "RLIMIT_AS" in fault.limits:
+        return
     assert outcome.code in (0, 1), f"{outcome.code}: {told}"
-    assert "Traceback" not in outcome.err, told
     assert outcome.code == 0 or not outcome.err or "error: " in outcome.err, told
-    assert not outcome.outside, outcome.outside
+    assert "this is unexpected" not in outcome.err, told
 
 
 @contextlib.contextmanager
@@ -58,32 +64,32 @@ def test_limits(name: str, table: dict[str, Command], tmp_path: Path) -> None:
     with attack(f"faults of {name}") as ledger:
         cases = list(FAULTS)
         ledger.random.shuffle(cases)
-        for number, fault in enumerate(cases[: max(4, ledger.wanted(len(cases)))]):
+        for number, fault in enumerate(cases[: ledger.wanted(len(cases))]):
             home = tmp_path / str(number)
             with ledger.trial(f"{name}, {fault}"):
-                ended_well(call(command.words, home, FAULTS[fault]))
+                ended_well(ledger, call(command.words, home, FAULTS[fault]), FAULTS[fault])
                 leaves_no_wrong_file(command, home, wanted)
-                assert call(command.words, home).code == 0
-                assert command.figures(home) == wanted
+                again = call(command.words, home)
+                assert again.code == 0 and command.figures(home) == wanted, again.err[-300:]
+
+
+PLACES = {"publish": "mine", "fetch": "cache", "report": "small", "evaluate": "out"}
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("name", [*CHEAP, "evaluate"])
+@pytest.mark.parametrize("name", PLACES)
 def test_disks(name: str, table: dict[str, Command], tmp_path: Path) -> None:
     command = table[name]
+    words = [*command.words[:-1], "small/page.html"] if name == "report" else command.words
     call(command.words, tmp_path / "whole")
     wanted = dict(command.figures(tmp_path / "whole"))
-    target = {"publish": "mine", "fetch": "cache", "report": ".", "evaluate": "out"}[name]
     with attack(f"disks of {name}") as ledger:
-        for number, (fault, options) in enumerate(DISKS.items()):
+        cases = list(DISKS.items())
+        ledger.random.shuffle(cases)
+        for number, (fault, options) in enumerate(cases[: ledger.wanted(len(cases))]):
             home = tmp_path / str(number)
-            if target == ".":
-                command_words = [*command.words[:-1], "small/page.html"]
-            else:
-                command_words = list(command.words)
-            small = home / ("small" if target == "." else target)
-            with mounted(small, options) as there, ledger.trial(f"{name}, {fault}"):
+            with mounted(home / PLACES[name], options) as there, ledger.trial(f"{name}, {fault}"):
                 if not there:
-                    continue
-                ended_well(call(command_words, home))
+                    pytest.skip("may not mount a file system")
+                ended_well(ledger, call(words, home), Attack())
                 leaves_no_wrong_file(command, home, wanted)
