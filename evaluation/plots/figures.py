@@ -1,23 +1,24 @@
 """Figures of finished folders: read what was saved, draw it, write the file."""
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import polars as pl
+from matplotlib.figure import Figure
 
-from evaluation import tables
+from evaluation import curves, tables
+from evaluation.plots import charts
+from evaluation.plots.heatmap import crossplay_heatmap
+from evaluation.plots.matrix import Order, arrange
 from evaluation.plots.style import check_path, save_figure
+from evaluation.plots.sweep import sweep_panels
+from evaluation.plots.treemap import population_treemap
 from evaluation.provenance import check_whole
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
-    from evaluation.plots.matrix import Order
-
-
-def evaluation_figure(folders: Sequence[Path], kind: str, path: Path) -> "Figure":
+def evaluation_figure(folders: Sequence[Path], kind: str, path: Path) -> Figure:
     """Draw evaluations, one a method, named as their folders.
 
     Args:
@@ -40,49 +41,49 @@ def evaluation_figure(folders: Sequence[Path], kind: str, path: Path) -> "Figure
             raise ValueError(
                 f"two folders are named {name}; rename one, because the figure tells methods by it"
             )
-        require(folder, "evaluate", tables.SUMMARY_FILE, tables.PROFILE_FILE)
+        _require(folder, "evaluate", tables.SUMMARY_FILE, tables.PROFILE_FILE)
         summaries[name] = tables.read_json(folder / tables.SUMMARY_FILE)
-    return _written(_DRAWINGS[kind](summaries, folders), path)
+    if kind != "profile":
+        draw = {"zsc": charts.zsc_bars, "disability": charts.disability_points}[kind]
+        return save_figure(draw(summaries), path)
+    read = [tables.read_parquet(folder / tables.PROFILE_FILE) for folder in folders]
+    task = " and ".join(sorted({summary["task"] for summary in summaries.values()}))
+    caption = f"Bands: pointwise 95% bootstrap.\n{charts.provenance(summaries)}"
+    profiles = dict(zip(summaries, read, strict=True))
+    return save_figure(charts.performance_profile(profiles, task=task, caption=caption), path)
 
 
-def crossplay_figure(folder: Path, path: Path, order: "Order | None" = None) -> "Figure":
+def crossplay_figure(folder: Path, path: Path, order: Order | None = None) -> Figure:
     """Draw the clustered matrix of a cross-play.
 
     Raises:
         ValueError: The folder holds something else, or its axes share no order.
     """
-    from evaluation.plots.heatmap import crossplay_heatmap
-    from evaluation.plots.matrix import arrange
-
     check_path(path)
-    require(folder, "crossplay", tables.SUMMARY_FILE, tables.PAIRS_FILE, tables.ORDER_FILE)
+    _require(folder, "crossplay", tables.SUMMARY_FILE, tables.PAIRS_FILE, tables.ORDER_FILE)
     pairs = tables.read_parquet(folder / tables.PAIRS_FILE)
     matrix = arrange(pairs, tables.read_json(folder / tables.ORDER_FILE), order)
-    return _written(crossplay_heatmap(matrix, tables.read_json(folder / tables.SUMMARY_FILE)), path)
+    summary = tables.read_json(folder / tables.SUMMARY_FILE)
+    return save_figure(crossplay_heatmap(matrix, summary), path)
 
 
-def curves_figure(run: Path, path: Path) -> "Figure":
+def curves_figure(run: Path, path: Path) -> Figure:
     """Draw the learning curves of a folder that `train` filled, or is filling."""
-    from evaluation.curves import learning_curves
-    from evaluation.plots import lines
-
     check_path(path)
-    require(run, "train", "metrics.parquet", "config.json")
-    table = learning_curves(tables.read_parquet(run / "metrics.parquet"))
+    _require(run, "train", "metrics.parquet", "config.json")
+    table = curves.learning_curves(tables.read_parquet(run / "metrics.parquet"))
     config = tables.read_json(run / "config.json")["config"]
     counts = table.select("disability", "seeds").unique().sort("disability").rows()
     seeds = ", ".join(f"{name} {n}" for name, n in counts)
     caption = f"IQM of the return over seeds and its pointwise 95% bootstrap band. Seeds: {seeds}."
     title = f"Training: {config['task']}, {config.get('algorithm', 'ippo')}"
-    return _written(lines.learning_curves(table, title=title, caption=caption), path)
+    return save_figure(charts.learning_curves(table, title=title, caption=caption), path)
 
 
-def sweep_figure(folder: Path, path: Path) -> "Figure":
+def sweep_figure(folder: Path, path: Path) -> Figure:
     """Draw the final returns of a folder that `sweep` filled over each hyperparameter."""
-    from evaluation.plots.sweep import sweep_panels
-
     check_path(path)
-    require(folder, "sweep", "sweep.parquet", "preset.json")
+    _require(folder, "sweep", "sweep.parquet", "preset.json")
     results = tables.read_parquet(folder / "sweep.parquet")
     diverged = results.filter(results["diverged"]).height
     caption = (
@@ -91,13 +92,11 @@ def sweep_figure(folder: Path, path: Path) -> "Figure":
         "best mean."
     )
     title = f"Sweep: {tables.read_json(folder / 'preset.json')['algorithm']}"
-    return _written(sweep_panels(results, title=title, caption=caption), path)
+    return save_figure(sweep_panels(results, title=title, caption=caption), path)
 
 
-def speed_figure(measured: Sequence[Path], path: Path) -> "Figure":
+def speed_figure(measured: Sequence[Path], path: Path) -> Figure:
     """Draw what `python -m benchmarks env --json` printed, one file or more."""
-    from evaluation.plots import lines
-
     check_path(path)
     printed = "`python -m benchmarks env --json` printed"
     if not measured:
@@ -108,13 +107,11 @@ def speed_figure(measured: Sequence[Path], path: Path) -> "Figure":
         raise ValueError(f"{bad[0]!r} is not a row that {printed}; it needs {', '.join(names)}")
     table = pl.DataFrame([{name: row[name] for name in names} for row in rows])
     caption = "Random actions; the median of three repeats, compilation not counted."
-    return _written(lines.speed(table, caption=caption), path)
+    return save_figure(charts.speed(table, caption=caption), path)
 
 
-def population_figure(partners: Iterable[Any], path: Path) -> "Figure":
+def population_figure(partners: Iterable[Any], path: Path) -> Figure:
     """Draw partners, entries of a registry, as areas by algorithm and disability setting."""
-    from evaluation.plots.treemap import population_treemap
-
     check_path(path)
     entries = list(partners)
     rows = [{"task": e.task, "algorithm": e.algorithm, "disability": e.disability} for e in entries]
@@ -122,10 +119,10 @@ def population_figure(partners: Iterable[Any], path: Path) -> "Figure":
     caption = (
         f"n = {len(entries)} human partners of release {releases}. Areas are numbers of partners."
     )
-    return _written(population_treemap(pl.DataFrame(rows), caption=caption), path)
+    return save_figure(population_treemap(pl.DataFrame(rows), caption=caption), path)
 
 
-def require(folder: Path, command: str, *names: str) -> None:
+def _require(folder: Path, command: str, *names: str) -> None:
     """Refuse a folder that the command did not fill; say what it holds instead."""
     if not folder.is_dir():
         raise ValueError(
@@ -145,38 +142,3 @@ def require(folder: Path, command: str, *names: str) -> None:
             "its end, a run that was stopped goes on"
         )
     check_whole(folder)
-
-
-def _zsc(summaries: dict[str, Any], folders: Sequence[Path]) -> "Figure":
-    from evaluation.plots.bars import zsc_bars
-
-    return zsc_bars(summaries)
-
-
-def _disability(summaries: dict[str, Any], folders: Sequence[Path]) -> "Figure":
-    from evaluation.plots.bars import disability_points
-
-    return disability_points(summaries)
-
-
-def _profile(summaries: dict[str, Any], folders: Sequence[Path]) -> "Figure":
-    from evaluation.plots.bars import provenance
-    from evaluation.plots.lines import performance_profile
-
-    read = [tables.read_parquet(folder / tables.PROFILE_FILE) for folder in folders]
-    task = " and ".join(sorted({summary["task"] for summary in summaries.values()}))
-    caption = f"Bands: pointwise 95% bootstrap.\n{provenance(summaries)}"
-    profiles = dict(zip(summaries, read, strict=True))
-    return performance_profile(profiles, task=task, caption=caption)
-
-
-_DRAWINGS: dict[str, Callable[[dict[str, Any], Sequence[Path]], "Figure"]] = {
-    "zsc": _zsc,
-    "disability": _disability,
-    "profile": _profile,
-}
-
-
-def _written(figure: "Figure", path: Path) -> "Figure":
-    save_figure(figure, path)
-    return figure

@@ -14,8 +14,9 @@ from matplotlib.patches import Rectangle
 from scipy.cluster import hierarchy
 
 from evaluation.plots import style
-from evaluation.plots.legend import LINE, caption, draw_legend, legend_lines, write_texts
+from evaluation.plots.legend import LINE, caption, draw_legend, headline, legend_lines
 from evaluation.plots.matrix import Matrix, Side
+from evaluation.plots.style import INK
 
 Edge = Literal["left", "top"]
 
@@ -43,21 +44,9 @@ class _Layout:
     top: float
     width: float  # of the matrix
     height: float
-    name_room: tuple[float, float]  # right of the rows, below the columns
+    legend_left: float
     legend_height: float
-    caption_height: float = 0.0
-
-    @property
-    def legend_left(self) -> float:
-        return self.left + self.width + self.name_room[0] + 0.3
-
-    @property
-    def size(self) -> tuple[float, float]:
-        below = self.height + self.name_room[1] + 0.3
-        beside = _COLOUR_BAR + 0.25 + self.legend_height
-        return self.legend_left + _LEGEND, self.top + max(
-            below, beside
-        ) + 0.15 + self.caption_height
+    size: tuple[float, float]  # of all, width and height, without the caption
 
 
 def crossplay_heatmap(matrix: Matrix, summary: Mapping[str, Any]) -> Figure:
@@ -71,25 +60,21 @@ def crossplay_heatmap(matrix: Matrix, summary: Mapping[str, Any]) -> Figure:
     lines = legend_lines(matrix, palettes["algorithm"], palettes["disability"])
     layout = _layout(matrix, len(lines))
     below = caption(matrix, summary, _marks(matrix))
-    layout = dataclasses.replace(layout, caption_height=style.caption_height(below, layout.size[0]))
-    size = layout.size
-    figure = style.new_figure(*size)
+    wide, high = layout.size[0], layout.size[1] + style.caption_height(below, layout.size[0])
+    figure = style.titled_figure(f"Cross-play: {summary['task']}", below, wide, high)
+    figure.text(0.2 / wide, 1 - 0.42 / high, headline(summary), fontsize=8.5, va="top", color=INK)
 
     def place(x: float, y: float, width: float, height: float, label: str) -> Axes:
-        corner = (x / size[0], 1 - (y + height) / size[1])
-        return figure.add_axes((*corner, width / size[0], height / size[1]), label=label)
+        corner = (x / wide, 1 - (y + height) / high)
+        return figure.add_axes((*corner, width / wide, height / high), label=label)
 
     heat = place(layout.left, layout.top, layout.width, layout.height, "matrix")
     image = _draw_matrix(heat, matrix, layout.cells)
     _draw_margin(place, layout, "left", matrix.rows, palettes)
     _draw_margin(place, layout, "top", matrix.columns, palettes)
     _draw_colour_bar(image, place(layout.legend_left, layout.top, 0.15, _COLOUR_BAR, "colourbar"))
-    legend_top = layout.top + _COLOUR_BAR + 0.25
-    draw_legend(
-        place(layout.legend_left, legend_top, _LEGEND, max(layout.legend_height, LINE), "legend"),
-        lines,
-    )
-    write_texts(figure, summary, below)
+    top, height = layout.top + _COLOUR_BAR + 0.25, max(layout.legend_height, LINE)
+    draw_legend(place(layout.legend_left, top, _LEGEND, height, "legend"), lines)
     return figure
 
 
@@ -97,27 +82,22 @@ def _layout(matrix: Matrix, legend_lines: int) -> _Layout:
     rows, columns = matrix.values.shape
     square = min(_MATRIX / max(rows, columns), 0.6)
     cells = [max(square, _FEW_CELL) if count <= _FEW else square for count in (rows, columns)]
-    sides = zip((matrix.rows, matrix.columns), cells, strict=True)
-    rooms = [_name_room(side, _name_size(cell)) for side, cell in sides]
-    margins = [
-        _TREE + 2 * (_STRIP + _GAP) + _GAP + _bracket(side)
-        for side in (matrix.rows, matrix.columns)
-    ]
-    return _Layout(
-        cells=(cells[0], cells[1]),
-        left=0.42 + margins[0],
-        top=_HEAD + margins[1],
-        width=columns * cells[1],
-        height=rows * cells[0],
-        name_room=(rooms[0], rooms[1]),
-        legend_height=LINE * legend_lines,
-    )
+    sides = (matrix.rows, matrix.columns)
+    # Right of the rows, below the columns.
+    rooms = [_name_room(side, _name_size(cell)) for side, cell in zip(sides, cells, strict=True)]
+    margins = [_TREE + 2 * (_STRIP + _GAP) + _GAP + _bracket(side) for side in sides]
+    left, top = 0.42 + margins[0], _HEAD + margins[1]
+    width, height, legend = columns * cells[1], rows * cells[0], LINE * legend_lines
+    legend_left = left + width + rooms[0] + 0.3
+    lowest = top + max(height + rooms[1] + 0.3, _COLOUR_BAR + 0.25 + legend) + 0.15
+    size = (legend_left + _LEGEND, lowest)
+    return _Layout((cells[0], cells[1]), left, top, width, height, legend_left, legend, size)
 
 
 def _draw_colour_bar(image: AxesImage, axes: Axes) -> None:
     bar = axes.figure.colorbar(image, cax=axes)
-    bar.set_label("mean return", fontsize=8, color=style.INK)
-    axes.tick_params(labelsize=7, width=0.6, length=2.5, colors=style.INK)
+    bar.set_label("mean return", fontsize=8, color=INK)
+    axes.tick_params(labelsize=7, width=0.6, length=2.5, colors=INK)
     axes.spines["outline"].set_visible(False)
 
 
@@ -138,23 +118,17 @@ def _draw_matrix(axes: Axes, matrix: Matrix, cells: tuple[float, float]) -> Axes
     image = axes.imshow(
         values, cmap=style.COLOUR_MAP, norm=norm, aspect="auto", interpolation="nearest"
     )
-    style.bare(axes)
-    axes.set_xlabel(
-        _axis_title("human (partner)", matrix.columns), fontsize=9, color=style.INK, labelpad=4
-    )
-    axes.set_xticks([])
-    axes.set_yticks([])
+    style.bare(axes, ticks=False)
+    title = _axis_title("human (partner)", matrix.columns)
+    axes.set_xlabel(title, fontsize=9, color=INK, labelpad=4)
     axes.yaxis.tick_right()
+    sizes = [_name_size(cell) for cell in cells]
     if len(matrix.columns) <= _MOST_NAMES:
-        axes.set_xticks(
-            range(len(matrix.columns)),
-            matrix.columns.names,
-            rotation=90,
-            fontsize=_name_size(cells[1]),
-        )
+        places = range(len(matrix.columns))
+        axes.set_xticks(places, matrix.columns.names, rotation=90, fontsize=sizes[1])
     if len(matrix.rows) <= _MOST_NAMES:
-        axes.set_yticks(range(len(matrix.rows)), matrix.rows.names, fontsize=_name_size(cells[0]))
-    axes.tick_params(length=0, pad=2, colors=style.INK)
+        axes.set_yticks(range(len(matrix.rows)), matrix.rows.names, fontsize=sizes[0])
+    axes.tick_params(length=0, pad=2, colors=INK)
     for draw, side in ((axes.axhline, matrix.rows), (axes.axvline, matrix.columns)):
         for cluster in side.clusters[1:]:
             draw(cluster.start - 0.5, color="white", linewidth=1.4)
@@ -174,12 +148,8 @@ def _marks(matrix: Matrix) -> str:
 
 
 def _write_values(axes: Axes, matrix: Matrix, image: AxesImage) -> None:
-    own = matrix.self_play
     for (row, column), value in np.ndenumerate(matrix.values):
-        font = {
-            "fontsize": 7.5 if own[row, column] else 7,
-            "weight": "bold" if own[row, column] else "normal",
-        }
+        own = matrix.self_play[row, column]
         axes.text(
             column,
             row,
@@ -187,7 +157,8 @@ def _write_values(axes: Axes, matrix: Matrix, image: AxesImage) -> None:
             ha="center",
             va="center",
             color=_contrast(image, value),
-            fontdict=font,
+            fontsize=7.5 if own else 7,
+            weight="bold" if own else "normal",
         )
 
 
@@ -231,23 +202,16 @@ def _draw_margin(
     tree = beside(offset + _bracket(side), _TREE, f"tree:{seat}")
     _draw_tree(tree, side, edge)
     if edge == "left":
-        tree.set_ylabel(_axis_title("robot (ego)", side), fontsize=9, color=style.INK, labelpad=4)
+        tree.set_ylabel(_axis_title("robot (ego)", side), fontsize=9, color=INK, labelpad=4)
 
 
 def _draw_strip(
     axes: Axes, values: Sequence[str | None], palette: Mapping[str, str], edge: Edge, title: str
 ) -> None:
-    colours = np.array(
-        [to_rgb(palette[value] if value is not None else style.UNKNOWN) for value in values]
-    )
-    axes.imshow(
-        colours[:, None] if edge == "left" else colours[None],
-        aspect="auto",
-        interpolation="nearest",
-    )
-    axes.set_xticks([])
-    axes.set_yticks([])
-    style.bare(axes)
+    colours = np.array([to_rgb(palette[one] if one else style.UNKNOWN) for one in values])
+    strip = colours[:, None] if edge == "left" else colours[None]
+    axes.imshow(strip, aspect="auto", interpolation="nearest")
+    style.bare(axes, ticks=False)
     if edge == "top":
         axes.text(
             1.01, 0.5, title, transform=axes.transAxes, fontsize=6.5, color=style.FAINT, va="center"
@@ -255,17 +219,7 @@ def _draw_strip(
 
 
 def _draw_brackets(axes: Axes, side: Side, edge: Edge) -> None:
-    style.bare(axes)
-    axes.set_xticks([])
-    axes.set_yticks([])
-    limits = (-0.5, len(side) - 0.5)
-    axes.set(
-        **(
-            {"ylim": limits[::-1], "xlim": (0, 1)}
-            if edge == "left"
-            else {"xlim": limits, "ylim": (0, 1)}
-        )
-    )
+    _span(axes, side, edge, 1.0)
     area = axes.get_window_extent()
     inch = len(side) / ((area.height if edge == "left" else area.width) / axes.figure.dpi)
     for i, cluster in enumerate(side.clusters):
@@ -273,39 +227,39 @@ def _draw_brackets(axes: Axes, side: Side, edge: Edge) -> None:
         box = ((0, start), 1, length) if edge == "left" else ((start, 0), length, 1)
         axes.add_patch(Rectangle(*box, facecolor=("#e9e9e9", "#d4d4d4")[i % 2], linewidth=0))
         middle = start + length / 2
-        x, y = (0.5, middle) if edge == "left" else (middle, 0.5)
         if length >= _LETTER * inch:
             axes.text(
-                x,
-                y,
+                *((0.5, middle) if edge == "left" else (middle, 0.5)),
                 cluster.letter,
                 ha="center",
                 va="center",
                 fontsize=7.5,
-                color=style.INK,
+                color=INK,
                 clip_on=False,
             )
 
 
 def _draw_tree(axes: Axes, side: Side, edge: Edge) -> None:
-    style.bare(axes)
-    axes.set_xticks([])
-    axes.set_yticks([])
     if len(side) < 2:
+        style.bare(axes, ticks=False)
         return
     tree = hierarchy.dendrogram(side.linkage, no_plot=True)
-    positions, heights = (
-        np.array(tree["icoord"]) / 10 - 0.5,
-        np.array(tree["dcoord"]),
-    )  # leaves stand at 5, 15, ...
+    # Leaves stand at 5, 15, ...
+    positions, heights = np.array(tree["icoord"]) / 10 - 0.5, np.array(tree["dcoord"])
+    _span(axes, side, edge, max(heights.max(), 1e-12) * 1.03)
     width = 0.7 if len(side) <= _MOST_NAMES else 0.4
-    limits, depth = (-0.5, len(side) - 0.5), (0, max(heights.max(), 1e-12) * 1.03)
     lines = np.stack((heights, positions) if edge == "left" else (positions, heights), axis=2)
     axes.add_collection(LineCollection(list(lines), colors=style.FAINT, linewidths=width))
+
+
+def _span(axes: Axes, side: Side, edge: Edge, depth: float) -> None:
+    """Let bare axes beside the matrix go along its policies, and from it outwards to a depth."""
+    style.bare(axes, ticks=False)
+    limits = (-0.5, len(side) - 0.5)
     if edge == "left":
-        axes.set(xlim=depth[::-1], ylim=limits[::-1])
+        axes.set(xlim=(depth, 0), ylim=limits[::-1])
     else:
-        axes.set(xlim=limits, ylim=depth)
+        axes.set(xlim=limits, ylim=(0, depth))
 
 
 def _bracket(side: Side) -> float:

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from assistax_envs.disability import DISABILITY_SETTINGS
@@ -76,16 +75,6 @@ def draw_legend(axes: Axes, lines: list[Line]) -> None:
             color=style.INK,
             fontdict=font,
         )
-
-
-def write_texts(figure: Figure, summary: Mapping[str, Any], below: str) -> None:
-    """Write title and headline above the figure and the caption below."""
-    width, height = figure.get_size_inches()
-    x = 0.2 / width
-    title = f"Cross-play: {summary['task']}"
-    figure.text(x, 1 - 0.14 / height, title, fontsize=12, weight="bold", va="top", color=style.INK)
-    figure.text(x, 1 - 0.42 / height, headline(summary), fontsize=8.5, va="top", color=style.INK)
-    style.write_caption(figure, below)
 
 
 def headline(summary: Mapping[str, Any]) -> str:

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import matplotlib
+import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex, to_rgb
@@ -17,6 +18,7 @@ FORMATS = (".png", ".pdf")
 INK = "#222222"
 MUTED = "#555555"
 FAINT = "#8a8a8a"
+GRID = "#e5e5e5"
 UNKNOWN = "#c8c8c8"  # a policy from outside the zoo
 COLOUR_MAP = "viridis"
 _CAPTION_LINE = 0.14  # inches
@@ -31,10 +33,25 @@ _DISABILITY = {
 }
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """Return an empty white figure of a size in inches."""
+def titled_figure(
+    title: str, caption: str, width: float, height: float, *, drop: float = 0.14, size: float = 12
+) -> Figure:
+    """Return a white figure with a title at its head and a caption, broken into lines, at its foot.
+
+    Args:
+        title: Written `drop` inches below the upper edge, in letters of `size` points.
+        caption: Takes `caption_height` inches; its own lines stay apart.
+        width: In inches.
+        height: In inches.
+        drop: In inches.
+        size: In points.
+    """
     figure = Figure(figsize=(width, height), facecolor="white")
     FigureCanvasAgg(figure)
+    x, y = 0.2 / width, 1 - drop / height
+    figure.text(x, y, title, fontsize=size, weight="bold", va="top", color=INK)
+    lines = "\n".join(_wrap(caption, width))
+    figure.text(x, 0.1 / height, lines, fontsize=7, va="bottom", color=MUTED, linespacing=1.35)
     return figure
 
 
@@ -43,38 +60,41 @@ def caption_height(text: str, width: float) -> float:
     return _CAPTION_LINE * len(_wrap(text, width))
 
 
+def band(axes: Axes, table: pl.DataFrame, x: str, y: str, colour: str, label: str) -> None:
+    """Draw a line, and from the columns low to high its band where there is one."""
+    axes.plot(table[x], table[y], color=colour, linewidth=1.6, label=label)
+    if not table["low"].null_count():
+        ends = table[x], table["low"], table["high"]
+        axes.fill_between(*ends, color=colour, alpha=0.18, linewidth=0)
+
+
+def dark(number: int) -> str:
+    """Return one of the colours in turn, first those that are dark on white."""
+    return OKABE_ITO[(number + 5) % len(OKABE_ITO)]
+
+
 def _wrap(text: str, width: float) -> list[str]:
-    """Break a caption into lines for a figure of a width in inches; its own lines stay apart."""
     return [
         line for part in text.split("\n") for line in textwrap.wrap(part, int(15.5 * (width - 0.4)))
     ]
 
 
-def write_caption(figure: Figure, text: str) -> None:
-    """Write a caption of `caption_height` inches at the foot of a figure, broken into lines."""
-    width, height = figure.get_size_inches()
-    lines = "\n".join(_wrap(text, width))
-    figure.text(
-        0.2 / width, 0.1 / height, lines, fontsize=7, va="bottom", color=MUTED, linespacing=1.35
-    )
-
-
-def check_path(path: Path) -> Path:
-    """Return the path if a figure can be written under its name, before any work is done."""
+def check_path(path: Path) -> None:
+    """Check, before any work is done, that a figure can be written under its name."""
     if path.suffix.lower() not in FORMATS:
         raise ValueError(
             f"{path.name} ends in {path.suffix or 'nothing'!r}; figures are written as .png or .pdf"
         )
-    return path
 
 
-def save_figure(figure: Figure, path: Path, dpi: int = 200) -> None:
+def save_figure(figure: Figure, path: Path, dpi: int = 200) -> Figure:
     """Write a figure as PNG or PDF, by the path's ending; equal figures give equal bytes."""
     check_path(path)
     pdf = path.suffix.lower() == ".pdf"
     metadata = {"CreationDate": None, "Producer": None} if pdf else {"Software": None}
     with atomic_path(path) as temporary, matplotlib.rc_context({"pdf.fonttype": 42}):
         figure.savefig(temporary, dpi=dpi, metadata=metadata, format=path.suffix[1:].lower())
+    return figure
 
 
 def algorithm_colours(names: Iterable[str | None]) -> dict[str, str]:
@@ -95,12 +115,14 @@ def disability_colours(names: Iterable[str | None]) -> dict[str, str]:
     return {name: _DISABILITY.get(name, extra.get(name, UNKNOWN)) for name in known}
 
 
-def bare(axes: Axes, sides: Sequence[str] = ()) -> None:
-    """Hide the frame of the axes but for the named sides."""
+def bare(axes: Axes, sides: Sequence[str] = (), *, ticks: bool = True) -> None:
+    """Hide the frame of the axes but for the named sides, and the ticks if they are not wanted."""
     for side, spine in axes.spines.items():
         spine.set_visible(side in sides)
         spine.set_color(FAINT)
     axes.tick_params(colors=INK, length=3, width=0.6)
+    if not ticks:
+        axes.set(xticks=[], yticks=[])
 
 
 def ink_on(colour: ColorType) -> str:

@@ -44,7 +44,7 @@ def sweep_panels(results: pl.DataFrame, *, title: str, caption: str) -> Figure:
     best = shown.filter(pl.col("configuration") == means["configuration"][-1])
     rows = math.ceil(len(names) / _COLUMNS)
     width, height = _SIDE * min(len(names), _COLUMNS) + 0.6, _SIDE * rows + 0.9
-    figure = style.new_figure(width, height)
+    figure = style.titled_figure(title, caption, width, height, drop=0.12, size=11)
     grid = figure.add_gridspec(
         rows,
         min(len(names), _COLUMNS),
@@ -60,10 +60,6 @@ def sweep_panels(results: pl.DataFrame, *, title: str, caption: str) -> Figure:
         _panel(axes, name, shown, best)
         if index % _COLUMNS == 0:
             axes.set_ylabel("final return", fontsize=8)
-    figure.text(
-        0.2 / width, 1 - 0.12 / height, title, fontsize=11, weight="bold", va="top", color=style.INK
-    )
-    style.write_caption(figure, caption)
     return figure
 
 

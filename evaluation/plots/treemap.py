@@ -11,7 +11,6 @@ from matplotlib.patches import Rectangle
 from evaluation.plots import style
 
 _PANEL, _HEAD, _FOOT = 3.6, 0.75, 0.4  # inches
-_LABEL = 0.08  # share of an algorithm's height that its name takes
 
 
 def population_treemap(teams: pl.DataFrame, *, caption: str) -> Figure:
@@ -25,7 +24,7 @@ def population_treemap(teams: pl.DataFrame, *, caption: str) -> Figure:
         raise ValueError("the population is empty; there is nothing to draw")
     tasks = teams["task"].unique().sort().to_list()
     width, height = 0.4 + len(tasks) * (_PANEL + 0.2), _HEAD + _PANEL + _FOOT
-    figure = style.new_figure(width, height)
+    figure = style.titled_figure("Population of partners", caption, width, height)
     for i, task in enumerate(tasks):
         corner = ((0.2 + i * (_PANEL + 0.2)) / width, _FOOT / height)
         axes = figure.add_axes((*corner, _PANEL / width, _PANEL / height), label=f"treemap:{task}")
@@ -36,16 +35,6 @@ def population_treemap(teams: pl.DataFrame, *, caption: str) -> Figure:
             color=style.INK,
             loc="left",
         )
-    figure.text(
-        0.2 / width,
-        1 - 0.14 / height,
-        "Population of partners",
-        fontsize=12,
-        weight="bold",
-        va="top",
-        color=style.INK,
-    )
-    style.write_caption(figure, caption)
     return figure
 
 

@@ -20,9 +20,8 @@ from matplotlib.figure import Figure
 
 from assistax_envs.disability import DISABILITY_SETTINGS
 from evaluation import tables
-from evaluation.plots.bars import disability_points, provenance, zsc_bars
+from evaluation.plots.charts import disability_points, performance_profile, provenance, zsc_bars
 from evaluation.plots.heatmap import crossplay_heatmap
-from evaluation.plots.lines import performance_profile
 from evaluation.plots.matrix import arrange, short_names
 from evaluation.provenance import file_sha256, read_manifest
 from evaluation.report.matrix_data import matrix_data

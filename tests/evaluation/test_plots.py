@@ -18,11 +18,15 @@ from matplotlib.text import Text
 
 from evaluation import derived, summary, tables
 from evaluation.plots import style
-from evaluation.plots.bars import disability_points, zsc_bars
+from evaluation.plots.charts import (
+    disability_points,
+    learning_curves,
+    performance_profile,
+    speed,
+    zsc_bars,
+)
 from evaluation.plots.heatmap import crossplay_heatmap
-from evaluation.plots.lines import learning_curves, performance_profile, speed
 from evaluation.plots.matrix import Matrix, arrange, short_names
-from evaluation.plots.panels import training_panels
 from evaluation.plots.treemap import population_treemap
 from tests.evaluation.episode_tables import (
     CONTEXT,
@@ -32,6 +36,7 @@ from tests.evaluation.episode_tables import (
     team_id,
     teams,
 )
+from tools.paper_page.panels import training_panels
 
 # Machado et al. (2009), full severity, on linear RGB.
 COLOUR_VISION = {
@@ -262,7 +267,7 @@ def test_files_are_written_whole_and_equal_for_equal_figures(tmp_path: Path, end
 def test_drawing_never_imports_pyplot():
     code = (
         "import sys\n"
-        "from evaluation.plots import bars, heatmap, lines, treemap\n"
+        "from evaluation.plots import charts, heatmap, treemap\n"
         "sys.exit('matplotlib.pyplot' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

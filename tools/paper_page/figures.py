@@ -7,13 +7,13 @@ import polars as pl
 from matplotlib.figure import Figure
 
 from assistax_envs.versions import TASKS
-from evaluation.plots.bars import zsc_bars
+from evaluation.plots.charts import zsc_bars
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import arrange
-from evaluation.plots.panels import training_panels
 from evaluation.plots.style import save_figure
 from evaluation.plots.treemap import population_treemap
 from tools.paper_page.data import METHODS, Results
+from tools.paper_page.panels import training_panels
 from tools.paper_page.pictures import picture_names
 from tools.paper_page.training import training_curves
 

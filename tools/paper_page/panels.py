@@ -28,13 +28,11 @@ def training_panels(
     if not tasks:
         raise ValueError("there are no curves to draw; give those of at least one task")
     names = sorted(set(curves["algorithm"]))
-    colours = {
-        name: style.OKABE_ITO[(i + 5) % len(style.OKABE_ITO)] for i, name in enumerate(names)
-    }  # dark on white
+    colours = {name: style.dark(i) for i, name in enumerate(names)}
     width = _LEFT + len(tasks) * (_WIDTH + _GAP)
     bottom = _BOTTOM + style.caption_height(caption, width)
     height = _TOP + _HEIGHT + bottom
-    figure = style.new_figure(width, height)
+    figure = style.titled_figure("Training", caption, width, height, drop=0.12)
     for i, task in enumerate(tasks):
         corner = (_LEFT + i * (_WIDTH + _GAP)) / width, bottom / height
         axes = figure.add_axes((*corner, _WIDTH / width, _HEIGHT / height), label=f"curves:{task}")
@@ -49,16 +47,6 @@ def training_panels(
         "ncols": len(shown),
     }
     figure.legend(handles=shown, fontsize=8, frameon=False, borderaxespad=0, **place)
-    figure.text(
-        0.2 / width,
-        1 - 0.12 / height,
-        "Training",
-        fontsize=12,
-        weight="bold",
-        va="top",
-        color=style.INK,
-    )
-    style.write_caption(figure, caption)
     return figure
 
 
@@ -67,14 +55,11 @@ def _draw_task(
 ) -> None:
     style.bare(axes, ("left", "bottom"))
     axes.tick_params(labelsize=8)
-    axes.grid(color="#e5e5e5", linewidth=0.6)
+    axes.grid(color=style.GRID, linewidth=0.6)
     axes.set_axisbelow(True)
     for name in curves["algorithm"].unique(maintain_order=True):
         table = curves.filter(algorithm=name)
-        axes.plot(table["steps"], table["iqm"], color=colours[name], linewidth=1.6, label=name)
-        if not table["low"].null_count():
-            band = (table["steps"], table["low"], table["high"])
-            axes.fill_between(*band, color=colours[name], alpha=0.18, linewidth=0)
+        style.band(axes, table, "steps", "iqm", colours[name], name)
         if name in bounds:
             axes.axhline(bounds[name], color=colours[name], linewidth=0.9, linestyle=":")
     axes.set_xlabel("environment steps of one member", fontsize=9)
