@@ -1,9 +1,10 @@
 """Tremor of the human's arm: zero-mean torque in the 4 to 12 Hz band of human tremor."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import signal
 
 BAND = (4.0, 12.0)  # Hz
 
@@ -12,11 +13,14 @@ class TremorFilter:
     """White noise through a second-order Butterworth band-pass, scaled to unit variance."""
 
     def __init__(self, rate: float) -> None:
-        """Design the filter for `rate` samples a second, Hz."""
-        b, a = signal.butter(1, BAND, btype="bandpass", fs=rate)
-        response = signal.lfilter(b, a, np.eye(1, 1024)[0])
-        self._b = (b / np.sqrt(np.sum(np.square(response)))).astype(np.float32)
-        self._a = a.astype(np.float32)
+        """Design the filter for `rate` samples a second, Hz, by the bilinear transform."""
+        low, high = (math.tan(math.pi * edge / rate) for edge in BAND)
+        width, centre = high - low, low * high
+        total = 1.0 + width + centre
+        gain = width / total  # and the variance that white noise of variance 1 leaves with
+        self._b = (math.sqrt(gain) * np.array([1.0, 0.0, -1.0])).astype(np.float32)
+        self._a = np.array([total, 2.0 * (centre - 1.0), 1.0 - width + centre], float) / total
+        self._a = self._a.astype(np.float32)
 
     def initial(self, size: int, joints: int) -> jax.Array:
         """Return the state [N, joints, 2] of a filter at rest."""

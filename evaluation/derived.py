@@ -9,10 +9,8 @@ import polars as pl
 
 from evaluation import tables
 from evaluation.bootstrap import estimate, profile_band
-from evaluation.clustering import cluster_profiles, cluster_teams
 from evaluation.relative import summarise_references
 from evaluation.statistics import performance_profile
-from evaluation.strategies import summarise_strategies
 from evaluation.summary import (
     Context,
     CrossPlaySummary,
@@ -72,6 +70,11 @@ def crossplay_matrix(table: pl.DataFrame) -> tuple[pl.DataFrame, dict[str, Any]]
     The order has `rows` and `columns`, clustered separately, and `teams`: one order for both axes,
     with self-play on the diagonal, or None unless both axes have the same teams.
     """
+    from evaluation.clustering import (
+        cluster_profiles,
+        cluster_teams,
+    )  # SciPy: an evaluation has none
+
     block = dense_block(table)
     scores = block.scores
     order = {
@@ -128,6 +131,8 @@ def save_evaluation(
 
 def save_crossplay(folder: Path, table: pl.DataFrame, context: Context) -> CrossPlaySummary:
     """Write pairs, their clustered order, the partners' strategies, and the summary."""
+    from evaluation.strategies import summarise_strategies
+
     summary = summarise_crossplay(table, context)
     pairs, order = crossplay_matrix(table)
     tables.write_parquet(pairs, folder / tables.PAIRS_FILE)

@@ -7,7 +7,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import stats
 
 from population.environment import Environment
 from population.members import flatten, member_map, split
@@ -93,6 +92,8 @@ def _play(
 
 
 def _figures(returns: np.ndarray, success: np.ndarray) -> dict[str, Any]:
+    from scipy import stats  # half a second, hence not at every start
+
     rows = np.random.default_rng(0).integers(len(returns), size=(_RESAMPLES, len(returns)))
     tail = (100.0 - _LEVEL) / 2.0
     low, high = np.percentile(returns[rows].mean(axis=1), [tail, 100.0 - tail])

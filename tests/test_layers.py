@@ -29,7 +29,7 @@ LAYERS = {
     "evaluation": ("assistax_envs", "population", "zoo"),
     "assistax_zoo": ("assistax_envs", "population", "zoo", "evaluation"),
 }
-HEAVY = ("jax", "mujoco", "flax", "matplotlib")
+HEAVY = ("jax", "mujoco", "flax", "matplotlib", "scipy")
 
 
 def test_packages_import_only_the_layers_below() -> None:
@@ -79,6 +79,11 @@ def test_command_line_and_registry_import_nothing_heavy() -> None:
     assert (
         heavy_imports("assistax_zoo.main", "assistax_zoo.console", "zoo.registry", *commands) == []
     )
+
+
+def test_an_evaluation_waits_for_neither_scipy_nor_matplotlib() -> None:
+    found = heavy_imports("assistax_zoo.studies", "assistax_envs.env", "evaluation.egos")
+    assert found == ["jax", "mujoco", "flax"]
 
 
 def test_a_heavy_import_is_found() -> None:

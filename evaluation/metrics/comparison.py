@@ -3,7 +3,6 @@
 import dataclasses
 
 import numpy as np
-import scipy.stats
 
 from evaluation.bootstrap import NOTHING, RESAMPLES, Estimate, draw_counts, replicate_crossed
 from evaluation.statistics import score_matrix
@@ -64,6 +63,8 @@ def rank_stability(scores: np.ndarray, *, halvings: int = 200, seed: int = 0) ->
 
     A halving on which all egos tie has no ranking and is left out.
     """
+    from scipy import stats  # half a second, hence not at every start
+
     scores = score_matrix(scores)
     egos, partners = scores.shape
     if egos < 2 or partners < 2:
@@ -77,7 +78,7 @@ def rank_stability(scores: np.ndarray, *, halvings: int = 200, seed: int = 0) ->
         order = rng.permutation(partners)
         first, second = (scores[:, half].mean(axis=1) for half in np.array_split(order, 2))
         if np.ptp(first) > 0 and np.ptp(second) > 0:
-            taus.append(scipy.stats.kendalltau(first, second).statistic)
+            taus.append(stats.kendalltau(first, second).statistic)
     if not taus:
         raise ValueError("all egos have the same scores; there is no ranking to compare")
     low, high = np.quantile(taus, (0.025, 0.975))

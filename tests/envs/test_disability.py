@@ -6,9 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import signal
 
 import assistax_envs
 from assistax_envs import DISABILITY_SETTINGS, Disability, EnvState
+from assistax_envs.tremor import BAND, TremorFilter
 from tests.envs.conftest import compiled, constant_actions, environment, play, start
 
 ELBOW = "human_right_elbow"
@@ -98,6 +100,15 @@ def test_tremor_is_zero_mean_and_lies_between_4_and_12_hz() -> None:
     band = (frequency >= 4.0) & (frequency <= 12.0)
     assert power[band].sum() / power.sum() > 0.6
     assert power[band].mean() > 4 * power[~band].mean()
+
+
+@pytest.mark.parametrize("rate", [50.0, 200.0])
+def test_the_tremor_filter_is_a_butterworth_band_pass_of_unit_variance(rate: float) -> None:
+    b, a = signal.butter(1, BAND, btype="bandpass", fs=rate)
+    b /= np.sqrt(np.square(signal.lfilter(b, a, np.eye(1, 4096)[0])).sum())
+    ours = TremorFilter(rate)
+    np.testing.assert_array_equal(ours._b, b.astype(np.float32))
+    np.testing.assert_array_equal(ours._a, a.astype(np.float32))
 
 
 def test_tremor_reaches_the_joints_on_both_backends() -> None:
