@@ -29,7 +29,7 @@ from evaluation.runner import Meter, Progress, Runner
 
 PARTS_FOLDER = "parts"
 # Default bound of a chunk's simulations.
-MAX_ENVS = {"native": 2048, "fused": 2048, "mjx": 16384, "mjx-warp": 32768}
+MAX_ENVS = {"native": 2048, "fused": 32768, "mjx": 16384, "mjx-warp": 32768}
 
 
 @dataclasses.dataclass(frozen=True)

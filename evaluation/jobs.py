@@ -18,7 +18,9 @@ from evaluation.roster import HostEgo, Member, Roster
 # Goes up when the same job would give other tables. 2: columns of behaviour. 3: tiles, by which
 # values differ in the last bit. 4: disability settings by value, and the engine.
 EVALUATOR_VERSION = 4
-TILE_ENVS = 512  # most simulations at once on `native`: more are no faster on two cores
+# Most simulations at once, on the backends whose tiles are the job's own: on `native` more are no
+# faster on two cores; on `fused` two cores do not care either, and a large GPU is then full.
+TILE_ENVS = {"native": 512, "fused": 32768}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -183,13 +185,13 @@ def tile_shape(
 def plan(job: Job, max_envs: int) -> list[Chunk]:
     """Cut a job into tiles, and its tiles into chunks of `max_envs` simulations or one tile.
 
-    On `native` the tiles are the job's own, whatever `max_envs` is: an episode is played in the
-    same row of the same program however the job is cut, and its values are the same. On other
+    On `native` and `fused` the tiles are the job's own, whatever `max_envs` is: an episode is played
+    in the same row of the same program however the job is cut, and its values are the same. On other
     backends a chunk is one large tile.
     """
     if max_envs < 1:
         raise ValueError(f"max_envs is {max_envs}; allowed is 1 or more")
-    tiles = cut_tiles(job, TILE_ENVS if job.backend == "native" else max_envs)
+    tiles = cut_tiles(job, TILE_ENVS.get(job.backend, max_envs))
     chunks: list[list[Tile]] = []
     room = 0
     for tile in tiles:

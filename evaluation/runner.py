@@ -20,7 +20,7 @@ from assistax_envs import disability_params
 from assistax_envs.interrupts import wait_for
 from evaluation import tables
 from evaluation.egos import call_ego
-from evaluation.jobs import Chunk, Job, Tile, plan
+from evaluation.jobs import TILE_ENVS, Chunk, Job, Tile, plan
 from evaluation.reference_policy import ReferencePolicy
 from evaluation.rollout import Rollout, Tally
 from evaluation.roster import HostEgo, ReferenceSpec, Roster
@@ -173,6 +173,7 @@ class Runner:
             meter.add(device, steps * tile.rows, seconds)
 
         tally = _run(
+            job,
             rollout,
             tile,
             robots.params if robots else None,
@@ -209,7 +210,7 @@ def play(
     return pl.concat(parts)
 
 
-def _run(rollout: Rollout, tile: Tile, *args: Any, **options: Any) -> Tally:
+def _run(job: Job, rollout: Rollout, tile: Tile, *args: Any, **options: Any) -> Tally:
     """Run a rollout; where memory runs out, say what to do."""
     try:
         return rollout.run(*args, **options)
@@ -217,10 +218,10 @@ def _run(rollout: Rollout, tile: Tile, *args: Any, **options: Any) -> Tally:
         if "RESOURCE_EXHAUSTED" not in str(error):
             raise
         simulations = math.prod(tile.shape)
-        raise ValueError(
-            f"out of memory with {simulations} simulations; use --max-envs "
-            f"{max(simulations // 2, 1)} or less"
-        ) from error
+        advice = f"use --max-envs {max(simulations // 2, 1)} or less"
+        if job.backend in TILE_ENVS:
+            advice = "stop what else uses the memory"
+        raise ValueError(f"out of memory with {simulations} simulations; {advice}") from error
 
 
 def _policy(spec: Any) -> Any:

@@ -32,7 +32,7 @@ import polars as pl
 
 from assistax_envs.versions import VERSIONS
 from evaluation.evaluator import MAX_ENVS, check_sizes
-from evaluation.jobs import TILE_ENVS, Job
+from evaluation.jobs import Job
 from evaluation.roster import paired_rosters
 from evaluation.runner import play
 from population.stack import PolicyStack
@@ -266,7 +266,7 @@ def _play(
         apart=True,
     )
     check_sizes(env, job)
-    table = play(env, job, MAX_ENVS.get(env.backend, TILE_ENVS))
+    table = play(env, job, MAX_ENVS.get(env.backend, MAX_ENVS["native"]))
     means = dict(table.group_by("ego_team").agg(pl.col("return").cast(pl.Float64).mean()).rows())
     return [
         _compare(team, registry.team(team).self_play, means[team], episodes)

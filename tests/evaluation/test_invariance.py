@@ -1,4 +1,4 @@
-"""On `native`, no value depends on how a job is cut, ordered, killed or spread over devices."""
+"""On `native` and `fused`, no value depends on how a job is cut, ordered, killed or spread over devices."""
 
 import functools
 import os
@@ -25,17 +25,18 @@ from zoo.registry import load_registry
 
 ROOT = Path(__file__).parents[2]
 TILE = 64  # smaller than a user's: three tiles are then quick to play
+OURS = ("native", "fused")  # backends whose tiles are the job's own
 SIZES = (5, 5, 5)  # egos, partners, episodes: [2, 5, 5] three times, the last one padded
 
 
 @pytest.fixture(autouse=True)
 def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jobs, "TILE_ENVS", TILE)
+    monkeypatch.setattr(jobs, "TILE_ENVS", dict.fromkeys(OURS, TILE))
 
 
 @functools.cache
-def scratch(length: int) -> Env:
-    env = make("scratch", "native")
+def scratch(length: int, backend: str = "native") -> Env:
+    env = make("scratch", backend)
     env.episode_length = length
     return env
 
@@ -73,8 +74,9 @@ def differing(one: pl.DataFrame, other: pl.DataFrame) -> int:
     return int((~np.all(same, axis=0)).sum())
 
 
-def test_the_tiles_of_native_are_the_jobs_own():
-    job = real_job()
+@pytest.mark.parametrize("backend", OURS)
+def test_the_tiles_are_the_jobs_own(backend: str):
+    job = real_job(backend=backend)
     cuts = {max_envs: plan(job, max_envs) for max_envs in (1, 130, 2048)}
     tiles = [[tile for chunk in chunks for tile in chunk.tiles] for chunks in cuts.values()]
     assert tiles[0] == tiles[1] == tiles[2]
@@ -86,9 +88,10 @@ def test_the_tiles_of_native_are_the_jobs_own():
     assert [len(chunk.tiles) for chunk in elsewhere] == [1]  # an accelerator wants one large batch
 
 
-def test_neither_chunks_nor_their_order_change_a_value():
-    job = real_job()
-    runner = Runner(scratch(60), job)
+@pytest.mark.parametrize("backend", OURS)
+def test_neither_chunks_nor_their_order_change_a_value(backend: str):
+    job = real_job(backend=backend)
+    runner = Runner(scratch(60, backend), job)
     whole = played(runner, job, 2048)
     assert whole.height == job.rows
     assert whole["return"].n_unique() > 0.9 * job.rows
@@ -136,7 +139,7 @@ def run_in_process(
 ) -> subprocess.CompletedProcess:
     """Run a script as a user would: with XLA's own defaults, not those of tests."""
     flags = f"--xla_force_host_platform_device_count={devices}"
-    head = "from tests.evaluation.test_invariance import *\njobs.TILE_ENVS = TILE\n"
+    head = "from tests.evaluation.test_invariance import *\njobs.TILE_ENVS = dict.fromkeys(OURS, TILE)\n"
     command = [sys.executable, "-c", head + script, *map(str, arguments)]
     environment = {**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": str(ROOT)}
     return subprocess.run(command, cwd=ROOT, env=environment, timeout=900)
