@@ -5,6 +5,7 @@ python -m benchmarks.engines --task scratch --teams 30 --episodes 64
 
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -20,11 +21,12 @@ from zoo import load_registry
 EQUIVALENT = 0.005  # of the mean return: engines that differ by less are taken for the same
 
 
-def compare(task: str, teams: int, episodes: int, ours: str, theirs: str) -> dict[str, float | int]:
+def compare(task: str, teams: int, episodes: int, ours: str, theirs: str) -> dict[str, Any]:
     """Return how the mean return of `ours` differs from that of `theirs`.
 
     Of the task's teams, `teams` are taken at even distances in the order of the registry, so that
-    all algorithms and impairments are among them. The interval is over teams.
+    all algorithms and impairments are among them. The interval of 95% is over teams; the engines
+    are equivalent where all of it is within `EQUIVALENT`.
     """
     returns = {backend: _returns(task, teams, episodes, backend) for backend in (ours, theirs)}
     means = {
@@ -40,6 +42,7 @@ def compare(task: str, teams: int, episodes: int, ours: str, theirs: str) -> dic
         "mean": mean,
         "difference_share": float(difference.mean()) / abs(mean),
         "margin_share": margin / abs(mean),
+        "equivalent": abs(float(difference.mean())) + margin < EQUIVALENT * abs(mean),
         "largest_of_a_team": float(np.abs(difference).max()),
         "nonfinite": int(returns[ours]["nonfinite"].sum()),
         "nonfinite_theirs": int(returns[theirs]["nonfinite"].sum()),

@@ -185,9 +185,9 @@ def tile_shape(
 def plan(job: Job, max_envs: int) -> list[Chunk]:
     """Cut a job into tiles, and its tiles into chunks of `max_envs` simulations or one tile.
 
-    On `native` and `fused` the tiles are the job's own, whatever `max_envs` is: an episode is played
-    in the same row of the same program however the job is cut, and its values are the same. On other
-    backends a chunk is one large tile.
+    On `native` and `fused` the tiles are the job's own, whatever `max_envs` is: an episode is
+    played in the same row of the same program however the job is cut, and its values are the same.
+    On other backends a chunk is one large tile.
     """
     if max_envs < 1:
         raise ValueError(f"max_envs is {max_envs}; allowed is 1 or more")

@@ -9,7 +9,7 @@ from assistax_envs.physics.base import SUBSTEPS, Physics, PhysicsState
 
 BACKENDS: tuple[str, ...] = ("fused", "native", "mjx", "mjx-warp")
 # JAX's platforms on which "auto" is "fused": those on which it has been held against the others.
-FUSED_FIRST: tuple[str, ...] = ()
+FUSED_FIRST = ("cpu", "gpu")
 
 __all__ = [
     "BACKENDS",

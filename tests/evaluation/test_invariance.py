@@ -1,4 +1,4 @@
-"""On `native` and `fused`, no value depends on how a job is cut, ordered, killed or spread over devices."""
+"""On `native` and `fused` no value depends on how a job is cut, ordered, killed or spread."""
 
 import functools
 import os
@@ -31,7 +31,12 @@ SIZES = (5, 5, 5)  # egos, partners, episodes: [2, 5, 5] three times, the last o
 
 @pytest.fixture(autouse=True)
 def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jobs, "TILE_ENVS", dict.fromkeys(OURS, TILE))
+    monkeypatch.setattr(jobs, "TILE_ENVS", {})
+    use_small_tiles()
+
+
+def use_small_tiles() -> None:
+    jobs.TILE_ENVS = dict.fromkeys(OURS, TILE)
 
 
 @functools.cache
@@ -139,7 +144,7 @@ def run_in_process(
 ) -> subprocess.CompletedProcess:
     """Run a script as a user would: with XLA's own defaults, not those of tests."""
     flags = f"--xla_force_host_platform_device_count={devices}"
-    head = "from tests.evaluation.test_invariance import *\njobs.TILE_ENVS = dict.fromkeys(OURS, TILE)\n"
+    head = "from tests.evaluation.test_invariance import *\nuse_small_tiles()\n"
     command = [sys.executable, "-c", head + script, *map(str, arguments)]
     environment = {**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": str(ROOT)}
     return subprocess.run(command, cwd=ROOT, env=environment, timeout=900)
