@@ -14,14 +14,13 @@ from assistax_envs.models import build_model
 from assistax_envs.physics import (
     SUBSTEPS,
     PhysicsState,
-    engine,
     make_physics,
     resolve_backend,
 )
 from assistax_envs.tasks import TASK_CLASSES, Measures, Sensors, Task
 from assistax_envs.tasks.base import HUMAN_ACTUATORS, HUMAN_JOINTS, ROBOT_JOINTS
 from assistax_envs.tremor import TremorFilter
-from assistax_envs.versions import TASKS, VERSIONS
+from assistax_envs.versions import TASKS, VERSIONS, engine
 
 EPISODE_LENGTH = 1000  # control steps of 20 ms: always the full horizon
 LARGEST_STATE = 1e10  # beyond this MuJoCo itself calls a state unstable (mjMAXVAL)

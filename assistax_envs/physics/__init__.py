@@ -1,7 +1,5 @@
 """Physics backends behind one protocol."""
 
-import importlib.metadata
-
 import jax
 import mujoco
 
@@ -16,7 +14,6 @@ __all__ = [
     "SUBSTEPS",
     "Physics",
     "PhysicsState",
-    "engine",
     "make_physics",
     "resolve_backend",
 ]
@@ -44,20 +41,6 @@ def make_physics(model: mujoco.MjModel, backend: str) -> Physics:
     from assistax_envs.physics.mjx import MjxPhysics
 
     return MjxPhysics(model, "warp" if backend == "mjx-warp" else "jax")
-
-
-def engine(backend: str) -> dict[str, str]:
-    """Return the "name" and "version" of what computes a backend's physics.
-
-    Another version may give other numbers, in the last bits or more, for the same version of the
-    environment.
-    """
-    if backend == "fused":
-        from assistax_envs.physics.fused.program import VERSION
-
-        return {"name": backend, "version": str(VERSION)}
-    package = "mujoco" if backend == "native" else "mujoco-mjx"
-    return {"name": backend, "version": importlib.metadata.version(package)}
 
 
 def _fastest_backend() -> str:

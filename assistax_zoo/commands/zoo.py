@@ -104,7 +104,7 @@ def verify(
     deep: bool = False,
     release: str | None = None,
     episodes: int = 4,
-    backend: Literal["auto", "native", "mjx", "mjx-warp"] = "native",
+    backend: Literal["auto", "fused", "native", "mjx", "mjx-warp"] = "native",
     key: Path | None = None,
     registry: Path | None = None,
     json: bool = False,

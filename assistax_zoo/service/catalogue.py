@@ -65,14 +65,14 @@ class ZooCatalogue:
         """Return evaluator, environment, engine and public panel."""
         from importlib.metadata import version
 
-        from assistax_envs.versions import VERSIONS
+        from assistax_envs.versions import VERSIONS, engine
         from evaluation.jobs import EVALUATOR_VERSION
 
         return {
             "task": task,
             "env_version": VERSIONS[task],
             "evaluator": EVALUATOR_VERSION,
-            "engine": {"name": self._backend, "version": version("mujoco")},
+            "engine": engine(self._backend),
             "jax": version("jax"),
             "panel": digest([[entry.id, entry.sha256] for entry in self._entries(task)]),
             "episodes": EPISODES,

@@ -1,5 +1,6 @@
 """With the real evaluator: both formats, a private release, and values that do not move."""
 
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from assistax_envs.versions import FUSED_VERSION
 from assistax_zoo.service.admission import Admission, robot_sizes
 from assistax_zoo.service.catalogue import ZooCatalogue
 from assistax_zoo.service.problems import Refusal
@@ -66,6 +68,16 @@ def test_a_robot_scores_the_same_in_both_formats_and_every_time(
     returns = [table.sort("partner", "episode")["return"].to_numpy() for table in tables]
     # The networks round differently in the last bit, and contacts amplify that.
     np.testing.assert_allclose(returns[0], returns[2], rtol=0.05, atol=1.0)
+
+
+def test_a_score_names_the_engine_that_made_it(registry: Registry) -> None:
+    def found(backend: str) -> dict[str, str]:
+        return ZooCatalogue(registry, backend).identity(TASK)["engine"]
+
+    assert found("fused") == {"name": "fused", "version": str(FUSED_VERSION)}
+    assert found("native") == {"name": "native", "version": version("mujoco")}
+    with pytest.raises(ValueError, match="backend is 'auto'; allowed"):
+        found("auto")
 
 
 def test_a_private_release_is_played_under_ordinals(

@@ -41,6 +41,6 @@ tables. `checks` refuses what is not supported, and `program` puts all together.
 """
 
 from assistax_envs.physics.fused.checks import UnsupportedModelError
-from assistax_envs.physics.fused.program import OVERFLOWED, UNSETTLED, VERSION, Program, generate
+from assistax_envs.physics.fused.program import OVERFLOWED, UNSETTLED, Program, generate
 
-__all__ = ["OVERFLOWED", "UNSETTLED", "VERSION", "Program", "UnsupportedModelError", "generate"]
+__all__ = ["OVERFLOWED", "UNSETTLED", "Program", "UnsupportedModelError", "generate"]

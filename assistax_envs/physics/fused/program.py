@@ -12,8 +12,8 @@ from assistax_envs.physics.fused.forces import joint_forces
 from assistax_envs.physics.fused.inertia import Entries
 from assistax_envs.physics.fused.sensors import sensor_values
 from assistax_envs.physics.fused.tree import Tree, read_tree
+from assistax_envs.versions import FUSED_VERSION
 
-VERSION = 1  # of the generator; goes up whenever any number that a program computes changes
 MAX_CONTACTS = 12  # at once in one simulation; more are left out and flagged
 MAX_ITERATIONS = 20  # of Newton's method in a substep
 MAX_SEARCHES = 20  # steps of a line search
@@ -78,7 +78,7 @@ def generate(model: mujoco.MjModel) -> Program:
     ]
     return Program(
         source="\n".join(parts),
-        version=VERSION,
+        version=FUSED_VERSION,
         nq=model.nq,
         nv=model.nv,
         nu=model.nu,

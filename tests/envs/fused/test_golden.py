@@ -1,4 +1,4 @@
-"""Golden trajectories, to the bit: they change only together with the generator's `VERSION`.
+"""Golden trajectories, to the bit: they change only together with the generator's `FUSED_VERSION`.
 
 To renew them after it was raised: `python -m tests.envs.fused.test_golden`.
 """
@@ -14,7 +14,7 @@ import pytest
 
 from assistax_envs import TASKS
 from assistax_envs.physics import PhysicsState, make_physics
-from assistax_envs.physics.fused import VERSION
+from assistax_envs.versions import FUSED_VERSION
 from tests.envs.fused.scenes import scene, team_states
 
 FILE = Path(__file__).with_name("golden.json")
@@ -48,10 +48,12 @@ def trajectory(task: str) -> str:
 @pytest.mark.parametrize("task", TASKS)
 def test_not_a_bit_changes_without_a_new_version(task: str) -> None:
     golden = json.loads(FILE.read_text())
-    assert golden["version"] == VERSION, "the version was raised: renew the golden trajectories"
+    assert golden["version"] == FUSED_VERSION, (
+        "the version was raised: renew the golden trajectories"
+    )
     assert trajectory(task) == golden[task]
 
 
 if __name__ == "__main__":
     digests = {task: trajectory(task) for task in TASKS}
-    FILE.write_text(json.dumps({"version": VERSION, **digests}, indent=2) + "\n")
+    FILE.write_text(json.dumps({"version": FUSED_VERSION, **digests}, indent=2) + "\n")
