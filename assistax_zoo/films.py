@@ -81,33 +81,3 @@ def render(
 
     interruptible(work)
     return out
-
-
-def draw_collisions(
-    out: Path | str, *, task: str = "all", width: int = 480, height: int = 360
-) -> Path:
-    """Draw each scene beside the shapes that can touch, with the pairs; return `out`, a .png.
-
-    Raises:
-        ValueError: There is no such task, or a picture of this kind cannot be written there.
-        RenderError: This machine has no OpenGL.
-    """
-    from PIL import Image
-
-    from assistax_envs.collisions import picture
-    from assistax_envs.versions import TASKS
-    from evaluation.film import check_film
-    from population.files import atomic_path
-
-    out = Path(out)
-    if task != "all" and task not in TASKS:
-        raise ValueError(f"task is {task!r}; allowed are all, {', '.join(TASKS)}")
-    if out.suffix.lower() != ".png":
-        raise ValueError(
-            f"{out.name} ends in {out.suffix or 'nothing'!r}; collisions are drawn as a .png"
-        )
-    check_film(out, 25, width, height)
-    pixels = picture(TASKS if task == "all" else (task,), width, height)
-    with atomic_path(out) as temporary:
-        Image.fromarray(pixels).quantize(256).save(temporary, format="png", optimize=True)
-    return out

@@ -16,7 +16,7 @@ from assistax_zoo.console import print_json, stdout_is_data
 from evaluation.evaluator import run_job
 from evaluation.jobs import Job
 from evaluation.roster import paired_rosters
-from zoo import load_registry
+from zoo.registry import load_registry
 
 EQUIVALENT = 0.005  # of the mean return: engines that differ by less are taken for the same
 

@@ -4,6 +4,7 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -105,29 +106,14 @@ class Registry:
         return self.data.teams[team_id]
 
     def select(
-        self,
-        pattern: str | Sequence[str] | None = None,
-        *,
-        task: str | None = None,
-        algorithm: str | None = None,
-        disability: str | None = None,
-        role: str | None = None,
-        release: str | None = None,
+        self, pattern: str | Sequence[str] | None = None, **fields: Any
     ) -> list[PolicyEntry]:
         """Return the policies that match, in registry order, as `zoo.selection.select` does.
 
         Raises:
             UnknownIdError: Nothing matches; the nearest ids are named.
         """
-        return select(
-            self.policies,
-            pattern,
-            task=task,
-            algorithm=algorithm,
-            disability=disability,
-            role=role,
-            release=release,
-        )
+        return select(self.policies, pattern, **fields)
 
     def split(self, task: str, id: str | None = None, *, release: str | None = None) -> Split:
         """Return a verified split: the one named, or a release's default (the newest's).

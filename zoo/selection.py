@@ -1,38 +1,17 @@
-"""Choosing policies by glob and by field, over anything that carries an id's parts."""
+"""Choosing policies by glob and by field."""
 
 from collections.abc import Iterable, Sequence
-from typing import NoReturn, Protocol, TypeVar
+from typing import NoReturn
 
 from zoo.errors import UnknownIdError, listing, nearest, shorten
 from zoo.ids import compile_pattern
+from zoo.schema import PolicyEntry
 
 FIELDS = ("task", "algorithm", "disability", "role", "release")
 
 
-class Selectable(Protocol):
-    """What selection reads of a policy."""
-
-    @property
-    def id(self) -> str: ...
-    @property
-    def team(self) -> str: ...
-    @property
-    def task(self) -> str: ...
-    @property
-    def algorithm(self) -> str: ...
-    @property
-    def disability(self) -> str: ...
-    @property
-    def role(self) -> str: ...
-    @property
-    def release(self) -> str: ...
-
-
-T = TypeVar("T", bound=Selectable)
-
-
 def select(
-    entries: Iterable[T],
+    entries: Iterable[PolicyEntry],
     pattern: str | Sequence[str] | None = None,
     *,
     task: str | None = None,
@@ -40,7 +19,7 @@ def select(
     disability: str | None = None,
     role: str | None = None,
     release: str | None = None,
-) -> list[T]:
+) -> list[PolicyEntry]:
     """Return the entries that match, in their own order.
 
     Args:
@@ -70,7 +49,7 @@ def select(
     return [entry for entry in chosen if entry.id in keep]
 
 
-def _with_field(entries: list[T], field: str, value: str) -> list[T]:
+def _with_field(entries: list[PolicyEntry], field: str, value: str) -> list[PolicyEntry]:
     kept = [entry for entry in entries if getattr(entry, field) == value]
     if kept:
         return kept
@@ -84,7 +63,7 @@ def _with_field(entries: list[T], field: str, value: str) -> list[T]:
     )
 
 
-def _matching(pattern: str, entries: list[T], everything: list[T]) -> set[str]:
+def _matching(pattern: str, entries: list[PolicyEntry], everything: list[PolicyEntry]) -> set[str]:
     matches = compile_pattern(pattern).match
     found = {entry.id for entry in entries if matches(entry.id) or matches(entry.team)}
     return found or refuse_unknown(pattern, [entry.id for entry in entries or everything])

@@ -10,10 +10,9 @@ EPISODE = 1000  # steps
 def render(
     *,
     task: str,
-    robot: str | None = None,
-    human: str | None = None,
+    robot: str,
+    human: str,
     out: Path,
-    collisions: bool = False,
     steps: int | None = None,
     seed: int = 0,
     camera: str | None = None,
@@ -26,16 +25,13 @@ def render(
     """Film an episode of a robot and a human, with targets, contact force and reward drawn on.
 
     No display is needed. The human plays under its own disability setting. An .mp4 or .gif runs in
-    real time, a .png shows four moments. With --collisions no episode is played: a .png shows the
-    scene beside the shapes that can touch, with the pairs.
+    real time, a .png shows four moments.
 
     Args:
-        task: Task, such as scratch; with --collisions also all.
+        task: Task, such as scratch.
         robot: An id, a .safetensors or .onnx file, python:FILE.py:FACTORY, zero, or random.
         human: An id, a .safetensors file, zero, or random.
         out: File to write: .mp4, .gif or .png.
-        collisions: Draw what can touch what, instead of an episode; takes no robot, no human and
-            nothing but the size.
         steps: Steps of 20 ms to show; the whole episode of 1000 if not given.
         seed: Seed of the episode: where it starts.
         camera: A camera of the scene, such as side, or close to follow the tool.
@@ -49,30 +45,21 @@ def render(
         assistax-zoo render --task scratch --robot scratch/ippo-d1-s7-v1/robot --human random
         --out scratch.mp4
     """
-    if not collisions and (robot is None or human is None):
-        missing = "robot" if robot is None else "human"
-        raise ValueError(f"{missing} is missing; an episode needs --robot and --human")
     with stdout_is_data():
-        if collisions:
-            from assistax_zoo.films import draw_collisions
+        from assistax_zoo.films import render as film
 
-            draw_collisions(out, task=task, width=width, height=height)
-        else:
-            from assistax_zoo.films import render as film
-
-            assert robot is not None and human is not None
-            size = {"fps": fps, "width": width, "height": height, "camera": camera}
-            with progress(f"render {task}", steps or EPISODE) as advance:
-                film(
-                    robot,
-                    human,
-                    out,
-                    task=task,
-                    steps=steps,
-                    seed=seed,
-                    disability=disability,
-                    zoo=registry,
-                    on_step=lambda: advance(1),
-                    **size,
-                )
+        size = {"fps": fps, "width": width, "height": height, "camera": camera}
+        with progress(f"render {task}", steps or EPISODE) as advance:
+            film(
+                robot,
+                human,
+                out,
+                task=task,
+                steps=steps,
+                seed=seed,
+                disability=disability,
+                zoo=registry,
+                on_step=lambda: advance(1),
+                **size,
+            )
     print(out)

@@ -16,7 +16,8 @@ import numpy as np
 import assistax_envs
 from assistax_envs import disability_params
 from tests.envs.teams import team
-from zoo import PolicyEntry, load_registry
+from zoo.registry import load_registry
+from zoo.schema import PolicyEntry
 
 PATH = Path(__file__).with_name("team_states.npz")
 TEAMS, SIMULATIONS, STEPS, TIMES = 9, 8, 200, (20, 70, 130, 199)

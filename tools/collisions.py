@@ -1,13 +1,18 @@
-"""The picture of what can touch what.
+"""Draws docs/images/collisions.png: what can touch what.
 
-Each scene beside the geoms of its contact pairs, coloured by owner.
+    python -m tools.collisions --width 480 --height 330 --out docs/images/collisions.png
+
+Each scene beside the geoms of its contact pairs, coloured by owner, with the pairs in words.
 """
 
 import copy
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import mujoco
 import numpy as np
+from cyclopts import App
 from PIL import Image, ImageDraw, ImageFont
 
 from assistax_envs.gl import functions_from, open_context
@@ -15,6 +20,8 @@ from assistax_envs.models import build_model
 from assistax_envs.render import check_size
 from assistax_envs.tasks import TASK_CLASSES
 from assistax_envs.tasks.base import TOUCHABLE
+from assistax_envs.versions import TASKS
+from population.files import atomic_path
 
 COLOURS = {  # shares of red, green, blue
     "robot": (0.90, 0.45, 0.05),
@@ -25,6 +32,21 @@ LEGS = ("right_thigh", "left_thigh")  # of the human, though welded to what it s
 PLANE_SIZE = (1.0, 0.55, 0.1)  # m: what is drawn of an infinite plane, from its middle
 PLANE_OPACITY = 0.45
 INK, PAPER = (25, 30, 38), (255, 255, 255)
+
+
+def main(*, out: Path, width: int = 480, height: int = 360) -> None:
+    """Draw every task's scene beside the shapes that can touch.
+
+    Args:
+        out: Picture to write, .png.
+        width: Pixels of a scene.
+        height: Pixels of a scene.
+    """
+    if out.suffix.lower() != ".png":
+        sys.exit(f"error: {out.name} ends in {out.suffix or 'nothing'!r}; collisions are a .png")
+    pixels = picture(TASKS, width, height)
+    with atomic_path(out) as temporary:
+        Image.fromarray(pixels).quantize(256).save(temporary, format="png", optimize=True)
 
 
 def pair_geoms(model: mujoco.MjModel) -> dict[str, str]:
@@ -163,3 +185,9 @@ def _words(geom: str) -> str:
 
 def _ink(owner: str) -> tuple[int, ...]:
     return tuple(round(255 * channel) for channel in COLOURS[owner])
+
+
+if __name__ == "__main__":
+    app = App(name="python -m tools.collisions")
+    app.default(main)
+    app()

@@ -1,12 +1,15 @@
 """The collision picture shows exactly what can touch, in its owner's colour."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
+from PIL import Image
 
 from assistax_envs import TASKS
-from assistax_envs.collisions import COLOURS, collision_model, pair_geoms, picture, touches
 from assistax_envs.models import build_model
+from tools.collisions import COLOURS, collision_model, main, pair_geoms, picture, touches
 
 
 def shown(model: mujoco.MjModel) -> set[str]:
@@ -79,3 +82,16 @@ def test_the_picture_puts_the_scene_beside_its_collisions() -> None:
     ]  # the human's colour
     assert blue[1] > 500 > blue[0]
     assert np.unique(rows[240:].reshape(-1, 3), axis=0).shape[0] > 20  # words, in several colours
+
+
+def test_all_tasks_stand_in_one_small_png(tmp_path: Path) -> None:
+    out = tmp_path / "collisions.png"
+    main(out=out, width=160, height=120)
+    with Image.open(out) as image:
+        assert image.width == 2 * 160 and image.height > len(TASKS) * 120
+        assert image.convert("RGB").getcolors(256) is not None
+    with pytest.raises(SystemExit, match=r"x\.gif ends in '\.gif'; collisions are a \.png"):
+        main(out=tmp_path / "x.gif")
+    with pytest.raises(ValueError, match="width is 3; allowed are 16 to 4096"):
+        main(out=out, width=3)
+    assert list(tmp_path.iterdir()) == [out]
