@@ -16,6 +16,7 @@ from assistax_envs.stdout import stdout_is_data as stdout_is_data
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from evaluation.runner import Progress
 
@@ -50,6 +51,30 @@ def cache_folder(name: str) -> Path:
 def print_json(value: Any) -> None:
     """Print one JSON document on standard output; NaN and infinities become null."""
     print(json.dumps(_plain(value), indent=2, ensure_ascii=False), flush=True)
+
+
+def answer(json: bool, content: Any, *lines: str) -> None:
+    """Print what a command found: one JSON document, or lines for a reader."""
+    if json:
+        print_json(content)
+    else:
+        print("\n".join(lines))
+
+
+def new_table(title: str) -> "Table":
+    """Return an empty table that fits 80 columns."""
+    from rich import box
+    from rich.table import Table
+
+    return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+
+
+def print_table(table: "Table") -> None:
+    """Print a table, 80 columns wide where no terminal says otherwise."""
+    from rich.console import Console
+
+    console = Console()
+    (console if console.is_terminal else Console(width=80)).print(table)
 
 
 @contextmanager

@@ -90,7 +90,7 @@ def evaluate(
     settings = Settings(task, episodes, seed, backend, stochastic, max_envs)
     opened = _locked(open_zoo(zoo), lock, task, split)
     if fetch:
-        _, chosen = choose_partners(opened.registry, task, split, partners)
+        _, chosen = choose_partners(opened.registry, task, split, partners or None)
         opened.fetch([entry.id for entry in chosen])
     folder, keep = _folder(out)
     with _shown(progress, f"evaluate {task}") as on_progress:
@@ -100,7 +100,7 @@ def evaluate(
             settings,
             folder,
             split=split,
-            partners=partners,
+            partners=partners or None,
             include_own=include_own,
             references=cache_folder("references") if references else None,
             crossplay=crossplay.folder if isinstance(crossplay, CrossPlayResult) else crossplay,
@@ -174,11 +174,11 @@ def cross_play(
 
 def play_block(
     block: tuple[int, int],
-    out: Path,
     egos: str | Sequence[str] | None,
     partners: str | Sequence[str] | None,
     *,
     task: str,
+    out: Path,
     release: str | None = None,
     zoo: "str | Path | Zoo | None" = None,
     lock: Path | str | None = None,
@@ -189,10 +189,10 @@ def play_block(
 
     Args:
         block: Which share.
-        out: Folder of the parts.
         egos: As in `cross_play`, like all that follows.
         partners: Globs over humans.
         task: Task, such as "scratch".
+        out: Folder of the parts.
         release: Release of both.
         zoo: Where policies come from.
         lock: Lock file of a paper.

@@ -1,25 +1,21 @@
 """M_test of robot policies against the zoo's partners, and the cross-play of a population."""
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from assistax_zoo.commands.options import Engine, Playing, Source
-from assistax_zoo.console import print_json, stdout_is_data
+from assistax_zoo.commands.options import Against, Engine, Playing, Source
+from assistax_zoo.console import answer, new_table, print_json, print_table, stdout_is_data
 
-if TYPE_CHECKING:
-    from rich.table import Table
+Figure = dict[str, Any] | None
 
 
 def evaluate(
     *,
     task: str,
     policy: tuple[str, ...],
-    split: str | None = None,
-    partners: tuple[str, ...] = (),
+    against: Against = Against(),
     playing: Playing = Playing(),
-    include_own: bool = False,
-    references: bool = True,
-    crossplay: Path | None = None,
     fetch: bool = False,
     reuse: bool = False,
     out: Path | None = None,
@@ -35,17 +31,8 @@ def evaluate(
         task: Task, such as scratch.
         policy: Robot: an id, a .safetensors or .onnx file, python:FILE.py:FACTORY or
             python:package.module:FACTORY; repeat it for more seeds.
-        split: Partners: test (default), train or both sides of the default split, or another
-            split's id (ID:both).
-        partners: Glob over partners, to play only some of those sides, such as 'scratch/ippo-d9-*';
-            repeat it for more. Where all that match are of one release, its default split is meant.
+        against: With whom, and what it is compared with.
         playing: How they play.
-        include_own: Count partners that were trained with one of the robots; else they are played
-            and kept in the tables, and no figure is about them.
-        references: Compare with zero and random actions and with each partner's own robot; kept for
-            the next time.
-        crossplay: Folder of a finished cross-play, whose best robots may be the partners' best
-            responses.
         fetch: Bring partners that are missing here from the remote.
         reuse: Take what --out holds of a robot from Python code though its module does not declare
             what it depends on; else it is played again.
@@ -63,25 +50,20 @@ def evaluate(
         result = evaluate_robots(
             list(policy),
             task=task,
-            split=split,
-            partners=partners or None,
-            include_own=include_own,
-            references=references,
-            crossplay=crossplay,
             fetch=fetch,
             reuse=reuse,
-            zoo=source.registry,
-            lock=source.lock,
             out=out,
+            **vars(against),
             **vars(playing),
+            **source.given(),
         )
         summary = result.to_json()
     if json:
         print_json(summary)
-        return
-    _print_evaluation(summary)
-    if out:
-        print(f"tables in {out}: episodes.parquet has every episode")
+    else:
+        _print_evaluation(summary)
+        if out:
+            print(f"tables in {out}: episodes.parquet has every episode")
 
 
 def crossplay(
@@ -129,24 +111,17 @@ def crossplay(
         from assistax_zoo.studies import cross_play, play_block
         from evaluation.tables import to_json
 
-        given: dict[str, Any] = {
-            "task": task,
-            "release": release,
-            "zoo": source.registry,
-            "lock": source.lock,
-            **vars(playing),
-        }
+        given: dict[str, Any] = {"task": task, "release": release, **vars(playing)}
+        given |= {"out": out, **source.given()}
         if block:
-            share = _block(block)
-            done = play_block(share, out, egos or None, partners or None, **given)
+            done = play_block(_block(block), egos, partners, **given)
             summary = {"block": block, **to_json(done)}
         else:
-            result = cross_play(egos or None, partners or None, out=out, cluster=cluster, **given)
-            summary = result.to_json()
-    if json:
+            summary = cross_play(egos, partners, cluster=cluster, **given).to_json()
+    if block:
+        answer(json, summary, *_block_lines(summary, out))
+    elif json:
         print_json(summary)
-    elif block:
-        _print_block(summary, out)
     else:
         _print_crossplay(summary)
         print(f"tables and crossplay.png in {out}")
@@ -159,71 +134,46 @@ def _block(text: str) -> tuple[int, int]:
     return int(number), int(count)
 
 
-def _print_block(summary: dict[str, Any], out: Path) -> None:
-    print(
-        f"block {summary['block']}: {summary['episodes']} episodes in {summary['chunks']} parts of "
-        f"{out}/parts"
-    )
-    if summary["missing"]:
-        print(
-            f"{summary['missing']} of {summary['all_chunks']} parts are not here; gather those of "
-            "all blocks"
-        )
-    else:
-        print("all parts are here: the same command without --block merges them")
+def _block_lines(summary: dict[str, Any], out: Path) -> tuple[str, str]:
+    done = f"{summary['episodes']} episodes in {summary['chunks']} parts of {out}/parts"
+    told = "all parts are here: the same command without --block merges them"
+    if missing := summary["missing"]:
+        count = f"{missing} of {summary['all_chunks']}"
+        told = f"{count} parts are not here; gather those of all blocks"
+    return f"block {summary['block']}: {done}", told
 
 
 def _print_evaluation(summary: dict[str, Any]) -> None:
-    table = _table(
-        f"{summary['task']}, {len(summary['egos'])} robots, split {summary['split']['id']}"
-    )
-    for name, key in (("M_test", "m_test"), ("M_train", "m_train"), ("M_train - M_test", "gap")):
-        _add(table, name, summary[key])
+    title = f"{summary['task']}, {len(summary['egos'])} robots, split {summary['split']['id']}"
+    names = (("M_test", "m_test"), ("M_train", "m_train"), ("M_train - M_test", "gap"))
+    rows = [(name, summary[key]) for name, key in names]
     for key in ("by_algorithm", "by_disability"):
-        for name, figure in summary[key].items():
-            _add(table, f"  {name}", figure)
-    _print(table)
-    _print_references(summary)
+        rows += [(f"  {name}", figure) for name, figure in summary[key].items()]
+    _print_figures(title, rows)
+    if summary["references"]:
+        _print_references(summary["references"], summary["relative"])
     worst = summary["worst_partner"]
     print(f"worst partner: {worst['partner']}, mean return {worst['mean']:.1f}")
     _print_origin(summary)
 
 
-def _print_references(summary: dict[str, Any]) -> None:
-    if summary["references"] is None:
-        return
-    table = _table("to compare with: the same partners and episodes")
-    for name, figure in summary["references"].items():
-        _add(table, name.replace("_", " "), figure)
-    _print(table)
-    relative = summary["relative"]
-    table = _table(
-        "relative to zero action (0) and the best response known (1)", "share of that range"
-    )
-    for name in ("normalised_return", "br_prox"):
-        _add(
-            table,
-            {"br_prox": "BR-Prox"}.get(name, name.replace("_", " ")),
-            relative[name],
-            digits=2,
-        )
-    _print(table)
-    if relative["coverage"]:
-        share, regret = relative["coverage"]["value"], relative["regret"]["mean"]
+def _print_references(references: dict[str, Figure], relative: dict[str, Any]) -> None:
+    rows = [(name.replace("_", " "), figure) for name, figure in references.items()]
+    _print_figures("to compare with: the same partners and episodes", rows)
+    rows = [("normalised return", relative["normalised_return"]), ("BR-Prox", relative["br_prox"])]
+    title = "relative to zero action (0) and the best response known (1)"
+    _print_figures(title, rows, "share of that range", digits=2)
+    if coverage := relative["coverage"]:
         print(
-            f"regret {regret:.1f}; within {relative['coverage']['epsilon']:.0%} of the best "
-            f"response: {share:.0%}"
+            f"regret {relative['regret']['mean']:.1f}; within {coverage['epsilon']:.0%} of the "
+            f"best response: {coverage['value']:.0%}"
         )
-    if relative["unscorable"]:
-        print(
-            "without a scale, best response at or below zero action: "
-            f"{', '.join(relative['unscorable'])}"
-        )
+    if unscorable := ", ".join(relative["unscorable"]):
+        print(f"without a scale, best response at or below zero action: {unscorable}")
 
 
 def _print_crossplay(summary: dict[str, Any]) -> None:
-    table = _table(f"{summary['task']}, {summary['egos']} robots x {summary['partners']} humans")
-    for name, key in (
+    names = (
         ("self-play", "self_play"),
         ("cross-play", "cross_play"),
         ("self-play - cross-play", "gap"),
@@ -231,12 +181,11 @@ def _print_crossplay(summary: dict[str, Any]) -> None:
         ("  across algorithms", "across_algorithms"),
         ("  within one disability setting", "within_disability"),
         ("  across disability settings", "across_disabilities"),
-    ):
-        _add(table, name, summary[key])
-    _print(table)
-    print(
-        f"best robot: {summary['best_ego']['ego']}, mean return {summary['best_ego']['mean']:.1f}"
     )
+    title = f"{summary['task']}, {summary['egos']} robots x {summary['partners']} humans"
+    _print_figures(title, [(name, summary[key]) for name, key in names])
+    best = summary["best_ego"]
+    print(f"best robot: {best['ego']}, mean return {best['mean']:.1f}")
     _print_origin(summary)
 
 
@@ -252,29 +201,20 @@ def _print_origin(summary: dict[str, Any]) -> None:
         print(f"note: {note}")
 
 
-def _table(title: str, what: str = "return of an episode") -> "Table":
-    """Return an empty table of figures that fits 80 columns."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+def _print_figures(
+    title: str,
+    rows: Iterable[tuple[str, Figure]],
+    what: str = "return of an episode",
+    digits: int = 1,
+) -> None:
+    """Print a table of the figures that there are."""
+    table = new_table(title)
     table.add_column(what, overflow="fold")
     for name in ("mean", "IQM", "its 95% interval", "pairs"):
         table.add_column(name, justify="right", no_wrap=True)
-    return table
-
-
-def _add(table: "Table", name: str, figure: dict[str, Any] | None, digits: int = 1) -> None:
-    if figure is None:
-        return
-    mean, iqm = (f"{figure[key]:.{digits}f}" for key in ("mean", "iqm"))
-    ends = figure["iqm_ci"]
-    interval = "-" if ends is None else " to ".join(f"{end:.{digits}f}" for end in ends)
-    table.add_row(name, mean, iqm, interval, str(figure["n"]))
-
-
-def _print(table: "Table") -> None:
-    from rich.console import Console
-
-    console = Console()
-    (console if console.is_terminal else Console(width=80)).print(table)
+    for name, figure in rows:
+        if figure is not None:
+            mean, iqm = (f"{figure[key]:.{digits}f}" for key in ("mean", "iqm"))
+            interval = " to ".join(f"{end:.{digits}f}" for end in figure["iqm_ci"] or ())
+            table.add_row(name, mean, iqm, interval or "-", str(figure["n"]))
+    print_table(table)

@@ -3,7 +3,8 @@
 from pathlib import Path
 from typing import Literal
 
-from assistax_zoo.console import print_json, stdout_is_data
+from assistax_zoo.console import answer, stdout_is_data
+from zoo.registry import load_registry
 
 FormatName = Literal["safetensors", "onnx", "torch"]
 
@@ -34,12 +35,8 @@ def export(
         assistax-zoo export scratch/ippo-d3-s5-v1/robot --format onnx --out robot.onnx
     """
     from zoo.export import export_policy
-    from zoo.registry import load_registry
 
     with stdout_is_data():
         done = export_policy(id, format, out, lambda: load_registry(registry), force=force)
-    if json:
-        print_json(done)
-        return
     deed = "wrote" if done["written"] else "nothing to do:"
-    print(f"{deed} {id} as {format} to {out} ({done['bytes']} bytes)")
+    answer(json, done, f"{deed} {id} as {format} to {out} ({done['bytes']} bytes)")

@@ -51,6 +51,35 @@ class Source:
     registry: str | None = None
     lock: Path | None = None
 
+    def given(self) -> dict[str, Any]:
+        """Return it as the functions of `assistax_zoo` take it."""
+        return {"zoo": self.registry, "lock": self.lock}
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Against:
+    """Partners of robots, and what the robots are compared with.
+
+    Attributes:
+        split: Partners: test (default), train or both sides of the default split, or another
+            split's id (ID:both).
+        partners: Glob over partners, to play only some of those sides, such as 'scratch/ippo-d9-*';
+            repeat it for more. Where all that match are of one release, its default split is meant.
+        include_own: Count partners that were trained with one of the robots; else they are played
+            and kept in the tables, and no figure is about them.
+        references: Compare with zero and random actions and with each partner's own robot; kept for
+            the next time.
+        crossplay: Folder of a finished cross-play, whose best robots may be the partners' best
+            responses.
+    """
+
+    split: str | None = None
+    partners: tuple[str, ...] = ()
+    include_own: bool = False
+    references: bool = True
+    crossplay: Path | None = None
+
 
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)

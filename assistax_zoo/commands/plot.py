@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+from zoo.registry import load_registry
+
 OrderName = Literal["shared", "separate"]
 
 
@@ -133,7 +135,6 @@ def population(
         assistax-zoo plot population --out population.png
     """
     from evaluation.plots.figures import population_figure
-    from zoo.registry import load_registry
 
     entries = load_registry(registry).select(task=task, role="human", release=release)
     population_figure(entries, out)

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assistax_zoo.commands.train import shown_training
-from assistax_zoo.commands.zoo import print_table
-from assistax_zoo.console import print_json
+from assistax_zoo.commands.zoo import table_lines
+from assistax_zoo.console import answer
 from assistax_zoo.plan_status import Status
 
 if TYPE_CHECKING:
@@ -89,26 +89,13 @@ def _shown(json_lines: bool, block: "Block") -> Generator[Callable[[Any], None]]
 
 def _report(statuses: Sequence[Status], json: bool, json_lines: bool) -> None:
     rows = [status.to_json() for status in statuses]
-    if json_lines:
-        print(jsonlib.dumps({"groups": rows}), flush=True)
-        return
-    if json:
-        print_json({"groups": rows})
-        return
-    columns = (
-        "group",
-        "teams",
-        "published",
-        "adoptable",
-        "trained",
-        "missing",
-        "steps to train",
-        "device minutes",
-    )
     names = ("group", "teams", "published", "adoptable", "trained", "missing", "steps_to_train")
+    columns = (*(name.replace("_", " ") for name in names), "device minutes")
     lines = [(*(str(row[name]) for name in names), _minutes(row)) for row in rows]
     done, teams = sum(row["published"] for row in rows), sum(row["teams"] for row in rows)
-    print_table(columns, lines, f"{done} of {teams} teams are published")
+    table = table_lines(columns, lines, f"{done} of {teams} teams are published")
+    line = [jsonlib.dumps({"groups": rows})]
+    answer(json and not json_lines, {"groups": rows}, *(line if json_lines else table))
 
 
 def _minutes(row: dict[str, Any]) -> str:

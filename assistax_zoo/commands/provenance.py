@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from assistax_zoo.commands.options import Source
-from assistax_zoo.console import print_json, stdout_is_data
+from assistax_zoo.console import answer, stdout_is_data
+from zoo.registry import load_registry
 
 
 def verify_results(folder: Path, json: bool) -> bool:
@@ -12,13 +13,10 @@ def verify_results(folder: Path, json: bool) -> bool:
     from evaluation.provenance import verify_folder
 
     report = verify_folder(folder)
-    if json:
-        print_json({"ok": report.ok, **tables.to_json(report)})
-        return report.ok
-    for problem in report.problems:
-        print(f"problem: {problem}")
+    lines = [f"problem: {problem}" for problem in report.problems]
     told = "verified" if report.ok else f"{len(report.problems)} problems in"
-    print(f"{told} {report.files} files of {folder}")
+    content = {"ok": report.ok, **tables.to_json(report)}
+    answer(json, content, *lines, f"{told} {report.files} files of {folder}")
     return report.ok
 
 
@@ -51,21 +49,15 @@ def replay(
     with stdout_is_data():
         from evaluation import tables
         from evaluation.replay import replay_folder
-        from zoo.registry import load_registry
 
         registry = load_registry(source.registry)
         report = replay_folder(folder, registry, sample=sample, seed=seed, run_code=run_code)
-    if json:
-        print_json(tables.to_json(report))
-    elif report.exact:
-        print(f"compared bit by bit: {report.why}")
-        told = "the same" if report.ok else f"{report.differing} differ"
-        print(f"{report.episodes} episodes of {folder} played again: {told}")
+    if report.exact:
+        how, told = "bit by bit", "the same" if report.ok else f"{report.differing} differ"
     else:
-        print(f"compared in the mean: {report.why}")
-        print(
-            f"{report.episodes} episodes of {folder} played again: {report.difference:+.1f} in "
-            f"the mean return, {'within' if report.ok else 'beyond'} {report.tolerance:.1f}"
-        )
+        reach = f"{'within' if report.ok else 'beyond'} {report.tolerance:.1f}"
+        how, told = "in the mean", f"{report.difference:+.1f} in the mean return, {reach}"
+    again = f"{report.episodes} episodes of {folder} played again: {told}"
+    answer(json, tables.to_json(report), f"compared {how}: {report.why}", again)
     if not report.ok:
         raise SystemExit(1)

@@ -1,17 +1,19 @@
 """Commands between this machine and others: fetch, add, remove, publish, lock, config."""
 
 import contextlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from assistax_zoo.console import print_json, progress
+from assistax_zoo.console import answer, progress
+from zoo.locations import default_remote, registry_path, set_default_remote
+from zoo.lock import locked_entries, make_lock, read_lock, write_lock
+from zoo.registry import load_registry
+from zoo.remotes import open_remote
 
 if TYPE_CHECKING:
     from zoo.fetch import Report
-    from zoo.remotes import Remote
 
 
 def fetch(
@@ -51,29 +53,28 @@ def fetch(
     """
     from zoo.fetch import fetch as fetch_entries
     from zoo.fetch import remote_registry
-    from zoo.locations import default_remote
-    from zoo.lock import locked_entries, read_lock
-    from zoo.registry import load_registry
-    from zoo.remotes import open_remote
 
     text = from_ or default_remote()
     remote = open_remote(text) if text else None
-    loaded = (
-        remote_registry(remote) if remote and from_ and not registry else load_registry(registry)
-    )
+    theirs = remote if from_ and not registry else None
+    loaded = remote_registry(theirs) if theirs else load_registry(registry)
     fields = {"algorithm": algorithm, "disability": disability, "role": role, "release": release}
     entries = loaded.select(pattern, task=task, **fields)
     if lock:
         pinned = {entry.id for entry in locked_entries(loaded, read_lock(lock))}
         entries = [entry for entry in entries if entry.id in pinned]
+    what = f"fetch {remote.name if remote else ''}"
     with contextlib.ExitStack() as stack:
-        report = fetch_entries(loaded, entries, remote, on_total=_byte_progress(stack, remote))
-    if json:
-        print_json(report.to_json())
-        return
-    _print_report(report)
-    if remote and from_ and not registry:
-        print(f"its registry is {report.registry}: give it to other commands with --registry")
+        report = fetch_entries(
+            loaded,
+            entries,
+            remote,
+            on_total=lambda size: stack.enter_context(progress(what, size, is_bytes=True)),
+        )
+    lines = _report_lines(report)
+    if theirs:
+        lines += [f"its registry is {report.registry}: give it to other commands with --registry"]
+    answer(json, report.to_json(), *lines)
 
 
 def add(
@@ -98,10 +99,9 @@ def add(
     from zoo.added import add as add_zoo
 
     added = add_zoo(remote, as_)
-    if json:
-        print_json({"name": as_, "policies": len(added.policies), "registry": added.path})
-        return
-    print(f"{len(added.policies)} policies as {as_}:...; next: assistax-zoo fetch '{as_}:*'")
+    count = len(added.policies)
+    told = f"{count} policies as {as_}:...; next: assistax-zoo fetch '{as_}:*'"
+    answer(json, {"name": as_, "policies": count, "registry": added.path}, told)
 
 
 def remove(name: str) -> None:
@@ -129,9 +129,6 @@ def config_remote(remote: str | None = None, *, forget: bool = False) -> None:
     Example:
         assistax-zoo config remote hf://org/name
     """
-    from zoo.locations import default_remote, set_default_remote
-    from zoo.remotes import open_remote
-
     if remote or forget:
         set_default_remote(open_remote(remote).name if remote else None)
     print(default_remote() or "no remote")
@@ -166,7 +163,6 @@ def publish(
         assistax-zoo publish runs/scratch-ippo-d1 runs/scratch-ippo-d9 --release v0 --to zoos/mine
     """
     from zoo.hub_publish import publish_to
-    from zoo.locations import registry_path
     from zoo.runs import read_run
 
     if not runs:
@@ -178,13 +174,8 @@ def publish(
     teams = [team for run in runs for team in read_run(run)]
     place = to or str(registry_path(registry))
     done = publish_to(teams, place, release, date=date, description=description, key=key)
-    if json:
-        print_json(done.to_json())
-        return
-    print(
-        f"published {len(done.added)} new policies in release {release} of {done.registry}; it "
-        f"holds {done.policies}"
-    )
+    told = f"published {len(done.added)} new policies in release {release} of {done.registry}"
+    answer(json, done.to_json(), f"{told}; it holds {done.policies}")
 
 
 def lock(
@@ -214,40 +205,26 @@ def lock(
     Example:
         assistax-zoo lock 'scratch/*' --release v1 --out assistax-zoo.lock
     """
-    from zoo.lock import make_lock, write_lock
-    from zoo.registry import load_registry
-
     loaded = load_registry(registry)
     entries = loaded.select(pattern, task=task, release=release or loaded.release)
     made = make_lock(loaded, entries, {name.partition("/")[0]: name for name in split})
     write_lock(made, out)
-    if json:
-        print_json({"lock": out, **made.model_dump(mode="json")})
-        return
-    print(f"locked {len(made.policies)} policies of release {made.release} in {out}")
+    lines = [f"locked {len(made.policies)} policies of release {made.release} in {out}"]
     for name in made.environments:
-        pinned = (
-            f"split {made.splits[name].id}"
-            if name in made.splits
-            else "no split: not all its partners are locked"
-        )
-        print(f"  {name}: {pinned}")
+        pinned = made.splits.get(name)
+        told = f"split {pinned.id}" if pinned else "no split: not all its partners are locked"
+        lines.append(f"  {name}: {told}")
+    answer(json, {"lock": out, **made.model_dump(mode="json")}, *lines)
 
 
-def _byte_progress(
-    stack: contextlib.ExitStack, remote: "Remote | None"
-) -> Callable[[int], Callable[[int], None]]:
-    name = remote.name if remote else ""
-    return lambda total: stack.enter_context(progress(f"fetch {name}", total, is_bytes=True))
-
-
-def _print_report(report: "Report") -> None:
-    told = f", {report.present} already here" if report.present else ""
-    print(f"verified {report.policies} policies in {report.shards} shards{told}")
+def _report_lines(report: "Report") -> list[str]:
+    here = f", {report.present} already here" if report.present else ""
+    lines = [f"verified {report.policies} policies in {report.shards} shards{here}"]
     if report.bytes:
-        speed = report.bytes / 1e6 / max(report.seconds, 1e-3)
-        origin = f"{report.remote}{f' at commit {report.revision}' if report.revision else ''}"
-        print(
-            f"fetched {report.bytes / 1e6:.1f} MB from {origin} in {report.seconds:.1f} s "
-            f"({speed:.0f} MB/s)"
-        )
+        size, seconds = report.bytes / 1e6, max(report.seconds, 1e-3)
+        commit = f" at commit {report.revision}" if report.revision else ""
+        lines += [
+            f"fetched {size:.1f} MB from {report.remote}{commit} in {report.seconds:.1f} s "
+            f"({size / seconds:.0f} MB/s)"
+        ]
+    return lines

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from assistax_zoo.console import print_json
+from assistax_zoo.console import answer, new_table, print_json, print_table
 
 if TYPE_CHECKING:
     from evaluation.metrics import Difference
@@ -24,15 +24,14 @@ def compare(a: Path, b: Path, /, *, seed: int = 0, json: bool = False) -> None:
     from assistax_zoo.results import compare as compare_results
 
     found = compare_results(a, b, seed=seed)
-    if json:
-        print_json({"a": str(a), "b": str(b), **found.to_json()})
-        return
-    print(f"{found.task}: return of {a} minus return of {b}")
-    for side, difference in (("train", found.train), ("test", found.test)):
-        if difference:
-            _print_difference(side, difference)
-    for note in found.notes:
-        print(f"note: {note}")
+    sides = (("train", found.train), ("test", found.test))
+    answer(
+        json,
+        {"a": str(a), "b": str(b), **found.to_json()},
+        f"{found.task}: return of {a} minus return of {b}",
+        *(_difference_line(side, difference) for side, difference in sides if difference),
+        *(f"note: {note}" for note in found.notes),
+    )
 
 
 def strategies(folder: Path, /, *, json: bool = False) -> None:
@@ -55,8 +54,8 @@ def strategies(folder: Path, /, *, json: bool = False) -> None:
     found = summarise_strategies(tables.read_parquet(folder / tables.PAIRS_FILE))
     if json:
         print_json(found)
-        return
-    _print_strategies(found)
+    else:
+        _print_strategies(found)
 
 
 def report(folder: Path, /, *, out: Path) -> None:
@@ -78,25 +77,17 @@ def report(folder: Path, /, *, out: Path) -> None:
     print(out)
 
 
-def _print_difference(side: str, found: "Difference") -> None:
+def _difference_line(side: str, found: "Difference") -> str:
     interval = "" if found.mean_ci is None else " [{:+.1f}, {:+.1f}]".format(*found.mean_ci)
     chance = "" if found.p_positive is None else f", P(A > B) {found.p_positive:.3f}"
-    print(
+    return (
         f"  {side:5} partners: mean {found.mean:+.1f}{interval}, 95% for new "
         f"{found.generalises_to}{chance}; better with {found.partners_better:.0%} of partners"
     )
 
 
 def _print_strategies(found: dict[str, Any]) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(
-        title="partners by behaviour with their best robot",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-    )
+    table = new_table("partners by behaviour with their best robot")
     for name in ("cluster", "medoid"):
         table.add_column(name, no_wrap=True)
     table.add_column("partners", justify="right")
@@ -105,8 +96,7 @@ def _print_strategies(found: dict[str, Any]) -> None:
     for i, cluster in enumerate(found["clusters"]):
         figures = [f"{cluster['mean'][name]:.3g}" for name in found["features"]]
         table.add_row(chr(ord("A") + i), cluster["medoid"], str(len(cluster["members"])), *figures)
-    console = Console()
-    (console if console.is_terminal else Console(width=80)).print(table)
+    print_table(table)
     if len(found["clusters"]) == 1:
         print("no clear clusters: all partners are one")
     diversity = found["br_div"]

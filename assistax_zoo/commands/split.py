@@ -1,15 +1,15 @@
 """Commands over splits: list, show, create, verify."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from assistax_zoo.commands.zoo import print_table
-from assistax_zoo.console import print_json
-from zoo.schema import Rule
-
-if TYPE_CHECKING:
-    from zoo.registry import Registry
-    from zoo.schema import Split
+from assistax_zoo.commands.zoo import table_lines
+from assistax_zoo.console import answer
+from zoo.errors import ZooError
+from zoo.registry import Registry, load_registry
+from zoo.release import create_split, partner_teams
+from zoo.schema import Rule, Split
+from zoo.splits import LEAVE_ONE_OUT
 
 
 def list_splits(
@@ -25,27 +25,16 @@ def list_splits(
     Example:
         assistax-zoo split list --task scratch
     """
-    from zoo.registry import load_registry
-
     loaded = load_registry(registry)
     splits = [split for split in loaded.splits if task in (None, split.task)]
     defaults = {
         split for release in loaded.data.releases.values() for split in release.splits.values()
     }
-    if json:
-        print_json([{**_brief(split), "default": split.id in defaults} for split in splits])
-        return
-    rows = [
-        (
-            split.id,
-            split.rule,
-            str(len(split.train)),
-            str(len(split.test)),
-            "yes" if split.id in defaults else "",
-        )
-        for split in splits
-    ]
-    print_table(("split", "rule", "train", "test", "default"), rows, f"{len(splits)} splits")
+    found = [{**_brief(split), "default": split.id in defaults} for split in splits]
+    names = ("id", "rule", "n_train", "n_test")
+    rows = [(*(str(one[name]) for name in names), "yes" * one["default"]) for one in found]
+    columns = ("split", "rule", "train", "test", "default")
+    answer(json, found, *table_lines(columns, rows, f"{len(splits)} splits"))
 
 
 def show(id: str, *, registry: Path | None = None, json: bool = False) -> None:
@@ -59,17 +48,12 @@ def show(id: str, *, registry: Path | None = None, json: bool = False) -> None:
     Example:
         assistax-zoo split show scratch
     """
-    from zoo.registry import load_registry
-
     task, _, rest = id.partition("/")
     split = load_registry(registry).split(task, id if rest else None)
-    if json:
-        print_json(split.model_dump(mode="json"))
-        return
-    for name, value in _brief(split).items():
-        print(f"{name:8} {value}")
-    for side in ("train", "test"):
-        print(f"\n{side}\n" + "\n".join(f"  {team}" for team in getattr(split, side)))
+    lines = [f"{name:8} {value}" for name, value in _brief(split).items()]
+    for side, teams in (("train", split.train), ("test", split.test)):
+        lines += [f"\n{side}", *(f"  {team}" for team in teams)]
+    answer(json, split.model_dump(mode="json"), *lines)
 
 
 def create(
@@ -105,10 +89,6 @@ def create(
     Example:
         assistax-zoo split create --task scratch --rule leave-one-disability-out --held-out d9
     """
-    from zoo.registry import load_registry
-    from zoo.release import create_split, partner_teams
-    from zoo.splits import LEAVE_ONE_OUT
-
     loaded = load_registry(registry)
     sides = {"train": _teams(loaded, train), "test": _teams(loaded, test)}
     split = create_split(
@@ -121,18 +101,13 @@ def create(
         n=n,
         **sides,
     )
-    if json:
-        print_json(split.model_dump(mode="json"))
-    else:
-        print(
-            f"split {split.id}: {len(split.train)} train, {len(split.test)} test, in {loaded.path}"
-        )
-        rest = {*partner_teams(loaded.data, task, split.release)}.difference(
-            split.train, split.test
-        )
-        twins = sorted(rest) if rule in LEAVE_ONE_OUT else []
-        if twins:
-            print(f"left out, because they act nearly as a test partner does: {', '.join(twins)}")
+    counts = f"{len(split.train)} train, {len(split.test)} test"
+    lines = [f"split {split.id}: {counts}, in {loaded.path}"]
+    rest = {*partner_teams(loaded.data, task, split.release)} - {*split.train, *split.test}
+    if rest and rule in LEAVE_ONE_OUT:
+        twins = ", ".join(sorted(rest))
+        lines.append(f"left out, because they act nearly as a test partner does: {twins}")
+    answer(json, split.model_dump(mode="json"), *lines)
 
 
 def verify(id: str | None = None, *, registry: Path | None = None, json: bool = False) -> None:
@@ -150,13 +125,10 @@ def verify(id: str | None = None, *, registry: Path | None = None, json: bool = 
         assistax-zoo split verify
     """
     from zoo.behaviour import similar_leak, similar_pairs
-    from zoo.errors import ZooError
-    from zoo.registry import load_registry
 
     loaded = load_registry(registry)
-    names = (
-        [loaded.split(id.partition("/")[0], id).id] if id else [split.id for split in loaded.splits]
-    )
+    named = [loaded.split(id.partition("/")[0], id)] if id else loaded.splits
+    names = [split.id for split in named]
     problems: dict[str, str] = {}
     for name in names:
         try:
@@ -165,29 +137,18 @@ def verify(id: str | None = None, *, registry: Path | None = None, json: bool = 
                 problems[name] = str(similar_leak(name, alike))
         except ZooError as error:
             problems[name] = str(error)
-    if json:
-        print_json({"ok": not problems, "splits": names, "problems": problems})
-    else:
-        print(
-            "\n".join(
-                [
-                    *problems.values(),
-                    f"{len(names) - len(problems)} of {len(names)} splits verified",
-                ]
-            )
-        )
+    told = f"{len(names) - len(problems)} of {len(names)} splits verified"
+    content = {"ok": not problems, "splits": names, "problems": problems}
+    answer(json, content, *problems.values(), told)
     if problems:
         raise SystemExit(1)
 
 
-def _teams(registry: "Registry", patterns: tuple[str, ...]) -> list[str]:
-    return (
-        sorted({entry.team for entry in registry.select(patterns, role="human")})
-        if patterns
-        else []
-    )
+def _teams(registry: Registry, patterns: tuple[str, ...]) -> list[str]:
+    entries = registry.select(patterns, role="human") if patterns else []
+    return sorted({entry.team for entry in entries})
 
 
-def _brief(split: "Split") -> dict[str, Any]:
+def _brief(split: Split) -> dict[str, Any]:
     content = split.model_dump(mode="json", exclude={"train", "test"}, exclude_none=True)
     return {**content, "n_train": len(split.train), "n_test": len(split.test)}

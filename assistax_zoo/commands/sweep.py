@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from assistax_zoo.commands.options import Engine, Search
-from assistax_zoo.console import print_json, progress, stdout_is_data
+from assistax_zoo.console import answer, progress, stdout_is_data
 
 
 def sweep(
@@ -42,17 +42,16 @@ def sweep(
         plan = search.sweep(task, algorithm)
         with progress(f"sweep {task} {algorithm}, environment steps", plan.total_steps) as advance:
             results, best = sweep_task(plan, out, backend, cluster, advance)
-    if json:
-        content = {"algorithm": algorithm, "hyperparameters": best}
-        print_json({"best": content, "results": results.to_dicts()})
-        return
     diverged = results.filter(results["diverged"]).height
-    print(
+    answer(
+        json,
+        {
+            "best": {"algorithm": algorithm, "hyperparameters": best},
+            "results": results.to_dicts(),
+        },
         f"{plan.configurations} configurations x {plan.seeds} seeds, {diverged} runs diverged; "
-        f"{out / RESULTS} has every one"
-    )
-    print(f"best: {', '.join(f'{name}={value}' for name, value in best.items())}")
-    print(
+        f"{out / RESULTS} has every one",
+        f"best: {', '.join(f'{name}={value}' for name, value in best.items())}",
         f"next: assistax-zoo train --task {task} --preset {out / BEST} --out "
-        f"runs/{task}-{algorithm}"
+        f"runs/{task}-{algorithm}",
     )

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from assistax_zoo.commands.options import Training
 from assistax_zoo.commands.train import shown_training
-from assistax_zoo.console import print_json
+from assistax_zoo.console import answer
+from zoo.registry import load_registry
 
 if TYPE_CHECKING:
     from evaluation.ego_training import TrainedEgos
@@ -51,7 +52,6 @@ def train_ego(
     what = training.what(steps)
     with shown_training(f"{task} {algorithm}", json_lines) as progress:
         from evaluation.ego_training import prepare, train_egos
-        from zoo.registry import load_registry
 
         prepared = prepare(load_registry(registry), task, split=split, algorithm=algorithm, **what)
         print(prepared.summary, file=sys.stderr)
@@ -62,15 +62,15 @@ def train_ego(
 def _report(egos: "TrainedEgos", json: bool, json_lines: bool) -> None:
     """Print the policy files."""
     run = egos.run
-    if json or json_lines:
-        result = {
-            "run": str(run.folder),
-            "split": egos.split.id,
-            "partners": len(run.config.partners),
-            "policies": [str(path) for path in egos.files],
-        }
-        print_json(result) if json else print(jsonlib.dumps(result), flush=True)
-        return
+    result = {
+        "run": str(run.folder),
+        "split": egos.split.id,
+        "partners": len(run.config.partners),
+        "policies": [str(path) for path in egos.files],
+    }
     words = " ".join(f"--policy {path}" for path in egos.files)
-    print(f"{len(egos.files)} robots in {egos.files[0].parent}; next:")
-    print(f"assistax-zoo evaluate --task {run.config.task} --split both {words}")
+    lines = [
+        f"{len(egos.files)} robots in {egos.files[0].parent}; next:",
+        f"assistax-zoo evaluate --task {run.config.task} --split both {words}",
+    ]
+    answer(json, result, *([jsonlib.dumps(result)] if json_lines else lines))

@@ -6,12 +6,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from assistax_zoo.console import print_json, progress, stdout_is_data
+from assistax_zoo.commands.provenance import verify_results
+from assistax_zoo.console import answer, progress, stdout_is_data
+from zoo.card import find_cards, write_card
+from zoo.errors import printable
+from zoo.registry import Registry, load_registry
+from zoo.roots import check_roots
+from zoo.schema import SelfPlay
 
 if TYPE_CHECKING:
-    from evaluation.self_play_check import SelfPlayReport
-    from zoo.registry import Registry
-    from zoo.schema import SelfPlay
+    from evaluation.self_play_check import SelfPlayReport, TeamReplay
     from zoo.verify import Report
 
 RoleName = Literal["robot", "human"]
@@ -44,20 +48,14 @@ def list_policies(
     Example:
         assistax-zoo list 'scratch/ippo-*/human' --disability d3
     """
-    from zoo.registry import load_registry
-    from zoo.roots import check_roots
-
     fields = {"algorithm": algorithm, "disability": disability, "role": role, "release": release}
     loaded = load_registry(registry)
     check_roots(loaded.part("").data)
     entries = loaded.select(pattern, task=task, **fields)
-    if json:
-        print_json([entry.brief() for entry in entries])
-        return
     rows = [(entry.id, *_figures(entry.self_play)) for entry in entries]
-    print_table(
-        ("policy", "self-play", "95% interval", "episodes"), rows, f"{len(entries)} policies"
-    )
+    columns = ("policy", "self-play", "95% interval", "episodes")
+    lines = table_lines(columns, rows, f"{len(entries)} policies")
+    answer(json, [entry.brief() for entry in entries], *lines)
 
 
 def show(
@@ -80,10 +78,6 @@ def show(
     Example:
         assistax-zoo show scratch/ippo-d3-s5-v1/human
     """
-    from zoo.card import find_cards, write_card
-    from zoo.registry import load_registry
-    from zoo.roots import check_roots
-
     if image and not card:
         raise ValueError("--image stands in a written card; name its file with --card")
     loaded = load_registry(registry)
@@ -91,11 +85,8 @@ def show(
     cards = find_cards(loaded, id)
     if card:
         write_card(cards, card, image)
-    if json:
-        print_json(cards[0] if cards[0]["id"] == id else cards)
-        return
-    for content in cards:
-        _print_card(content)
+    lines = [line for content in cards for line in _card_lines(content)]
+    answer(json, cards[0] if cards[0]["id"] == id else cards, *lines)
 
 
 def verify(
@@ -129,8 +120,6 @@ def verify(
         assistax-zoo verify 'scratch/ippo-d1-*' --deep
     """
     if pattern and not deep and Path(pattern).is_dir():
-        from assistax_zoo.commands.provenance import verify_results
-
         if not verify_results(Path(pattern), json):
             raise SystemExit(1)
         return
@@ -139,51 +128,39 @@ def verify(
             "a pattern and --release choose what --deep replays; bytes are always checked all: add "
             "--deep"
         )
-    from zoo.registry import load_registry
     from zoo.verify import verify as verify_registry
 
     loaded = load_registry(registry)
     report = verify_registry(loaded, key=key)
-    replay = None
+    content, lines, ok = report.to_json(), _report_lines(report), report.ok
     if deep:
         replay = _replay_teams(loaded, pattern, release, episodes, backend)
-    ok = report.ok and (replay is None or replay.ok)
-    if json:
-        print_json({**report.to_json(), "ok": ok, **({"deep": replay.to_json()} if replay else {})})
-    else:
-        _print_report(report)
-        if replay:
-            _print_replay(replay)
+        lines, ok = [*lines, *_replay_lines(replay)], ok and replay.ok
+        content |= {"ok": ok, "deep": replay.to_json()}
+    answer(json, content, *lines)
     if not ok:
         raise SystemExit(1)
 
 
-def _print_report(report: "Report") -> None:
-    for problem in report.problems:
-        print(f"problem: {problem}")
-    for note in report.notes:
-        print(f"note: {note}")
-    for release, root in report.roots.items():
-        print(f"root of {release}: {root}")
-    counts = f"{report.shards} shards ({report.bytes} bytes), {report.policies} policies"
-    counts += f", {report.splits} splits"
-    print(
-        f"{'verified' if report.ok else f'{len(report.problems)} problems in'} {counts} of "
-        f"{report.registry}"
-    )
+def _report_lines(report: "Report") -> list[str]:
+    done = "verified" if report.ok else f"{len(report.problems)} problems in"
+    return [
+        *(f"problem: {problem}" for problem in report.problems),
+        *(f"note: {note}" for note in report.notes),
+        *(f"root of {release}: {root}" for release, root in report.roots.items()),
+        f"{done} {report.shards} shards ({report.bytes} bytes), {report.policies} policies, "
+        f"{report.splits} splits of {report.registry}",
+    ]
 
 
-def _print_card(card: dict[str, Any]) -> None:
-    from zoo.errors import printable
-
-    print(printable(card["id"]))
+def _card_lines(card: dict[str, Any]) -> list[str]:
+    lines = [card["id"]]
     for name, value in card.items():
         if isinstance(value, dict):
-            print(f"  {name}")
-            for key, item in value.items():
-                print(printable(f"    {key:18} {_text(item)}"))
+            lines += [f"  {name}", *(f"    {key:18} {_text(value[key])}" for key in value)]
         elif name != "id":
-            print(printable(f"  {name:20} {'not measured' if value is None else value}"))
+            lines.append(f"  {name:20} {'not measured' if value is None else value}")
+    return [printable(line) for line in lines]
 
 
 def _text(value: Any) -> str:
@@ -192,7 +169,7 @@ def _text(value: Any) -> str:
     return "-" if value is None else str(value)
 
 
-def _figures(self_play: "SelfPlay | None") -> tuple[str, str, str]:
+def _figures(self_play: SelfPlay | None) -> tuple[str, str, str]:
     if self_play is None:
         return "not measured", "", ""
     low, high = self_play.mean_ci
@@ -200,7 +177,7 @@ def _figures(self_play: "SelfPlay | None") -> tuple[str, str, str]:
 
 
 def _replay_teams(
-    registry: "Registry", pattern: str | None, release: str | None, episodes: int, backend: str
+    registry: Registry, pattern: str | None, release: str | None, episodes: int, backend: str
 ) -> "SelfPlayReport":
     """Run `verify --deep`: progress on standard error, nothing on standard output."""
     from evaluation.self_play_check import check_self_play
@@ -215,42 +192,37 @@ def _replay_teams(
         )
 
 
-def _print_replay(result: "SelfPlayReport") -> None:
-    """Print expected and found returns of each team, the versions, and a verdict."""
-    print(", ".join(f"{name} {version}" for name, version in result.versions.items()))
-    for team in result.teams:
-        expected = (
-            "not recorded"
-            if team.expected is None
-            else f"{team.expected:.1f} within {team.tolerance:.1f}"
-        )
-        found = f"{team.found:.1f}" + (
-            f" in {team.episodes} episodes" if team.episodes > result.episodes else ""
-        )
-        print(
-            f"{'ok     ' if team.ok else 'differs'} {team.team:28} expected {expected}, found "
-            f"{found}"
-        )
-    for problem in result.problems:
-        print(f"problem: {problem}")
-    if result.outdated:
-        print(
-            "not replayed, trained on another version of the environment: "
-            f"{', '.join(result.outdated)}"
-        )
-    for drift in result.drifts:
-        print(f"{drift.task}: mean difference {drift.found:+.2%}, allowed {drift.tolerance:.2%}")
-    print(
-        f"{'replayed' if result.ok else f'{len(result.problems)} problems in'} {len(result.teams)} "
-        f"teams of {result.episodes} episodes on {result.backend}, {result.policies} policies "
-        "stepped"
-    )
+def _replay_lines(result: "SelfPlayReport") -> list[str]:
+    """Return expected and found returns of each team, the versions, and a verdict."""
+    done = "replayed" if result.ok else f"{len(result.problems)} problems in"
+    told = "not replayed, trained on another version of the environment: "
+    outdated = [told + ", ".join(result.outdated)] if result.outdated else []
+    return [
+        ", ".join(f"{name} {version}" for name, version in result.versions.items()),
+        *(_team_line(team, result.episodes) for team in result.teams),
+        *(f"problem: {problem}" for problem in result.problems),
+        *outdated,
+        *(
+            f"{drift.task}: mean difference {drift.found:+.2%}, allowed {drift.tolerance:.2%}"
+            for drift in result.drifts
+        ),
+        f"{done} {len(result.teams)} teams of {result.episodes} episodes on {result.backend}, "
+        f"{result.policies} policies stepped",
+    ]
 
 
-def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]], caption: str) -> None:
-    """Print aligned columns, heads bold on a terminal; rich takes 0.3 s for a thousand rows."""
+def _team_line(team: "TeamReplay", episodes: int) -> str:
+    known = team.expected is not None
+    expected = f"{team.expected:.1f} within {team.tolerance:.1f}" if known else "not recorded"
+    more = f" in {team.episodes} episodes" if team.episodes > episodes else ""
+    verdict = "ok     " if team.ok else "differs"
+    return f"{verdict} {team.team:28} expected {expected}, found {team.found:.1f}{more}"
+
+
+def table_lines(columns: Sequence[str], rows: Sequence[Sequence[str]], caption: str) -> list[str]:
+    """Return aligned columns, heads bold on a terminal; rich takes 0.3 s for a thousand rows."""
     widths = [max(map(len, column)) for column in zip(columns, *rows, strict=True)]
     lines = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in (columns, *rows)]
     if sys.stdout.isatty() and not os.environ.get("NO_COLOR"):
         lines[0] = f"\033[1m{lines[0]}\033[0m"
-    print("\n".join([*lines, caption]))
+    return [*lines, caption]

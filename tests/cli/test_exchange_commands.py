@@ -221,7 +221,15 @@ def test_an_onnx_robot_of_release_v0_reaches_what_its_original_does(
     assert run(["export", f"{V0_TEAM}/robot", "--format", "onnx", "--out", str(robot)]) == 0
     capsys.readouterr()
     shutil.rmtree(tmp_path / "out", ignore_errors=True)
-    common = ("--task", "scratch", "--partners", f"{V0_TEAM}/human", "--episodes", "2")
+    common = (
+        "--task",
+        "scratch",
+        "--partners",
+        f"{V0_TEAM}/human",
+        "--episodes",
+        "2",
+        "--include-own",
+    )
     means = [
         answer(capsys, "evaluate", *common, "--policy", policy, "--out", str(tmp_path / name))
         for name, policy in (("ours", f"zoo:{V0_TEAM}/robot"), ("onnx", f"onnx:{robot}"))
