@@ -49,9 +49,9 @@ def remove(namespace: str) -> None:
     if namespace not in (known := added_registries()):
         raise UnknownIdError(
             f"zoo {namespace!r}",
-            expected=f"one that was added ({listing(known)})",
-            found="none of that name",
-            done="nothing was removed",
-            next_step="`assistax-zoo list` prints them as NAME:...",
+            f"one that was added ({listing(known)})",
+            "none of that name",
+            "`assistax-zoo list` prints them as NAME:...",
+            "nothing was removed",
         )
     shutil.rmtree(known[namespace].parent)

@@ -110,8 +110,7 @@ def similar_leak(split: str, pairs: Sequence[Pair]) -> LeakageError:
     """Return the error for humans on both sides that act nearly alike."""
     return LeakageError(
         f"split {split} leaks",
-        expected=f"humans whose actions differ by {THRESHOLD} or more across its sides",
-        found=f"{len(pairs)} nearly alike: {listing(map(str, pairs), 3)}",
-        done="the split was refused",
-        next_step="put both of a pair on one side, or leave one out: `split create --rule custom`",
+        f"humans whose actions differ by {THRESHOLD} or more across its sides",
+        f"{len(pairs)} nearly alike: {listing(map(str, pairs), 3)}",
+        "put both of a pair on one side, or leave one out: `split create --rule custom`",
     )

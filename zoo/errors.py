@@ -11,71 +11,123 @@ _REPR.maxstring = _REPR.maxother = 200
 class ZooError(Exception):
     """Base of the family; its message is one line, ready for a user."""
 
+    done, next_step = "nothing was done", ""
+
+    def __init_subclass__(cls, done: str = "", next_step: str = "") -> None:
+        """Set what was done and what to do next where an error of this class says nothing else."""
+        cls.done, cls.next_step = done or cls.done, next_step or cls.next_step
+
     def __init__(
-        self, problem: str, *, expected: str, found: str, done: str, next_step: str
+        self, problem: str, expected: str, found: str, next_step: str = "", done: str = ""
     ) -> None:
-        """Build the line from its five parts; they stay readable as attributes."""
-        self.problem, self.expected, self.found, self.done, self.next_step = (
-            problem,
-            expected,
-            found,
-            done,
-            next_step,
-        )
-        super().__init__(
-            printable(f"{problem}: expected {expected}, found {found}; {done}; next: {next_step}")
-        )
+        """Build the line from its five parts; the last two are the class's own where not given."""
+        self.problem, self.expected, self.found = problem, expected, found
+        self.next_step, self.done = next_step or self.next_step, done or self.done
+        told = f"expected {expected}, found {found}; {self.done}; next: {self.next_step}"
+        super().__init__(printable(f"{problem}: {told}"))
 
 
-class IdError(ZooError):
+class IdError(
+    ZooError,
+    done="nothing was looked up",
+    next_step="correct the id; `assistax-zoo list` prints the known ones",
+):
     """An id that the grammar does not accept."""
 
 
-class UnknownIdError(ZooError):
+class UnknownIdError(
+    ZooError,
+    done="nothing was selected",
+    next_step="`assistax-zoo list` prints every policy",
+):
     """A well-formed id, pattern or filter that matches nothing in the registry."""
 
 
-class RegistryError(ZooError):
+class RegistryError(
+    ZooError,
+    done="nothing was loaded",
+    next_step="restore the file, or upgrade assistax-zoo if a newer version wrote it",
+):
     """A registry that is missing, unreadable, or not of the schema."""
 
 
-class RegistryVersionError(RegistryError):
+class RegistryVersionError(
+    RegistryError,
+    next_step="upgrade with `pip install --upgrade assistax-zoo`",
+):
     """A registry written for a newer schema than this installation knows."""
 
 
-class FormatError(ZooError):
+class FormatError(
+    ZooError,
+    done="nothing was loaded or written",
+    next_step="check the path, or export the policy again with `write_policy_file`",
+):
     """A file that is not a well-formed shard, policy file or run folder."""
 
 
-class IntegrityError(ZooError):
+class IntegrityError(
+    ZooError,
+    done="nothing was loaded",
+    next_step="`assistax-zoo fetch` it, or `git checkout -- FILE` in a checkout, then verify",
+):
     """Bytes that differ from what the registry records."""
 
 
-class SplitError(ZooError):
+class SplitError(
+    ZooError,
+    done="no split was made or loaded",
+    next_step="`assistax-zoo split list` prints them, `assistax-zoo split create` makes one; "
+    "restore a published one with its registry",
+):
     """A split that cannot be made, found, or trusted."""
 
 
-class LeakageError(SplitError):
+class LeakageError(
+    SplitError,
+    done="the split was refused",
+    next_step="take one of each pair out, or make another with `assistax-zoo split create`",
+):
     """A split with the same team or the same parameters on both sides."""
 
 
-class PublishError(ZooError):
+class PublishError(
+    ZooError,
+    done="nothing was published",
+    next_step="correct the run folder, or leave the team out, and publish again",
+):
     """A publication that was refused."""
 
 
-class ExportError(ZooError):
+class ExportError(
+    ZooError,
+    done="nothing was written",
+    next_step="choose another --out, or give --force to replace it",
+):
     """A file that would be overwritten."""
 
 
-class SignatureError(ZooError):
+class SignatureError(
+    ZooError,
+    done="nothing was signed or verified",
+    next_step="make one with `openssl genpkey -algorithm ed25519 -out key.pem`",
+):
     """A key that cannot sign or verify."""
 
 
-class ImmutableError(PublishError):
+class ImmutableError(
+    PublishError,
+    done="nothing was published: what is published never changes",
+    next_step="publish under a new release, for example --release v1",
+):
     """A publication that would change what is already published."""
 
 
-class RemoteError(ZooError):
+class RemoteError(
+    ZooError,
+    done="nothing was fetched",
+    next_step="correct the remote's name",
+):
     """A remote that cannot be reached, or does not hold what was asked of it."""
 
 
@@ -83,15 +135,24 @@ class MissingFileError(RemoteError):
     """A file that the remote does not hold."""
 
 
-class MissingRepositoryError(RemoteError):
+class MissingRepositoryError(
+    RemoteError,
+    next_step="check the name; a private repository needs `hf auth login`",
+):
     """A hub's repository that does not exist, or that this user may not see."""
 
 
-class OfflineError(RemoteError):
+class OfflineError(
+    RemoteError,
+    next_step="unset HF_HUB_OFFLINE, or fetch once while online",
+):
     """Something that only a remote has, asked for in offline mode."""
 
 
-class CacheError(ZooError):
+class CacheError(
+    ZooError,
+    done="nothing was added; complete files are untouched",
+):
     """A cache that cannot be written."""
 
 

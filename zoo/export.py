@@ -35,13 +35,7 @@ def export_policy(
     content = _encode(format, *_read_policy(name, registry))
     there = out.is_file() and out.read_bytes() == content
     if out.exists() and not there and not force:
-        raise ExportError(
-            str(out),
-            expected="no file, or the same policy",
-            found="other content",
-            done="nothing was written",
-            next_step="choose another --out, or give --force to replace it",
-        )
+        raise ExportError(str(out), "no file, or the same policy", "other content")
     if not there:
         atomic_write(out, content)
     told = {"id": name, "format": format, "file": str(out), "bytes": len(content)}

@@ -132,10 +132,10 @@ def ensure_local(
     count = sum(entry.shard in missing for entry in entries)
     raise RemoteError(
         f"parameters of {count} of {len(entries)} policies",
-        expected="all on this machine",
-        found=f"{len(missing)} shards missing ({listing(sorted(missing), 2)})",
-        done="nothing was loaded",
-        next_step="add --fetch, or run `assistax-zoo fetch` before",
+        "all on this machine",
+        f"{len(missing)} shards missing ({listing(sorted(missing), 2)})",
+        "add --fetch, or run `assistax-zoo fetch` before",
+        "nothing was loaded",
     )
 
 
@@ -237,21 +237,15 @@ def _is_here(registry: Registry, shard: str) -> bool:
 
 
 def _refusal(remote: Remote, expected: str, found: str, next_step: str) -> IntegrityError:
-    return IntegrityError(
-        f"registry.json of {remote.name}",
-        expected=expected,
-        found=found,
-        done="nothing was fetched; the registry of before is kept",
-        next_step=next_step,
-    )
+    kept = "nothing was fetched; the registry of before is kept"
+    return IntegrityError(f"registry.json of {remote.name}", expected, found, next_step, kept)
 
 
 def _no_remote(registry: Registry, missing: Sequence[str]) -> RemoteError:
     return RemoteError(
         f"shards of {registry.path}",
-        expected=f"all in {shard_root(registry.path)} or in the cache",
-        found=f"{len(missing)} missing ({listing(missing, 2)})",
-        done="nothing was fetched",
-        next_step="say where to take them from: --from FOLDER, https://... or hf://org/name, "
+        f"all in {shard_root(registry.path)} or in the cache",
+        f"{len(missing)} missing ({listing(missing, 2)})",
+        "say where to take them from: --from FOLDER, https://... or hf://org/name, "
         f"`assistax-zoo config remote`, or ${REMOTE_VARIABLE}",
     )

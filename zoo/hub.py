@@ -4,8 +4,8 @@ import contextlib
 from collections.abc import Generator
 from typing import NoReturn
 
-from zoo.errors import MissingRepositoryError, listing, nearest
-from zoo.remotes import HttpRemote, network_errors, refuse, refuse_status, with_retries
+from zoo.errors import MissingRepositoryError, RemoteError, listing, nearest
+from zoo.remotes import HttpRemote, network_errors, refuse_status, with_retries
 
 
 class HubRemote(HttpRemote):
@@ -43,7 +43,7 @@ class HubRemote(HttpRemote):
                 self.repo, revision=self.ref, timeout=_timeout()
             )
             if not info.sha:
-                refuse(
+                raise RemoteError(
                     self.name, "a repository with a commit", "an empty one", "publish to it first"
                 )
             return info.sha
@@ -60,12 +60,12 @@ def hub_errors(remote: HubRemote) -> Generator[None]:
     except errors.RevisionNotFoundError:
         _refuse_revision(remote)
     except errors.GatedRepoError:
-        refuse(
+        raise RemoteError(
             remote.name,
             "a repository that you may read",
             "a gated one",
             "ask for access, and run `hf auth login`",
-        )
+        ) from None
     except errors.RepositoryNotFoundError:
         _refuse_repository(remote)
     except errors.HfHubHTTPError as error:
@@ -79,7 +79,7 @@ def _refuse_revision(remote: HubRemote) -> NoReturn:
         refs = HfApi(endpoint=constants.ENDPOINT).list_repo_refs(remote.repo)
     known = [ref.name for ref in (*refs.branches, *refs.tags)]
     close = nearest(remote.ref, known) or known
-    refuse(
+    raise RemoteError(
         remote.name,
         f"a branch, tag or commit ({listing(close)})",
         f"no revision {remote.ref!r}",
@@ -96,19 +96,14 @@ def _refuse_repository(remote: HubRemote) -> NoReturn:
             HfApi(endpoint=constants.ENDPOINT).repo_info(
                 remote.repo, repo_type=kind, timeout=_timeout()
             )
-            refuse(
+            raise RemoteError(
                 remote.name,
                 "a model repository",
                 f"a {kind}",
                 "publish the zoo in a model repository",
             )
-    raise MissingRepositoryError(
-        remote.name,
-        expected="a model repository that you may read",
-        found="no such repository",
-        done="nothing was fetched",
-        next_step="check the name; a private repository needs `hf auth login`",
-    )
+    expected = "a model repository that you may read"
+    raise MissingRepositoryError(remote.name, expected, "no such repository")
 
 
 def _timeout() -> float:

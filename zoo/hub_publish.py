@@ -54,7 +54,7 @@ def publish_to(
     """
     if not to.startswith("hf://"):
         if "://" in to:
-            raise _refusal(
+            raise PublishError(
                 f"remote {shorten(to)}",
                 "a folder or hf://org/name",
                 "a remote that can only be read",
@@ -64,7 +64,7 @@ def publish_to(
     remote = open_remote(to)
     assert isinstance(remote, HubRemote)
     if remote.ref != "main":
-        raise _refusal(
+        raise PublishError(
             to,
             "hf://org/name, whose newest state is extended",
             f"revision {remote.ref}",
@@ -164,12 +164,12 @@ def _commit(api: Any, remote: HubRemote, files: dict[str, bytes], release: str, 
                 return head.revision
             if isinstance(error, _ConflictError) or head.revision != remote.revision:
                 found = f"{head.revision}: somebody published meanwhile"
-                raise _refusal(
+                raise PublishError(
                     remote.name, f"commit {remote.revision} as its newest", found, "publish again"
                 ) from None
             if attempt == remotes.RETRY.attempts:
                 what = f"{error}, {attempt} times"
-                raise _refusal(
+                raise PublishError(
                     remote.name, "a commit", what, "publish again; what was sent is not visible"
                 ) from None
             pause_before(attempt, error, remotes.RETRY)
@@ -220,16 +220,10 @@ def _hub(remote: HubRemote, deed: str) -> Generator[None]:
     except (ZooError, TransientError, _ConflictError):
         raise
     except ValueError as error:  # what the client or the hub refuses
-        raise _refusal(
+        raise PublishError(
             remote.name, f"to {deed}", shorten(str(error)), "correct what it names"
         ) from None
 
 
 def _ids(path: Path) -> set[str]:
     return {entry.id for entry in load_registry(path).policies} if path.exists() else set()
-
-
-def _refusal(problem: str, expected: str, found: str, next_step: str) -> PublishError:
-    return PublishError(
-        problem, expected=expected, found=found, done="nothing was published", next_step=next_step
-    )

@@ -49,10 +49,12 @@ class TeamId:
         for name, pattern in _PATTERNS.items():
             value = getattr(self, name)
             if not isinstance(value, str) or not pattern.fullmatch(value):
-                raise _syntax_error(f"{name} of a team id", f"text like {_EXAMPLES[name]!r}", value)
+                raise IdError(
+                    f"{name} of a team id", f"text like {_EXAMPLES[name]!r}", shorten(value)
+                )
         if type(self.seed) is not int or not 0 <= self.seed < _MAX_SEED:
-            raise _syntax_error(
-                "seed of a team id", f"an integer from 0 to {_MAX_SEED - 1}", self.seed
+            raise IdError(
+                "seed of a team id", f"an integer from 0 to {_MAX_SEED - 1}", shorten(self.seed)
             )
 
     def __str__(self) -> str:
@@ -91,7 +93,7 @@ class PolicyId:
     def __post_init__(self) -> None:
         roles = ("robot",) if self.team.is_ego else ROLES
         if self.role not in roles:
-            raise _syntax_error("role of a policy id", " or ".join(roles), self.role)
+            raise IdError("role of a policy id", " or ".join(roles), shorten(self.role))
 
     def __str__(self) -> str:
         return f"{self.team}/{self.role}"
@@ -110,9 +112,8 @@ def parse_team(text: str) -> TeamId:
     """Return the team id that the text spells; `str` of it gives the text back."""
     match = _TEAM.fullmatch(text) if isinstance(text, str) else None
     if match is None:
-        raise _syntax_error(
-            "team id", "task/algorithm-dN-sM-vR, for example scratch/ippo-d3-s5-v1", text
-        )
+        expected = "task/algorithm-dN-sM-vR, for example scratch/ippo-d3-s5-v1"
+        raise IdError("team id", expected, shorten(text))
     return TeamId(
         task=match["task"],
         algorithm=match["algorithm"],
@@ -127,11 +128,8 @@ def parse_policy(text: str) -> PolicyId:
     """Return the policy id that the text spells; `str` of it gives the text back."""
     match = _POLICY.fullmatch(text) if isinstance(text, str) else None
     if match is None or not _TEAM.fullmatch(match["team"]):
-        raise _syntax_error(
-            "policy id",
-            "task/algorithm-dN-sM-vR/role, for example scratch/ippo-d3-s5-v1/human",
-            text,
-        )
+        expected = "task/algorithm-dN-sM-vR/role, for example scratch/ippo-d3-s5-v1/human"
+        raise IdError("policy id", expected, shorten(text))
     return PolicyId(parse_team(match["team"]), match["role"])  # ty: ignore[invalid-argument-type]
 
 
@@ -151,20 +149,10 @@ def release_number(name: str) -> int:
 def check_name(what: str, text: str) -> str:
     """Return a release's name, or a namespace, unchanged if the grammar accepts it."""
     if not isinstance(text, str) or not text or not _PATTERNS[what].fullmatch(text):
-        raise _syntax_error(what, f"text like {_EXAMPLES[what]!r}", text)
+        raise IdError(what, f"text like {_EXAMPLES[what]!r}", shorten(text))
     return text
 
 
 def compile_pattern(pattern: str) -> re.Pattern[str]:
     """Return a regular expression for a glob over whole ids; `*` may cross a `/`."""
     return re.compile(fnmatch.translate(pattern))
-
-
-def _syntax_error(what: str, expected: str, found: object) -> IdError:
-    return IdError(
-        what,
-        expected=expected,
-        found=shorten(found),
-        done="nothing was looked up",
-        next_step="correct the id; `assistax-zoo list` prints the known ones",
-    )

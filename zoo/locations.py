@@ -19,7 +19,6 @@ import shutil
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
 
 from population.files import atomic_write
 from zoo.errors import CacheError
@@ -100,7 +99,14 @@ def write_errors(path: Path, size: int) -> Generator[None]:
     try:
         yield
     except OSError as error:
-        _refuse_write(error, path, size)
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        raise CacheError(
+            f"cache {path.parent}",
+            f"room for {size} bytes" if full else "a folder that can be written",
+            f"{error.strerror or error}{_room(path) if full else ''}",
+            f"{'free some space' if full else 'allow writing'}, or choose another folder with "
+            f"${CACHE_VARIABLE}",
+        ) from None
 
 
 def _settings() -> dict[str, str]:
@@ -110,18 +116,6 @@ def _settings() -> dict[str, str]:
         return {}
     pairs = found.items() if isinstance(found, dict) else ()
     return {name: value for name, value in pairs if isinstance(value, str)}
-
-
-def _refuse_write(error: OSError, path: Path, size: int) -> NoReturn:
-    full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-    raise CacheError(
-        f"cache {path.parent}",
-        expected=f"room for {size} bytes" if full else "a folder that can be written",
-        found=f"{error.strerror or error}{_room(path) if full else ''}",
-        done="nothing was added; complete files are untouched",
-        next_step=f"{'free some space' if full else 'allow writing'}, or choose another folder "
-        f"with ${CACHE_VARIABLE}",
-    ) from None
 
 
 def _room(path: Path) -> str:

@@ -68,7 +68,7 @@ def make_lock(
     """
     releases = sorted({entry.release for entry in entries})
     if len(releases) != 1:
-        _refuse(
+        raise LockError(
             "selection",
             "policies of one release",
             f"releases {listing(releases)}",
@@ -116,9 +116,11 @@ def read_lock(path: Path) -> Lock:
     try:
         version = parse_json(text)["lock_version"]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        _refuse(source, "a lock file", f"{type(error).__name__}: {shorten(str(error))}", remedy)
+        raise LockError(
+            source, "a lock file", f"{type(error).__name__}: {shorten(str(error))}", remedy
+        ) from None
     if version not in (1, LOCK_VERSION):
-        _refuse(
+        raise LockError(
             source,
             f"lock version {LOCK_VERSION} or older",
             f"version {shorten(version)}",
@@ -127,13 +129,13 @@ def read_lock(path: Path) -> Lock:
     try:
         lock = Lock.model_validate_json(text)
     except ValidationError as error:
-        _refuse(source, "a lock file", first_problem(error), remedy)
+        raise LockError(source, "a lock file", first_problem(error), remedy) from None
     if (lock.lock_version == LOCK_VERSION) != (lock.root is not None):  # it is not in the sha256
-        _refuse(source, f"content of version {version}", "another's: it was edited", remedy)
+        raise LockError(source, f"content of version {version}", "another's: it was edited", remedy)
     dumped = lock.model_dump(mode="json", exclude={"lock_version", "sha256"}, exclude_unset=True)
     found = _digest(dumped)
     if found != lock.sha256:
-        _refuse(
+        raise LockError(
             source, f"content of sha256 {lock.sha256}", f"sha256 {found}: it was edited", remedy
         )
     return lock
@@ -153,7 +155,7 @@ def apply_lock(registry: Registry, lock: Lock, *, task: str, split: str | None =
     """
     _check(registry, lock)
     if task not in lock.environments:
-        _refuse(
+        raise LockError(
             f"task {shorten(task)}",
             f"a task of the lock ({listing(lock.environments)})",
             "another",
@@ -240,7 +242,7 @@ def _compare(
 
 def _differs(registry: Registry, expected: str, found: str) -> NoReturn:
     advice = "fetch what was locked (`assistax-zoo fetch --lock FILE --from REMOTE`), or lock anew"
-    _refuse(f"registry {registry.path}", f"{expected}, as locked", found, advice)
+    raise LockError(f"registry {registry.path}", f"{expected}, as locked", found, advice)
 
 
 def _check_split(registry: Registry, lock: Lock, task: str, split: str | None) -> None:
@@ -254,7 +256,7 @@ def _check_split(registry: Registry, lock: Lock, task: str, split: str | None) -
         asked = name
     if pinned is None or asked != pinned.id:
         expected = f"the locked one ({pinned.id if pinned else 'none'})"
-        _refuse(
+        raise LockError(
             f"split {shorten(name)}",
             expected,
             asked,
@@ -275,7 +277,7 @@ def _splits(
         absent = [team for team in (*split.train, *split.test) if team not in teams]
         if absent and task in chosen:
             found, advice = f"{listing(absent)} left out", "lock all partners of the task"
-            _refuse(
+            raise LockError(
                 f"lock of {split.id}", "every partner of the split in the selection", found, advice
             )
         if not absent:
@@ -312,9 +314,3 @@ def _settings_digest(registry: Registry, release: str) -> str:
 
 def _digest(content: Mapping[str, Any]) -> str:
     return sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode())
-
-
-def _refuse(problem: str, expected: str, found: str, next_step: str) -> NoReturn:
-    raise LockError(
-        problem, expected=expected, found=found, done="nothing was done", next_step=next_step
-    )

@@ -47,13 +47,9 @@ def run_all(
                 raise error
             results[index] = result
     except queue.Empty:
-        raise RemoteError(
-            what,
-            expected="all bytes",
-            found=f"no end within {SLACK + size / SLOWEST:.0f} seconds",
-            done="nothing was fetched",
-            next_step="fetch again later, or from another remote",
-        ) from None
+        found = f"no end within {SLACK + size / SLOWEST:.0f} seconds"
+        advice = "fetch again later, or from another remote"
+        raise RemoteError(what, "all bytes", found, advice) from None
     finally:
         stop.set()
     return [results[index] for index in range(len(works))]

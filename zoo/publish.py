@@ -130,7 +130,7 @@ def _day(date: str | None) -> str:
     try:
         return (datetime.date.fromisoformat(date) if date else datetime.date.today()).isoformat()
     except ValueError as error:
-        raise _refusal(
+        raise PublishError(
             "date of the release", "an ISO date such as 2027-01-31", f"{date!r} ({error})"
         ) from None
 
@@ -151,7 +151,7 @@ def _candidate(team: TrainedTeam, release: str, check: Check) -> _Candidate:
         against = TrainedAgainst(**team.trained_against) if team.trained_against else None
     except (ValidationError, TypeError) as error:
         found = first_problem(error) if isinstance(error, ValidationError) else str(error)
-        raise _refusal(f"team {name}", "provenance and figures of the schema", found) from None
+        raise PublishError(f"team {name}", "provenance and figures of the schema", found) from None
     return _Candidate(name, team.specs, leaves, hashes, run, provenance, figures, against)
 
 
@@ -160,7 +160,7 @@ def _name(team: TrainedTeam, release: str) -> TeamId:
     if team.is_ego:
         if not team.trained_against:
             found = "none: split.json is missing (`assistax-zoo train-ego --resume` writes it)"
-            raise _refusal(
+            raise PublishError(
                 f"ego {team.task}/{team.algorithm} seed {team.seed}",
                 "the split that it was trained against",
                 found,
@@ -168,7 +168,7 @@ def _name(team: TrainedTeam, release: str) -> TeamId:
         return TeamId(team.task, team.algorithm, EGO, team.seed, release)
     if team.disability not in DISABILITY_SETTINGS:
         label = f"disability of {team.task}/{team.algorithm} seed {team.seed}"
-        raise _refusal(label, f"one of {listing(DISABILITY_SETTINGS, 12)}", team.disability)
+        raise PublishError(label, f"one of {listing(DISABILITY_SETTINGS, 12)}", team.disability)
     return TeamId(team.task, team.algorithm, team.disability, team.seed, release)
 
 
@@ -223,7 +223,7 @@ def installed_settings() -> dict[str, DisabilitySetting]:
 def _fresh(data: RegistryFile, candidates: Sequence[_Candidate]) -> list[_Candidate]:
     """Return the candidates not published yet, in order; refuse what would change others."""
     if not candidates:
-        raise _refusal("publication", "at least one team", "none")
+        raise PublishError("publication", "at least one team", "none")
     owners = {
         (role, row.sha256): team
         for team, entry in data.members.items()
@@ -236,11 +236,11 @@ def _fresh(data: RegistryFile, candidates: Sequence[_Candidate]) -> list[_Candid
             _check_unchanged(name, data.members[name], candidate)
             continue
         if name in fresh:
-            raise _refusal(f"team {name}", "each team once", "it is given twice")
+            raise PublishError(f"team {name}", "each team once", "it is given twice")
         for role, digest in candidate.hashes.items():
             other = owners.setdefault((role, digest), name)
             if not same_team(other, name):
-                raise _refusal(
+                raise PublishError(
                     f"parameters of {name}/{role}",
                     "parameters of its own",
                     f"those of {other}/{role}",
@@ -252,11 +252,13 @@ def _fresh(data: RegistryFile, candidates: Sequence[_Candidate]) -> list[_Candid
 def _check_unchanged(name: str, published: Team | Ego, candidate: _Candidate) -> None:
     hashes = {role: row.sha256 for role, row in published.policies.items()}
     if hashes != candidate.hashes:
-        raise _change(f"team {name}", f"the published sha256 {hashes}", f"{dict(candidate.hashes)}")
+        raise ImmutableError(
+            f"team {name}", f"the published sha256 {hashes}", f"{dict(candidate.hashes)}"
+        )
     for field in ("self_play", "trained_against"):
         before, now = getattr(published, field, None), getattr(candidate, field)
         if now not in (None, before):
-            raise _change(
+            raise ImmutableError(
                 f"{field.replace('_', '-')} of {name}", f"the published {before}", f"{now}"
             )
 
@@ -271,22 +273,24 @@ def _with_release(
     """Return the registry with the release's environment versions, new tasks' added."""
     if data.disability_settings != installed_settings():
         found = f"{installed_settings()} in the installed environments"
-        raise _change("disability settings", f"the registry's {data.disability_settings}", found)
+        raise ImmutableError(
+            "disability settings", f"the registry's {data.disability_settings}", found
+        )
     entry = data.releases.get(release, created)
     versions = dict(entry.environments)
     for candidate in fresh:
         task, trained = candidate.team.task, candidate.training.env_version
         if task not in environments:
-            raise _refusal(
+            raise PublishError(
                 f"task {task}",
                 f"one of {listing(environments)}",
                 "a task without environment version",
             )
         if environments[task] != versions.setdefault(task, environments[task]):
             expected = f"version {versions[task]} of {task}, as release {release} has it"
-            raise _change(f"release {release}", expected, f"version {environments[task]}")
+            raise ImmutableError(f"release {release}", expected, f"version {environments[task]}")
         if trained != versions[task]:
-            raise _refusal(
+            raise PublishError(
                 f"team {candidate.team}",
                 f"training on {task} version {versions[task]}",
                 f"on {trained}",
@@ -378,23 +382,3 @@ def _write(data: RegistryFile, files: Mapping[str, bytes], path: Path) -> Regist
         for file in written:
             file.unlink(missing_ok=True)
         raise
-
-
-def _refusal(problem: str, expected: str, found: str) -> PublishError:
-    return PublishError(
-        problem,
-        expected=expected,
-        found=found,
-        done="nothing was published",
-        next_step="correct the run folder, or leave the team out, and publish again",
-    )
-
-
-def _change(problem: str, expected: str, found: str) -> ImmutableError:
-    return ImmutableError(
-        problem,
-        expected=expected,
-        found=found,
-        done="nothing was published: what is published never changes",
-        next_step="publish under a new release, for example --release v1",
-    )

@@ -133,7 +133,7 @@ class Registry:
             wanted = {"id": name} if id else {"release": name}
             theirs = qualify_split(self.parts[namespace].split(task, **wanted), namespace)
             if theirs not in self.splits:  # narrowed down by a lock to others
-                raise _split_error(f"split {theirs.id}", "one of this registry", "none")
+                raise SplitError(f"split {theirs.id}", "one of this registry", "none")
             return theirs
         split = (
             self._named_split(task, id)
@@ -143,7 +143,7 @@ class Registry:
         check_split(split)
         missing = [team for team in (*split.train, *split.test) if team not in self.data.teams]
         if missing:
-            raise _split_error(
+            raise SplitError(
                 f"split {split.id}", "teams of the registry", f"unknown {listing(missing)}"
             )
         pairs = shared_parameters(split.train, split.test, self.data.teams)
@@ -160,18 +160,18 @@ class Registry:
         ids = [split.id for split in known]
         close = nearest(full, ids) or ids
         what = f"{len(found)} that begin so" if found else "none"
-        raise _split_error(
+        raise SplitError(
             f"split {shorten(name)} of task {shorten(task)}", f"one split ({listing(close)})", what
         )
 
     def _default_split(self, task: str, release: str) -> Split:
         if release not in self.data.releases:
             allowed = f"one of {listing(self.data.releases)}"
-            raise _split_error(f"release {shorten(release)}", allowed, "no such release")
+            raise SplitError(f"release {shorten(release)}", allowed, "no such release")
         defaults = self.data.releases[release].splits
         if task not in defaults:
             allowed = f"a default split (release {release} has one for {listing(sorted(defaults))})"
-            raise _split_error(f"task {shorten(task)}", allowed, "none")
+            raise SplitError(f"task {shorten(task)}", allowed, "none")
         return next(split for split in self.splits if split.id == defaults[task])
 
 
@@ -196,26 +196,26 @@ def load_registry(path: Path | str | None = None) -> Registry:
 
 def parse_registry(text: str, source: str) -> RegistryFile:
     """Return the validated content of a registry's text; `source` names it in errors."""
+    source, expected = f"registry {source}", f"a registry of schema version {SCHEMA_VERSION}"
     try:
         version = parse_json(text)["schema_version"]
         if type(version) is not int:
             raise ValueError(f"schema_version {shorten(version)}")
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise _registry_error(source, f"not a registry ({type(error).__name__}: {error})") from None
+        found = f"not a registry ({type(error).__name__}: {error})"
+        raise RegistryError(source, expected, found) from None
     if version > SCHEMA_VERSION:
         raise RegistryVersionError(
-            f"registry {source}",
-            expected=f"schema version {SCHEMA_VERSION} or older",
-            found=f"schema version {version}",
-            done="nothing was loaded",
-            next_step="upgrade with `pip install --upgrade assistax-zoo`",
+            source,
+            f"schema version {SCHEMA_VERSION} or older",
+            f"schema version {version}",
         )
     try:
         if version == 1:  # which has no roots of its own
             return with_roots(RegistryFile.model_validate_json(first_schema(text)))
         return RegistryFile.model_validate_json(text)
     except ValidationError as error:
-        raise _registry_error(source, first_problem(error)) from None
+        raise RegistryError(source, expected, first_problem(error)) from None
 
 
 def first_schema(text: str) -> str:
@@ -286,23 +286,3 @@ def _read(path: Path) -> Registry:
     remedy = f"give its path with --registry or ${REGISTRY_VARIABLE}, or restore it"
     text = read_text(path, MAX_REGISTRY_BYTES, RegistryError, "registry", remedy)
     return build_registry(parse_registry(text, str(path)), path)
-
-
-def _registry_error(source: str, found: str) -> RegistryError:
-    return RegistryError(
-        f"registry {source}",
-        expected=f"a registry of schema version {SCHEMA_VERSION}",
-        found=found,
-        done="nothing was loaded",
-        next_step="restore the file, or upgrade assistax-zoo if a newer version wrote it",
-    )
-
-
-def _split_error(problem: str, expected: str, found: str) -> SplitError:
-    return SplitError(
-        problem,
-        expected=expected,
-        found=found,
-        done="no split was loaded",
-        next_step="`assistax-zoo split list` prints them, `assistax-zoo split create` makes one",
-    )

@@ -128,8 +128,7 @@ def _no_partners(data: RegistryFile, task: str, release: str) -> SplitError:
     present = sorted({f"{team.task} {team.release}" for team in map(parse_team, data.teams)})
     return SplitError(
         f"split of {shorten(task)} {shorten(release)}",
-        expected=f"a task and release with partners ({listing(present)})",
-        found="no partners",
-        done="no split was made",
-        next_step="`assistax-zoo list --role human` prints the partners",
+        f"a task and release with partners ({listing(present)})",
+        "no partners",
+        "`assistax-zoo list --role human` prints the partners",
     )

@@ -107,12 +107,12 @@ def with_retries(work: Callable[[], T], what: str, *, retry: Retry | None = None
             return work()
         except TransientError as error:
             if attempt == retry.attempts:
-                refuse(
+                raise RemoteError(
                     what,
                     "an answer",
                     f"{error}, {attempt} times",
                     "try again later; what is complete is kept",
-                )
+                ) from None
             pause_before(attempt, error, retry)
     raise AssertionError("unreachable")
 
@@ -139,7 +139,7 @@ def read_file(remote: Remote, path: str, limit: int) -> bytes:
                 data += chunk
                 if len(data) > limit:
                     advice = "check that this is a zoo"
-                    refuse(what, f"at most {limit} bytes", "more", advice)
+                    raise RemoteError(what, f"at most {limit} bytes", "more", advice)
         return bytes(data)
 
     what = f"{path} of {remote.name}"
@@ -179,7 +179,7 @@ class FileRemote:
         try:
             yield
         except (FileNotFoundError, NotADirectoryError):
-            refuse_missing(path, self)
+            raise missing(path, self) from None
         except (ImportError, ValueError) as error:
             raise _bad_name(
                 self.name, "a folder, https://..., hf://org/name or a URL that fsspec opens", error
@@ -187,12 +187,12 @@ class FileRemote:
         except OSError as error:
             if "://" in self.name:
                 raise TransientError(shorten(str(error))) from None
-            refuse(
+            raise RemoteError(
                 f"{path} of {self.name}",
                 "a file that can be read",
                 str(error.strerror or error),
                 "check the folder",
-            )
+            ) from None
 
 
 class HttpRemote:
@@ -241,7 +241,7 @@ class HttpRemote:
                 )
             return start
         if status in (404, 410):
-            refuse_missing(path, self)
+            raise missing(path, self)
         refuse_status(response, f"{path} of {self.name}")
 
 
@@ -251,36 +251,20 @@ def refuse_status(response: Any, what: str) -> NoReturn:
     if status in _TRANSIENT:
         raise TransientError(f"status {status}", _retry_after(response))
     if status in (401, 403):
-        refuse(
+        raise RemoteError(
             what,
             "a file that you may read",
             f"status {status}",
             "log in, for a hub with `hf auth login`",
         )
-    refuse(what, "status 200", f"status {status}", "check the address")
+    raise RemoteError(what, "status 200", f"status {status}", "check the address")
 
 
-def refuse(
-    what: str, expected: str, found: str, next_step: str, done: str = "nothing was fetched"
-) -> NoReturn:
-    """Raise a `RemoteError`."""
-    raise RemoteError(what, expected=expected, found=found, done=done, next_step=next_step)
-
-
-def refuse_missing(path: str, remote: Remote) -> NoReturn:
-    """Raise the error for a file that the remote does not hold."""
-    advice = (
-        "check the address"
-        if path == "registry.json"
-        else "ask its owner, or fetch from another remote"
-    )
-    raise MissingFileError(
-        remote.name,
-        expected=f"a zoo with {path} in it",
-        found="no such file",
-        done="nothing was fetched",
-        next_step=advice,
-    )
+def missing(path: str, remote: Remote) -> MissingFileError:
+    """Return the error for a file that the remote does not hold."""
+    registry = path == "registry.json"
+    advice = "check the address" if registry else "ask its owner, or fetch from another remote"
+    return MissingFileError(remote.name, f"a zoo with {path} in it", "no such file", advice)
 
 
 @contextlib.contextmanager
@@ -292,13 +276,8 @@ def network_errors(remote: Remote) -> Generator[None]:
     try:
         yield
     except OfflineModeIsEnabled:
-        raise OfflineError(
-            remote.name,
-            expected="its files in the cache, or a network",
-            found="offline mode (HF_HUB_OFFLINE)",
-            done="nothing was fetched",
-            next_step="unset HF_HUB_OFFLINE, or fetch once while online",
-        ) from None
+        found = "offline mode (HF_HUB_OFFLINE)"
+        raise OfflineError(remote.name, "its files in the cache, or a network", found) from None
     except HfHubHTTPError:
         raise
     except httpx2.TransportError as error:
@@ -306,9 +285,9 @@ def network_errors(remote: Remote) -> Generator[None]:
             f"{type(error).__name__}: {shorten(str(error) or 'no answer')}"
         ) from None
     except (httpx2.InvalidURL, httpx2.TooManyRedirects) as error:
-        refuse(
+        raise RemoteError(
             remote.name, "an address that leads somewhere", shorten(str(error)), "check the address"
-        )
+        ) from None
 
 
 def _retry_after(response: Any) -> float | None:
@@ -317,10 +296,4 @@ def _retry_after(response: Any) -> float | None:
 
 
 def _bad_name(text: str, expected: str, error: Exception | None = None) -> RemoteError:
-    return RemoteError(
-        f"remote {shorten(text)}",
-        expected=expected,
-        found=str(error) if error else shorten(text),
-        done="nothing was fetched",
-        next_step="correct the remote's name",
-    )
+    return RemoteError(f"remote {shorten(text)}", expected, str(error) if error else shorten(text))

@@ -90,10 +90,10 @@ def check_roots(data: RegistryFile) -> None:
     if problems := root_problems(data):
         raise IntegrityError(
             "registry",
-            expected="releases with the roots that it records",
-            found=problems[0],
-            done="nothing was listed",
-            next_step="restore the registry; `assistax-zoo verify` says all that is wrong",
+            "releases with the roots that it records",
+            problems[0],
+            "restore the registry; `assistax-zoo verify` says all that is wrong",
+            "nothing was listed",
         )
 
 
@@ -119,10 +119,10 @@ def check_grown(old: RegistryFile, new: RegistryFile) -> None:
     if lost := lost_leaves(old, new):
         raise ImmutableError(
             "registry",
-            expected="all that was published, unchanged",
-            found=f"{listing(lost)} gone or changed",
-            done="nothing was written: what is published never changes",
-            next_step="publish under a new release",
+            "all that was published, unchanged",
+            f"{listing(lost)} gone or changed",
+            "publish under a new release",
+            "nothing was written: what is published never changes",
         )
 
 

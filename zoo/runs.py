@@ -168,10 +168,4 @@ def _reason(error: Exception) -> str:
 
 
 def _error(source: str, expected: str, found: str) -> FormatError:
-    return FormatError(
-        source,
-        expected=expected,
-        found=found,
-        done="nothing was published",
-        next_step=_AGAIN,
-    )
+    return FormatError(source, expected, found, _AGAIN, "nothing was published")

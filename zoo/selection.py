@@ -56,10 +56,9 @@ def _with_field(entries: list[PolicyEntry], field: str, value: str) -> list[Poli
     present = sorted({getattr(entry, field) for entry in entries})
     raise UnknownIdError(
         f"no policy has {field} {shorten(value)}",
-        expected=f"a {field} of the policies that the other filters leave ({listing(present, 12)})",
-        found=shorten(value),
-        done="nothing was selected",
-        next_step="use one of these; `assistax-zoo list` prints every policy",
+        f"a {field} of the policies that the other filters leave ({listing(present, 12)})",
+        shorten(value),
+        "use one of these; `assistax-zoo list` prints every policy",
     )
 
 
@@ -74,12 +73,9 @@ def refuse_unknown(wanted: str, known: Sequence[str], what: str = "policy") -> N
     close = nearest(wanted, known)
     raise UnknownIdError(
         f"unknown {what} {shorten(wanted)}",
-        expected=f"an id or glob that matches one of the {len(known)} candidates",
-        found="no match",
-        done="nothing was selected",
-        next_step=(
-            f"nearest: {', '.join(close)}" if close else "`assistax-zoo list` prints every policy"
-        ),
+        f"an id or glob that matches one of the {len(known)} candidates",
+        "no match",
+        f"nearest: {', '.join(close)}" if close else "",
     )
 
 
@@ -87,8 +83,7 @@ def refuse_empty() -> NoReturn:
     """Raise the error for a registry without policies."""
     raise UnknownIdError(
         "no policies to select from",
-        expected="a registry with at least one policy",
-        found="an empty one",
-        done="nothing was selected",
-        next_step="publish a population with `assistax-zoo publish RUN --release v0`",
+        "a registry with at least one policy",
+        "an empty one",
+        "publish a population with `assistax-zoo publish RUN --release v0`",
     )

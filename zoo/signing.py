@@ -64,10 +64,5 @@ def _load(key: Path, private: bool) -> Any:
         reason = f"a {type(found).__name__}"
     except (OSError, ValueError, TypeError, UnsupportedAlgorithm) as error:
         reason = shorten(str(error))
-    raise SignatureError(
-        f"key {key}",
-        expected=f"an Ed25519 {'private' if private else 'public'} key in PEM, without a password",
-        found=reason,
-        done="nothing was signed or verified",
-        next_step="make one with `openssl genpkey -algorithm ed25519 -out key.pem`",
-    )
+    side = "private" if private else "public"
+    raise SignatureError(f"key {key}", f"an Ed25519 {side} key in PEM, without a password", reason)

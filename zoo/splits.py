@@ -87,7 +87,7 @@ def make_split(
     elif rule == "custom":
         sides = _custom(known, sorted(train), sorted(test))
     else:
-        raise _error("rule", f"one of {', '.join(RULES)}", shorten(rule))
+        raise SplitError("rule", f"one of {', '.join(RULES)}", shorten(rule))
     content = {
         "task": task,
         "release": release,
@@ -120,14 +120,14 @@ def check_split(split: Split) -> None:
     content = split.model_dump(exclude={"id", "sha256"})
     digest = _digest(content)
     if digest != split.sha256:
-        raise _error(f"split {split.id}", f"sha256 {split.sha256}", f"sha256 {digest}")
+        raise SplitError(f"split {split.id}", f"sha256 {split.sha256}", f"sha256 {digest}")
     if _id(content) != split.id:
-        raise _error(f"split {split.id}", f"id {_id(content)}", split.id)
+        raise SplitError(f"split {split.id}", f"id {_id(content)}", split.id)
     for name, side in (("train", split.train), ("test", split.test)):
         if not side:
-            raise _error(f"split {split.id}", f"at least one team in {name}", "none")
+            raise SplitError(f"split {split.id}", f"at least one team in {name}", "none")
         if list(side) != sorted(set(side)):
-            raise _error(
+            raise SplitError(
                 f"split {split.id}", f"{name} sorted and without repetition", "another order"
             )
         foreign = [
@@ -136,7 +136,7 @@ def check_split(split: Split) -> None:
             if (team.task, team.release) != (split.task, split.release)
         ]
         if foreign:
-            raise _error(
+            raise SplitError(
                 f"split {split.id}",
                 f"teams of {split.task} {split.release}",
                 listing(map(str, foreign)),
@@ -166,10 +166,8 @@ def refuse_leak(split: str, pairs: Sequence[tuple[str, str]]) -> NoReturn:
     """Raise the error for pairs of teams that are one and the same on both sides."""
     raise LeakageError(
         f"split {split} leaks",
-        expected="no team and no parameters on both sides",
-        found=f"{len(pairs)} on both: {listing([f'{a} = {b}' for a, b in pairs], 3)}",
-        done="the split was refused",
-        next_step="take one of each pair out, or make another with `assistax-zoo split create`",
+        "no team and no parameters on both sides",
+        f"{len(pairs)} on both: {listing([f'{a} = {b}' for a, b in pairs], 3)}",
     )
 
 
@@ -185,14 +183,16 @@ def _leave_one_out(
 ) -> tuple[list[str], list[str]]:
     present = sorted({getattr(parse_team(team), field) for team in known})
     if held_out not in present:
-        raise _error(f"{field} to hold out", f"one of {listing(present, 12)}", shorten(held_out))
+        raise SplitError(
+            f"{field} to hold out", f"one of {listing(present, 12)}", shorten(held_out)
+        )
     return _by(known, lambda team: "test" if getattr(team, field) == held_out else "train")
 
 
 def _small_train(known: Sequence[str], n: int, seed: int) -> tuple[list[str], list[str]]:
     train, test = _by(known, lambda team: half_side(team, seed))
     if not 1 <= n <= len(train):
-        raise _error(
+        raise SplitError(
             "n of small-train", f"1 to {len(train)}, the teams of the half's train side", str(n)
         )
     return sorted(sorted(train, key=lambda team: sha256(f"{seed}:{team}".encode()))[:n]), test
@@ -201,7 +201,7 @@ def _small_train(known: Sequence[str], n: int, seed: int) -> tuple[list[str], li
 def _custom(known: Sequence[str], train: list[str], test: list[str]) -> tuple[list[str], list[str]]:
     foreign = sorted((set(train) | set(test)) - set(known))
     if foreign:
-        raise _error(
+        raise SplitError(
             "custom split",
             f"some of the {len(known)} teams of the task and release",
             listing(foreign),
@@ -221,14 +221,4 @@ def _id(content: Mapping[str, object]) -> str:
     }.get(str(content["rule"]), str(content["rule"]))
     return (
         f"{content['task']}/{slug}-s{content['seed']}-{content['release']}-{_digest(content)[:8]}"
-    )
-
-
-def _error(problem: str, expected: str, found: str) -> SplitError:
-    return SplitError(
-        problem,
-        expected=expected,
-        found=found,
-        done="no split was made or loaded",
-        next_step="see `assistax-zoo split --help`; restore a published split with its registry",
     )

@@ -58,7 +58,7 @@ def load_stacks(registry: Registry, entries: Iterable[PolicyEntry]) -> tuple[Pol
         form = {name: value.shape for name, value in leaves[entry.id].items()}
         first, expected = forms.setdefault(entry.spec, (entry.id, form))
         if form != expected:
-            raise _format_error(f"parameters of {entry.id}", f"the leaves of {first}", "others")
+            raise FormatError(f"parameters of {entry.id}", f"the leaves of {first}", "others")
     return stack_policies((entry.id, entry.spec, _float32(leaves[entry.id])) for entry in entries)
 
 
@@ -83,9 +83,7 @@ def read_shard(registry: Registry, path: str) -> StackedFile:
     stacked = parse_stacked(data, f"shard {path}")
     if stacked.spec != shard.spec or len(stacked.rows) != shard.rows:
         found = f"{len(stacked.rows)} rows of spec {stacked.spec.digest}"
-        raise _format_error(
-            f"shard {path}", f"{shard.rows} rows of spec {shard.spec.digest}", found
-        )
+        raise FormatError(f"shard {path}", f"{shard.rows} rows of spec {shard.spec.digest}", found)
     return stacked
 
 
@@ -98,14 +96,14 @@ def parse_stacked(data: bytes, source: str) -> StackedFile:
     leaves, metadata = decode(data, source)
     spec, rows = _spec(metadata, source), metadata.get("rows")
     if not isinstance(rows, list) or not rows:
-        raise _format_error(
+        raise FormatError(
             source, "metadata rows: a list with one item for each policy", shorten(rows)
         )
     wrong = [
         f"{name} {value.shape}" for name, value in leaves.items() if value.shape[:1] != (len(rows),)
     ]
     if wrong:
-        raise _format_error(source, f"leaves with a first axis of {len(rows)}", wrong[0])
+        raise FormatError(source, f"leaves with a first axis of {len(rows)}", wrong[0])
     return StackedFile(spec, leaves, rows)
 
 
@@ -132,7 +130,7 @@ def encode_shard(
                 name for name in {**forms[0], **form} if form.get(name) != forms[0].get(name)
             )
             expected = f"{odd} {forms[0].get(odd)} as in {policies[0][0]}"
-            raise _format_error(f"parameters of {policy}", expected, f"{odd} {form.get(odd)}")
+            raise FormatError(f"parameters of {policy}", expected, f"{odd} {form.get(odd)}")
     hashes = [row_sha256(leaves) for _, leaves in policies]
     rows = [
         {"id": policy, "sha256": digest}
@@ -151,20 +149,19 @@ def read_policy_file(path: Path | str) -> PolicyFile:
     """
     source = f"policy file {path}"
     if not Path(path).is_file():
-        raise _format_error(source, "a .safetensors file", "no such file")
+        raise FormatError(source, "a .safetensors file", "no such file")
     leaves, metadata = decode(read_bytes(Path(path), source), source)
     spec = _spec(metadata, source)
     extra = metadata.get("metadata", {})
     if not isinstance(extra, dict):
-        raise _format_error(source, "metadata that is an object", shorten(extra))
+        raise FormatError(source, "metadata that is an object", shorten(extra))
     found = _content_sha256(spec, extra, leaves)
     if metadata.get("sha256") != found:
         raise IntegrityError(
             source,
-            expected=f"sha256 {shorten(metadata.get('sha256'))}",
-            found=f"sha256 {found}",
-            done="nothing was loaded",
-            next_step="fetch or export the file again; it was changed after it was written",
+            f"sha256 {shorten(metadata.get('sha256'))}",
+            f"sha256 {found}",
+            "fetch or export the file again; it was changed after it was written",
         )
     return PolicyFile(spec, _float32(leaves), extra)
 
@@ -200,7 +197,7 @@ def check_params(spec: PolicySpec, leaves: Leaves, source: str) -> None:
     found = {name: tuple(value.shape) for name, value in leaves.items()}
     if found != expected:
         odd = next(name for name in {**expected, **found} if found.get(name) != expected.get(name))
-        raise _format_error(
+        raise FormatError(
             source, f"{odd} of shape {expected.get(odd)} for its spec", f"shape {found.get(odd)}"
         )
 
@@ -239,14 +236,4 @@ def _spec(metadata: Mapping[str, Any], source: str) -> PolicySpec:
     try:
         return spec_from_json(metadata.get("spec"))
     except ValueError as error:
-        raise _format_error(source, "a policy spec in the metadata", shorten(str(error))) from None
-
-
-def _format_error(source: str, expected: str, found: str) -> FormatError:
-    return FormatError(
-        source,
-        expected=expected,
-        found=found,
-        done="nothing was loaded or written",
-        next_step="check the path, or export the policy again with `write_policy_file`",
-    )
+        raise FormatError(source, "a policy spec in the metadata", shorten(str(error))) from None

@@ -55,7 +55,9 @@ def encode(leaves: Leaves, metadata: Mapping[str, Any]) -> bytes:
     contiguous = {name: np.require(value, requirements="C") for name, value in leaves.items()}
     data = safetensors.numpy.save(contiguous, {METADATA_KEY: text})
     if int.from_bytes(data[:8], "little") > MAX_HEADER_BYTES:
-        raise _error("parameters", f"a header of at most {MAX_HEADER_BYTES} bytes", "a larger one")
+        raise FormatError(
+            "parameters", f"a header of at most {MAX_HEADER_BYTES} bytes", "a larger one"
+        )
     return data
 
 
@@ -72,32 +74,32 @@ def decode(data: bytes, source: str) -> tuple[Leaves, dict[str, Any]]:
         if not isinstance(metadata, dict):
             raise ValueError(f"metadata {METADATA_KEY!r} is no JSON object")
     except KeyError as error:
-        raise _error(
+        raise FormatError(
             source, f"metadata {METADATA_KEY!r} with spec and rows", f"no {error}"
         ) from None
     except (ValueError, TypeError, RecursionError) as error:
-        raise _error(source, "a safetensors file", f"{shorten(str(error))}") from None
+        raise FormatError(source, "a safetensors file", f"{shorten(str(error))}") from None
     return _leaves(tensors, source), metadata
 
 
 def _deserialize(data: bytes, source: str) -> tuple[dict[str, Any], list[tuple[str, Any]]]:
     length = int.from_bytes(data[:8], "little")
     if len(data) < 8 or length > min(MAX_HEADER_BYTES, len(data) - 8):
-        raise _error(
+        raise FormatError(
             source, "a safetensors file", f"{len(data)} bytes whose header claims {length}"
         )
     try:
         tensors = safetensors.deserialize(data)
         return parse_json(data[8 : 8 + length].decode()), tensors
     except (safetensors.SafetensorError, ValueError, TypeError, RecursionError) as error:
-        raise _error(source, "a safetensors file", f"{shorten(str(error))}") from None
+        raise FormatError(source, "a safetensors file", f"{shorten(str(error))}") from None
 
 
 def _leaves(tensors: list[tuple[str, Any]], source: str) -> Leaves:
     leaves = {}
     for name, tensor in tensors:
         if tensor["dtype"] not in DTYPES:
-            raise _error(
+            raise FormatError(
                 source, f"leaves of {' or '.join(DTYPES)}", f"{shorten(name)} of {tensor['dtype']}"
             )
         leaves[name] = np.frombuffer(tensor["data"], DTYPES[tensor["dtype"]]).reshape(
@@ -116,61 +118,41 @@ def read_bytes(
         IntegrityError: The file is missing, or has another size or sha256.
     """
     if not path.is_file():
-        raise _damage(source, "a file", f"no file at {path}")
+        raise IntegrityError(source, "a file", f"no file at {path}")
     found = path.stat().st_size
     if found > (MAX_FILE_BYTES if size is None else size) or (size is not None and found != size):
-        raise _damage(
+        raise IntegrityError(
             source,
             f"{size if size is not None else f'at most {MAX_FILE_BYTES}'} bytes",
             f"{found} bytes",
         )
     data = path.read_bytes()
     if digest is not None and sha256(data) != digest:
-        raise _damage(source, f"sha256 {digest}", f"sha256 {sha256(data)}")
+        raise IntegrityError(source, f"sha256 {digest}", f"sha256 {sha256(data)}")
     return data
 
 
 def damaged_row(policy: str, expected: str, found: str) -> IntegrityError:
     """Return the error for a row whose bytes are not those of the registry."""
-    return _damage(f"parameters of {policy}", f"sha256 {expected}", f"sha256 {found}")
+    return IntegrityError(f"parameters of {policy}", f"sha256 {expected}", f"sha256 {found}")
 
 
 def _check_leaves(leaves: Mapping[str, np.ndarray], source: str) -> None:
     if not leaves:
-        raise _error(source, "at least one leaf", "none")
+        raise FormatError(source, "at least one leaf", "none")
     for name, value in leaves.items():
         if not _LEAF.fullmatch(name):
-            raise _error(source, "leaf names like Dense_0/kernel", shorten(name))
+            raise FormatError(source, "leaf names like Dense_0/kernel", shorten(name))
         if value.dtype not in DTYPES.values():
-            raise _error(source, "float32 or float16 leaves", f"{name} of {value.dtype}")
+            raise FormatError(source, "float32 or float16 leaves", f"{name} of {value.dtype}")
         if not np.isfinite(value).all():
-            raise _error(source, "finite parameters", f"NaN or infinity in {name}")
+            raise FormatError(source, "finite parameters", f"NaN or infinity in {name}")
     for name in leaves:
         parents = name.split("/")[:-1]
         clash = next(
             (p for i in range(len(parents)) if (p := "/".join(parents[: i + 1])) in leaves), None
         )
         if clash:
-            raise _error(
+            raise FormatError(
                 source, "leaves that form a tree", f"{clash} both a leaf and the parent of {name}"
             )
-
-
-def _error(source: str, expected: str, found: str) -> FormatError:
-    return FormatError(
-        source,
-        expected=expected,
-        found=found,
-        done="nothing was loaded or written",
-        next_step="export the policy again with `write_policy_file` or `assistax-zoo publish`",
-    )
-
-
-def _damage(source: str, expected: str, found: str) -> IntegrityError:
-    return IntegrityError(
-        source,
-        expected=expected,
-        found=found,
-        done="nothing was loaded",
-        next_step="`assistax-zoo fetch` it, or `git checkout -- FILE` in a checkout, then verify",
-    )

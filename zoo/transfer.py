@@ -10,9 +10,9 @@ from typing import BinaryIO, NoReturn
 
 from population.files import exclusive
 from zoo import remotes
-from zoo.errors import IntegrityError
+from zoo.errors import IntegrityError, RemoteError
 from zoo.locations import write_errors
-from zoo.remotes import CHUNK, Remote, TransientError, pause_before, refuse
+from zoo.remotes import CHUNK, Remote, TransientError, pause_before
 
 
 class Stopped(Exception):
@@ -109,7 +109,9 @@ class _Transfer:
                     what = f"{self.item.path} of {self.remote.name}"
                     kept = f"nothing was added; {self.size} bytes are kept to go on from"
                     found = f"{error}, {attempt} times"
-                    refuse(what, f"{self.item.bytes} bytes", found, "fetch again later", kept)
+                    raise RemoteError(
+                        what, f"{self.item.bytes} bytes", found, "fetch again later", kept
+                    ) from None
                 pause_before(attempt, error, retry, self.stop)
 
     def _receive(self) -> None:
@@ -152,8 +154,8 @@ class _Transfer:
     def _refuse(self, expected: str, found: str) -> NoReturn:
         raise IntegrityError(
             f"{self.item.path} of {self.remote.name}",
-            expected=expected,
-            found=found,
-            done="nothing was added; the bytes were thrown away",
-            next_step="fetch from another remote, and tell the owner of this one",
+            expected,
+            found,
+            "fetch from another remote, and tell the owner of this one",
+            "nothing was added; the bytes were thrown away",
         )

@@ -32,13 +32,8 @@ def read_text(path: Path, limit: int, error: type[ZooError], what: str, remedy: 
         found = "no such file"
     except (OSError, ValueError) as problem:
         found = str(problem)
-    raise error(
-        f"{what} {path}",
-        expected=f"a readable file of at most {limit} bytes",
-        found=found,
-        done="nothing was loaded",
-        next_step=remedy,
-    )
+    expected = f"a readable file of at most {limit} bytes"
+    raise error(f"{what} {path}", expected, found, remedy, "nothing was loaded")
 
 
 def parse_json(text: str) -> Any:
