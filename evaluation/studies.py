@@ -27,11 +27,10 @@ from population.ray_blocks import RayCluster
 from zoo.errors import RegistryVersionError, SplitError, listing
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
+from zoo.splits import SIDES, parse_split
 
 if TYPE_CHECKING:
     from assistax_envs import Env
-
-SIDE_WORDS = {"test": ("test",), "train": ("train",), "both": ("train", "test")}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,22 +127,18 @@ def choose_partners(
     The default split is that of the release that the matching partners are of, if they are of one,
     else of the newest.
     """
-    text = split or "test"
-    name, _, side = text.partition(":") if text not in SIDE_WORDS else (None, "", text)
-    side = side or "test"
-    if side not in SIDE_WORDS:
-        raise ValueError(f"split is {text!r}; after the colon {', '.join(SIDE_WORDS)} are allowed")
+    name, side = parse_split(split, registry.parts)
     humans = registry.select(patterns, task=task, role="human")
     releases = {entry.release for entry in humans}
     release = releases.pop() if len(releases) == 1 else None
     if name is not None:
         _check_split_name(registry, task, name)
     manifest = registry.split(task, name, release=release)
-    chosen = [entry for entry in humans if manifest.side(entry.team) in SIDE_WORDS[side]]
+    chosen = [entry for entry in humans if manifest.side(entry.team) in SIDES[side]]
     if not chosen:
         raise ValueError(
             f"none of the {len(humans)} partners that match is on the "
-            f"{' or '.join(SIDE_WORDS[side])} side of split {manifest.id}; choose others, --split "
+            f"{' or '.join(SIDES[side])} side of split {manifest.id}; choose others, --split "
             "both, or another split's id (assistax-zoo split list)"
         )
     return manifest, chosen
@@ -251,7 +246,7 @@ def _check_split_name(registry: Registry, task: str, name: str) -> None:
         registry.split(task, name)
     except SplitError:
         ids = [one.id for one in registry.data.splits if one.task == task]
-        near = difflib.get_close_matches(name, [*SIDE_WORDS, *ids], n=2, cutoff=0.4)
+        near = difflib.get_close_matches(name, [*SIDES, *ids], n=2, cutoff=0.4)
         told = f", nearest: {', '.join(near)}" if near else ""
         raise ValueError(
             f"split {name!r} is neither a side (test, train, both) nor a split's id{told}; "

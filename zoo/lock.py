@@ -9,7 +9,7 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -19,11 +19,20 @@ from zoo.namespaces import split_namespace
 from zoo.registry import Registry, build_registry
 from zoo.roots import leaves
 from zoo.schema import Name, PolicyEntry, Sha256, Team, first_problem
+from zoo.splits import parse_split
 from zoo.untrusted import parse_json, read_text
 
 LOCK_FILE = "assistax-zoo.lock"
 LOCK_VERSION = 2  # 1: without the root and the leaves
 MAX_LOCK_BYTES = 16 * 1024 * 1024
+_WORDS = {
+    "environments": "environment version of",
+    "disability_settings": "disability settings",
+    "splits": "split",
+    "shards": "shard",
+    "policies": "policy",
+    "leaves": "entry",
+}  # what a lock pins, as errors call it
 
 
 class PinnedSplit(BaseModel):
@@ -75,21 +84,18 @@ def make_lock(
             "choose one with --release",
         )
     (release,) = releases
+    tables = _tables(registry, release)
     pinned = _splits(registry, entries, release, splits or {})
+    leaves = _leaf_names(entries, pinned)
     content: dict[str, Any] = {
         "release": release,
         "root": registry.root(release),
-        "leaves": _leaves(registry, release, entries, pinned),
+        "leaves": {name: leaf for name, leaf in tables["leaves"].items() if name in leaves},
         "registry": sha256(registry.path.read_bytes()),
-        "disability_settings": _settings_digest(registry, release),
-        "environments": {
-            task: registry.data.releases[release].environments[task] for task in _tasks(entries)
-        },
+        "disability_settings": tables["disability_settings"][""],
+        "environments": {task: tables["environments"][task] for task in _tasks(entries)},
         "splits": pinned,
-        "shards": {
-            shard: registry.data.shards[shard].sha256
-            for shard in sorted({entry.shard for entry in entries})
-        },
+        "shards": {shard: tables["shards"][shard] for shard in sorted({e.shard for e in entries})},
         "policies": {entry.id: entry.sha256 for entry in entries},
     }
     return Lock.model_validate(
@@ -99,10 +105,8 @@ def make_lock(
 
 def write_lock(lock: Lock, path: Path) -> None:
     """Write the lock, atomically."""
-    atomic_write(
-        path,
-        (json.dumps(lock.model_dump(mode="json", exclude_unset=True), indent=1) + "\n").encode(),
-    )
+    content = lock.model_dump(mode="json", exclude_unset=True)
+    atomic_write(path, (json.dumps(content, indent=1) + "\n").encode())
 
 
 def read_lock(path: Path) -> Lock:
@@ -204,50 +208,43 @@ def _narrowed(name: str, team: Team, lock: Lock) -> Team:
 def _check(registry: Registry, lock: Lock) -> None:
     """Hold everything that the lock pins against the registry."""
     if lock.release not in registry.data.releases:
-        _differs(registry, f"release {lock.release}", f"releases {listing(registry.data.releases)}")
-    known = {entry.id: entry.sha256 for entry in registry.policies}
-    shards = {path: shard.sha256 for path, shard in registry.data.shards.items()}
-    splits = {split.id: split.sha256 for split in registry.splits}
-    _compare(
-        registry,
-        "environment version of",
-        lock.environments,
-        registry.data.releases[lock.release].environments,
-    )
-    _compare(
-        registry,
-        "disability settings",
-        {"": lock.disability_settings},
-        {"": _settings_digest(registry, lock.release)},
-    )
-    _compare(
-        registry, "split", {pinned.id: pinned.sha256 for pinned in lock.splits.values()}, splits
-    )
-    _compare(registry, "shard", lock.shards, shards)
-    _compare(registry, "policy", lock.policies, known)
-    if lock.leaves:
-        namespace, release = split_namespace(lock.release)
-        _compare(registry, "entry", lock.leaves, leaves(registry.part(namespace).data, release))
+        found = f"releases {listing(registry.data.releases)}"
+        raise _differs(registry, f"release {lock.release}", found)
+    pinned = {
+        **lock.model_dump(),
+        "disability_settings": {"": lock.disability_settings},
+        "splits": {split.id: split.sha256 for split in lock.splits.values()},
+    }
+    for table, found in _tables(registry, lock.release).items():
+        for name, value in pinned[table].items():
+            if found.get(name) != value:
+                what = f"{_WORDS[table]} {name} {value}".replace("  ", " ")
+                raise _differs(registry, what, str(found.get(name, "none")))
 
 
-def _compare(
-    registry: Registry, what: str, pinned: Mapping[str, Any], found: Mapping[str, Any]
-) -> None:
-    for name, value in pinned.items():
-        if found.get(name) != value:
-            _differs(
-                registry, f"{what} {name} {value}".replace("  ", " "), str(found.get(name, "none"))
-            )
+def _tables(registry: Registry, release: str) -> dict[str, Mapping[str, Any]]:
+    """Return all that a lock of a release can pin, by the lock's fields."""
+    namespace, name = split_namespace(release)
+    part = registry.part(namespace).data  # whatever was added to it
+    settings = {key: setting.model_dump() for key, setting in part.disability_settings.items()}
+    return {
+        "environments": registry.data.releases[release].environments,
+        "disability_settings": {"": _digest(settings)},
+        "splits": {split.id: split.sha256 for split in registry.splits},
+        "shards": {path: shard.sha256 for path, shard in registry.data.shards.items()},
+        "policies": {entry.id: entry.sha256 for entry in registry.policies},
+        "leaves": leaves(part, name),
+    }
 
 
-def _differs(registry: Registry, expected: str, found: str) -> NoReturn:
+def _differs(registry: Registry, expected: str, found: str) -> LockError:
     advice = "fetch what was locked (`assistax-zoo fetch --lock FILE --from REMOTE`), or lock anew"
-    raise LockError(f"registry {registry.path}", f"{expected}, as locked", found, advice)
+    return LockError(f"registry {registry.path}", f"{expected}, as locked", found, advice)
 
 
 def _check_split(registry: Registry, lock: Lock, task: str, split: str | None) -> None:
-    name = (split or "").partition(":")[0]
-    if not split or name in ("test", "train", "both"):
+    name, _ = parse_split(split, registry.parts)
+    if name is None:
         return
     pinned = lock.splits.get(task)
     try:
@@ -256,12 +253,8 @@ def _check_split(registry: Registry, lock: Lock, task: str, split: str | None) -
         asked = name
     if pinned is None or asked != pinned.id:
         expected = f"the locked one ({pinned.id if pinned else 'none'})"
-        raise LockError(
-            f"split {shorten(name)}",
-            expected,
-            asked,
-            "leave --split out, or name only a side: test, train or both",
-        )
+        advice = "leave --split out, or name only a side: test, train or both"
+        raise LockError(f"split {shorten(name)}", expected, asked, advice)
 
 
 def _splits(
@@ -285,31 +278,19 @@ def _splits(
     return pinned
 
 
-def _leaves(
-    registry: Registry,
-    release: str,
-    entries: Sequence[PolicyEntry],
-    splits: Mapping[str, Mapping[str, str]],
-) -> dict[str, str]:
-    """Return the leaves of the release's tree that the selection is made of."""
-    namespace, name = split_namespace(release)
-    teams = {split_namespace(entry.team)[1] for entry in entries}
-    runs = {split_namespace(entry.run)[1] for entry in entries}
-    wanted = {f"{kind} {team}" for team in teams for kind in ("team", "ego")}
-    wanted |= {f"run {run}" for run in runs}
-    wanted |= {f"split {split_namespace(split['id'])[1]}" for split in splits.values()}
-    found = leaves(registry.part(namespace).data, name)
-    return {leaf: digest for leaf, digest in found.items() if leaf in wanted}
+def _leaf_names(
+    entries: Sequence[PolicyEntry], splits: Mapping[str, Mapping[str, str]]
+) -> set[str]:
+    """Return the leaves of the release's tree that the selection is made of, without namespace."""
+    names = {f"{kind} {entry.team}" for entry in entries for kind in ("team", "ego")}
+    names |= {f"run {entry.run}" for entry in entries}
+    names |= {f"split {split['id']}" for split in splits.values()}
+    kinds = [name.split(" ", 1) for name in names]
+    return {f"{kind} {split_namespace(name)[1]}" for kind, name in kinds}
 
 
 def _tasks(entries: Sequence[PolicyEntry]) -> list[str]:
     return sorted({entry.task for entry in entries})
-
-
-def _settings_digest(registry: Registry, release: str) -> str:
-    """Return the sha256 of the settings of the zoo that a release is of, whatever was added."""
-    settings = registry.part(split_namespace(release)[0]).data.disability_settings
-    return _digest({name: setting.model_dump() for name, setting in settings.items()})
 
 
 def _digest(content: Mapping[str, Any]) -> str:

@@ -121,7 +121,8 @@ class Registry:
         Args:
             task: Task the split is for.
             id: A split's id, or its beginning: that of one split alone ("half-s0-v0"), or of one
-                alone of the newest release ("half").
+                alone of the newest release ("half"). Of a zoo that was added, after its namespace:
+                "lab:half"; "lab:" is its default split.
             release: Release whose default split is meant when `id` is not given.
 
         Raises:
@@ -130,7 +131,7 @@ class Registry:
         """
         namespace, name = split_namespace(id or release or "")
         if namespace in self.parts and namespace:
-            wanted = {"id": name} if id else {"release": name}
+            wanted = {"id": name or None} if id else {"release": name}
             theirs = qualify_split(self.parts[namespace].split(task, **wanted), namespace)
             if theirs not in self.splits:  # narrowed down by a lock to others
                 raise SplitError(f"split {theirs.id}", "one of this registry", "none")

@@ -27,7 +27,7 @@ either side.
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Literal, NoReturn, get_args
 
 from population.files import sha256
@@ -36,10 +36,31 @@ from zoo.ids import TeamId, parse_team
 from zoo.schema import Rule, Split, Team
 
 RULES = get_args(Rule)
+SIDES = {"test": ("test",), "train": ("train",), "both": ("train", "test")}  # of `--split`
+DEFAULT_SIDE = "test"
 LEAVE_ONE_OUT = {
     "leave-one-algorithm-out": "algorithm",
     "leave-one-disability-out": "disability",
 }  # what is held out
+
+
+def parse_split(text: str | None, namespaces: Collection[str]) -> tuple[str | None, str]:
+    """Return a split's id, None for the default one, and the side that `--split` asks for.
+
+    The text is a side ("both"), an id ("half-s0"), or both ("half-s0:both"); before each may stand
+    the namespace of a zoo that was added ("lab:half-s0:both"), "lab:" alone for its default split.
+
+    Raises:
+        ValueError: What stands after the last colon is no side.
+    """
+    text = text or DEFAULT_SIDE
+    namespace, _, rest = text.partition(":")
+    prefix = f"{namespace}:" if namespace and namespace in namespaces else ""
+    rest = rest if prefix else text
+    name, _, side = ("", "", rest) if rest in SIDES else rest.partition(":")
+    if (side or DEFAULT_SIDE) not in SIDES:
+        raise ValueError(f"split is {text!r}; after the colon {', '.join(SIDES)} are allowed")
+    return prefix + name or None, side or DEFAULT_SIDE
 
 
 def make_split(

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from assistax_zoo.main import run
+from evaluation.studies import choose_partners
 from tests.zoo.hub_server import Hub
 from zoo.added import add, remove
 from zoo.errors import IdError, IntegrityError, RemoteError, SplitError, UnknownIdError
@@ -102,6 +103,13 @@ def test_their_splits_and_locks_are_theirs(
     split = both.split("scratch", release="lab:v0")
     assert split.id.startswith("lab:scratch/half-s0-v0") and split in both.splits
     assert both.split("scratch", split.id) == split != both.split("scratch")
+    for word in ("lab:", "lab:half-s0", "lab:scratch/half"):
+        assert both.split("scratch", word) == split
+    for word in ("lab:both", "lab:half-s0:both", f"{split.id}:both"):  # as `--split` takes it
+        manifest, chosen = choose_partners(both, "scratch", word, None)
+        assert manifest == split and {one.team for one in chosen} == {*split.train, *split.test}
+    with pytest.raises(ValueError, match="after the colon test, train, both are allowed"):
+        choose_partners(both, "scratch", "lab:half-s0:tset", None)
     assert all(team.startswith("lab:") and team in both.data.teams for team in split.train)
     assert both.split("scratch") == registry.split("scratch")
     alone = apply_lock(both, ours, task="scratch")  # a lock from before the zoo was added

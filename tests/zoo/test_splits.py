@@ -9,7 +9,7 @@ from zoo.errors import LeakageError, SplitError
 from zoo.ids import parse_team
 from zoo.registry import Registry, load_registry
 from zoo.release import create_split
-from zoo.splits import RULES, check_split, half_side, make_split, shared_parameters
+from zoo.splits import RULES, check_split, half_side, make_split, parse_split, shared_parameters
 
 
 def ids(
@@ -186,3 +186,21 @@ def test_every_rule_has_a_row_in_the_documentation() -> None:
     import zoo.splits
 
     assert all(f"`{rule}`" in (zoo.splits.__doc__ or "") for rule in RULES)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (None, (None, "test")),
+        ("both", (None, "both")),
+        ("half-s0", ("half-s0", "test")),
+        ("half-s0:train", ("half-s0", "train")),
+        ("lab:both", ("lab:", "both")),
+        ("lab:half-s0", ("lab:half-s0", "test")),
+        ("lab:scratch/half-s0-v0:both", ("lab:scratch/half-s0-v0", "both")),
+    ],
+)
+def test_what_split_asks_for(text: str | None, expected: tuple[str | None, str]) -> None:
+    assert parse_split(text, ["", "lab"]) == expected
+    with pytest.raises(ValueError, match="after the colon test, train, both are allowed"):
+        parse_split("other:half-s0", ["", "lab"])
