@@ -82,96 +82,66 @@ def markdown_card(cards: Sequence[Mapping[str, Any]], image: str | None = None) 
         cards: `policy_card` of each of its policies.
         image: Path or address of a picture, as it is to stand in the card.
     """
-    first = cards[0]
-    title = first["team"] if len(cards) > 1 else first["id"]
-    parts = [f"# {escape(title)}"]
-    if image:
-        parts.append(f"![{escape(title)}](<{_address(image)}>)")
-    setting = first["disability"]
-    summary = {
-        "release": first["release"],
-        "disability": ", ".join(
-            f"{name.replace('_', ' ')} {value}" for name, value in setting.items()
-        ),
-        **_figures(first),
-        **{f"side of {split}": side for split, side in first["splits"].items()},
-    }
-    parts.append(_table(("", ""), summary.items()))
-    parts += [
-        "## Policies",
-        _policies(cards),
-        "## Training",
-        _table(("", ""), _training(first["training"])),
+    first, many = cards[0], len(cards) > 1
+    setting = (f"{name.replace('_', ' ')} {value}" for name, value in first["disability"].items())
+    summary = {"release": first["release"], "disability": ", ".join(setting), **_figures(first)}
+    summary |= {f"side of {split}": side for split, side in first["splits"].items()}
+    policies = [
+        ("id", *(card["id"] for card in cards)),
+        *((word, *(card["spec"][field] for card in cards)) for field, word in _SPEC_WORDS.items()),
+        ("sha256", *(f"`{card['sha256']}`" for card in cards)),
     ]
-    parts += ["## Use", f"```sh\n{_usage(cards)}\n```"]
-    return "\n\n".join(parts) + "\n"
+    return render(
+        "card.md",
+        cards=cards,
+        image=image,
+        title=first["team"] if many else first["id"],
+        summary=summary.items(),
+        policies=policies,
+        training=_flat(first["training"]),
+    )
 
 
 def _figures(card: Mapping[str, Any]) -> dict[str, str]:
     if "trained_against" in card:
         return {"trained against the training half of": card["trained_against"]["split"]}
-    figures = card["self_play"]
-    if figures is None:
+    if not (figures := card["self_play"]):
         return {"self-play return": "not measured"}
     low, high = figures["mean_ci"]
-    told = (
-        f"{figures['mean']:.1f}, 95% interval {low:.1f} to {high:.1f} over {figures['n']} episodes"
-    )
+    told = f"{figures['mean']:.1f}, 95% interval {low:.1f} to {high:.1f}"
+    found = {"self-play return": f"{told} over {figures['n']} episodes"}
     success = figures.get("success")
-    return {
-        "self-play return": told,
-        **({} if success is None else {"self-play success": f"{success:.0%}"}),
-    }
+    return found if success is None else {**found, "self-play success": f"{success:.0%}"}
 
 
-def _policies(cards: Sequence[Mapping[str, Any]]) -> str:
-    rows: dict[str, list[Any]] = {"id": [card["id"] for card in cards]}
-    rows |= {
-        word: [_value(card["spec"][field]) for card in cards] for field, word in _SPEC_WORDS.items()
-    }
-    rows["sha256"] = [f"`{card['sha256']}`" for card in cards]
-    return _table(
-        ("", *(card["spec"]["role"] for card in cards)),
-        [(name, *values) for name, values in rows.items()],
-    )
-
-
-def _training(training: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _flat(training: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """Return the training's fields, those of an object by `name.key`, without what is unknown."""
     rows = []
     for name, value in training.items():
-        if isinstance(value, Mapping):
-            rows += [(f"{name}.{key}", _value(item)) for key, item in value.items()]
-        elif value is not None:
-            rows.append((name, _value(value)))
+        pairs = value.items() if isinstance(value, Mapping) else ()
+        rows += [(f"{name}.{key}", item) for key, item in pairs]
+        rows += [] if value is None or isinstance(value, Mapping) else [(name, value)]
     return rows
 
 
-def _usage(cards: Sequence[Mapping[str, Any]]) -> str:
-    lines = []
-    for card in cards:
-        task = card["id"].partition("/")[0]
-        if card["spec"]["role"] == "robot":
-            lines.append(
-                f"assistax-zoo evaluate --task {task} --policy zoo:{card['id']} --split test --out "
-                "results"
-            )
-        lines.append(
-            f"assistax-zoo export {card['id']} --format onnx --out {card['spec']['role']}.onnx"
-        )
-    return "\n".join(lines)
+def render(template: str, **values: Any) -> str:
+    """Return a text of `zoo/templates`; what stands in a table's cell there is escaped."""
+    import jinja2
 
-
-def _table(columns: Sequence[str], rows: Any) -> str:
-    lines = [columns, ["---"] * len(columns), *rows]
-    return "\n".join(f"| {' | '.join(escape(cell) for cell in line)} |" for line in lines)
-
-
-def _value(value: Any) -> str:
-    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("zoo"),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters |= {"cell": escape, "address": _address}
+    return environment.get_template(template).render(**values)
 
 
 def escape(value: Any) -> str:
     """Return text that stays in its cell, and is neither a link nor HTML."""
+    value = ", ".join(map(str, value)) if isinstance(value, list | tuple) else value
     text = " ".join(printable(str(value)).split())
     for character in "\\|[]":
         text = text.replace(character, f"\\{character}")
@@ -179,6 +149,4 @@ def escape(value: Any) -> str:
 
 
 def _address(image: str) -> str:
-    return "".join(
-        character for character in image if character.isprintable() and character not in "<>"
-    )
+    return "".join(one for one in image if one.isprintable() and one not in "<>")
