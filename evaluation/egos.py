@@ -115,7 +115,7 @@ def _from_zoo(
 def _from_file(text: str) -> tuple[Member, PolicySpec, Any]:
     path = Path(text)
     spec, params, _ = read_policy_file(path)
-    return Member(text, hashlib.sha256(path.read_bytes()).hexdigest()), spec, params
+    return _of_file(text, path), spec, params
 
 
 def _from_object(robot: Any, place: int) -> tuple[Member, HostEgo]:
@@ -131,7 +131,7 @@ def _from_outside(reference: PolicyReference) -> tuple[Member, HostEgo]:
         if reference.kind == "onnx":
             path = Path(reference.source)
             robot = PolicyProcess(*onnx_ego.factory(path))
-            member = Member(reference.text, hashlib.sha256(path.read_bytes()).hexdigest())
+            member = _of_file(reference.text, path)
         else:
             robot = PolicyProcess(reference.source, reference.factory, reference.arguments)
             member = _python_member(reference, robot)
@@ -156,7 +156,12 @@ def _python_member(reference: PolicyReference, robot: PolicyProcess) -> Member:
         reference.text,
         _digest([reference.text, hashes]),
         reusable=robot.depends is not None,
+        files=tuple(paths),
     )
+
+
+def _of_file(text: str, path: Path) -> Member:
+    return Member(text, hashlib.sha256(path.read_bytes()).hexdigest(), files=(path,))
 
 
 def _digest(value: Any) -> str:

@@ -30,6 +30,21 @@ def reference_roster(observation_size: int, action_size: int) -> Roster:
     return Roster((PolicyStack(spec, tuple(members), {"amplitude": amplitude}),), members)
 
 
+def reference_jobs(env: Any, job: Job, own: tuple[Roster, Roster] | None) -> list[Job]:
+    """Return what `play_references` plays."""
+    roster = reference_roster(env.observation_size["robot"], env.action_size["robot"])
+    jobs = [dataclasses.replace(job, egos=roster, stochastic=False)]
+    if own:
+        robots, humans = own
+        jobs.append(dataclasses.replace(job, egos=robots, partners=humans, paired=True))
+    return jobs
+
+
+def kept_folder(folder: Path, job: Job) -> Path:
+    """Return where a job of reference egos is kept."""
+    return folder / job.digest()[:20]
+
+
 def play_references(
     env: Any,
     job: Job,
@@ -55,16 +70,10 @@ def play_references(
         if on_progress is not None:
             on_progress(dataclasses.replace(state, what="reference egos"))
 
-    roster = reference_roster(env.observation_size["robot"], env.action_size["robot"])
-    jobs = [dataclasses.replace(job, egos=roster, stochastic=False)]
-    if own:
-        robots, humans = own
-        jobs.append(dataclasses.replace(job, egos=robots, partners=humans, paired=True))
+    options: dict[str, Any] = {"max_envs": max_envs, "kept": True, "on_progress": told}
     played = [
-        run_job(
-            env, one, folder / one.digest()[:20], max_envs=max_envs, kept=True, on_progress=told
-        ).table
-        for one in jobs
+        run_job(env, one, kept_folder(folder, one), **options).table
+        for one in reference_jobs(env, job, own)
     ]
     names = pl.when(pl.col("ego").is_in([ZERO, RANDOM])).then("ego").otherwise(pl.lit(SELF_PLAY))
     return pl.concat(played).with_columns(names.alias(COLUMN))

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from assistax_envs.disability import Disability
@@ -24,6 +25,7 @@ class Member:
     seed: int | None = None
     setting: Disability | None = None  # what a human's setting is; the installed one of its name
     reusable: bool = True  # False where the digest does not cover all that the policy depends on
+    files: tuple[Path, ...] = ()  # outside any registry, that the digest is of
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ Here registry, job and summary meet; each study fills a folder.
 import dataclasses
 import difflib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +22,7 @@ from evaluation.jobs import Job
 from evaluation.relative import bounds_table
 from evaluation.roster import Roster, paired_rosters, registry_roster
 from evaluation.runner import Progress
+from evaluation.sources import describe_sources
 from evaluation.summary import Context, CrossPlaySummary, EvaluationSummary, SplitName
 from population.ray_blocks import RayCluster
 from zoo.errors import RegistryVersionError, SplitError, listing
@@ -108,14 +109,16 @@ def evaluate_policies(
     result = run_job(
         env, job, folder, max_envs=settings.max_envs, reuse=reuse, on_progress=on_progress
     )
-    played = None
+    played, files = None, _own_files(egos, crossplay)
     if references is not None:
-        played = _play_references(registry, env, job, chosen, settings, references, on_progress)
-        played = played, bounds_table(played, pairs)
+        given = registry, env, job, chosen, settings, references, on_progress
+        episodes, kept = _play_references(*given)
+        played, files = (episodes, bounds_table(episodes, pairs)), files + kept
     context = _context(registry, job, manifest, manifest.release, result)
-    given = {"include_own": include_own, "references": played}
-    summary = save_evaluation(folder, result.table, context, **given)
-    _seal(registry, folder, chosen)
+    options = {"include_own": include_own, "references": played}
+    summary = save_evaluation(folder, result.table, context, **options)
+    robots = set() if references is None else {entry.team for entry in chosen}
+    _seal(registry, folder, egos, chosen, manifest, robots, files)
     return summary
 
 
@@ -185,7 +188,7 @@ def cross_play(
     context = _context(registry, job, manifest, releases, result)
     summary = save_crossplay(folder, result.table, context)
     _draw(folder, summary)
-    _seal(registry, folder, [*robots, *humans])
+    _seal(registry, folder, job.egos, humans, manifest)
     return summary
 
 
@@ -308,14 +311,28 @@ def _play_references(
     settings: Settings,
     kept: Path,
     on_progress: Callable[[Progress], None] | None,
-) -> pl.DataFrame:
-    """Return the reference egos' episodes with the partners, their own robots among them."""
-    from evaluation.references import play_references
+) -> tuple[pl.DataFrame, list[Path]]:
+    """Return the reference egos' episodes with the partners, and the files that keep them.
+
+    Each partner's own robot is among them.
+    """
+    from evaluation.references import kept_folder, play_references, reference_jobs
 
     robots = {entry.team: entry for entry in registry.policies if entry.role == "robot"}
     pairs = [(robots[human.team], human) for human in partners if human.team in robots]
     own = paired_rosters(registry, pairs) if pairs else None
-    return play_references(env, job, own, kept, max_envs=settings.max_envs, on_progress=on_progress)
+    options: dict[str, Any] = {"max_envs": settings.max_envs, "on_progress": on_progress}
+    played = play_references(env, job, own, kept, **options)
+    folders = [kept_folder(kept, one) for one in reference_jobs(env, job, own)]
+    return played, [folder / tables.EPISODES_FILE for folder in folders]
+
+
+def _own_files(egos: Roster, crossplay: Path | None) -> list[Path]:
+    """Return the files that figures are drawn from beside the registry's and references'."""
+    files = [path for member in egos.members.values() for path in member.files]
+    if crossplay is not None:
+        files += [crossplay / name for name in (tables.SUMMARY_FILE, tables.PAIRS_FILE)]
+    return files
 
 
 def _context(
@@ -334,11 +351,28 @@ def _context(
     )
 
 
-def _seal(registry: Registry, folder: Path, entries: Sequence[PolicyEntry]) -> None:
-    """Write the hashes of all files, and the roots of the releases that the policies are of."""
-    releases = sorted({entry.release for entry in entries})
-    roots = {release: registry.root(release) for release in releases}
-    provenance.seal(folder, registry={"roots": roots, "lock": registry.lock})
+def _seal(
+    registry: Registry,
+    folder: Path,
+    egos: Roster,
+    partners: Sequence[PolicyEntry],
+    split: Split | None,
+    own_robots_of: Collection[str] = (),
+    files: Iterable[Path] = (),
+) -> None:
+    """Write the hashes of all files, of what they were drawn from, and the releases' roots."""
+    names = {*egos.members, *(entry.id for entry in partners)}
+    entries = [
+        entry
+        for entry in registry.policies
+        if entry.id in names or (entry.role == "robot" and entry.team in own_robots_of)
+    ]
+    roots = {release: registry.root(release) for release in sorted({e.release for e in entries})}
+    provenance.seal(
+        folder,
+        registry={"roots": roots, "lock": registry.lock},
+        sources=describe_sources(registry, entries, split.id if split else None, files),
+    )
 
 
 def _crossplay_pairs(folder: Path, task: str) -> pl.DataFrame:

@@ -7,7 +7,7 @@ lock was made of; one in which anything pinned differs is refused.
 
 import dataclasses
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -86,11 +86,11 @@ def make_lock(
     (release,) = releases
     tables = _tables(registry, release)
     pinned = _splits(registry, entries, release, splits or {})
-    leaves = _leaf_names(entries, pinned)
+    splits_used = [split["id"] for split in pinned.values()]
     content: dict[str, Any] = {
         "release": release,
         "root": registry.root(release),
-        "leaves": {name: leaf for name, leaf in tables["leaves"].items() if name in leaves},
+        "leaves": used_leaves(registry, release, entries, splits_used),
         "registry": sha256(registry.path.read_bytes()),
         "disability_settings": tables["disability_settings"][""],
         "environments": {task: tables["environments"][task] for task in _tasks(entries)},
@@ -278,15 +278,19 @@ def _splits(
     return pinned
 
 
-def _leaf_names(
-    entries: Sequence[PolicyEntry], splits: Mapping[str, Mapping[str, str]]
-) -> set[str]:
-    """Return the leaves of the release's tree that the selection is made of, without namespace."""
-    names = {f"{kind} {entry.team}" for entry in entries for kind in ("team", "ego")}
-    names |= {f"run {entry.run}" for entry in entries}
-    names |= {f"split {split['id']}" for split in splits.values()}
-    kinds = [name.split(" ", 1) for name in names]
-    return {f"{kind} {split_namespace(name)[1]}" for kind, name in kinds}
+def used_leaves(
+    registry: Registry, release: str, entries: Sequence[PolicyEntry], splits: Iterable[str]
+) -> dict[str, str]:
+    """Return the leaves of a release's tree that some of its policies and splits are made of."""
+    namespace, name = split_namespace(release)
+    teams = {split_namespace(entry.team)[1] for entry in entries}
+    runs = {split_namespace(entry.run)[1] for entry in entries}
+    wanted = {f"{kind} {team}" for team in teams for kind in ("team", "ego")}
+    wanted |= {f"run {run}" for run in runs}
+    wanted |= {f"setting {entry.disability}" for entry in entries}
+    wanted |= {f"split {split_namespace(split)[1]}" for split in splits}
+    found = leaves(registry.part(namespace).data, name)
+    return {leaf: digest for leaf, digest in found.items() if leaf in wanted}
 
 
 def _tasks(entries: Sequence[PolicyEntry]) -> list[str]:

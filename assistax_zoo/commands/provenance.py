@@ -7,17 +7,22 @@ from assistax_zoo.console import answer, stdout_is_data
 from zoo.registry import load_registry
 
 
-def verify_results(folder: Path, json: bool) -> bool:
-    """Hold a finished folder against its manifest, print what was found; return if it is whole."""
-    from evaluation import tables
+def verify_results(folder: Path, registry: Path | None, json: bool) -> bool:
+    """Hold a finished folder and its sources against its manifest; print and return the verdict."""
     from evaluation.provenance import verify_folder
+    from evaluation.sources import SourceReport, check_sources
 
     report = verify_folder(folder)
-    lines = [f"problem: {problem}" for problem in report.problems]
-    told = "verified" if report.ok else f"{len(report.problems)} problems in"
-    content = {"ok": report.ok, **tables.to_json(report)}
-    answer(json, content, *lines, f"{told} {report.files} files of {folder}")
-    return report.ok
+    sources = check_sources(folder, registry) if report.ok else SourceReport(0, (), ())
+    problems = [*report.problems, *sources.problems]
+    content = {"ok": not problems, "folder": str(folder), "files": report.files}
+    content |= {"sources": sources.sources, "absent": sources.absent, "problems": problems}
+    lines = [f"not here, and not checked: {absent}" for absent in sources.absent]
+    lines += [f"problem: {problem}" for problem in problems]
+    told = f"{len(problems)} problems in" if problems else "verified"
+    files = f"{report.files} files of {folder}, and {sources.sources} that they depend on"
+    answer(json, content, *lines, f"{told} {files}")
+    return not problems
 
 
 def replay(

@@ -102,7 +102,8 @@ def verify(
 ) -> None:
     """Check every published byte, split, figure and reference; exit code 1 if anything is wrong.
 
-    Given a folder of results, its files are held against the manifest that it holds instead.
+    Given a folder of results, its files are held against the manifest that it holds instead, and so
+    is what they depend on and is here: policies, entries of the registry, own robots' files.
     With --deep the policies are loaded and stepped too, and the teams replay their self-play, each
     under its own disability setting: a judgement on the installed MuJoCo, MJX and JAX.
 
@@ -120,7 +121,7 @@ def verify(
         assistax-zoo verify 'scratch/ippo-d1-*' --deep
     """
     if pattern and not deep and Path(pattern).is_dir():
-        if not verify_results(Path(pattern), json):
+        if not verify_results(Path(pattern), registry, json):
             raise SystemExit(1)
         return
     if (pattern or release) and not deep:

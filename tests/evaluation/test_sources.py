@@ -1,0 +1,191 @@
+"""A figure traced to bytes: one bit of any file that it depends on is found, wherever it lies."""
+
+import json
+import os
+import random
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from assistax_zoo.main import run
+from evaluation import provenance, sources
+from evaluation.sources import check_sources
+from evaluation.studies import Settings, cross_play, evaluate_policies
+from tests.attack.commands import ROBOT, small_zoo
+from tests.population.toy_env import ToyEnv, match
+from tests.untrained import params_of
+from zoo.registry import Registry, load_registry
+from zoo.storage import write_policy_file
+
+CODE = """
+import numpy as np
+import gain
+DEPENDS = ["bias.npy"]
+def make(weights):
+    sizes = np.load(weights).sum() * gain.GAIN + np.load(__file__.replace("mine.py", "bias.npy"))
+    return lambda obs: np.full((len(obs), %d), sizes, np.float32)
+"""
+
+
+def write_robots(folder: Path) -> list[str]:
+    """Write a robot of Python code, and a policy file; return how to name them."""
+    folder.mkdir()
+    (folder / "mine.py").write_text(CODE % ROBOT.action_size)
+    (folder / "gain.py").write_text("GAIN = 0.5\n")
+    np.save(folder / "weights.npy", np.full(4, 0.1, np.float32))
+    np.save(folder / "bias.npy", np.float32(0.1))
+    write_policy_file(folder / "own.safetensors", ROBOT, params_of(ROBOT, 7))
+    code = f"python:{folder}/mine.py:make?weights={folder}/weights.npy"
+    return [code, str(folder / "own.safetensors")]
+
+
+def toy(task: str, backend: str = "native", **_: Any) -> ToyEnv:
+    """Return an environment that is quick to compile."""
+    made = ToyEnv(match)
+    made.task, made.backend = task, "native"
+    return made
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A zoo, robots, a cross-play, and an evaluation that draws on all of them."""
+    home = tmp_path_factory.mktemp("home")
+    registry = load_registry(small_zoo(home / "zoo"))
+    settings = Settings("scratch", 1, backend="native")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("assistax_envs.make", toy)
+        cross_play(registry, "scratch/*", "scratch/*", settings, home / "crossplay")
+        robots = ["zoo:scratch/ippo-d1-s0-v0/robot", *write_robots(home / "mine")]
+        others = {"references": home / "kept", "crossplay": home / "crossplay"}
+        evaluate_policies(registry, robots, settings, home / "out", **others)
+        provenance.write_run(home / "out", "assistax-zoo evaluate", simulated=True)
+        yield home
+
+
+def verdict(home: Path) -> bool:
+    """Return what the command says."""
+    try:
+        return run(["verify", str(home / "out"), "--json"]) == 0
+    except SystemExit:
+        return False
+
+
+def files_of(home: Path) -> list[Path]:
+    """Return every file that the manifest lists, and those that policies are read from."""
+    manifest = provenance.read_manifest(home / "out") or {}
+    listed = manifest["sources"]
+    registry = load_registry(home / "zoo" / "registry.json")
+    named = [name for one in listed["releases"].values() for name in one["policies"]]
+    shards = {entry.shard for entry in registry.policies if entry.id in named}
+    return [
+        *(home / "out" / name for name in (*manifest["files"], provenance.MANIFEST_FILE)),
+        *map(Path, listed["files"]),
+        *(registry.shard_path(shard) for shard in sorted(shards)),
+    ]
+
+
+def flipped(data: bytes, place: int, bit: int) -> bytes:
+    return data[:place] + bytes([data[place] ^ (1 << bit)]) + data[place + 1 :]
+
+
+def test_one_bit_of_any_file_is_found(home: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Of each, at its beginning, its end, and between."""
+    files, rng = files_of(home), random.Random(0)
+    names = {path.name for path in files}
+    assert names >= {"manifest.json", "run.json", "summary.json", "episodes.parquet"}
+    assert names >= {"mine.py", "gain.py", "weights.npy", "bias.npy", "own.safetensors"}
+    kept = [path for path in files if path.is_relative_to(home / "kept")]
+    shards = [path for path in files if path.is_relative_to(home / "zoo")]
+    assert len(kept) == 2 and len(shards) == 2 and home / "crossplay" / "pairs.parquet" in files
+    for path in files:
+        whole = path.read_bytes()
+        for place in (0, rng.randrange(len(whole)), len(whole) - 1):
+            path.write_bytes(flipped(whole, place, 1))
+            assert not verdict(home), (path, place)
+        path.write_bytes(whole)
+    assert verdict(home), capfd.readouterr().out
+
+
+def test_one_bit_of_the_registry_is_found(home: Path) -> None:
+    """Wherever it changes what a figure is drawn from; elsewhere the registry's own check does."""
+    path, rng = home / "zoo" / "registry.json", random.Random(0)
+    whole = path.read_bytes()
+    [release] = (provenance.read_manifest(home / "out") or {})["sources"]["releases"].values()
+    found = 0
+    for _ in range(150):
+        path.write_bytes(flipped(whole, rng.randrange(len(whole)), rng.randrange(8)))
+        if not same_content(path.read_bytes(), whole):
+            about_the_figures = not check_sources(home / "out").problems
+            if about_the_figures:
+                assert not verified(path), "neither check finds it"
+            found += not about_the_figures
+    path.write_bytes(whole)
+    kinds = {name.partition(" ")[0] for name in release["entries"]}
+    assert found > 50 and kinds == {"team", "run", "split", "setting"}
+
+
+def same_content(one: bytes, other: bytes) -> bool:
+    try:
+        return json.loads(one) == json.loads(other)
+    except ValueError:
+        return False
+
+
+def verified(path: Path) -> bool:
+    try:
+        return run(["verify", "--registry", str(path), "--json"]) == 0
+    except SystemExit:
+        return False
+
+
+def test_a_check_that_believes_the_shards_would_be_caught(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The planted defect: parameters that nobody holds against their hash."""
+    path = files_of(home)[-1]
+    whole = path.read_bytes()
+    path.write_bytes(flipped(whole, len(whole) // 2, 0))
+    assert check_sources(home / "out").problems
+    monkeypatch.setattr(sources, "load_leaves", lambda registry, entries: None)
+    assert not check_sources(home / "out").problems
+    path.write_bytes(whole)
+
+
+def test_what_is_not_here_is_told_and_no_problem(home: Path, tmp_path: Path) -> None:
+    """A received folder: of another machine, whose files and zoo are not this one's."""
+    folder = Path(shutil.copytree(home / "out", tmp_path / "out"))
+    resealed(folder, registry="/gone/registry.json", files={"/gone/weights.npy": "0" * 64})
+    report = check_sources(folder)
+    assert report.problems == () and len(report.absent) == 2
+    assert "weights.npy" in report.absent[0] and "policies of '/gone/" in report.absent[1]
+
+
+def test_a_received_manifest_cannot_make_us_wait_or_read_on(home: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(home / "out", tmp_path / "out"))
+    os.mkfifo(tmp_path / "pipe")
+    names = ["/dev/zero", str(tmp_path / "pipe"), str(tmp_path), "x\0y", "\x1b[31m" * 1000]
+    resealed(folder, files=dict.fromkeys(names, "0" * 64))
+    report = check_sources(folder)
+    assert len(report.absent) == len(names) and "\x1b" not in "".join(report.absent)
+    for nonsense in ([], {"files": 7}, {"files": {}, "registry": 7}, {"files": {"a": []}}):
+        provenance.write_manifest(folder, {"sources": nonsense})
+        assert check_sources(folder).problems
+
+
+def resealed(folder: Path, **changes: Any) -> None:
+    """Write other sources into a manifest, consistently, as whoever sends a folder can."""
+    manifest = provenance.read_manifest(folder) or {}
+    provenance.write_manifest(folder, {**manifest, "sources": {**manifest["sources"], **changes}})
+
+
+def test_the_registry_is_the_one_that_is_given(home: Path, tmp_path: Path) -> None:
+    zoo = Path(shutil.copytree(home / "zoo", tmp_path / "zoo"))
+    other: Registry = load_registry(zoo / "registry.json")
+    assert not check_sources(home / "out", other.path).problems
+    other.shard_path(other.policies[0].shard).unlink()
+    report = check_sources(home / "out", other.path)
+    assert not report.problems and "parameters, in" in report.absent[0]
