@@ -15,8 +15,13 @@ def verify_results(folder: Path, registry: Path | None, json: bool) -> bool:
     report = verify_folder(folder)
     sources = check_sources(folder, registry) if report.ok else SourceReport(0, (), ())
     problems = [*report.problems, *sources.problems]
-    content = {"ok": not problems, "folder": str(folder), "files": report.files}
-    content |= {"sources": sources.sources, "absent": sources.absent, "problems": problems}
+    content = {
+        "ok": not problems,
+        "folder": str(folder),
+        "files": report.files,
+        **vars(sources),
+        "problems": problems,
+    }
     lines = [f"not here, and not checked: {absent}" for absent in sources.absent]
     lines += [f"problem: {problem}" for problem in problems]
     told = f"{len(problems)} problems in" if problems else "verified"
