@@ -80,9 +80,10 @@ class Loop:
 
 
 class Rollout:
-    """Blocks of one pair of specs; compiles once for each shape and device, and counts the seconds.
+    """Blocks of one pair of specs; compiles once for each shape and device.
 
-    Threads may run blocks on a device each.
+    Threads may run blocks on a device each, others prepare them. `compile_seconds` are those for
+    which runs have waited.
     """
 
     def __init__(
@@ -119,7 +120,9 @@ class Rollout:
             static_argnames="shape",
         )
         self._steps = steps
-        self._compiled: dict[Any, tuple[Callable[..., Loop], Callable[..., Loop]]] = {}
+        self._compiled: dict[Any, tuple[Callable[..., Loop], ...]] = {}
+        self._compiling: dict[Any, threading.Lock] = {}
+        self._looking = threading.Lock()
         self._tracing = threading.Lock()  # the second device then finds the program traced
 
     def run(
@@ -148,19 +151,12 @@ class Rollout:
         Returns:
             The tally with NumPy leaves [E, P, K].
         """
-        egos = (
-            1 if robot_params is None or self._paired else jax.tree.leaves(robot_params)[0].shape[0]
-        )
-        seeds = np.asarray(seeds, np.uint32)
-        shape = egos, jax.tree.leaves(human_params)[0].shape[0], seeds.shape[-1]
         device = device or jax.local_devices()[0]
-        keys = jax.vmap(jax.random.key)(seeds.ravel()).reshape(seeds.shape)
-        robot_params, human_params, env_params, keys, once = jax.device_put(
-            (robot_params, human_params, env_params, keys, _once()), device
-        )
-        start, advance = self._programs(
-            device, shape, keys, robot_params, human_params, env_params, once
-        )
+        shape, given = self._place(robot_params, human_params, env_params, seeds, device)
+        began = time.perf_counter()
+        start, advance = self._programs(device, shape, given)
+        self.compile_seconds[device] += time.perf_counter() - began
+        robot_params, human_params, env_params, keys, once = given
         loop = start(env_params, keys)
         for step in range(0, self._length, self._steps):
             action = None if act is None else act(np.array(loop.state.obs["robot"]), step)
@@ -171,33 +167,62 @@ class Rollout:
                 on_steps(self._steps)
         return jax.tree.map(lambda leaf: np.asarray(leaf).reshape(shape), loop.tally)
 
-    def _programs(
+    def prepare(
         self,
-        device: jax.Device,
-        shape: Shape,
-        keys: Any,
         robot_params: Any,
         human_params: Any,
         env_params: Any,
-        once: Any,
-    ) -> tuple[Callable[..., Loop], Callable[..., Loop]]:
+        seeds: Sequence[int] | np.ndarray,
+        device: jax.Device,
+    ) -> None:
+        """Compile what `run` needs for these arguments; it then waits for what is not yet done."""
+        shape, given = self._place(robot_params, human_params, env_params, seeds, device)
+        self._programs(device, shape, given)
+
+    def _place(
+        self,
+        robot_params: Any,
+        human_params: Any,
+        env_params: Any,
+        seeds: Sequence[int] | np.ndarray,
+        device: jax.Device,
+    ) -> tuple[Shape, tuple[Any, ...]]:
+        """Return a block's shape, and on its device what the programs are given."""
+        egos = (
+            1 if robot_params is None or self._paired else jax.tree.leaves(robot_params)[0].shape[0]
+        )
+        seeds = np.asarray(seeds, np.uint32)
+        shape = egos, jax.tree.leaves(human_params)[0].shape[0], seeds.shape[-1]
+        keys = jax.vmap(jax.random.key)(seeds.ravel()).reshape(seeds.shape)
+        given = robot_params, human_params, env_params, keys, _once()
+        return shape, jax.device_put(given, device)
+
+    def _programs(
+        self, device: jax.Device, shape: Shape, given: tuple[Any, ...]
+    ) -> tuple[Callable[..., Loop], ...]:
         """Compile for a shape and device, or find it compiled: timed runs hold no compilation."""
-        if (shape, device) not in self._compiled:
-            began = time.perf_counter()
-            with self._tracing:
-                start = self._start.lower(env_params, keys, shape=shape)
-                loop = jax.eval_shape(functools.partial(self._start, shape=shape), env_params, keys)
-                action = None
-                if robot_params is None:
-                    action = jax.ShapeDtypeStruct(
-                        (math.prod(shape), self.env.action_size["robot"]), jnp.float32
-                    )
-                advance = self._advance.lower(
-                    loop, robot_params, human_params, keys, action, once, shape=shape
-                )
-            self._compiled[shape, device] = start.compile(), advance.compile()
-            self.compile_seconds[device] += time.perf_counter() - began
-        return self._compiled[shape, device]
+        with self._looking:
+            compiling = self._compiling.setdefault((shape, device), threading.Lock())
+        with compiling:
+            if (shape, device) not in self._compiled:
+                with self._tracing:
+                    lowered = self._lower(shape, *given)
+                self._compiled[shape, device] = tuple(program.compile() for program in lowered)
+            return self._compiled[shape, device]
+
+    def _lower(
+        self, shape: Shape, robot_params: Any, human_params: Any, env_params: Any, *rest: Any
+    ) -> tuple[Any, Any]:
+        """Trace the programs that start and advance a block."""
+        keys, once = rest
+        start = self._start.lower(env_params, keys, shape=shape)
+        loop = jax.eval_shape(functools.partial(self._start, shape=shape), env_params, keys)
+        action = None
+        if robot_params is None:
+            size = math.prod(shape), self.env.action_size["robot"]
+            action = jax.ShapeDtypeStruct(size, jnp.float32)
+        args = loop, robot_params, human_params, keys, action, once
+        return start, self._advance.lower(*args, shape=shape)
 
 
 def segment_length(episode_length: int) -> int:

@@ -7,6 +7,7 @@ runs on does not show in its values: all run the same program.
 import concurrent.futures
 import dataclasses
 import math
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -112,7 +113,7 @@ class Runner:
 
     @property
     def compile_seconds(self) -> float:
-        """Seconds that compilation took, on the device where it took longest."""
+        """Seconds for which compilation was waited, on the device where it took longest."""
         return max(
             (sum(r.compile_seconds[d] for r in self._rollouts.values()) for d in self._devices),
             default=0.0,
@@ -126,16 +127,22 @@ class Runner:
     ) -> None:
         """Simulate chunks and `save` the rows of each, padding dropped, when it is done."""
         queue, meter = iter(chunks), meter or Meter(0)
+        pool = concurrent.futures.ThreadPoolExecutor
         # In threads even for one device: see `assistax_envs.interrupts`.
-        with concurrent.futures.ThreadPoolExecutor(len(self._devices)) as pool:
+        with pool(len(self._devices)) as playing, pool(_compilers()) as compiling:
             works = [
-                pool.submit(self._work, device, queue, save, meter) for device in self._devices
+                playing.submit(self._work, device, queue, save, meter) for device in self._devices
             ]
+            for tile in _first_of_each_program(chunks)[1:]:
+                for device in self._devices:
+                    compiling.submit(self._prepare, device, tile)
             try:
                 wait_for(works)
             except BaseException:
                 meter.stop()
                 raise
+            finally:
+                compiling.shutdown(wait=False, cancel_futures=True)
 
     def _work(
         self,
@@ -152,17 +159,16 @@ class Runner:
                 return
             save(chunk, pl.concat([self._run_tile(device, tile, meter) for tile in chunk.tiles]))
 
+    def _prepare(self, device: jax.Device, tile: Tile) -> None:
+        """Compile a tile's programs while others play; an error comes again when it is played."""
+        rollout, block, _ = self._block(tile)
+        rollout.prepare(*block, device)
+
     def _run_tile(self, device: jax.Device, tile: Tile, meter: Meter) -> pl.DataFrame:
-        job, (e, p, k) = self._job, tile.shape
-        ego, partner = _stacks(job, tile)
-        humans = partner.take(_padded(tile.partners, p))
-        partners = job.partners.describe(humans.ids)
-        robots, act = None, None
-        if isinstance(ego, HostEgo):
-            act = call_ego(ego, humans.ids, k, self._env.action_size["robot"])
-        else:
-            robots = ego.take(_padded(tile.egos, p if tile.paired else e))
-        rollout = self._rollout(robots.spec if robots else None, humans.spec)
+        job, act = self._job, None
+        rollout, block, partners = self._block(tile)
+        if isinstance(ego := _stacks(job, tile)[0], HostEgo):
+            act = call_ego(ego, partners, tile.shape[2], self._env.action_size["robot"])
         before, counted = rollout.compile_seconds[device], 0.0
         began = time.perf_counter()
 
@@ -172,19 +178,26 @@ class Runner:
             counted, seconds = spent, spent - counted
             meter.add(device, steps * tile.rows, seconds)
 
-        tally = _run(
-            job,
-            rollout,
-            tile,
+        tally = _run(job, rollout, tile, *block, act=act, on_steps=on_steps, device=device)
+        return _rows(job, tile, tally)
+
+    def _block(self, tile: Tile) -> tuple[Rollout, tuple[Any, ...], tuple[str, ...]]:
+        """Return what plays a tile, its parameters and seeds, and the ids of its partners."""
+        job, (e, p, k) = self._job, tile.shape
+        ego, partner = _stacks(job, tile)
+        humans = partner.take(_padded(tile.partners, p))
+        partners = job.partners.describe(humans.ids)
+        settings = [member.setting or str(member.disability) for member in partners]
+        robots = None
+        if not isinstance(ego, HostEgo):
+            robots = ego.take(_padded(tile.egos, p if tile.paired else e))
+        block = (
             robots.params if robots else None,
             humans.params,
-            disability_params([member.setting or str(member.disability) for member in partners]),
+            disability_params(settings),
             job.seeds(humans.ids, _padded(tile.episodes, k)),
-            act=act,
-            on_steps=on_steps,
-            device=device,
         )
-        return _rows(job, tile, tally)
+        return self._rollout(robots.spec if robots else None, humans.spec), block, humans.ids
 
     def _rollout(self, robot: PolicySpec | None, human: PolicySpec) -> Rollout:
         key = robot, human
@@ -222,6 +235,20 @@ def _run(job: Job, rollout: Rollout, tile: Tile, *args: Any, **options: Any) -> 
         if job.backend in TILE_ENVS:
             advice = "stop what else uses the memory"
         raise ValueError(f"out of memory with {simulations} simulations; {advice}") from error
+
+
+def _compilers() -> int:
+    """Return how many programs are compiled beside the one that plays: it needs the cores too."""
+    return max(1, (os.cpu_count() or 1) // 4)
+
+
+def _first_of_each_program(chunks: Sequence[Chunk]) -> list[Tile]:
+    """Return a tile of each pair of stacks and shape, in the order in which they are played."""
+    found: dict[Any, Tile] = {}
+    for chunk in chunks:
+        for tile in chunk.tiles:
+            found.setdefault((tile.ego_stack, tile.partner_stack, tile.shape), tile)
+    return list(found.values())
 
 
 def _policy(spec: Any) -> Any:

@@ -1,4 +1,5 @@
 import math
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -242,3 +243,24 @@ def test_no_simulation_has_parameters_of_its_own():
     kernels = stack_of(robot).params["Dense_1"]["kernel"]
     planted = jax.make_jaxpr(gathered)(jnp.zeros((300, 64)), kernels)
     assert parameters_per_simulation(planted.jaxpr, 300, 64 * 64) != []
+
+
+def test_threads_that_want_one_program_compile_it_once(monkeypatch: pytest.MonkeyPatch):
+    lowered: list[Any] = []
+    lower = Rollout._lower
+
+    def counted(self: Rollout, *args: Any) -> Any:
+        lowered.append(args[0])
+        return lower(self, *args)
+
+    monkeypatch.setattr(Rollout, "_lower", counted)
+    robot, human = stack_of(robots(-0.5)), stack_of(humans(0.5))
+    rollout = Rollout(MatrixGame(), Policy(robot.spec), Policy(human.spec))
+    block = robot.params, human.params, disability_params(["d1"]), episode_seeds(7, range(3))
+    device = jax.local_devices()[0]
+    with ThreadPoolExecutor(3) as pool:
+        ahead = [pool.submit(rollout.prepare, *block, device) for _ in range(2)]
+        tally = pool.submit(rollout.run, *block).result()
+        assert [work.result() for work in ahead] == [None, None]
+    assert lowered == [(1, 1, 3)]
+    assert tally.returns.shape == (1, 1, 3)
