@@ -17,6 +17,7 @@ from assistax_envs.physics import (
     make_physics,
     resolve_backend,
 )
+from assistax_envs.preferences import DRAWN, PREFERENCES
 from assistax_envs.tasks import TASK_CLASSES, Measures, Sensors, Task
 from assistax_envs.tasks.base import HUMAN_ACTUATORS, HUMAN_JOINTS, ROBOT_JOINTS
 from assistax_envs.tremor import TremorFilter
@@ -30,11 +31,14 @@ ELBOW = "human_right_elbow"
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class EnvParams:
-    """The human's impairment in each simulation, [N] float32 each; see `Disability`."""
+    """The human in each simulation, [N] each: its impairment, float32, see `Disability`; and its preference."""
 
     strength: jax.Array
     elbow_range: jax.Array
     tremor: jax.Array
+    preference: (
+        jax.Array
+    )  # int32: k for pk, 0 where one is drawn anew at each reset; gentle tasks only
 
 
 @jax.tree_util.register_dataclass
@@ -74,7 +78,7 @@ class Env:
         self.episode_length = EPISODE_LENGTH
         self.model: mujoco.MjModel = build_model(task)
         self._task: Task = TASK_CLASSES[task](self.model, weights, **options)
-        self._sensors = Sensors(self.model)
+        self._sensors: Sensors = self._task.sensors
         self._physics = make_physics(self.model, self.backend)
         self._renderers: dict[tuple[int, int], Any] = {}  # by width and height
         self._tremor = TremorFilter(rate=1.0 / (SUBSTEPS * self.model.opt.timestep))
@@ -108,7 +112,7 @@ class Env:
         """
         n = keys.shape[0]
         start_keys, episode_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
-        qpos, task = jax.vmap(self._task.reset)(start_keys)
+        qpos, task = jax.vmap(self._task.reset)(start_keys, params)
         still = jnp.zeros((n, self.model.nv), jnp.float32)
         physics = PhysicsState(qpos, still, still)
         readings = self._sensors.read(self._physics.forward(physics, self._joint_range(params)))
@@ -275,15 +279,22 @@ def make(
     return Env(task, backend, weights, **options)
 
 
-def disability_params(settings: Sequence[str | Disability]) -> EnvParams:
-    """Return the impairments [N] of settings given as "d1".."d9" or `Disability`."""
+def disability_params(
+    settings: Sequence[str | Disability], preferences: Sequence[str] | None = None
+) -> EnvParams:
+    """Return the humans [N] of settings given as "d1".."d9" or `Disability`.
+
+    Args:
+        settings: [N] of their bodies.
+        preferences: [N] "p1".."p9", or "drawn" for one that changes from episode to episode; all drawn if not given.
+    """
     rows = [_disability(setting) for setting in settings]
-    return EnvParams(
-        *(
-            jnp.asarray([getattr(row, field.name) for row in rows], jnp.float32)
-            for field in dataclasses.fields(EnvParams)
-        )
-    )
+    body = {
+        field.name: jnp.asarray([getattr(row, field.name) for row in rows], jnp.float32)
+        for field in dataclasses.fields(Disability)
+    }
+    likes = [_preference(name) for name in preferences or [DRAWN] * len(rows)]
+    return EnvParams(**body, preference=jnp.asarray(likes, jnp.int32))
 
 
 def select(mask: jax.Array, on_true: Any, on_false: Any) -> Any:
@@ -306,6 +317,13 @@ def _disability(setting: str | Disability) -> Disability:
             f"disability setting is {setting!r}; allowed are {', '.join(DISABILITY_SETTINGS)}"
         )
     return DISABILITY_SETTINGS[setting]
+
+
+def _preference(name: str) -> int:
+    allowed = (DRAWN, *PREFERENCES)
+    if name not in allowed:
+        raise ValueError(f"preference is {name!r}; allowed are {', '.join(allowed)}")
+    return allowed.index(name)
 
 
 def _diverged(physics: PhysicsState, values: jax.Array, control: jax.Array) -> jax.Array:

@@ -64,7 +64,7 @@ class Renderer:
         self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
         self.model.vis.quality.shadowsize = 2048
         self._task = task
-        self._locate = jax.jit(functools.partial(_locate, task, Sensors(self.model)))
+        self._locate = jax.jit(functools.partial(_locate, task, task.sensors))
         self._data = mujoco.MjData(self.model)
         self._scene = mujoco.MjvScene(self.model, maxgeom=2000)
         self._options = mujoco.MjvOption()

@@ -8,7 +8,14 @@ guards it.
 
 from importlib.metadata import version
 
-VERSIONS: dict[str, int] = {"scratch": 1, "bed_bath": 1, "arm_assist": 2}
+VERSIONS: dict[str, int] = {
+    "scratch": 1,
+    "bed_bath": 1,
+    "arm_assist": 2,
+    "gentle_scratch": 1,
+    "gentle_bath": 1,
+    "gentle_lift": 1,
+}
 
 TASKS: tuple[str, ...] = tuple(VERSIONS)
 

@@ -11,6 +11,8 @@ from importlib import resources
 import mujoco
 import numpy as np
 
+from assistax_envs.models.gentle_scenes import SCENES, soften
+
 TOOLS: dict[str, str] = {
     "scratch": "stick",
     "bed_bath": "pad",
@@ -28,12 +30,16 @@ WEAKNESS: dict[str, float] = {
 
 def build_model(task: str) -> mujoco.MjModel:
     """Compile the scene of `task` with its tool bolted to the robot's hand."""
+    base = SCENES.get(task, task)
     with resources.as_file(resources.files("assistax_envs.models")) as folder:
-        scene = mujoco.MjSpec.from_file(str(folder / f"{task}.xml"))
-        tool = mujoco.MjSpec.from_file(str(folder / f"{TOOLS[task]}.xml"))
+        scene = mujoco.MjSpec.from_file(str(folder / f"{base}.xml"))
+        tool = mujoco.MjSpec.from_file(str(folder / f"{TOOLS[base]}.xml"))
         scene.body("robot_hand").add_frame().attach_body(tool.body("tool"), "robot_", "")
-        for joint, angle in REST.get(task, {}).items():
+        for joint, angle in REST.get(base, {}).items():
             scene.joint(f"human_{joint}").springref = angle
+        if task in SCENES:
+            soften(scene, task)
+            return scene.compile()
         for actuator in scene.actuators:
             if actuator.name.startswith("human_"):
                 actuator.gear = np.array(actuator.gear) * WEAKNESS.get(task, 1.0)

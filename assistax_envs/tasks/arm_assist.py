@@ -1,7 +1,7 @@
 """Arm assist: the robot lifts the human's hanging arm back onto the bed (paper, 3.1 and A)."""
 
 import dataclasses
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from assistax_envs.tasks.base import (
     Measures,
     Pose,
     Readings,
+    Sensors,
     observations,
     reach_term,
     rotation_matrix,
@@ -77,12 +78,13 @@ class ArmAssist:
         if rotation not in ("printed", "aligned"):
             raise ValueError(f"rotation is {rotation!r}; allowed are printed, aligned")
         self.weights = {"reach_target": 1.0, "reach_waist": 10.0, "rotation": 0.1} | (weights or {})
-        self.pose = Pose(model, START)
+        self.pose, self.sensors = Pose(model, START), Sensors(model)
         self._rotation = rotation
         self._hook = _hook_in_forearm(model, self.pose)
 
-    def reset(self, key: jax.Array) -> tuple[jax.Array, ArmAssistState]:
+    def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, ArmAssistState]:
         """Draw the start pose [nq]; the targets are the same in every episode."""
+        del params
         return self.pose.draw(key), ArmAssistState(jnp.asarray(WAIST, jnp.float32))
 
     def targets(self, task_state: ArmAssistState, readings: Readings) -> dict[str, jax.Array]:

@@ -113,10 +113,14 @@ class Task(Protocol):
     name: str
     weights: dict[str, float]  # of the reward terms
     pose: "Pose"  # where joints start
+    sensors: "Sensors"  # what it reads
     target_colours: ClassVar[dict[str, tuple[float, ...]]]  # of `targets`, RGBA
 
-    def reset(self, key: jax.Array) -> tuple[jax.Array, Any]:
-        """Draw joint positions [nq] and the task state of one simulation from one key."""
+    def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, Any]:
+        """Draw joint positions [nq] and the task state of one simulation from one key.
+
+        `params` is its row of `EnvParams`: the gentle tasks take the human's preference from it.
+        """
         ...
 
     def targets(self, task_state: Any, readings: Readings) -> dict[str, jax.Array]:

@@ -1,7 +1,7 @@
 """Bed bath: the robot wipes 52 points of the human's right arm in turn (paper, 3.1 and A)."""
 
 import dataclasses
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ from assistax_envs.tasks.base import (
     Measures,
     Pose,
     Readings,
+    Sensors,
     observations,
     reach_term,
     segment_points,
@@ -61,12 +62,12 @@ class BedBath:
 
     def __init__(self, model: mujoco.MjModel, weights: dict[str, float] | None = None) -> None:
         self.weights = {"reach_target": 1.0, "wipe": 1.0} | (weights or {})
-        self.pose = Pose(model, START)
-        sites = [model.site(f"human_{segment}") for segment in ARM_SEGMENTS]
-        self._segment, self._offset = _helix([(site.size[0], site.size[1]) for site in sites])
+        self.pose, self.sensors = Pose(model, START), Sensors(model)
+        self._segment, self._offset = arm_points(model)
 
-    def reset(self, key: jax.Array) -> tuple[jax.Array, BedBathState]:
+    def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, BedBathState]:
         """Draw the start pose [nq]; the first target is at the shoulder, the last at the wrist."""
+        del params
         return self.pose.draw(key), BedBathState(jnp.zeros((), jnp.int32))
 
     def targets(self, task_state: BedBathState, readings: Readings) -> dict[str, jax.Array]:
@@ -103,6 +104,12 @@ class BedBath:
         return segment_points(
             readings, jnp.asarray(self._segment)[index], jnp.asarray(self._offset)[index]
         )
+
+
+def arm_points(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points to wipe, on a helix from shoulder to wrist: segment [52] and offset [52, 3] in its frame, m."""
+    sites = [model.site(f"human_{segment}") for segment in ARM_SEGMENTS]
+    return _helix([(site.size[0], site.size[1]) for site in sites])
 
 
 def _helix(sizes: list[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:

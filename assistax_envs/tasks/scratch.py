@@ -1,7 +1,7 @@
 """Scratch: the robot scratches a point on the human's right arm (paper, 3.1 and A)."""
 
 import dataclasses
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ from assistax_envs.tasks.base import (
     Measures,
     Pose,
     Readings,
+    Sensors,
     observations,
     reach_term,
     segment_points,
@@ -53,13 +54,14 @@ class Scratch:
 
     def __init__(self, model: mujoco.MjModel, weights: dict[str, float] | None = None) -> None:
         self.weights = {"reach_target": 1.0, "scratch": 1.0} | (weights or {})
-        self.pose = Pose(model, START)
+        self.pose, self.sensors = Pose(model, START), Sensors(model)
         sites = [model.site(f"human_{segment}") for segment in ARM_SEGMENTS]
         self._radius = np.array([site.size[0] for site in sites], np.float32)
         self._half_length = np.array([site.size[1] for site in sites], np.float32)
 
-    def reset(self, key: jax.Array) -> tuple[jax.Array, ScratchState]:
+    def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, ScratchState]:
         """Draw the start pose [nq] and a target uniform over the skin of upper and lower arm."""
+        del params
         pose_key, segment_key, along_key, around_key = jax.random.split(key, 4)
         area = self._radius * self._half_length
         segment = jax.random.categorical(segment_key, jnp.log(area)).astype(jnp.int32)

@@ -1,0 +1,93 @@
+"""The scenes of the gentle tasks: those of the paper's, with a soft skin, a robot in reduced mode and all touches felt.
+
+The changes are made on the parsed MJCF, so that a body or a piece of furniture is described once.
+"""
+
+import mujoco
+import numpy as np
+
+SCENES: dict[str, str] = {  # gentle task -> the paper's task whose scene it starts from
+    "gentle_scratch": "scratch",
+    "gentle_bath": "bed_bath",
+    "gentle_lift": "arm_assist",
+}
+ROBOT_SHARE = (
+    0.3  # of the robot's torque limits: what a collaborative robot is run at beside a person
+)
+HUMAN_SHARE: dict[str, float] = {  # of a healthy right arm's torques
+    "gentle_scratch": 0.5,
+    "gentle_bath": 0.5,
+    "gentle_lift": 0.12,  # holds the forearm where it was brought to, and cannot bring it there
+}
+TRUNK = 3.0  # times as stiff and damped as in the paper's scenes: 500 N bend those by 14 degrees
+SKIN = 0.06  # s, time constant of robot on human: flesh gives way by millimetres at a few newtons
+LINKS = {  # body of the robot -> name of its last capsule
+    "robot_link5": "robot_forearm",
+    "robot_link6": "robot_wrist",
+    "robot_hand": "robot_hand",
+}
+BODY = tuple(
+    f"human_{part}" for part in ("head", "torso", "right_upper_arm", "right_lower_arm", "right_hand")
+)
+LEGS = ("right_thigh", "left_thigh")  # parts of the human that belong to the furniture's files
+
+
+def soften(scene: mujoco.MjSpec, task: str) -> None:
+    """Turn the scene of the paper's task, tool attached, into that of the gentle `task`, in place."""
+    for actuator in scene.actuators:
+        human = actuator.name.startswith("human_")
+        actuator.gear = np.array(actuator.gear) * (HUMAN_SHARE[task] if human else ROBOT_SHARE)
+    for joint in scene.joints:
+        if "abdomen" in joint.name:
+            joint.stiffness = np.array(joint.stiffness) * TRUNK
+            joint.damping = np.array(joint.damping) * TRUNK
+    _give_links_contacts(scene)
+    for pair in scene.pairs:
+        touch = touching(pair.geomname1, pair.geomname2)
+        if touch:
+            pair.solref = np.array([SKIN, 1.0])
+            _feel(scene, *touch)
+
+
+def _give_links_contacts(scene: mujoco.MjSpec) -> None:
+    """Let the robot's forearm, wrist and hand touch the human: else they pass through it where that is the short way."""
+    for body, name in LINKS.items():
+        scene.body(body).geoms[-1].name = name
+    known = {frozenset((pair.geomname1, pair.geomname2)) for pair in scene.pairs}
+    like = scene.pairs[0]
+    for link in LINKS.values():
+        for part in BODY:
+            if frozenset((link, part)) not in known:
+                scene.add_pair(
+                    name=f"{link.removeprefix('robot_')}-{part.removeprefix('human_')}",
+                    geomname1=link,
+                    geomname2=part,
+                    condim=like.condim,
+                    friction=like.friction,
+                )
+
+
+def touching(geom1: str, geom2: str) -> tuple[str, str] | None:
+    """Return the robot's and the human's part of a contact pair, or None where one of them has no part in it."""
+    robot = [name for name in (geom1, geom2) if name.startswith("robot_")]
+    human = [name for name in (geom1, geom2) if name.startswith("human_") or name in LEGS]
+    return (robot[0], human[0]) if robot and human else None
+
+
+def _feel(scene: mujoco.MjSpec, robot: str, human: str) -> None:
+    """Add a sensor of the largest contact between two geoms: force, normal and tangent, 9 numbers."""
+    data = mujoco.mjtConDataField
+    fields = (data.mjCONDATA_FORCE, data.mjCONDATA_NORMAL, data.mjCONDATA_TANGENT)
+    scene.add_sensor(
+        name=f"touch-{robot}-{human}",
+        type=mujoco.mjtSensor.mjSENS_CONTACT,
+        objtype=mujoco.mjtObj.mjOBJ_GEOM,
+        objname=robot,
+        reftype=mujoco.mjtObj.mjOBJ_GEOM,
+        refname=human,
+        intprm=[
+            sum(1 << int(field) for field in fields),
+            2,
+            1,
+        ],  # what, reduced by the largest force, how many
+    )

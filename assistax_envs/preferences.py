@@ -1,0 +1,32 @@
+"""What a human likes, readable without JAX or MuJoCo: preferences p1..p9 of the gentle tasks.
+
+A disability is what a body can do; a preference is what a person wishes. The human observes its own, the robot does
+not, and the reward of both depends on it.
+"""
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class Preference:
+    """How a human likes to be touched."""
+
+    force: float  # N, of the tool on its arm
+    speed: float  # m/s, of the tool over its skin
+
+    def __post_init__(self) -> None:
+        for name in ("force", "speed"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"preferred {name} is {getattr(self, name)}; it must be above 0")
+
+
+FORCES = (2.0, 4.0, 8.0)  # N
+SPEEDS = (0.02, 0.04, 0.08)  # m/s
+
+# Speed runs fastest: p2 is the lightest touch at the middle speed, p4 the middle touch at the slowest.
+PREFERENCES: dict[str, Preference] = {
+    f"p{1 + len(SPEEDS) * i + j}": Preference(force, speed)
+    for i, force in enumerate(FORCES)
+    for j, speed in enumerate(SPEEDS)
+}
+DRAWN = "drawn"  # a preference that is drawn anew, among all of them, at each episode's start

@@ -1,0 +1,160 @@
+"""Gentle bath: wipe points of the arm in any order, sliding at the force and the speed that the human likes.
+
+Of the 52 points 19 can be reached while the arm rests, 42 in some pose: the human has to turn and lift it.
+"""
+
+import dataclasses
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from assistax_envs.tasks.base import Measures, Pose, observations, rotate
+from assistax_envs.tasks.bed_bath import POINTS, START, arm_points
+from assistax_envs.tasks.gentle_base import (
+    COSTS,
+    HARD,
+    SOFT,
+    STEP,
+    Liking,
+    TouchReadings,
+    TouchSensors,
+    along_skin,
+    bump,
+    costs,
+    in_segment,
+    liking,
+    with_preference,
+)
+
+NEAR = 0.04  # m from the middle of the pad, whose half length is 5.5 cm: a point under the pad is wiped
+SLIDE = 0.02  # m/s over the skin, below which nothing is wiped
+PRESS = 0.5  # N, likewise
+ENOUGH = 30  # points wiped that are success
+FACING = 0.03  # m above the skin, where the way to a point is measured to: points that face the pad come first
+SMOOTH = 0.25  # share of a step's speed in the smoothed one
+WIPED = 9.0  # m, a distance beyond all others
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class WipeState:
+    """Which points are left, and how the pad moved."""
+
+    left: jax.Array  # [52] 1 where a point is to be wiped, else 0
+    last: jax.Array  # [2, 3] tool a step ago in each segment's frame, m; NaN before the first step
+    drift: jax.Array  # [2, 3] m/s, its smoothed velocity there
+    nearest: jax.Array  # m, to the nearest point a step ago
+    violated: jax.Array  # bool, some contact was above the hard limit
+    likes: Liking
+
+
+class GentleBath:
+    """Progress to the nearest point, pay for each point by force and speed, and a price on time until enough are wiped."""
+
+    name = "gentle_bath"
+    target_colours: ClassVar = {"next": (0.95, 0.05, 0.55, 1.0), "to wipe": (0.10, 0.45, 0.90, 1.0)}
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        weights: dict[str, float] | None = None,
+        robot_is_told: bool = False,
+        whatever: float = 0.2,
+    ) -> None:
+        """Prepare; `whatever` is the share of a point's pay that does not depend on the human's liking."""
+        terms = {"progress": 10.0, "wipe": 10.0, "time": 0.1}
+        self.weights = terms | COSTS | {"violation": 10.0} | (weights or {})
+        self.pose = Pose(model, START)
+        self.sensors = TouchSensors(model, self.pose)
+        self._told, self._whatever = robot_is_told, whatever
+        self._segment, self._offset = arm_points(model)
+        radial = self._offset * np.array([1.0, 1.0, 0.0], np.float32)
+        self._over = self._offset + FACING * radial / np.linalg.norm(radial, axis=1, keepdims=True)
+
+    def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, WipeState]:
+        """Draw the start pose [nq] and, where it is not given, the preference."""
+        pose_key, likes_key = jax.random.split(key)
+        nan = jnp.full((), jnp.nan, jnp.float32)
+        state = WipeState(
+            left=jnp.ones(POINTS, jnp.float32),
+            last=jnp.full((2, 3), nan),
+            drift=jnp.zeros((2, 3), jnp.float32),
+            nearest=nan,
+            violated=jnp.zeros((), bool),
+            likes=liking(params.preference, likes_key),
+        )
+        return self.pose.draw(pose_key), state
+
+    def targets(self, task_state: WipeState, readings: TouchReadings) -> dict[str, jax.Array]:
+        """See `Task.targets`: the points to wipe, and the one that is nearest."""
+        points = self._points(readings, self._offset)
+        left = task_state.left > 0
+        nearest = jnp.where(left, _distance(points, readings), WIPED).argmin(axis=1)
+        row = jnp.arange(left.shape[0])
+        return {
+            "to wipe": jnp.where(left[..., None], points, jnp.nan),
+            "next": points[row, nearest][:, None],
+        }
+
+    def transition(
+        self, task_state: WipeState, readings: TouchReadings
+    ) -> tuple[WipeState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
+        """See `Task.transition`; the goal holds once enough is wiped, if none of the episode's contacts was hard."""
+        s, r = task_state, readings
+        points, over = self._points(r, self._offset), self._points(r, self._over)
+        gap, way = _distance(points, r), _distance(over, r)
+        first = jnp.isnan(s.nearest)
+        tool, drift, speed = self._slide(s, r, gap, first)
+        gentle = (r.on_arm > PRESS) & (r.on_arm < SOFT) & (speed > SLIDE)
+        hit = (gap < NEAR) & (s.left > 0) & gentle[:, None]
+        liked = bump(r.on_arm, s.likes.force) * bump(speed, s.likes.speed)
+        left = s.left * (1.0 - hit)
+        done = left.sum(axis=1) <= POINTS - ENOUGH
+        near = jnp.where(s.left > 0, way, WIPED).min(axis=1)
+        terms = {
+            "progress": jnp.where(first | (near >= WIPED), 0.0, s.nearest - near),
+            "wipe": hit.sum(axis=1) * (self._whatever + (1.0 - self._whatever) * liked),
+            "time": -(~done).astype(jnp.float32),
+        } | costs(r)
+        after = jnp.where(left > 0, way, WIPED)
+        row, upcoming = jnp.arange(done.shape[0]), after.argmin(axis=1)
+        nearest = after.min(axis=1)
+        goal = (
+            points[row, upcoming] - r.tool_position,
+            (over - points)[row, upcoming] / FACING,  # its skin's normal
+            nearest[:, None],
+            r.force[:, None] / 10.0,
+            speed[:, None] * 10.0,
+            left,
+        )
+        obs = with_preference(observations(r, *goal), s.likes, self._told)
+        violated = s.violated | (r.peak > HARD)
+        state = WipeState(left, tool, drift, nearest, violated, s.likes)
+        return state, obs, terms, Measures(r.force, near, done & ~violated)
+
+    def _slide(
+        self, s: WipeState, r: TouchReadings, gap: jax.Array, first: jax.Array
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Return the tool in both segments' frames [N, 2, 3], its smoothed velocity there, and its speed over the skin."""
+        n = gap.shape[0]
+        segments = (jnp.full(n, index, jnp.int32) for index in range(2))
+        tool = jnp.stack([in_segment(r, segment, r.tool_position) for segment in segments], axis=1)
+        step = jnp.where(first[:, None, None], 0.0, tool - s.last) / STEP
+        drift = s.drift + SMOOTH * (step - s.drift)
+        nearest = jnp.asarray(self._segment)[gap.argmin(axis=1)]
+        return tool, drift, along_skin(drift, tool)[jnp.arange(n), nearest]
+
+    def _points(self, r: TouchReadings, offset: np.ndarray) -> jax.Array:
+        """Return where points of the segments' frames [52, 3] are, [N, 52, 3] in the world."""
+        turn = r.arm_orientation[:, self._segment]
+        return r.arm_position[:, self._segment] + rotate(
+            turn, jnp.broadcast_to(offset, (*turn.shape[:2], 3))
+        )
+
+
+def _distance(points: jax.Array, r: TouchReadings) -> jax.Array:
+    """Return the distances [N, K] of points [N, K, 3] from the tool, m."""
+    return jnp.linalg.norm(points - r.tool_position[:, None], axis=-1)

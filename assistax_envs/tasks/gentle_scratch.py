@@ -1,0 +1,203 @@
+"""Gentle scratch: strokes to and fro over an itch, at the force and the speed that the human likes.
+
+The itch is a line of 2 cm along the arm. The tool goes from one end to the other and back, in contact. Most itches lie
+where the tool cannot come while the arm rests: the human has to turn or lift it.
+"""
+
+import dataclasses
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from assistax_envs.tasks.base import (
+    ARM_SEGMENTS,
+    Measures,
+    Pose,
+    observations,
+    rotate,
+    segment_points,
+)
+from assistax_envs.tasks.gentle_base import (
+    COSTS,
+    FELT,
+    HARD,
+    SOFT,
+    STEP,
+    Liking,
+    TouchReadings,
+    TouchSensors,
+    along_skin,
+    bump,
+    costs,
+    in_segment,
+    liking,
+    with_preference,
+)
+from assistax_envs.tasks.scratch import START
+
+HALF = 0.01  # m, from the itch to either end, along the arm
+AT_END = 0.005  # m over the skin, how near the tool comes to an end: strokes are longer than 1 cm
+OFF_END = (
+    0.02  # m, how far the middle of the tool's round tip, of radius 1 cm, may be from an end in all
+)
+STROKE = 0.012  # m, way of a stroke: what a liked speed means in time
+# Degrees about each segment's axis, from its frame's x to its y, where the tool cannot come while the arm rests. By
+# inverse kinematics from the robot's start, 2,000 points: of those inside 8% can be touched, of those outside 84%.
+HIDDEN = ((90.0, 200.0), (150.0, 295.0))
+ENOUGH = 25  # strokes: Assistive Gym's count
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class StrokeState:
+    """Where the itch is, and how far the strokes are."""
+
+    segment: jax.Array  # int32 index into ARM_SEGMENTS
+    offset: jax.Array  # [3] of the itch in the segment's frame, m
+    side: jax.Array  # +1 or -1: the end that the tool goes to
+    last: jax.Array  # [3] tool a step ago, in the segment's frame; NaN before the first step
+    distance: jax.Array  # m, to that end a step ago
+    time: jax.Array  # steps that this stroke has taken
+    liked: jax.Array  # sum over them of how well the human liked the force
+    strokes: jax.Array  # int32, done
+    violated: jax.Array  # bool, some contact was above the hard limit
+    likes: Liking
+
+
+class GentleScratch:
+    """Progress to the stroke's end, and for each stroke as many points as steps it should have taken.
+
+    A stroke of time T that should take T* pays T* exp(1 - T* / T) mean(bump(F; F*)^2): 1 a step at the liked force
+    and speed, whatever they are. Paying for speed itself teaches trembling, and a fixed pay teaches haste.
+    """
+
+    name = "gentle_scratch"
+    target_colours: ClassVar = {"itch": (0.95, 0.05, 0.55, 1.0), "ends": (0.10, 0.35, 0.95, 1.0)}
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        weights: dict[str, float] | None = None,
+        hard: float = 0.8,
+        robot_is_told: bool = False,
+    ) -> None:
+        """Prepare; `hard` is the share of itches out of reach while the arm rests."""
+        self.weights = {"progress": 20.0, "stroke": 1.0} | COSTS | (weights or {})
+        self.pose = Pose(model, START)
+        self.sensors = TouchSensors(model, self.pose)
+        self._hard, self._told = hard, robot_is_told
+        sites = [model.site(f"human_{segment}") for segment in ARM_SEGMENTS]
+        self._radius = np.array([site.size[0] for site in sites], np.float32)
+        self._half_length = np.array([site.size[1] for site in sites], np.float32)
+
+    def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, StrokeState]:
+        """Draw the start pose [nq], the itch and, where it is not given, the preference."""
+        pose_key, itch_key, side_key, likes_key = jax.random.split(key, 4)
+        segment, offset = self._itch(itch_key)
+        nan, zero = jnp.full(3, jnp.nan, jnp.float32), jnp.zeros((), jnp.float32)
+        state = StrokeState(
+            segment=segment,
+            offset=offset,
+            side=jnp.where(jax.random.bernoulli(side_key), 1.0, -1.0),
+            last=nan,
+            distance=zero,
+            time=zero,
+            liked=zero,
+            strokes=jnp.zeros((), jnp.int32),
+            violated=jnp.zeros((), bool),
+            likes=liking(params.preference, likes_key),
+        )
+        return self.pose.draw(pose_key), state
+
+    def targets(self, task_state: StrokeState, readings: TouchReadings) -> dict[str, jax.Array]:
+        """See `Task.targets`: the itch and its ends."""
+        s = task_state
+        ends = [segment_points(readings, s.segment, _end(s, side)) for side in (1.0, -1.0)]
+        itch = segment_points(readings, s.segment, s.offset)
+        return {"itch": itch[:, None], "ends": jnp.stack(ends, axis=1)}
+
+    def transition(
+        self, task_state: StrokeState, readings: TouchReadings
+    ) -> tuple[StrokeState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
+        """See `Task.transition`; the goal holds after enough strokes, if none of the episode's contacts was hard."""
+        s, r = task_state, readings
+        tool = in_segment(r, s.segment, r.tool_position)
+        first = jnp.isnan(s.last[:, 0])
+        step = jnp.where(first[:, None], 0.0, tool - s.last)
+        touching = r.on_arm > FELT
+        to_end = _end(s, s.side) - tool
+        distance = jnp.linalg.norm(to_end, axis=-1)
+        near = (along_skin(to_end, tool) < AT_END) & (distance < OFF_END)
+        arrived = touching & (r.force < SOFT) & near
+        time, liked = s.time + 1.0, s.liked + touching * bump(r.on_arm, s.likes.force) ** 2
+        wished = STROKE / s.likes.speed / STEP  # steps
+        terms = {
+            "progress": jnp.where(first, 0.0, s.distance - distance),
+            "stroke": arrived * wished * jnp.exp(1.0 - wished / time) * liked / time,
+        } | costs(r)
+        after = dataclasses.replace(
+            s,
+            side=jnp.where(arrived, -s.side, s.side),
+            last=tool,
+            time=jnp.where(arrived, 0.0, time),
+            liked=jnp.where(arrived, 0.0, liked),
+            strokes=s.strokes + arrived,
+            violated=s.violated | (r.peak > HARD),
+        )
+        goal, left = self._goal(after, r, step, time, liked)
+        obs = with_preference(observations(r, *goal), s.likes, self._told)
+        done = (after.strokes >= ENOUGH) & ~after.violated
+        return (
+            dataclasses.replace(after, distance=left),
+            obs,
+            terms,
+            Measures(r.force, distance, done),
+        )
+
+    def _goal(
+        self, s: StrokeState, r: TouchReadings, step: jax.Array, time: jax.Array, liked: jax.Array
+    ) -> tuple[tuple[jax.Array, ...], jax.Array]:
+        """Return what is observed of the goal, and the distance [N] to the end that comes next."""
+        row = jnp.arange(s.side.shape[0])
+        turn = r.arm_orientation[row, s.segment]
+        towards = segment_points(r, s.segment, _end(s, s.side)) - r.tool_position
+        left = jnp.linalg.norm(towards, axis=-1)
+        outward = s.offset.at[:, 2].set(0.0)
+        outward = outward / jnp.linalg.norm(outward, axis=-1, keepdims=True)
+        goal = (
+            towards,
+            left[:, None],
+            10.0
+            * jnp.clip(
+                towards, -0.03, 0.03
+            ),  # the last centimetres once more, large enough to be seen
+            rotate(turn, outward),
+            rotate(turn, step) / STEP,  # m/s, over the skin
+            r.force[:, None] / 10.0,
+            jnp.minimum(time, 50.0)[:, None] / 25.0,
+            (liked / time)[:, None],
+            jnp.minimum(s.strokes, ENOUGH)[:, None] / ENOUGH,
+        )
+        return goal, left
+
+    def _itch(self, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Draw an itch on the skin of upper or lower arm: segment and offset [3]."""
+        segment_key, side_key, along_key, around_key = jax.random.split(key, 4)
+        area = self._radius * self._half_length
+        segment = jax.random.categorical(segment_key, jnp.log(area)).astype(jnp.int32)
+        hidden = jax.random.bernoulli(side_key, self._hard)
+        low, high = jnp.moveaxis(jnp.asarray(HIDDEN)[segment], -1, 0)
+        share = jax.random.uniform(around_key)
+        angle = jnp.where(hidden, low + share * (high - low), high + share * (360.0 - high + low))
+        along = jax.random.uniform(along_key, minval=-1.0, maxval=1.0)
+        around = jnp.stack([jnp.cos(jnp.deg2rad(angle)), jnp.sin(jnp.deg2rad(angle))])
+        half = jnp.asarray(self._half_length)[segment] - HALF
+        return segment, jnp.append(jnp.asarray(self._radius)[segment] * around, along * half)
+
+
+def _end(s: StrokeState, side: jax.Array | float) -> jax.Array:
+    """Return the end of the itch on a side, [N, 3] in the segment's frame."""
+    return s.offset.at[:, 2].add(HALF * side)
