@@ -1,0 +1,153 @@
+"""Robots that nobody trained: a few lines for each task that drive the tool to where the task wants it.
+
+What such a script earns with a passive human is what a task pays without coordination: a task on which it does well
+says little about partners. It sees what a trained robot sees, and has no memory.
+
+Shapes: N simulations; observations [N, O] of the robot, actions [N, 7].
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from assistax_envs.tasks.base import ROBOT_JOINTS, rotate
+
+DOWN = (0.0, 0.0, -1.0)
+TURN = 0.2  # m, weight of the shaft's direction against the tool's place
+
+
+class Chain:
+    """The robot's joints as constants of a model: where they are and how they turn, for any angles."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)  # all joints at zero
+        joints = [model.joint(name) for name in ROBOT_JOINTS]
+        ids = [joint.id for joint in joints]
+        self._anchor = np.array(data.xanchor[ids], np.float32)  # [7, 3] m, world
+        self._axis = np.array(data.xaxis[ids], np.float32)  # [7, 3]
+        addresses = [joint.dofadr[0] for joint in joints]
+        gear = [model.actuator(name).gear[0] for name in ROBOT_JOINTS]
+        # Damping balances nearly all of a torque: this share of the limit turns a joint at 1 rad/s.
+        self._share = np.array(model.dof_damping[addresses] / gear, np.float32)
+
+    def jacobian(self, angles: jax.Array, point: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return how joints [N, 7] move a point [N, 3] of the hand and turn the hand: [N, 3, 7] each.
+
+        By the product of exponentials: a joint's axis is turned by those before it.
+        """
+        turned = jnp.zeros((angles.shape[0], 4)).at[:, 0].set(1.0)
+        moved = jnp.zeros((angles.shape[0], 3))
+        linear, angular = [], []
+        for i in range(len(ROBOT_JOINTS)):
+            anchor = moved + rotate(turned, jnp.broadcast_to(self._anchor[i], moved.shape))
+            axis = rotate(turned, jnp.broadcast_to(self._axis[i], moved.shape))
+            linear.append(jnp.cross(axis, point - anchor))
+            angular.append(axis)
+            half = 0.5 * angles[:, i : i + 1]
+            turned = _multiply(jnp.concatenate([jnp.cos(half), axis * jnp.sin(half)], axis=-1), turned)
+            moved = anchor - rotate(turned, jnp.broadcast_to(self._anchor[i], moved.shape))
+        return jnp.stack(linear, axis=-1), jnp.stack(angular, axis=-1)
+
+    def velocity(self, obs: jax.Array) -> jax.Array:
+        """Return the tool's velocity [N, 3], m/s."""
+        linear, _ = self.jacobian(obs[:, :7], obs[:, 14:17])
+        return jnp.einsum("nij,nj->ni", linear, obs[:, 7:14])
+
+    def drive(self, obs: jax.Array, velocity: jax.Array, shaft: jax.Array) -> jax.Array:
+        """Return actions [N, 7] that move the tool at `velocity` [N, 3] m/s and turn its shaft towards `shaft` [N, 3]."""
+        tool, orientation = obs[:, 14:17], obs[:, 17:21]
+        now = rotate(orientation, jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), tool.shape))
+        linear, angular = self.jacobian(obs[:, :7], tool)
+        both = jnp.concatenate([linear, TURN * angular], axis=1)
+        wanted = jnp.concatenate([velocity, TURN * 1.5 * jnp.cross(now, shaft)], axis=1)
+        square = both @ jnp.swapaxes(both, 1, 2) + 1e-4 * jnp.eye(6)
+        rate = jnp.einsum("nij,ni->nj", both, jnp.linalg.solve(square, wanted[..., None])[..., 0])
+        share = rate * self._share
+        return share / jnp.maximum(1.0, jnp.abs(share).max(axis=1, keepdims=True))
+
+
+def scripted_robot(task: str, model: mujoco.MjModel) -> Callable[[jax.Array], jax.Array]:
+    """Return the script of a task: from observations [N, O] of the robot to actions [N, 7]."""
+    return jax.tree_util.Partial(SCRIPTS[task], Chain(model))
+
+
+def go(chain: Chain, obs: jax.Array) -> jax.Array:
+    """Scratch and bed bath: to the target by the shortest way, and stay."""
+    return chain.drive(obs, capped(4.0 * obs[:, 30:33], 0.4), _down(obs))
+
+
+def lift(chain: Chain, obs: jax.Array) -> jax.Array:
+    """Arm assist: the bar under the forearm, then with it to the waist."""
+    to_section, distance, to_waist = obs[:, 30:33], obs[:, 33:34], obs[:, 43:46]
+    under = to_section + jnp.array([0.0, 0.0, -0.045])
+    carry = capped(4.0 * to_waist, 0.5) + 2.0 * to_section
+    return chain.drive(obs, jnp.where(distance < 0.08, carry, capped(4.0 * under, 0.3)), _down(obs))
+
+
+def stroke(chain: Chain, obs: jax.Array) -> jax.Array:
+    """Gentle scratch: above the end of the itch, down to a light force, then over the skin from end to end."""
+    towards, normal, force = obs[:, 30:33], obs[:, 37:40], 10.0 * obs[:, 43:44]
+    height = (towards * normal).sum(-1, keepdims=True)  # negative: the tool is above the skin
+    aside = towards - height * normal
+    off = jnp.linalg.norm(aside, axis=-1, keepdims=True)
+    above = capped(3.0 * (aside + (0.05 + height) * normal), 0.2)
+    descend = 2.0 * aside - 0.04 * normal
+    rub = capped(8.0 * aside, 0.05) + jnp.clip(0.004 * (force - 4.0), -0.03, 0.03) * normal
+    velocity = jnp.where(off > 0.03, above, jnp.where(force > 0.3, rub, descend))
+    return chain.drive(obs, velocity, capped(jnp.array(DOWN) - normal, 1.0))
+
+
+def wipe(chain: Chain, obs: jax.Array) -> jax.Array:
+    """Gentle bath: to the nearest point that faces the pad, and on over the skin to the next, at a light force."""
+    towards, normal, force = obs[:, 30:33], obs[:, 33:36], 10.0 * obs[:, 37:38]
+    height = (towards * normal).sum(-1, keepdims=True)
+    aside = towards - height * normal
+    off = jnp.linalg.norm(aside, axis=-1, keepdims=True)
+    above = capped(3.0 * (aside + (0.04 + height) * normal), 0.2)
+    # Over the point and beyond it, to and fro along the arm: on until 2 cm past it, then back.
+    along = obs[:, 24:27] - obs[:, 27:30]
+    along = along / jnp.linalg.norm(along, axis=-1, keepdims=True)
+    onward = jnp.sign((chain.velocity(obs) * along).sum(-1, keepdims=True)) * along
+    press = 0.06 * jnp.where(off < 0.02, onward, aside / jnp.maximum(off, 1e-3)) + jnp.clip(0.006 * (force - 4.0), -0.04, 0.03) * normal
+    return chain.drive(obs, jnp.where((off > 0.08) & (force < 0.3), above, press), _down(obs))
+
+
+def bring(chain: Chain, obs: jax.Array) -> jax.Array:
+    """Gentle lift: the bar under the forearm, with it to the waist, and away below it once it lies there."""
+    to_section, distance, to_waist, left = obs[:, 30:33], obs[:, 33:34], obs[:, 34:37], obs[:, 37:38]
+    under = to_section + jnp.array([0.0, 0.0, -0.045])
+    carry = capped(4.0 * to_waist, 0.3) + 2.0 * to_section
+    velocity = jnp.where(distance < 0.08, carry, capped(3.0 * under, 0.2))
+    leave = jnp.broadcast_to(0.1 * jnp.array(DOWN), velocity.shape)
+    return chain.drive(obs, jnp.where(left < 0.05, leave, velocity), _down(obs))
+
+
+SCRIPTS: dict[str, Callable[[Chain, jax.Array], jax.Array]] = {
+    "scratch": go,
+    "bed_bath": go,
+    "arm_assist": lift,
+    "gentle_scratch": stroke,
+    "gentle_bath": wipe,
+    "gentle_lift": bring,
+}
+
+
+def capped(vector: jax.Array, most: float) -> jax.Array:
+    """Return vectors [N, 3], none longer than `most`."""
+    length = jnp.linalg.norm(vector, axis=-1, keepdims=True)
+    return vector * jnp.minimum(1.0, most / jnp.maximum(length, 1e-9))
+
+
+def _down(obs: jax.Array) -> jax.Array:
+    return jnp.broadcast_to(jnp.array(DOWN), (obs.shape[0], 3))
+
+
+def _multiply(a: jax.Array, b: jax.Array) -> jax.Array:
+    """Return the product of quaternions [N, 4] (w, x, y, z): first `b`, then `a`."""
+    w1, u1, w2, u2 = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
+    w = w1 * w2 - (u1 * u2).sum(-1, keepdims=True)
+    return jnp.concatenate([w, w1 * u2 + w2 * u1 + jnp.cross(u1, u2)], axis=-1)
