@@ -48,7 +48,9 @@ class Chain:
             linear.append(jnp.cross(axis, point - anchor))
             angular.append(axis)
             half = 0.5 * angles[:, i : i + 1]
-            turned = _multiply(jnp.concatenate([jnp.cos(half), axis * jnp.sin(half)], axis=-1), turned)
+            turned = _multiply(
+                jnp.concatenate([jnp.cos(half), axis * jnp.sin(half)], axis=-1), turned
+            )
             moved = anchor - rotate(turned, jnp.broadcast_to(self._anchor[i], moved.shape))
         return jnp.stack(linear, axis=-1), jnp.stack(angular, axis=-1)
 
@@ -112,13 +114,21 @@ def wipe(chain: Chain, obs: jax.Array) -> jax.Array:
     along = obs[:, 24:27] - obs[:, 27:30]
     along = along / jnp.linalg.norm(along, axis=-1, keepdims=True)
     onward = jnp.sign((chain.velocity(obs) * along).sum(-1, keepdims=True)) * along
-    press = 0.06 * jnp.where(off < 0.02, onward, aside / jnp.maximum(off, 1e-3)) + jnp.clip(0.006 * (force - 4.0), -0.04, 0.03) * normal
+    press = (
+        0.06 * jnp.where(off < 0.02, onward, aside / jnp.maximum(off, 1e-3))
+        + jnp.clip(0.006 * (force - 4.0), -0.04, 0.03) * normal
+    )
     return chain.drive(obs, jnp.where((off > 0.08) & (force < 0.3), above, press), _down(obs))
 
 
 def bring(chain: Chain, obs: jax.Array) -> jax.Array:
     """Gentle lift: the bar under the forearm, with it to the waist, and away below it once it lies there."""
-    to_section, distance, to_waist, left = obs[:, 30:33], obs[:, 33:34], obs[:, 34:37], obs[:, 37:38]
+    to_section, distance, to_waist, left = (
+        obs[:, 30:33],
+        obs[:, 33:34],
+        obs[:, 34:37],
+        obs[:, 37:38],
+    )
     under = to_section + jnp.array([0.0, 0.0, -0.045])
     carry = capped(4.0 * to_waist, 0.3) + 2.0 * to_section
     velocity = jnp.where(distance < 0.08, carry, capped(3.0 * under, 0.2))

@@ -27,7 +27,8 @@ LINKS = {  # body of the robot -> name of its last capsule
     "robot_hand": "robot_hand",
 }
 BODY = tuple(
-    f"human_{part}" for part in ("head", "torso", "right_upper_arm", "right_lower_arm", "right_hand")
+    f"human_{part}"
+    for part in ("head", "torso", "right_upper_arm", "right_lower_arm", "right_hand")
 )
 LEGS = ("right_thigh", "left_thigh")  # parts of the human that belong to the furniture's files
 
@@ -75,9 +76,14 @@ def touching(geom1: str, geom2: str) -> tuple[str, str] | None:
 
 
 def _feel(scene: mujoco.MjSpec, robot: str, human: str) -> None:
-    """Add a sensor of the largest contact between two geoms: force, normal and tangent, 9 numbers."""
+    """Sense the strongest contact between two geoms: force, normal and tangent, 9 numbers."""
     data = mujoco.mjtConDataField
     fields = (data.mjCONDATA_FORCE, data.mjCONDATA_NORMAL, data.mjCONDATA_TANGENT)
+    what = sum(1 << int(field) for field in fields)
+    for sensor in scene.sensors:
+        if (sensor.objname, sensor.refname) == (robot, human):  # the tool on the arm is sensed
+            sensor.intprm = [what, *sensor.intprm[1:]]
+            return
     scene.add_sensor(
         name=f"touch-{robot}-{human}",
         type=mujoco.mjtSensor.mjSENS_CONTACT,
@@ -85,9 +91,5 @@ def _feel(scene: mujoco.MjSpec, robot: str, human: str) -> None:
         objname=robot,
         reftype=mujoco.mjtObj.mjOBJ_GEOM,
         refname=human,
-        intprm=[
-            sum(1 << int(field) for field in fields),
-            2,
-            1,
-        ],  # what, reduced by the largest force, how many
+        intprm=[what, 2, 1],  # what, reduced to the strongest, how many
     )

@@ -81,7 +81,9 @@ class Sensors:
         self._tool_position = columns("robot_end_effector_position")
         self._tool_orientation = columns("robot_end_effector_orientation")
         self._tool_velocity = columns("robot_end_effector_velocity")
-        self._tool_force = columns(*(f"force-{geom}" for geom in TOUCHABLE))
+        # The first three numbers: the gentle scenes' sensors give the contact's frame as well.
+        forces = [model.sensor(f"force-{geom}").adr[0] for geom in TOUCHABLE]
+        self._tool_force = np.concatenate([np.arange(first, first + 3) for first in forces])
         self._arm_position = columns(*(f"human_{segment}_position" for segment in ARM_SEGMENTS))
         self._arm_orientation = columns(
             *(f"human_{segment}_orientation" for segment in ARM_SEGMENTS)

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from assistax_envs.preferences import PREFERENCES
-from assistax_envs.tasks.base import HUMAN_JOINTS, TOUCHABLE, Pose, Readings, Sensors, rotate
+from assistax_envs.tasks.base import HUMAN_JOINTS, Pose, Readings, Sensors, rotate
 
 STEP = 0.02  # s, one control step
 SOFT = 10.0  # N, a gentle touch, after Assistive Gym's limit
@@ -60,15 +60,14 @@ class TouchReadings(Readings):
 
 
 class TouchSensors(Sensors):
-    """Reads a gentle scene: a sensor `touch-<robot geom>-<human geom>` for every pair of theirs."""
+    """Reads a gentle scene: a sensor of force and frame for every pair of robot and human."""
 
     def __init__(self, model: mujoco.MjModel, pose: Pose) -> None:
         super().__init__(model)
         named = [model.sensor(index) for index in range(model.nsensor)]
-        touches = [sensor for sensor in named if sensor.name.startswith("touch-")]
+        touches = [sensor for sensor in named if sensor.name.startswith(("force-", "touch-"))]
         self._touch = np.stack([np.arange(s.adr[0], s.adr[0] + s.dim[0]) for s in touches])
-        tool_on_arm = {f"touch-robot_tool-human_{part}" for part in TOUCHABLE}
-        self._on_arm = np.array([sensor.name in tool_on_arm for sensor in touches])
+        self._on_arm = np.array([sensor.name.startswith("force-") for sensor in touches])
         trunk = [i for i, name in enumerate(HUMAN_JOINTS) if "abdomen" in name]
         rest = pose.angle[[model.joint(HUMAN_JOINTS[i]).qposadr[0] for i in trunk]]
         self._trunk, self._rest = np.array(trunk), rest

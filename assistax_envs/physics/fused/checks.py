@@ -6,7 +6,13 @@ import mujoco
 import numpy as np
 
 from assistax_envs.physics.fused.collision import CAPSULE, PLANE, SPHERE
-from assistax_envs.physics.fused.sensors import CONTACT, SENSORS, SITE_SENSORS
+from assistax_envs.physics.fused.sensors import (
+    CONTACT,
+    FORCE,
+    FORCE_AND_FRAME,
+    SENSORS,
+    SITE_SENSORS,
+)
 
 MAX_JOINTS = 32  # sets of joints are kept in the bits of a word
 DISABLE, ENABLE = mujoco.mjtDisableBit, mujoco.mjtEnableBit
@@ -171,7 +177,6 @@ def _pairs(model: mujoco.MjModel) -> Iterator[str]:
 
 
 def _sensors(model: mujoco.MjModel) -> Iterator[str]:
-    force = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
     strongest = 2  # reduce="maxforce"
     pairs = [{int(a), int(b)} for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)]
     seen = []
@@ -188,8 +193,9 @@ def _sensors(model: mujoco.MjModel) -> Iterator[str]:
         elif int(kind) == CONTACT:
             geoms = {int(model.sensor_objid[sensor]), int(model.sensor_refid[sensor])}
             types = {int(model.sensor_objtype[sensor]), int(model.sensor_reftype[sensor])}
-            if tuple(model.sensor_intprm[sensor][:3]) != (force, strongest, 1):
-                yield f"{name} of other data than the strongest contact's force"
+            what, *reduced = model.sensor_intprm[sensor][:3].tolist()
+            if what not in (FORCE, FORCE_AND_FRAME) or reduced != [strongest, 1]:
+                yield f"{name} of other data than the strongest contact's force, or force and frame"
             if types != {int(mujoco.mjtObj.mjOBJ_GEOM)}:
                 yield f"{name} of others than two geoms"
             elif geoms in seen:

@@ -10,6 +10,7 @@
 struct Rows {
   int limits, contacts;  // slots in use
   real base[NLIMIT + 3 * MAX_CONTACTS][NV];  // z of limits, then of normal and tangents of contacts
+  real frame[MAX_CONTACTS][2][3];  // normal and first tangent of contacts
   real free[MAX_ROWS];   // J a - aref where no constraint acts
   real slack[MAX_ROWS];  // R
   real guess[MAX_ROWS];  // acts at first, where below 0
@@ -158,6 +159,10 @@ FN void add_contacts(const Stage& now, const Factored& f, const ContactList& lis
   KEEP_LOOP for (int k = 0; k < list.slots; ++k) {
     Contact contact;
     place_contact(now, list, k, contact);
+    UNROLL for (int j = 0; j < 3; ++j) {
+      rows.frame[k][0][j] = contact.frame[0][j];
+      rows.frame[k][1][j] = contact.frame[1][j];
+    }
     Gathered frictions, stiffness, damping, weight, none;
     const Softness* soft[W];
     LANES(l) {

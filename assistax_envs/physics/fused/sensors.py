@@ -14,6 +14,13 @@ FRAME_POSITION = int(mujoco.mjtSensor.mjSENS_FRAMEPOS)
 FRAME_ORIENTATION = int(mujoco.mjtSensor.mjSENS_FRAMEQUAT)
 FRAME_VELOCITY = int(mujoco.mjtSensor.mjSENS_FRAMELINVEL)
 CONTACT = int(mujoco.mjtSensor.mjSENS_CONTACT)
+# What a contact sensor gives: force in the contact's frame, and that frame's normal and tangent.
+FORCE = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
+FORCE_AND_FRAME = (
+    FORCE
+    | 1 << int(mujoco.mjtConDataField.mjCONDATA_NORMAL)
+    | 1 << int(mujoco.mjtConDataField.mjCONDATA_TANGENT)
+)
 SITE_SENSORS = FRAME_POSITION, FRAME_ORIENTATION, FRAME_VELOCITY
 SENSORS = JOINT_ANGLE, JOINT_VELOCITY, *SITE_SENSORS, CONTACT
 
@@ -31,8 +38,8 @@ def sensor_values(
         elif kind == JOINT_VELOCITY:
             values.append(block.input(f"qd[{target}]"))
         elif kind == CONTACT:
-            first = 3 * forces.index(sensor)
-            values += [block.input(f"sensed[{first + axis}]") for axis in range(3)]
+            first, width = 9 * forces.index(sensor), int(model.sensor_dim[sensor])
+            values += [block.input(f"sensed[{first + axis}]") for axis in range(width)]
         else:
             values += _site_value(model, tree, poses, motions, kind, target)
     return values

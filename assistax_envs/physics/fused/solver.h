@@ -1,7 +1,7 @@
 // What joint limits and contacts do in one substep: their rows, their forces, the torques of these.
 
 // Remember which edges of a contact acted, for the next substep's first guess, and report its force
-// where a sensor asks for it: of several contacts of a pair, the strongest.
+// (and its frame) where a sensor asks for it: of several contacts of a pair, the strongest.
 FN void report_contact(const Rows& rows, const ContactList& list, int k, const real* edge,
                        const real* force, unsigned* warm, real* strongest, real* sensed) {
   LANES(l) {
@@ -17,7 +17,12 @@ FN void report_contact(const Rows& rows, const ContactList& list, int k, const r
     float square = dot_lane(f, f);
     if (square <= lane(strongest[data.sensor], l)) continue;
     lane(strongest[data.sensor], l) = square;
-    for (int j = 0; j < 3; ++j) lane(sensed[3 * data.sensor + j], l) = f[j];
+    const real(*frame)[3] = rows.frame[k];
+    for (int j = 0; j < 3; ++j) {
+      lane(sensed[9 * data.sensor + j], l) = f[j];
+      lane(sensed[9 * data.sensor + 3 + j], l) = data.turn * lane(frame[0][j], l);
+      lane(sensed[9 * data.sensor + 6 + j], l) = data.turn * lane(frame[1][j], l);
+    }
   }
 }
 
