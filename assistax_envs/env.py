@@ -12,6 +12,7 @@ import numpy as np
 from assistax_envs.disability import DISABILITY_SETTINGS, Disability
 from assistax_envs.models import build_model
 from assistax_envs.physics import (
+    GIVES_CONTACT_FRAMES,
     SUBSTEPS,
     PhysicsState,
     make_physics,
@@ -21,7 +22,7 @@ from assistax_envs.preferences import DRAWN, PREFERENCES
 from assistax_envs.tasks import TASK_CLASSES, Measures, Sensors, Task
 from assistax_envs.tasks.base import HUMAN_ACTUATORS, HUMAN_JOINTS, ROBOT_JOINTS
 from assistax_envs.tremor import TremorFilter
-from assistax_envs.versions import TASKS, VERSIONS, engine
+from assistax_envs.versions import GENTLE_TASKS, TASKS, VERSIONS, engine
 
 EPISODE_LENGTH = 1000  # control steps of 20 ms: always the full horizon
 LARGEST_STATE = 1e10  # beyond this MuJoCo itself calls a state unstable (mjMAXVAL)
@@ -31,14 +32,13 @@ ELBOW = "human_right_elbow"
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class EnvParams:
-    """The human in each simulation, [N] each: its impairment, float32, see `Disability`; and its preference."""
+    """The human in each simulation, [N] each: its impairment (see `Disability`), its preference."""
 
     strength: jax.Array
     elbow_range: jax.Array
     tremor: jax.Array
-    preference: (
-        jax.Array
-    )  # int32: k for pk, 0 where one is drawn anew at each reset; gentle tasks only
+    # int32: k for pk, 0 where one is drawn anew at each reset. Only the gentle tasks look at it.
+    preference: jax.Array
 
 
 @jax.tree_util.register_dataclass
@@ -74,6 +74,7 @@ class Env:
         self.task = task
         self.backend = resolve_backend(backend)
         self.version = VERSIONS[task]
+        _check_frames(task, self.backend)
         self.engine: dict[str, str] = engine(self.backend)
         self.episode_length = EPISODE_LENGTH
         self.model: mujoco.MjModel = build_model(task)
@@ -280,21 +281,24 @@ def make(
 
 
 def disability_params(
-    settings: Sequence[str | Disability], preferences: Sequence[str] | None = None
+    settings: Sequence[str | Disability],
+    preferences: Sequence[str] | np.ndarray | None = None,
 ) -> EnvParams:
     """Return the humans [N] of settings given as "d1".."d9" or `Disability`.
 
     Args:
         settings: [N] of their bodies.
-        preferences: [N] "p1".."p9", or "drawn" for one that changes from episode to episode; all drawn if not given.
+        preferences: [N] "p1".."p9", or "drawn" for one that changes from episode to episode; all
+            drawn if not given. [N, K] where each plays several episodes, as in evaluations.
     """
     rows = [_disability(setting) for setting in settings]
     body = {
         field.name: jnp.asarray([getattr(row, field.name) for row in rows], jnp.float32)
         for field in dataclasses.fields(Disability)
     }
-    likes = [_preference(name) for name in preferences or [DRAWN] * len(rows)]
-    return EnvParams(**body, preference=jnp.asarray(likes, jnp.int32))
+    likes = np.full(len(rows), DRAWN) if preferences is None else np.asarray(preferences)
+    codes = [_preference(str(name)) for name in likes.ravel()]
+    return EnvParams(**body, preference=jnp.asarray(codes, jnp.int32).reshape(likes.shape))
 
 
 def select(mask: jax.Array, on_true: Any, on_false: Any) -> Any:
@@ -333,6 +337,14 @@ def _diverged(physics: PhysicsState, values: jax.Array, control: jax.Array) -> j
     """
     rows = jnp.concatenate([physics.qpos, physics.qvel, values, control], axis=-1)
     return ~jnp.all(jnp.abs(rows) < LARGEST_STATE, axis=-1)
+
+
+def _check_frames(task: str, backend: str) -> None:
+    if task in GENTLE_TASKS and backend not in GIVES_CONTACT_FRAMES:
+        raise ValueError(
+            f"{task} needs to know which way a contact pushes, and backend {backend!r} does not "
+            f"say; use {' or '.join(GIVES_CONTACT_FRAMES)} (--backend native)"
+        )
 
 
 def _check_terms(task: Task, terms: dict[str, Any]) -> None:

@@ -1,10 +1,14 @@
 """What a human likes, readable without JAX or MuJoCo: preferences p1..p9 of the gentle tasks.
 
-A disability is what a body can do; a preference is what a person wishes. The human observes its own, the robot does
+A disability is what a body can do; a preference is what a person wishes. The human observes its
+own, the robot does
 not, and the reward of both depends on it.
 """
 
 import dataclasses
+from collections.abc import Sequence
+
+from assistax_envs.versions import GENTLE_TASKS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,10 +27,26 @@ class Preference:
 FORCES = (2.0, 4.0, 8.0)  # N
 SPEEDS = (0.02, 0.04, 0.08)  # m/s
 
-# Speed runs fastest: p2 is the lightest touch at the middle speed, p4 the middle touch at the slowest.
+# Speed runs fastest: p2 is the lightest touch at the middle speed, p4 the middle touch at the
+# slowest.
 PREFERENCES: dict[str, Preference] = {
     f"p{1 + len(SPEEDS) * i + j}": Preference(force, speed)
     for i, force in enumerate(FORCES)
     for j, speed in enumerate(SPEEDS)
 }
 DRAWN = "drawn"  # a preference that is drawn anew, among all of them, at each episode's start
+
+
+def check_preferences(task: str, names: Sequence[str]) -> None:
+    """Refuse names that are no preferences, none, one twice, and any of them for another task."""
+    if task not in GENTLE_TASKS:
+        raise ValueError(
+            f"the humans of {task} have no preferences; leave them out, or choose "
+            f"{', '.join(GENTLE_TASKS)}"
+        )
+    unknown = [name for name in names if name not in PREFERENCES]
+    if unknown or not names or len(set(names)) < len(names):
+        raise ValueError(
+            f"preferences are {', '.join(names) or 'none'}; give each of those that partners take "
+            f"turns in once, of {', '.join(PREFERENCES)}"
+        )

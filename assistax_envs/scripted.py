@@ -1,7 +1,7 @@
-"""Robots that nobody trained: a few lines for each task that drive the tool to where the task wants it.
+"""Robots that nobody trained: a few lines for each task that drive the tool to its target.
 
-What such a script earns with a passive human is what a task pays without coordination: a task on which it does well
-says little about partners. It sees what a trained robot sees, and has no memory.
+What such a script earns with a passive human is what a task pays without coordination: a task on
+which it does well says little about partners. It sees what a trained robot sees, and has no memory.
 
 Shapes: N simulations; observations [N, O] of the robot, actions [N, 7].
 """
@@ -15,12 +15,13 @@ import numpy as np
 
 from assistax_envs.tasks.base import ROBOT_JOINTS, rotate
 
-DOWN = (0.0, 0.0, -1.0)
+DOWN = np.array([[0.0, 0.0, -1.0]], np.float32)
+UNDER = 0.045 * DOWN  # m, from the middle of the forearm to where the bar carries it
 TURN = 0.2  # m, weight of the shaft's direction against the tool's place
 
 
 class Chain:
-    """The robot's joints as constants of a model: where they are and how they turn, for any angles."""
+    """The robot's joints as constants of a model: where they are and how they turn."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         data = mujoco.MjData(model)
@@ -35,7 +36,9 @@ class Chain:
         self._share = np.array(model.dof_damping[addresses] / gear, np.float32)
 
     def jacobian(self, angles: jax.Array, point: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return how joints [N, 7] move a point [N, 3] of the hand and turn the hand: [N, 3, 7] each.
+        """Return how joints [N, 7] move a point [N, 3] of the hand, and turn the hand.
+
+        [N, 3, 7] each, by the product of exponentials: a joint's axis is turned by those before it.
 
         By the product of exponentials: a joint's axis is turned by those before it.
         """
@@ -60,15 +63,18 @@ class Chain:
         return jnp.einsum("nij,nj->ni", linear, obs[:, 7:14])
 
     def drive(self, obs: jax.Array, velocity: jax.Array, shaft: jax.Array) -> jax.Array:
-        """Return actions [N, 7] that move the tool at `velocity` [N, 3] m/s and turn its shaft towards `shaft` [N, 3]."""
+        """Return actions [N, 7] that move and turn the tool.
+
+        At `velocity` [N, 3] m/s, its shaft towards `shaft` [N, 3].
+        """
         tool, orientation = obs[:, 14:17], obs[:, 17:21]
-        now = rotate(orientation, jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), tool.shape))
+        now = rotate(orientation, jnp.broadcast_to(-DOWN, tool.shape))
         linear, angular = self.jacobian(obs[:, :7], tool)
         both = jnp.concatenate([linear, TURN * angular], axis=1)
         wanted = jnp.concatenate([velocity, TURN * 1.5 * jnp.cross(now, shaft)], axis=1)
-        square = both @ jnp.swapaxes(both, 1, 2) + 1e-4 * jnp.eye(6)
+        square = both @ jnp.swapaxes(both, 1, 2) + 1e-4 * jnp.eye(6)[None]
         rate = jnp.einsum("nij,ni->nj", both, jnp.linalg.solve(square, wanted[..., None])[..., 0])
-        share = rate * self._share
+        share = rate * self._share[None]
         return share / jnp.maximum(1.0, jnp.abs(share).max(axis=1, keepdims=True))
 
 
@@ -85,13 +91,13 @@ def go(chain: Chain, obs: jax.Array) -> jax.Array:
 def lift(chain: Chain, obs: jax.Array) -> jax.Array:
     """Arm assist: the bar under the forearm, then with it to the waist."""
     to_section, distance, to_waist = obs[:, 30:33], obs[:, 33:34], obs[:, 43:46]
-    under = to_section + jnp.array([0.0, 0.0, -0.045])
+    under = to_section + UNDER
     carry = capped(4.0 * to_waist, 0.5) + 2.0 * to_section
     return chain.drive(obs, jnp.where(distance < 0.08, carry, capped(4.0 * under, 0.3)), _down(obs))
 
 
 def stroke(chain: Chain, obs: jax.Array) -> jax.Array:
-    """Gentle scratch: above the end of the itch, down to a light force, then over the skin from end to end."""
+    """Gentle scratch: above the end of the itch, down to a light force, then from end to end."""
     towards, normal, force = obs[:, 30:33], obs[:, 37:40], 10.0 * obs[:, 43:44]
     height = (towards * normal).sum(-1, keepdims=True)  # negative: the tool is above the skin
     aside = towards - height * normal
@@ -100,11 +106,11 @@ def stroke(chain: Chain, obs: jax.Array) -> jax.Array:
     descend = 2.0 * aside - 0.04 * normal
     rub = capped(8.0 * aside, 0.05) + jnp.clip(0.004 * (force - 4.0), -0.03, 0.03) * normal
     velocity = jnp.where(off > 0.03, above, jnp.where(force > 0.3, rub, descend))
-    return chain.drive(obs, velocity, capped(jnp.array(DOWN) - normal, 1.0))
+    return chain.drive(obs, velocity, capped(jnp.asarray(DOWN) - normal, 1.0))
 
 
 def wipe(chain: Chain, obs: jax.Array) -> jax.Array:
-    """Gentle bath: to the nearest point that faces the pad, and on over the skin to the next, at a light force."""
+    """Gentle bath: to the nearest point that faces the pad, and on over the skin to the next."""
     towards, normal, force = obs[:, 30:33], obs[:, 33:36], 10.0 * obs[:, 37:38]
     height = (towards * normal).sum(-1, keepdims=True)
     aside = towards - height * normal
@@ -122,18 +128,17 @@ def wipe(chain: Chain, obs: jax.Array) -> jax.Array:
 
 
 def bring(chain: Chain, obs: jax.Array) -> jax.Array:
-    """Gentle lift: the bar under the forearm, with it to the waist, and away below it once it lies there."""
+    """Gentle lift: the bar under the forearm, with it to the waist, and away once it lies there."""
     to_section, distance, to_waist, left = (
         obs[:, 30:33],
         obs[:, 33:34],
         obs[:, 34:37],
         obs[:, 37:38],
     )
-    under = to_section + jnp.array([0.0, 0.0, -0.045])
+    under = to_section + UNDER
     carry = capped(4.0 * to_waist, 0.3) + 2.0 * to_section
     velocity = jnp.where(distance < 0.08, carry, capped(3.0 * under, 0.2))
-    leave = jnp.broadcast_to(0.1 * jnp.array(DOWN), velocity.shape)
-    return chain.drive(obs, jnp.where(left < 0.05, leave, velocity), _down(obs))
+    return chain.drive(obs, jnp.where(left < 0.05, 0.1 * DOWN, velocity), _down(obs))
 
 
 SCRIPTS: dict[str, Callable[[Chain, jax.Array], jax.Array]] = {
@@ -153,7 +158,7 @@ def capped(vector: jax.Array, most: float) -> jax.Array:
 
 
 def _down(obs: jax.Array) -> jax.Array:
-    return jnp.broadcast_to(jnp.array(DOWN), (obs.shape[0], 3))
+    return jnp.broadcast_to(DOWN, (obs.shape[0], 3))
 
 
 def _multiply(a: jax.Array, b: jax.Array) -> jax.Array:

@@ -18,6 +18,8 @@ VERSIONS: dict[str, int] = {
 }
 
 TASKS: tuple[str, ...] = tuple(VERSIONS)
+GENTLE_TASKS: tuple[str, ...] = ("gentle_scratch", "gentle_bath", "gentle_lift")
+PAPER_TASKS: tuple[str, ...] = ("scratch", "bed_bath", "arm_assist")
 
 # Of the fused engine's generator: goes up whenever any number that a program computes changes.
 FUSED_VERSION = 1

@@ -65,6 +65,7 @@ GROUPS = {
             "crossplay": "assistax_zoo.commands.plot:crossplay",
             "zsc": "assistax_zoo.commands.plot:zsc",
             "disability": "assistax_zoo.commands.plot:disability",
+            "preference": "assistax_zoo.commands.plot:preference",
             "profile": "assistax_zoo.commands.plot:profile",
             "curves": "assistax_zoo.commands.plot:curves",
             "speed": "assistax_zoo.commands.plot:speed",

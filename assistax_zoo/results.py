@@ -25,7 +25,7 @@ from evaluation.summary import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FigureKind = Literal["zsc", "disability", "profile"]
+FigureKind = Literal["zsc", "disability", "preference", "profile"]
 
 
 class TemporaryFolder:
@@ -137,13 +137,23 @@ class EvaluationResult(_Result):
         return self.summary.by_disability
 
     @property
+    def by_preference(self) -> dict[str, Estimate]:
+        """The return under each preference of the humans of a gentle task; else empty."""
+        return self.summary.by_preference
+
+    @property
+    def safe_success(self) -> Estimate | None:
+        """Share of episodes of a gentle task that reached the goal and hurt nobody; else None."""
+        return self.summary.safe_success
+
+    @property
     def worst_partner(self) -> NamedWorst:
         """The partner with the lowest mean return: `partner`, `mean` and what it is."""
         return self.summary.worst_partner
 
     @property
     def references(self) -> References | None:
-        """Returns of zero and random actions and of each partner's own robot, if they played."""
+        """Returns to compare with, such as the script's, if they played."""
         return self.summary.references
 
     @property
@@ -161,8 +171,9 @@ class EvaluationResult(_Result):
 
         Args:
             path: File to write.
-            kind: "zsc" for training beside test partners, "disability" for each setting, "profile"
-                for the share of pairs above each return.
+            kind: "zsc" for training beside test partners, "disability" for each setting,
+                "preference" for what the humans of a gentle task like, "profile" for the share of
+                pairs above each return.
         """
         from evaluation.plots.figures import evaluation_figure
 
@@ -170,7 +181,7 @@ class EvaluationResult(_Result):
 
     def _figures(self) -> dict[str, Estimate | None]:
         sides = {"M_test": self.m_test, "M_train": self.m_train, "M_train - M_test": self.gap}
-        return {**sides, **self.by_disability}
+        return {**sides, **self.by_disability, **self.by_preference}
 
 
 class CrossPlayResult(_Result):

@@ -29,6 +29,7 @@ def evaluate(
     backend: str = "auto",
     stochastic: bool = False,
     max_envs: int | None = None,
+    preferences: str | Sequence[str] | None = None,
     include_own: bool = False,
     references: bool = True,
     crossplay: "Path | CrossPlayResult | None" = None,
@@ -58,9 +59,12 @@ def evaluate(
         backend: Physics: "auto" for the fastest one here, or its name.
         stochastic: Draw actions instead of taking each policy's most likely one.
         max_envs: Most simulations in a saved part; lower it if memory runs out.
+        preferences: What the humans of a gentle task like, such as "p1,p5": each partner takes
+            turns in them from episode to episode; default all.
         include_own: Count partners that were trained with one of the robots; else they are played
             and kept in the tables, and no figure is about them.
-        references: Compare with zero and random actions and with each partner's own robot.
+        references: Compare with zero and random actions, the task's script and each partner's own
+            robot, and play with a human that does nothing.
         crossplay: A finished cross-play, whose best robots may be the partners' best responses.
         reuse: Take what `out` holds of a robot from code though nothing declares what it depends
             on; else it is played again.
@@ -87,7 +91,7 @@ def evaluate(
         2
     """
     robots = list(robot) if isinstance(robot, list) else [robot]
-    settings = Settings(task, episodes, seed, backend, stochastic, max_envs)
+    settings = Settings(task, episodes, seed, backend, stochastic, max_envs, preferences)
     opened = _locked(open_zoo(zoo), lock, task, split)
     if fetch:
         _, chosen = choose_partners(opened.registry, task, split, partners or None)
@@ -122,6 +126,7 @@ def cross_play(
     backend: str = "auto",
     stochastic: bool = False,
     max_envs: int | None = None,
+    preferences: str | Sequence[str] | None = None,
     zoo: "str | Path | Zoo | None" = None,
     lock: Path | str | None = None,
     out: Path | str | None = None,
@@ -142,6 +147,7 @@ def cross_play(
         backend: Physics: "auto" for the fastest one here, or its name.
         stochastic: Draw actions instead of taking each policy's most likely one.
         max_envs: Most simulations in a saved part; lower it if memory runs out.
+        preferences: As in `evaluate`.
         zoo: Where policies come from, as in `open_zoo`.
         lock: Lock file of a paper; other bytes than those it pins are refused.
         out: Folder for the tables and the figure, in which a run that was stopped goes on; default
@@ -153,7 +159,7 @@ def cross_play(
         ValueError: Something asked for does not exist or does not fit the task.
         ZooError: The zoo does not have, or not unchanged, what was asked for.
     """
-    settings = Settings(task, episodes, seed, backend, stochastic, max_envs)
+    settings = Settings(task, episodes, seed, backend, stochastic, max_envs, preferences)
     registry = _locked(open_zoo(zoo), lock, task, None).registry
     folder, keep = _folder(out)
     with _shown(progress, f"crossplay {task}") as on_progress:
@@ -197,7 +203,7 @@ def play_block(
         zoo: Where policies come from.
         lock: Lock file of a paper.
         progress: Show it, or a function that is told of it.
-        **playing: `episodes`, `seed`, `backend`, `stochastic`, `max_envs`.
+        **playing: `episodes`, `seed`, `backend`, `stochastic`, `max_envs`, `preferences`.
     """
     registry = _locked(open_zoo(zoo), lock, task, None).registry
     chosen = egos or f"{task}/*", partners or f"{task}/*"

@@ -27,8 +27,8 @@ def partner_table(table: pl.DataFrame, *, seed: int = 0) -> pl.DataFrame:
 
     `return_low` and `return_high` are the ends of its mean's 95% interval over seeds.
     """
-    block = dense_block(table)
-    measures = ("success", "force_mean", "force_peak")
+    block, table = dense_block(table), tables.with_safety(table)
+    measures = tables.outcome_columns(table)
     means = table.group_by("partner").agg(
         *(pl.col(name).cast(pl.Float64).mean() for name in measures),
         pl.len().cast(pl.Int64).alias("episodes"),

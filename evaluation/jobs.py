@@ -40,6 +40,8 @@ class Job:
     paired: bool = False  # ego i of stack g with partner i of stack g, and no other
     apart: bool = False  # each partner plays episodes of its own, not those of all: see `seeds`
     engine: Mapping[str, str] = dataclasses.field(default_factory=dict)  # name and version
+    # Of the gentle tasks: what the partners like, in turns, see `wishes`; empty where it is drawn.
+    preferences: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.episodes < 1:
@@ -86,7 +88,8 @@ class Job:
 
     def identity(self) -> dict[str, Any]:
         """Return what decides the values of the episode table, JSON-ready."""
-        return {
+        wishes = {"preferences": list(self.preferences)} if self.preferences else {}
+        return wishes | {
             "evaluator_version": EVALUATOR_VERSION,
             "task": self.task,
             "env_version": self.env_version,
@@ -119,6 +122,18 @@ class Job:
             return np.array(episode_seeds(self.seed, episodes))
         rows = [int.from_bytes(hashlib.sha256(name.encode()).digest()[:4]) for name in partners]
         return np.array([episode_seeds(self.seed, episodes, row) for row in rows])
+
+    def wishes(self, partners: Sequence[str], episodes: Sequence[int]) -> np.ndarray:
+        """Return the names of the preferences under which partners play episodes, [P, K].
+
+        The preferences take turns over a partner's episodes, as in a Latin square: another partner
+        begins with another, which its id decides. So every start is played under several, few
+        episodes of many partners have all of them equally often, and no partner's depend on who
+        else plays.
+        """
+        first = [int.from_bytes(hashlib.sha256(name.encode()).digest()[:4]) for name in partners]
+        turn = (np.array(first)[:, None] + np.array(episodes)[None]) % len(self.preferences)
+        return np.array(self.preferences)[turn]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A policy that looks at nothing: the zero action, or uniformly random ones."""
+"""Policies that nobody trained: the zero action, uniformly random ones, a task's script."""
 
 from typing import Any
 
@@ -6,7 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from evaluation.roster import ReferenceSpec
+from assistax_envs.models import build_model
+from assistax_envs.scripted import scripted_robot
+from evaluation.roster import ReferenceSpec, ScriptSpec
 
 
 class ReferencePolicy:
@@ -40,3 +42,21 @@ class ReferencePolicy:
         draw = jax.vmap(lambda key: jax.random.uniform(key, (self.spec.action_size,), minval=-1.0))
         actions = draw(keys).reshape(*obs.shape[:-1], self.spec.action_size)
         return carry, params["amplitude"] * actions
+
+
+class ScriptedPolicy:
+    """A task's script in `population.policy.Policy`'s form; it has no memory and no parameters."""
+
+    def __init__(self, spec: ScriptSpec) -> None:
+        self._robot = scripted_robot(spec.task, build_model(spec.task))
+
+    def initial_carry(self, batch_shape: tuple[int, ...]) -> tuple[()]:
+        """Return the empty carry."""
+        return ()
+
+    def act(
+        self, params: Any, carry: tuple[()], obs: jax.Array, first: jax.Array
+    ) -> tuple[tuple[()], jax.Array]:
+        """Return actions [..., A] for observations [..., O]."""
+        actions = self._robot(obs.reshape(-1, obs.shape[-1]))
+        return carry, actions.reshape(*obs.shape[:-1], -1)

@@ -1,10 +1,13 @@
-"""Egos to read returns beside: zero action, uniformly random actions, each partner's own robot.
+"""What to read returns beside: zero and random actions, the script, each partner's own robot.
 
-None of it depends on the policy under evaluation, so the episodes are kept by the hash of their job
-and played once.
+And a human that does nothing: what a robot earns with it, it earns without coordination. Episodes
+are kept by the hash of their job and played once: only those of the policies under evaluation with
+the passive human depend on these.
 """
 
 import dataclasses
+import hashlib
+import inspect
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,11 +15,14 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from assistax_envs import scripted
+from assistax_envs.scripted import SCRIPTS
 from evaluation.evaluator import run_job
 from evaluation.jobs import Job
-from evaluation.relative import COLUMN, RANDOM, SELF_PLAY, ZERO
-from evaluation.roster import Member, ReferenceSpec, Roster
+from evaluation.relative import COLUMN, PASSIVE, RANDOM, SCRIPT, SELF_PLAY, ZERO
+from evaluation.roster import Member, ReferenceSpec, Roster, ScriptSpec
 from evaluation.runner import Progress
+from population.spec import PolicySpec
 from population.stack import PolicyStack
 
 _VERSION = "1"  # of what zero and random do; part of their digests
@@ -32,17 +38,40 @@ def reference_roster(observation_size: int, action_size: int) -> Roster:
 
 def reference_jobs(env: Any, job: Job, own: tuple[Roster, Roster] | None) -> list[Job]:
     """Return what `play_references` plays."""
-    roster = reference_roster(env.observation_size["robot"], env.action_size["robot"])
-    jobs = [dataclasses.replace(job, egos=roster, stochastic=False)]
+    robot, human = ((env.observation_size[r], env.action_size[r]) for r in ("robot", "human"))
+    jobs = [dataclasses.replace(job, egos=reference_roster(*robot), stochastic=False)]
     if own:
         robots, humans = own
         jobs.append(dataclasses.replace(job, egos=robots, partners=humans, paired=True))
+    if job.task in SCRIPTS:
+        script = dataclasses.replace(job, egos=script_roster(job.task, *robot), stochastic=False)
+        alone: dict[str, Any] = {"partners": passive_roster(*human), "sides": {}}
+        jobs += [script, *(dataclasses.replace(one, **alone) for one in (script, job))]
     return jobs
 
 
 def kept_folder(folder: Path, job: Job) -> Path:
     """Return where a job of reference egos is kept."""
     return folder / job.digest()[:20]
+
+
+def script_roster(task: str, observation_size: int, action_size: int) -> Roster:
+    """Return a task's scripted robot, its code named by its hash."""
+    spec = ScriptSpec("robot", observation_size, action_size, task=task)
+    digest = hashlib.sha256(inspect.getsource(scripted).encode()).hexdigest()
+    return _single(spec, Member(SCRIPT, digest))
+
+
+def passive_roster(observation_size: int, action_size: int) -> Roster:
+    """Return a human without an impairment that does nothing."""
+    spec = ReferenceSpec("human", observation_size, action_size)
+    return _single(spec, Member(PASSIVE, f"{PASSIVE}-{_VERSION}", disability="d1"))
+
+
+def _single(spec: PolicySpec, member: Member) -> Roster:
+    """Return the one policy of a spec, without an amplitude."""
+    params = {"amplitude": np.zeros(1, np.float32)}
+    return Roster((PolicyStack(spec, (member.id,), params),), {member.id: member})
 
 
 def play_references(
@@ -75,5 +104,11 @@ def play_references(
         run_job(env, one, kept_folder(folder, one), **options).table
         for one in reference_jobs(env, job, own)
     ]
-    names = pl.when(pl.col("ego").is_in([ZERO, RANDOM])).then("ego").otherwise(pl.lit(SELF_PLAY))
+    names = (
+        pl.when(pl.col("partner") == PASSIVE)
+        .then("partner")
+        .when(pl.col("ego").is_in([ZERO, RANDOM, SCRIPT]))
+        .then("ego")
+        .otherwise(pl.lit(SELF_PLAY))
+    )
     return pl.concat(played).with_columns(names.alias(COLUMN))

@@ -14,8 +14,9 @@ from evaluation import tables
 from evaluation.bootstrap import Estimate, estimate
 from evaluation.metrics import Bounds, Coverage, br_prox, coverage, normalised_return, regret
 
-COLUMN = "reference"  # what an episode of the table of references is: ZERO, RANDOM or SELF_PLAY
-ZERO, RANDOM = "zero-action", "uniform-random"  # ids of egos in the episode table
+COLUMN = "reference"  # what an episode of the table of references is: an ego, SELF_PLAY, PASSIVE
+# Ids in the episode table: of egos that nobody trained, and of a partner that does nothing.
+ZERO, RANDOM, SCRIPT, PASSIVE = "zero-action", "uniform-random", "script", "passive-human"
 SELF_PLAY, CROSS_PLAY, NONE = "self-play", "cross-play", "none"  # sources of a best response
 
 
@@ -27,6 +28,9 @@ class References:
     uniform_random: Estimate | None
     self_play: Estimate | None  # each partner's own robot
     best_response: Estimate | None  # the best robot known with each partner
+    script: Estimate | None = None  # the task's script, which nobody trained
+    passive_human: Estimate | None = None  # these policies with a human that does nothing
+    script_with_passive_human: Estimate | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,8 +119,19 @@ def summarise_references(
         played = on_side.filter(pl.col(COLUMN) == name).group_by("partner", maintain_order=True)
         return figure(played.agg(pl.col("return").cast(pl.Float64).mean())["return"])
 
+    def alone(egos: pl.Expr) -> Estimate | None:
+        rows = references.filter((pl.col("partner") == PASSIVE) & egos).group_by("ego")
+        means = rows.agg(pl.col("return").cast(pl.Float64).mean()).sort("ego")["return"]
+        return estimate(means.to_numpy()[:, None], seed=seed) if means.len() else None
+
     played = (returns_of(ZERO), returns_of(RANDOM), returns_of(SELF_PLAY))
-    found = References(*played, best_response=figure(bounds["best"].drop_nulls()))
+    found = References(
+        *played,
+        best_response=figure(bounds["best"].drop_nulls()),
+        script=returns_of(SCRIPT),
+        passive_human=alone(pl.col("ego").is_in(block.egos["ego"].to_list())),
+        script_with_passive_human=alone(pl.col("ego") == SCRIPT),
+    )
     return found, _relative(block.scores, bounds, seed)
 
 

@@ -106,6 +106,7 @@ def _rebuild(identity: Mapping[str, Any], registry: Registry, run_code: bool) ->
         sides={row[0]: row[2] for row in identity["partners"] if row[2]},
         paired=identity["paired"],
         apart=identity["apart"],
+        preferences=tuple(identity.get("preferences", ())),
     )
     here = job.identity()
     for name in ("env_version", "evaluator_version", "egos", "partners"):

@@ -65,6 +65,8 @@ class Tally:
     travel: dict[str, jax.Array]  # rad by role: angles that all joints went through together
     success: jax.Array  # bool, at any step
     nonfinite: jax.Array  # bool, the physics became non-finite
+    contact_peak: jax.Array | None = None  # N, the largest single contact, where the task feels it
+    violated: jax.Array | None = None  # bool, a contact was above the hard limit, likewise
 
 
 @jax.tree_util.register_dataclass
@@ -141,7 +143,8 @@ class Rollout:
         Args:
             robot_params: stacked, leaves [E, ...]; None where `act` plays the robot (E is 1).
             human_params: stacked, leaves [P, ...].
-            env_params: the partners' own `EnvParams`, leaves [P].
+            env_params: the partners' own `EnvParams`, leaves [P], or [P, K] where a partner is
+                another in each episode.
             seeds: K integers; `jax.random.key(seeds[k])` starts episode k of every pair (common
                 random numbers). Or [P, K], where each partner has episodes of its own.
             act: (observations [N, O] float32, step) -> actions [N, A], for a robot from outside.
@@ -246,7 +249,7 @@ def _start(
     e, p, k = shape
     flat = functools.partial(jnp.reshape, shape=(e * p * k,))
     params = jax.tree.map(
-        lambda leaf: flat(jnp.broadcast_to(leaf[None, :, None], shape)), env_params
+        lambda leaf: flat(jnp.broadcast_to(leaf.reshape(1, p, -1), shape)), env_params
     )
     state = env.reset(flat(jnp.broadcast_to(keys, shape)), params)
     zero = jnp.zeros(e * p * k)
@@ -264,6 +267,8 @@ def _start(
         travel=dict.fromkeys(env.joint_positions(state), zero),
         success=false,
         nonfinite=false,
+        contact_peak=None if state.measures.contact is None else zero,
+        violated=None if state.measures.violated is None else false,
     )
     return Loop(
         state=state,
@@ -323,7 +328,12 @@ def accumulate(tally: Tally, state: Any, travel: dict[str, jax.Array], time: jax
     def gained(value: jax.Array) -> jax.Array:
         return jnp.where(earning, value, 0.0)
 
-    reward, force = gained(state.reward), gained(state.measures.force)
+    measures = state.measures
+    reward, force = gained(state.reward), gained(measures.force)
+    touches = {}
+    if tally.contact_peak is not None:
+        peak = jnp.maximum(tally.contact_peak, gained(measures.contact))
+        touches = {"contact_peak": peak, "violated": tally.violated | (earning & measures.violated)}
     return Tally(
         running=running & ~(state.terminated | state.truncated),
         steps=tally.steps + running,
@@ -335,10 +345,11 @@ def accumulate(tally: Tally, state: Any, travel: dict[str, jax.Array], time: jax
         first_contact=jnp.where(
             (tally.first_contact == 0) & (force > 0), time + 1, tally.first_contact
         ),
-        distance_sum=tally.distance_sum + gained(state.measures.distance),
+        distance_sum=tally.distance_sum + gained(measures.distance),
         travel={role: tally.travel[role] + gained(value) for role, value in travel.items()},
-        success=tally.success | (earning & state.measures.success),
+        success=tally.success | (earning & measures.success),
         nonfinite=tally.nonfinite | (running & state.nonfinite),
+        **touches,
     )
 
 

@@ -43,7 +43,14 @@ class HostEgo:
 
 @dataclasses.dataclass(frozen=True)
 class ReferenceSpec(PolicySpec):
-    """Egos that look at nothing: see `evaluation.references.ReferencePolicy`."""
+    """Policies that look at nothing: see `evaluation.reference_policy.ReferencePolicy`."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ScriptSpec(PolicySpec):
+    """A task's scripted robot: see `assistax_envs.scripted`."""
+
+    task: str = ""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

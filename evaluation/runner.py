@@ -22,9 +22,9 @@ from assistax_envs.interrupts import wait_for
 from evaluation import tables
 from evaluation.egos import call_ego
 from evaluation.jobs import TILE_ENVS, Chunk, Job, Tile, plan
-from evaluation.reference_policy import ReferencePolicy
+from evaluation.reference_policy import ReferencePolicy, ScriptedPolicy
 from evaluation.rollout import Rollout, Tally
-from evaluation.roster import HostEgo, ReferenceSpec, Roster
+from evaluation.roster import HostEgo, ReferenceSpec, Roster, ScriptSpec
 from population.policy import Policy
 from population.spec import PolicySpec
 from population.stack import PolicyStack
@@ -188,14 +188,16 @@ class Runner:
         humans = partner.take(_padded(tile.partners, p))
         partners = job.partners.describe(humans.ids)
         settings = [member.setting or str(member.disability) for member in partners]
+        episodes = _padded(tile.episodes, k)
+        wishes = job.wishes(humans.ids, episodes) if job.preferences else None
         robots = None
         if not isinstance(ego, HostEgo):
             robots = ego.take(_padded(tile.egos, p if tile.paired else e))
         block = (
             robots.params if robots else None,
             humans.params,
-            disability_params(settings),
-            job.seeds(humans.ids, _padded(tile.episodes, k)),
+            disability_params(settings, wishes),
+            job.seeds(humans.ids, episodes),
         )
         return self._rollout(robots.spec if robots else None, humans.spec), block, humans.ids
 
@@ -254,6 +256,8 @@ def _first_of_each_program(chunks: Sequence[Chunk]) -> list[Tile]:
 def _policy(spec: Any) -> Any:
     if isinstance(spec, ReferenceSpec):
         return ReferencePolicy(spec)
+    if isinstance(spec, ScriptSpec):
+        return ScriptedPolicy(spec)
     if hasattr(spec, "make_policy"):  # a network that is not of this project, such as from ONNX
         return spec.make_policy()
     return None if spec is None else Policy(spec)
@@ -280,7 +284,14 @@ def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
     else:
         rows = egos.join(partners, how="cross", maintain_order="left_right")
     rows = rows.join(episodes, how="cross", maintain_order="left_right")
+    wishes, touches = {}, {}
+    if job.preferences:
+        names = job.wishes(partners["partner"].to_list(), tile.episodes)
+        wishes = {"preference": np.broadcast_to(names, (e, p, k)).ravel()}
+    if tally.violated is not None:
+        touches = {"contact_peak": tally.contact_peak, "violated": tally.violated}
     measured = {
+        **wishes,
         "key": keys.ravel(),
         "return": tally.returns,
         "discounted_return": tally.discounted,
@@ -288,6 +299,7 @@ def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
         "success": tally.success,
         "force_mean": tally.force_sum / np.maximum(tally.steps, 1),
         "force_peak": tally.force_peak,
+        **touches,
         "first_contact": np.where(tally.first_contact > 0, tally.first_contact, tally.steps),
         "distance_mean": tally.distance_sum / np.maximum(tally.steps, 1),
         **{f"{role}_travel": value for role, value in tally.travel.items()},

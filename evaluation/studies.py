@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from assistax_envs.versions import TASKS, VERSIONS
+from assistax_envs.preferences import PREFERENCES, check_preferences
+from assistax_envs.versions import GENTLE_TASKS, TASKS, VERSIONS
 from evaluation import provenance, tables
 from evaluation.blocks import BlockDone, run_block, run_blocks_on_ray
 from evaluation.derived import save_crossplay, save_evaluation
@@ -44,6 +45,8 @@ class Settings:
     backend: str = "auto"
     stochastic: bool = False  # draw actions instead of taking each policy's mode
     max_envs: int | None = None  # simulations at once; None is the backend's default
+    # Of a gentle task's humans, such as "p1,p5"; None is all of them, in turns.
+    preferences: str | Sequence[str] | None = None
 
     def __post_init__(self) -> None:
         if self.task not in TASKS:
@@ -56,6 +59,16 @@ class Settings:
             raise ValueError(f"seed is {self.seed}; allowed is 0 or more")
         if self.max_envs is not None and self.max_envs < 1:
             raise ValueError(f"max_envs is {self.max_envs}; allowed is 1 or more")
+        if self.preferences is not None:
+            check_preferences(self.task, self.wishes)
+
+    @property
+    def wishes(self) -> tuple[str, ...]:
+        """The preferences that partners play under, in turns; none for the paper's tasks."""
+        if self.preferences is None:
+            return tuple(PREFERENCES) if self.task in GENTLE_TASKS else ()
+        named = self.preferences
+        return tuple(named.split(",") if isinstance(named, str) else named)
 
 
 def evaluate_policies(
@@ -299,6 +312,7 @@ def _make_job(
         seed=settings.seed,
         stochastic=settings.stochastic,
         sides={entry.id: side for entry in partners if split and (side := split.side(entry.team))},
+        preferences=settings.wishes,
     )
     return env, job
 

@@ -11,7 +11,7 @@ import polars as pl
 from pydantic import TypeAdapter, ValidationError
 
 from evaluation import tables
-from evaluation.bootstrap import Draws, Estimate, Interval
+from evaluation.bootstrap import Draws, Estimate, Interval, estimate
 from evaluation.metrics import (
     CrossPlay,
     Difference,
@@ -91,6 +91,11 @@ class EvaluationSummary(Summary, ZeroShot):
     by_algorithm: dict[str, Estimate]
     by_disability: dict[str, Estimate]
     fairness: Fairness | None  # None with a single disability setting
+    # Of the gentle tasks: by what the human likes; goal reached and nobody hurt; a hard contact.
+    by_preference: dict[str, Estimate] = dataclasses.field(default_factory=dict)
+    preference_fairness: Fairness | None = None  # None with fewer than two preferences
+    safe_success: Estimate | None = None  # share of episodes
+    violations: Estimate | None = None
     worst_partner: NamedWorst
     cvar_10: Interval | None  # None with one episode a pair
     egos: tuple[str, ...]
@@ -175,6 +180,7 @@ def summarise_evaluation(
         group_draws(focus.scores, focus.partners[f"partner_{trait}"].to_list(), seed=seed)
         for trait in ("algorithm", "disability")
     )
+    by_preference = _preference_draws(focus, seed)
     several = focus.returns.shape[2] > 1
     return EvaluationSummary(
         **vars(zero_shot(block.scores, sides, seed=seed)),
@@ -183,6 +189,10 @@ def summarise_evaluation(
         by_algorithm=_estimates(by_algorithm),
         by_disability=_estimates(by_disability),
         fairness=fairness(by_disability) if len(by_disability) > 1 else None,
+        by_preference=_estimates(by_preference),
+        preference_fairness=fairness(by_preference) if len(by_preference) > 1 else None,
+        safe_success=_share(focus.safe, seed),
+        violations=_share(focus.violated, seed),
         worst_partner=_worst_partner(focus),
         cvar_10=cvar_crossfit(focus.returns, 0.1, seed=seed) if several else None,
         egos=tuple(block.egos["ego"]),
@@ -245,6 +255,24 @@ def _common(block: Block, context: Context) -> dict:
         "episodes_per_pair": block.returns.shape[2],
         "nonfinite": int(block.nonfinite.sum()),
     }
+
+
+def _preference_draws(block: Block, seed: int) -> dict[str, Draws]:
+    """Replicate the return under each preference: over the partners that played under it."""
+    if block.preferences is None:
+        return {}
+    scores, names = [], []
+    for partner in range(block.partners.height):
+        wished, returns = block.preferences[0, partner], block.returns[:, partner]
+        for name in sorted(set(wished)):
+            scores.append(returns[:, wished == name].mean(axis=1))
+            names.append(name)
+    return group_draws(np.stack(scores, axis=1), names, seed=seed)
+
+
+def _share(happened: np.ndarray | None, seed: int) -> Estimate | None:
+    """Return in which share of episodes [E, P, K] it happened."""
+    return None if happened is None else estimate(happened.mean(axis=2), seed=seed)
 
 
 def _estimates(draws: dict[str, Draws]) -> dict[str, Estimate]:

@@ -57,12 +57,15 @@ SCHEMA: dict[str, pl.DataType] = {
     "partner_seed": pl.Int64(),
     "side": pl.String(),
     "episode": pl.Int64(),
+    "preference": pl.String(),
     "key": pl.Int64(),
     "return": pl.Float32(),
     "discounted_return": pl.Float32(),
     "success": pl.Boolean(),
     "force_mean": pl.Float32(),
     "force_peak": pl.Float32(),
+    "contact_peak": pl.Float32(),  # N, of one contact
+    "violated": pl.Boolean(),  # one was above the hard limit
     "first_contact": pl.Int64(),  # steps until the first contact; all of them if there was none
     "distance_mean": pl.Float32(),
     "robot_travel": pl.Float32(),  # rad, summed over joints and steps
@@ -76,6 +79,7 @@ BEHAVIOUR = (
     "robot_travel",
     "human_travel",
 )  # tables of manifest format 1 lack them
+GENTLE = ("preference", "contact_peak", "violated")  # of the gentle tasks alone
 _NULLABLE = {
     *(
         "ego_team",
@@ -88,6 +92,9 @@ _NULLABLE = {
 }
 
 
+_GENTLE = ("preferences", "safe", "violated")  # fields of a block that only gentle tasks fill
+
+
 @dataclasses.dataclass(frozen=True)
 class Block:
     """Every ego with every partner for the same episodes, as dense arrays."""
@@ -98,6 +105,11 @@ class Block:
     partners: pl.DataFrame  # P rows of PARTNER_COLUMNS, in the order of the second axis
     episodes: np.ndarray  # [K] episode numbers
     keys: np.ndarray | None  # [K] seeds of the episode keys; None if pairs had different ones
+    # Of a gentle task: under which preference each episode was played, and whether the goal was
+    # reached and nobody hurt.
+    preferences: np.ndarray | None = None  # [E, P, K]
+    safe: np.ndarray | None = None  # [E, P, K] bool
+    violated: np.ndarray | None = None  # [E, P, K] bool
 
     def evaluated_side(self) -> "Block":
         """Return the block with the test partners, or the training partners if only those played.
@@ -124,6 +136,7 @@ class Block:
             self,
             returns=self.returns[:, mask],
             nonfinite=self.nonfinite[:, mask],
+            **{name: one[:, mask] for name in _GENTLE if (one := getattr(self, name)) is not None},
             partners=self.partners.filter(pl.Series(mask)),
         )
 
@@ -133,9 +146,22 @@ def term_columns(table: pl.DataFrame) -> tuple[str, ...]:
     return tuple(name for name in table.columns if name.startswith(TERM_PREFIX))
 
 
+def with_safety(table: pl.DataFrame) -> pl.DataFrame:
+    """Add `safe_success` to a table of a gentle task: the goal was reached, and nobody was hurt."""
+    if "violated" not in table.columns:
+        return table
+    return table.with_columns(safe_success=pl.col("success") & ~pl.col("violated"))
+
+
+def outcome_columns(table: pl.DataFrame) -> tuple[str, ...]:
+    """Return the columns that tell how episodes went beside the return, of those the table has."""
+    names = ("success", "safe_success", "violated", "force_mean", "force_peak", "contact_peak")
+    return tuple(name for name in names if name in table.columns)
+
+
 def validate_episodes(table: pl.DataFrame) -> pl.DataFrame:
     """Return the table, or raise `ValueError` saying what is wrong with it and where."""
-    needed = [name for name in SCHEMA if name not in BEHAVIOUR]
+    needed = [name for name in SCHEMA if name not in (*BEHAVIOUR, *GENTLE)]
     missing = [name for name in needed if name not in table.columns]
     if missing:
         raise ValueError(
@@ -178,7 +204,19 @@ def dense_block(table: pl.DataFrame) -> Block:
     cells = _cells(table, egos["ego"], partners["partner"], episodes, shape)
     returns, nonfinite = np.empty(np.prod(shape)), np.empty(np.prod(shape), bool)
     returns[cells], nonfinite[cells] = table["return"].to_numpy(), table["nonfinite"].to_numpy()
+
+    def laid_out(name: str) -> np.ndarray | None:
+        if name not in table.columns:
+            return None
+        values = np.empty(np.prod(shape), object if table[name].dtype == pl.String else bool)
+        values[cells] = table[name].to_numpy()
+        return values.reshape(shape)
+
+    table = with_safety(table)
     return Block(
+        preferences=laid_out("preference"),
+        safe=laid_out("safe_success"),
+        violated=laid_out("violated"),
         returns=returns.reshape(shape),
         nonfinite=nonfinite.reshape(shape),
         egos=egos,
@@ -190,14 +228,12 @@ def dense_block(table: pl.DataFrame) -> Block:
 
 def pair_table(table: pl.DataFrame) -> pl.DataFrame:
     """Average the episodes of each pair: one row a pair, in the order of `dense_block`."""
-    block = dense_block(table)
+    block, table = dense_block(table), with_safety(table)
     behaviour = [name for name in BEHAVIOUR if name in table.columns]
     measures = (
         "discounted_return",
         *term_columns(table),
-        "success",
-        "force_mean",
-        "force_peak",
+        *outcome_columns(table),
         *behaviour,
     )
     means = table.group_by("ego", "partner").agg(

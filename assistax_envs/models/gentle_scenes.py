@@ -1,4 +1,6 @@
-"""The scenes of the gentle tasks: those of the paper's, with a soft skin, a robot in reduced mode and all touches felt.
+"""The scenes of the gentle tasks: those of the paper's, softened, and with all touches felt.
+
+The skin gives way, the robot is in reduced mode, its links touch the human.
 
 The changes are made on the parsed MJCF, so that a body or a piece of furniture is described once.
 """
@@ -11,9 +13,8 @@ SCENES: dict[str, str] = {  # gentle task -> the paper's task whose scene it sta
     "gentle_bath": "bed_bath",
     "gentle_lift": "arm_assist",
 }
-ROBOT_SHARE = (
-    0.3  # of the robot's torque limits: what a collaborative robot is run at beside a person
-)
+# Of the robot's torque limits: what a collaborative robot is run at beside a person.
+ROBOT_SHARE = 0.3
 HUMAN_SHARE: dict[str, float] = {  # of a healthy right arm's torques
     "gentle_scratch": 0.5,
     "gentle_bath": 0.5,
@@ -34,7 +35,10 @@ LEGS = ("right_thigh", "left_thigh")  # parts of the human that belong to the fu
 
 
 def soften(scene: mujoco.MjSpec, task: str) -> None:
-    """Turn the scene of the paper's task, tool attached, into that of the gentle `task`, in place."""
+    """Turn the scene of the paper's task, tool attached, into that of the gentle `task`.
+
+    In place.
+    """
     for actuator in scene.actuators:
         human = actuator.name.startswith("human_")
         actuator.gear = np.array(actuator.gear) * (HUMAN_SHARE[task] if human else ROBOT_SHARE)
@@ -51,7 +55,10 @@ def soften(scene: mujoco.MjSpec, task: str) -> None:
 
 
 def _give_links_contacts(scene: mujoco.MjSpec) -> None:
-    """Let the robot's forearm, wrist and hand touch the human: else they pass through it where that is the short way."""
+    """Let the robot's forearm, wrist and hand touch the human.
+
+    Else they pass through it where that is the short way.
+    """
     for body, name in LINKS.items():
         scene.body(body).geoms[-1].name = name
     known = {frozenset((pair.geomname1, pair.geomname2)) for pair in scene.pairs}
@@ -69,7 +76,7 @@ def _give_links_contacts(scene: mujoco.MjSpec) -> None:
 
 
 def touching(geom1: str, geom2: str) -> tuple[str, str] | None:
-    """Return the robot's and the human's part of a contact pair, or None where one of them has no part in it."""
+    """Return the robot's and the human's part of a contact pair, None where one has no part."""
     robot = [name for name in (geom1, geom2) if name.startswith("robot_")]
     human = [name for name in (geom1, geom2) if name.startswith("human_") or name in LEGS]
     return (robot[0], human[0]) if robot and human else None

@@ -6,11 +6,14 @@ import mujoco
 from assistax_envs.physics.base import SUBSTEPS, Physics, PhysicsState
 
 BACKENDS: tuple[str, ...] = ("fused", "native", "mjx", "mjx-warp")
+# Backends whose contact sensors give a contact's frame beside its force.
+GIVES_CONTACT_FRAMES: tuple[str, ...] = ("fused", "native")
 # JAX's platforms on which "auto" is "fused": those on which it has been held against the others.
 FUSED_FIRST = ("cpu", "gpu")
 
 __all__ = [
     "BACKENDS",
+    "GIVES_CONTACT_FRAMES",
     "SUBSTEPS",
     "Physics",
     "PhysicsState",

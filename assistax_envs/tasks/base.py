@@ -64,6 +64,9 @@ class Measures:
     force: jax.Array  # [N] magnitude of the tool's force on the arm, N
     distance: jax.Array  # [N] from tool to target, m
     success: jax.Array  # [N] bool: the task's goal holds at this step
+    # Of the gentle tasks, whose sensors feel every touch:
+    contact: jax.Array | None = None  # [N] N, the largest single contact
+    violated: jax.Array | None = None  # [N] bool: some contact so far was above the hard limit
 
 
 class Sensors:

@@ -107,7 +107,10 @@ class BedBath:
 
 
 def arm_points(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points to wipe, on a helix from shoulder to wrist: segment [52] and offset [52, 3] in its frame, m."""
+    """Return the points to wipe, on a helix from shoulder to wrist.
+
+    Segment [52], and offset [52, 3] in its frame, m.
+    """
     sites = [model.site(f"human_{segment}") for segment in ARM_SEGMENTS]
     return _helix([(site.size[0], site.size[1]) for site in sites])
 

@@ -1,4 +1,4 @@
-"""What the gentle tasks share: the touch of all of the robot on the human, what it costs to be rough, a preference.
+"""What the gentle tasks share: touch of all of the robot, what roughness costs, a preference.
 
 Shapes: N simulations. Forces in N, lengths in m, speeds in m/s.
 """
@@ -15,8 +15,9 @@ from assistax_envs.tasks.base import HUMAN_JOINTS, Pose, Readings, Sensors, rota
 
 STEP = 0.02  # s, one control step
 SOFT = 10.0  # N, a gentle touch, after Assistive Gym's limit
-# N, of one contact. ISO/TS 15066 (Table A.2) has 65 N for the face, 140 to 160 N for hand and arm, as what healthy
-# adults bear in a quasi-static contact before it hurts. The people here are frail: the least of them holds everywhere.
+# N, of one contact. ISO/TS 15066 (Table A.2) has 65 N for the face, 140 to 160 N for hand and arm,
+# as what healthy adults bear in a quasi-static contact before it hurts. The people here are frail:
+# the least of them holds everywhere.
 HARD = 65.0
 FELT = 0.3  # N, from where on a touch counts as one
 LIGHTEST, MIDDLE_FORCE, MIDDLE_SPEED = (
@@ -42,7 +43,10 @@ class Liking:
 
 
 def liking(preference: jax.Array, key: jax.Array) -> Liking:
-    """Return the preference of one simulation: row `preference` - 1 of `PREFERENCES`, or one drawn where it is 0."""
+    """Return the preference of one simulation.
+
+    Row `preference` - 1 of `PREFERENCES`, or one drawn where it is 0.
+    """
     table = jnp.asarray([dataclasses.astuple(one) for one in PREFERENCES.values()], jnp.float32)
     drawn = jax.random.randint(key, (), 0, len(PREFERENCES))
     return Liking(*table[jnp.where(preference > 0, preference - 1, drawn)])
@@ -51,7 +55,10 @@ def liking(preference: jax.Array, key: jax.Array) -> Liking:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class TouchReadings(Readings):
-    """Readings of a scene in which every touch is felt; `tool_force` is of all of the robot, in the world's frame."""
+    """Readings of a scene in which every touch is felt.
+
+    `tool_force` is of all of the robot, in the world's frame.
+    """
 
     force: jax.Array  # [N] N, the magnitudes of its contacts, summed
     peak: jax.Array  # [N] N, the largest contact
@@ -92,7 +99,10 @@ class TouchSensors(Sensors):
 
 
 def world_force(force: jax.Array, normal: jax.Array, tangent: jax.Array) -> jax.Array:
-    """Turn forces [..., 3] of contact frames into the world's: along the normal, the tangent and their product."""
+    """Turn forces [..., 3] of contact frames into the world's.
+
+    Along the normal, the tangent and their product.
+    """
     other = jnp.cross(normal, tangent)
     return force[..., :1] * normal + force[..., 1:2] * tangent + force[..., 2:] * other
 
@@ -105,7 +115,10 @@ def in_segment(readings: Readings, segment: jax.Array, point: jax.Array) -> jax.
 
 
 def along_skin(step: jax.Array, at: jax.Array) -> jax.Array:
-    """Return the length [...] of steps [..., 3] at points of a segment's frame, the part across the skin left out."""
+    """Return the length [...] of steps [..., 3] over the skin, at points of a segment's frame.
+
+    The part across the skin is left out.
+    """
     radial = at.at[..., 2].set(0.0)
     radial = radial / jnp.maximum(jnp.linalg.norm(radial, axis=-1, keepdims=True), 1e-6)
     across = (step * radial).sum(-1, keepdims=True) * radial
@@ -113,7 +126,10 @@ def along_skin(step: jax.Array, at: jax.Array) -> jax.Array:
 
 
 def bump(x: jax.Array, best: jax.Array) -> jax.Array:
-    """Return (x / best) exp(1 - x / best): 1 at the best, 0 at zero and far above; the paper's form for v* and f*."""
+    """Return (x / best) exp(1 - x / best): 1 at the best, 0 at zero and far above.
+
+    The paper's form for v* and f*.
+    """
     return x / best * jnp.exp(1.0 - x / best)
 
 
@@ -127,7 +143,9 @@ COSTS = {
 
 
 def costs(readings: TouchReadings, soft: float = SOFT) -> dict[str, jax.Array]:
-    """Return what roughness costs, after Assistive Gym's preference terms: [N] each, unweighted, in [-1, 0].
+    """Return what roughness costs, [N] each, unweighted, in [-1, 0].
+
+    After Assistive Gym's preference terms.
 
     Args:
         readings: of this step.
@@ -151,7 +169,10 @@ def costs(readings: TouchReadings, soft: float = SOFT) -> dict[str, jax.Array]:
 def with_preference(
     obs: dict[str, jax.Array], likes: Liking, robot_is_told: bool
 ) -> dict[str, jax.Array]:
-    """Add the preference to what the human, central critics and, for measurements, a told robot observe."""
+    """Add the preference to what human and central critics observe.
+
+    And, for measurements, to what a told robot does.
+    """
     told = {"human", "global"} | ({"robot"} if robot_is_told else set())
     return {
         name: jnp.concatenate([value, likes.observed()], axis=-1) if name in told else value

@@ -1,6 +1,7 @@
-"""Gentle bath: wipe points of the arm in any order, sliding at the force and the speed that the human likes.
+"""Gentle bath: wipe points of the arm in any order, sliding as the human likes it.
 
-Of the 52 points 19 can be reached while the arm rests, 42 in some pose: the human has to turn and lift it.
+Of the 52 points 19 can be reached while the arm rests, 42 in some pose: the human has to turn and
+lift it.
 """
 
 import dataclasses
@@ -29,11 +30,13 @@ from assistax_envs.tasks.gentle_base import (
     with_preference,
 )
 
-NEAR = 0.04  # m from the middle of the pad, whose half length is 5.5 cm: a point under the pad is wiped
+# m from the middle of the pad, whose half length is 5.5 cm: a point under the pad is wiped
+NEAR = 0.04
 SLIDE = 0.02  # m/s over the skin, below which nothing is wiped
 PRESS = 0.5  # N, likewise
 ENOUGH = 30  # points wiped that are success
-FACING = 0.03  # m above the skin, where the way to a point is measured to: points that face the pad come first
+# m above the skin, where the way to a point is measured to: points that face the pad come first
+FACING = 0.03
 SMOOTH = 0.25  # share of a step's speed in the smoothed one
 WIPED = 9.0  # m, a distance beyond all others
 
@@ -52,7 +55,10 @@ class WipeState:
 
 
 class GentleBath:
-    """Progress to the nearest point, pay for each point by force and speed, and a price on time until enough are wiped."""
+    """Progress to the nearest point, pay for each point, a price on time until enough are wiped.
+
+    A point pays by force and speed.
+    """
 
     name = "gentle_bath"
     target_colours: ClassVar = {"next": (0.95, 0.05, 0.55, 1.0), "to wipe": (0.10, 0.45, 0.90, 1.0)}
@@ -64,7 +70,7 @@ class GentleBath:
         robot_is_told: bool = False,
         whatever: float = 0.2,
     ) -> None:
-        """Prepare; `whatever` is the share of a point's pay that does not depend on the human's liking."""
+        """Prepare; `whatever` is the share of a point's pay that no liking changes."""
         terms = {"progress": 10.0, "wipe": 10.0, "time": 0.1}
         self.weights = terms | COSTS | {"violation": 10.0} | (weights or {})
         self.pose = Pose(model, START)
@@ -102,7 +108,10 @@ class GentleBath:
     def transition(
         self, task_state: WipeState, readings: TouchReadings
     ) -> tuple[WipeState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
-        """See `Task.transition`; the goal holds once enough is wiped, if none of the episode's contacts was hard."""
+        """See `Task.transition`; the goal holds once enough is wiped.
+
+        If none of the episode's contacts was hard.
+        """
         s, r = task_state, readings
         points, over = self._points(r, self._offset), self._points(r, self._over)
         gap, way = _distance(points, r), _distance(over, r)
@@ -133,12 +142,15 @@ class GentleBath:
         obs = with_preference(observations(r, *goal), s.likes, self._told)
         violated = s.violated | (r.peak > HARD)
         state = WipeState(left, tool, drift, nearest, violated, s.likes)
-        return state, obs, terms, Measures(r.force, near, done & ~violated)
+        return state, obs, terms, Measures(r.force, near, done & ~violated, r.peak, violated)
 
     def _slide(
         self, s: WipeState, r: TouchReadings, gap: jax.Array, first: jax.Array
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Return the tool in both segments' frames [N, 2, 3], its smoothed velocity there, and its speed over the skin."""
+        """Return the tool in both segments' frames, its smoothed velocity there, its speed.
+
+        [N, 2, 3] each, and [N] over the skin.
+        """
         n = gap.shape[0]
         segments = (jnp.full(n, index, jnp.int32) for index in range(2))
         tool = jnp.stack([in_segment(r, segment, r.tool_position) for segment in segments], axis=1)

@@ -1,6 +1,7 @@
-"""Gentle lift: robot and human bring the hanging forearm onto the bed beside the waist; it counts once the hook let go.
+"""Gentle lift: the hanging forearm is brought beside the waist, and rests once the hook let go.
 
-Neither can do it alone: the human is too weak to lift its arm, and an arm that nobody holds slides off the bed.
+Neither can do it alone: the human is too weak to lift its arm, and an arm that nobody holds slides
+off the bed.
 """
 
 import dataclasses
@@ -54,7 +55,10 @@ class LiftState:
 
 
 class GentleLift:
-    """Progress of the forearm to the waist and of the hook to the forearm; pay for being there, most without a touch."""
+    """Progress of the forearm to the waist and of the hook to it; pay for being there.
+
+    Most of it without a touch.
+    """
 
     name = "gentle_lift"
     target_colours: ClassVar = {
@@ -100,7 +104,10 @@ class GentleLift:
     def transition(
         self, task_state: LiftState, readings: TouchReadings
     ) -> tuple[LiftState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
-        """See `Task.transition`; the goal holds after 2 s of rest, if none of the episode's contacts was hard."""
+        """See `Task.transition`; the goal holds after 2 s of rest.
+
+        If none of the episode's contacts was hard.
+        """
         s, r = task_state, readings
         section = r.arm_position[:, LOWER_ARM]
         towards, distance = to_target(section, r)
@@ -130,4 +137,5 @@ class GentleLift:
         )
         obs = with_preference(observations(r, *goal), s.likes, self._told)
         state = LiftState(s.waist, section, left, distance, held, longest, violated, s.likes)
-        return state, obs, terms, Measures(r.force, left, (longest >= HOLD) & ~violated)
+        done = (longest >= HOLD) & ~violated
+        return state, obs, terms, Measures(r.force, left, done, r.peak, violated)

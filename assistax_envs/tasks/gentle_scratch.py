@@ -1,7 +1,8 @@
 """Gentle scratch: strokes to and fro over an itch, at the force and the speed that the human likes.
 
-The itch is a line of 2 cm along the arm. The tool goes from one end to the other and back, in contact. Most itches lie
-where the tool cannot come while the arm rests: the human has to turn or lift it.
+The itch is a line of 2 cm along the arm. The tool goes from one end to the other and back, in
+contact. Most itches lie where the tool cannot come while the arm rests: the human has to turn or
+lift it.
 """
 
 import dataclasses
@@ -44,8 +45,9 @@ OFF_END = (
     0.02  # m, how far the middle of the tool's round tip, of radius 1 cm, may be from an end in all
 )
 STROKE = 0.012  # m, way of a stroke: what a liked speed means in time
-# Degrees about each segment's axis, from its frame's x to its y, where the tool cannot come while the arm rests. By
-# inverse kinematics from the robot's start, 2,000 points: of those inside 8% can be touched, of those outside 84%.
+# Degrees about each segment's axis, from its frame's x to its y, where the tool cannot come while
+# the arm rests. By inverse kinematics from the robot's start, 2,000 points: of those inside 8% can
+# be touched, of those outside 84%.
 HIDDEN = ((90.0, 200.0), (150.0, 295.0))
 ENOUGH = 25  # strokes: Assistive Gym's count
 
@@ -68,10 +70,11 @@ class StrokeState:
 
 
 class GentleScratch:
-    """Progress to the stroke's end, and for each stroke as many points as steps it should have taken.
+    """Progress to the stroke's end, and for each stroke as many points as steps it should take.
 
-    A stroke of time T that should take T* pays T* exp(1 - T* / T) mean(bump(F; F*)^2): 1 a step at the liked force
-    and speed, whatever they are. Paying for speed itself teaches trembling, and a fixed pay teaches haste.
+    A stroke of time T that should take T* pays T* exp(1 - T* / T) mean(bump(F; F*)^2): 1 a step at
+    the liked force and speed, whatever they are. Paying for speed itself teaches trembling, and a
+    fixed pay teaches haste.
     """
 
     name = "gentle_scratch"
@@ -122,7 +125,10 @@ class GentleScratch:
     def transition(
         self, task_state: StrokeState, readings: TouchReadings
     ) -> tuple[StrokeState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
-        """See `Task.transition`; the goal holds after enough strokes, if none of the episode's contacts was hard."""
+        """See `Task.transition`; the goal holds after enough strokes.
+
+        If none of the episode's contacts was hard.
+        """
         s, r = task_state, readings
         tool = in_segment(r, s.segment, r.tool_position)
         first = jnp.isnan(s.last[:, 0])
@@ -154,7 +160,7 @@ class GentleScratch:
             dataclasses.replace(after, distance=left),
             obs,
             terms,
-            Measures(r.force, distance, done),
+            Measures(r.force, distance, done, r.peak, after.violated),
         )
 
     def _goal(

@@ -147,9 +147,13 @@ def _print_evaluation(summary: dict[str, Any]) -> None:
     title = f"{summary['task']}, {len(summary['egos'])} robots, split {summary['split']['id']}"
     names = (("M_test", "m_test"), ("M_train", "m_train"), ("M_train - M_test", "gap"))
     rows = [(name, summary[key]) for name, key in names]
-    for key in ("by_algorithm", "by_disability"):
+    for key in ("by_algorithm", "by_disability", "by_preference"):
         rows += [(f"  {name}", figure) for name, figure in summary[key].items()]
     _print_figures(title, rows)
+    if summary["safe_success"]:
+        rows = [(name, summary[name.replace(" ", "_")]) for name in ("safe success", "violations")]
+        title = "goal reached and nobody hurt; contacts above the limit"
+        _print_figures(title, rows, "share of episodes", digits=3)
     if summary["references"]:
         _print_references(summary["references"], summary["relative"])
     worst = summary["worst_partner"]

@@ -29,6 +29,8 @@ class Playing:
         stochastic: Draw actions instead of taking each policy's most likely one.
         max_envs: Most simulations in a saved part, and on a GPU at once; lower it if memory runs
             out.
+        preferences: What the humans of a gentle task like, such as p1,p5: each partner takes turns
+            in them from episode to episode; all if not given.
     """
 
     episodes: int = 8
@@ -36,6 +38,7 @@ class Playing:
     backend: str = "auto"
     stochastic: bool = False
     max_envs: int | None = None
+    preferences: str | None = None
 
 
 @Parameter(name="*")
@@ -68,8 +71,8 @@ class Against:
             repeat it for more. Where all that match are of one release, its default split is meant.
         include_own: Count partners that were trained with one of the robots; else they are played
             and kept in the tables, and no figure is about them.
-        references: Compare with zero and random actions and with each partner's own robot; kept for
-            the next time.
+        references: Compare with zero and random actions, the task's script and each partner's own
+            robot, and play with a human that does nothing; kept for the next time.
         crossplay: Folder of a finished cross-play, whose best robots may be the partners' best
             responses.
     """

@@ -58,6 +58,20 @@ def disability(folders: tuple[Path, ...], /, *, out: Path) -> None:
     _draw(folders, "disability", out)
 
 
+def preference(folders: tuple[Path, ...], /, *, out: Path) -> None:
+    """Draw the returns of methods on a gentle task by what the humans like, with 95% intervals.
+
+    Args:
+        folders: Folders that `assistax-zoo evaluate --out` filled, one a method, named as in the
+            figure.
+        out: Figure to write, .png or .pdf.
+
+    Example:
+        assistax-zoo plot preference results/ppo --out preference.png
+    """
+    _draw(folders, "preference", out)
+
+
 def profile(folders: tuple[Path, ...], /, *, out: Path) -> None:
     """Draw performance profiles: the share of robot-partner pairs above each return.
 

@@ -42,14 +42,20 @@ def zsc_bars(summaries: Summaries) -> Figure:
     return figure
 
 
-def disability_points(summaries: Summaries) -> Figure:
-    """Draw each method's return with the partners of each setting: IQM with its 95% interval."""
-    settings = sorted({name for summary in summaries.values() for name in summary["by_disability"]})
-    title = "Return by the partner's disability setting"
+def trait_points(summaries: Summaries, trait: str = "disability") -> Figure:
+    """Draw each method's return by a trait of the partners: IQM with its 95% interval.
+
+    The trait is their "disability" setting or, of a gentle task, their "preference".
+    """
+    settings = sorted({n for summary in summaries.values() for n in summary.get(f"by_{trait}", ())})
+    if summaries and not settings:
+        raise ValueError(f"no partner of these folders has a {trait}; leave that figure out")
+    what = {"disability": "disability setting", "preference": "preference"}[trait]
+    title = f"Return by the partner's {what}"
     figure, axes = _returns(summaries, title, 2.4 + 0.55 * len(settings))
     for i, (label, summary) in enumerate(summaries.items()):
         shift = (i - (len(summaries) - 1) / 2) * min(0.2, 0.7 / len(summaries))
-        groups = summary["by_disability"]
+        groups = summary.get(f"by_{trait}", {})
         found = {x + shift: groups[name] for x, name in enumerate(settings) if groups.get(name)}
         heights, colour = [value["iqm"] for value in found.values()], style.dark(i)
         axes.plot(list(found), heights, "o", color=colour, markersize=5, label=label)

@@ -23,7 +23,7 @@ def evaluation_figure(folders: Sequence[Path], kind: str, path: Path) -> Figure:
 
     Args:
         folders: That `evaluate` filled.
-        kind: "zsc", "disability" or "profile".
+        kind: "zsc", "disability", "preference" or "profile".
         path: File to write.
 
     Raises:
@@ -44,8 +44,10 @@ def evaluation_figure(folders: Sequence[Path], kind: str, path: Path) -> Figure:
         _require(folder, "evaluate", tables.SUMMARY_FILE, tables.PROFILE_FILE)
         summaries[name] = tables.read_json(folder / tables.SUMMARY_FILE)
     if kind != "profile":
-        draw = {"zsc": charts.zsc_bars, "disability": charts.disability_points}[kind]
-        return save_figure(draw(summaries), path)
+        drawn = (
+            charts.zsc_bars(summaries) if kind == "zsc" else charts.trait_points(summaries, kind)
+        )
+        return save_figure(drawn, path)
     read = [tables.read_parquet(folder / tables.PROFILE_FILE) for folder in folders]
     task = " and ".join(sorted({summary["task"] for summary in summaries.values()}))
     caption = f"Bands: pointwise 95% bootstrap.\n{charts.provenance(summaries)}"

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 from assistax_envs.disability import DISABILITY_SETTINGS
 from evaluation import tables
-from evaluation.plots.charts import disability_points, performance_profile, provenance, zsc_bars
+from evaluation.plots.charts import performance_profile, provenance, trait_points, zsc_bars
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import arrange, short_names
 from evaluation.provenance import file_sha256, read_manifest
@@ -121,8 +121,16 @@ def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     named, profile = {name: summary}, tables.read_parquet(folder / tables.PROFILE_FILE)
     caption = f"Band: pointwise 95% bootstrap.\n{provenance(named)}"
     drawn = performance_profile({name: profile}, task=summary["task"], caption=caption)
-    headings, columns = [*_PARTNER], list(_PARTNER.values())
     partners = tables.read_parquet(folder / tables.PARTNERS_FILE)
+    told = {key: column for key, column in _PARTNER.items() if column in partners.columns}
+    headings, columns = [*told], list(told.values())
+    images = {
+        "returns with training and test partners": zsc_bars(named),
+        "returns by the partner's disability setting": trait_points(named),
+        "performance profile": drawn,
+    }
+    if summary["by_preference"]:
+        images["returns by what the human likes"] = trait_points(named, "preference")
     if (folder / tables.BOUNDS_FILE).is_file():
         bounds = tables.read_parquet(folder / tables.BOUNDS_FILE)
         partners = partners.join(
@@ -131,25 +139,24 @@ def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
         headings, columns = [*headings, *_BOUNDS], [*columns, *_BOUNDS.values()]
     shown = partners.with_columns(pl.Series("partner", short_names(list(partners["partner"]))))
     return {
-        "images": {
-            "returns with training and test partners": _embedded(zsc_bars(named)),
-            "returns by the partner's disability setting": _embedded(disability_points(named)),
-            "performance profile": _embedded(drawn),
-        },
+        "images": {alt: _embedded(figure) for alt, figure in images.items()},
         "headings": headings,
         "rows": shown.select(columns).sort("return").rows(),
     }
 
 
-# Heading and unit -> column.
+# Heading and unit -> column; some of gentle tasks alone.
 _PARTNER = {
     ("partner", ""): "partner",
     ("side", ""): "side",
     ("disability", ""): "partner_disability",
     ("mean return", ""): "return",
     ("success", "of episodes"): "success",
+    ("safe success", "of episodes"): "safe_success",
+    ("violations", "of episodes"): "violated",
     ("force mean", "N"): "force_mean",
     ("force peak", "N"): "force_peak",
+    ("contact peak", "N"): "contact_peak",
 }
 _BOUNDS = {
     ("regret", ""): "regret",

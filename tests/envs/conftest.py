@@ -8,8 +8,16 @@ import numpy as np
 
 import assistax_envs
 from assistax_envs import Env, EnvState
+from assistax_envs.physics import GIVES_CONTACT_FRAMES
+from assistax_envs.versions import GENTLE_TASKS
 
 BACKENDS = ("fused", "native", "mjx")
+
+
+def backends(task: str, among: tuple[str, ...] = BACKENDS) -> list[str]:
+    """Return the backends that play a task."""
+    gives = GIVES_CONTACT_FRAMES if task in GENTLE_TASKS else BACKENDS
+    return [backend for backend in among if backend in gives]
 
 
 @functools.cache

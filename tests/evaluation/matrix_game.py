@@ -28,6 +28,8 @@ class Measures(NamedTuple):
     force: jax.Array
     distance: jax.Array
     success: jax.Array
+    contact: jax.Array | None = None
+    violated: jax.Array | None = None
 
 
 class State(NamedTuple):

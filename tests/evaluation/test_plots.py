@@ -19,10 +19,10 @@ from matplotlib.text import Text
 from evaluation import derived, summary, tables
 from evaluation.plots import style
 from evaluation.plots.charts import (
-    disability_points,
     learning_curves,
     performance_profile,
     speed,
+    trait_points,
     zsc_bars,
 )
 from evaluation.plots.heatmap import crossplay_heatmap
@@ -351,11 +351,11 @@ def test_a_side_that_was_not_evaluated_has_no_bar():
 
 def test_disability_points_and_mixed_tasks():
     found = evaluations()
-    axes = axes_by_label(disability_points(found))["returns"]
+    axes = axes_by_label(trait_points(found))["returns"]
     assert [label.get_text() for label in axes.get_xticklabels()] == ["d1", "d9"]
     found["fcp"]["task"] = "bed_bath"
     with pytest.raises(ValueError, match="several tasks, bed_bath, scratch"):
-        disability_points(found)
+        trait_points(found)
     with pytest.raises(ValueError, match="nothing to draw"):
         zsc_bars({})
 
@@ -406,7 +406,7 @@ def bars(draw: Callable[[dict], Figure]) -> Figure:
         *(partial(training, tasks) for tasks in (1, 2, 3)),
         speeds,
         partial(bars, zsc_bars),
-        partial(bars, disability_points),
+        partial(bars, trait_points),
     ],
 )
 def test_the_caption_is_as_wide_as_the_figure_at_most(draw: Callable[[], Figure]):

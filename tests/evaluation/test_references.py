@@ -9,13 +9,15 @@ import pytest
 from evaluation import tables
 from evaluation.evaluator import run_job
 from evaluation.jobs import Job
-from evaluation.reference_policy import ReferencePolicy
-from evaluation.references import play_references
+from evaluation.reference_policy import ReferencePolicy, ScriptedPolicy
+from evaluation.references import play_references, script_roster
 from evaluation.relative import (
     COLUMN,
     CROSS_PLAY,
     NONE,
+    PASSIVE,
     RANDOM,
+    SCRIPT,
     SELF_PLAY,
     ZERO,
     BoundsUsed,
@@ -23,9 +25,18 @@ from evaluation.relative import (
     bounds_table,
     summarise_references,
 )
-from evaluation.roster import ReferenceSpec, Roster
+from evaluation.roster import ReferenceSpec, Roster, ScriptSpec
+from population.stack import PolicyStack
 from tests.evaluation.episode_tables import Team, episode_table, team_id, teams
-from tests.evaluation.matrix_game import HUMAN, ROBOT, MatrixGame, humans, random_roster, robots
+from tests.evaluation.matrix_game import (
+    HUMAN,
+    PAYOFF,
+    ROBOT,
+    MatrixGame,
+    humans,
+    random_roster,
+    robots,
+)
 
 
 def job_of(egos: Roster, partners: Roster, **options: Any) -> Job:
@@ -89,6 +100,68 @@ def test_references_are_played_once_for_all_policies(tmp_path: Path):
     )
     assert again.equals(one)
     assert set(seen) == {"reference egos 0"}
+
+
+@pytest.fixture
+def scripted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A script of the matrix game, which plays row 1."""
+    monkeypatch.setattr("evaluation.references.SCRIPTS", {"matrix": None})
+    monkeypatch.setattr("evaluation.reference_policy.build_model", lambda task: None)
+    monkeypatch.setattr(
+        "evaluation.reference_policy.scripted_robot",
+        lambda task, model: lambda obs: jnp.ones((len(obs), ROBOT.action_size)),
+    )
+
+
+def test_the_script_and_a_passive_human_are_played(tmp_path: Path, scripted: None):
+    partners = humans(-0.5, 0.5)
+    job = job_of(robots(0.3, -0.3), partners, sides=dict.fromkeys(partners.ids, "test"))
+    found = play_references(MatrixGame(), job, (robots(-0.5, 0.5), partners), tmp_path)
+    assert found.group_by(COLUMN).len().sort(COLUMN).rows() == [
+        (PASSIVE, 9),  # the script and both robots
+        (SCRIPT, 6),
+        (SELF_PLAY, 6),
+        (RANDOM, 6),
+        (ZERO, 6),
+    ]
+    table = run_job(MatrixGame(), job, tmp_path / "job").table
+    shown, _ = summarise_references(table, found, bounds_table(found))
+    luck = {
+        (ego, partner): found.filter((pl.col("ego") == ego) & (pl.col("partner") == partner))
+        for ego, partner in found.select("ego", "partner").unique().rows()
+    }
+    paid = {pair: float(rows["term_payoff"].mean()) for pair, rows in luck.items()}
+    steps = int(found["steps"][0])
+    assert paid[SCRIPT, partners.ids[0]] == pytest.approx(steps * PAYOFF[1, 0])
+    assert paid[SCRIPT, partners.ids[1]] == pytest.approx(steps * PAYOFF[1, 1])
+    assert paid[SCRIPT, PASSIVE] == pytest.approx(
+        steps * PAYOFF[1, 0]
+    )  # an action of 0 is column 0
+    assert paid[job.egos.ids[1], PASSIVE] == pytest.approx(steps * PAYOFF[0, 0])
+    means = {pair: float(rows["return"].mean()) for pair, rows in luck.items()}
+    assert shown.script and shown.passive_human and shown.script_with_passive_human
+    assert shown.script.mean == pytest.approx(
+        (means[SCRIPT, partners.ids[0]] + means[SCRIPT, partners.ids[1]]) / 2
+    )
+    assert shown.passive_human.n == 2
+    assert shown.passive_human.mean == pytest.approx(
+        (means[job.egos.ids[0], PASSIVE] + means[job.egos.ids[1], PASSIVE]) / 2
+    )
+    assert shown.script_with_passive_human.mean == pytest.approx(means[SCRIPT, PASSIVE])
+
+
+def test_a_tasks_script_is_a_policy():
+    """One row at a time or many, of a stack of one: the same actions, in the torque limits."""
+    roster = script_roster("gentle_scratch", 47, 7)
+    [stack] = roster.stacks
+    assert isinstance(stack, PolicyStack) and isinstance(stack.spec, ScriptSpec)
+    policy, obs = ScriptedPolicy(stack.spec), np.random.default_rng(3).normal(size=(2, 5, 47))
+    obs = jnp.asarray(obs, jnp.float32)
+    _, actions = policy.act(None, (), obs, jnp.zeros(obs.shape[:2], bool))
+    _, few = policy.act(None, (), obs[1], jnp.zeros(5, bool))
+    assert actions.shape == (2, 5, 7) and float(jnp.abs(actions).max()) <= 1.0
+    np.testing.assert_allclose(actions[1], few, atol=1e-5)
+    assert float(jnp.abs(few).max()) > 0.1
 
 
 @pytest.mark.parametrize("file", [tables.EPISODES_FILE, "manifest.json"])

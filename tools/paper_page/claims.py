@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Literal
 
-from assistax_envs.versions import TASKS
+from assistax_envs.versions import PAPER_TASKS
 from evaluation.bootstrap import Interval
 from tools.paper_page.data import METHODS, CrossPlayed, Egos, Results
 from tools.paper_page.measures import (
@@ -80,14 +80,17 @@ def check_claims(results: Results) -> list[Claim]:
     claims += [Claim(title, "arm_assist", figure, _human(played.get("arm_assist")))]
     for name in algorithms:
         title, figure = f"{name.upper()} above MASAC in self-play", f"P({name.upper()} > MASAC)"
-        claims += [Claim(title, task, figure, _self_play(results, task, name)) for task in TASKS]
+        claims += [
+            Claim(title, task, figure, _self_play(results, task, name)) for task in PAPER_TASKS
+        ]
     for method in METHODS:
         title, figure = f"Small train-test gap, {method.upper()} egos", "gap / M_train"
         claims += [
-            Claim(title, task, figure, _gap(results.egos.get((task, method)))) for task in TASKS
+            Claim(title, task, figure, _gap(results.egos.get((task, method))))
+            for task in PAPER_TASKS
         ]
     title, figure = "PPO egos above SAC egos", "P(PPO > SAC)"
-    pairs = {task: [results.egos.get((task, method)) for method in METHODS] for task in TASKS}
+    pairs = {task: [results.egos.get((task, method)) for method in METHODS] for task in PAPER_TASKS}
     return claims + [Claim(title, task, figure, _egos(*pair)) for task, pair in pairs.items()]
 
 

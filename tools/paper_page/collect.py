@@ -18,7 +18,7 @@ from typing import Any
 import polars as pl
 import polars.selectors as cs
 
-from assistax_envs.versions import TASKS
+from assistax_envs.versions import PAPER_TASKS
 from evaluation import tables
 from evaluation.tables import EGO_COLUMNS, PARTNER_COLUMNS
 
@@ -114,9 +114,9 @@ def _collect_training(folder: Path, data: Path) -> Path:
 
 def _known_task(told: Mapping[str, Any], folder: Path) -> str:
     """Return the task that a received folder names: one of ours, since a folder is named so."""
-    if told.get("task") not in TASKS:
+    if told.get("task") not in PAPER_TASKS:
         raise ValueError(
-            f"{folder} names the task {told.get('task')!r}; allowed are {', '.join(TASKS)}"
+            f"{folder} names the task {told.get('task')!r}; allowed are {', '.join(PAPER_TASKS)}"
         )
     return told["task"]
 

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 import polars.selectors as cs
 
-from assistax_envs.versions import TASKS
+from assistax_envs.versions import PAPER_TASKS
 from evaluation import tables
 from tools.paper_page import collect
 from zoo.registry import Registry
@@ -137,15 +137,19 @@ class Results:
             else set(unimpaired.select("task", "algorithm").unique().rows())
         )
         kinds = [
-            (task, algorithm) for task in TASKS for algorithm in self.paper["population"][task]
+            (task, algorithm)
+            for task in PAPER_TASKS
+            for algorithm in self.paper["population"][task]
         ]
         lacks += [
             f"learning curves of {name} on {task}"
             for task, name in kinds
             if (task, name) not in drawn
         ]
-        lacks += [f"cross-play of {self._unplayed(task)}" for task in TASKS if self._unplayed(task)]
-        pairs = [(task, method) for task in TASKS for method in METHODS]
+        lacks += [
+            f"cross-play of {self._unplayed(task)}" for task in PAPER_TASKS if self._unplayed(task)
+        ]
+        pairs = [(task, method) for task in PAPER_TASKS for method in METHODS]
         return [
             *lacks,
             *(
@@ -180,10 +184,10 @@ def read_results(registry: Registry, release: str, data: Path) -> Results:
     ]
     crossplay = {
         task: _read_crossplay(folder)
-        for task in TASKS
+        for task in PAPER_TASKS
         if (folder := data / collect.CROSSPLAY / task).is_dir()
     }
-    keys = [(task, method) for task in TASKS for method in METHODS]
+    keys = [(task, method) for task in PAPER_TASKS for method in METHODS]
     egos = {
         key: _read_egos(path)
         for key in keys

@@ -6,7 +6,7 @@ from pathlib import Path
 import polars as pl
 from matplotlib.figure import Figure
 
-from assistax_envs.versions import TASKS
+from assistax_envs.versions import PAPER_TASKS
 from evaluation.plots.charts import zsc_bars
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import arrange
@@ -24,7 +24,7 @@ def draw_figures(results: Results, folder: Path) -> list[Path]:
     """Draw every figure that the data allow; return the files, those of `picture_names`."""
     draw: dict[str, Callable[[], Figure]] = {"population.png": lambda: _treemap(results)}
     draw["curves.png"] = lambda: _curves(results)
-    for task in TASKS:
+    for task in PAPER_TASKS:
         draw[f"crossplay_{task}.png"] = lambda task=task: _heatmap(results, task)
         draw[f"zsc_{task}.png"] = lambda task=task: _bars(results, task)
     written = []

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 
-from assistax_envs.versions import TASKS
+from assistax_envs.versions import PAPER_TASKS
 from tools.paper_page.data import CrossPlayed, Egos, Results
 from tools.paper_page.markdown import MISSING, code, spoken, table
 from zoo.schema import Training
@@ -29,7 +29,7 @@ def _trained(results: Results) -> list[list[object]]:
     rows: list[list[object]] = []
     kinds = sorted(
         {(h.task, h.algorithm) for h in results.humans},
-        key=lambda kind: (TASKS.index(kind[0]), kind[1]),
+        key=lambda kind: (PAPER_TASKS.index(kind[0]), kind[1]),
     )
     for task, algorithm in kinds:
         humans = [

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from assistax_envs.versions import TASKS
+from assistax_envs.versions import PAPER_TASKS
 from evaluation import tables
 from evaluation.bootstrap import estimate
 from tools.paper_page.claims import Claim
@@ -32,21 +32,23 @@ _VERDICTS = ("holds", "holds in part", "undecided", "does not hold", MISSING)
 
 def summary(results: Results, claims: Sequence[Claim]) -> str:
     """Return one table that says it all: teams, self-play and claims by task."""
-    rows: list[list[object]] = [["Teams (Table 6)", *(_teams(results, task) for task in TASKS)]]
+    rows: list[list[object]] = [
+        ["Teams (Table 6)", *(_teams(results, task) for task in PAPER_TASKS)]
+    ]
     rows += [
         [
             f"{name.upper()} self-play on d1 (Table 2)",
-            *(_short_verdict(results, task, name) for task in TASKS),
+            *(_short_verdict(results, task, name) for task in PAPER_TASKS),
         ]
         for name in _ALGORITHMS
     ]
     for title in dict.fromkeys(claim.title for claim in claims):
         found = {claim.task: claim.headline for claim in claims if claim.title == title}
         [about] = {claim.figure for claim in claims if claim.title == title}
-        rows.append([f"{title}: {about}", *(found.get(task, "–") for task in TASKS)])
+        rows.append([f"{title}: {about}", *(found.get(task, "–") for task in PAPER_TASKS)])
     counts = Counter(claim.verdict for claim in claims)
     told = ", ".join(f"*{verdict}* {counts[verdict]}" for verdict in _VERDICTS if counts[verdict])
-    return f"{table(['', *map(spoken, TASKS)], rows)}\n\nClaims by task: {told}."
+    return f"{table(['', *map(spoken, PAPER_TASKS)], rows)}\n\nClaims by task: {told}."
 
 
 def population(results: Results, picture: Picture) -> str:
@@ -57,7 +59,7 @@ def population(results: Results, picture: Picture) -> str:
     rows: list[list[object]] = []
     for name in _ALGORITHMS:
         cells = []
-        for task in TASKS:
+        for task in PAPER_TASKS:
             each = {setting: n for (t, a, setting), n in settings.items() if (t, a) == (task, name)}
             cells += [
                 _made_of(each),
@@ -66,12 +68,12 @@ def population(results: Results, picture: Picture) -> str:
         rows.append([name.upper(), *cells])
     totals = [
         (sum(n for (t, _), n in counts.items() if t == task), planned(paper[task]))
-        for task in TASKS
+        for task in PAPER_TASKS
     ]
     rows.append(["**Total**", *(f"**{n}**" for pair in totals for n in pair)])
     headings = [
         "settings × seeds",
-        *(f"{spoken(task)}{of}" for task in TASKS for of in ("", ", paper")),
+        *(f"{spoken(task)}{of}" for task in PAPER_TASKS for of in ("", ", paper")),
     ]
     ours, wanted = (sum(column) for column in zip(*totals, strict=True))
     same = (
@@ -90,7 +92,7 @@ def population(results: Results, picture: Picture) -> str:
 def self_play(results: Results) -> str:
     """Return Table 2."""
     rows: list[list[object]] = []
-    for task in TASKS:
+    for task in PAPER_TASKS:
         for name in (*_ALGORITHMS, "isac"):
             theirs = results.paper["self_play"][task][name]
             ours = _self_play(results, task, name)
@@ -116,7 +118,7 @@ def self_play(results: Results) -> str:
     bounds = ", ".join(
         f"{spoken(task)} {bound:,}" for task, bound in results.paper["upper_bound"].items()
     )
-    orders = "\n".join(f"- {spoken(task)}: {_orders(results, task)}" for task in TASKS)
+    orders = "\n".join(f"- {spoken(task)}: {_orders(results, task)}" for task in PAPER_TASKS)
     return (
         f"{table(headings, rows, (2, 3, 4, 5))}\n\nUpper bounds of a return: {bounds}. "
         f"*agree*: the two intervals overlap; *above*, *below*: ours lies there.\n\n"
@@ -167,7 +169,7 @@ def curves(results: Results, picture: Picture) -> str:
 def cross_play(results: Results, picture: Picture) -> str:
     """Return Figure 4 with its figures, and Figure 5's two incompatible strategies."""
     rows, shares, pairs = [], [], []
-    for task in TASKS:
+    for task in PAPER_TASKS:
         played = results.crossplay.get(task)
         rows.append([spoken(task), *(_matrix_figures(played) if played else [MISSING, *["–"] * 5])])
         shares += [[spoken(task), *_shares(played)]] if played else []
@@ -199,7 +201,7 @@ def cross_play(results: Results, picture: Picture) -> str:
     drawn = [
         f"**{spoken(task).capitalize()}**\n\n"
         + image(picture(f"crossplay_{task}.png"), f"Cross-play of {spoken(task)}")
-        for task in TASKS
+        for task in PAPER_TASKS
         if task in results.crossplay
     ]
     return "\n\n".join(
@@ -217,7 +219,7 @@ def cross_play(results: Results, picture: Picture) -> str:
 def zero_shot(results: Results, picture: Picture) -> str:
     """Return Figures 6 and 14."""
     rows: list[list[object]] = []
-    for task in TASKS:
+    for task in PAPER_TASKS:
         for method in METHODS:
             egos = results.egos.get((task, method))
             if egos is None:
@@ -248,7 +250,9 @@ def zero_shot(results: Results, picture: Picture) -> str:
         "mean gap [95%]",
         "worst test partner",
     ]
-    found = [task for task in TASKS if any((task, method) in results.egos for method in METHODS)]
+    found = [
+        task for task in PAPER_TASKS if any((task, method) in results.egos for method in METHODS)
+    ]
     drawn = [
         image(picture(f"zsc_{task}.png"), f"Returns of egos on {spoken(task)}", "60%")
         for task in found

@@ -2,7 +2,7 @@
 
 import polars as pl
 
-from assistax_envs.versions import TASKS
+from assistax_envs.versions import PAPER_TASKS
 from evaluation.curves import learning_curves
 from tools.paper_page.data import Results
 
@@ -32,7 +32,7 @@ def curve_kinds(results: Results) -> list[tuple[str, str]]:
     if results.curves is None:
         return []
     found = set(results.curves.filter(disability="d1").select("task", "algorithm").unique().rows())
-    return sorted(found, key=lambda kind: (TASKS.index(kind[0]), kind[1]))
+    return sorted(found, key=lambda kind: (PAPER_TASKS.index(kind[0]), kind[1]))
 
 
 def gained_last(curve: pl.DataFrame) -> float:

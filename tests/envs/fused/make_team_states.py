@@ -15,6 +15,7 @@ import numpy as np
 
 import assistax_envs
 from assistax_envs import disability_params
+from assistax_envs.versions import PAPER_TASKS
 from tests.envs.teams import team
 from zoo.registry import load_registry
 from zoo.schema import PolicyEntry
@@ -52,7 +53,7 @@ def visited(robot: PolicyEntry) -> dict[str, np.ndarray]:
 
 if __name__ == "__main__":
     arrays: dict[str, np.ndarray] = {}
-    for task in assistax_envs.TASKS:
+    for task in PAPER_TASKS:
         states = [visited(robot) for robot in teams(task)]
         for name in states[0]:
             arrays[f"{task}_{name}"] = np.concatenate([each[name] for each in states])

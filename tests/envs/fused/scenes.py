@@ -9,13 +9,14 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from assistax_envs import TASKS as TASKS
 from assistax_envs.models import build_model
+from assistax_envs.models.gentle_scenes import SCENES
 from assistax_envs.physics.fused import generate
 from assistax_envs.physics.fused.runtime import cache, cpu
 
 ELBOW = "human_right_elbow"
 DEEP = 0.025  # m; the thinnest two capsules that meet have their axes 0.041 apart
-TASKS = "scratch", "bed_bath", "arm_assist"
 scene = functools.cache(build_model)
 
 
@@ -123,9 +124,13 @@ def resting_states(task: str, n: int) -> States:
 
 @functools.cache
 def team_states(task: str) -> tuple[States, np.ndarray]:
-    """Return states of trained teams, shuffled, and the joints' ranges [N, njnt, 2] in each."""
+    """Return states of trained teams, shuffled, and the joints' ranges [N, njnt, 2] in each.
+
+    Of a gentle task's scene, the states of the paper's task from whose scene it is made.
+    """
+    base = SCENES.get(task, task)
     with np.load(Path(__file__).with_name("team_states.npz")) as file:
-        arrays = {k.removeprefix(f"{task}_"): v for k, v in file.items() if k.startswith(task)}
+        arrays = {k.removeprefix(f"{base}_"): v for k, v in file.items() if k.startswith(base)}
     model = scene(task)
     ranges = np.tile(model.jnt_range.astype(np.float32), (len(arrays["qpos"]), 1, 1))
     ranges[:, model.joint(ELBOW).id] = arrays["elbow"]

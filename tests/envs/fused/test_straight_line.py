@@ -31,7 +31,7 @@ class Run:
         inputs |= {f"u[{k}]": self.states.ctrl[:, k].astype(float) for k in range(self.model.nu)}
         inputs |= {f"lo[{k}]": x for k, x in enumerate(self.model.jnt_range[:, 0])}
         inputs |= {f"hi[{k}]": x for k, x in enumerate(self.model.jnt_range[:, 1])}
-        inputs |= {f"sensed[{k}]": np.zeros(N) for k in range(9)}
+        inputs |= {f"sensed[{k}]": np.zeros(N) for k in range(9 * self.model.nsensor)}
         torques = np.random.default_rng(2).normal(size=(self.model.nv, N))
         self.torques = torques
         inputs |= {f"torque[{k}]": torques[k] for k in range(self.model.nv)}

@@ -1,0 +1,407 @@
+"""What the gentle tasks share: their scenes, what is felt of a touch, preferences, costs, scripts.
+
+Nothing here depends on what a task pays for.
+"""
+
+import ast
+import dataclasses
+import inspect
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+import assistax_envs
+from assistax_envs import disability_params, scripted
+from assistax_envs.models import build_model
+from assistax_envs.models.gentle_scenes import (
+    BODY,
+    HUMAN_SHARE,
+    LINKS,
+    ROBOT_SHARE,
+    SCENES,
+    SKIN,
+    TRUNK,
+    touching,
+)
+from assistax_envs.physics import PhysicsState
+from assistax_envs.preferences import FORCES, PREFERENCES, SPEEDS, Preference
+from assistax_envs.scripted import SCRIPTS, Chain, scripted_robot
+from assistax_envs.tasks import gentle_base
+from assistax_envs.tasks.base import HUMAN_JOINTS, Readings
+from assistax_envs.tasks.gentle_base import (
+    HARD,
+    TouchReadings,
+    along_skin,
+    bump,
+    costs,
+    in_segment,
+    liking,
+    world_force,
+)
+from assistax_envs.versions import GENTLE_TASKS, TASKS
+from tests.envs.conftest import compiled, environment, play, random_actions, start
+from tests.envs.fused.scenes import converged, touching_states
+
+each_gentle_task = pytest.mark.parametrize("task", GENTLE_TASKS)
+N = 64
+
+
+# Scenes.
+
+
+@each_gentle_task
+def test_the_scene_is_that_of_the_papers_task_with_less_torque_and_a_stiffer_trunk(
+    task: str,
+) -> None:
+    ours, theirs = build_model(task), build_model(SCENES[task])
+    for name in ("body_mass", "body_pos", "jnt_range", "geom_size", "qpos_spring"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+    for i in range(ours.nu):
+        name = ours.actuator(i).name
+        share = ROBOT_SHARE if name.startswith("robot_") else HUMAN_SHARE[task]
+        full = build_model("scratch").actuator(name).gear[0]
+        assert ours.actuator(i).gear[0] == pytest.approx(share * full)
+    for name in HUMAN_JOINTS:
+        factor = TRUNK if "abdomen" in name else 1.0
+        for field in ("jnt_stiffness", "dof_damping"):
+            now, before = (getattr(m, field)[m.joint(name).id] for m in (ours, theirs))
+            assert now == pytest.approx(factor * before)
+
+
+@each_gentle_task
+def test_every_pair_of_robot_and_human_is_soft_and_felt_and_no_other(task: str) -> None:
+    model = build_model(task)
+    named = [
+        (model.geom(int(a)).name, model.geom(int(b)).name)
+        for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)
+    ]
+    felt = {
+        frozenset((model.geom(int(a)).name, model.geom(int(b)).name))
+        for a, b, kind in zip(
+            model.sensor_objid, model.sensor_refid, model.sensor_type, strict=True
+        )
+        if kind == mujoco.mjtSensor.mjSENS_CONTACT
+    }
+    touches = {frozenset(pair) for pair in named if touching(*pair)}
+    assert touches == felt
+    assert {frozenset((link, part)) for link in LINKS.values() for part in BODY} <= touches
+    for pair, solref in zip(named, model.pair_solref, strict=True):
+        assert (solref[0] == SKIN) == (frozenset(pair) in touches)
+
+
+def test_furniture_and_the_humans_own_parts_are_no_touch() -> None:
+    assert touching("robot_tool", "human_torso") == ("robot_tool", "human_torso")
+    assert touching("right_thigh", "robot_tool") == ("robot_tool", "right_thigh")
+    assert touching("robot_tool", "right_rail_inner") is None
+    assert touching("human_torso", "human_right_lower_arm") is None
+
+
+# Sensors.
+
+
+def felt(task: str, backend: str = "native") -> tuple[Any, np.ndarray]:
+    """Return readings of touching states, and MuJoCo's own world forces on the human: [N, P, 3]."""
+    states, model = touching_states(task), environment(task, "native").model
+    still = jnp.zeros_like(states.qvel)
+    physics = PhysicsState(jnp.asarray(states.qpos), jnp.asarray(states.qvel), still)
+    ranges = jnp.broadcast_to(
+        jnp.asarray(model.jnt_range, jnp.float32), (len(states), model.njnt, 2)
+    )
+    env = environment(task, backend)
+    readings = env._task.sensors.read(env._physics.forward(physics, ranges))
+    if backend == "fused":  # which iterates until nothing changes
+        model = converged(model)
+    data, wanted, force = mujoco.MjData(model), np.zeros((len(states), model.npair, 3)), np.zeros(6)
+    pairs = [{int(a), int(b)} for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)]
+    for i, (qpos, qvel) in enumerate(zip(states.qpos, states.qvel, strict=True)):
+        data.qpos[:], data.qvel[:] = qpos, qvel
+        mujoco.mj_forward(model, data)
+        for k, contact in enumerate(data.contact):
+            names = [model.geom(int(geom)).name for geom in contact.geom]
+            touch = touching(*names)
+            if touch is None:
+                continue
+            mujoco.mj_contactForce(model, data, k, force)
+            world = contact.frame.reshape(3, 3).T @ force[:3]
+            sign = 1.0 if names[1] == touch[1] else -1.0  # from the first to the second
+            row = wanted[i, pairs.index(set(map(int, contact.geom)))]
+            if np.linalg.norm(world) > np.linalg.norm(row):
+                row[:] = sign * world
+    return readings, wanted
+
+
+@pytest.mark.parametrize("backend", ["native", "fused"])
+@each_gentle_task
+def test_the_force_is_that_of_all_the_robots_contacts_in_the_worlds_frame(
+    task: str, backend: str
+) -> None:
+    readings, wanted = felt(task, backend)
+    size = np.linalg.norm(wanted, axis=-1)
+    assert (size.sum(axis=1) > 1.0).sum() > 30
+    scale = 1.0 + size.sum(axis=1)
+    for found, want in (
+        (readings.force, size.sum(axis=1)),
+        (readings.peak, size.max(axis=1)),
+        (np.linalg.norm(readings.tool_force - wanted.sum(axis=1), axis=1), 0.0),
+    ):
+        assert np.median(np.abs(np.asarray(found) - want) / scale) < 1e-3
+        assert (np.abs(np.asarray(found) - want) / scale < 0.05).mean() > 0.97
+    mirrored = np.linalg.norm(readings.tool_force + wanted.sum(axis=1), axis=1) / scale
+    assert np.median(mirrored[size.sum(axis=1) > 1.0]) > 0.1  # the sign is seen
+
+
+@each_gentle_task
+def test_what_touches_the_arm_is_told_from_what_touches_the_rest(task: str) -> None:
+    readings, wanted = felt(task)
+    model = build_model(task)
+    names = [
+        {model.geom(int(g)).name for g in pair}
+        for pair in zip(model.pair_geom1, model.pair_geom2, strict=True)
+    ]
+    arm = [
+        {"robot_tool", f"human_{part}"}
+        for part in ("right_upper_arm", "right_lower_arm", "right_hand")
+    ]
+    on_arm = np.linalg.norm(wanted, axis=-1)[:, [pair in arm for pair in names]].sum(axis=1)
+    scale = 1.0 + np.linalg.norm(wanted, axis=-1).sum(axis=1)
+    assert (np.abs(np.asarray(readings.on_arm) - on_arm) / scale < 0.05).mean() > 0.97
+    assert (on_arm > 0.5).any() and (np.asarray(readings.force) - on_arm > 0.5).any()
+
+
+@each_gentle_task
+def test_quaternions_have_w_of_at_least_zero(task: str) -> None:
+    readings, _ = felt(task)
+    assert float(readings.tool_orientation[:, 0].min()) >= 0.0
+    assert float(readings.arm_orientation[..., 0].min()) >= 0.0
+    states = play(task, "native", start(task, "native", ["d1"] * 4), random_actions(4, 5))
+    assert all(float(state.obs["robot"][:, 17].min()) >= 0.0 for state in states)
+
+
+def test_forces_turn_from_the_contacts_frame_into_the_worlds() -> None:
+    normal, tangent = jnp.array([0.0, 0.0, 1.0]), jnp.array([1.0, 0.0, 0.0])
+    world = world_force(jnp.array([3.0, 2.0, 1.0]), normal, tangent)
+    np.testing.assert_allclose(world, [2.0, 1.0, 3.0])  # y is z cross x
+
+
+# Arithmetic of touch.
+
+
+def test_a_bump_is_one_at_its_best_and_less_elsewhere() -> None:
+    x = jnp.linspace(0.0, 50.0, 501)
+    for best in (*FORCES, *SPEEDS):
+        values = np.asarray(bump(x, jnp.float32(best)))
+        assert float(bump(jnp.float32(best), jnp.float32(best))) == pytest.approx(1.0)
+        assert values.max() <= 1.0 + 1e-6 and values.min() >= 0.0 and values[0] == 0.0
+
+
+def test_a_way_over_the_skin_leaves_out_what_crosses_it() -> None:
+    at = jnp.array([0.04, 0.0, 0.1])
+    steps = jnp.array([[0.0, 0.0, 0.03], [0.02, 0.0, 0.0], [0.5, 0.03, 0.04]])
+    np.testing.assert_allclose(
+        along_skin(steps, jnp.tile(at, (3, 1))), [0.03, 0.0, 0.05], atol=1e-6
+    )
+
+
+def _readings(n: int = 1, **fields) -> TouchReadings:
+    shapes = {name: (n,) for name in ("force", "peak", "on_arm", "bent")} | {
+        "tool_velocity": (n, 3)
+    }
+    names = [field for field in TouchReadings.__dataclass_fields__]
+    zeros = {name: jnp.zeros(shapes.get(name, (n,))) for name in names}
+    return TouchReadings(
+        **(zeros | {name: jnp.asarray(v, jnp.float32) for name, v in fields.items()})
+    )
+
+
+def test_costs_lie_between_minus_one_and_nothing_and_each_has_its_reason() -> None:
+    calm = costs(_readings())
+    assert all(float(value[0]) == 0.0 for value in calm.values())
+    reasons = {
+        "force": {"force": [30.0], "on_arm": [30.0]},
+        "stray": {"force": [9.0]},
+        "haste": {"tool_velocity": [[0.0, 0.6, 0.0]]},
+        "trunk": {"bent": [0.1]},
+        "violation": {"peak": [HARD + 1.0]},
+    }
+    assert set(reasons) == set(calm)
+    for name, fields in reasons.items():
+        found = {term: float(value[0]) for term, value in costs(_readings(**fields)).items()}
+        assert -1.0 <= found.pop(name) < 0.0
+        assert not any(found.values())
+    worst = costs(_readings(force=[1e6], peak=[1e6], bent=[9.0], tool_velocity=[[99.0, 0.0, 0.0]]))
+    assert all(float(value[0]) == -1.0 for value in worst.values())
+
+
+def test_points_are_given_in_the_segments_frame() -> None:
+    half = np.sqrt(0.5)
+    shape = {f: jnp.zeros((1, 1)) for f in Readings.__dataclass_fields__}
+    shape["arm_position"] = jnp.array([[[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]]])
+    shape["arm_orientation"] = jnp.array([[[1.0, 0.0, 0.0, 0.0], [half, 0.0, 0.0, half]]])
+    point = in_segment(Readings(**shape), jnp.array([1]), jnp.array([[1.0, 3.0, 3.0]]))
+    np.testing.assert_allclose(point, [[1.0, 0.0, 0.0]], atol=1e-6)  # turned by 90 degrees about z
+
+
+@each_gentle_task
+def test_a_hard_contact_is_a_violation_for_the_rest_of_the_episode(task: str) -> None:
+    env = environment(task, "native")
+    states, model = touching_states(task), env.model
+    rows = jnp.arange(8)
+    begun = start(task, "native", ["d1"] * 8)
+    still = jnp.zeros((8, model.nv), jnp.float32)
+    physics = PhysicsState(jnp.asarray(states.qpos)[rows], still, still)
+    sensors: Any = env._task.sensors
+    readings = sensors.read(env._physics.forward(physics, env._joint_range(begun.params)))
+    hard = dataclasses.replace(readings, peak=jnp.where(rows % 2 == 0, HARD + 1.0, HARD - 1.0))
+    state, _, terms, measures = env._task.transition(begun.task, hard)
+    assert np.asarray(measures.violated).tolist() == [True, False] * 4
+    assert (np.asarray(terms["violation"]) < 0.0).tolist() == [True, False] * 4
+    np.testing.assert_array_equal(measures.contact, hard.peak)
+    calm = dataclasses.replace(readings, peak=jnp.zeros(8))
+    _, _, terms, measures = env._task.transition(state, calm)
+    assert np.asarray(measures.violated).tolist() == [True, False] * 4
+    assert not np.asarray(terms["violation"]).any()
+    assert not (np.asarray(measures.success) & np.asarray(measures.violated)).any()
+
+
+# Preferences.
+
+
+def test_names_go_through_all_forces_and_speeds() -> None:
+    assert list(PREFERENCES) == [f"p{k}" for k in range(1, 10)]
+    assert {(one.force, one.speed) for one in PREFERENCES.values()} == {
+        (force, speed) for force in FORCES for speed in SPEEDS
+    }
+    with pytest.raises(ValueError, match="preferred speed is 0"):
+        Preference(4.0, 0.0)
+
+
+@each_gentle_task
+def test_a_given_preference_is_kept_and_an_open_one_is_drawn_evenly(task: str) -> None:
+    reset = compiled(task, "native")[0]
+    keys = jax.random.split(jax.random.key(3), N)
+    given = ["p1", "p9", "p5", "p6"] * (N // 4)
+    for seed in range(2):
+        state = reset(
+            jax.random.split(jax.random.key(seed), N), disability_params(["d1"] * N, given)
+        )
+        wanted = [PREFERENCES[name] for name in given]
+        np.testing.assert_allclose(state.task.likes.force, [one.force for one in wanted])
+        np.testing.assert_allclose(state.task.likes.speed, [one.speed for one in wanted])
+    drawn = reset(keys, disability_params(["d1"] * N)).task.likes
+    pairs = set(zip(drawn.force.tolist(), drawn.speed.tolist(), strict=True))
+    assert len(pairs) == len(PREFERENCES)
+    again = reset(jax.random.split(jax.random.key(4), N), disability_params(["d1"] * N)).task.likes
+    assert (np.asarray(again.force) != np.asarray(drawn.force)).any()
+
+
+@each_gentle_task
+def test_an_episode_draws_its_preference_once(task: str) -> None:
+    first = start(task, "native", ["d1"] * 8)
+    last = play(task, "native", first, random_actions(8, 5))[-1]
+    jax.tree.map(np.testing.assert_array_equal, first.task.likes, last.task.likes)
+
+
+@each_gentle_task
+def test_the_human_knows_its_preference_and_the_robot_does_not(task: str) -> None:
+    """The same start under two preferences: only the human and critics can tell them apart."""
+    reset, keys = compiled(task, "native")[0], jax.random.split(jax.random.key(5), 2)
+    one, other = (
+        reset(keys, disability_params(["d1"] * 2, [name] * 2)).obs for name in ("p1", "p9")
+    )
+    np.testing.assert_array_equal(one["robot"], other["robot"])
+    for seat in ("human", "global"):
+        assert (one[seat] != other[seat]).sum(axis=1).tolist() == [2, 2]
+        np.testing.assert_array_equal(one[seat][:, :-2], other[seat][:, :-2])
+    middle = reset(keys, disability_params(["d1"] * 2, ["p5"] * 2)).obs["human"]
+    np.testing.assert_allclose(middle[:, -2:], 0.0, atol=1e-6)
+
+
+@each_gentle_task
+def test_a_told_robot_sees_what_the_human_does(task: str) -> None:
+    env = assistax_envs.make(task, "native", robot_is_told=True)
+    assert (
+        env.observation_size["robot"] == environment(task, "native").observation_size["robot"] + 2
+    )
+    obs = env.reset(jax.random.split(jax.random.key(6), 4), disability_params(["d1"] * 4)).obs
+    np.testing.assert_array_equal(obs["robot"][:, -2:], obs["human"][:, -2:])
+
+
+def test_preferences_change_nothing_in_the_papers_tasks() -> None:
+    step, keys = compiled("scratch", "native"), jax.random.split(jax.random.key(7), 2)
+    one, other = (step[0](keys, disability_params(["d1"] * 2, [name] * 2)) for name in ("p1", "p9"))
+    actions = random_actions(2, 3)
+    ends = [play("scratch", "native", each, actions)[-1] for each in (one, other)]
+    np.testing.assert_array_equal(ends[0].obs["global"], ends[1].obs["global"])
+    np.testing.assert_array_equal(ends[0].reward, ends[1].reward)
+
+
+def test_a_preference_is_drawn_by_its_own_key() -> None:
+    names = {float(liking(jnp.int32(0), jax.random.key(seed)).force) for seed in range(20)}
+    assert names == set(FORCES)
+    assert float(liking(jnp.int32(9), jax.random.key(0)).force) == FORCES[-1]
+
+
+# Scripts.
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_script_brings_the_tool_to_its_target(task: str) -> None:
+    """In three seconds, with an idle human: far nearer than a robot that does nothing."""
+    env = environment(task, "native")
+    act = jax.jit(scripted_robot(task, env.model))
+    begun = state = start(task, "native", ["d1"] * 8, seed=2)
+    step = compiled(task, "native")[1]
+    nearest = gap = np.asarray(_gap(state))
+    for _ in range(150):
+        state = step(state, {"robot": act(state.obs["robot"]), "human": jnp.zeros((8, 3))})
+        nearest = np.minimum(nearest, np.asarray(_gap(state)))
+    assert not bool(state.nonfinite.any())
+    assert np.median(nearest) < 0.6 * np.median(gap)
+    idle = play(
+        task, "native", begun, [{"robot": jnp.zeros((8, 7)), "human": jnp.zeros((8, 3))}] * 150
+    )
+    assert np.median(nearest) < 0.6 * np.median([np.asarray(_gap(each)) for each in idle])
+
+
+def _gap(state) -> jax.Array:
+    """Return how far the tool is from where its task wants it: the first goal that is observed."""
+    return jnp.linalg.norm(state.obs["robot"][:, 30:33], axis=-1)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_script_is_at_most_sixty_lines(task: str) -> None:
+    lines = inspect.getsource(SCRIPTS[task]).splitlines()
+    assert len(lines) <= 60
+    assert ast.parse("\n".join(lines))
+
+
+def test_the_jacobian_is_mujocos() -> None:
+    model = build_model("gentle_scratch")
+    chain, data = Chain(model), mujoco.MjData(model)
+    rng = np.random.default_rng(8)
+    joints = [model.joint(f"robot_joint{i}") for i in range(1, 8)]
+    for _ in range(5):
+        angles = np.array([rng.uniform(*joint.range) for joint in joints])
+        data.qpos[[joint.qposadr[0] for joint in joints]] = angles
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        site = model.site("robot_end_effector").id
+        linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        mujoco.mj_jacSite(model, data, linear, angular, site)
+        columns = [joint.dofadr[0] for joint in joints]
+        found = chain.jacobian(
+            jnp.asarray(angles, jnp.float32)[None],
+            jnp.asarray(data.site_xpos[site], jnp.float32)[None],
+        )
+        for ours, theirs in zip(found, (linear, angular), strict=True):
+            np.testing.assert_allclose(ours[0], theirs[:, columns], atol=1e-5)
+
+
+def test_every_task_has_a_script() -> None:
+    assert set(SCRIPTS) == set(TASKS)
+    assert all(inspect.getdoc(script) for script in SCRIPTS.values())
+    assert scripted.__doc__ and gentle_base.HARD == HARD
