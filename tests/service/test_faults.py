@@ -36,17 +36,23 @@ class KilledError(BaseException):
 
 
 class Fate:
-    """Kills the process at a random statement, as often as it is told to."""
+    """Kills the process at a random statement, as often as it is told to.
+
+    Never at every try of one job: that would fail, as it should (`jobs.MAX_FAILURES`), and whether
+    chance strikes so often depends on how many statements a run happens to make.
+    """
 
     def __init__(self, seed: int, kills: int) -> None:
         self._rng = np.random.default_rng(seed)
         self.left = kills
+        self.in_a_row = 0  # kills since a job was done
         self._next = self._draw()
 
     def strike(self, *_: Any) -> None:
         self._next -= 1
-        if self._next <= 0 and self.left > 0:
+        if self._next <= 0 and self.left > 0 and self.in_a_row < jobs.MAX_FAILURES - 1:
             self.left -= 1
+            self.in_a_row += 1
             self._next = self._draw()
             raise KilledError
 
@@ -82,6 +88,7 @@ def test_kills_lose_nothing(tmp_path: Path, kills: int, submissions: int) -> Non
                 service.submit(lab, draft(request=request, season=season, data=file))
                 todo.pop(0)
             _work_once(service, fate)
+            fate.in_a_row = 0
         except KilledError:
             struck += 1
             service.database.close()
@@ -117,17 +124,14 @@ def _unfinished(service: Service) -> bool:
 def _check(service: Service, season: str, count: int) -> None:
     found = service.queries.submissions(limit=1000)
     assert len(found) == count  # none lost, none twice
-    # A job that was struck at each of its tries fails, and its attempt is given back.
-    states = {each.state for each in found}
-    assert {"scored"} <= states <= {"scored", "refused", "failed"}
+    assert {each.state for each in found} == {"scored", "refused"}
     for each in found:
         attempt = "spent" if each.state == "scored" else "refunded"
         assert (each.attempt, each.place) == (attempt, None)
     with service.database.read() as connection:
         results = connection.execute(sa.select(sa.func.count()).select_from(t.results))
         scored = sum(each.state == "scored" for each in found)
-        kept = results.scalar_one()
-        assert kept == 5 * scored or ("failed" in states and kept > 5 * scored)
+        assert results.scalar_one() == 5 * scored
         kinds = connection.execute(sa.select(t.ledger.c.kind)).scalars().all()
     assert kinds.count("submission") == count
     assert kinds.count("end") == count
