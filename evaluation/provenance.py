@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from evaluation import tables
+from population.parquet import check_readable
 
 MANIFEST_FILE = "manifest.json"
 PACKAGES = (
@@ -111,8 +112,9 @@ def has_whole(folder: Path, name: str) -> bool:
 def check_whole(folder: Path) -> None:
     """Refuse to draw figures from a finished folder that is not what its manifest says.
 
-    A folder without a manifest passes: nobody says what it was. The matrix's picture is nobody's
-    source, and may have been drawn again.
+    A folder without a manifest passes: nobody says what it was. But its tables must be readable:
+    whoever sends a folder can write a manifest that fits damaged ones. The matrix's picture is
+    nobody's source, and may have been drawn again.
 
     Raises:
         ValueError: A file was changed, damaged or lost.
@@ -124,6 +126,7 @@ def check_whole(folder: Path) -> None:
     for name, digest in sources.items():
         if problem := _file_problem(folder, name, digest):
             raise ValueError(f"{problem}; take the folder from where it was made, or run again")
+    check_readable(sorted(folder.glob("*.parquet")))
 
 
 def verify_folder(folder: Path) -> FolderReport:
@@ -191,6 +194,7 @@ def _file_problem(folder: Path, name: str, digest: str) -> str | None:
 def _table_problems(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
     """Hold the episodes against the job that the manifest names: same policies, same episodes."""
     try:
+        check_readable([folder / tables.EPISODES_FILE])
         identity = manifest["identity"]
         if manifest["job"] != identity_digest(identity):
             return [f"{folder / MANIFEST_FILE} names another job than the identity it holds"]

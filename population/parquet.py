@@ -1,8 +1,28 @@
 """Parquet files that anybody may have damaged: read, or refused in one line."""
 
+import subprocess
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import polars as pl
+
+# Of a process that only reads: what Polars has taken by then, and this much beside.
+_ROOM = 1 << 30
+_TRY = """
+import resource, sys
+import polars
+try:
+    pages = int(open("/proc/self/statm").read().split()[0])
+    room = pages * resource.getpagesize() + int(sys.argv[1])
+    resource.setrlimit(resource.RLIMIT_AS, (room, room))
+except OSError:
+    pass
+for path in sys.argv[2:]:
+    polars.read_parquet(path)
+    print(path, flush=True)
+"""
+_readable: set[tuple[str, int, int]] = set()  # paths, sizes and times of files that were read
 
 
 def read_parquet(path: Path) -> pl.DataFrame:
@@ -17,7 +37,34 @@ def read_parquet(path: Path) -> pl.DataFrame:
         # Polars' reader can panic on damaged bytes: a BaseException, which no handler expects.
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ValueError(
-            f"{path} is not a readable Parquet file ({reason}); delete it and run again"
-        ) from None
+        raise _damaged(path, (str(error).splitlines() or [type(error).__name__])[0]) from None
+
+
+def check_readable(paths: Sequence[Path]) -> None:
+    """Let another process read files first, where a stranger or time may have changed them.
+
+    A page says how many values it holds, and Polars asks for the memory of as many. Where there is
+    not so much, Rust aborts: no handler is asked, and the whole process is gone.
+
+    Raises:
+        ValueError: A file is damaged, or no Parquet.
+    """
+    unread = [path for path in paths if path.is_file() and _state(path) not in _readable]
+    if not unread:
+        return
+    room = _ROOM + 30 * sum(path.stat().st_size for path in unread)
+    command = [sys.executable, "-P", "-c", _TRY, str(room), *map(str, unread)]
+    done = subprocess.run(command, capture_output=True, check=False)
+    read = len(done.stdout.splitlines())
+    if read < len(unread):
+        raise _damaged(unread[read], "another process could not read it")
+    _readable.update(map(_state, unread))
+
+
+def _state(path: Path) -> tuple[str, int, int]:
+    status = path.stat()
+    return str(path.resolve()), status.st_size, status.st_mtime_ns
+
+
+def _damaged(path: Path, reason: str) -> ValueError:
+    return ValueError(f"{path} is not a readable Parquet file ({reason}); delete it and run again")

@@ -19,7 +19,7 @@ import safetensors.numpy
 
 from population.config import Member, PPOConfig, TrainConfig, TrainerConfig
 from population.files import atomic_path, atomic_write
-from population.parquet import read_parquet
+from population.parquet import check_readable, read_parquet
 from population.spec import PolicySpec
 from population.stack import flatten
 
@@ -108,6 +108,7 @@ class RunFolder:
 
     def read_metrics(self, until: int) -> pl.DataFrame:
         """Return the metrics of the first `until` updates."""
+        check_readable([self._metrics])
         table = read_parquet(self._metrics)
         if not isinstance(table.schema.get("update"), pl.Int64):
             raise ValueError(f"{self._metrics} is damaged; start a new run in another folder")

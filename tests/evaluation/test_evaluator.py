@@ -33,6 +33,7 @@ from tests.evaluation.matrix_game import (
     robots,
     roster,
 )
+from tests.population.test_files import Disk
 
 
 def make_job(egos: Any = None, partners: Any = None, **changes: Any) -> Job:
@@ -192,6 +193,18 @@ def test_a_damaged_part_is_simulated_again(tmp_path: Path, damage: str):
     again = run_job(MatrixGame(), mixed_job(), tmp_path / "torn")
     assert again.table.equals(whole.table)
     assert again.env_steps_per_second is not None  # that part alone was simulated
+
+
+def test_every_file_of_a_run_is_on_the_disk_when_it_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    disk = Disk(monkeypatch)
+    unfinished(tmp_path)
+    parts = list((tmp_path / PARTS_FOLDER).glob("part-*"))
+    run_job(MatrixGame(), mixed_job(), tmp_path)
+    assert len(parts) > 1 and disk.unsafe == [] and str(tmp_path) in disk.flushed
+    left = [path.name for path in tmp_path.iterdir() if not path.name.endswith(".lock")]
+    assert sorted(left) == [tables.EPISODES_FILE, MANIFEST_FILE]
 
 
 def test_undamaged_parts_are_not_simulated_again(tmp_path: Path):

@@ -15,6 +15,7 @@ from assistax_zoo.main import run
 from evaluation import provenance, sources
 from evaluation.sources import check_sources
 from evaluation.studies import Settings, cross_play, evaluate_policies
+from evaluation.tables import EPISODES_FILE, read_episodes
 from tests.attack.commands import ROBOT, small_zoo
 from tests.population.toy_env import ToyEnv, match
 from tests.untrained import params_of
@@ -189,3 +190,36 @@ def test_the_registry_is_the_one_that_is_given(home: Path, tmp_path: Path) -> No
     other.shard_path(other.policies[0].shard).unlink()
     report = check_sources(home / "out", other.path)
     assert not report.problems and "parameters, in" in report.absent[0]
+
+
+SETTINGS = Settings("scratch", 1, backend="native")
+
+
+def evaluated(home: Path, robot: str, folder: Path) -> list[float]:
+    """Evaluate one robot, and return what its summary and its table say of its returns."""
+    registry = load_registry(home / "zoo" / "registry.json")
+    summary = evaluate_policies(registry, [robot], SETTINGS, folder)
+    table = read_episodes(folder / EPISODES_FILE)
+    assert summary.m_test is not None
+    return [summary.m_test.mean, *table["return"].to_list()]
+
+
+def test_a_robot_whose_weights_changed_is_not_answered_from_a_finished_folder(
+    home: Path, tmp_path: Path
+) -> None:
+    """With the files declared it is another robot; undeclared, the folder is played again."""
+    robot, _ = write_robots(tmp_path / "mine")
+    weights = tmp_path / "mine" / "weights.npy"
+    first = evaluated(home, robot, tmp_path / "declared")
+    assert evaluated(home, robot, tmp_path / "declared") == first
+    np.save(weights, np.full(4, -0.4, np.float32))
+    with pytest.raises(ValueError, match=r"holds another job \(other egos"):
+        evaluated(home, robot, tmp_path / "declared")
+    code = (tmp_path / "mine" / "mine.py").read_text()
+    undeclared = code.replace("DEPENDS", "FILES").replace("make(weights)", "make()")
+    undeclared = undeclared.replace("np.load(weights)", f"np.load({str(weights)!r})")
+    (tmp_path / "mine" / "mine.py").write_text(undeclared)
+    robot = robot.partition("?")[0]
+    second = evaluated(home, robot, tmp_path / "undeclared")
+    np.save(weights, np.full(4, 0.1, np.float32))
+    assert evaluated(home, robot, tmp_path / "undeclared") == first != second

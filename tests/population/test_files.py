@@ -41,3 +41,37 @@ def test_a_device_is_not_replaced() -> None:
     with pytest.raises(OSError, match="no regular file"):
         atomic_write(Path(os.devnull), b"")
     assert not Path(os.devnull).is_file()
+
+
+class Disk:
+    """Records what is flushed and renamed, and what a power cut before any of it would leave."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.flushed: dict[str, bytes | None] = {}  # what is on the disk for sure, by path
+        self.unsafe: list[str] = []  # renamed to their place before their bytes were on the disk
+        self._fsync, self._replace = os.fsync, os.replace
+        monkeypatch.setattr(os, "fsync", self.fsync)
+        monkeypatch.setattr(os, "replace", self.replace)
+
+    def fsync(self, descriptor: int) -> None:
+        path = Path(os.readlink(f"/proc/self/fd/{descriptor}"))
+        self.flushed[str(path)] = path.read_bytes() if path.is_file() else None
+        self._fsync(descriptor)
+
+    def replace(self, source: Path, target: Path) -> None:
+        if self.flushed.pop(str(source), None) != Path(source).read_bytes():
+            self.unsafe.append(str(target))
+        self.flushed.pop(str(Path(target).parent), None)  # its entry is not there yet
+        self._replace(source, target)
+
+
+def test_a_file_is_on_the_disk_before_it_has_its_name_and_the_name_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a power cut leaves an empty file in the place of the old one."""
+    disk = Disk(monkeypatch)
+    atomic_write(tmp_path / "a", b"whole")
+    assert disk.unsafe == [] and str(tmp_path) in disk.flushed
+    monkeypatch.setattr("population.files._flush", lambda path: None)  # planted: nothing is flushed
+    atomic_write(tmp_path / "a", b"more")
+    assert disk.unsafe == [str(tmp_path / "a")] and str(tmp_path) not in disk.flushed
