@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 MAX_BYTES = 64 * 1024 * 1024  # of a file: 16 million parameters
-MEMORY = 1024 * 1024 * 1024  # that a model may take beside onnxruntime's own
+MEMORY = 768 * 1024 * 1024  # that a model may take beside onnxruntime's own, 1 GB with it
 # Nothing that loops, calls, draws or reads files.
 OPERATORS = frozenset(
     [

@@ -83,7 +83,10 @@ class PolicyProcess:
         assert self._process.stdin is not None and self._process.stdout is not None
         try:
             policy_worker.send(self._process.stdin, header, obs)  # ty: ignore[invalid-argument-type]
-            reply, answer = policy_worker.receive(self._process.stdout)  # ty: ignore[invalid-argument-type]
+            reply, answer = policy_worker.receive(
+                self._process.stdout,  # ty: ignore[invalid-argument-type]
+                policy_worker.LARGEST_ANSWER,
+            )
         except (EOFError, BrokenPipeError):
             self.close()
             code = self._process.returncode

@@ -26,6 +26,7 @@ _LENGTHS = struct.Struct("<IQ")  # bytes of the JSON object, bytes of the array
 
 
 LONGEST_MESSAGE = 1000  # characters
+LARGEST_ANSWER = 64 << 20  # bytes: the actions of a million simulations
 
 
 class LoadError(Exception):
@@ -42,13 +43,15 @@ def send(stream: BinaryIO, header: dict[str, Any], array: np.ndarray | None = No
     stream.flush()
 
 
-def receive(stream: BinaryIO) -> tuple[dict[str, Any], np.ndarray | None]:
-    """Read one message.
+def receive(stream: BinaryIO, most: int | None = None) -> tuple[dict[str, Any], np.ndarray | None]:
+    """Read one message, of at most so many bytes.
 
     Raises:
-        EOFError: the other side is gone.
+        EOFError: the other side is gone, or says more than that.
     """
     text, payload = _LENGTHS.unpack(_read(stream, _LENGTHS.size))
+    if most is not None and max(text, payload) > most:
+        raise EOFError
     header = json.loads(_read(stream, text))
     data = _read(stream, payload)
     if "dtype" not in header:
@@ -92,7 +95,7 @@ def serve() -> None:
                 robot.reset(header["rows"])
             else:
                 answer = robot(obs)
-                if answer.dtype.kind not in "fiu":
+                if answer.dtype.kind not in "fiu" or answer.nbytes > LARGEST_ANSWER:
                     raise TypeError(f"returned {answer.dtype} of shape {answer.shape}")
         except LoadError as error:
             reply, answer = {"error": one_line(str(error))}, None

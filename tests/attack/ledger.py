@@ -29,6 +29,7 @@ class Ledger:
         self.struck = 0  # trials whose kill or interrupt came before the command's end
         self.failures: list[str] = []
         self._excused = 0.0  # seconds of a trial that were judged command by command
+        self._began, self._computed = time.process_time(), 0.0
         self.random = random.Random(f"{family} {SEED}")
 
     def wanted(self, whole: int) -> int:
@@ -55,6 +56,7 @@ class Ledger:
     def judge(self, outcome: Outcome) -> None:
         """Hold a command's end against what holds for every command, however it was struck."""
         self._excused += outcome.seconds
+        self._computed += outcome.computed
         assert "Traceback" not in outcome.err, outcome.err[-400:]
         assert not outcome.outside, f"written outside: {outcome.outside}"
         self._bounded(outcome.seconds - outcome.waited, outcome.peak)
@@ -74,6 +76,7 @@ class Ledger:
             **({"struck": self.struck} if self.struck else {}),
             "slowest_seconds": round(self.slowest, 1),
             "most_memory_mib": round(self.largest),
+            "processor_seconds": round(time.process_time() - self._began + self._computed),
         }
         print(json.dumps(line), *self.failures, sep="\n")
         if LOG:

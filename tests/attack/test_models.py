@@ -208,6 +208,10 @@ ROBOTS = {
     "answers another shape": "def make(): return lambda obs: obs[:1]",
     "answers 2**30 numbers": "import numpy as n\n"
     "def make(): return lambda o: n.zeros((2**15, 2**15), bool)",
+    "answers 2**30 bytes": "import numpy as n\n"
+    "def make(): return lambda o: n.zeros((2**15, 2**15), n.uint8)",
+    "answers by hand that 2**40 bytes follow": "import os, struct\n"
+    "def make(): return lambda o: [os.write(n, struct.pack('<IQ', 2, 2**40)) for n in range(3, 9)]",
     "answers NaN": "def make(): return lambda obs: obs[:, :2] * float('nan')",
     "answers objects": "import numpy as n\ndef make(): return lambda o: n.array([{}] * len(o))",
     "prints": "def make():\n print('{' * 10**6)\n return lambda obs: print(obs)",
@@ -253,9 +257,11 @@ def test_models_archives_and_robots(tmp_path: Path) -> None:
             path.write_text(code)
             cases.append((f"python, {name}", lambda path=path: play(f"python:{path}:make")))
         ledger.random.shuffle(cases)
-        for name, work in cases[: ledger.wanted(len(cases))]:
+        cases = cases[: ledger.wanted(len(cases))]
+        # Last the robots that are the user's own code, which may take what the user's machine has.
+        for name, work in sorted(cases, key=lambda case: case[0].startswith("python")):
             with ledger.trial(name):
                 refused(work)
-        children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
-        assert children < 3 << 30, f"a robot's process took {children >> 20} MiB"
+                taken = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss << 10
+                assert name.startswith("python") or taken < 1 << 30, f"{taken >> 20} MiB"
     assert not list(Path("/tmp").glob("escaped*"))
