@@ -59,7 +59,7 @@ class Ledger:
         self._computed += outcome.computed
         assert "Traceback" not in outcome.err, outcome.err[-400:]
         assert not outcome.outside, f"written outside: {outcome.outside}"
-        self._bounded(outcome.seconds - outcome.waited, outcome.peak)
+        self._bounded(outcome.work, outcome.peak)
 
     def _bounded(self, seconds: float, memory: int) -> None:
         self.slowest = max(self.slowest, seconds)

@@ -3,8 +3,10 @@
 The server that forks has no thread but its own, since no other would survive; so each child starts
 JAX, and imports Polars.
 
-Others use this machine too. What a process waited for a processor is no fault of its own: the
-kernel counts it for every thread, and times are judged without it.
+Others use this machine too. What a process waited for a processor is no fault of its own, and the
+kernel counts it for every thread. `waited` is that of the thread that waited most, less than what
+others took. `work` is the time without what all threads waited together, but at least what was
+computed: a process that hangs neither waits nor computes.
 """
 
 import _thread
@@ -47,6 +49,7 @@ class Outcome:
     err: str
     seconds: float  # from its start or the key press to its end
     waited: float  # of them, for a processor
+    work: float  # seconds without others' work
     computed: float  # seconds of processors, from when it was ready
     peak: int  # bytes of memory
     writes: int
@@ -67,7 +70,7 @@ def call(
     began = time.monotonic()
     child.start()
     seen = _Seen(child.pid)
-    while child.is_alive() and time.monotonic() - began < 120:
+    while child.is_alive() and time.monotonic() - began < 300:
         if seen.ready is None and ready.exists():
             seen.ready = seen.computed
         if press and pressed is None and seen.ready is not None and seen.since() >= press[1]:
@@ -88,6 +91,7 @@ def call(
         _told(home / "err.txt"),
         ended - (pressed or began),
         seen.waited - seen.waited_before,
+        max(seen.computed, ended - began - seen.waited_in_all),
         seen.since(),
         seen.peak,
         writes.get("count", 0),
@@ -100,7 +104,8 @@ class _Seen:
 
     def __init__(self, pid: int) -> None:
         self.folder = Path(f"/proc/{pid}")
-        self.peak, self.computed, self.waited, self.waited_before = 0, 0.0, 0.0, 0.0
+        self.peak, self.computed = 0, 0.0
+        self.waited, self.waited_before, self.waited_in_all = 0.0, 0.0, 0.0
         self.ready: float | None = None  # what it had computed by then
 
     def look(self) -> None:
@@ -110,16 +115,18 @@ class _Seen:
             self.peak = max(self.peak, peak * 1024)
             ticks = (self.folder / "stat").read_text().rpartition(")")[2].split()[11:13]
             self.computed = sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
-            self.waited = max(self.waited, waited(self.folder))
+            waits = waited(self.folder)
+            self.waited = max(self.waited, *waits)
+            self.waited_in_all = max(self.waited_in_all, sum(waits))
 
     def since(self) -> float:
         return self.computed - (self.ready or 0.0)
 
 
-def waited(process: Path) -> float:
-    """Return how many seconds a process waited for a processor: of its threads, the longest."""
+def waited(process: Path) -> list[float]:
+    """Return how many seconds each thread of a process waited for a processor."""
     told = [path.read_text().split() for path in process.glob("task/*/schedstat")]
-    return max(int(words[1]) for words in told) / 1e9
+    return [int(words[1]) / 1e9 for words in told]
 
 
 def _child(words: list[str], home: str, attack: Attack) -> None:
