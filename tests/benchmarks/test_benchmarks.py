@@ -1,4 +1,7 @@
 import json
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -119,3 +122,21 @@ def test_ladder_lets_submitters_climb(capfd: pytest.CaptureFixture[str]):
     boards = {(row["shared"], row["attack"], row["board"]): row for row in rows}
     assert len(boards) == len(rows) == 18
     assert boards[0.0, "climb", "exact"]["answers"] > boards[0.0, "climb", "ladder"]["answers"]
+
+
+@pytest.mark.slow
+def test_pages_reads_every_kind_of_page(tmp_path: Path):
+    from tests.service.board_data import make_app
+    from tests.service.browser import served
+
+    # Readers in a process of their own, as people start them: the server's logs write to the
+    # output of this one.
+    with served(make_app(tmp_path)) as address:
+        words = ["pages", "--url", address, "--readers", "30", "--seconds", "6", "--json"]
+        command = [sys.executable, "-m", "benchmarks", *words]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    rows = {row["page"]: row for row in json.loads(done.stdout)}
+    assert {"board", "submission", "explorer", "all"} <= rows.keys()
+    assert rows["all"]["failed"] == 0
+    assert rows["all"]["reads"] == sum(rows[kind]["reads"] for kind in rows if kind != "all")

@@ -1,11 +1,13 @@
 import errno
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import textwrap
 import threading
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -108,17 +110,44 @@ def test_metrics_have_a_row_for_each_update_and_member(finished):
     assert metrics.filter(pl.col("episodes") == 0)["return"].null_count() > 0
 
 
-@pytest.mark.parametrize("update", [1, 3, 5])
-def test_a_killed_run_goes_on_to_the_same_bits(finished, tmp_path, update):
-    folder = tmp_path / "run"
+def until_killed(folder, update):
+    """Train until a run is killed after an update; return the updates that this process made."""
+    made = []
+
+    def progress(report):
+        made.append(report.update)
+        kill_after(update)(report)
+
     with pytest.raises(Killed):
-        train(CONFIG, ToyEnv(match), folder, progress=kill_after(update))
-    assert not (folder / "teams.json").exists()
-    updates = []
-    train(CONFIG, ToyEnv(match), folder, progress=lambda report: updates.append(report.update))
-    assert updates == list(range(update - update % 2 + 1, 7))
+        train(CONFIG, ToyEnv(match), folder, progress=progress)
+    return made
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory):
+    """A run killed three times: before it has a checkpoint, and after those of updates 2 and 4."""
+    folder = tmp_path_factory.mktemp("killed") / "run"
+    made = [until_killed(folder, update) for update in (1, 3, 5)]
+    assert made == [[1], [1, 2, 3], [3, 4, 5]]
+    return folder
+
+
+@pytest.fixture
+def copy_of_killed(killed, tmp_path):
+    return Path(shutil.copytree(killed, tmp_path / "run"))
+
+
+def assert_same_policies(folder, other):
     for name in ("robot.safetensors", "human.safetensors"):
-        assert (folder / name).read_bytes() == (finished / name).read_bytes()
+        assert (folder / name).read_bytes() == (other / name).read_bytes()
+
+
+def test_a_killed_run_goes_on_to_the_same_bits(finished, copy_of_killed):
+    folder, updates = copy_of_killed, []
+    assert not (folder / "teams.json").exists()
+    train(CONFIG, ToyEnv(match), folder, progress=lambda report: updates.append(report.update))
+    assert updates == [5, 6]
+    assert_same_policies(folder, finished)
     kept, whole = (
         pl.read_parquet(path / "metrics.parquet").drop("seconds") for path in (folder, finished)
     )
@@ -143,27 +172,21 @@ def cut_off(folder):
 
 
 @pytest.mark.parametrize("damage", [flip_a_bit, cut_off])
-def test_a_damaged_checkpoint_is_told_and_the_one_before_is_taken(finished, tmp_path, damage):
-    folder, updates = tmp_path / "run", []
-    with pytest.raises(Killed):
-        train(CONFIG, ToyEnv(match), folder, progress=kill_after(5))
+def test_a_damaged_checkpoint_is_told_and_the_one_before_is_taken(finished, copy_of_killed, damage):
+    folder, updates = copy_of_killed, []
     damage(folder / "checkpoints" / "4")
     with pytest.warns(UserWarning, match="the checkpoint of update 4 .* is damaged .* update 2"):
         train(CONFIG, ToyEnv(match), folder, progress=lambda report: updates.append(report.update))
     assert updates == [3, 4, 5, 6]
-    for name in ("robot.safetensors", "human.safetensors"):
-        assert (folder / name).read_bytes() == (finished / name).read_bytes()
+    assert_same_policies(folder, finished)
 
 
-def test_a_run_whose_checkpoints_are_all_damaged_is_refused(tmp_path):
-    folder = tmp_path / "run"
-    with pytest.raises(Killed):
-        train(CONFIG, ToyEnv(match), folder, progress=kill_after(5))
-    cut_off(folder / "checkpoints")
+def test_a_run_whose_checkpoints_are_all_damaged_is_refused(copy_of_killed):
+    cut_off(copy_of_killed / "checkpoints")
     with pytest.raises(
         ValueError, match=r"cannot read the checkpoint of update 4 .* another folder"
     ):
-        train(CONFIG, ToyEnv(match), folder)
+        train(CONFIG, ToyEnv(match), copy_of_killed)
 
 
 def test_no_thread_outlives_a_run_that_is_stopped(tmp_path):
@@ -199,8 +222,7 @@ def test_a_killed_run_of_sac_goes_on_to_the_same_bits(tmp_path):
         progress=lambda report: updates.append(report.update),
     )
     assert updates == [5, 6, 7, 8]
-    for name in ("robot.safetensors", "human.safetensors"):
-        assert (whole / name).read_bytes() == (tmp_path / "killed" / name).read_bytes()
+    assert_same_policies(tmp_path / "killed", whole)
     assert not any(
         (folder / "checkpoints").exists() for folder in (whole, tmp_path / "killed")
     )  # only PPO goes on
