@@ -25,7 +25,11 @@ class PageSpeed:
 
 def read_pages(url: str, readers: int, seconds: float) -> list[PageSpeed]:
     """Let readers read for a while and return a row for each kind of page, and one for all."""
-    found = asyncio.run(_read_all(url, readers, seconds))
+    try:
+        found = asyncio.run(_read_all(url, readers, seconds))
+    except httpx2.HTTPError as error:
+        told = str(error) or type(error).__name__
+        raise OSError(f"{url} does not answer ({told}); start a server there first") from None
     kinds = sorted({kind for kind, _, _ in found})
     rows = [_row(kind, [one for one in found if one[0] == kind]) for kind in kinds]
     return [*rows, _row("all", found)]
@@ -39,7 +43,7 @@ async def _read_all(url: str, readers: int, seconds: float) -> list[_Read]:
     async with httpx2.AsyncClient(base_url=url, limits=limits, timeout=30.0) as client:
         pages = await _pages(client)
         for address in pages.values():  # what is computed once is computed before
-            await client.get(address)
+            await client.get(address, timeout=None)
         end = time.monotonic() + seconds
         readings = [_reader(client, pages, end, random.Random(i)) for i in range(readers)]
         return [one for reading in await asyncio.gather(*readings) for one in reading]

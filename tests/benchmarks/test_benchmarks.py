@@ -1,4 +1,5 @@
 import json
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -129,10 +130,10 @@ def test_pages_reads_every_kind_of_page(tmp_path: Path):
     from tests.service.board_data import make_app
     from tests.service.browser import served
 
-    # Readers in a process of their own, as people start them: the server's logs write to the
-    # output of this one.
+    # In a process of their own: the server's logs hold the output of this one, which `capfd`
+    # closes.
     with served(make_app(tmp_path)) as address:
-        words = ["pages", "--url", address, "--readers", "30", "--seconds", "6", "--json"]
+        words = ["pages", "--url", address, "--readers", "30", "--seconds", "8", "--json"]
         command = [sys.executable, "-m", "benchmarks", *words]
         done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
@@ -140,3 +141,11 @@ def test_pages_reads_every_kind_of_page(tmp_path: Path):
     assert {"board", "submission", "explorer", "all"} <= rows.keys()
     assert rows["all"]["failed"] == 0
     assert rows["all"]["reads"] == sum(rows[kind]["reads"] for kind in rows if kind != "all")
+
+
+def test_pages_of_no_server(capfd: pytest.CaptureFixture[str]):
+    with socket.socket() as taken:  # bound and never listening
+        taken.bind(("127.0.0.1", 0))
+        assert run(["pages", "--url", f"http://127.0.0.1:{taken.getsockname()[1]}"]) == 1
+    told = capfd.readouterr().err
+    assert "does not answer" in told and told.count("\n") == 1

@@ -151,7 +151,7 @@ def test_its_libraries_take_one_thread(folder: Path) -> None:
 
 
 def gone(pid: int) -> bool:
-    for _ in range(50):
+    for _ in range(600):
         try:
             os.kill(pid, 0)
         except ProcessLookupError:

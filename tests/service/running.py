@@ -23,7 +23,7 @@ class Served:
     address: str
     clients: list[Client] = dataclasses.field(default_factory=list)
 
-    def client(self, scope: Scope, submitter: str = "lab", patience: float = 5.0) -> Client:
+    def client(self, scope: Scope, submitter: str = "lab", patience: float = 30.0) -> Client:
         name = submitter if scope == "submit" else None
         token = self.service.create_token((scope,), submitter=name)
         self.clients.append(Client(self.address, token, patience=patience))

@@ -22,6 +22,7 @@ PAGES = (
     *("/seasons", "/seasons/5ea5011", "/ledger"),
 )
 WIDTHS = (400, 900, 1600)
+expect.set_options(timeout=60_000)  # waits no longer than it must
 
 
 @pytest.fixture(scope="module")
@@ -190,7 +191,7 @@ def test_a_page_about_something_unfinished_looks_again_by_itself(
         page.goto(f"{address}{waiting}")
         expect(page.get_by_role("status")).to_contain_text("queued")
         finish(tmp_path, waiting.rpartition("/")[2])
-        expect(page.get_by_role("status")).to_contain_text("it has functions", timeout=15_000)
+        expect(page.get_by_role("status")).to_contain_text("it has functions")
 
 
 def test_a_submission_is_watched_from_the_queue_to_its_place(
@@ -202,7 +203,7 @@ def test_a_submission_is_watched_from_the_queue_to_its_place(
         page.goto(f"{server.address}/submissions/{id}")
         expect(page.get_by_role("status")).to_contain_text("number 1 in the queue")
         work_off(service)
-        expect(page.get_by_role("status")).to_contain_text("place 1", timeout=15_000)
+        expect(page.get_by_role("status")).to_contain_text("place 1")
         with page.expect_download() as download:
             page.get_by_role("link", name="Download it").click()
         assert json.loads(Path(download.value.path()).read_text())["content"]["submission"] == id

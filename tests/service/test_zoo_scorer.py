@@ -1,5 +1,6 @@
 """With the real evaluator: both formats, a private release, and values that do not move."""
 
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import polars as pl
 import pytest
 
 from assistax_envs.versions import FUSED_VERSION
+from assistax_zoo.service import zoo_scorer
 from assistax_zoo.service.admission import Admission, robot_sizes
 from assistax_zoo.service.catalogue import ZooCatalogue
 from assistax_zoo.service.problems import Refusal
@@ -46,6 +48,14 @@ def files(tmp_path: Path) -> dict[str, bytes]:
     params, path = params_of(ROBOT, 7), tmp_path / "robot.safetensors"
     write_policy_file(path, ROBOT, params)
     return {"safetensors": path.read_bytes(), "onnx": to_onnx(ROBOT, params)}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def short_episodes() -> Iterator[None]:
+    env = zoo_scorer._env(TASK, "native")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(env, "episode_length", 100)
+        yield
 
 
 def scorer_of(registry: Registry) -> ZooScorer:

@@ -195,7 +195,7 @@ def test_shards_come_in_parallel(
 
     def wait(self, path, start=0):
         if path.endswith(".safetensors"):
-            together.wait(timeout=20)
+            together.wait(timeout=60)
         return now(self, path, start)
 
     monkeypatch.setattr(remotes.HttpRemote, "open", wait)
