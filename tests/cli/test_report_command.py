@@ -49,8 +49,10 @@ def test_compare_prints_the_paired_difference(tmp_path: Path, capfd: pytest.Capt
 
 def test_methods_evaluated_unlike_are_not_compared(tmp_path: Path, crossplay: Path, capfd: Any):
     a, b = evaluated(tmp_path / "a"), evaluated(tmp_path / "b", backend="mjx")
+    engine = {"name": "native", "version": "another"}
     for other, told in (
         (b, "backend is native in"),
+        (evaluated(tmp_path / "d", engine=engine), "engine is {} in"),
         (crossplay, "holds a cross-play; compare takes evaluations"),
         (tmp_path / "c", "not exist"),
     ):
