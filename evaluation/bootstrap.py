@@ -5,7 +5,9 @@ says whose it is; `generalises_to` says what was resampled, hence what the inter
 """
 
 import dataclasses
+import os
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
 import numpy as np
@@ -184,8 +186,14 @@ def replicate_crossed(
     order = np.argsort(scores[rows, columns], kind="stable")  # sorted once here, not in every chunk
     rows, columns = rows[order], columns[order]
     values = scores[rows, columns]
-    chunks = crossed_counts(row_counts, column_counts, rows, columns)
-    iqms = np.concatenate([weighted_iqm(values, chunk) for chunk in chunks])
+
+    def iqms_of(chunk: slice) -> np.ndarray:
+        counts = np.take(row_counts[chunk].astype(float), rows, axis=1)
+        counts *= np.take(column_counts[chunk].astype(float), columns, axis=1)
+        return weighted_iqm(values, counts)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # NumPy lets other threads run meanwhile
+        iqms = np.concatenate(list(pool.map(iqms_of, _chunks(len(row_counts), rows.size))))
     # A mean is bilinear in the counts: no cell is visited in any draw.
     sums, totals = (
         ((row_counts @ part) * column_counts).sum(axis=1)
@@ -225,16 +233,6 @@ def stratified_counts(shape: tuple[int, int], resamples: int, seed: int) -> Iter
             seeds, np.full(seeds, 1.0 / seeds), size=(rows.stop - rows.start, partners)
         )
         yield draws.transpose(0, 2, 1).reshape(len(draws), seeds * partners)
-
-
-def crossed_counts(
-    row_counts: np.ndarray, column_counts: np.ndarray, rows: np.ndarray, columns: np.ndarray
-) -> Iterator[np.ndarray]:
-    """Yield chunks [b, n] of counts of cells (rows [n], columns [n]), where both were resampled."""
-    for chunk in _chunks(len(row_counts), rows.size):
-        counts = np.take(row_counts[chunk].astype(float), rows, axis=1)
-        counts *= np.take(column_counts[chunk].astype(float), columns, axis=1)
-        yield counts
 
 
 def _chunks(resamples: int, size: int) -> Iterator[slice]:
