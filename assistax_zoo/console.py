@@ -1,6 +1,5 @@
 """What every command shares: JSON on standard output, progress and messages on standard error."""
 
-import functools
 import json
 import math
 import os
@@ -8,29 +7,20 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assistax_envs.stdout import stdout_is_data as stdout_is_data
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.table import Table
 
     from evaluation.runner import Progress
-
-    error_console: Console
+    from population.train import Progress as TrainingProgress
 
 SECONDS_BETWEEN_LINES = 10.0
 _COMMAND: list[str] = []
-
-
-def __getattr__(name: str) -> Any:
-    """Build `error_console`, a rich console on standard error, when a command first wants it."""
-    if name != "error_console":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return _error_console()
 
 
 def remember_command(words: Sequence[str]) -> None:
@@ -97,9 +87,8 @@ def progress(
         with _bar(description, total, is_bytes) as advance:
             yield advance
     else:
-        lines = _Lines(description, total, is_bytes)
-        yield lines.advance
-        lines.close()
+        with _lines(description, total, is_bytes) as advance:
+            yield advance
 
 
 @contextmanager
@@ -124,15 +113,9 @@ def study_progress(description: str) -> Generator[Callable[["Progress"], None]]:
         yield show
 
 
-@functools.cache
-def _error_console() -> "Console":
-    from rich.console import Console
-
-    return Console(stderr=True)
-
-
 @contextmanager
 def _bar(description: str, total: int, is_bytes: bool) -> Generator[Callable[[int], None]]:
+    from rich.console import Console
     from rich.progress import (
         BarColumn,
         DownloadColumn,
@@ -146,42 +129,85 @@ def _bar(description: str, total: int, is_bytes: bool) -> Generator[Callable[[in
     done = (DownloadColumn(), TransferSpeedColumn()) if is_bytes else (TaskProgressColumn(),)
     times = (TimeElapsedColumn(), "left", TimeRemainingColumn())
     columns = ("{task.description}", BarColumn(bar_width=None), *done, *times)
-    with Progress(*columns, console=_error_console(), expand=True) as bar:
+    with Progress(*columns, console=Console(stderr=True), expand=True) as bar:
         task = bar.add_task(description, total=total)
         yield lambda count: bar.advance(task, count)
 
 
-class _Lines:
-    """Progress where no bar can be drawn; in a notebook one line that changes."""
+@contextmanager
+def _lines(description: str, total: int, is_bytes: bool) -> Generator[Callable[[int], None]]:
+    start, done = time.monotonic(), 0
 
-    def __init__(self, description: str, total: int, is_bytes: bool) -> None:
-        self._what, self._total, self._is_bytes = description, total, is_bytes
-        self._start = self._last = time.monotonic()
-        self._done, self._notebook = 0, type(sys.stderr).__name__ == "OutStream"  # ipykernel's
+    def figures() -> str:
+        if is_bytes:
+            return f"{done / 1e6:.1f}/{total / 1e6:.1f} MB"
+        return f"{done / 1e6:.2f}/{total / 1e6:.2f} M" if total >= 1e5 else f"{done}/{total}"
 
-    def advance(self, count: int) -> None:
-        self._done += count
-        now = time.monotonic()
-        pause = 0.5 if self._notebook else SECONDS_BETWEEN_LINES
-        if now - self._last < pause and self._done < self._total:
-            return
-        self._last = now
-        spent = now - self._start
-        left = spent * (self._total - self._done) / max(self._done, 1)
-        told = f"{self._what}: {self._figures()}, {spent:.0f} s, {left:.0f} s left"
-        start, end = ("\r", "\x1b[K") if self._notebook else ("", "\n")
-        print(f"{start}{told}", end=end, file=sys.stderr, flush=True)
+    def advance(count: int) -> None:
+        nonlocal done
+        done += count
+        spent = time.monotonic() - start
+        left = spent * (total - done) / max(done, 1)
+        told = f"{description}: {figures()}, {spent:.0f} s, {left:.0f} s left"
+        line.show(told, last=done >= total)
+
+    with closing(Line()) as line:
+        yield advance
+
+
+class Line:
+    """Says how far work is: on one line that changes, or on a line every ten seconds."""
+
+    def __init__(self, shown: float | None = None) -> None:
+        """Wait before the first line, unless `shown`, the time of the last one, is long ago."""
+        notebook = type(sys.stderr).__name__ == "OutStream"  # ipykernel's
+        self._live, self._open = notebook or sys.stderr.isatty(), False
+        self._shown = time.monotonic() if shown is None else shown
+
+    def show(self, text: str, *, last: bool) -> None:
+        """Show the text, unless another was shown just now and more will come."""
+        pause = 0.5 if self._live else SECONDS_BETWEEN_LINES
+        if last or time.monotonic() - self._shown >= pause:
+            self._shown, self._open = time.monotonic(), self._live
+            start, end = ("\r", "\x1b[K") if self._live else ("", "\n")
+            print(f"{start}{text}", end=end, file=sys.stderr, flush=True)
 
     def close(self) -> None:
-        if self._notebook:
+        """End the line, so that what follows starts on its own."""
+        if self._open:
             print(file=sys.stderr, flush=True)
 
-    def _figures(self) -> str:
-        if self._is_bytes:
-            return f"{self._done / 1e6:.1f}/{self._total / 1e6:.1f} MB"
-        if self._total >= 1e5:
-            return f"{self._done / 1e6:.2f}/{self._total / 1e6:.2f} M"
-        return f"{self._done}/{self._total}"
+
+class TrainingLine(Line):
+    """Says how far a training is; what training functions take as `progress`."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(-math.inf)
+        self._name, self._return = name, ""
+
+    def __call__(self, progress: "TrainingProgress") -> None:
+        mean = progress.rows["return"].mean()
+        self._return = self._return if mean is None else f"return {mean:.1f}"
+        reward = f"reward {progress.rows['reward'].mean():.2f} a step, no whole episode yet"
+        told = (
+            f"{self._name}: {_count(progress.steps)} of {_count(progress.total_steps)} steps, "
+            f"{progress.steps_per_second:,.0f} steps/s, {self._return or reward}, "
+            f"{_duration(progress.seconds_left)} left"
+        )
+        self.show(told, last=progress.update == progress.updates)
+
+
+def _count(steps: int) -> str:
+    for size, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if steps >= size:
+            return f"{steps / size:.2f}{unit}"
+    return str(steps)
+
+
+def _duration(seconds: float) -> str:
+    if seconds >= 3600:
+        return f"{seconds // 3600:.0f} h {seconds % 3600 // 60:.0f} min"
+    return f"{seconds // 60:.0f} min" if seconds >= 120 else f"{seconds:.0f} s"
 
 
 def _plain(value: Any) -> Any:

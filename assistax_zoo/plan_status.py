@@ -8,29 +8,31 @@ import datetime
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from population.plan import Block, Group, Key, Plan
-    from zoo.ids import TeamId
-    from zoo.registry import Registry
+from population.config import PRESETS
+from population.files import atomic_write, exclusive
+from population.plan import Block, Group, Key, Plan, find_blocks
+from zoo.ids import TeamId
+from zoo.registry import Registry
+from zoo.republish import republishable
 
 
 @dataclasses.dataclass(frozen=True)
 class Status:
     """One group of a plan."""
 
-    group: "Group"
-    published: frozenset["Key"]  # teams that the release has
-    adoptable: frozenset["Key"]  # teams that another release has, and this one not yet
-    blocks: tuple["Block", ...]  # runs that hold, or are to hold, the others
+    group: Group
+    published: frozenset[Key]  # teams that the release has
+    adoptable: frozenset[Key]  # teams that another release has, and this one not yet
+    blocks: tuple[Block, ...]  # runs that hold, or are to hold, the others
     # What progress.json says of published and finished runs, by name.
     runs: Mapping[str, Mapping[str, Any]]
     # Training steps a second and device that were measured, by task and algorithm.
     speeds: Mapping[tuple[str, str], int] = dataclasses.field(default_factory=dict)
 
     @property
-    def done(self) -> frozenset["Key"]:
+    def done(self) -> frozenset[Key]:
         """Teams that need no run."""
         return self.published | self.adoptable
 
@@ -44,7 +46,7 @@ class Status:
         """Number of teams that are not trained."""
         return sum(len(self.waiting(block)) for block in self.blocks if block.state != "finished")
 
-    def waiting(self, block: "Block") -> set["Key"]:
+    def waiting(self, block: Block) -> set[Key]:
         """Return the teams of a block that the group wants and the release does not have."""
         return {
             (member.disability, member.seed) for member in self.group.members
@@ -53,8 +55,6 @@ class Status:
     @property
     def estimated_from(self) -> str | None:
         """Algorithm whose speed on the task fits best: the same, else one of the same trainer."""
-        from population.config import PRESETS
-
         own = self.group.algorithm
         near = [name for name in PRESETS if PRESETS[name][0] == PRESETS[own][0]]
         measured = [name for name in (own, *near) if (self.group.task, name) in self.speeds]
@@ -85,7 +85,7 @@ class Status:
 
 
 def survey(
-    groups: Sequence["Group"], release: str, out: Path, registry: "Registry | None"
+    groups: Sequence[Group], release: str, out: Path, registry: Registry | None
 ) -> list[Status]:
     """Return how far each group is.
 
@@ -97,14 +97,12 @@ def survey(
     return [dataclasses.replace(status, speeds=speeds) for status in statuses]
 
 
-def team_id(group: "Group", key: "Key", release: str) -> "TeamId":
+def team_id(group: Group, key: Key, release: str) -> TeamId:
     """Return the id that a member has in a release."""
-    from zoo.ids import TeamId
-
     return TeamId(group.task, group.algorithm, key[0], key[1], release)
 
 
-def steps_to_train(blocks: Sequence["Block"]) -> int:
+def steps_to_train(blocks: Sequence[Block]) -> int:
     """Return the environment steps that all members of unfinished runs take.
 
     A begun run counts whole.
@@ -115,9 +113,7 @@ def steps_to_train(blocks: Sequence["Block"]) -> int:
     )
 
 
-def _status(group: "Group", release: str, out: Path, registry: "Registry | None") -> Status:
-    from population.plan import find_blocks
-
+def _status(group: Group, release: str, out: Path, registry: Registry | None) -> Status:
     teams = {(member.disability, member.seed) for member in group.members}
     published = frozenset(
         key
@@ -133,10 +129,8 @@ def _status(group: "Group", release: str, out: Path, registry: "Registry | None"
 
 
 def _adoptable(
-    group: "Group", keys: set["Key"], release: str, registry: "Registry | None"
-) -> frozenset["Key"]:
-    from zoo.republish import republishable
-
+    group: Group, keys: set[Key], release: str, registry: Registry | None
+) -> frozenset[Key]:
     assert group.adopt is not None
     if registry is None or group.adopt not in registry.data.releases:
         where = f"the registry {registry.path} has none" if registry else "there is no registry"
@@ -152,7 +146,7 @@ def _adoptable(
 
 
 def _published_runs(
-    group: "Group", published: frozenset["Key"], release: str, registry: "Registry | None"
+    group: Group, published: frozenset[Key], release: str, registry: Registry | None
 ) -> dict[str, dict[str, Any]]:
     """Return the runs of the published teams.
 
@@ -172,7 +166,7 @@ def _published_runs(
     return runs
 
 
-def _origin(group: "Group", key: "Key", release: str, registry: "Registry") -> str | None:
+def _origin(group: Group, key: Key, release: str, registry: Registry) -> str | None:
     """Return the release that a team was adopted from.
 
     The one whose team has the same parameters.
@@ -189,7 +183,7 @@ def _origin(group: "Group", key: "Key", release: str, registry: "Registry") -> s
     return group.adopt if same else None
 
 
-def _finished_runs(blocks: Sequence["Block"]) -> dict[str, dict[str, Any]]:
+def _finished_runs(blocks: Sequence[Block]) -> dict[str, dict[str, Any]]:
     runs = {}
     for block in blocks:
         if block.state == "finished":
@@ -200,7 +194,7 @@ def _finished_runs(blocks: Sequence["Block"]) -> dict[str, dict[str, Any]]:
     return runs
 
 
-def _of_registry(registry: "Registry", run: str, teams: int, together: int) -> dict[str, Any]:
+def _of_registry(registry: Registry, run: str, teams: int, together: int) -> dict[str, Any]:
     """Return what a published run cost that trained some teams together."""
     training = registry.data.runs[run]
     devices = training.notes.get("devices")
@@ -237,14 +231,14 @@ def _device_seconds(runs: Iterable[Mapping[str, Any]]) -> float:
     )
 
 
-def _teams_of(registry: "Registry", run: str) -> int:
+def _teams_of(registry: Registry, run: str) -> int:
     """Return how many different teams a published run trained."""
     return len(
         {name.rpartition("-")[0] for name, team in registry.data.teams.items() if team.run == run}
     )
 
 
-def _speeds(registry: "Registry | None", statuses: Sequence[Status]) -> dict[tuple[str, str], int]:
+def _speeds(registry: Registry | None, statuses: Sequence[Status]) -> dict[tuple[str, str], int]:
     """Return training steps a second and device by task and algorithm, of the largest runs."""
     runs = [
         ((status.group.task, status.group.algorithm), run)
@@ -263,7 +257,7 @@ def _speeds(registry: "Registry | None", statuses: Sequence[Status]) -> dict[tup
 
 
 def write_progress(
-    path: Path, plan: "Plan", statuses: Sequence[Status], errors: Mapping[str, str]
+    path: Path, plan: Plan, statuses: Sequence[Status], errors: Mapping[str, str]
 ) -> dict[str, Any]:
     """Write a plan's progress to its file, beside what other processes wrote, and return it.
 
@@ -277,8 +271,6 @@ def write_progress(
         errors: Message of each run that failed; "" for one that is tried, so that an earlier
             message goes.
     """
-    from population.files import atomic_write, exclusive
-
     with exclusive(path):
         old = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
         groups = dict(old.get("groups", {}))

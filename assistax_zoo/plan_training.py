@@ -5,16 +5,20 @@ import dataclasses
 import sys
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from filelock import AcquireReturnProxy, Timeout
 
 from assistax_zoo.plan_status import Status, survey, team_id, write_progress
-
-if TYPE_CHECKING:
-    from filelock import AcquireReturnProxy
-
-    from population.plan import Block, Group, Plan
-    from zoo.registry import Registry
-    from zoo.runs import TrainedTeam
+from population.files import exclusive
+from population.learning_curves import write_curves
+from population.plan import Block, Group, Plan, find_blocks
+from population.run_folder import RunFolder
+from zoo.publish import publish
+from zoo.registry import Registry, load_registry
+from zoo.release import complete_release
+from zoo.republish import read_published
+from zoo.runs import TrainedTeam, read_run
 
 # Given a block, a context that lends what its training reports to.
 Shown = Callable[[Any], contextlib.AbstractContextManager[Callable[[Any], None]]]
@@ -24,8 +28,8 @@ Shown = Callable[[Any], contextlib.AbstractContextManager[Callable[[Any], None]]
 class PlanTraining:
     """What one process does with a plan; `errors` says what failed, and the rest went on."""
 
-    plan: "Plan"
-    groups: "list[Group]"
+    plan: Plan
+    groups: list[Group]
     path: Path
     out: Path
     registry: Path
@@ -49,9 +53,7 @@ class PlanTraining:
         """Return how far every chosen group is, by the registry and the folders of this moment."""
         return survey(self.groups, self.plan.release, self.out, self.load())
 
-    def load(self) -> "Registry | None":
-        from zoo.registry import load_registry
-
+    def load(self) -> Registry | None:
         return load_registry(self.registry) if self.registry.is_file() else None
 
     def record(self, trying: str | None = None) -> None:
@@ -100,8 +102,6 @@ class PlanTraining:
 
     def complete(self) -> None:
         """Make the release the default one once every team of the plan is in it."""
-        from zoo.release import complete_release
-
         loaded = self.load()
         wanted = {
             str(team_id(group, (m.disability, m.seed), self.plan.release))
@@ -114,10 +114,6 @@ class PlanTraining:
 
     def write_curves(self, folder: Path) -> None:
         """Write the learning curves of the finished runs that have their metrics."""
-        from population.learning_curves import write_curves
-        from population.plan import find_blocks
-        from population.run_folder import RunFolder
-
         for group in self.groups:
             finished = [
                 block for block in find_blocks(group, self.out) if block.state == "finished"
@@ -138,7 +134,7 @@ class PlanTraining:
                         folder / f"{group.name}.parquet", list(zip(tables, configs, strict=True))
                     )
 
-    def _take(self, tried: set[str]) -> "tuple[Status, Block, AcquireReturnProxy] | None":
+    def _take(self, tried: set[str]) -> tuple[Status, Block, AcquireReturnProxy] | None:
         """Return the first run to be trained that no other process holds, with the lock on it."""
         for name in [
             block.name
@@ -157,7 +153,7 @@ class PlanTraining:
             hold.lock.release()
         return None
 
-    def _train(self, status: Status, block: "Block") -> None:
+    def _train(self, status: Status, block: Block) -> None:
         from population.team_training import run_training
 
         teams = f"{len(block.members)} teams, {status.group.task} {status.group.algorithm}"
@@ -175,18 +171,14 @@ class PlanTraining:
         with self.shown(block) as progress:
             run_training(config, self.backend, block.folder, progress=progress)
 
-    def _adopted(self, status: Status) -> "list[TrainedTeam]":
-        from zoo.republish import read_published
-
+    def _adopted(self, status: Status) -> list[TrainedTeam]:
         registry, release = self.load(), status.group.adopt
         assert registry is not None and release is not None
         return read_published(
             registry, [team_id(status.group, key, release) for key in sorted(status.adoptable)]
         )
 
-    def _publish(self, teams: "Sequence[TrainedTeam]") -> None:
-        from zoo.publish import publish
-
+    def _publish(self, teams: Sequence[TrainedTeam]) -> None:
         if teams:
             publish(
                 teams,
@@ -216,24 +208,18 @@ class PlanTraining:
             print(f"{name} failed: {self.errors[name]}", file=sys.stderr, flush=True)
 
 
-def _hold(out: Path, name: str) -> "AcquireReturnProxy | None":
+def _hold(out: Path, name: str) -> AcquireReturnProxy | None:
     """Take the lock of a run, or return None if another process has it.
 
     A killed process lets go.
     """
-    from filelock import Timeout
-
-    from population.files import exclusive
-
     try:
         return exclusive(out / name).acquire(blocking=False)
     except Timeout:
         return None
 
 
-def _waiting_teams(status: Status, block: "Block") -> "list[TrainedTeam]":
+def _waiting_teams(status: Status, block: Block) -> list[TrainedTeam]:
     """Return the teams of a finished run that the group wants and the release does not have."""
-    from zoo.runs import read_run
-
     waiting = status.waiting(block)
     return [team for team in read_run(block.folder) if (team.disability, team.seed) in waiting]

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from assistax_envs.adapters.simulation import INSTALL, Simulation, check_render_mode
+from assistax_envs.adapters.simulation import INSTALL, Simulation
 from assistax_envs.disability import Disability
 from assistax_envs.versions import VERSIONS
 
@@ -53,7 +53,6 @@ class AssistaxEnv(gymnasium.Env):
             render_mode: None or "rgb_array".
             camera: of the pictures; the scene's first if not given.
         """
-        check_render_mode(render_mode)
         if partner is not None and not callable(partner):
             raise TypeError(
                 f"partner is a {type(partner).__name__}; expected a callable from observation to "
@@ -62,8 +61,7 @@ class AssistaxEnv(gymnasium.Env):
         self.render_mode = render_mode
         self.partner = partner
         impairment = disability or getattr(partner, "setting", None) or "d1"
-        self._simulation = Simulation(task, impairment, backend, weights)
-        self._camera = camera
+        self._simulation = Simulation(task, impairment, backend, weights, render_mode, camera)
         env = self._simulation.env
         self.observation_space = gymnasium.spaces.Box(
             -np.inf, np.inf, (env.observation_size["robot"],), np.float32
@@ -93,21 +91,12 @@ class AssistaxEnv(gymnasium.Env):
         else:
             answer = self.partner(self._simulation.observation("human"))
         self._simulation.step({"robot": action, "human": answer})
-        state = self._simulation.state
         observation, info = self._simulation.observation("robot"), self._simulation.info()
-        return (
-            observation,
-            float(state.reward[0]),
-            bool(state.terminated[0]),
-            bool(state.truncated[0]),
-            info,
-        )
+        return observation, *self._simulation.outcome(), info
 
     def render(self) -> np.ndarray | None:
-        """Return a picture, uint8 [480, 640, 3]; None unless `render_mode` is "rgb_array"."""
-        if self.render_mode is None:
-            return None
-        return self._simulation.env.render(self._simulation.state, camera=self._camera)
+        """See `Simulation.render`."""
+        return self._simulation.render()
 
 
 def register() -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from assistax_envs.adapters.simulation import INSTALL, Simulation, check_render_mode
+from assistax_envs.adapters.simulation import INSTALL, Simulation
 from assistax_envs.disability import Disability
 
 try:
@@ -43,12 +43,10 @@ class AssistaxParallelEnv(pettingzoo.ParallelEnv):
 
         `disability` is the human's, `render_mode` is None or "rgb_array".
         """
-        check_render_mode(render_mode)
         self.render_mode = render_mode
         self.possible_agents = list(ROLES)
         self.agents: list[str] = []
-        self._simulation = Simulation(task, disability, backend, weights)
-        self._camera = camera
+        self._simulation = Simulation(task, disability, backend, weights, render_mode, camera)
         self._rng = np.random.default_rng()
         env = self._simulation.env
         self.observation_spaces = {role: _box(np.inf, env.observation_size[role]) for role in ROLES}
@@ -90,13 +88,12 @@ class AssistaxParallelEnv(pettingzoo.ParallelEnv):
         if not self.agents:
             return {}, {}, {}, {}, {}
         self._simulation.step(actions)
-        state = self._simulation.state
-        terminated, truncated = bool(state.terminated[0]), bool(state.truncated[0])
+        reward, terminated, truncated = self._simulation.outcome()
         if terminated or truncated:
             self.agents = []
         return (
             self._observations(),
-            dict.fromkeys(ROLES, float(state.reward[0])),
+            dict.fromkeys(ROLES, reward),
             dict.fromkeys(ROLES, terminated),
             dict.fromkeys(ROLES, truncated),
             self._infos(),
@@ -107,10 +104,8 @@ class AssistaxParallelEnv(pettingzoo.ParallelEnv):
         return self._simulation.observation("global")
 
     def render(self) -> np.ndarray | None:
-        """Return a picture, uint8 [480, 640, 3]; None unless `render_mode` is "rgb_array"."""
-        if self.render_mode is None:
-            return None
-        return self._simulation.env.render(self._simulation.state, camera=self._camera)
+        """See `Simulation.render`."""
+        return self._simulation.render()
 
     def close(self) -> None:
         """Do nothing: there is no window."""

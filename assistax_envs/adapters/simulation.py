@@ -21,8 +21,13 @@ class Simulation:
         disability: str | Disability = "d1",
         backend: str = "native",
         weights: dict[str, float] | None = None,
+        render_mode: str | None = None,
+        camera: str | None = None,
     ) -> None:
         """See `assistax_envs.make`; `disability` is the human's, "d1".."d9" or a `Disability`."""
+        if render_mode not in (None, "rgb_array"):  # without a window nothing else can be drawn
+            raise ValueError(f"render_mode is {render_mode!r}; allowed are None and 'rgb_array'")
+        self.render_mode, self._camera = render_mode, camera
         self.env = make(task, backend, weights)
         self._params = disability_params([disability])
         self._reset, self._step = jax.jit(self.env.reset), jax.jit(self.env.step)
@@ -73,6 +78,17 @@ class Simulation:
             "nonfinite": bool(state.nonfinite[0]),
         }
 
+    def render(self) -> np.ndarray | None:
+        """Return a picture, uint8 [480, 640, 3]; None unless `render_mode` is "rgb_array"."""
+        if self.render_mode is None:
+            return None
+        return self.env.render(self.state, camera=self._camera)
+
+    def outcome(self) -> tuple[float, bool, bool]:
+        """Return reward, terminated and truncated of the last step."""
+        state = self.state
+        return float(state.reward[0]), bool(state.terminated[0]), bool(state.truncated[0])
+
     def _action(self, role: str, actions: Mapping[str, Any]) -> np.ndarray:
         size = self.env.action_size[role]
         if role not in actions:
@@ -87,9 +103,3 @@ class Simulation:
                 "[-1, 1]"
             )
         return action[None]
-
-
-def check_render_mode(mode: str | None) -> None:
-    """Refuse what cannot be drawn without a window."""
-    if mode not in (None, "rgb_array"):
-        raise ValueError(f"render_mode is {mode!r}; allowed are None and 'rgb_array'")

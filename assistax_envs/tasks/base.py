@@ -1,6 +1,7 @@
 """What tasks share: named sensor readings, observations by role, and the protocol of a task."""
 
 import dataclasses
+import math
 from typing import Any, ClassVar, Protocol
 
 import jax
@@ -69,44 +70,39 @@ class Measures:
     violated: jax.Array | None = None  # [N] bool: some contact so far was above the hard limit
 
 
+# Fields of `Readings`: the sensors that they are read from, and a row's shape.
+_SENSORS: dict[str, tuple[list[str], tuple[int, ...]]] = {
+    "robot_position": ([f"{joint}_position" for joint in ROBOT_JOINTS], (7,)),
+    "robot_velocity": ([f"{joint}_velocity" for joint in ROBOT_JOINTS], (7,)),
+    "human_position": ([f"{joint}_position" for joint in HUMAN_JOINTS], (9,)),
+    "human_velocity": ([f"{joint}_velocity" for joint in HUMAN_JOINTS], (9,)),
+    "tool_position": (["robot_end_effector_position"], (3,)),
+    "tool_orientation": (["robot_end_effector_orientation"], (4,)),
+    "tool_velocity": (["robot_end_effector_velocity"], (3,)),
+    "tool_force": ([f"force-{geom}" for geom in TOUCHABLE], (3, 3)),
+    "arm_position": ([f"human_{segment}_position" for segment in ARM_SEGMENTS], (2, 3)),
+    "arm_orientation": ([f"human_{segment}_orientation" for segment in ARM_SEGMENTS], (2, 4)),
+}
+
+
 class Sensors:
     """Reads a model's sensor vector by the names that every task's scene defines."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        def columns(*names: str) -> np.ndarray:
-            sensors = [model.sensor(name) for name in names]
-            return np.concatenate([np.arange(s.adr[0], s.adr[0] + s.dim[0]) for s in sensors])
+        def columns(names: list[str], shape: tuple[int, ...]) -> np.ndarray:
+            # The first numbers of each: the gentle scenes' forces give the contact's frame as well.
+            numbers = np.arange(math.prod(shape) // len(names))
+            return np.concatenate([model.sensor(name).adr[0] + numbers for name in names])
 
-        self._robot_position = columns(*(f"{joint}_position" for joint in ROBOT_JOINTS))
-        self._robot_velocity = columns(*(f"{joint}_velocity" for joint in ROBOT_JOINTS))
-        self._human_position = columns(*(f"{joint}_position" for joint in HUMAN_JOINTS))
-        self._human_velocity = columns(*(f"{joint}_velocity" for joint in HUMAN_JOINTS))
-        self._tool_position = columns("robot_end_effector_position")
-        self._tool_orientation = columns("robot_end_effector_orientation")
-        self._tool_velocity = columns("robot_end_effector_velocity")
-        # The first three numbers: the gentle scenes' sensors give the contact's frame as well.
-        forces = [model.sensor(f"force-{geom}").adr[0] for geom in TOUCHABLE]
-        self._tool_force = np.concatenate([np.arange(first, first + 3) for first in forces])
-        self._arm_position = columns(*(f"human_{segment}_position" for segment in ARM_SEGMENTS))
-        self._arm_orientation = columns(
-            *(f"human_{segment}_orientation" for segment in ARM_SEGMENTS)
-        )
+        self._columns = {field: columns(*sensors) for field, sensors in _SENSORS.items()}
 
     def read(self, values: jax.Array) -> Readings:
         """Split `values` [N, nsensordata] into readings."""
-        n = values.shape[0]
-        return Readings(
-            robot_position=values[:, self._robot_position],
-            robot_velocity=values[:, self._robot_velocity],
-            human_position=values[:, self._human_position],
-            human_velocity=values[:, self._human_velocity],
-            tool_position=values[:, self._tool_position],
-            tool_orientation=values[:, self._tool_orientation],
-            tool_velocity=values[:, self._tool_velocity],
-            tool_force=values[:, self._tool_force].reshape(n, len(TOUCHABLE), 3).sum(axis=1),
-            arm_position=values[:, self._arm_position].reshape(n, len(ARM_SEGMENTS), 3),
-            arm_orientation=values[:, self._arm_orientation].reshape(n, len(ARM_SEGMENTS), 4),
-        )
+        fields = {
+            field: values[:, columns].reshape(values.shape[0], *_SENSORS[field][1])
+            for field, columns in self._columns.items()
+        }
+        return Readings(**fields | {"tool_force": fields["tool_force"].sum(axis=1)})
 
 
 class Task(Protocol):

@@ -5,15 +5,15 @@ import json as jsonlib
 from collections.abc import Callable, Generator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from assistax_zoo.commands.train import shown_training
 from assistax_zoo.commands.zoo import table_lines
 from assistax_zoo.console import answer
 from assistax_zoo.plan_status import Status
-
-if TYPE_CHECKING:
-    from population.plan import Block
+from assistax_zoo.plan_training import PlanTraining
+from population.plan import Block, read_plan
+from zoo.locations import registry_path
 
 
 def population(
@@ -55,10 +55,6 @@ def population(
     Example:
         assistax-zoo train population --plan zoo/plans/v1.json --out runs/v1 --dry-run
     """
-    from assistax_zoo.plan_training import PlanTraining
-    from population.plan import read_plan
-    from zoo.locations import registry_path
-
     content = read_plan(plan)
     work = PlanTraining(
         plan=content,
@@ -78,7 +74,7 @@ def population(
 
 
 @contextlib.contextmanager
-def _shown(json_lines: bool, block: "Block") -> Generator[Callable[[Any], None]]:
+def _shown(json_lines: bool, block: Block) -> Generator[Callable[[Any], None]]:
     """Show the training of a run; as JSON lines, begin with a line that names the run."""
     if json_lines:
         start = {"run": block.name, "group": block.group.name, "teams": len(block.members)}

@@ -1,17 +1,16 @@
 """The command that trains teams."""
 
 import contextlib
+import functools
 import json as jsonlib
-import math
 import os
 import sys
-import time
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from assistax_zoo.commands.options import Training
-from assistax_zoo.console import SECONDS_BETWEEN_LINES, print_json, stdout_is_data
+from assistax_zoo.console import TrainingLine, answer, stdout_is_data
 
 if TYPE_CHECKING:
     from population.train import Progress
@@ -76,82 +75,35 @@ def train(
 
 
 @contextlib.contextmanager
-def shown_training(name: str, json_lines: bool) -> "Generator[LiveLine | JsonLines]":
+def shown_training(name: str, json_lines: bool) -> Generator[Callable[["Progress"], None]]:
     """Show a training's reports on standard error, or as JSON lines on standard output.
 
     What libraries print meanwhile goes to standard error.
     """
     sys.stdout.flush()
-    with os.fdopen(os.dup(1), "w") as stdout, stdout_is_data():
-        shown = JsonLines(stdout) if json_lines else LiveLine(name, sys.stderr)
-        try:
-            yield shown
-        finally:
-            shown.close()
+    with (
+        os.fdopen(os.dup(1), "w") as stdout,
+        stdout_is_data(),
+        contextlib.closing(TrainingLine(name)) as line,
+    ):
+        yield functools.partial(_print_json_line, stdout) if json_lines else line
 
 
-class LiveLine:
-    """Shows a run on one line of a terminal, or on a line every ten seconds elsewhere."""
-
-    def __init__(self, name: str, stream: TextIO) -> None:
-        self._name, self._stream = name, stream
-        self._live, self._open, self._shown = stream.isatty(), False, -math.inf
-        self._return: str | None = None
-
-    def __call__(self, progress: "Progress") -> None:
-        mean = progress.rows["return"].mean()
-        if mean is not None:
-            self._return = f"return {mean:.1f}"
-        earned = (
-            self._return
-            or f"reward {progress.rows['reward'].mean():.2f} a step, no whole episode yet"
-        )
-        now, last = time.monotonic(), progress.update == progress.updates
-        if not (self._live or last or now - self._shown >= SECONDS_BETWEEN_LINES):
-            return
-        self._shown = now
-        line = (
-            f"{self._name}: {_count(progress.steps)} of {_count(progress.total_steps)} steps, "
-            f"{progress.steps_per_second:,.0f} steps/s, {earned}, "
-            f"{_duration(progress.seconds_left)} left"
-        )
-        print(
-            f"\r\x1b[2K{line}" if self._live else line,
-            end="" if self._live else "\n",
-            file=self._stream,
-            flush=True,
-        )
-        self._open = self._live
-
-    def close(self) -> None:
-        """End the line, so that what follows starts on its own."""
-        if self._open:
-            print(file=self._stream, flush=True)
-
-
-class JsonLines:
-    """Prints each report of a run as one line of JSON."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-
-    def __call__(self, progress: "Progress") -> None:
-        newest = progress.rows.filter(progress.rows["update"] == progress.update)
-        report = {
-            "update": progress.update,
-            "updates": progress.updates,
-            "steps": progress.steps,
-            "total_steps": progress.total_steps,
-            "steps_per_second": round(progress.steps_per_second, 1),
-            "seconds_left": round(progress.seconds_left, 1),
-            "return": newest["return"].mean(),
-            "nonfinite": int(newest["nonfinite"].sum()),
-            "members": newest.select("disability", "seed", "return", "reward").to_dicts(),
-        }
-        print(jsonlib.dumps(report), file=self._stream, flush=True)
-
-    def close(self) -> None:
-        """Nothing to end: every report is a whole line."""
+def _print_json_line(stream: TextIO, progress: "Progress") -> None:
+    """Print one report of a run."""
+    newest = progress.rows.filter(progress.rows["update"] == progress.update)
+    report = {
+        "update": progress.update,
+        "updates": progress.updates,
+        "steps": progress.steps,
+        "total_steps": progress.total_steps,
+        "steps_per_second": round(progress.steps_per_second, 1),
+        "seconds_left": round(progress.seconds_left, 1),
+        "return": newest["return"].mean(),
+        "nonfinite": int(newest["nonfinite"].sum()),
+        "members": newest.select("disability", "seed", "return", "reward").to_dicts(),
+    }
+    print(jsonlib.dumps(report), file=stream, flush=True)
 
 
 def _report(run: "TrainedRun", json: bool, json_lines: bool) -> None:
@@ -167,15 +119,13 @@ def _report(run: "TrainedRun", json: bool, json_lines: bool) -> None:
         }
         for member, figures in zip(run.config.members, run.self_play, strict=True)
     ]
-    if json_lines:
-        print(jsonlib.dumps({"run": str(run.folder), "teams": rows}), flush=True)
-    elif json:
-        print_json({"run": run.folder, "training": run.training, "teams": rows})
-    else:
-        for name, figures in zip(run.names, run.self_play, strict=True):
-            print(f"{name}  {_measured(figures)}")
-        publish = f"assistax-zoo publish {run.folder} --release v0 --registry my-zoo/registry.json"
-        print(f"{len(rows)} teams in {run.folder}; next: {publish}")
+    line = [jsonlib.dumps({"run": str(run.folder), "teams": rows})]
+    figures = zip(run.names, run.self_play, strict=True)
+    measured = [f"{name}  {_measured(one)}" for name, one in figures]
+    publish = f"assistax-zoo publish {run.folder} --release v0 --registry my-zoo/registry.json"
+    lines = [*measured, f"{len(rows)} teams in {run.folder}; next: {publish}"]
+    content = {"run": run.folder, "training": run.training, "teams": rows}
+    answer(json and not json_lines, content, *(line if json_lines else lines))
 
 
 def _measured(figures: Mapping[str, Any] | None) -> str:
@@ -183,22 +133,3 @@ def _measured(figures: Mapping[str, Any] | None) -> str:
         return "not evaluated"
     low, high = figures["mean_ci"]
     return f"self-play return {figures['mean']:.1f} ({low:.1f} to {high:.1f})"
-
-
-def _count(steps: int) -> str:
-    for size, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
-        if steps >= size:
-            return f"{steps / size:.2f}{unit}"
-    return str(steps)
-
-
-def _duration(seconds: float) -> str:
-    minutes, seconds = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return (
-        f"{hours} h {minutes} min"
-        if hours
-        else f"{minutes} min"
-        if minutes >= 2
-        else f"{60 * minutes + seconds} s"
-    )

@@ -301,10 +301,10 @@ def unwanted(task, backend):
 
 def interrupt_after(monkeypatch, updates):
     """Interrupt training as Ctrl-C does, after a number of updates."""
-    from assistax_zoo.commands.train import LiveLine
+    from assistax_zoo.console import TrainingLine
 
     def stop(self, progress):
         if progress.update >= updates:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(LiveLine, "__call__", stop)
+    monkeypatch.setattr(TrainingLine, "__call__", stop)

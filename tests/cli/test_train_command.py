@@ -3,7 +3,7 @@ import json
 import pytest
 
 from assistax_zoo.commands.options import parse_changes, parse_seeds, parse_steps
-from assistax_zoo.commands.train import LiveLine
+from assistax_zoo.console import TrainingLine
 from assistax_zoo.main import run
 
 TINY = [
@@ -84,13 +84,11 @@ def test_wrong_values_get_one_line(words, message, tmp_path, capsys):
 
 
 def test_a_live_line_says_how_far_the_run_is(capsys):
-    import sys
-
     import polars as pl
 
     from population.train import Progress
 
-    line = LiveLine("scratch ippo", sys.stderr)
+    line = TrainingLine("scratch ippo")
     line(
         Progress(
             3,
