@@ -91,10 +91,10 @@ def test_a_heavy_import_is_found() -> None:
 
 
 def test_annotations_are_checked_in_tests() -> None:
-    from zoo.ids import parse_policy
+    from zoo.ids import parse_team
 
     with pytest.raises(TypeCheckError):
-        parse_policy(3)
+        parse_team(3)
 
 
 def violations(root: Path) -> Iterator[str]:

@@ -14,7 +14,6 @@ from zoo.locations import (
     cache_root,
     cached_registry,
     cached_shard,
-    default_remote,
     shard_root,
     write_errors,
 )
@@ -64,7 +63,6 @@ def fetch(
     remote: Remote | None = None,
     *,
     on_total: OnTotal = lambda total: lambda count: None,
-    workers: int = WORKERS,
 ) -> Report:
     """Make sure that the entries' parameters are on this machine, verified.
 
@@ -73,7 +71,6 @@ def fetch(
         entries: Policies of the registry; those of an added zoo come from where it was added from.
         remote: Where to take missing shards from; None is enough when nothing is missing.
         on_total: Given the number of bytes to come at most; returns what is called as they arrive.
-        workers: Shards at once.
 
     Raises:
         RemoteError: Shards are missing and the remote does not have them, or there is no remote.
@@ -89,7 +86,7 @@ def fetch(
         source = open_remote(added_remote(namespace)) if namespace else remote
         shards = list(dict.fromkeys(split_namespace(entry.shard)[1] for entry in members))
         sources += [source.name] if source else []
-        found = _fetch_part(registry.part(namespace), shards, source, on_total, workers)
+        found = _fetch_part(registry.part(namespace), shards, source, on_total)
         counts = [before + now for before, now in zip(counts, found, strict=True)]
     return Report(
         registry=str(registry.path),
@@ -100,42 +97,6 @@ def fetch(
         present=counts[1],
         bytes=counts[2],
         seconds=round(time.perf_counter() - began, 3),
-    )
-
-
-def ensure_local(
-    registry: Registry,
-    entries: Iterable[PolicyEntry],
-    *,
-    fetch_missing: bool = False,
-    on_total: OnTotal = lambda total: lambda count: None,
-) -> Report | None:
-    """Make sure that parameters are here before they are loaded: None if nothing was missing.
-
-    Args:
-        registry: The registry.
-        entries: Policies of it.
-        fetch_missing: Whether to fetch what is missing from the default remote.
-        on_total: As for `fetch`.
-
-    Raises:
-        RemoteError: Parameters are missing, and are not to be fetched or cannot be.
-    """
-    entries = list(entries)
-    missing = {entry.shard for entry in entries if not registry.shard_path(entry.shard).is_file()}
-    if not missing:
-        return None
-    if fetch_missing:
-        name = default_remote()
-        remote = open_remote(name) if name else None
-        return fetch(registry, entries, remote, on_total=on_total)
-    count = sum(entry.shard in missing for entry in entries)
-    raise RemoteError(
-        f"parameters of {count} of {len(entries)} policies",
-        "all on this machine",
-        f"{len(missing)} shards missing ({listing(sorted(missing), 2)})",
-        "add --fetch, or run `assistax-zoo fetch` before",
-        "nothing was loaded",
     )
 
 
@@ -192,7 +153,6 @@ def _fetch_part(
     shards: Sequence[str],
     remote: Remote | None,
     on_total: OnTotal,
-    workers: int,
 ) -> tuple[int, int, int]:
     """Return how many shards of one zoo were asked for, how many were here, and the bytes."""
     missing = [shard for shard in shards if not _is_here(registry, shard)]
@@ -214,9 +174,8 @@ def _fetch_part(
 
     remove_stale(cache_root() / "shards", ".*.partial", PARTIAL_SECONDS)
     remote.revision  # noqa: B018  asked for once, before the threads
-    received = run_all(
-        [work(shard) for shard in missing], workers, sum(sizes.values()), remote.name
-    )
+    works = [work(shard) for shard in missing]
+    received = run_all(works, WORKERS, sum(sizes.values()), remote.name)
     return len(shards), len(shards) - len(missing), sum(received)
 
 

@@ -2,19 +2,19 @@
 
 import contextlib
 import dataclasses
+import functools
 import tempfile
 from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
 
 from population.files import atomic_write
-from zoo import remotes
 from zoo.errors import MissingFileError, MissingRepositoryError, PublishError, ZooError, shorten
 from zoo.hub import HubRemote, hub_errors
 from zoo.model_card import MARK, model_card
 from zoo.publish import publish
 from zoo.registry import MAX_REGISTRY_BYTES, Registry, load_registry
-from zoo.remotes import TransientError, open_remote, pause_before, read_file, with_retries
+from zoo.remotes import TransientError, open_remote, read_file, with_retries
 from zoo.runs import TrainedTeam
 
 MAX_CARD_BYTES = 1024 * 1024
@@ -148,32 +148,28 @@ def _commit(api: Any, remote: HubRemote, files: dict[str, bytes], release: str, 
     """Make the commit, return its id; a lost answer is looked up, so that none is made twice."""
     from huggingface_hub import CommitOperationAdd
 
-    for attempt in range(1, remotes.RETRY.attempts + 1):
+    def commit() -> str:
         try:
             with _hub(remote, "commit"):
-                info = api.create_commit(
+                return api.create_commit(
                     remote.repo,
                     [CommitOperationAdd(path, data) for path, data in files.items()],
                     commit_message=f"Release {release}: {added} policies",
                     parent_commit=remote.revision,
-                )
-                return info.oid
+                ).oid
         except (TransientError, _ConflictError) as error:
             head = HubRemote(remote.name, remote.repo, remote.ref)
             if _read_optional(head, "registry.json", MAX_REGISTRY_BYTES) == files["registry.json"]:
                 return head.revision
-            if isinstance(error, _ConflictError) or head.revision != remote.revision:
-                found = f"{head.revision}: somebody published meanwhile"
-                raise PublishError(
-                    remote.name, f"commit {remote.revision} as its newest", found, "publish again"
-                ) from None
-            if attempt == remotes.RETRY.attempts:
-                what = f"{error}, {attempt} times"
-                raise PublishError(
-                    remote.name, "a commit", what, "publish again; what was sent is not visible"
-                ) from None
-            pause_before(attempt, error, remotes.RETRY)
-    raise AssertionError("unreachable")
+            if isinstance(error, TransientError) and head.revision == remote.revision:
+                raise
+            expected = f"commit {remote.revision} as its newest"
+            found = f"{head.revision}: somebody published meanwhile"
+            raise PublishError(remote.name, expected, found, "publish again") from None
+
+    advice = "publish again; what was sent is not visible"
+    refuse = functools.partial(PublishError, remote.name, "a commit", next_step=advice)
+    return with_retries(commit, remote.name, refuse=refuse)
 
 
 def _tag(api: Any, remote: HubRemote, release: str, commit: str) -> str:

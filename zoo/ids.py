@@ -1,4 +1,4 @@
-"""Ids of teams, egos and policies: one grammar, with `parse` and `str` inverse to each other.
+"""Ids of teams, egos and policies: one grammar, with `parse_team` and `str` inverse to each other.
 
     team    task/algorithm-dN-sM-vR         scratch/ippo-d3-s5-v1
     ego     task/algorithm-ego-sM-vR        scratch/ppo-ego-s0-v1    a robot without a human
@@ -13,7 +13,6 @@ import dataclasses
 import fnmatch
 import re
 
-from population.spec import ROLES, Role
 from zoo.errors import IdError, shorten
 
 _NUMBER = r"(?:0|[1-9][0-9]{0,9})"
@@ -29,7 +28,6 @@ _TEAM = re.compile(
     rf"(?:(?P<namespace>{_NAME}):)?(?P<task>{_NAME})/(?P<algorithm>{_NAME})"
     rf"-(?P<disability>d[1-9][0-9]{{0,3}}|ego)-s(?P<seed>{_NUMBER})-(?P<release>v{_NUMBER})"
 )
-_POLICY = re.compile(rf"(?P<team>[^/]+/[^/]+)/(?P<role>{'|'.join(ROLES)})")
 _MAX_SEED = 10**10
 EGO = "ego"  # stands for the disability setting where no human was trained
 
@@ -78,26 +76,6 @@ class TeamId:
             release_number(self.release),
         )
 
-    def policy(self, role: Role) -> "PolicyId":
-        """Return the id of the team's policy in one role."""
-        return PolicyId(self, role)
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class PolicyId:
-    """One seat of a team; `str` gives the id."""
-
-    team: TeamId
-    role: Role
-
-    def __post_init__(self) -> None:
-        roles = ("robot",) if self.team.is_ego else ROLES
-        if self.role not in roles:
-            raise IdError("role of a policy id", " or ".join(roles), shorten(self.role))
-
-    def __str__(self) -> str:
-        return f"{self.team}/{self.role}"
-
 
 _EXAMPLES = {
     "task": "scratch",
@@ -122,15 +100,6 @@ def parse_team(text: str) -> TeamId:
         release=match["release"],
         namespace=match["namespace"] or "",
     )
-
-
-def parse_policy(text: str) -> PolicyId:
-    """Return the policy id that the text spells; `str` of it gives the text back."""
-    match = _POLICY.fullmatch(text) if isinstance(text, str) else None
-    if match is None or not _TEAM.fullmatch(match["team"]):
-        expected = "task/algorithm-dN-sM-vR/role, for example scratch/ippo-d3-s5-v1/human"
-        raise IdError("policy id", expected, shorten(text))
-    return PolicyId(parse_team(match["team"]), match["role"])  # ty: ignore[invalid-argument-type]
 
 
 def same_team(one: str, other: str) -> bool:

@@ -5,13 +5,14 @@ A remote has the layout of a checkout: `registry.json`, and the shards at the pa
 
 import contextlib
 import dataclasses
+import functools
 import re
 import threading
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any, NoReturn, Protocol, TypeVar
 
-from zoo.errors import MissingFileError, OfflineError, RemoteError, shorten
+from zoo.errors import MissingFileError, OfflineError, RemoteError, ZooError, shorten
 from zoo.parallel import run_all
 
 CHUNK = 1 << 20
@@ -41,12 +42,7 @@ class TransientError(Exception):
         self.wait = wait
 
 
-@dataclasses.dataclass(frozen=True)
-class Stream:
-    """A file's bytes from `start` on: from 0 where the remote does not know ranges."""
-
-    start: int
-    chunks: Iterator[bytes]
+Stream = tuple[int, Iterator[bytes]]  # a file's bytes from that offset on: 0 without ranges
 
 
 class Remote(Protocol):
@@ -95,34 +91,38 @@ def open_remote(text: str | Path) -> Remote:
     return FileRemote(text if "://" in text else str(Path(text).resolve()))
 
 
-def with_retries(work: Callable[[], T], what: str, *, retry: Retry | None = None) -> T:
+def with_retries(
+    work: Callable[[], T],
+    what: str,
+    *,
+    reached: Callable[[], int] = lambda: 0,
+    refuse: Callable[[str], ZooError] | None = None,
+    stop: threading.Event | None = None,
+) -> T:
     """Return what `work` returns, tried again with growing pauses while it raises `TransientError`.
+
+    Args:
+        work: May fail `RETRY.attempts` times in a row.
+        what: Names it in errors.
+        reached: How far it is; getting further ends the row.
+        refuse: Makes the last error of what was found.
+        stop: Ends a pause.
 
     Raises:
         RemoteError: It failed for the last time.
     """
-    retry = retry or RETRY
-    for attempt in range(1, retry.attempts + 1):
+    advice = "try again later; what is complete is kept"
+    refuse = refuse or functools.partial(RemoteError, what, "an answer", next_step=advice)
+    attempt, before = 0, reached()
+    while True:
         try:
             return work()
         except TransientError as error:
-            if attempt == retry.attempts:
-                raise RemoteError(
-                    what,
-                    "an answer",
-                    f"{error}, {attempt} times",
-                    "try again later; what is complete is kept",
-                ) from None
-            pause_before(attempt, error, retry)
-    raise AssertionError("unreachable")
-
-
-def pause_before(
-    attempt: int, error: TransientError, retry: Retry, stop: threading.Event | None = None
-) -> None:
-    """Wait before the next attempt: each time longer, or as the server asked; `stop` ends it."""
-    wait = retry.pause * 2 ** (attempt - 1) if error.wait is None else error.wait
-    (stop or threading.Event()).wait(min(wait, retry.longest))
+            attempt, before = 1 if reached() > before else attempt + 1, reached()
+            if attempt >= RETRY.attempts:
+                raise refuse(f"{error}, {attempt} times") from None
+            wait = RETRY.pause * 2 ** (attempt - 1) if error.wait is None else error.wait
+            (stop or threading.Event()).wait(min(wait, RETRY.longest))
 
 
 def read_file(remote: Remote, path: str, limit: int) -> bytes:
@@ -134,8 +134,8 @@ def read_file(remote: Remote, path: str, limit: int) -> bytes:
 
     def read() -> bytes:
         data = bytearray()
-        with remote.open(path) as stream:
-            for chunk in stream.chunks:
+        with remote.open(path) as (_, chunks):
+            for chunk in chunks:
                 data += chunk
                 if len(data) > limit:
                     advice = "check that this is a zoo"
@@ -164,7 +164,7 @@ class FileRemote:
                 system, root = fsspec.url_to_fs(self.name)
                 file = stack.enter_context(system.open(f"{root.rstrip('/')}/{path}", "rb"))
                 file.seek(start)
-            yield Stream(start, self._chunks(file, path))
+            yield start, self._chunks(file, path)
 
     def _chunks(self, file: Any, path: str) -> Iterator[bytes]:
         while True:
@@ -226,7 +226,7 @@ class HttpRemote:
         with network_errors(self):
             url, timeout = self.url(path), constants.HF_HUB_DOWNLOAD_TIMEOUT
             with get_session().stream("GET", url, headers=headers, timeout=timeout) as response:
-                yield Stream(self._check(response, path, start), response.iter_raw())
+                yield self._check(response, path, start), response.iter_raw()
 
     def _check(self, response: Any, path: str, start: int) -> int:
         """Return the offset at which the body starts, or raise for a status that is no success."""

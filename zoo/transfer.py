@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import BinaryIO, NoReturn
 
 from population.files import exclusive
-from zoo import remotes
 from zoo.errors import IntegrityError, RemoteError
 from zoo.locations import write_errors
-from zoo.remotes import CHUNK, Remote, TransientError, pause_before
+from zoo.remotes import CHUNK, Remote, TransientError, with_retries
 
 
 class Stopped(Exception):
@@ -96,29 +95,21 @@ class _Transfer:
             self._refuse(f"sha256 {self.item.sha256}", f"sha256 {self.digest.hexdigest()}")
 
     def _complete(self) -> None:
-        attempt, retry = 0, remotes.RETRY
-        while self.size < self.item.bytes:
-            before = self.size
-            try:
-                self._receive()
-                if self.size < self.item.bytes:
-                    raise TransientError(f"the end after {self.size} bytes")
-            except TransientError as error:
-                attempt = 1 if self.size > before else attempt + 1
-                if attempt >= retry.attempts:
-                    what = f"{self.item.path} of {self.remote.name}"
-                    kept = f"nothing was added; {self.size} bytes are kept to go on from"
-                    found = f"{error}, {attempt} times"
-                    raise RemoteError(
-                        what, f"{self.item.bytes} bytes", found, "fetch again later", kept
-                    ) from None
-                pause_before(attempt, error, retry, self.stop)
+        what, expected = f"{self.item.path} of {self.remote.name}", f"{self.item.bytes} bytes"
+
+        def refuse(found: str) -> RemoteError:
+            kept = f"nothing was added; {self.size} bytes are kept to go on from"
+            return RemoteError(what, expected, found, "fetch again later", kept)
+
+        with_retries(self._receive, what, reached=lambda: self.size, refuse=refuse, stop=self.stop)
 
     def _receive(self) -> None:
-        with self.remote.open(self.item.path, self.size) as stream:
-            if stream.start != self.size:
+        if self.size == self.item.bytes:
+            return
+        with self.remote.open(self.item.path, self.size) as (start, chunks):
+            if start != self.size:
                 self._restart()
-            for chunk in stream.chunks:
+            for chunk in chunks:
                 if self.stop.is_set():
                     raise Stopped
                 if self.size + len(chunk) > self.item.bytes:
@@ -126,6 +117,8 @@ class _Transfer:
                 self._write(chunk)
                 self._count(chunk)
                 self.received += len(chunk)
+        if self.size < self.item.bytes:
+            raise TransientError(f"the end after {self.size} bytes")
 
     def _write(self, chunk: bytes) -> None:
         left = memoryview(chunk)

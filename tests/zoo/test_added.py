@@ -11,11 +11,12 @@ from evaluation.studies import choose_partners
 from tests.zoo.hub_server import Hub
 from zoo.added import add, remove
 from zoo.errors import IdError, IntegrityError, RemoteError, SplitError, UnknownIdError
-from zoo.fetch import ensure_local, fetch
+from zoo.fetch import fetch
 from zoo.locations import default_remote, set_default_remote
 from zoo.lock import apply_lock, make_lock
 from zoo.publish import publish
 from zoo.registry import Registry, load_registry
+from zoo.remotes import open_remote
 from zoo.runs import TrainedTeam
 from zoo.storage import load_stacks
 from zoo.verify import verify
@@ -80,10 +81,10 @@ def test_their_policies_stand_beside_ours(
     assert both.root("lab:v0") == lab.root("v0") and both.root("v0") == registry.root("v0")
     assert [e.id for e in both.select("lab:*ego*")] == ["lab:scratch/ppo-ego-s0-v0/robot"]
     assert both.select("scratch/*") == registry.policies  # a glob of ours takes none of theirs
-    with pytest.raises(RemoteError, match=r"2 of 2 policies.*add --fetch"):
-        ensure_local(both, both.select("lab:scratch/ippo-*"))
+    with pytest.raises(IntegrityError, match=r"no file at .*next: `assistax-zoo fetch`"):
+        load_stacks(both, both.select("lab:scratch/ippo-*"))
     assert run(["fetch", "lab:*"]) == 0
-    assert ensure_local(both, both.select("lab:*")) is None
+    assert fetch(both, both.select("lab:*")).bytes == 0
     assert [stack.ids for stack in load_stacks(both, [theirs])] == [(theirs.id,)]
     assert run(["show", "lab:scratch/ppo-ego-s0-v0/robot"]) == 0
     assert "trained_against" in capsys.readouterr().out
@@ -149,14 +150,14 @@ def test_the_default_remote_is_set_once(
     [problem] = verify(installed).problems  # one line, not one for each shard
     assert "none of the 2 shards is here" in problem and "assistax-zoo fetch" in problem
     with pytest.raises(RemoteError, match="config remote"):
-        ensure_local(installed, installed.policies, fetch_missing=True)
+        fetch(installed, installed.policies)
     assert run(["config", "remote", str(registry.path.parent)]) == 0
     assert default_remote() == str(registry.path.parent)
     monkeypatch.setenv("ASSISTAX_ZOO_REMOTE", "hf://org/zoo")
     assert default_remote() == "hf://org/zoo"
     monkeypatch.delenv("ASSISTAX_ZOO_REMOTE")
-    done = ensure_local(installed, installed.policies, fetch_missing=True)
-    assert done is not None and done.bytes > 0 and verify(installed).ok
+    done = fetch(installed, installed.policies, open_remote(default_remote() or ""))
+    assert done.bytes > 0 and verify(installed).ok
     assert fetch(installed, installed.policies).present == 2
     set_default_remote(None)
     assert (

@@ -199,7 +199,7 @@ def test_shards_come_in_parallel(
         return now(self, path, start)
 
     monkeypatch.setattr(remotes.HttpRemote, "open", wait)
-    assert get("hf://org/zoo", workers=4)[1].shards == 4
+    assert get("hf://org/zoo")[1].shards == 4
 
 
 def test_progress_counts_every_byte_once(large: Registry, cache: Path, hub: Hub) -> None:

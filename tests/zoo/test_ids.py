@@ -1,12 +1,14 @@
+from contextlib import nullcontext
 from typing import Any
 
 import pytest
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
-from population.spec import ROLES
 from zoo.errors import IdError, ZooError, nearest
-from zoo.ids import PolicyId, TeamId, check_name, compile_pattern, parse_policy, parse_team
+from zoo.ids import TeamId, check_name, compile_pattern, parse_team
+from zoo.schema import Ego
 
 NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,31}", fullmatch=True)
 TEAMS = st.builds(
@@ -18,9 +20,6 @@ TEAMS = st.builds(
     seed=st.integers(0, 10**10 - 1),
     release=st.integers(0, 10**10 - 1).map(lambda n: f"v{n}"),
 )
-POLICIES = TEAMS.flatmap(
-    lambda team: st.sampled_from(("robot",) if team.is_ego else ROLES).map(team.policy)
-)
 
 
 @seed(0)
@@ -29,14 +28,6 @@ POLICIES = TEAMS.flatmap(
 def test_parse_and_format_are_inverse(one: TeamId, other: TeamId) -> None:
     assert parse_team(str(one)) == one
     assert (str(one) == str(other)) == (one == other)
-
-
-@seed(1)
-@settings(deadline=None)
-@given(POLICIES)
-def test_policy_ids_are_inverse_too(policy: PolicyId) -> None:
-    assert parse_policy(str(policy)) == policy
-    assert parse_policy(str(policy)).team == parse_team(str(policy).rpartition("/")[0])
 
 
 @seed(2)
@@ -48,11 +39,10 @@ def test_policy_ids_are_inverse_too(policy: PolicyId) -> None:
     )
 )
 def test_any_text_is_an_id_that_formats_back_or_an_error(text: str) -> None:
-    for parse in (parse_team, parse_policy):
-        try:
-            assert str(parse(text)) == text
-        except IdError as error:
-            assert "\n" not in str(error)
+    try:
+        assert str(parse_team(text)) == text
+    except IdError as error:
+        assert "\n" not in str(error)
 
 
 def test_a_parser_that_takes_leading_zeros_would_be_caught() -> None:
@@ -103,11 +93,14 @@ def test_a_team_id_that_would_not_parse_cannot_be_built(field: dict) -> None:
 
 
 def test_egos_are_robots_alone() -> None:
-    ego = parse_policy("lab:scratch/ppo-ego-s0-v1/robot")
-    assert ego.team.is_ego and (ego.team.namespace, ego.team.seed) == ("lab", 0)
+    ego = parse_team("lab:scratch/ppo-ego-s0-v1")
+    assert ego.is_ego and (ego.namespace, ego.seed) == ("lab", 0)
     assert not parse_team("scratch/ppo-d1-s0-v1").is_ego
-    with pytest.raises(IdError, match="expected robot"):
-        parse_policy("scratch/ppo-ego-s0-v1/human")
+    row = {"shard": "zoo/shards/v1/a.safetensors", "row": 0, "sha256": "0" * 64}
+    against = {"split": "scratch/half-s0-v1-0", "sha256": "0" * 64}
+    for role, allowed in (("robot", True), ("human", False)):
+        with nullcontext() if allowed else pytest.raises(ValidationError, match="robot"):
+            Ego.model_validate({"run": "r", "trained_against": against, "policies": {role: row}})
 
 
 def test_order_counts_numbers() -> None:
