@@ -14,6 +14,9 @@ from evaluation.studies import Settings, choose_partners, evaluate_policies
 from evaluation.studies import cross_play as play_population
 from evaluation.summary import CrossPlaySummary
 from population.ray_blocks import RayCluster
+from zoo.fetch import check_local
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry
 
 Shown = bool | Callable[[Progress], None]
 
@@ -68,7 +71,7 @@ def evaluate(
         crossplay: A finished cross-play, whose best robots may be the partners' best responses.
         reuse: Take what `out` holds of a robot from code though nothing declares what it depends
             on; else it is played again.
-        fetch: Bring partners that are missing here from the zoo's remote.
+        fetch: Bring policies that are missing here from the zoo's remote.
         zoo: Where partners and ids come from, as in `open_zoo`.
         lock: Lock file of a paper; other bytes and splits than those it pins are refused.
         out: Folder for the tables, in which a run that was stopped goes on; default a temporary
@@ -93,9 +96,12 @@ def evaluate(
     robots = list(robot) if isinstance(robot, list) else [robot]
     settings = Settings(task, episodes, seed, backend, stochastic, max_envs, preferences)
     opened = _locked(open_zoo(zoo), lock, task, split)
+    _, chosen = choose_partners(opened.registry, task, split, partners or None)
+    needed = _needed(opened.registry, robots, chosen, references)
     if fetch:
-        _, chosen = choose_partners(opened.registry, task, split, partners or None)
-        opened.fetch([entry.id for entry in chosen])
+        opened.fetch([entry.id for entry in needed])
+    else:
+        check_local(opened.registry, needed)
     folder, keep = _folder(out)
     with _shown(progress, f"evaluate {task}") as on_progress:
         summary = evaluate_policies(
@@ -217,6 +223,16 @@ def play_block(
             block=block,
             on_progress=on_progress,
         )
+
+
+def _needed(
+    registry: Registry, robots: Sequence[Any], partners: Sequence[PolicyEntry], references: bool
+) -> list[PolicyEntry]:
+    """Return the policies that an evaluation loads: partners, robots of the zoo, references."""
+    wanted = {entry.id for entry in partners}
+    wanted |= {str(robot).removeprefix("zoo:") for robot in robots if isinstance(robot, str | Path)}
+    wanted |= {f"{entry.team}/robot" for entry in partners} if references else set()
+    return [entry for entry in registry.policies if entry.id in wanted]
 
 
 def _locked(zoo: Zoo, lock: Path | str | None, task: str, split: str | None) -> Zoo:

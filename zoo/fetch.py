@@ -100,6 +100,24 @@ def fetch(
     )
 
 
+def check_local(registry: Registry, entries: Iterable[PolicyEntry]) -> None:
+    """Check that parameters are here before anything is loaded.
+
+    Raises:
+        RemoteError: Some are missing.
+    """
+    shards = [entry.shard for entry in entries]
+    missing = {shard for shard in shards if not registry.shard_path(shard).is_file()}
+    if missing:
+        raise RemoteError(
+            f"parameters of {sum(shard in missing for shard in shards)} of {len(shards)} policies",
+            "all on this machine",
+            f"{len(missing)} shards missing ({listing(sorted(missing), 2)})",
+            "add --fetch, or run `assistax-zoo fetch` before",
+            "nothing was loaded",
+        )
+
+
 def remote_registry(remote: Remote) -> Registry:
     """Return a remote's registry, kept in the cache; in offline mode, the one that was kept.
 

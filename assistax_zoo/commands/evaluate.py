@@ -33,7 +33,7 @@ def evaluate(
             python:package.module:FACTORY; repeat it for more seeds.
         against: With whom, and what it is compared with.
         playing: How they play.
-        fetch: Bring partners that are missing here from the remote.
+        fetch: Bring partners and robots of the zoo that are missing here from the remote.
         reuse: Take what --out holds of a robot from Python code though its module does not declare
             what it depends on; else it is played again.
         out: Folder for the tables.

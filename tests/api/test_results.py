@@ -13,6 +13,7 @@ from evaluation.robot_forms import as_robot
 from population.onnx_export import to_onnx
 from tests import untrained
 from tests.untrained import HUMAN, ROBOT, params_of, untrained_team
+from zoo.errors import RemoteError
 from zoo.storage import write_policy_file
 
 STEPS = 20
@@ -103,6 +104,23 @@ def test_a_saved_result_is_loaded_and_compared(
     other = evaluate(lambda obs: np.ones((len(obs), 7)), zoo, episodes=1)
     with pytest.raises(ValueError, match="different"):
         az.compare(other, saved)
+
+
+def test_what_is_missing_is_named_or_fetched(
+    zoo: az.Zoo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A wheel has no shards; those of the robot and of the references are fetched too."""
+    bare, robot = tmp_path / "bare" / "registry.json", "scratch/ippo-d1-s0-v0/robot"
+    bare.parent.mkdir()
+    bare.write_bytes(zoo.registry.path.read_bytes())
+    monkeypatch.setenv("ASSISTAX_ZOO_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("ASSISTAX_ZOO_REMOTE", str(zoo.registry.path.parent))
+    with pytest.raises(RemoteError, match=r"5 of 5 policies.* 2 shards missing.*add --fetch"):
+        evaluate(robot, az.open_zoo(bare))
+    with pytest.raises(RemoteError, match=r"8 of 8 policies.* 2 shards missing"):
+        evaluate(lambda obs: obs[:, :7], az.open_zoo(bare), references=True)
+    found = evaluate(robot, az.open_zoo(bare), fetch=True)
+    assert told(found.m_test).mean == told(evaluate(robot, zoo).m_test).mean
 
 
 def test_a_temporary_folder_lives_as_long_as_the_result(zoo: az.Zoo) -> None:
