@@ -22,10 +22,9 @@ if TYPE_CHECKING:
         load_result,
     )
     from assistax_zoo.studies import cross_play, evaluate
-    from assistax_zoo.training import train_ego
+    from assistax_zoo.training import train, train_ego
     from assistax_zoo.zoos import Zoo, fetch, open_zoo
     from evaluation.partners import Partner
-    from population.team_training import train_teams as train
 
 __all__ = [
     "Comparison",
@@ -56,20 +55,18 @@ _HOMES = {
         "load_result",
     ),
     "assistax_zoo.films": ("render",),
-    "assistax_zoo.training": ("train_ego",),
-    "population.team_training": ("train_teams",),
+    "assistax_zoo.training": ("train", "train_ego"),
 }
 
 
 def __getattr__(name: str) -> Any:
     """Load a name's module when the name is first used."""
-    wanted = {"train": "train_teams"}.get(name, name)
     for home, names in _HOMES.items():
-        if wanted in names and name in __all__:
+        if name in names:
             from assistax_zoo.shadows import refuse_shadows
 
             refuse_shadows()
-            return getattr(importlib.import_module(home), wanted)
+            return getattr(importlib.import_module(home), name)
     offered = ", ".join(__all__)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it offers {offered}")
 

@@ -48,6 +48,11 @@ def render(
         ValueError: A policy does not fit its seat, or a film of this kind cannot be written here.
         ZooError: A policy is not there, or not what it says.
         RenderError: This machine has no OpenGL.
+
+    Example:
+        >>> size = {"width": 64, "height": 48}
+        >>> render("zero", "random", "film.png", task="scratch", steps=2, **size).name
+        'film.png'
     """
     from assistax_envs import make
     from assistax_envs.interrupts import interruptible

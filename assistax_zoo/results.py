@@ -107,7 +107,14 @@ class _Result:
 
 
 class EvaluationResult(_Result):
-    """M_test of a robot, or of the seeds of one method."""
+    """M_test of a robot, or of the seeds of one method; returns are sums over 1000 steps of 20 ms.
+
+    Example:
+        >>> result  # of `evaluate`
+        EvaluationResult(scratch: M_test ..., d1 ...)
+        >>> result.episodes.height
+        2
+    """
 
     summary: EvaluationSummary
 
@@ -185,7 +192,14 @@ class EvaluationResult(_Result):
 
 
 class CrossPlayResult(_Result):
-    """Every robot of a population with every human."""
+    """Every robot of a population with every human; returns are sums over 1000 steps of 20 ms.
+
+    Example:
+        >>> matrix  # of `cross_play`
+        CrossPlayResult(scratch: self-play ...)
+        >>> matrix.pairs.height
+        1
+    """
 
     summary: CrossPlaySummary
 
@@ -235,7 +249,12 @@ class CrossPlayResult(_Result):
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Comparison(ComparisonSummary):
-    """Method a minus method b: paired differences over the same partners and episodes."""
+    """Method a minus method b: paired differences over the same partners and episodes.
+
+    Example:
+        >>> compare(result, result)
+        Comparison(scratch: test partners 0.0, train partners 0.0)
+    """
 
     task: str
 
@@ -255,6 +274,10 @@ def load_result(folder: Path | str) -> EvaluationResult | CrossPlayResult:
     Raises:
         FileNotFoundError: There is none, or it is not finished.
         ValueError: A file of it is damaged, or it is neither an evaluation nor a cross-play.
+
+    Example:
+        >>> load_result(result.folder).m_test == result.m_test
+        True
     """
     folder = Path(folder)
     summary = read_summary(folder)
@@ -275,6 +298,10 @@ def compare(
 
     Raises:
         ValueError: They were not evaluated alike.
+
+    Example:
+        >>> compare(result, result.folder).test.mean
+        0.0
     """
     first, second = (_evaluation(one) for one in (a, b))
     for name in ("task", "env_version", "backend", "engine"):

@@ -164,6 +164,11 @@ def cross_play(
     Raises:
         ValueError: Something asked for does not exist or does not fit the task.
         ZooError: The zoo does not have, or not unchanged, what was asked for.
+
+    Example:
+        >>> team = "scratch/ippo-d1-s0-v1"
+        >>> cross_play(team, team, task="scratch", episodes=1, progress=False).pairs.height
+        1
     """
     settings = Settings(task, episodes, seed, backend, stochastic, max_envs, preferences)
     registry = _locked(open_zoo(zoo), lock, task, None).registry

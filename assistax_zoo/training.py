@@ -1,14 +1,83 @@
-"""Training of robots against the zoo's partners."""
+"""Training of teams, and of robots against the zoo's partners."""
 
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from assistax_zoo.console import TrainingLine
 from assistax_zoo.zoos import Zoo, open_zoo
 
 if TYPE_CHECKING:
     from evaluation.ego_training import TrainedEgos
     from population.train import Progress
+    from population.trained_run import TrainedRun
+
+
+def train(
+    task: str,
+    algorithm: str = "ippo",
+    *,
+    folder: Path | str | None = None,
+    disabilities: Sequence[str] = ("d1",),
+    seeds: int | Sequence[int] = 1,
+    steps: int = 10_000_000,
+    hyperparameters: Mapping[str, Any] | None = None,
+    backend: str = "auto",
+    self_play_episodes: int = 16,
+    resume: bool = True,
+    progress: "bool | Callable[[Progress], None]" = True,
+    **options: Any,
+) -> "TrainedRun":
+    """Train teams of a robot and a human, every seed with every disability setting, in one program.
+
+    Args:
+        task: Task, such as "scratch".
+        algorithm: Preset of hyperparameters: "ippo", "mappo", "isac" or "masac".
+        folder: Folder of the run; one that was interrupted goes on. Default a new temporary one.
+        disabilities: Settings of the human, such as ("d1", "d3").
+        seeds: How many, numbered from 0, or which.
+        steps: Environment steps of 20 ms of each team, rounded up to whole updates.
+        hyperparameters: Changes of the preset, such as {"learning_rate": 3e-4, "torso": "gru"}.
+        backend: Physics, or "auto" for the fastest one here.
+        self_play_episodes: Episodes of each team's final evaluation; 0 leaves it out.
+        resume: Go on with a run that the folder holds.
+        progress: Show it, or a function that is called after every dispatch to the device.
+        **options: `checkpoint_every`, `updates_per_call` and `tensorboard`, as
+            `population.team_training.train_teams` takes them.
+
+    Returns:
+        The run: its `folder`, which `assistax-zoo publish` takes, and `self_play`, the figures of
+        each team, in the order of `names`.
+
+    Raises:
+        ValueError: An argument is not allowed, or the folder holds another run.
+        population.train.DivergedError: A loss became NaN or infinite.
+
+    Example:
+        >>> tiny = {"num_envs": 4, "rollout_steps": 8, "minibatches": 2, "hidden": (8, 8)}
+        >>> run = train("scratch", steps=64, hyperparameters=tiny, backend="native",
+        ...             self_play_episodes=0, progress=False)
+        >>> run.names
+        ('scratch/ippo-d1-s0',)
+    """
+    from population.team_training import train_teams
+
+    with _shown(progress, f"{task} {algorithm}") as report:
+        return train_teams(
+            task,
+            algorithm,
+            folder=folder,
+            disabilities=disabilities,
+            seeds=seeds,
+            steps=steps,
+            hyperparameters=hyperparameters,
+            backend=backend,
+            self_play_episodes=self_play_episodes,
+            resume=resume,
+            progress=report,
+            **options,
+        )
 
 
 def train_ego(
@@ -23,7 +92,7 @@ def train_ego(
     backend: str = "auto",
     resume: bool = True,
     zoo: "str | Path | Zoo | None" = None,
-    progress: "Callable[[Progress], None] | None" = None,
+    progress: "bool | Callable[[Progress], None]" = True,
 ) -> "TrainedEgos":
     """Train robots with the partners of a split's training half, which stay as they are.
 
@@ -38,7 +107,7 @@ def train_ego(
         backend: Physics, or "auto" for the fastest one here.
         resume: Go on with a run that the folder holds.
         zoo: Where the partners come from, as in `open_zoo`.
-        progress: Called after every dispatch to the device.
+        progress: Show it, or a function that is called after every dispatch to the device.
 
     Returns:
         The run; its `files`, a policy for each seed, are what `evaluate` takes.
@@ -46,6 +115,13 @@ def train_ego(
     Raises:
         ValueError: An argument is not allowed, or the folder holds another run.
         ZooError: There is no such split, or its partners cannot be read.
+
+    Example:
+        >>> tiny = {"rollout_steps": 2, "minibatches": 1, "hidden": (8, 8)}
+        >>> run = train_ego("scratch", steps=1, hyperparameters=tiny, backend="native",
+        ...                 progress=False)
+        >>> [path.name for path in run.files]
+        ['ppo-s0.safetensors']
     """
     from evaluation.ego_training import prepare, train_egos
 
@@ -59,4 +135,16 @@ def train_ego(
         steps=steps,
         hyperparameters=hyperparameters,
     )
-    return train_egos(training, folder, backend=backend, resume=resume, progress=progress)
+    with _shown(progress, f"{task} {algorithm}") as report:
+        return train_egos(training, folder, backend=backend, resume=resume, progress=report)
+
+
+@contextlib.contextmanager
+def _shown(
+    progress: "bool | Callable[[Progress], None] | None", name: str
+) -> "Generator[Callable[[Progress], None] | None]":
+    if progress is not True:
+        yield progress or None
+        return
+    with contextlib.closing(TrainingLine(name)) as line:
+        yield line

@@ -18,7 +18,12 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Zoo:
-    """A registry of policies, and where to take those from that are not here yet."""
+    """A registry of policies, and where to take those from that are not here yet.
+
+    Example:
+        >>> open_zoo().list("scratch/ippo-d1-s0-v1")
+        ['scratch/ippo-d1-s0-v1/robot', 'scratch/ippo-d1-s0-v1/human']
+    """
 
     registry: Registry
     remote: Remote | None = None
@@ -154,5 +159,9 @@ def fetch(
 
     Raises:
         ZooError: See `Zoo.fetch`.
+
+    Example:
+        >>> fetch("scratch/ippo-d1-s0-v1").policies
+        2
     """
     return open_zoo(source).fetch(pattern, **fields)

@@ -41,6 +41,12 @@ class Partner:
         spec: Its network: role, sizes, layers.
         setting: A human's disability setting, as values; None where its file names none.
         card: What the registry says of it: training, self-play, hash; None of a file.
+
+    Example:
+        >>> from assistax_zoo import open_zoo
+        >>> partner = open_zoo().partner("scratch/ippo-d1-s0-v1")
+        >>> partner.act(np.zeros((2, partner.spec.observation_size), np.float32)).shape
+        (2, 3)
     """
 
     def __init__(

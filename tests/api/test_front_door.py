@@ -1,11 +1,13 @@
 """`import assistax_zoo`: light, complete, and refusing what would stand in its place."""
 
+import doctest
 import importlib
 import inspect
 import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -83,10 +85,32 @@ def test_the_command_refuses_such_a_module_in_one_line(tmp_path: Path) -> None:
     assert done.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("module", ["assistax_zoo.zoos", "assistax_zoo.studies"])
-def test_examples_run(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    import doctest
-
+@pytest.mark.parametrize(
+    "module",
+    [
+        "assistax_zoo.zoos",
+        "assistax_zoo.studies",
+        "assistax_zoo.results",
+        "evaluation.partners",
+        "assistax_zoo.films",
+        pytest.param("assistax_zoo.training", marks=pytest.mark.slow),
+    ],
+)
+def test_examples_run(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 20)
-    done = doctest.testmod(importlib.import_module(module))
+    monkeypatch.chdir(tmp_path)
+    given: dict[str, Any] = {}
+    if module == "assistax_zoo.results":
+        options: dict[str, Any] = {"task": "scratch", "episodes": 1, "progress": False}
+        near = {"split": "both", "partners": "scratch/ippo-d1-s[01]-v1", "references": False}
+        given["result"] = az.evaluate(lambda obs: obs[:, :7] * 0.0, **options, **near)
+        team = "scratch/ippo-d1-s0-v1"
+        given["matrix"] = az.cross_play(team, team, **options)
+    found = importlib.import_module(module)
+    done = doctest.testmod(found, extraglobs=given, optionflags=doctest.ELLIPSIS)
     assert done.attempted and not done.failed
+
+
+def test_every_name_has_an_example() -> None:
+    for name in az.__all__:
+        assert ">>> " in (inspect.getdoc(getattr(az, name)) or ""), name
