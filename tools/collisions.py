@@ -20,7 +20,7 @@ from assistax_envs.models import build_model
 from assistax_envs.render import check_size
 from assistax_envs.tasks import TASK_CLASSES
 from assistax_envs.tasks.base import TOUCHABLE
-from assistax_envs.versions import TASKS
+from assistax_envs.versions import PAPER_TASKS
 from population.files import atomic_path
 
 COLOURS = {  # shares of red, green, blue
@@ -35,7 +35,7 @@ INK, PAPER = (25, 30, 38), (255, 255, 255)
 
 
 def main(*, out: Path, width: int = 480, height: int = 360) -> None:
-    """Draw every task's scene beside the shapes that can touch.
+    """Draw the scene of each of the paper's tasks beside the shapes that can touch.
 
     Args:
         out: Picture to write, .png.
@@ -44,7 +44,7 @@ def main(*, out: Path, width: int = 480, height: int = 360) -> None:
     """
     if out.suffix.lower() != ".png":
         sys.exit(f"error: {out.name} ends in {out.suffix or 'nothing'!r}; collisions are a .png")
-    pixels = picture(TASKS, width, height)
+    pixels = picture(PAPER_TASKS, width, height)
     with atomic_path(out) as temporary:
         Image.fromarray(pixels).quantize(256).save(temporary, format="png", optimize=True)
 

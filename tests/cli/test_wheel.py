@@ -21,7 +21,7 @@ SCRIPT = f"""
 import numpy as np
 import assistax_zoo as az
 
-assert az.open_zoo().partner({TEAM!r}).act(np.zeros((2, 30), np.float32)).shape == (2, 3)
+assert az.open_zoo().partner({TEAM!r}).act(np.zeros((2, 38), np.float32)).shape == (2, 3)
 options = dict(task="scratch", episodes=1, backend="native", progress=False)
 result = az.evaluate(lambda obs: np.zeros((len(obs), 7)), split="both", partners={PARTNERS!r},
                      references=False, **options)

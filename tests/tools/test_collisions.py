@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from assistax_envs import TASKS
 from assistax_envs.models import build_model
+from assistax_envs.versions import PAPER_TASKS as TASKS
 from tools.collisions import COLOURS, collision_model, main, pair_geoms, picture, touches
 
 
@@ -84,7 +84,7 @@ def test_the_picture_puts_the_scene_beside_its_collisions() -> None:
     assert np.unique(rows[240:].reshape(-1, 3), axis=0).shape[0] > 20  # words, in several colours
 
 
-def test_all_tasks_stand_in_one_small_png(tmp_path: Path) -> None:
+def test_the_paper_s_tasks_stand_in_one_small_png(tmp_path: Path) -> None:
     out = tmp_path / "collisions.png"
     main(out=out, width=160, height=120)
     with Image.open(out) as image:
