@@ -167,15 +167,17 @@ def costs(readings: TouchReadings, soft: float = SOFT) -> dict[str, jax.Array]:
 
 
 def with_preference(
-    obs: dict[str, jax.Array], likes: Liking, robot_is_told: bool
+    obs: dict[str, jax.Array], likes: Liking, told: tuple[str, ...]
 ) -> dict[str, jax.Array]:
-    """Add the preference to what human and central critics observe.
+    """Add the preference to what central critics and the roles that are `told` observe.
 
-    And, for measurements, to what a told robot does.
+    A human that is not told, for measurements, sees zeros in its place.
     """
-    told = {"human", "global"} | ({"robot"} if robot_is_told else set())
+    seen = likes.observed()
+    added = {"global": seen, "human": seen if "human" in told else jnp.zeros_like(seen)}
+    added |= {"robot": seen} if "robot" in told else {}
     return {
-        name: jnp.concatenate([value, likes.observed()], axis=-1) if name in told else value
+        name: jnp.concatenate([value, added[name]], axis=-1) if name in added else value
         for name, value in obs.items()
     }
 

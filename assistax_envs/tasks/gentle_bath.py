@@ -1,7 +1,6 @@
-"""Gentle bath: wipe points of the arm in any order, sliding as the human likes it.
+"""Gentle bath: wipe the underside of the arm in any order, sliding as the human likes it.
 
-Of the 52 points 19 can be reached while the arm rests, 42 in some pose: the human has to turn and
-lift it.
+The arm lies on the bed, and what faces up is clean. The human has to turn and lift it.
 """
 
 import dataclasses
@@ -13,7 +12,7 @@ import mujoco
 import numpy as np
 
 from assistax_envs.tasks.base import Measures, Pose, observations, rotate
-from assistax_envs.tasks.bed_bath import POINTS, START, arm_points
+from assistax_envs.tasks.bed_bath import START, arm_points
 from assistax_envs.tasks.gentle_base import (
     COSTS,
     HARD,
@@ -34,7 +33,10 @@ from assistax_envs.tasks.gentle_base import (
 NEAR = 0.04
 SLIDE = 0.02  # m/s over the skin, below which nothing is wiped
 PRESS = 0.5  # N, likewise
-ENOUGH = 30  # points wiped that are success
+# Degrees about each segment's axis, from its frame's x to its y, where the pad comes little while
+# the arm rests: of robots trained with a passive human to wipe all 52 points, docs/tasks.md.
+UNDERSIDE = ((90.0, 280.0), (165.0, 385.0))
+ENOUGH = 20  # points wiped, of 30, that are success
 # m above the skin, where the way to a point is measured to: points that face the pad come first
 FACING = 0.03
 SMOOTH = 0.25  # share of a step's speed in the smoothed one
@@ -46,7 +48,7 @@ WIPED = 9.0  # m, a distance beyond all others
 class WipeState:
     """Which points are left, and how the pad moved."""
 
-    left: jax.Array  # [52] 1 where a point is to be wiped, else 0
+    left: jax.Array  # [K] 1 where a point is to be wiped, else 0
     last: jax.Array  # [2, 3] tool a step ago in each segment's frame, m; NaN before the first step
     drift: jax.Array  # [2, 3] m/s, its smoothed velocity there
     nearest: jax.Array  # m, to the nearest point a step ago
@@ -67,16 +69,20 @@ class GentleBath:
         self,
         model: mujoco.MjModel,
         weights: dict[str, float] | None = None,
-        robot_is_told: bool = False,
+        told: tuple[str, ...] = ("human",),
         whatever: float = 0.2,
     ) -> None:
         """Prepare; `whatever` is the share of a point's pay that no liking changes."""
         terms = {"progress": 10.0, "wipe": 10.0, "time": 0.1}
-        self.weights = terms | COSTS | {"violation": 10.0} | (weights or {})
+        self.weights = terms | COSTS | {"violation": 20.0} | (weights or {})
         self.pose = Pose(model, START)
         self.sensors = TouchSensors(model, self.pose)
-        self._told, self._whatever = robot_is_told, whatever
-        self._segment, self._offset = arm_points(model)
+        self._told, self._whatever = told, whatever
+        segment, offset = arm_points(model)
+        low, high = np.array(UNDERSIDE)[segment].T
+        angle = np.degrees(np.arctan2(offset[:, 1], offset[:, 0])) - low
+        under = angle % 360.0 < high - low
+        self._segment, self._offset = segment[under], offset[under]
         radial = self._offset * np.array([1.0, 1.0, 0.0], np.float32)
         self._over = self._offset + FACING * radial / np.linalg.norm(radial, axis=1, keepdims=True)
 
@@ -85,7 +91,7 @@ class GentleBath:
         pose_key, likes_key = jax.random.split(key)
         nan = jnp.full((), jnp.nan, jnp.float32)
         state = WipeState(
-            left=jnp.ones(POINTS, jnp.float32),
+            left=jnp.ones(len(self._segment), jnp.float32),
             last=jnp.full((2, 3), nan),
             drift=jnp.zeros((2, 3), jnp.float32),
             nearest=nan,
@@ -121,7 +127,7 @@ class GentleBath:
         hit = (gap < NEAR) & (s.left > 0) & gentle[:, None]
         liked = bump(r.on_arm, s.likes.force) * bump(speed, s.likes.speed)
         left = s.left * (1.0 - hit)
-        done = left.sum(axis=1) <= POINTS - ENOUGH
+        done = left.sum(axis=1) <= len(self._segment) - ENOUGH
         near = jnp.where(s.left > 0, way, WIPED).min(axis=1)
         terms = {
             "progress": jnp.where(first | (near >= WIPED), 0.0, s.nearest - near),
@@ -160,7 +166,7 @@ class GentleBath:
         return tool, drift, along_skin(drift, tool)[jnp.arange(n), nearest]
 
     def _points(self, r: TouchReadings, offset: np.ndarray) -> jax.Array:
-        """Return where points of the segments' frames [52, 3] are, [N, 52, 3] in the world."""
+        """Return where points of the segments' frames [K, 3] are, [N, K, 3] in the world."""
         turn = r.arm_orientation[:, self._segment]
         return r.arm_position[:, self._segment] + rotate(
             turn, jnp.broadcast_to(offset, (*turn.shape[:2], 3))

@@ -15,12 +15,14 @@ from assistax_envs.tasks.arm_assist import LOWER_ARM, START
 from assistax_envs.tasks.base import Measures, Pose, observations, to_target
 from assistax_envs.tasks.gentle_base import (
     COSTS,
+    FELT,
     HARD,
     LIGHTEST,
     STEP,
     Liking,
     TouchReadings,
     TouchSensors,
+    bump,
     costs,
     liking,
     with_preference,
@@ -37,6 +39,9 @@ FAR = 0.25  # m from the waist: nearer, the hook's way to the arm is no longer p
 HOLD = 100  # steps of rest that are success: 2 s
 SWING = 0.4  # m/s of the forearm that costs nothing yet
 SOFT = 40.0  # N, the sum over the hook: a forearm and hand weigh 15 N
+WIDE = 0.08  # m, how the pay for being there falls off
+CARRY_FORCE, CARRY_SPEED = 5.0, 4.0  # of a carry: so many times the force and the speed of a touch
+WHATEVER = 0.2  # share of the pay for resting there that no liking of the carry changes
 
 
 @jax.tree_util.register_dataclass
@@ -48,6 +53,8 @@ class LiftState:
     section: jax.Array  # [3] middle of the forearm a step ago; NaN before the first step
     left: jax.Array  # m, from it to the target a step ago
     distance: jax.Array  # m, from the hook to it a step ago
+    carried: jax.Array  # m, of the forearm towards the target, in the hook
+    liked: jax.Array  # m, of it as the human likes it
     held: jax.Array  # int32, steps of rest in a row
     longest: jax.Array  # int32
     violated: jax.Array  # bool, some contact was above the hard limit
@@ -70,15 +77,14 @@ class GentleLift:
         self,
         model: mujoco.MjModel,
         weights: dict[str, float] | None = None,
-        robot_is_told: bool = False,
+        told: tuple[str, ...] = ("human",),
     ) -> None:
         terms = {"approach": 10.0, "lift": 100.0, "there": 0.3, "rest": 1.0, "swing": 0.1}
-        self.weights = (
-            terms | COSTS | {"stray": 0.0} | (weights or {})
-        )  # a hook that carries touches more than the bar
+        # A hook that carries touches more than the bar.
+        self.weights = terms | COSTS | {"stray": 0.0, "violation": 10.0} | (weights or {})
         self.pose = Pose(model, START)
         self.sensors = TouchSensors(model, self.pose)
-        self._told = robot_is_told
+        self._told = told
 
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, LiftState]:
         """Draw the start pose [nq] and, where it is not given, the preference."""
@@ -89,6 +95,8 @@ class GentleLift:
             section=jnp.full(3, jnp.nan, jnp.float32),
             left=nan,
             distance=nan,
+            carried=jnp.zeros((), jnp.float32),
+            liked=jnp.zeros((), jnp.float32),
             held=zero,
             longest=zero,
             violated=jnp.zeros((), bool),
@@ -115,13 +123,17 @@ class GentleLift:
         left = jnp.linalg.norm(lift, axis=-1)
         first = jnp.isnan(s.left)
         speed = jnp.linalg.norm(jnp.where(first[:, None], 0.0, section - s.section), axis=-1) / STEP
-        there = (left < THERE) & (speed < CALM)
-        rest = there & (r.force < LIGHTEST)
+        rest = (left < THERE) & (speed < CALM) & (r.force < LIGHTEST)
+        way = jnp.where(first | (r.force < FELT), 0.0, jnp.maximum(s.left - left, 0.0))
+        likes = s.likes
+        fits = bump(r.force, CARRY_FORCE * likes.force) * bump(speed, CARRY_SPEED * likes.speed)
+        carried, liked = s.carried + way, s.liked + way * fits
+        content = WHATEVER + (1.0 - WHATEVER) * liked / jnp.maximum(carried, 0.05)
         terms = {
             "approach": jnp.where(first | (left < FAR), 0.0, s.distance - distance),
             "lift": jnp.where(first, 0.0, s.left - left),
-            "there": there.astype(jnp.float32),
-            "rest": rest.astype(jnp.float32),
+            "there": jnp.exp(-((left / WIDE) ** 2)) * jnp.exp(-((speed / CALM) ** 2)),
+            "rest": rest * content,
             "swing": -jnp.minimum(1.0, jnp.maximum(speed - SWING, 0.0) / SWING),
         } | costs(r, SOFT)
         held = jnp.where(rest, s.held + 1, 0)
@@ -134,8 +146,12 @@ class GentleLift:
             left[:, None],
             r.force[:, None] / 10.0,
             jnp.minimum(held, HOLD)[:, None] / HOLD,
+            speed[:, None] * 10.0,
+            content[:, None],
         )
         obs = with_preference(observations(r, *goal), s.likes, self._told)
-        state = LiftState(s.waist, section, left, distance, held, longest, violated, s.likes)
+        state = LiftState(
+            s.waist, section, left, distance, carried, liked, held, longest, violated, s.likes
+        )
         done = (longest >= HOLD) & ~violated
         return state, obs, terms, Measures(r.force, left, done, r.peak, violated)

@@ -322,7 +322,7 @@ def test_the_human_knows_its_preference_and_the_robot_does_not(task: str) -> Non
 
 @each_gentle_task
 def test_a_told_robot_sees_what_the_human_does(task: str) -> None:
-    env = assistax_envs.make(task, "native", robot_is_told=True)
+    env = assistax_envs.make(task, "native", told=("human", "robot"))
     assert (
         env.observation_size["robot"] == environment(task, "native").observation_size["robot"] + 2
     )
