@@ -18,8 +18,8 @@ WIDTHS = {
     "bed_bath": {"robot": 34, "human": 38, "global": 52},
     "arm_assist": {"robot": 47, "human": 51, "global": 65},
     "gentle_scratch": {"robot": 47, "human": 53, "global": 67},
-    "gentle_bath": {"robot": 91, "human": 97, "global": 111},
-    "gentle_lift": {"robot": 40, "human": 46, "global": 60},
+    "gentle_bath": {"robot": 69, "human": 75, "global": 89},
+    "gentle_lift": {"robot": 42, "human": 48, "global": 62},
 }
 # Over 20 control steps of random torques, float32 against float64: rad, and reward. The largest
 # differences are of an elbow that strikes its stop; the mean tells apart what the largest lets
