@@ -17,6 +17,8 @@ class ToyMeasures:
     success: jax.Array
     force: jax.Array
     distance: jax.Array
+    contact: jax.Array | None = None  # of gentle tasks alone
+    violated: jax.Array | None = None
 
 
 @jax.tree_util.register_dataclass
