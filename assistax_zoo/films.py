@@ -24,7 +24,7 @@ def render(
     zoo: "str | Path | Zoo | None" = None,
     on_step: Callable[[], None] | None = None,
 ) -> Path:
-    """Film an episode of a robot and a human, with targets, contact force and reward drawn on.
+    """Film an episode of a robot and a human, with targets, force and reward; return `out`.
 
     Args:
         robot: An id, a .safetensors or .onnx file, python:..., "zero" or "random".
@@ -40,9 +40,6 @@ def render(
         height: Pixels of a frame.
         zoo: Where ids are looked up, as in `open_zoo`.
         on_step: Called after each step.
-
-    Returns:
-        `out`.
 
     Raises:
         ValueError: A policy does not fit its seat, or a film of this kind cannot be written here.

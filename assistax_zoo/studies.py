@@ -139,9 +139,7 @@ def cross_play(
     cluster: RayCluster | None = None,
     progress: Shown = True,
 ) -> CrossPlayResult:
-    """Play every robot of a population with every human, and cluster the matrix.
-
-    A robot with the human it was trained with is self-play, the matrix's diagonal.
+    """Play every robot with every human, and cluster the matrix, whose diagonal is self-play.
 
     Args:
         egos: Globs over robots, such as "scratch/ippo-*/robot"; all of the release if None.
@@ -156,8 +154,7 @@ def cross_play(
         preferences: As in `evaluate`.
         zoo: Where policies come from, as in `open_zoo`.
         lock: Lock file of a paper; other bytes than those it pins are refused.
-        out: Folder for the tables and the figure, in which a run that was stopped goes on; default
-            a temporary one, which lives as long as the result.
+        out: As in `evaluate`.
         cluster: Ray's, over which the blocks are spread; its workers need `out` too.
         progress: Show it, or a function that is told of it.
 
@@ -166,24 +163,17 @@ def cross_play(
         ZooError: The zoo does not have, or not unchanged, what was asked for.
 
     Example:
-        >>> team = "scratch/ippo-d1-s0-v1"
-        >>> cross_play(team, team, task="scratch", episodes=1, progress=False).pairs.height
+        >>> ids = ["scratch/ippo-d1-s0-v1"]
+        >>> cross_play(ids, ids, task="scratch", episodes=1, progress=False).pairs.height
         1
     """
     settings = Settings(task, episodes, seed, backend, stochastic, max_envs, preferences)
     registry = _locked(open_zoo(zoo), lock, task, None).registry
     folder, keep = _folder(out)
     with _shown(progress, f"crossplay {task}") as on_progress:
-        summary = play_population(
-            registry,
-            egos or f"{task}/*",
-            partners or f"{task}/*",
-            settings,
-            folder,
-            release=release,
-            cluster=cluster,
-            on_progress=on_progress,
-        )
+        given: dict[str, Any] = {"cluster": cluster, "on_progress": on_progress}
+        chosen = egos or f"{task}/*", partners or f"{task}/*"
+        summary = play_population(registry, *chosen, settings, folder, release=release, **given)
     assert isinstance(summary, CrossPlaySummary)  # no block was asked for
     write_run(folder, command_line(), simulated=summary.env_steps_per_second is not None)
     return CrossPlayResult(summary, folder, keep)

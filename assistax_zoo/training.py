@@ -24,7 +24,6 @@ def train(
     steps: int = 10_000_000,
     hyperparameters: Mapping[str, Any] | None = None,
     backend: str = "auto",
-    self_play_episodes: int = 16,
     resume: bool = True,
     progress: "bool | Callable[[Progress], None]" = True,
     **options: Any,
@@ -40,15 +39,13 @@ def train(
         steps: Environment steps of 20 ms of each team, rounded up to whole updates.
         hyperparameters: Changes of the preset, such as {"learning_rate": 3e-4, "torso": "gru"}.
         backend: Physics, or "auto" for the fastest one here.
-        self_play_episodes: Episodes of each team's final evaluation; 0 leaves it out.
         resume: Go on with a run that the folder holds.
         progress: Show it, or a function that is called after every dispatch to the device.
-        **options: `checkpoint_every`, `updates_per_call` and `tensorboard`, as
-            `population.team_training.train_teams` takes them.
+        **options: `self_play_episodes`, `checkpoint_every`, `updates_per_call` and `tensorboard`,
+            as `population.team_training.train_teams` takes them.
 
     Returns:
-        The run: its `folder`, which `assistax-zoo publish` takes, and `self_play`, the figures of
-        each team, in the order of `names`.
+        The run: its `folder`, which `assistax-zoo publish` takes, and `self_play` of `names`.
 
     Raises:
         ValueError: An argument is not allowed, or the folder holds another run.
@@ -73,7 +70,6 @@ def train(
             steps=steps,
             hyperparameters=hyperparameters,
             backend=backend,
-            self_play_episodes=self_play_episodes,
             resume=resume,
             progress=report,
             **options,
