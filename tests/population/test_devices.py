@@ -241,9 +241,8 @@ def test_members_end_on_several_devices_as_on_one(case, tmp_path):
     assert difference(tmp_path / "planted", one) > 100 * ROUNDING
 
 
-@pytest.mark.parametrize(
-    "case", ["ippo", *(pytest.param(case, marks=pytest.mark.slow) for case in ("ego", "isac"))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("case", TRAINERS)
 def test_a_checkpoint_of_two_devices_is_read_on_any_number(case, tmp_path):
     found = on_several_devices(save_and_restore, case, str(tmp_path / "state"))
     assert found == {"1": [32], "2": [16, 16], "4": [8, 8, 8, 8]}

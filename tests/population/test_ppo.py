@@ -169,7 +169,7 @@ def test_a_role_learns_the_same_whatever_the_others_gradients_are(kind):
             assert_same(*same)
 
 
-@pytest.mark.parametrize("platform", ["cpu", "gpu"])
+@pytest.mark.parametrize("platform", ["cpu", pytest.param("gpu", marks=pytest.mark.slow)])
 def test_a_member_learns_the_same_whoever_trains_beside_it(platform, monkeypatch):
     """Taken in turn, as on a CPU, or vectorised, as on an accelerator."""
     config = PPOConfig(**SMALL)

@@ -84,11 +84,8 @@ def unsquashed(raw):
     return jnp.zeros_like(raw)
 
 
-@pytest.mark.parametrize(
-    "planted",
-    [False, pytest.param(True, marks=pytest.mark.slow)],
-    ids=["squashed", "planted-unsquashed"],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("planted", [False, True], ids=["squashed", "planted-unsquashed"])
 def test_without_a_task_the_policy_becomes_uniform_over_its_actions(planted, monkeypatch):
     """Largest entropy in [-1, 1] is that of the uniform density: mean |a| is 1/2, and log 2 a
     dimension.

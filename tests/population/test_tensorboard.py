@@ -96,6 +96,7 @@ def test_a_run_that_goes_on_writes_no_step_twice_and_leaves_none_out(tmp_path):
     check(tmp_path / "tb", tmp_path / "run" / "metrics.parquet", speeds=5)
 
 
+@pytest.mark.slow
 def test_the_reader_sees_what_is_written_twice(tmp_path, monkeypatch):
     with pytest.raises(Killed):
         run(tmp_path / "run", tmp_path / "tb", killed_at=3)

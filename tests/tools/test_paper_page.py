@@ -598,6 +598,7 @@ def test_every_table_has_as_many_cells_in_each_row():
             assert len({line.count(" | ") for line in block.splitlines()}) == 1
 
 
+@pytest.mark.slow
 def test_the_same_tables_give_the_same_page(words: list[str], tmp_path: Path):
     assert run(words) == 0
     first = (
