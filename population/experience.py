@@ -12,8 +12,7 @@ from assistax_envs import select
 from population.environment import Environment, EnvState
 from population.frozen_partners import FrozenPartners
 from population.members import flatten, member_map, split
-from population.networks import Carry, Params
-from population.policy import Gaussian, Policy
+from population.policy import Carry, Gaussian, Params, Policy
 
 Sampler = Callable[[Gaussian, jax.Array], jax.Array]  # draws raw actions with a key
 

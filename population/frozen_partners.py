@@ -10,8 +10,7 @@ import jax.numpy as jnp
 from assistax_envs.disability import Disability
 from population.environment import Environment
 from population.members import member_map
-from population.networks import Carry
-from population.policy import Policy
+from population.policy import Carry, Policy
 from population.stack import PolicyStack
 
 

@@ -4,8 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from population.critic import Critic
-from population.networks import Carry, Params
+from population.policy import Carry, Critic, Params
 
 
 def advantages(

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from population.networks import Params
+from population.policy import Params
 
 _VARIANCE_FLOOR = 1e-6  # a feature that never moves is not blown up
 

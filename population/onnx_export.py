@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from population.network_plan import GRU, Dense, NetworkPlan, network_plan
-from population.networks import NORMALISED_LIMIT
+from population.policy import NORMALISED_LIMIT
 from population.spec import PolicySpec
 
 OPSET = 17

@@ -1,4 +1,4 @@
-"""Policies: networks from observations to a Gaussian over actions."""
+"""Networks: policies, from observations to a Gaussian over actions, and critics, to values."""
 
 import dataclasses
 import math
@@ -11,10 +11,13 @@ import numpy as np
 from flax import linen as nn
 from jaxtyping import Array, Bool, Float
 
-from population import networks
-from population.networks import Carry, Params
 from population.spec import PolicySpec
 
+Params = dict[str, Any]  # nested dicts of arrays
+Carry = Any  # () for a feed-forward network, [..., H] for a recurrent one
+
+NORMALISED_LIMIT = 10.0  # normalised observations are clipped to this many standard deviations
+HIDDEN_SCALE = math.sqrt(2.0)  # orthogonal gain of hidden layers
 # A standard deviation of 0.6: nine of ten draws of an untrained policy lie within the limits. A
 # constant of published networks; what a run begins with is `initial_log_std` of its trainer.
 INITIAL_LOG_STD = -0.5
@@ -76,11 +79,65 @@ class Gaussian:
         return entropy.sum(-1)
 
 
-class Policy:
-    """The network of a `PolicySpec`.
+@dataclasses.dataclass(frozen=True)
+class CriticSpec:
+    """Shape of a critic network."""
 
-    Parameters are plain nested dicts, and leading axes are free.
-    """
+    observation_size: int  # width of its input
+    torso: str = "mlp"  # "mlp" or "gru"
+    hidden: tuple[int, ...] = (128, 128)  # widths of the hidden layers
+    activation: str = "tanh"  # after each dense hidden layer
+
+
+class _Network:
+    """A network behind plain nested parameters, whose leading axes are free."""
+
+    spec: Any
+
+    def initial_carry(self, batch_shape: tuple[int, ...]) -> Carry:
+        """Return the recurrent state before the first observation.
+
+        () for a feed-forward torso, else [*batch_shape, H].
+        """
+        return jnp.zeros((*batch_shape, self.spec.hidden[-1])) if self.spec.torso == "gru" else ()
+
+    def step(
+        self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
+    ) -> tuple[Carry, Any]:
+        """Return the new carry and the output for obs [..., O]; see the subclasses."""
+        raise NotImplementedError
+
+    def unroll(
+        self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
+    ) -> tuple[Carry, Any]:
+        """Apply `step` along the leading time axis of obs [T, ..., O] and first [T, ...]."""
+        if self.spec.torso == "mlp":
+            return self.step(params, carry, obs, first)
+        return jax.lax.scan(lambda carry, x: self.step(params, carry, *x), carry, (obs, first))
+
+
+class Critic(_Network):
+    """The network of a `CriticSpec`; its input is normalised by the caller."""
+
+    def __init__(self, spec: CriticSpec) -> None:
+        self.spec = spec
+        self._module = _Value(spec)
+
+    def init(self, key: jax.Array) -> Params:
+        """Return fresh parameters."""
+        obs = jnp.zeros(self.spec.observation_size)
+        return self._module.init(key, self.initial_carry(()), obs, jnp.zeros((), bool))["params"]
+
+    def step(
+        self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
+    ) -> tuple[Carry, jax.Array]:
+        """Return the new carry and the values [...] of obs [..., O]."""
+        output: Any = self._module.apply({"params": params}, carry, obs, first)
+        return output
+
+
+class Policy(_Network):
+    """The network of a `PolicySpec`."""
 
     def __init__(self, spec: PolicySpec) -> None:
         self.spec = spec
@@ -102,10 +159,6 @@ class Policy:
             params = {**params, "normaliser": {"mean": jnp.zeros(size), "std": jnp.ones(size)}}
         return params
 
-    def initial_carry(self, batch_shape: tuple[int, ...]) -> Carry:
-        """Return the recurrent state before the first observation."""
-        return networks.initial_carry(self.spec, batch_shape)
-
     def step(
         self,
         params: Params,
@@ -123,16 +176,10 @@ class Policy:
         """
         network = {name: value for name, value in params.items() if name != "normaliser"}
         if self.spec.normalise:
-            obs = networks.normalise(params["normaliser"], obs)
+            obs = normalise(params["normaliser"], obs)
         output: Any = self._module.apply({"params": network}, carry, obs, first)
         carry, (mean, log_std) = output
         return carry, Gaussian(mean, log_std, self.spec.squash)
-
-    def unroll(
-        self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
-    ) -> tuple[Carry, Gaussian]:
-        """Apply `step` along the leading time axis of obs [T, ..., O] and first [T, ...]."""
-        return networks.unroll(self.spec, self.step, params, carry, obs, first)
 
     def act(
         self,
@@ -152,6 +199,12 @@ class Policy:
         return carry, distribution.action(distribution.sample(key))
 
 
+def normalise(normaliser: Params, obs: Float[Array, "*batch O"]) -> Float[Array, "*batch O"]:
+    """Return obs [..., O] centred and scaled by mean [O] and std [O], clipped to a fixed limit."""
+    mean, std = (jnp.broadcast_to(normaliser[name], obs.shape) for name in ("mean", "std"))
+    return jnp.clip((obs - mean) / std, -NORMALISED_LIMIT, NORMALISED_LIMIT)
+
+
 class _Actor(nn.Module):
     spec: PolicySpec
 
@@ -160,13 +213,44 @@ class _Actor(nn.Module):
         self, carry: Carry, obs: jax.Array, first: jax.Array
     ) -> tuple[Carry, tuple[jax.Array, jax.Array]]:
         size = self.spec.action_size
-        carry, features = networks.torso(self.spec, carry, obs, first)
-        mean = networks.dense(size, MEAN_SCALE)(features)
+        carry, features = _torso(self.spec, carry, obs, first)
+        mean = _dense(size, MEAN_SCALE)(features)
         if self.spec.std == "state":
-            log_std = INITIAL_LOG_STD + networks.dense(size, MEAN_SCALE)(features)
+            log_std = INITIAL_LOG_STD + _dense(size, MEAN_SCALE)(features)
         else:
             log_std = self.param("log_std", nn.initializers.constant(INITIAL_LOG_STD), (size,))
         return carry, (mean, jnp.broadcast_to(jnp.clip(log_std, *LOG_STD_RANGE), mean.shape))
+
+
+class _Value(nn.Module):
+    spec: CriticSpec
+
+    @nn.compact
+    def __call__(self, carry: Carry, obs: jax.Array, first: jax.Array) -> tuple[Carry, jax.Array]:
+        carry, features = _torso(self.spec, carry, obs, first)
+        return carry, _dense(1, 1.0)(features)[..., 0]
+
+
+def _torso(
+    spec: PolicySpec | CriticSpec, carry: Carry, obs: jax.Array, first: jax.Array
+) -> tuple[Carry, jax.Array]:
+    """Apply the hidden layers.
+
+    To be called inside a compact module, which then owns the layers by flat names.
+    """
+    activation = {"tanh": nn.tanh, "relu": nn.relu}[spec.activation]
+    features = obs
+    for width in spec.hidden[:-1] if spec.torso == "gru" else spec.hidden:
+        features = activation(_dense(width, HIDDEN_SCALE)(features))
+    if spec.torso == "gru":
+        carry = jnp.where(first[..., None], 0.0, carry)
+        carry, features = nn.GRUCell(spec.hidden[-1])(carry, features)
+    return carry, features
+
+
+def _dense(width: int, scale: float) -> nn.Dense:
+    """Return a dense layer with orthogonal weights of the given gain and zero bias."""
+    return nn.Dense(width, kernel_init=nn.initializers.orthogonal(scale))
 
 
 def _with_log_std(params: Params, log_std: float) -> Params:

@@ -15,13 +15,11 @@ from jaxtyping import Array, Float
 
 from population import experience, gae, normaliser, shared_network
 from population.config import PPOConfig
-from population.critic import Critic, CriticSpec
 from population.environment import Environment
 from population.experience import Batch
 from population.frozen_partners import FrozenPartners
 from population.members import member_map
-from population.networks import Carry, Params, normalise
-from population.policy import Gaussian, Policy
+from population.policy import Carry, Critic, CriticSpec, Gaussian, Params, Policy, normalise
 from population.trainer import (
     MemberState,
     Metrics,

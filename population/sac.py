@@ -19,13 +19,11 @@ from jaxtyping import Array, Bool, Float
 
 from population import experience, normaliser, replay_buffer
 from population.config import SACConfig
-from population.critic import Critic, CriticSpec
 from population.environment import Environment
 from population.experience import Sampler
 from population.frozen_partners import FrozenPartners
 from population.members import member_map
-from population.networks import Params, normalise
-from population.policy import Gaussian
+from population.policy import Critic, CriticSpec, Gaussian, Params, normalise
 from population.replay_buffer import Replay, Transitions
 from population.trainer import (
     MemberState,

@@ -10,8 +10,7 @@ import numpy as np
 
 from population.environment import Environment
 from population.members import flatten, member_map, split
-from population.networks import Params
-from population.policy import Policy
+from population.policy import Params, Policy
 
 _RESAMPLES = 2000
 _LEVEL = 95.0

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from population.networks import Params
+from population.policy import Params
 from population.spec import ROLES
 
 SHARED = "shared"  # name of the learner of both roles

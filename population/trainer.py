@@ -16,14 +16,12 @@ import optax
 
 from population import experience, normaliser
 from population.config import Member, TrainerConfig, traced_values
-from population.critic import Critic
 from population.environment import Environment
 from population.experience import Batch, Sampler, Simulations
 from population.frozen_partners import FrozenPartners
 from population.members import member_map
-from population.networks import Params
 from population.normaliser import Statistics
-from population.policy import Gaussian, Policy
+from population.policy import Critic, Gaussian, Params, Policy
 from population.spec import ROLES, PolicySpec, Role
 
 Metrics = dict[str, jax.Array]

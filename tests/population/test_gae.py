@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from population import gae
-from population.critic import Critic, CriticSpec
+from population.policy import Critic, CriticSpec
 from tests.population.toy_env import numpy_gae
 
 STEPS, SIMULATIONS = 12, 5

@@ -9,9 +9,8 @@ import pytest
 
 from assistax_envs import disability_params
 from population.config import Member, PPOConfig, preset
-from population.networks import normalise
 from population.normaliser import to_params
-from population.policy import Policy
+from population.policy import Policy, normalise
 from population.ppo import PPO
 from population.self_play import self_play
 from population.train import member_key
