@@ -21,6 +21,7 @@ from population.frozen_partners import FrozenPartners
 from population.members import member_map
 from population.policy import Carry, Critic, CriticSpec, Gaussian, Params, Policy, normalise
 from population.trainer import (
+    Hyper,
     MemberState,
     Metrics,
     Trainer,
@@ -29,20 +30,6 @@ from population.trainer import (
     optimiser,
     role_keys,
 )
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Hyper:
-    """Traced hyperparameters; leaves [M] for all members, scalars for one."""
-
-    learning_rate: jax.Array
-    clip_eps: jax.Array
-    entropy_coef: jax.Array
-    value_coef: jax.Array
-    gamma: jax.Array
-    gae_lambda: jax.Array
-    max_grad_norm: jax.Array
 
 
 @jax.tree_util.register_dataclass
@@ -71,8 +58,6 @@ class Samples:
 
 class PPO(Trainer):
     """Trains with PPO: `ippo` has local critics, `mappo` central ones."""
-
-    hyper_type = Hyper
 
     def __init__(
         self,
@@ -103,8 +88,8 @@ class PPO(Trainer):
         state, batch, keys = self.collect(state, partners)
         count = state.update.astype(jnp.float32)
         if self.config.anneal_lr:
-            rate = hyper.learning_rate * (1.0 - count / self.updates)
-            hyper = dataclasses.replace(hyper, learning_rate=rate)
+            rate = hyper["learning_rate"] * (1.0 - count / self.updates)
+            hyper = {**hyper, "learning_rate": rate}
         batch = experience.by_member(batch, len(keys))
         members, metrics = member_map(self._learn)(state.members, batch, hyper, keys)
         return dataclasses.replace(state, members=members, update=state.update + 1), metrics
@@ -202,8 +187,8 @@ class PPO(Trainer):
             next_value,
             batch.terminated,
             batch.truncated,
-            hyper.gamma,
-            hyper.gae_lambda,
+            hyper["gamma"],
+            hyper["gae_lambda"],
         )
         return carry, Samples(
             obs=batch.obs[role],
@@ -229,7 +214,7 @@ class PPO(Trainer):
         One is a random set of whole simulations.
         """
         config = self.config
-        clipped = optimiser(config.adam_eps, hyper.max_grad_norm)
+        clipped = optimiser(config.adam_eps, hyper["max_grad_norm"])
 
         def step(learner: Learner, rows: jax.Array) -> tuple[Learner, Metrics]:
             part = jax.tree.map(lambda leaf: jnp.take(leaf, rows, axis=1, mode="clip"), samples)
@@ -240,7 +225,7 @@ class PPO(Trainer):
             for network in learner.networks:
                 gradient = gradients[network]
                 losses[f"{network}_grad_norm_{name}"] = optax.tree.norm(gradient)
-                learner = descended(learner, network, gradient, clipped, hyper.learning_rate)
+                learner = descended(learner, network, gradient, clipped, hyper["learning_rate"])
             return learner, losses
 
         keys = jax.random.split(key, config.epochs)
@@ -327,15 +312,15 @@ def ppo_loss(
     log_ratio = gaussian.log_prob(samples.raw) - samples.log_prob
     ratio = jnp.exp(log_ratio)
     advantage = (samples.advantage - samples.advantage.mean()) / (samples.advantage.std() + 1e-8)
-    clipped = jnp.clip(ratio, 1.0 - hyper.clip_eps, 1.0 + hyper.clip_eps)
+    clipped = jnp.clip(ratio, 1.0 - hyper["clip_eps"], 1.0 + hyper["clip_eps"])
     policy_loss = -jnp.minimum(ratio * advantage, clipped * advantage).mean()
     value_loss = 0.5 * jnp.square(value - samples.target).mean()
     entropy = gaussian.entropy().mean()
-    loss = policy_loss + hyper.value_coef * value_loss - hyper.entropy_coef * entropy
+    loss = policy_loss + hyper["value_coef"] * value_loss - hyper["entropy_coef"] * entropy
     return loss, {
         "policy_loss": policy_loss,
         "value_loss": value_loss,
         "entropy": entropy,
         "approx_kl": (ratio - 1.0 - log_ratio).mean(),
-        "clip_fraction": (jnp.abs(ratio - 1.0) > hyper.clip_eps).mean(),
+        "clip_fraction": (jnp.abs(ratio - 1.0) > hyper["clip_eps"]).mean(),
     }

@@ -26,6 +26,7 @@ from population.members import member_map
 from population.policy import Critic, CriticSpec, Gaussian, Params, normalise
 from population.replay_buffer import Replay, Transitions
 from population.trainer import (
+    Hyper,
     MemberState,
     Metrics,
     Trainer,
@@ -40,20 +41,6 @@ _UNIFORM_LIMIT = 0.999
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Hyper:
-    """Traced hyperparameters; leaves [M] for all members, scalars for one."""
-
-    policy_lr: jax.Array
-    q_lr: jax.Array
-    alpha_lr: jax.Array
-    tau: jax.Array
-    gamma: jax.Array
-    target_entropy_scale: jax.Array
-    max_grad_norm: jax.Array
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
 class Learner:
     """Networks of one role, and the optimiser state of what is descended."""
 
@@ -64,8 +51,6 @@ class Learner:
 
 class SAC(Trainer):
     """Trains with SAC: `isac` has local critics, `masac` central ones."""
-
-    hyper_type = Hyper
 
     def __init__(
         self,
@@ -228,7 +213,7 @@ class SAC(Trainer):
             next_q = self._values(role, learner.target, member, batch.next_obs, next_action)
             alpha = jnp.exp(learner.networks["log_alpha"])
             target = soft_target(
-                batch.reward, batch.terminated, next_q, next_log_prob[role], alpha, hyper.gamma
+                batch.reward, batch.terminated, next_q, next_log_prob[role], alpha, hyper["gamma"]
             )
             new[role], logged = self._improve_critic(role, learner, member, batch, target, hyper)
             metrics |= logged
@@ -248,9 +233,9 @@ class SAC(Trainer):
             return critic_loss(q, target), q
 
         gradient, q = jax.grad(loss, has_aux=True)(learner.networks["critic"])
-        clipped = self._optimiser("critic", hyper.max_grad_norm)
-        learner = descended(learner, "critic", gradient, clipped, hyper.q_lr)
-        slow = optax.incremental_update(learner.networks["critic"], learner.target, hyper.tau)
+        clipped = self._optimiser("critic", hyper["max_grad_norm"])
+        learner = descended(learner, "critic", gradient, clipped, hyper["q_lr"])
+        slow = optax.incremental_update(learner.networks["critic"], learner.target, hyper["tau"])
         return dataclasses.replace(learner, target=slow), {
             f"q_loss_{role}": jnp.square(q - target[None]).mean(),
             f"q_{role}": q.mean(),
@@ -293,13 +278,13 @@ class SAC(Trainer):
         (value, log_prob), gradient = jax.value_and_grad(loss, has_aux=True)(
             learner.networks["actor"]
         )
-        clipped = self._optimiser("actor", hyper.max_grad_norm)
-        learner = descended(learner, "actor", gradient, clipped, hyper.policy_lr)
+        clipped = self._optimiser("actor", hyper["max_grad_norm"])
+        learner = descended(learner, "actor", gradient, clipped, hyper["policy_lr"])
         if self.config.autotune:
-            target = -hyper.target_entropy_scale * self.specs[role].action_size
+            target = -hyper["target_entropy_scale"] * self.specs[role].action_size
             slope = temperature_gradient(log_alpha, log_prob, target)
             plain = self._optimiser("log_alpha", jnp.inf)
-            learner = descended(learner, "log_alpha", slope, plain, hyper.alpha_lr)
+            learner = descended(learner, "log_alpha", slope, plain, hyper["alpha_lr"])
         return learner, {
             f"policy_loss_{role}": value,
             f"entropy_{role}": -log_prob.mean(),

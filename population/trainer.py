@@ -8,7 +8,7 @@ value errors in the hundreds would otherwise use up the norm that a policy share
 import abc
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +25,7 @@ from population.policy import Critic, Gaussian, Params, Policy
 from population.spec import ROLES, PolicySpec, Role
 
 Metrics = dict[str, jax.Array]
+Hyper = dict[str, jax.Array]  # the config's `traced` ones; [M] for all members, scalars for one
 L = TypeVar("L")  # a trainer's learner
 
 
@@ -62,8 +63,6 @@ class Trainer(abc.ABC):
         ValueError: If the rollout is longer than an episode, or partners do not fit.
     """
 
-    hyper_type: ClassVar[Any]  # dataclass of the traced hyperparameters
-
     def __init__(
         self,
         config: TrainerConfig,
@@ -87,12 +86,10 @@ class Trainer(abc.ABC):
         self._num_envs, self._rollout_steps = config.num_envs, config.rollout_steps
         self._normalise, self._config = config.normalise, config
 
-    def hyper(self, members: Sequence[Member]) -> Any:
+    def hyper(self, members: Sequence[Member]) -> Hyper:
         """Return the traced hyperparameters [M] of every member: the config's, or its own."""
         values = traced_values(self._config, members)
-        return self.hyper_type(
-            **{name: jnp.asarray(row, jnp.float32) for name, row in values.items()}
-        )
+        return {name: jnp.asarray(row, jnp.float32) for name, row in values.items()}
 
     def initial(self, keys: jax.Array, env_params: Any) -> TrainState:
         """Return the state before the first update.
@@ -146,7 +143,7 @@ class Trainer(abc.ABC):
 
     @abc.abstractmethod
     def update(
-        self, state: TrainState, hyper: Any, partners: Any = ()
+        self, state: TrainState, hyper: Hyper, partners: Any = ()
     ) -> tuple[TrainState, Metrics]:
         """Collect one rollout and learn.
 

@@ -141,7 +141,7 @@ class Coupled(PPO):
         if name == "human":
             robot = member.learners["robot"].networks["critic"]
             norm = sum(jnp.abs(leaf).sum() for leaf in jax.tree.leaves(robot))
-            hyper = dataclasses.replace(hyper, max_grad_norm=hyper.max_grad_norm / norm)
+            hyper = {**hyper, "max_grad_norm": hyper["max_grad_norm"] / norm}
         return super()._learn_role(name, member, batch, hyper, key)
 
 
