@@ -43,6 +43,17 @@ class Simulations:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
+class Tally:
+    """What simulations came to in a chunk."""
+
+    final_obs: dict[str, jax.Array]  # at a simulation's time limit, before its reset [N, O]
+    finished: jax.Array  # number of whole episodes that ended [N]
+    finished_sums: dict[str, jax.Array]  # their "return" and "term_..." [N]
+    nonfinite: jax.Array  # number of simulations that diverged [N]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
 class Batch:
     """A chunk of T steps of N simulations; for one member, N is its share."""
 
@@ -55,12 +66,9 @@ class Batch:
     # [T, N]; a simulation that diverged earns 0 from then on: its value is known to be 0.
     terminated: jax.Array
     truncated: jax.Array  # [T, N]
-    final_obs: dict[str, jax.Array]  # at a simulation's time limit, before its reset [N, O]
     last_obs: dict[str, jax.Array]  # after the chunk [N, O]
     last_first: jax.Array  # [N]
-    finished: jax.Array  # number of whole episodes that ended [N]
-    finished_sums: dict[str, jax.Array]  # their "return" and "term_..." [N]
-    nonfinite: jax.Array  # number of simulations that diverged [N]
+    tally: Tally
 
 
 def begin(
@@ -142,13 +150,8 @@ def collect(
 
     (after, tally), seen = jax.lax.scan(step, (state, _empty_tally(state, inputs)), keys)
     last_obs = {name: after.env.obs[name] for name in inputs}
-    fields: dict[str, Any] = {
-        **seen,
-        **_fields(tally),
-        "last_obs": last_obs,
-        "last_first": after.first,
-    }
-    return after, Batch(carry=flatten(state.carry), **fields)
+    ends = {"last_obs": last_obs, "last_first": after.first, "tally": tally}
+    return after, Batch(carry=flatten(state.carry), **seen, **ends)
 
 
 def by_member(batch: Batch, members: int) -> Batch:
@@ -161,40 +164,31 @@ def by_member(batch: Batch, members: int) -> Batch:
     return Batch(
         **{
             name: jax.tree.map(over_time, value) if name in timed else split(value, members)
-            for name, value in _fields(batch).items()
+            for name, value in vars(batch).items()
         }
     )
 
 
 def episode_metrics(batch: Batch) -> dict[str, jax.Array]:
     """Return the mean sums of the whole episodes that ended (NaN without any), and counts."""
-    finished = batch.finished.sum()
-    means = {name: value.sum() / finished for name, value in batch.finished_sums.items()}
+    tally, finished = batch.tally, batch.tally.finished.sum()
+    means = {name: value.sum() / finished for name, value in tally.finished_sums.items()}
     return {
         **means,
         "episodes": finished,
         "reward": batch.reward.mean(),
-        "nonfinite": batch.nonfinite.sum(),
+        "nonfinite": tally.nonfinite.sum(),
     }
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class _Tally:
-    final_obs: dict[str, jax.Array]
-    finished: jax.Array
-    finished_sums: dict[str, jax.Array]
-    nonfinite: jax.Array
+_Loop = tuple[Simulations, Tally]
 
 
-_Loop = tuple[Simulations, _Tally]
-
-
-def _empty_tally(state: Simulations, inputs: tuple[str, ...]) -> _Tally:
+def _empty_tally(state: Simulations, inputs: tuple[str, ...]) -> Tally:
     zeros = partial(jax.tree.map, jnp.zeros_like)
     count = jnp.zeros(state.first.shape, jnp.int32)
     final_obs = zeros({name: state.env.obs[name] for name in inputs})
-    return _Tally(final_obs, count, zeros(state.episodes.sums), count)
+    return Tally(final_obs, count, zeros(state.episodes.sums), count)
 
 
 def _act(
@@ -221,8 +215,8 @@ def _act(
 
 
 def _account(
-    episodes: Episodes, tally: _Tally, after: EnvState, ended: jax.Array, truncated: jax.Array
-) -> tuple[Episodes, _Tally]:
+    episodes: Episodes, tally: Tally, after: EnvState, ended: jax.Array, truncated: jax.Array
+) -> tuple[Episodes, Tally]:
     """Add a step to the episodes in progress, and those that ended to the tally."""
     gains = {
         "return": after.reward,
@@ -230,7 +224,7 @@ def _account(
     }
     sums = {name: episodes.sums[name] + gains[name] for name in gains}
     counted = ended & episodes.whole
-    tally = _Tally(
+    tally = Tally(
         final_obs=select(
             truncated, {name: after.obs[name] for name in tally.final_obs}, tally.final_obs
         ),
@@ -242,8 +236,3 @@ def _account(
     )
     sums = {name: jnp.where(ended, 0.0, value) for name, value in sums.items()}
     return Episodes(whole=episodes.whole | ended, sums=sums), tally
-
-
-def _fields(instance: Any) -> dict[str, Any]:
-    """Return a dataclass's fields by name, one level deep."""
-    return {field.name: getattr(instance, field.name) for field in dataclasses.fields(instance)}

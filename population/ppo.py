@@ -5,7 +5,6 @@ each; with frozen partners in one seat, only the other learns.
 """
 
 import dataclasses
-from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -19,7 +18,8 @@ from population.environment import Environment
 from population.experience import Batch
 from population.frozen_partners import FrozenPartners
 from population.members import member_map
-from population.policy import Carry, Critic, CriticSpec, Gaussian, Params, Policy, normalise
+from population.policy import Carry, Critic, Gaussian, Params, Policy, normalise
+from population.spec import Role
 from population.trainer import (
     Hyper,
     MemberState,
@@ -71,15 +71,8 @@ class PPO(Trainer):
             raise ValueError(
                 "shared is true, but partners are frozen and one role learns: leave shared out"
             )
-        self.config = config
-        self.learners: dict[str, tuple[str, ...]] = (
-            {shared_network.SHARED: self.roles}
-            if config.shared
-            else {role: (role,) for role in self.roles}
-        )
-        self.critics = {
-            role: self._critic(env.observation_size[name]) for role, name in self.critic_obs.items()
-        }
+        if config.shared:
+            self.learners = {shared_network.SHARED: self.roles}
 
     def update(
         self, state: TrainState, hyper: Hyper, partners: Any = ()
@@ -94,22 +87,8 @@ class PPO(Trainer):
         members, metrics = member_map(self._learn)(state.members, batch, hyper, keys)
         return dataclasses.replace(state, members=members, update=state.update + 1), metrics
 
-    def policy_params(self, members: MemberState) -> dict[str, Params]:
-        """Return parameters as `Policy` reads them, by role; leaves [M, ...]."""
-        return {
-            role: self._actor(role, members, members.learners[name].networks["actor"])
-            for name, roles in self.learners.items()
-            for role in roles
-        }
-
-    def initial_learners(self, keys: Mapping[str, jax.Array]) -> dict[str, Learner]:
-        """Return one member's learners, with a key for each role."""
-        return {
-            name: self._initial_learner(roles, keys[roles[0]])
-            for name, roles in self.learners.items()
-        }
-
-    def _initial_learner(self, roles: tuple[str, ...], key: jax.Array) -> Learner:
+    def initial_learner(self, roles: tuple[Role, ...], key: jax.Array) -> Learner:
+        """Return one member's learner of these roles."""
         actor, critic = jax.random.split(key)
         networks = {
             "actor": self._network(roles).init(actor, self.config.initial_log_std),
@@ -167,7 +146,9 @@ class PPO(Trainer):
         """Return the critic's carry after the batch, and what the role learns from."""
         name = self.critic_obs[role]
         stats = normaliser.to_params(member.statistics[name])
-        obs, final_obs, last_obs = (x[name] for x in (batch.obs, batch.final_obs, batch.last_obs))
+        obs, final_obs, last_obs = (
+            x[name] for x in (batch.obs, batch.tally.final_obs, batch.last_obs)
+        )
         if self.config.normalise:
             obs, final_obs, last_obs = (normalise(stats, x) for x in (obs, final_obs, last_obs))
         carry, value, next_value = gae.values(
@@ -247,7 +228,7 @@ class PPO(Trainer):
         """Return the loss, its mean over roles where they share networks, and what to log."""
         loss, metrics = jnp.zeros(()), {}
         for role, part in samples.items():
-            actor = self._actor(role, member, networks["actor"])
+            actor = self.actor(role, member, networks["actor"])
             critic = self._critic_params(role, networks["critic"])
             actor_carry, critic_carry = carries[role]
             _, gaussian = self.policies[role].unroll(actor, actor_carry, part.obs, part.first)
@@ -274,18 +255,14 @@ class PPO(Trainer):
         if len(roles) == 1:
             return self.critics[roles[0]]
         sizes = {role: self.critics[role].spec.observation_size for role in roles}
-        return self._critic(shared_network.padded_size(sizes))
+        return self.critic(shared_network.padded_size(sizes))
 
-    def _critic(self, observation_size: int) -> Critic:
-        config = self.config
-        return Critic(CriticSpec(observation_size, config.torso, config.hidden, config.activation))
-
-    def _actor(self, role: str, member: MemberState, params: Params) -> Params:
+    def actor(self, role: str, member: MemberState, actor: Params) -> Params:
         """Return a role's ordinary parameters; leading axes of the leaves are free."""
         if self.config.shared:
             spec = self.specs[role]
-            params = shared_network.fold(params, role, spec.observation_size, spec.action_size)
-        return self.with_normaliser(role, member, params)
+            actor = shared_network.fold(actor, role, spec.observation_size, spec.action_size)
+        return super().actor(role, member, actor)
 
     def _critic_params(self, role: str, params: Params) -> Params:
         if not self.config.shared:

@@ -75,9 +75,10 @@ def add(replay: Replay, batch: Batch, action: dict[str, jax.Array]) -> Replay:
     def write(ring: jax.Array, rollout: jax.Array) -> jax.Array:
         return jax.lax.dynamic_update_index_in_dim(ring, rollout, slot, axis=1)
 
+    final_obs = batch.tally.final_obs
     rows = {
         name: jnp.concatenate(
-            [batch.obs[name], batch.last_obs[name][:, None], batch.final_obs[name][:, None]], axis=1
+            [batch.obs[name], batch.last_obs[name][:, None], final_obs[name][:, None]], axis=1
         )
         for name in replay.obs
     }

@@ -9,7 +9,6 @@ part of its state.
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -23,8 +22,9 @@ from population.environment import Environment
 from population.experience import Sampler
 from population.frozen_partners import FrozenPartners
 from population.members import member_map
-from population.policy import Critic, CriticSpec, Gaussian, Params, normalise
+from population.policy import Gaussian, Params, normalise
 from population.replay_buffer import Replay, Transitions
+from population.spec import Role
 from population.trainer import (
     Hyper,
     MemberState,
@@ -60,17 +60,11 @@ class SAC(Trainer):
         partners: FrozenPartners | None = None,
     ) -> None:
         super().__init__(config, env, updates, partners)
-        central = config.critic == "central"
-        if central and partners:
+        if config.critic == "central" and partners:
             raise ValueError(
                 "critic is 'central', which reads both roles' next actions, and partners are "
                 "frozen: choose local"
             )
-        self.config = config
-        self.critic_actions: dict[str, tuple[str, ...]] = {
-            role: self.roles if central else (role,) for role in self.roles
-        }
-        self.critics = {role: self._critic(role) for role in self.roles}
 
     def update(
         self, state: TrainState, hyper: Hyper, partners: Any = ()
@@ -118,13 +112,6 @@ class SAC(Trainer):
 
         return sample
 
-    def policy_params(self, members: MemberState) -> dict[str, Params]:
-        """Return parameters as `Policy` reads them, by role; leaves [M, ...]."""
-        return {
-            role: self.with_normaliser(role, members, members.learners[role].networks["actor"])
-            for role in self.roles
-        }
-
     def initial_replay(self, members: int) -> Replay:
         """Return an empty replay for all members, no longer than the run."""
         config, steps = self.config, self.config.batch_steps
@@ -137,11 +124,9 @@ class SAC(Trainer):
             {role: self.env.action_size[role] for role in self.roles},
         )
 
-    def initial_learners(self, keys: Mapping[str, jax.Array]) -> dict[str, Learner]:
-        """Return one member's learners, with a key for each role."""
-        return {role: self._initial_learner(role, keys[role]) for role in self.roles}
-
-    def _initial_learner(self, role: str, key: jax.Array) -> Learner:
+    def initial_learner(self, roles: tuple[Role, ...], key: jax.Array) -> Learner:
+        """Return one member's learner of these roles, which is one."""
+        [role] = roles
         actor, first, second = jax.random.split(key, 3)
         critic = {
             "first": self.critics[role].init(first),
@@ -313,9 +298,7 @@ class SAC(Trainer):
         self, role: str, actor: Params, member: MemberState, obs: jax.Array, key: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         first = jnp.zeros(obs.shape[:-1], bool)
-        _, gaussian = self.policies[role].step(
-            self.with_normaliser(role, member, actor), (), obs, first
-        )
+        _, gaussian = self.policies[role].step(self.actor(role, member, actor), (), obs, first)
         raw = gaussian.sample(key)
         return gaussian.action(raw), gaussian.log_prob(raw)
 
@@ -333,7 +316,7 @@ class SAC(Trainer):
         if self.config.normalise:
             seen = normalise(normaliser.to_params(member.statistics[name]), seen)
         seen = jnp.concatenate(
-            [seen, *(action[other] for other in self.critic_actions[role])], axis=-1
+            [seen, *(action[other] for other in self._critic_actions(role))], axis=-1
         )
         first = jnp.zeros(seen.shape[:-1], bool)
         return jnp.stack(
@@ -343,10 +326,13 @@ class SAC(Trainer):
             ]
         )
 
-    def _critic(self, role: str) -> Critic:
-        width = self.env.observation_size[self.critic_obs[role]]
-        width += sum(self.env.action_size[other] for other in self.critic_actions[role])
-        return Critic(CriticSpec(width, "mlp", self.config.hidden, self.config.activation))
+    def critic_width(self, role: str) -> int:
+        """Return the width of what a role's critics read: observation and actions."""
+        actions = (self.env.action_size[other] for other in self._critic_actions(role))
+        return super().critic_width(role) + sum(actions)
+
+    def _critic_actions(self, role: str) -> tuple[str, ...]:
+        return self.roles if self.config.critic == "central" else (role,)
 
     def _optimiser(
         self, name: str, max_grad_norm: jax.Array | float

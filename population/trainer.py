@@ -7,7 +7,7 @@ value errors in the hundreds would otherwise use up the norm that a policy share
 
 import abc
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import jax
@@ -21,7 +21,7 @@ from population.experience import Batch, Sampler, Simulations
 from population.frozen_partners import FrozenPartners
 from population.members import member_map
 from population.normaliser import Statistics
-from population.policy import Critic, Gaussian, Params, Policy
+from population.policy import Critic, CriticSpec, Gaussian, Params, Policy
 from population.spec import ROLES, PolicySpec, Role
 
 Metrics = dict[str, jax.Array]
@@ -65,30 +65,32 @@ class Trainer(abc.ABC):
 
     def __init__(
         self,
-        config: TrainerConfig,
+        config: Any,
         env: Environment,
         updates: int,
         partners: FrozenPartners | None = None,
     ) -> None:
         _check(config, env, partners)
-        self.env, self.updates, self.partners = env, updates, partners
+        self.config, self.env, self.updates, self.partners = config, env, updates, partners
         self.roles: tuple[Role, ...] = tuple(
             role for role in ROLES if not partners or role != partners.role
         )
         self.specs = _policy_specs(config, env, self.roles)
         self.policies = {role: Policy(spec) for role, spec in self.specs.items()}
-        self.critics: dict[str, Critic] = {}
+        # Learners by name, each of one role.
+        self.learners: dict[str, tuple[Role, ...]] = {role: (role,) for role in self.roles}
         # What critics see: the role's own observation, or everything.
         self.critic_obs: dict[str, str] = {
             role: "global" if config.critic == "central" else role for role in self.roles
         }
         self.inputs = tuple(dict.fromkeys([*self.roles, *self.critic_obs.values()]))
-        self._num_envs, self._rollout_steps = config.num_envs, config.rollout_steps
-        self._normalise, self._config = config.normalise, config
+        self.critics: dict[str, Critic] = {
+            role: self.critic(self.critic_width(role)) for role in self.roles
+        }
 
     def hyper(self, members: Sequence[Member]) -> Hyper:
         """Return the traced hyperparameters [M] of every member: the config's, or its own."""
-        values = traced_values(self._config, members)
+        values = traced_values(self.config, members)
         return {name: jnp.asarray(row, jnp.float32) for name, row in values.items()}
 
     def initial(self, keys: jax.Array, env_params: Any) -> TrainState:
@@ -99,10 +101,9 @@ class Trainer(abc.ABC):
             env_params: Parameters of the environment for each simulation [N], member by member.
         """
         split = jax.vmap(lambda key: jax.random.split(key, 4))(keys)
-        env_state = self.env.reset(_simulation_keys(split[:, 0], self._num_envs), env_params)
-        stagger = jax.vmap(
-            lambda key: jax.random.randint(key, (self._num_envs,), 0, self.env.episode_length)
-        )(split[:, 1])
+        envs, length = self.config.num_envs, self.env.episode_length
+        env_state = self.env.reset(_simulation_keys(split[:, 0], envs), env_params)
+        stagger = jax.vmap(lambda key: jax.random.randint(key, (envs,), 0, length))(split[:, 1])
         return TrainState(
             members=member_map(self._initial_member)(split[:, 2], split[:, 3]),
             simulations=experience.begin(
@@ -120,11 +121,10 @@ class Trainer(abc.ABC):
         members = state.members
         keys = jax.vmap(lambda key: jax.random.split(key, 4))(members.key)
         fresh = self.env.reset(
-            _simulation_keys(keys[:, 0], self._num_envs), state.simulations.env.params
+            _simulation_keys(keys[:, 0], self.config.num_envs), state.simulations.env.params
         )
-        act_keys = jax.vmap(lambda key: jax.random.split(key, self._rollout_steps), out_axes=1)(
-            keys[:, 1]
-        )
+        steps = self.config.rollout_steps
+        act_keys = jax.vmap(lambda key: jax.random.split(key, steps), out_axes=1)(keys[:, 1])
         simulations, batch = experience.collect(
             self.env,
             self.policies,
@@ -151,12 +151,25 @@ class Trainer(abc.ABC):
         """
 
     @abc.abstractmethod
+    def initial_learner(self, roles: tuple[Role, ...], key: jax.Array) -> Any:
+        """Return one member's learner of these roles."""
+
     def policy_params(self, members: MemberState) -> dict[str, Params]:
         """Return parameters as `Policy` reads them, by role; leaves [M, ...]."""
+        return {
+            role: self.actor(role, members, members.learners[name].networks["actor"])
+            for name, roles in self.learners.items()
+            for role in roles
+        }
 
-    @abc.abstractmethod
-    def initial_learners(self, keys: Mapping[str, jax.Array]) -> dict[str, Any]:
-        """Return one member's learners, with a key for each role."""
+    def critic(self, width: int) -> Critic:
+        """Return a critic of inputs of a width."""
+        config = self.config
+        return Critic(CriticSpec(width, config.torso, config.hidden, config.activation))
+
+    def critic_width(self, role: str) -> int:
+        """Return the width of what a role's critic reads."""
+        return self.env.observation_size[self.critic_obs[role]]
 
     def sampler(self, state: TrainState) -> Sampler:
         """Return how raw actions are drawn in the next rollout."""
@@ -166,9 +179,12 @@ class Trainer(abc.ABC):
         """Return what keeps past transitions; nothing unless a trainer learns from them."""
         return ()
 
-    def with_normaliser(self, role: str, member: MemberState, actor: Params) -> Params:
-        """Return an actor's parameters with what normalises its observations; leading axes free."""
-        if not self._normalise:
+    def actor(self, role: str, member: MemberState, actor: Params) -> Params:
+        """Return an actor's parameters as `Policy` reads them, with what normalises observations.
+
+        Leading axes of the leaves are free.
+        """
+        if not self.config.normalise:
             return actor
         return {**actor, "normaliser": normaliser.to_params(member.statistics[role])}
 
@@ -176,7 +192,12 @@ class Trainer(abc.ABC):
         statistics = {
             name: normaliser.empty(self.env.observation_size[name]) for name in self.inputs
         }
-        return MemberState(self.initial_learners(role_keys(key)), statistics, carried)
+        keys = role_keys(key)
+        learners = {
+            name: self.initial_learner(roles, keys[roles[0]])
+            for name, roles in self.learners.items()
+        }
+        return MemberState(learners, statistics, carried)
 
 
 def role_keys(key: jax.Array) -> dict[str, jax.Array]:
