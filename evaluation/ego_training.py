@@ -15,8 +15,8 @@ from population.config import (
     preset,
 )
 from population.files import atomic_write
+from population.run_folder import TrainedRun
 from population.team_training import numbered, run_training
-from population.trained_run import TrainedRun
 from zoo.registry import Registry
 from zoo.schema import Split
 from zoo.storage import load_stacks, write_policy_file

@@ -276,6 +276,11 @@ class TrainConfig:
         """Number of updates of the run."""
         return math.ceil(self.steps / self.trainer.batch_steps)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the members, "task/algorithm-setting-sN"."""
+        return tuple(f"{self.task}/{self.algorithm}-{member.label}" for member in self.members)
+
     def to_json(self) -> dict[str, Any]:
         """Return JSON-ready values; `TrainConfig.from_json` gives the config back."""
         return {**dataclasses.asdict(self), "kind": self.trainer.kind}

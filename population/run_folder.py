@@ -8,6 +8,7 @@
 '/'-joined path
 """
 
+import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,7 +22,7 @@ from population.config import Member, PPOConfig, TrainConfig, TrainerConfig
 from population.files import atomic_path, atomic_write
 from population.parquet import check_readable, read_parquet
 from population.spec import PolicySpec
-from population.stack import flatten
+from population.stack import PolicyStack, flatten, unflatten
 
 METADATA_KEY = "assistax"  # safetensors bytes are stable with one metadata key only
 _MAY_CHANGE = (
@@ -128,9 +129,8 @@ class RunFolder:
         self_play: Sequence[Mapping[str, Any] | None],
     ) -> None:
         """Write the parameters [M, ...] by role, then `teams.json`: the run is finished."""
-        rows = [f"{config.task}/{config.algorithm}-{member.label}" for member in config.members]
         for role, spec in specs.items():
-            metadata = {"spec": spec.to_json(), "rows": rows}
+            metadata = {"spec": spec.to_json(), "rows": list(config.names)}
             text = json.dumps(metadata, sort_keys=True, separators=(",", ":"))
             leaves = dict(sorted(flatten(params[role]).items()))
             atomic_write(
@@ -161,6 +161,45 @@ class RunFolder:
             return json.loads(self._config.read_text())
         except ValueError as error:
             raise ValueError(f"{self._config} is not JSON ({error}); choose a new folder") from None
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainedRun:
+    """What a run made, member by member in the order of `config.members`."""
+
+    folder: Path
+    config: TrainConfig
+    training: Mapping[str, Any]  # steps, seconds, device, versions, and what else was recorded
+    # `mean`, `iqm`, `mean_ci`, `n` and `success` of each team; None of egos, and where left out.
+    self_play: tuple[Mapping[str, Any] | None, ...]
+    policies: Mapping[str, PolicyStack]  # by role; ids are "NAME/ROLE"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each member, "task/algorithm-setting-sN"."""
+        return self.config.names
+
+
+def read_trained_run(folder: Path | str) -> TrainedRun:
+    """Return the finished run of a folder that this machine wrote.
+
+    Raises:
+        OSError: The run is not finished.
+    """
+    run = RunFolder(folder)
+    teams, config = json.loads(run.teams.read_text()), run.config()
+    policies = {}
+    for role, place in teams[0]["roles"].items():
+        leaves = safetensors.numpy.load_file(run.folder / place["file"])
+        ids = tuple(f"{name}/{role}" for name in config.names)
+        policies[role] = PolicyStack(PolicySpec(**place["spec"]), ids, unflatten(leaves))
+    return TrainedRun(
+        run.folder,
+        config,
+        teams[0]["training"],
+        tuple(team["self_play"] for team in teams),
+        policies,
+    )
 
 
 def extends(trainer: TrainerConfig) -> bool:

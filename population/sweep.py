@@ -189,29 +189,18 @@ def sweep_task(
     cluster: RayCluster | None = None,
     advance: Callable[[int], None] = lambda steps: None,
 ) -> tuple[pl.DataFrame, dict[str, Any]]:
-    """Do a sweep here or on a cluster; return a row for each run, and the best hyperparameters.
-
-    Args:
-        sweep: What to try.
-        folder: Where results are kept.
-        backend: Physics.
-        cluster: Where blocks run, if not here.
-        advance: Called with the environment steps that were done since it was last called.
-    """
+    """Do `run_sweep` on a backend; return its rows, and the best hyperparameters."""
     from assistax_envs import make
 
-    make_env = partial(make, sweep.task, backend)
-    if cluster is None:
-        results = run_sweep(sweep, make_env(), folder, advance)
-    else:
-        results = run_sweep_on_ray(sweep, make_env, folder, cluster, advance)
+    results = run_sweep(sweep, partial(make, sweep.task, backend), folder, cluster, advance)
     return results, json.loads((folder / BEST).read_text())["hyperparameters"]
 
 
 def run_sweep(
     sweep: Sweep,
-    env: Environment,
+    make_env: Callable[[], Environment],
     folder: Path,
+    cluster: RayCluster | None = None,
     advance: Callable[[int], None] = lambda steps: None,
 ) -> pl.DataFrame:
     """Train every configuration, block by block; return a row for each configuration and seed.
@@ -222,35 +211,20 @@ def run_sweep(
 
     Args:
         sweep: What to try.
-        env: The environment of the task.
-        folder: Where results are kept.
-        advance: Called with the environment steps that were done since it was last called.
-    """
-    for number in range(len(sweep.blocks())):
-        _train_block(sweep, number, env, folder, advance)
-    return _collect(sweep, folder)
-
-
-def run_sweep_on_ray(
-    sweep: Sweep,
-    make_env: Callable[[], Environment],
-    folder: Path,
-    cluster: RayCluster,
-    advance: Callable[[int], None] = lambda steps: None,
-) -> pl.DataFrame:
-    """Do what `run_sweep` does with the blocks spread over a Ray cluster; the table is the same.
-
-    Args:
-        sweep: What to try.
         make_env: Makes the environment of the task, on each worker.
-        folder: Where results are kept: shared by all machines, under the same path.
-        cluster: Where blocks run.
-        advance: Called with the environment steps of each block that is done.
+        folder: Where results are kept: with a cluster shared by all machines, under the same path.
+        cluster: Where blocks run, if not here; the table is the same.
+        advance: Called with the environment steps that were done since it was last called.
 
     Raises:
         BlocksFailedError: Blocks failed; the others' runs are kept.
     """
     names = [_block(number) for number in range(len(sweep.blocks()))]
+    if cluster is None:
+        env = make_env()
+        for number in range(len(names)):
+            _train_block(sweep, number, env, folder, advance)
+        return _collect(sweep, folder)
     folder = folder.absolute()
     folder.mkdir(parents=True, exist_ok=True)
     run_blocks(

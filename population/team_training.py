@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from population.config import TrainConfig, check_names, make_members, make_run, preset
-from population.trained_run import TrainedRun, read_trained_run
+from population.run_folder import TrainedRun, read_trained_run
 
 if TYPE_CHECKING:
     from population.frozen_partners import FrozenPartners

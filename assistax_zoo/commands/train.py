@@ -13,8 +13,8 @@ from assistax_zoo.commands.options import Training
 from assistax_zoo.console import TrainingLine, answer, stdout_is_data
 
 if TYPE_CHECKING:
+    from population.run_folder import TrainedRun
     from population.train import Progress
-    from population.trained_run import TrainedRun
 
 
 def train(

@@ -10,7 +10,7 @@ import pytest
 from population import ray_blocks
 from population import sweep as sweeps
 from population.ray_blocks import BlocksFailedError, RayCluster, run_blocks
-from population.sweep import run_sweep, run_sweep_on_ray
+from population.sweep import run_sweep
 from tests.population.test_sweep import plan
 from tests.population.toy_env import ToyEnv, match
 
@@ -49,13 +49,13 @@ def test_a_sweep_goes_on_after_a_failed_block_and_ends_as_a_local_one(two_cpus, 
         "and the same"
     )
     with pytest.raises(BlocksFailedError, match=reason):
-        run_sweep_on_ray(sweep, make_env, tmp_path / "ray", RayCluster(cpus=1), done.append)
+        run_sweep(sweep, make_env, tmp_path / "ray", RayCluster(cpus=1), done.append)
     assert len(done) == 2 and not (tmp_path / "ray" / "sweep.parquet").exists()
     kept = [tmp_path / "ray" / f"block-{number:03d}" / "teams.json" for number in done]
     written = [path.stat().st_mtime_ns for path in kept]
-    on_ray = run_sweep_on_ray(sweep, make_env, tmp_path / "ray", RayCluster())
+    on_ray = run_sweep(sweep, make_env, tmp_path / "ray", RayCluster())
     assert [path.stat().st_mtime_ns for path in kept] == written
-    local = run_sweep(sweep, ToyEnv(match), tmp_path / "local")
+    local = run_sweep(sweep, partial(ToyEnv, match), tmp_path / "local")
     assert on_ray.equals(local)
     for name in ("sweep.parquet", "preset.json"):
         assert (tmp_path / "ray" / name).read_bytes() == (tmp_path / "local" / name).read_bytes()
@@ -99,7 +99,7 @@ def test_results_that_are_not_here_are_missed(tmp_path, monkeypatch):
         ValueError,
         match=r"lacks block-000, block-001, block-002 here; give an --out that all machines",
     ):
-        run_sweep_on_ray(plan(), partial(ToyEnv, match), tmp_path / "ray", RayCluster())
+        run_sweep(plan(), partial(ToyEnv, match), tmp_path / "ray", RayCluster())
 
 
 def test_a_cluster_that_does_not_answer_is_named(tmp_path, monkeypatch):

@@ -1,4 +1,5 @@
 import json
+from functools import partial
 
 import polars as pl
 import pytest
@@ -43,7 +44,7 @@ def test_a_sweep_ends_with_a_table_and_a_preset(tmp_path):
     space = {"learning_rate": Range(1e-3, 1e-2), "minibatches": (2,)}
     sweep = Sweep("toy", "ippo", space, configurations=2, seeds=2, steps=480, block=4, fixed=FIXED)
     reports = []
-    results = run_sweep(sweep, ToyEnv(match), tmp_path, reports.append)
+    results = run_sweep(sweep, partial(ToyEnv, match), tmp_path, advance=reports.append)
     assert reports == [320] * 6 + [0]
     assert results.select("configuration", "seed").rows() == [(0, 0), (0, 1), (1, 0), (1, 1)]
     assert results["final_return"].null_count() == 0 and not results["diverged"].any()
@@ -53,7 +54,7 @@ def test_a_sweep_ends_with_a_table_and_a_preset(tmp_path):
     found = vars(preset("ippo", **content["hyperparameters"]))
     mean = results.group_by("configuration").agg(pl.col("final_return").mean()).sort("final_return")
     assert found["learning_rate"] == sweep.points()[mean["configuration"][-1]]["learning_rate"]
-    assert run_sweep(sweep, ToyEnv(match), tmp_path).equals(
+    assert run_sweep(sweep, partial(ToyEnv, match), tmp_path).equals(
         results
     )  # finished blocks are not trained again
 
