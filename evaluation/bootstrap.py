@@ -8,14 +8,11 @@ import dataclasses
 import os
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Literal
 
 import numpy as np
 
 from evaluation.statistics import entries, iqm, mean, score_matrix, weighted_iqm, weighted_mean
 
-Method = Literal["cluster", "stratified"]
-METHODS: tuple[Method, ...] = ("cluster", "stratified")
 RESAMPLES = 2000
 NOTHING = "nothing"  # what an interval generalises to when there was nothing to resample
 _ENTRIES_AT_ONCE = 1_000_000  # bounds the memory of a chunk of resamples
@@ -75,17 +72,15 @@ class Draws:
         return Estimate(self.mean, self.iqm, iqm_ci, mean_ci, self.n, self.generalises_to)
 
 
-def estimate(
-    scores: np.ndarray, *, method: Method = "cluster", resamples: int = RESAMPLES, seed: int = 0
-) -> Estimate:
+def estimate(scores: np.ndarray, *, resamples: int = RESAMPLES, seed: int = 0) -> Estimate:
     """IQM and mean of scores [S, P], or [S] with one partner, with 95% bootstrap intervals.
 
-    `cluster` resamples whole seeds, then partners, because a seed's scores all come from one
-    policy; of a single seed only the partners are resampled. `stratified` resamples seeds within
-    each partner's column, as rliable does for independent runs on several tasks; for one ego that
-    meets every partner its intervals are too narrow.
+    Whole seeds are resampled, then partners, because a seed's scores all come from one policy; of a
+    single seed only the partners are resampled. Seeds resampled within each partner's column, as
+    rliable does for independent runs on several tasks, would give intervals too narrow for one ego
+    that meets every partner.
 
-    Percentile intervals of few seeds are too narrow. Coverage of `cluster`, measured on normal data
+    Percentile intervals of few seeds are too narrow. Coverage, measured on normal data
     (2,000 repetitions, standard error 0.5%; 16 to 99 partners; either seed, partner and pair
     effects of one size, or mostly seed effects):
 
@@ -96,10 +91,8 @@ def estimate(
     seeds nor partners differ beyond noise, the interval is too wide instead (98–100%).
     """
     scores = score_matrix(scores)
-    to = generalises_to(scores.shape, method)
-    if method == "stratified":
-        return replicate(scores, stratified_counts(scores.shape, resamples, seed), to).estimate()
-    return replicate_crossed(scores, *cluster_counts(scores.shape, resamples, seed), to).estimate()
+    counts = cluster_counts(scores.shape, resamples, seed)
+    return replicate_crossed(scores, *counts, generalises_to(scores.shape)).estimate()
 
 
 def profile_band(
@@ -137,15 +130,10 @@ def curve_band(
     return np.array([iqm(column) for column in values.T]), low, high
 
 
-def generalises_to(shape: tuple[int, int], method: Method = "cluster") -> str:
+def generalises_to(shape: tuple[int, int]) -> str:
     """Name what is resampled for scores of this shape [S, P]."""
-    if method not in METHODS:
-        raise ValueError(f"method is {method!r}; allowed are {', '.join(METHODS)}")
-    seeds, partners = shape
-    resampled = (["seeds"] if seeds > 1 else []) + (
-        ["partners"] if partners > 1 and method == "cluster" else []
-    )
-    return " and ".join(resampled) or NOTHING
+    several = zip(("seeds", "partners"), shape, strict=True)
+    return " and ".join(name for name, count in several if count > 1) or NOTHING
 
 
 def interval(
@@ -217,22 +205,6 @@ def cluster_counts(
     """
     rng = np.random.default_rng(seed)
     return draw_counts(shape[0], resamples, rng), draw_counts(shape[1], resamples, rng)
-
-
-def stratified_counts(shape: tuple[int, int], resamples: int, seed: int) -> Iterator[np.ndarray]:
-    """Yield chunks [b, S * P] of counts that resample the seeds of each partner separately."""
-    seeds, partners = shape
-    if seeds == 1:
-        raise ValueError(
-            "'stratified' resamples seeds and there is only one; give several seeds or use "
-            "'cluster'"
-        )
-    rng = np.random.default_rng(seed)
-    for rows in _chunks(resamples, seeds * partners):
-        draws = rng.multinomial(
-            seeds, np.full(seeds, 1.0 / seeds), size=(rows.stop - rows.start, partners)
-        )
-        yield draws.transpose(0, 2, 1).reshape(len(draws), seeds * partners)
 
 
 def _chunks(resamples: int, size: int) -> Iterator[slice]:

@@ -88,28 +88,12 @@ def cluster_teams(matrix: np.ndarray) -> Clustering:
             f"the matrix has shape {matrix.shape}; teams in one order need the same teams on both "
             "axes"
         )
-    return cluster_profiles(_team_profiles(matrix))
-
-
-def team_branches(matrix: np.ndarray) -> list[np.ndarray]:
-    """Return the teams below each node of `cluster_teams`' tree, the root last.
-
-    Quicker, for it orders no leaves.
-    """
-    return branches(hierarchy.average(distance.pdist(_team_profiles(matrix))))
+    return cluster_profiles(np.concatenate([matrix, matrix.T], axis=1))
 
 
 def least_members(count: int) -> int:
     """Return how many of `count` policies make a cluster that is more than outliers."""
     return max(2, math.ceil(LEAST_SHARE * count))
-
-
-def branches(linkage: np.ndarray) -> list[np.ndarray]:
-    """Return the leaves below each node of a tree [n - 1, 4] as SciPy has it, the root last."""
-    below = [np.array([leaf]) for leaf in range(len(linkage) + 1)]
-    for left, right in linkage[:, :2].astype(int):
-        below.append(np.concatenate([below[left], below[right]]))
-    return below[len(linkage) + 1 :]
 
 
 def silhouette(labels: np.ndarray, distances: np.ndarray) -> float:
@@ -131,10 +115,6 @@ def silhouette(labels: np.ndarray, distances: np.ndarray) -> float:
         outside - inside, widest, out=np.zeros(len(labels)), where=(widest > 0) & (sizes[own] > 1)
     )
     return float(scores.mean())
-
-
-def _team_profiles(matrix: np.ndarray) -> np.ndarray:
-    return np.concatenate([matrix, matrix.T], axis=1)
 
 
 def _best_cut(linkage: np.ndarray, distances: np.ndarray) -> tuple[np.ndarray, float | None]:

@@ -22,26 +22,6 @@ def mean(values: np.ndarray) -> float:
     return float(entries(values).mean())
 
 
-def median(scores: np.ndarray) -> float:
-    """Median over partners of the mean over seeds, of scores [S, P]."""
-    return float(np.median(score_matrix(scores).mean(axis=0)))
-
-
-def probability_of_improvement(x: np.ndarray, y: np.ndarray) -> float:
-    """Mean over partners of P(a seed of x beats a seed of y with it), ties counting one half.
-
-    Args:
-        x: scores [S, P] of one method.
-        y: scores [S', P] of the other, the same partners in the same order.
-    """
-    x, y = score_matrix(x), score_matrix(y)
-    if x.shape[1] != y.shape[1]:
-        raise ValueError(
-            f"x has {x.shape[1]} partners and y has {y.shape[1]}; give both the same partners"
-        )
-    return float(np.mean((x[:, None] > y[None]) + 0.5 * (x[:, None] == y[None])))
-
-
 def performance_profile(values: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
     """Share of entries above each threshold [T], as [T]."""
     ordered = np.sort(entries(values))

@@ -22,6 +22,20 @@ def crossed(
     )
 
 
+def stratified_counts(shape: tuple[int, int], resamples: int, seed: int) -> np.ndarray:
+    """Counts [B, S * P] that resample the seeds of each partner apart: rliable's bootstrap."""
+    seeds, partners = shape
+    rng = np.random.default_rng(seed)
+    draws = rng.multinomial(seeds, np.full(seeds, 1.0 / seeds), size=(resamples, partners))
+    return draws.transpose(0, 2, 1).reshape(resamples, seeds * partners)
+
+
+def stratified(scores: np.ndarray, resamples: int, seed: int = 0) -> Estimate:
+    """What `estimate` must not do for an ego that meets every partner."""
+    counts = stratified_counts(scores.shape, resamples, seed)
+    return bootstrap.replicate(scores, [counts], "seeds").estimate()
+
+
 def coverage(
     figure: Callable[[np.random.Generator, int], Estimate], repetitions: int
 ) -> dict[str, float]:
@@ -73,7 +87,7 @@ def test_cluster_draws_equal_resampling_whole_seeds_then_partners():
 
 
 def test_stratified_draws_resample_the_seeds_of_each_partner():
-    (counts,) = bootstrap.stratified_counts((5, 7), 40, seed=0)
+    counts = stratified_counts((5, 7), 40, seed=0)
     np.testing.assert_array_equal(counts.reshape(40, 5, 7).sum(axis=1), 5)
     assert np.ptp(counts.reshape(40, 5, 7), axis=2).max() > 0  # not whole seeds
 
@@ -87,7 +101,7 @@ def test_stratified_agrees_with_a_plain_loop():
         )
         for _ in range(4000)
     ]
-    figure = bootstrap.estimate(scores, method="stratified", resamples=4000)
+    figure = stratified(scores, resamples=4000)
     assert figure.iqm_ci == pytest.approx(tuple(np.quantile(draws, (0.025, 0.975))), abs=0.03)
 
 
@@ -95,32 +109,23 @@ def test_the_same_seed_gives_the_same_interval_however_draws_are_chunked(
     monkeypatch: pytest.MonkeyPatch,
 ):
     scores = np.random.default_rng(0).normal(size=(5, 9))
-    whole = {
-        method: bootstrap.estimate(scores, method=method, seed=4).iqm_ci
-        for method in bootstrap.METHODS
-    }
+    whole = bootstrap.estimate(scores, seed=4).iqm_ci
     monkeypatch.setattr(bootstrap, "_ENTRIES_AT_ONCE", 700)
-    for method in bootstrap.METHODS:
-        assert bootstrap.estimate(scores, method=method, seed=4).iqm_ci == pytest.approx(
-            whole[method], rel=1e-12
-        )
-        assert bootstrap.estimate(scores, method=method, seed=5).iqm_ci != whole[method]
+    assert bootstrap.estimate(scores, seed=4).iqm_ci == pytest.approx(whole, rel=1e-12)
+    assert bootstrap.estimate(scores, seed=5).iqm_ci != whole
 
 
 @pytest.mark.parametrize(
-    ("shape", "method", "generalises_to"),
+    ("shape", "generalises_to"),
     [
-        ((3, 4), "cluster", "seeds and partners"),
-        ((1, 4), "cluster", "partners"),
-        ((3, 1), "cluster", "seeds"),
-        ((1, 1), "cluster", "nothing"),
-        ((3, 4), "stratified", "seeds"),
+        ((3, 4), "seeds and partners"),
+        ((1, 4), "partners"),
+        ((3, 1), "seeds"),
+        ((1, 1), "nothing"),
     ],
 )
-def test_every_figure_says_what_it_generalises_to(
-    shape: tuple[int, int], method: bootstrap.Method, generalises_to: str
-):
-    figure = bootstrap.estimate(np.random.default_rng(0).normal(size=shape), method=method)
+def test_every_figure_says_what_it_generalises_to(shape: tuple[int, int], generalises_to: str):
+    figure = bootstrap.estimate(np.random.default_rng(0).normal(size=shape))
     assert figure.generalises_to == generalises_to
     assert (figure.iqm_ci is None) == (figure.mean_ci is None) == (generalises_to == "nothing")
 
@@ -135,8 +140,6 @@ def test_of_a_single_seed_only_partners_are_resampled():
 
 
 def test_wrong_use_is_refused():
-    with pytest.raises(ValueError, match="resamples seeds and there is only one"):
-        bootstrap.estimate(np.zeros((1, 4)), method="stratified")
     with pytest.raises(
         ValueError, match=r"shape \(2, 3, 4\); expected \[seeds, partners\].*episodes are not seeds"
     ):
@@ -191,9 +194,7 @@ def test_stratified_intervals_cover_for_fixed_tasks_with_independent_runs(repeti
     tasks = np.linspace(-1, 1, 8)
 
     def figure(rng: np.random.Generator, seed: int) -> Estimate:
-        return bootstrap.estimate(
-            tasks + rng.normal(size=(32, 8)), method="stratified", resamples=300, seed=seed
-        )
+        return stratified(tasks + rng.normal(size=(32, 8)), resamples=300, seed=seed)
 
     margin = 0.0 if repetitions == 2000 else 0.02
     for name, covered in coverage(figure, repetitions).items():
@@ -217,7 +218,7 @@ def test_planted_defect_episodes_resampled_as_seeds_are_caught():
         scores = crossed(rng, 8, 8, (1.0, 0.3, 0.3))
         episodes = scores[:, :, None] + 0.5 * rng.normal(size=(8, 8, 8))
         as_seeds = episodes.transpose(0, 2, 1).reshape(64, 8)
-        return bootstrap.estimate(as_seeds, method="stratified", resamples=200, seed=seed)
+        return stratified(as_seeds, resamples=200, seed=seed)
 
     assert max(coverage(wrong, 200).values()) < 0.5
 
@@ -226,8 +227,6 @@ def test_planted_defect_stratified_for_one_ego_with_every_partner_is_caught():
     """A seed's effect is common to its whole row; resampling columns apart averages it away."""
 
     def wrong(rng: np.random.Generator, seed: int) -> Estimate:
-        return bootstrap.estimate(
-            crossed(rng, 16, 16, (1.0, 0.0, 1.0)), method="stratified", resamples=200, seed=seed
-        )
+        return stratified(crossed(rng, 16, 16, (1.0, 0.0, 1.0)), resamples=200, seed=seed)
 
     assert max(coverage(wrong, 200).values()) < 0.7

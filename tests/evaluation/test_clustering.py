@@ -7,6 +7,7 @@ from scipy.spatial import distance
 
 from evaluation import clustering
 from tests.evaluation.episode_tables import clustered_matrix
+from tools.paper_page.measures import branches
 
 
 def test_known_clusters_are_found_and_stand_together():
@@ -52,7 +53,7 @@ def test_fewer_than_a_twentieth_are_outliers():
 
 def test_branches_are_the_leaves_below_each_node():
     tree = hierarchy.average(np.array([[0.0], [1.0], [10.0], [12.0]]))
-    assert [sorted(branch) for branch in clustering.branches(tree)] == [
+    assert [sorted(branch) for branch in branches(tree)] == [
         [0, 1],
         [2, 3],
         [0, 1, 2, 3],

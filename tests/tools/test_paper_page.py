@@ -12,7 +12,6 @@ import pytest
 
 from assistax_envs.disability import DISABILITY_SETTINGS
 from evaluation import derived, summary, tables
-from evaluation.statistics import probability_of_improvement
 from evaluation.strategies import summarise_strategies
 from population.spec import PolicySpec
 from tests.evaluation.episode_tables import (
@@ -30,6 +29,7 @@ from tools.paper_page.claims import Claim, check_claims
 from tools.paper_page.collect import collect
 from tools.paper_page.data import CrossPlayed, Egos, Results, read_notes, read_paper, read_results
 from tools.paper_page.figures import draw_figures
+from tools.paper_page.measures import probability_of_improvement
 from tools.paper_page.page import make_page
 from tools.paper_page.pictures import picture_names
 from zoo.registry import Registry

@@ -7,10 +7,12 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.cluster import hierarchy
+from scipy.spatial import distance
 
 from evaluation.bootstrap import Interval, draw_counts, interval, replicate_crossed
-from evaluation.clustering import least_members, team_branches
-from evaluation.statistics import probability_of_improvement, score_matrix
+from evaluation.clustering import least_members
+from evaluation.statistics import score_matrix
 
 PERMUTATIONS = 99
 RESAMPLES = 2000
@@ -105,6 +107,29 @@ def variance_shares(
     return VarianceShares(*found)
 
 
+def probability_of_improvement(x: np.ndarray, y: np.ndarray) -> float:
+    """Mean over partners of P(a seed of x beats a seed of y with it), ties counting one half.
+
+    Args:
+        x: scores [S, P] of one method.
+        y: scores [S', P] of the other, the same partners in the same order.
+    """
+    x, y = score_matrix(x), score_matrix(y)
+    if x.shape[1] != y.shape[1]:
+        raise ValueError(
+            f"x has {x.shape[1]} partners and y has {y.shape[1]}; give both the same partners"
+        )
+    return float(np.mean((x[:, None] > y[None]) + 0.5 * (x[:, None] == y[None])))
+
+
+def branches(linkage: np.ndarray) -> list[np.ndarray]:
+    """Return the leaves below each node of a tree [n - 1, 4] as SciPy has it, the root last."""
+    below = [np.array([leaf]) for leaf in range(len(linkage) + 1)]
+    for left, right in linkage[:, :2].astype(int):
+        below.append(np.concatenate([below[left], below[right]]))
+    return below[len(linkage) + 1 :]
+
+
 def improvement(
     x: np.ndarray,
     y: np.ndarray,
@@ -160,6 +185,11 @@ def relative_gap(
     return Interval(float(value), ci, scores.size, "seeds")
 
 
+def _team_tree(matrix: np.ndarray) -> np.ndarray:
+    """Return the tree of `evaluation.clustering.cluster_teams`, quicker: it orders no leaves."""
+    return hierarchy.average(distance.pdist(np.concatenate([matrix, matrix.T], axis=1)))
+
+
 def _mean_apart(block: np.ndarray) -> float:
     return float(block[~np.eye(len(block), dtype=bool)].mean())
 
@@ -185,7 +215,9 @@ def _interactions(filled: np.ndarray) -> np.ndarray:
 
 def _exchange(matrix: np.ndarray) -> tuple[float, tuple[np.ndarray, ...]]:
     large = [
-        group for group in team_branches(matrix)[:-1] if len(group) >= least_members(len(matrix))
+        group
+        for group in branches(_team_tree(matrix))[:-1]
+        if len(group) >= least_members(len(matrix))
     ]
     if len(large) < 2:
         return 0.0, ()
