@@ -19,7 +19,7 @@ from evaluation.evaluator import (
 )
 from evaluation.jobs import Job, plan
 from evaluation.locks import LOCK_FILE, locked
-from evaluation.runner import Progress
+from evaluation.runner import OnProgress, Progress
 from population.ray_blocks import NOT_SHARED, RayCluster, run_blocks
 
 
@@ -41,7 +41,7 @@ def run_block(
     block: tuple[int, int],
     *,
     max_envs: int | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
+    on_progress: OnProgress = None,
 ) -> BlockDone:
     """Simulate the chunks of block (i, n), i from 1, and leave their parts in the folder.
 
@@ -73,7 +73,7 @@ def run_blocks_on_ray(
     cluster: RayCluster,
     *,
     max_envs: int | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
+    on_progress: OnProgress = None,
 ) -> None:
     """Simulate the chunks that a folder lacks on a cluster; `run_job` then merges them.
 

@@ -13,7 +13,7 @@ import hashlib
 import math
 import shutil
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from evaluation.jobs import Chunk, Job, plan
 from evaluation.locks import locked
 from evaluation.provenance import MANIFEST_FILE
 from evaluation.roster import HostEgo
-from evaluation.runner import Meter, Progress, Runner
+from evaluation.runner import Meter, OnProgress, Runner
 
 PARTS_FOLDER = "parts"
 # Default bound of a chunk's simulations.
@@ -51,7 +51,7 @@ def run_job(
     reuse: bool = False,
     kept: bool = False,
     devices: Sequence[jax.Device] | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
+    on_progress: OnProgress = None,
 ) -> Evaluation:
     """Evaluate every ego with every partner and write `episodes.parquet`.
 
@@ -167,7 +167,7 @@ def simulate(
     folder: Path,
     chunks: Sequence[Chunk],
     devices: Sequence[jax.Device] | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
+    on_progress: OnProgress = None,
 ) -> tuple[float | None, float]:
     """Run chunks, leaving each one's part.
 
@@ -202,7 +202,7 @@ def _run_and_merge(
     folder: Path,
     max_envs: int,
     devices: Sequence[jax.Device] | None,
-    on_progress: Callable[[Progress], None] | None,
+    on_progress: OnProgress,
 ) -> Evaluation:
     chunks, target = open_folder(folder, job, max_envs), folder / tables.EPISODES_FILE
     finished = is_finished(folder)

@@ -8,7 +8,6 @@ the passive human depend on these.
 import dataclasses
 import hashlib
 import inspect
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from evaluation.evaluator import run_job
 from evaluation.jobs import Job
 from evaluation.relative import COLUMN, PASSIVE, RANDOM, SCRIPT, SELF_PLAY, ZERO
 from evaluation.roster import Member, ReferenceSpec, Roster, ScriptSpec
-from evaluation.runner import Progress
+from evaluation.runner import OnProgress, Progress
 from population.spec import PolicySpec
 from population.stack import PolicyStack
 
@@ -81,7 +80,7 @@ def play_references(
     folder: Path,
     *,
     max_envs: int | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
+    on_progress: OnProgress = None,
 ) -> pl.DataFrame:
     """Return the reference egos' episodes with a job's partners, with a column `reference`.
 

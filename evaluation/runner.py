@@ -45,10 +45,13 @@ class Progress:
         return None if self.done == 0 else self.seconds * (self.total - self.done) / self.done
 
 
+OnProgress = Callable[[Progress], None] | None  # told how far a run is
+
+
 class Meter:
     """Counts what all devices have done, and tells the caller."""
 
-    def __init__(self, total: int, on_progress: Callable[[Progress], None] | None = None) -> None:
+    def __init__(self, total: int, on_progress: OnProgress = None) -> None:
         self._total, self._on_progress = total, on_progress
         self._done, self._seconds = 0, {}
         self._lock = threading.Lock()
@@ -214,9 +217,7 @@ class Runner:
             return self._rollouts[key]
 
 
-def play(
-    env: Any, job: Job, max_envs: int, on_progress: Callable[[Progress], None] | None = None
-) -> pl.DataFrame:
+def play(env: Any, job: Job, max_envs: int, on_progress: OnProgress = None) -> pl.DataFrame:
     """Return a job's episodes, in the order in which they were simulated; nothing is written."""
     parts: list[pl.DataFrame] = []
     chunks = plan(job, max_envs)

@@ -6,7 +6,7 @@ Here registry, job and summary meet; each study fills a folder.
 import dataclasses
 import difflib
 import re
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,7 @@ from evaluation.evaluator import Evaluation, check_folder, run_job
 from evaluation.jobs import Job
 from evaluation.relative import bounds_table
 from evaluation.roster import Roster, paired_rosters, registry_roster
-from evaluation.runner import Progress
+from evaluation.runner import OnProgress
 from evaluation.sources import describe_sources
 from evaluation.summary import Context, CrossPlaySummary, EvaluationSummary, SplitName
 from population.ray_blocks import RayCluster
@@ -83,7 +83,7 @@ def evaluate_policies(
     references: Path | None = None,
     crossplay: Path | None = None,
     reuse: bool = False,
-    on_progress: Callable[[Progress], None] | None = None,
+    on_progress: OnProgress = None,
 ) -> EvaluationSummary:
     """Evaluate robots, seeds of one method, against the partners of a split.
 
@@ -170,7 +170,7 @@ def cross_play(
     release: str | None = None,
     block: tuple[int, int] | None = None,
     cluster: RayCluster | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
+    on_progress: OnProgress = None,
 ) -> CrossPlaySummary | BlockDone:
     """Evaluate the robots of a population with its humans.
 
@@ -324,7 +324,7 @@ def _play_references(
     partners: Sequence[PolicyEntry],
     settings: Settings,
     kept: Path,
-    on_progress: Callable[[Progress], None] | None,
+    on_progress: OnProgress,
 ) -> tuple[pl.DataFrame, list[Path]]:
     """Return the reference egos' episodes with the partners, and the files that keep them.
 

@@ -301,27 +301,22 @@ def _rank_stability(scores: np.ndarray, seed: int) -> Stability | None:
 def _seed_notes(egos: int) -> list[str]:
     if egos == 1:
         return ["one ego: intervals speak about new partners, not about new training seeds"]
-    if egos < ENOUGH:
-        return [f"{egos} seeds: intervals over fewer than {ENOUGH} seeds are too narrow"]
-    return []
+    return _few(egos, f"{egos} seeds", " seeds")
 
 
 def _group_notes(block: Block) -> list[str]:
     counts = [Counter(block.partners[f"partner_{trait}"]) for trait in ("algorithm", "disability")]
     smallest = min(count for groups in counts for count in groups.values())
-    if smallest >= ENOUGH:
-        return []
-    return [
-        f"groups of partners have as few as {smallest}: intervals over fewer than {ENOUGH} "
-        "partners are too narrow"
-    ]
+    return _few(smallest, f"groups of partners have as few as {smallest}", " partners")
 
 
 def _team_notes(block: Block) -> list[str]:
     units = min(block.egos.height, block.partners.height)
-    if units >= ENOUGH:
-        return []
-    return [f"{units} teams: intervals over fewer than {ENOUGH} are too narrow"]
+    return _few(units, f"{units} teams")
+
+
+def _few(count: int, what: str, of: str = "") -> list[str]:
+    return [f"{what}: intervals over fewer than {ENOUGH}{of} are too narrow"] * (count < ENOUGH)
 
 
 def _episode_notes(block: Block) -> Sequence[str]:

@@ -9,10 +9,18 @@ from evaluation.metrics.bounds import (
     regret,
 )
 from evaluation.metrics.comparison import Difference, Stability, paired_difference, rank_stability
-from evaluation.metrics.crossplay import CrossPlay, Traits, cross_play, self_play_mask
+from evaluation.metrics.crossplay import CrossPlay, Traits, cross_play
 from evaluation.metrics.diversity import Diversity, br_diversity, greedy_subset
-from evaluation.metrics.generalisation import Fairness, ZeroShot, fairness, group_draws, zero_shot
-from evaluation.metrics.robustness import WorstPartner, cvar_crossfit, worst_partner
+from evaluation.metrics.generalisation import (
+    Fairness,
+    WorstPartner,
+    ZeroShot,
+    cvar_crossfit,
+    fairness,
+    group_draws,
+    worst_partner,
+    zero_shot,
+)
 
 __all__ = [
     "Bounds",
@@ -37,7 +45,6 @@ __all__ = [
     "paired_difference",
     "rank_stability",
     "regret",
-    "self_play_mask",
     "worst_partner",
     "zero_shot",
 ]

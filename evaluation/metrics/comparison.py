@@ -4,7 +4,14 @@ import dataclasses
 
 import numpy as np
 
-from evaluation.bootstrap import NOTHING, RESAMPLES, Estimate, draw_counts, replicate_crossed
+from evaluation.bootstrap import (
+    NOTHING,
+    RESAMPLES,
+    Estimate,
+    draw_counts,
+    generalises_to,
+    replicate_crossed,
+)
 from evaluation.statistics import score_matrix
 
 
@@ -44,16 +51,14 @@ def paired_difference(
     a_counts, b_counts, partner_counts = (
         draw_counts(n, resamples, rng) for n in (len(a), len(b), a.shape[1])
     )
-    to = " and ".join(
-        [*(["seeds"] if max(len(a), len(b)) > 1 else []), *(["partners"] if a.shape[1] > 1 else [])]
-    )
-    draws = replicate_crossed(a, a_counts, partner_counts, to or NOTHING) - replicate_crossed(
-        b, b_counts, partner_counts, to or NOTHING
+    to = generalises_to((max(len(a), len(b)), a.shape[1]))
+    draws = replicate_crossed(a, a_counts, partner_counts, to) - replicate_crossed(
+        b, b_counts, partner_counts, to
     )
     difference = a.mean(axis=0) - b.mean(axis=0)
     return Difference(
         **vars(draws.estimate()),
-        p_positive=_share_positive(draws.means) if to else None,
+        p_positive=_share_positive(draws.means) if to != NOTHING else None,
         partners_better=_share_positive(difference),
     )
 

@@ -44,11 +44,6 @@ class CrossPlay:
     across_disabilities: Estimate | None
 
 
-def self_play_mask(rows: Traits, columns: Traits) -> np.ndarray:
-    """Return where robot and human were trained together, [R, C]."""
-    return _equal(rows.teams, columns.teams)
-
-
 def cross_play(
     scores: np.ndarray, rows: Traits, columns: Traits, *, resamples: int = RESAMPLES, seed: int = 0
 ) -> CrossPlay:
@@ -65,33 +60,29 @@ def cross_play(
         )
     counts = _team_counts(rows.teams, columns.teams, resamples, np.random.default_rng(seed))
     to = _generalises_to(rows.teams, columns.teams)
-    own = self_play_mask(rows, columns)
-    same_algorithm, same_disability = (
-        _equal(getattr(rows, name), getattr(columns, name))
-        for name in ("algorithms", "disabilities")
-    )
-    known_algorithm, known_disability = (
-        _known(getattr(rows, name), getattr(columns, name))
-        for name in ("algorithms", "disabilities")
-    )
+    own = _equal(rows.teams, columns.teams)  # robot and human were trained together
+    same_algorithm = _equal(rows.algorithms, columns.algorithms)
+    same_disability = _equal(rows.disabilities, columns.disabilities)
+    known_algorithm = _known(rows.algorithms, columns.algorithms)
+    known_disability = _known(rows.disabilities, columns.disabilities)
 
-    def replicate_pairs(mask: np.ndarray) -> Draws | None:
-        return replicate_crossed(scores, *counts, to, mask) if mask.any() else None
+    def apart(mask: np.ndarray) -> Draws | None:
+        cells = ~own & mask
+        return replicate_crossed(scores, *counts, to, cells) if cells.any() else None
 
-    def estimate(mask: np.ndarray) -> Estimate | None:
-        draws = replicate_pairs(mask)
-        return draws.estimate() if draws else None
-
-    sp, xp = _self_play(scores, own, counts[0], to), replicate_pairs(~own)
+    sp, xp = _self_play(scores, own, counts[0], to), apart(~own)
+    draws = {
+        "self_play": sp,
+        "cross_play": xp,
+        "gap": sp - xp if sp and xp else None,
+        "within_algorithm": apart(same_algorithm),
+        "across_algorithms": apart(known_algorithm & ~same_algorithm),
+        "within_disability": apart(same_disability),
+        "across_disabilities": apart(known_disability & ~same_disability),
+    }
     return CrossPlay(
-        self_play=sp.estimate() if sp else None,
-        cross_play=xp.estimate() if xp else None,
-        gap=(sp - xp).estimate() if sp and xp else None,
         relative_gap=_relative(sp, xp) if sp and xp else None,
-        within_algorithm=estimate(~own & same_algorithm),
-        across_algorithms=estimate(~own & known_algorithm & ~same_algorithm),
-        within_disability=estimate(~own & same_disability),
-        across_disabilities=estimate(~own & known_disability & ~same_disability),
+        **{name: draw.estimate() if draw else None for name, draw in draws.items()},
     )
 
 
@@ -142,18 +133,12 @@ def _team_counts(
 def _generalises_to(rows: Sequence[str | None], columns: Sequence[str | None]) -> str:
     if len(_shared(rows, columns)) > 1:
         return "teams"
-    return (
-        " and ".join(
-            [*(["egos"] if len(rows) > 1 else []), *(["partners"] if len(columns) > 1 else [])]
-        )
-        or NOTHING
-    )
+    several = (("egos", rows), ("partners", columns))
+    return " and ".join(name for name, axis in several if len(axis) > 1) or NOTHING
 
 
 def _shared(rows: Sequence[str | None], columns: Sequence[str | None]) -> set[str]:
-    return {team for team in rows if team is not None} & {
-        team for team in columns if team is not None
-    }
+    return {team for team in rows if team is not None and team in columns}
 
 
 def _known(rows: Sequence[str | None], columns: Sequence[str | None]) -> np.ndarray:
