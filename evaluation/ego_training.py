@@ -12,11 +12,12 @@ from population.config import (
     TrainerConfig,
     check_names,
     make_run,
+    numbered,
     preset,
 )
 from population.files import atomic_write
 from population.run_folder import TrainedRun
-from population.team_training import numbered, run_training
+from population.team_training import run_training
 from zoo.registry import Registry
 from zoo.schema import Split
 from zoo.storage import load_stacks, write_policy_file

@@ -22,15 +22,15 @@ the same is what the golden test checks.
 
 import dataclasses
 import math
-import sys
+import platform
 from collections.abc import Callable, Collection, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
 import polars as pl
 
 from assistax_envs.versions import VERSIONS
+from evaluation import provenance
 from evaluation.evaluator import MAX_ENVS, check_sizes
 from evaluation.jobs import Job
 from evaluation.roster import paired_rosters
@@ -163,13 +163,8 @@ def check_self_play(
 
 def versions() -> dict[str, str]:
     """Return the installed versions that decide what a policy does, Python's included."""
-    found = {"python": ".".join(map(str, sys.version_info[:3]))}
-    for package in PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed"
-    return found
+    found = {name: provenance.installed(name) or "not installed" for name in PACKAGES}
+    return {"python": platform.python_version(), **found}
 
 
 def tolerance(recorded: SelfPlay, episodes: int) -> float:

@@ -7,6 +7,7 @@ each scaled to [0, 1] over the partners (theta and phi of BR-Div, ZSC-Eval, arXi
 """
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -15,8 +16,6 @@ import polars as pl
 
 from evaluation import tables
 from evaluation.clustering import Clustering, cluster_profiles
-from evaluation.metrics import br_diversity, greedy_subset
-from evaluation.metrics.diversity import scale_features
 from evaluation.tables import BEHAVIOUR
 
 FEATURES: Mapping[str, str] = {
@@ -29,6 +28,7 @@ FEATURES: Mapping[str, str] = {
     "human_travel": "rad",
 }
 MOST_PICKED = 8  # partners of the diverse subset
+_TOLERANCE = 1e-9  # of the largest eigenvalue; below it a direction counts as absent
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,6 +39,17 @@ class Responses:
     robots: list[str]  # id of each partner's best robot
     returns: np.ndarray  # [P, P]: with partner a (column) the best robot of partner b (row)
     features: np.ndarray  # [P, F] of each partner with its best robot, in the order of FEATURES
+
+
+@dataclasses.dataclass(frozen=True)
+class Diversity:
+    """Diversity of P partners; the determinant itself is 0 once P exceeds the rank."""
+
+    log_determinant: float | None  # of the kernel phi phi^T; None when it is singular
+    rank: int
+    # (sum l)^2 / sum l^2 of the kernel's eigenvalues l: effective number of directions.
+    participation_ratio: float
+    n: int  # partners
 
 
 def best_responses(pairs: pl.DataFrame) -> Responses:
@@ -94,6 +105,59 @@ def summarise_strategies(pairs: pl.DataFrame) -> dict[str, Any]:
         "diverse_subset": [found.partners[i] for i in picked],
         "incompatible": _incompatible(found),
     }
+
+
+def br_diversity(features: np.ndarray) -> Diversity:
+    """Diversity of behaviour features theta [P, F] of best responses, each scaled to [0, 1]."""
+    phi = scale_features(features)
+    values = np.linalg.eigvalsh(phi @ phi.T).clip(min=0.0)
+    rank = int(np.count_nonzero(values > _TOLERANCE * values.max())) if values.max() > 0 else 0
+    singular = rank < len(phi)
+    ratio = float(values.sum() ** 2 / np.square(values).sum()) if rank else 0.0
+    return Diversity(None if singular else float(np.log(values).sum()), rank, ratio, len(phi))
+
+
+def greedy_subset(features: np.ndarray, size: int) -> list[int]:
+    """Pick `size` diverse partners of features [P, F].
+
+    Each raises the log-determinant of the picked kernel the most.
+
+    Greedy Cholesky updates (Chen et al., arXiv 1709.05135); ties go to the first.
+    """
+    phi = scale_features(features)
+    rank = br_diversity(features).rank
+    if not 1 <= size <= rank:
+        raise ValueError(
+            f"size is {size}; the features have rank {rank}, so allowed is 1 to {rank}"
+        )
+    gains = np.square(phi).sum(axis=1)
+    factors = np.zeros((len(phi), 0))
+    picked: list[int] = []
+    while len(picked) < size:
+        best = int(np.argmax(gains))
+        column = (phi @ phi[best] - factors @ factors[best]) / math.sqrt(gains[best])
+        factors = np.column_stack([factors, column])
+        gains = gains - np.square(column)
+        picked.append(best)
+        gains[picked] = -np.inf
+    return picked
+
+
+def scale_features(features: np.ndarray) -> np.ndarray:
+    """Scale each feature of [P, F] to [0, 1] over the partners; a constant feature becomes 0."""
+    features = np.asarray(features, float)
+    if features.ndim != 2 or not features.size:
+        raise ValueError(
+            f"features has shape {features.shape}; expected [partners, features], neither of them "
+            "empty"
+        )
+    if not np.isfinite(features).all():
+        raise ValueError(
+            f"{np.count_nonzero(~np.isfinite(features))} features are not finite; mend or exclude "
+            "them"
+        )
+    low, span = features.min(axis=0), np.ptp(features, axis=0)
+    return np.divide(features - low, span, out=np.zeros_like(features), where=span > 0)
 
 
 def _clusters(found: Responses, clustering: Clustering) -> list[dict[str, Any]]:

@@ -31,15 +31,6 @@ FILES = (
     *(ORDER_FILE, STRATEGIES_FILE, RUN_FILE, SUMMARY_FILE, MATRIX_FIGURE),
 )
 
-EGO_COLUMNS = ("ego", "ego_team", "ego_algorithm", "ego_disability", "ego_seed")
-PARTNER_COLUMNS = (
-    "partner",
-    "partner_team",
-    "partner_algorithm",
-    "partner_disability",
-    "partner_seed",
-    "side",
-)
 SIDES = ("train", "test")
 TERM_PREFIX = "term_"
 
@@ -80,16 +71,9 @@ BEHAVIOUR = (
     "human_travel",
 )  # tables of manifest format 1 lack them
 GENTLE = ("preference", "contact_peak", "violated")  # of the gentle tasks alone
-_NULLABLE = {
-    *(
-        "ego_team",
-        "ego_algorithm",
-        "ego_disability",
-        "ego_seed",
-        "side",
-    ),  # an ego from outside the zoo
-    *("partner_team", "partner_algorithm", "partner_disability", "partner_seed"),
-}
+EGO_COLUMNS = tuple(name for name in SCHEMA if name.startswith("ego"))
+PARTNER_COLUMNS = (*(name for name in SCHEMA if name.startswith("partner")), "side")
+_NULLABLE = (*EGO_COLUMNS[1:], *PARTNER_COLUMNS[1:])  # of an ego from outside the zoo
 
 
 _GENTLE = ("preferences", "safe", "violated")  # fields of a block that only gentle tasks fill

@@ -19,7 +19,30 @@ LogStd = Annotated[float, Field(ge=-5, le=1)]
 
 
 @checked
-class PPOConfig:
+class Hyperparameters:
+    """What both trainers have."""
+
+    # What critics see: of their role (observation, and SAC's the action too), or everything.
+    critic: Literal["local", "central"] = "local"
+    num_envs: PositiveInt = 1024  # simulations of one member
+    rollout_steps: PositiveInt = 64  # steps of each simulation between updates
+    adam_eps: PositiveFloat = 1e-8  # added to Adam's denominator
+    max_grad_norm: PositiveFloat = 0.5  # global norm to which each network's gradient is clipped
+    gamma: Share = 0.99  # discount
+    torso: Literal["mlp", "gru"] = "mlp"  # "gru": actors and critics are recurrent
+    hidden: Widths = (128, 128)  # widths of the hidden layers; (embedding, GRU) for "gru"
+    activation: Literal["tanh", "relu"] = "tanh"  # after each dense hidden layer
+    normalise: bool = True  # whether observations are normalised by running statistics
+    initial_log_std: LogStd = -0.5  # log standard deviation of actions before training
+
+    @property
+    def batch_steps(self) -> int:
+        """Environment steps of one member in one update."""
+        return self.num_envs * self.rollout_steps
+
+
+@checked
+class PPOConfig(Hyperparameters):
     """Hyperparameters of PPO.
 
     The defaults are the paper's IPPO (appendix, hyperparameters of IPPO).
@@ -40,33 +63,18 @@ class PPOConfig:
     checkpoint_every: ClassVar[int] = 20  # default of a run
     updates_per_call: ClassVar[int] = 1  # default of a run
 
-    critic: Literal["local", "central"] = (
-        "local"  # what critics see: the role's observation, or the global one
-    )
-    num_envs: PositiveInt = 1024  # simulations of one member
-    rollout_steps: PositiveInt = 64  # steps of each simulation between updates
     epochs: PositiveInt = 4  # passes over a rollout
     minibatches: PositiveInt = 4  # parts of a pass; each holds whole simulations
     learning_rate: PositiveFloat = 1e-3  # of Adam, for actors and critics
     anneal_lr: bool = False  # whether the learning rate falls linearly to 0 over the run
-    adam_eps: PositiveFloat = 1e-8  # added to Adam's denominator
-    max_grad_norm: PositiveFloat = (
-        0.5  # global norm to which the gradient of each network is clipped
-    )
     clip_eps: PositiveFloat = 0.31  # the probability ratio is clipped to [1 - eps, 1 + eps]
     entropy_coef: NonNegativeFloat = 1e-4  # weight of the entropy bonus
     value_coef: NonNegativeFloat = 1.0  # weight of the value loss
-    gamma: Share = 0.99  # discount
     gae_lambda: Share = 0.95  # decay of the advantage trace
-    torso: Literal["mlp", "gru"] = "mlp"  # "gru": actors and critics are recurrent
-    hidden: Widths = (128, 128)  # widths of the hidden layers; (embedding, GRU) for "gru"
-    activation: Literal["tanh", "relu"] = "tanh"  # after each dense hidden layer
     squash: Literal["clip", "tanh"] = "clip"  # how a Gaussian sample is brought into [-1, 1]
     std: Literal["parameter", "state"] = (
         "parameter"  # log standard deviation: one vector, or a head on the torso
     )
-    normalise: bool = True  # whether observations are normalised by running statistics
-    initial_log_std: LogStd = -0.5  # log standard deviation of actions before training
     shared: bool = False  # whether one network acts for both roles, and one critic values for both
 
     def __post_init__(self) -> None:
@@ -82,14 +90,9 @@ class PPOConfig:
                 "minibatches"
             )
 
-    @property
-    def batch_steps(self) -> int:
-        """Environment steps of one member in one update."""
-        return self.num_envs * self.rollout_steps
-
 
 @checked
-class SACConfig:
+class SACConfig(Hyperparameters):
     """Hyperparameters of SAC.
 
     The defaults are the paper's ISAC (appendix, hyperparameters of ISAC).
@@ -112,9 +115,6 @@ class SACConfig:
     )
     updates_per_call: ClassVar[int] = 20  # default of a run
 
-    critic: Literal["local", "central"] = (
-        "local"  # critics see the role's observation and action, or everything
-    )
     num_envs: PositiveInt = 64  # simulations of one member
     rollout_steps: PositiveInt = 8  # steps of each simulation between updates
     replay_size: PositiveInt = (
@@ -131,12 +131,10 @@ class SACConfig:
     policy_lr: PositiveFloat = 3e-4  # learning rate of the actors
     q_lr: PositiveFloat = 1e-3  # learning rate of the critics
     alpha_lr: PositiveFloat = 3e-4  # learning rate of the temperature's logarithm
-    adam_eps: PositiveFloat = 1e-8  # added to Adam's denominator
     max_grad_norm: PositiveFloat = (
         10.0  # global norm to which the gradient of each network is clipped
     )
     tau: Share = 0.005  # share of the critics in their slow copies at each step
-    gamma: Share = 0.99  # discount
     autotune: bool = True  # whether the temperature follows the target entropy
     initial_alpha: PositiveFloat = 0.1  # temperature at the start
     # The target entropy is -scale x action dimension, as in the public code that the tables' names
@@ -145,11 +143,7 @@ class SACConfig:
     target_entropy_scale: float = 5.0
     squash: ClassVar[str] = "tanh"
     std: ClassVar[str] = "state"
-    torso: Literal["mlp", "gru"] = "mlp"  # feed-forward only: "gru" is refused with the reason
-    hidden: Widths = (128, 128)  # widths of the hidden layers
     activation: Literal["tanh", "relu"] = "relu"  # after each hidden layer
-    normalise: bool = True  # whether observations are normalised by running statistics
-    initial_log_std: LogStd = -0.5  # log standard deviation of actions before training
 
     def __post_init__(self) -> None:
         if self.torso == "gru":
@@ -168,11 +162,6 @@ class SACConfig:
                 f"replay_size is {self.replay_size}; a rollout has {self.batch_steps} transitions, "
                 "so choose at least that many"
             )
-
-    @property
-    def batch_steps(self) -> int:
-        """Environment steps of one member in one update."""
-        return self.num_envs * self.rollout_steps
 
 
 TrainerConfig = PPOConfig | SACConfig
@@ -326,6 +315,11 @@ def traced_values(config: TrainerConfig, members: Sequence[Member]) -> dict[str,
         name: [member.overrides.get(name, getattr(config, name)) for member in members]
         for name in config.traced
     }
+
+
+def numbered(seeds: Any) -> Any:
+    """Return the seeds that a number of them stands for, 0 to that number - 1; others as given."""
+    return range(seeds) if type(seeds) is int else seeds
 
 
 def make_members(seeds: Sequence[int], disabilities: Sequence[str]) -> tuple[Member, ...]:

@@ -26,7 +26,15 @@ from pydantic import (
 )
 
 from population.checked import Many, checked, first_problem
-from population.config import Member, TrainConfig, check_names, make_members, make_run, preset
+from population.config import (
+    Member,
+    TrainConfig,
+    check_names,
+    make_members,
+    make_run,
+    numbered,
+    preset,
+)
 from population.run_folder import RunFolder, differences
 
 # The last word of a group's name is no number, or it were taken for another's second folder.
@@ -34,11 +42,6 @@ _NAME = re.compile(r"[a-z][a-z0-9_]*((-[a-z0-9_]+)*-[0-9]*[a-z_][a-z0-9_]*)?")
 
 Key = tuple[str, int]  # disability setting and seed: a team within its group
 Release = Annotated[str, Field(pattern=r"^v(0|[1-9][0-9]*)$")]
-
-
-def _counted(seeds: Any) -> Any:
-    """Return the seeds that a number of them stands for: 0 to that number - 1."""
-    return range(seeds) if type(seeds) is int else seeds
 
 
 @checked
@@ -49,7 +52,7 @@ class Group:
     task: str  # environment task
     algorithm: str  # preset of hyperparameters, and the name under which the teams are listed
     disabilities: Many[str]  # the human's settings
-    seeds: Annotated[Many[int], BeforeValidator(_counted)]  # how many, or which
+    seeds: Annotated[Many[int], BeforeValidator(numbered)]  # how many, or which
     steps: PositiveInt  # environment steps of each team
     set: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # changes of the preset
     updates_per_call: PositiveInt | None = None  # dispatched at once; None: the trainer's default

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from population.config import TrainConfig, check_names, make_members, make_run, preset
+from population.config import TrainConfig, check_names, make_members, make_run, numbered, preset
 from population.run_folder import TrainedRun, read_trained_run
 
 if TYPE_CHECKING:
@@ -141,8 +141,3 @@ def read_preset(path: Path, algorithm: str | None = None) -> tuple[str, dict[str
             f"algorithm is {algorithm!r}, but {path} is a preset of {found}; leave --algorithm out"
         )
     return found, changes
-
-
-def numbered(seeds: int | Sequence[int]) -> Sequence[int]:
-    """Return seeds: a number of them is counted from 0."""
-    return range(seeds) if isinstance(seeds, int) else seeds

@@ -10,7 +10,6 @@ from evaluation.metrics.bounds import (
 )
 from evaluation.metrics.comparison import Difference, Stability, paired_difference, rank_stability
 from evaluation.metrics.crossplay import CrossPlay, Traits, cross_play
-from evaluation.metrics.diversity import Diversity, br_diversity, greedy_subset
 from evaluation.metrics.generalisation import (
     Fairness,
     WorstPartner,
@@ -27,19 +26,16 @@ __all__ = [
     "Coverage",
     "CrossPlay",
     "Difference",
-    "Diversity",
     "Fairness",
     "Stability",
     "Traits",
     "WorstPartner",
     "ZeroShot",
-    "br_diversity",
     "br_prox",
     "coverage",
     "cross_play",
     "cvar_crossfit",
     "fairness",
-    "greedy_subset",
     "group_draws",
     "normalised_return",
     "paired_difference",

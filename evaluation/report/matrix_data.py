@@ -1,6 +1,6 @@
 """What the page's interactive matrix draws: saved pairs, their orders, and colours, as JSON."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import matplotlib
@@ -22,6 +22,8 @@ MEASURES = {  # column of the pairs -> label, unit
     "human_travel": ("joint travel, human", "rad"),
 }
 _DIGITS = 4  # significant, of what is only looked at
+
+Places = tuple[list[int], list[int]]  # an order along an axis, and where lines are drawn
 
 
 def matrix_data(
@@ -78,57 +80,37 @@ def _orders(
     strategies: Mapping[str, Any] | None,
 ) -> dict[str, dict[str, Any]]:
     orders: dict[str, dict[str, Any]] = {}
-    if teams := order["teams"]:
-        orders["teams"] = {
-            "label": "clustered, one order of teams",
-            **_places("row", rows, "team", teams["order"], teams["clusters"]),
-            **_places("column", columns, "team", teams["order"], teams["clusters"]),
-        }
-    by_row = _places("row", rows, "name", order["rows"]["order"], order["rows"]["clusters"])
-    orders["separate"] = {
-        "label": "clustered, each axis by itself",
-        **by_row,
-        **_places(
-            "column", columns, "name", order["columns"]["order"], order["columns"]["clusters"]
-        ),
-    }
+
+    def add(name: str, label: str, row: Places, column: Places) -> None:
+        axes = {"rows": row[0], "rowBreaks": row[1]}
+        orders[name] = {"label": label, **axes, "columns": column[0], "columnBreaks": column[1]}
+
+    if order["teams"]:
+        label = "clustered, one order of teams"
+        teams = (_clustered(axis, "team", order["teams"]) for axis in (rows, columns))
+        add("teams", label, *teams)
+    by_row = _clustered(rows, "name", order["rows"])
+    by_column = _clustered(columns, "name", order["columns"])
+    add("separate", "clustered, each axis by itself", by_row, by_column)
     if strategies:
         members = [name for cluster in strategies["clusters"] for name in cluster["members"]]
-        by_column = _places("column", columns, "name", members, strategies["clusters"])
-        orders["strategies"] = {"label": "humans by behaviour", **by_row, **by_column}
-    orders["algorithm"] = {
-        "label": "algorithm, then disability",
-        **_by_traits("row", rows, ("algorithm", "disability")),
-        **_by_traits("column", columns, ("algorithm", "disability")),
-    }
-    orders["disability"] = {
-        "label": "disability, then algorithm",
-        **_by_traits("row", rows, ("disability", "algorithm")),
-        **_by_traits("column", columns, ("disability", "algorithm")),
-    }
-    orders["mean"] = {
-        "label": "mean return",
-        "rows": np.argsort(-returns.mean(axis=1), kind="stable").tolist(),
-        "columns": np.argsort(-returns.mean(axis=0), kind="stable").tolist(),
-    }
+        found = {"order": members, "clusters": strategies["clusters"]}
+        add("strategies", "humans by behaviour", by_row, _clustered(columns, "name", found))
+    for first, second in (("algorithm", "disability"), ("disability", "algorithm")):
+        sorted_axes = (_by_traits(axis, (first, second)) for axis in (rows, columns))
+        add(first, f"{first}, then {second}", *sorted_axes)
+    best = (np.argsort(-returns.mean(axis=axis), kind="stable").tolist() for axis in (1, 0))
+    orders["mean"] = {"label": "mean return", **dict(zip(("rows", "columns"), best, strict=True))}
     return orders
 
 
-def _places(
-    axis: str,
-    policies: list[dict[str, Any]],
-    key: str,
-    order: Sequence[str],
-    clusters: Sequence[Mapping[str, Any]],
-) -> dict[str, Any]:
+def _clustered(policies: list[dict[str, Any]], key: str, order: Mapping[str, Any]) -> Places:
     place = {one[key]: i for i, one in enumerate(policies)}
-    breaks = np.cumsum([len(cluster["members"]) for cluster in clusters])[:-1].tolist()
-    return {f"{axis}s": [place[name] for name in order], f"{axis}Breaks": breaks}
+    sizes = [len(cluster["members"]) for cluster in order["clusters"]]
+    return [place[name] for name in order["order"]], np.cumsum(sizes)[:-1].tolist()
 
 
-def _by_traits(
-    axis: str, policies: list[dict[str, Any]], traits: tuple[str, str]
-) -> dict[str, Any]:
+def _by_traits(policies: list[dict[str, Any]], traits: tuple[str, str]) -> Places:
     """Order by two traits, with a line wherever the first changes; unknown comes last."""
 
     def known(i: int) -> list[tuple[bool, str]]:
@@ -136,8 +118,7 @@ def _by_traits(
 
     order = sorted(range(len(policies)), key=known)
     first = [policies[i][traits[0]] for i in order]
-    breaks = [i for i in range(1, len(first)) if first[i] != first[i - 1]]
-    return {f"{axis}s": order, f"{axis}Breaks": breaks}
+    return order, [i for i in range(1, len(first)) if first[i] != first[i - 1]]
 
 
 def _rounded(values: np.ndarray) -> list[list[float]]:

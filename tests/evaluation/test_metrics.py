@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from evaluation import metrics
+from evaluation import metrics, strategies
 from evaluation.metrics import Bounds, Traits
 from evaluation.statistics import iqm
 
@@ -236,7 +236,7 @@ def test_rank_stability_of_a_clear_order_is_one_and_of_noise_nothing():
 
 
 def test_diversity_by_hand():
-    found = metrics.br_diversity(
+    found = strategies.br_diversity(
         np.array([[0.0, 5.0], [2.0, 3.0]])
     )  # scaled to the rows (0, 1) and (1, 0)
     assert (found.log_determinant, found.rank, found.participation_ratio) == (
@@ -244,16 +244,16 @@ def test_diversity_by_hand():
         2,
         pytest.approx(2.0),
     )
-    twice = metrics.br_diversity(np.array([[0.0, 5.0], [2.0, 3.0], [2.0, 3.0]]))
+    twice = strategies.br_diversity(np.array([[0.0, 5.0], [2.0, 3.0], [2.0, 3.0]]))
     assert (twice.log_determinant, twice.rank) == (None, 2)  # singular
-    alike = metrics.br_diversity(np.ones((3, 2)))
+    alike = strategies.br_diversity(np.ones((3, 2)))
     assert (alike.rank, alike.participation_ratio) == (0, 0.0)
 
 
 def test_greedy_subset_raises_the_log_determinant_the_most_at_every_step():
     features = np.random.default_rng(0).uniform(size=(12, 5))
-    phi = metrics.diversity.scale_features(features)
-    picked = metrics.greedy_subset(features, 4)
+    phi = strategies.scale_features(features)
+    picked = strategies.greedy_subset(features, 4)
     for step in range(1, 5):
         before = picked[: step - 1]
         gains = [
@@ -262,4 +262,4 @@ def test_greedy_subset_raises_the_log_determinant_the_most_at_every_step():
         ]
         assert int(np.argmax(gains)) == picked[step - 1]
     with pytest.raises(ValueError, match="size is 6; the features have rank 5"):
-        metrics.greedy_subset(features, 6)
+        strategies.greedy_subset(features, 6)
