@@ -10,8 +10,8 @@ from assistax_zoo.zoos import Zoo, open_zoo
 
 if TYPE_CHECKING:
     from evaluation.ego_training import TrainedEgos
+    from population.run_folder import TrainedRun
     from population.train import Progress
-    from population.trained_run import TrainedRun
 
 
 def train(
