@@ -13,6 +13,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from assistax_zoo.auditing import audit
     from assistax_zoo.films import render
     from assistax_zoo.results import (
         Comparison,
@@ -32,6 +33,7 @@ __all__ = [
     "EvaluationResult",
     "Partner",
     "Zoo",
+    "audit",
     "compare",
     "cross_play",
     "evaluate",
@@ -54,6 +56,7 @@ _HOMES = {
         "compare",
         "load_result",
     ),
+    "assistax_zoo.auditing": ("audit",),
     "assistax_zoo.films": ("render",),
     "assistax_zoo.training": ("train", "train_ego"),
 }

@@ -37,6 +37,7 @@ COMMANDS = {
     "strategies": "assistax_zoo.commands.report:strategies",
     "report": "assistax_zoo.commands.report:report",
     "replay": "assistax_zoo.commands.provenance:replay",
+    "audit": "assistax_zoo.commands.audit:audit",
     "train": "assistax_zoo.commands.train:train",
     "train-ego": "assistax_zoo.commands.train_ego:train_ego",
     "sweep": "assistax_zoo.commands.sweep:sweep",

@@ -1,0 +1,84 @@
+"""Audit of a task: whether it can be done without the partner, and roughly."""
+
+import contextlib
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from assistax_zoo.console import study_progress
+from assistax_zoo.studies import Shown
+from assistax_zoo.zoos import Zoo, open_zoo
+from evaluation.audit import EPISODES, Audit, Others, audit_task
+from evaluation.audit_teams import Teams, read_robots, read_teams
+from evaluation.studies import Settings
+
+Names = str | Sequence[str]
+
+
+def audit(
+    task: str,
+    teams: Names,
+    *,
+    passive_robot: Names = (),
+    response: Names = (),
+    told: Names = (),
+    blind: Names = (),
+    recurrent: Names = (),
+    episodes: int = EPISODES,
+    seed: int = 0,
+    backend: str = "auto",
+    zoo: str | Path | Zoo | None = None,
+    out: Path | str | None = None,
+    progress: Shown = True,
+) -> Audit:
+    """Hold a task against its gates, on trained teams; those that nobody can measure are named.
+
+    Args:
+        task: Task, such as "gentle_scratch".
+        teams: Folders that `train` filled, or globs over teams of the zoo: several seeds.
+        passive_robot: Robots that were trained with a human that does nothing: folders, or any
+            form of a robot.
+        response: Robots, one for each team, trained with its frozen human.
+        told: Teams whose robot is told the human's preference.
+        blind: Teams whose human is not.
+        recurrent: Teams whose robot remembers.
+        episodes: Of each pair, two or more.
+        seed: Of the episodes.
+        backend: Physics: "auto" for the fastest one here, or its name.
+        zoo: Where teams come from, as in `open_zoo`.
+        out: Folder for the episodes, in which an audit that was stopped goes on.
+        progress: Show it, or a function that is told of it.
+
+    Raises:
+        ValueError: Something asked for does not exist or does not fit the task.
+        ZooError: A folder or the zoo does not have, or not unchanged, what was asked for.
+    """
+    Settings(task, episodes, seed, backend)  # refuses what is none of them
+    registry = open_zoo(zoo).registry
+
+    def found(names: Names, read: Callable[..., Teams]) -> Teams | None:
+        listed = [names] if isinstance(names, str) else list(names)
+        return read(listed, registry, task) if listed else None
+
+    own = read_teams([teams] if isinstance(teams, str) else list(teams), registry, task)
+    others = Others(
+        passive=found(passive_robot, read_robots),
+        response=found(response, read_robots),
+        told=found(told, read_teams),
+        blind=found(blind, read_teams),
+        recurrent=found(recurrent, read_teams),
+    )
+    with contextlib.ExitStack() as stack:
+        temporary = stack.enter_context(tempfile.TemporaryDirectory())
+        shown = progress or None
+        if progress is True:
+            shown = stack.enter_context(study_progress(f"audit {task}"))
+        folder = Path(out or temporary)
+        given: dict[str, Any] = {
+            "episodes": episodes,
+            "seed": seed,
+            "backend": backend,
+            "on_progress": shown,
+        }
+        return audit_task(task, own, others, folder, **given)
