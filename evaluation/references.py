@@ -6,6 +6,7 @@ the passive human depend on these.
 """
 
 import dataclasses
+import functools
 import hashlib
 import inspect
 from pathlib import Path
@@ -94,15 +95,17 @@ def play_references(
         on_progress: Told how far a run is.
     """
 
-    def told(state: Progress) -> None:
+    def told(what: str, state: Progress) -> None:
         if on_progress is not None:
-            on_progress(dataclasses.replace(state, what="reference egos"))
+            on_progress(dataclasses.replace(state, what=what))
 
-    options: dict[str, Any] = {"max_envs": max_envs, "kept": True, "on_progress": told}
-    played = [
-        run_job(env, one, kept_folder(folder, one), **options).table
-        for one in reference_jobs(env, job, own)
-    ]
+    options: dict[str, Any] = {"max_envs": max_envs, "kept": True}
+    played = []
+    for one in reference_jobs(env, job, own):
+        what = "policies with a passive human" if one.egos is job.egos else "reference egos"
+        shown = functools.partial(told, what)
+        place = kept_folder(folder, one)
+        played.append(run_job(env, one, place, on_progress=shown, **options).table)
     names = (
         pl.when(pl.col("partner") == PASSIVE)
         .then("partner")

@@ -133,14 +133,17 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
         "uniform_random",
         "self_play",
         "best_response",
+        "script",
+        "passive_human",
+        "script_with_passive_human",
     }
-    assert all(figure["n"] == 3 for figure in found["references"].values())
+    assert [figure["n"] for figure in found["references"].values()] == [3] * 5 + [1] * 2
     assert found["references"]["best_response"]["mean"] >= found["references"]["self_play"]["mean"]
     assert sum(found["relative"]["bounds"]["best"].values()) == 3
     bounds = pl.read_parquet(tmp_path / "out" / "bounds.parquet")
     assert bounds.height == 4
-    assert pl.read_parquet(tmp_path / "out" / "references.parquet").height == 3 * 4 * 2
-    assert len(list((tmp_path / "cache" / "assistax-zoo" / "references").iterdir())) == 2
+    assert pl.read_parquet(tmp_path / "out" / "references.parquet").height == (4 * 4 + 2) * 2
+    assert len(list((tmp_path / "cache" / "assistax-zoo" / "references").iterdir())) == 5
     assert json.loads((tmp_path / "out" / "run.json").read_text())["command"].startswith(
         "assistax-zoo evaluate"
     )
