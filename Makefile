@@ -13,7 +13,7 @@ help:
 	@echo 'make bench      speed of environments, training, evaluator and registry on this machine'
 	@echo 'make test       lint, types, tests'
 	@echo 'make test-slow  the tests marked slow, and a seeded tenth of the attack'
-	@echo 'make attack     kills, interrupts, damaged files and hostile servers: about an hour'
+	@echo 'make attack     kills, interrupts, damaged files and hostile servers: some hours'
 	@echo 'make lint       ruff, rules and format'
 	@echo 'make types      ty'
 	@echo 'make lock       resolve requirements.lock anew'
