@@ -139,13 +139,24 @@ def test_batches_of_a_robot_from_outside_are_the_jobs_own():
     assert len(set(sizes)) == 1
 
 
+HEAD = """
+import os, signal, sys
+from pathlib import Path
+import jax
+from evaluation import tables
+from evaluation.blocks import run_block
+from evaluation.evaluator import run_job
+from tests.evaluation.test_invariance import real_job, scratch, use_small_tiles
+use_small_tiles()
+"""
+
+
 def run_in_process(
     script: str, *arguments: object, devices: int = 1
 ) -> subprocess.CompletedProcess:
     """Run a script as a user would: with XLA's own defaults, not those of tests."""
     flags = f"--xla_force_host_platform_device_count={devices}"
-    head = "from tests.evaluation.test_invariance import *\nuse_small_tiles()\n"
-    command = [sys.executable, "-c", head + script, *map(str, arguments)]
+    command = [sys.executable, "-c", HEAD + script, *map(str, arguments)]
     environment = {**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": str(ROOT)}
     return subprocess.run(command, cwd=ROOT, env=environment, timeout=900)
 
@@ -159,7 +170,6 @@ BLOCKS = (
     "max_envs=int(sys.argv[3]))\n"
 ) + WHOLE
 KILLED = (
-    "import os, signal\n"
     "write = tables.write_bytes\n"
     "def deadly(data, path):\n"
     "    write(data, path)\n"
