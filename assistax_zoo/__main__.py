@@ -1,14 +1,31 @@
-"""Run the command line as `python -m assistax_zoo`."""
+"""Run the command line: `assistax-zoo`, or `python -m assistax_zoo`."""
 
+import signal
 import sys
 
+from assistax_zoo.interrupts import end_now
 from assistax_zoo.shadows import refuse_shadows
 
-if __name__ == "__main__":
+
+def start() -> int:
+    """Run the command line and return its exit code.
+
+    Its modules take up to a second to import. Ctrl-C ends the process at once until they are there:
+    nothing has begun that could be finished.
+    """
+    heard = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if heard:  # not where it is ignored, as in the background
+        signal.signal(signal.SIGINT, lambda number, frame: end_now())
     try:
         refuse_shadows()  # `-m` puts the working folder first on the module path
     except ImportError as error:
         sys.exit(f"error: {error}")
     from assistax_zoo.main import run
 
-    sys.exit(run())
+    if heard:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    return run()
+
+
+if __name__ == "__main__":
+    sys.exit(start())

@@ -147,3 +147,21 @@ def test_a_function_raises_and_leaves_the_interpreter_alive(tmp_path: Path) -> N
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout == "interrupted\n" * 2 + "3 0\n"
+
+
+def test_ctrl_c_while_the_command_line_is_imported_is_one_line() -> None:
+    press = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
+
+class Press:
+    def find_spec(self, name, path=None, target=None):
+        if name == "assistax_zoo.main":
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Press())
+from assistax_zoo.__main__ import start
+sys.exit(start())
+"""
+    done = subprocess.run([sys.executable, "-c", press, "list"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "error: interrupted\n")
