@@ -53,6 +53,11 @@ def audit(
     Raises:
         ValueError: Something asked for does not exist or does not fit the task.
         ZooError: A folder or the zoo does not have, or not unchanged, what was asked for.
+
+    Example:
+        >>> table = audit("scratch", "scratch/ippo-d1-s[01]-v1", episodes=2, progress=False)
+        >>> table.teams
+        ('scratch/ippo-d1-s0-v1', 'scratch/ippo-d1-s1-v1')
     """
     Settings(task, episodes, seed, backend)  # refuses what is none of them
     registry = open_zoo(zoo).registry

@@ -94,6 +94,7 @@ def test_the_command_refuses_such_a_module_in_one_line(tmp_path: Path) -> None:
         "evaluation.partners",
         "assistax_zoo.films",
         pytest.param("assistax_zoo.training", marks=pytest.mark.slow),
+        pytest.param("assistax_zoo.auditing", marks=pytest.mark.slow),
     ],
 )
 def test_examples_run(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

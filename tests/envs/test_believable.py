@@ -122,7 +122,7 @@ def _nearest(model: mujoco.MjModel, task: str, seed: int) -> float:
     rng = np.random.default_rng(seed)
     data = mujoco.MjData(model)
     definition = TASK_CLASSES[task](model)
-    qpos, state = definition.reset(jax.random.key(seed))
+    qpos, state = definition.reset(jax.random.key(seed), None)
     data.qpos[:] = np.asarray(qpos)
     for joint in ARM_JOINTS if task == "scratch" else ():
         data.qpos[model.joint(joint).qposadr[0]] = rng.uniform(*model.joint(joint).range)
