@@ -8,6 +8,7 @@ from typing import Any
 from assistax_zoo.console import cache_folder, command_line, study_progress
 from assistax_zoo.results import CrossPlayResult, EvaluationResult, TemporaryFolder
 from assistax_zoo.zoos import Zoo, open_zoo
+from evaluation.policy_reference import parse_reference
 from evaluation.provenance import write_run
 from evaluation.runner import Progress
 from evaluation.studies import Settings, choose_partners, evaluate_policies
@@ -225,7 +226,8 @@ def _needed(
 ) -> list[PolicyEntry]:
     """Return the policies that an evaluation loads: partners, robots of the zoo, references."""
     wanted = {entry.id for entry in partners}
-    wanted |= {str(robot).removeprefix("zoo:") for robot in robots if isinstance(robot, str | Path)}
+    named = [parse_reference(str(robot)) for robot in robots if isinstance(robot, str | Path)]
+    wanted |= {reference.source for reference in named if reference.kind == "zoo"}
     wanted |= {f"{entry.team}/robot" for entry in partners} if references else set()
     return [entry for entry in registry.policies if entry.id in wanted]
 

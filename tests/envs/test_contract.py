@@ -56,7 +56,14 @@ def test_shapes_and_types(task: str, backend: str) -> None:
     ]
 
 
-@each_task_and_backend
+@pytest.mark.parametrize(
+    ("task", "backend"),
+    [
+        pytest.param(task, backend, marks=() if backend in QUICK else pytest.mark.slow)
+        for task in TASKS
+        for backend in backends(task)
+    ],
+)
 @pytest.mark.parametrize("actions", ["random", "full", "opposed"])
 def test_a_whole_episode_stays_finite_and_ends_by_time(
     task: str, backend: str, actions: str
