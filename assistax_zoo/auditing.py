@@ -57,7 +57,7 @@ def audit(
     Example:
         >>> table = audit("scratch", "scratch/ippo-d1-s[01]-v1", episodes=2, progress=False)
         >>> table.teams
-        ('scratch/ippo-d1-s0-v1', 'scratch/ippo-d1-s1-v1')
+        ('scratch/ippo-d1-s0-v1/robot', 'scratch/ippo-d1-s1-v1/robot')
     """
     Settings(task, episodes, seed, backend)  # refuses what is none of them
     registry = open_zoo(zoo).registry
