@@ -12,6 +12,7 @@ from assistax_envs.models import build_model
 from assistax_envs.models.gentle_scenes import SCENES
 from assistax_envs.tasks import TASK_CLASSES
 from assistax_envs.tasks.base import ARM_SEGMENTS, ROBOT_JOINTS
+from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
 from tests.envs.conftest import constant_actions, play, start
 
 ARM_JOINTS = ("human_right_shoulder1", "human_right_shoulder2", "human_right_elbow")
@@ -27,7 +28,9 @@ def _settled(task: str, seconds: float = 4.0) -> tuple[mujoco.MjModel, mujoco.Mj
     return model, data
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize(
+    "task", [*PAPER_TASKS, *(pytest.param(task, marks=pytest.mark.slow) for task in GENTLE_TASKS)]
+)
 def test_a_human_at_rest_stays_at_rest(task: str) -> None:
     states = play(
         task, "native", start(task, "native", ["d1"] * 4), constant_actions(4, 1200, 0.0, 0.0)

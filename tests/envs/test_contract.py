@@ -1,6 +1,7 @@
 """What every task promises on every backend."""
 
 import dataclasses
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -26,11 +27,23 @@ WIDTHS = {
 # pass.
 LARGEST_DIFFERENCE, MEAN_DIFFERENCE = 3e-2, 1e-3
 
-each_task_and_backend = pytest.mark.parametrize(
-    ("task", "backend"), [(task, backend) for task in TASKS for backend in backends(task)]
-)
-
 QUICK = ("fused", "native")
+
+
+def _every(slow: Callable[[str, str], bool]) -> pytest.MarkDecorator:
+    """Parametrise by task and backend; MJX takes ten seconds or more to compile a scene."""
+    return pytest.mark.parametrize(
+        ("task", "backend"),
+        [
+            pytest.param(task, backend, marks=pytest.mark.slow if slow(task, backend) else ())
+            for task in TASKS
+            for backend in backends(task)
+        ],
+    )
+
+
+each_task_and_backend = _every(lambda task, backend: backend not in QUICK and task != "scratch")
+each_whole_episode = _every(lambda task, backend: backend not in QUICK)
 each_quick_one = pytest.mark.parametrize(
     ("task", "backend"), [(task, backend) for task in TASKS for backend in backends(task, QUICK)]
 )
@@ -56,14 +69,7 @@ def test_shapes_and_types(task: str, backend: str) -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("task", "backend"),
-    [
-        pytest.param(task, backend, marks=() if backend in QUICK else pytest.mark.slow)
-        for task in TASKS
-        for backend in backends(task)
-    ],
-)
+@each_whole_episode
 @pytest.mark.parametrize("actions", ["random", "full", "opposed"])
 def test_a_whole_episode_stays_finite_and_ends_by_time(
     task: str, backend: str, actions: str
