@@ -1,12 +1,10 @@
 """Audit of a task: whether it can be done without the partner, and roughly."""
 
-import contextlib
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
-from assistax_zoo.console import study_progress
+from assistax_zoo.console import chosen_progress, study_progress
 from assistax_zoo.studies import Shown
 from assistax_zoo.zoos import Zoo, open_zoo
 from evaluation.audit import EPISODES, Audit, Others, audit_task
@@ -63,10 +61,9 @@ def audit(
     registry = open_zoo(zoo).registry
 
     def found(names: Names, read: Callable[..., Teams]) -> Teams | None:
-        listed = [names] if isinstance(names, str) else list(names)
-        return read(listed, registry, task) if listed else None
+        return read(_listed(names), registry, task) if names else None
 
-    own = read_teams([teams] if isinstance(teams, str) else list(teams), registry, task)
+    own = read_teams(_listed(teams), registry, task)
     others = Others(
         passive=found(passive_robot, read_robots),
         response=found(response, read_robots),
@@ -74,16 +71,19 @@ def audit(
         blind=found(blind, read_teams),
         recurrent=found(recurrent, read_teams),
     )
-    with contextlib.ExitStack() as stack:
-        temporary = stack.enter_context(tempfile.TemporaryDirectory())
-        shown = progress or None
-        if progress is True:
-            shown = stack.enter_context(study_progress(f"audit {task}"))
-        folder = Path(out or temporary)
-        given: dict[str, Any] = {
-            "episodes": episodes,
-            "seed": seed,
-            "backend": backend,
-            "on_progress": shown,
-        }
-        return audit_task(task, own, others, folder, **given)
+    shown = chosen_progress(progress, study_progress(f"audit {task}"))
+    with tempfile.TemporaryDirectory() as temporary, shown as on_progress:
+        return audit_task(
+            task,
+            own,
+            others,
+            Path(out or temporary),
+            episodes=episodes,
+            seed=seed,
+            backend=backend,
+            on_progress=on_progress,
+        )
+
+
+def _listed(names: Names) -> list[str]:
+    return [names] if isinstance(names, str) else list(names)

@@ -7,7 +7,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -111,6 +111,14 @@ def study_progress(description: str) -> Generator[Callable[["Progress"], None]]:
             done = state.done
 
         yield show
+
+
+def chosen_progress(
+    progress: bool | Callable[..., None] | None,
+    shown: AbstractContextManager[Callable[..., None]],
+) -> AbstractContextManager[Callable[..., None] | None]:
+    """Return what a run tells of its progress: `shown` where True, else a function, or nothing."""
+    return shown if progress is True else nullcontext(progress or None)
 
 
 @contextmanager

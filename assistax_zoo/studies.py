@@ -1,11 +1,15 @@
 """M_test of robots, and the cross-play of a population."""
 
-import contextlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from assistax_zoo.console import cache_folder, command_line, study_progress
+from assistax_zoo.console import (
+    cache_folder,
+    chosen_progress,
+    command_line,
+    study_progress,
+)
 from assistax_zoo.results import CrossPlayResult, EvaluationResult, TemporaryFolder
 from assistax_zoo.zoos import Zoo, open_zoo
 from evaluation.policy_reference import parse_reference
@@ -104,7 +108,7 @@ def evaluate(
     else:
         check_local(opened.registry, needed)
     folder, keep = _folder(out)
-    with _shown(progress, f"evaluate {task}") as on_progress:
+    with chosen_progress(progress, study_progress(f"evaluate {task}")) as on_progress:
         summary = evaluate_policies(
             opened.registry,
             robots,
@@ -171,7 +175,7 @@ def cross_play(
     settings = Settings(task, episodes, seed, backend, stochastic, max_envs, preferences)
     registry = _locked(open_zoo(zoo), lock, task, None).registry
     folder, keep = _folder(out)
-    with _shown(progress, f"crossplay {task}") as on_progress:
+    with chosen_progress(progress, study_progress(f"crossplay {task}")) as on_progress:
         given: dict[str, Any] = {"cluster": cluster, "on_progress": on_progress}
         chosen = egos or f"{task}/*", partners or f"{task}/*"
         summary = play_population(registry, *chosen, settings, folder, release=release, **given)
@@ -209,7 +213,7 @@ def play_block(
     """
     registry = _locked(open_zoo(zoo), lock, task, None).registry
     chosen = egos or f"{task}/*", partners or f"{task}/*"
-    with _shown(progress, f"crossplay {task}") as on_progress:
+    with chosen_progress(progress, study_progress(f"crossplay {task}")) as on_progress:
         return play_population(
             registry,
             *chosen,
@@ -246,11 +250,3 @@ def _folder(out: Path | str | None) -> tuple[Path, Any]:
         return Path(out), None
     folder = TemporaryFolder()
     return folder.path, folder
-
-
-def _shown(
-    progress: Shown, description: str
-) -> contextlib.AbstractContextManager[Callable[[Progress], None] | None]:
-    if progress is True:
-        return study_progress(description)
-    return contextlib.nullcontext(progress or None)

@@ -1,11 +1,11 @@
 """Training of teams, and of robots against the zoo's partners."""
 
 import contextlib
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from assistax_zoo.console import TrainingLine
+from assistax_zoo.console import TrainingLine, chosen_progress
 from assistax_zoo.zoos import Zoo, open_zoo
 
 if TYPE_CHECKING:
@@ -60,7 +60,8 @@ def train(
     """
     from population.team_training import train_teams
 
-    with _shown(progress, f"{task} {algorithm}") as report:
+    line = contextlib.closing(TrainingLine(f"{task} {algorithm}"))
+    with chosen_progress(progress, line) as report:
         return train_teams(
             task,
             algorithm,
@@ -131,16 +132,6 @@ def train_ego(
         steps=steps,
         hyperparameters=hyperparameters,
     )
-    with _shown(progress, f"{task} {algorithm}") as report:
+    line = contextlib.closing(TrainingLine(f"{task} {algorithm}"))
+    with chosen_progress(progress, line) as report:
         return train_egos(training, folder, backend=backend, resume=resume, progress=report)
-
-
-@contextlib.contextmanager
-def _shown(
-    progress: "bool | Callable[[Progress], None] | None", name: str
-) -> "Generator[Callable[[Progress], None] | None]":
-    if progress is not True:
-        yield progress or None
-        return
-    with contextlib.closing(TrainingLine(name)) as line:
-        yield line

@@ -37,11 +37,22 @@ def gates_of(
     each = with_safety(own).group_by("ego").agg(pl.col(goal).cast(pl.Float64).mean())
     half = float(each[goal].to_numpy().max()) / 2
 
-    def lost(name: str, bar: str, what: str, least: float, needs: str, **options: Any) -> Gate:
-        return _lost(name, bar, own, played.get(what), least, needs, **options)
+    def earned(
+        name: str, bar: str, what: str, least: float, needs: str, paired: bool = False
+    ) -> Gate:
+        return _earned(name, bar, own, played.get(what), least, needs, paired=paired)
 
-    def earned(name: str, bar: str, what: str, least: float, needs: str) -> Gate:
-        return _earned(name, bar, own, played.get(what), least, needs)
+    def lost(
+        name: str,
+        bar: str,
+        what: str,
+        least: float,
+        needs: str,
+        *,
+        above: bool = False,
+        paired: bool = False,
+    ) -> Gate:
+        return _lost(earned(name, bar, what, least, needs, paired), least, above=above)
 
     return [
         _share("script with a passive human", f"{goal} < {half:.2f}, half of the best team's",
@@ -129,19 +140,8 @@ def _cross_play(table: pl.DataFrame) -> Gate:
     return Gate(name, bar, gap.value, gap.value_ci, holds, told)
 
 
-def _lost(
-    name: str,
-    bar: str,
-    own: pl.DataFrame,
-    other: pl.DataFrame | None,
-    least: float,
-    needs: str,
-    *,
-    above: bool = False,
-    paired: bool = False,
-) -> Gate:
-    """Return the share of the teams' return that the other condition loses."""
-    gate = _earned(name, bar, own, other, least, needs, paired=paired)
+def _lost(gate: Gate, least: float, *, above: bool = False) -> Gate:
+    """Return the share that a condition loses, of one that says what it earns."""
     if gate.value is None:
         return gate
     value, ci = 1.0 - gate.value, (1.0 - gate.ci[1], 1.0 - gate.ci[0]) if gate.ci else None

@@ -29,6 +29,20 @@ def untrained_team(disability: str, seed: int, **policies: tuple[PolicySpec, Any
     return TrainedTeam("scratch", "ippo", disability, seed, specs, params, training)
 
 
+def teams_of(seeds: int, robot: PolicySpec = ROBOT, human: PolicySpec = HUMAN) -> list[TrainedTeam]:
+    """Return untrained teams of d1 and d9, so many seeds of each."""
+    return [
+        untrained_team(
+            disability,
+            seed,
+            robot=(robot, params_of(robot, 10 * place + seed)),
+            human=(human, params_of(human, 100 + 10 * place + seed)),
+        )
+        for place, disability in enumerate(("d1", "d9"))
+        for seed in range(seeds)
+    ]
+
+
 def published(teams: Iterable[TrainedTeam], folder: Path) -> Path:
     """Publish teams in a release v0, and return the registry's path."""
     path = folder / "registry.json"

@@ -12,7 +12,7 @@ from evaluation import tables
 from evaluation.robot_forms import as_robot
 from population.onnx_export import to_onnx
 from tests import untrained
-from tests.untrained import HUMAN, ROBOT, params_of, untrained_team
+from tests.untrained import HUMAN, ROBOT, params_of
 from zoo.errors import RemoteError
 from zoo.storage import write_policy_file
 
@@ -21,17 +21,7 @@ STEPS = 20
 
 @pytest.fixture(scope="module")
 def zoo(tmp_path_factory: pytest.TempPathFactory) -> az.Zoo:
-    teams = [
-        untrained_team(
-            disability,
-            seed,
-            robot=(ROBOT, params_of(ROBOT, 10 * i + seed)),
-            human=(HUMAN, params_of(HUMAN, 100 + 10 * i + seed)),
-        )
-        for i, disability in enumerate(("d1", "d9"))
-        for seed in range(4)
-    ]
-    path = untrained.published(teams, tmp_path_factory.mktemp("zoo"))
+    path = untrained.published(untrained.teams_of(4), tmp_path_factory.mktemp("zoo"))
     return az.open_zoo(path.parent)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from population.spec import PolicySpec
-from tests.untrained import params_of, published, untrained_team
+from tests.untrained import published, teams_of
 
 ROBOT = PolicySpec("robot", observation_size=2, action_size=1, hidden=(8,))
 HUMAN = PolicySpec("human", observation_size=3, action_size=2, hidden=(8,))
@@ -27,17 +27,7 @@ class Command:
 
 def small_zoo(folder: Path) -> Path:
     """Publish four teams, and return their registry."""
-    teams = [
-        untrained_team(
-            disability,
-            seed,
-            robot=(ROBOT, params_of(ROBOT, 10 * place + seed)),
-            human=(HUMAN, params_of(HUMAN, 100 + 10 * place + seed)),
-        )
-        for place, disability in enumerate(("d1", "d9"))
-        for seed in range(2)
-    ]
-    return published(teams, folder)
+    return published(teams_of(2, ROBOT, HUMAN), folder)
 
 
 def commands(registry: Path, run: Path, result: Path) -> dict[str, Command]:

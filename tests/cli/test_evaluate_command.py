@@ -12,7 +12,7 @@ import pytest
 from assistax_zoo.main import run
 from population.spec import PolicySpec
 from tests import untrained
-from tests.untrained import HUMAN, ROBOT, params_of, untrained_team
+from tests.untrained import ROBOT, params_of
 from zoo.storage import write_policy_file
 
 STEPS = 20
@@ -22,17 +22,7 @@ FIGURE = {"mean", "iqm", "iqm_ci", "n"}
 @pytest.fixture(scope="module")
 def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A registry of eight untrained teams: d1 and d9, four seeds each."""
-    teams = [
-        untrained_team(
-            disability,
-            seed,
-            robot=(ROBOT, params_of(ROBOT, 10 * i + seed)),
-            human=(HUMAN, params_of(HUMAN, 100 + 10 * i + seed)),
-        )
-        for i, disability in enumerate(("d1", "d9"))
-        for seed in range(4)
-    ]
-    return untrained.published(teams, tmp_path_factory.mktemp("zoo"))
+    return untrained.published(untrained.teams_of(4), tmp_path_factory.mktemp("zoo"))
 
 
 @pytest.fixture

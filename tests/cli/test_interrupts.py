@@ -37,9 +37,9 @@ COMMANDS = {
     "train": [*TRAIN, "--out"],
     "render": [*RENDER, "--out"],
 }
-# From the key press to the end of the process: seconds of computing, and of a machine that may be
-# busy with other things.
-SOON, AT_LAST = 2.0, 30.0
+# From the key press to the end of the process: what two cores compute in two seconds, since a
+# machine may be busy with other things, and how long it may take on such a machine.
+SOON, AT_LAST = 4.0, 30.0
 
 
 # As from a terminal: a shell's background jobs ignore the signal.

@@ -13,7 +13,6 @@ from evaluation.provenance import verify_folder
 from evaluation.replay import replay_folder
 from evaluation.studies import Settings, evaluate_policies
 from tests import untrained
-from tests.untrained import HUMAN, ROBOT, params_of, untrained_team
 from zoo.registry import Registry, load_registry
 
 STEPS = 20
@@ -21,17 +20,7 @@ STEPS = 20
 
 @pytest.fixture(scope="module")
 def registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
-    teams = [
-        untrained_team(
-            disability,
-            seed,
-            robot=(ROBOT, params_of(ROBOT, 10 * place + seed)),
-            human=(HUMAN, params_of(HUMAN, 100 + 10 * place + seed)),
-        )
-        for place, disability in enumerate(("d1", "d9"))
-        for seed in range(4)
-    ]
-    return load_registry(untrained.published(teams, tmp_path_factory.mktemp("zoo")))
+    return load_registry(untrained.published(untrained.teams_of(4), tmp_path_factory.mktemp("zoo")))
 
 
 @pytest.fixture(scope="module")
