@@ -4,12 +4,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo results bench test test-slow attack lint types install lock clean
+.PHONY: help demo results bench site test test-slow attack lint types install lock clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo 'make demo       evaluate a robot on partners it never saw, and plot a cross-play matrix'
 	@echo 'make results    write docs/results.md and its figures from the tables in docs/data/v1'
+	@echo 'make site       write the documentation as pages to build/site'
 	@echo 'make bench      speed of environments, training, evaluator and registry on this machine'
 	@echo 'make test       lint, types, tests'
 	@echo 'make test-slow  the tests marked slow, and a seeded tenth of the attack'
@@ -36,6 +37,10 @@ bench: $(STAMP)
 	$(BIN)/python -m benchmarks evaluate
 	$(BIN)/python -m benchmarks train
 	$(BIN)/python -m benchmarks fetch
+
+site: $(STAMP)
+	$(BIN)/python -m tools.site
+	@echo 'open build/site/index.html; with search: $(BIN)/python -m http.server -d build/site'
 
 test: lint types
 	$(BIN)/python -m pytest -n 2 -m "not slow and not attack"

@@ -52,7 +52,7 @@ def audit(
         ValueError: Something asked for does not exist or does not fit the task.
         ZooError: A folder or the zoo does not have, or not unchanged, what was asked for.
 
-    Example:
+    Examples:
         >>> table = audit("scratch", "scratch/ippo-d1-s[01]-v1", episodes=2, progress=False)
         >>> table.teams
         ('scratch/ippo-d1-s0-v1/robot', 'scratch/ippo-d1-s1-v1/robot')

@@ -46,7 +46,7 @@ def render(
         ZooError: A policy is not there, or not what it says.
         RenderError: This machine has no OpenGL.
 
-    Example:
+    Examples:
         >>> size = {"width": 64, "height": 48}
         >>> render("zero", "random", "film.png", task="scratch", steps=2, **size).name
         'film.png'

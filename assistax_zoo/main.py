@@ -31,6 +31,7 @@ COMMANDS = {
     "publish": "assistax_zoo.commands.remote:publish",
     "lock": "assistax_zoo.commands.remote:lock",
     "export": "assistax_zoo.commands.export:export",
+    "cite": "assistax_zoo.commands.cite:cite",
     "evaluate": "assistax_zoo.commands.evaluate:evaluate",
     "crossplay": "assistax_zoo.commands.evaluate:crossplay",
     "compare": "assistax_zoo.commands.report:compare",

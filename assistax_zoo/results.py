@@ -109,7 +109,7 @@ class _Result:
 class EvaluationResult(_Result):
     """M_test of a robot, or of the seeds of one method; returns are sums over 1000 steps of 20 ms.
 
-    Example:
+    Examples:
         >>> result  # of `evaluate`
         EvaluationResult(scratch: M_test ..., d1 ...)
         >>> result.episodes.height
@@ -194,7 +194,7 @@ class EvaluationResult(_Result):
 class CrossPlayResult(_Result):
     """Every robot of a population with every human; returns are sums over 1000 steps of 20 ms.
 
-    Example:
+    Examples:
         >>> matrix  # of `cross_play`
         CrossPlayResult(scratch: self-play ...)
         >>> matrix.pairs.height
@@ -251,7 +251,7 @@ class CrossPlayResult(_Result):
 class Comparison(ComparisonSummary):
     """Method a minus method b: paired differences over the same partners and episodes.
 
-    Example:
+    Examples:
         >>> compare(result, result)
         Comparison(scratch: test partners 0.0, train partners 0.0)
     """
@@ -275,7 +275,7 @@ def load_result(folder: Path | str) -> EvaluationResult | CrossPlayResult:
         FileNotFoundError: There is none, or it is not finished.
         ValueError: A file of it is damaged, or it is neither an evaluation nor a cross-play.
 
-    Example:
+    Examples:
         >>> load_result(result.folder).m_test == result.m_test
         True
     """
@@ -299,7 +299,7 @@ def compare(
     Raises:
         ValueError: They were not evaluated alike.
 
-    Example:
+    Examples:
         >>> compare(result, result.folder).test.mean
         0.0
     """

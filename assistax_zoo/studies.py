@@ -89,7 +89,7 @@ def evaluate(
         EgoError: The robot failed: names partner, step and what was wrong.
         ZooError: The zoo does not have, or not unchanged, what was asked for.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> still = lambda obs: np.zeros((len(obs), 7))
         >>> near = "scratch/ippo-d1-s[01]-v1/human"
@@ -167,7 +167,7 @@ def cross_play(
         ValueError: Something asked for does not exist or does not fit the task.
         ZooError: The zoo does not have, or not unchanged, what was asked for.
 
-    Example:
+    Examples:
         >>> ids = ["scratch/ippo-d1-s0-v1"]
         >>> cross_play(ids, ids, task="scratch", episodes=1, progress=False).pairs.height
         1

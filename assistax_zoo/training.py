@@ -51,7 +51,7 @@ def train(
         ValueError: An argument is not allowed, or the folder holds another run.
         population.train.DivergedError: A loss became NaN or infinite.
 
-    Example:
+    Examples:
         >>> tiny = {"num_envs": 4, "rollout_steps": 8, "minibatches": 2, "hidden": (8, 8)}
         >>> run = train("scratch", steps=64, hyperparameters=tiny, backend="native",
         ...             self_play_episodes=0, progress=False)
@@ -113,7 +113,7 @@ def train_ego(
         ValueError: An argument is not allowed, or the folder holds another run.
         ZooError: There is no such split, or its partners cannot be read.
 
-    Example:
+    Examples:
         >>> tiny = {"rollout_steps": 2, "minibatches": 1, "hidden": (8, 8)}
         >>> run = train_ego("scratch", steps=1, hyperparameters=tiny, backend="native",
         ...                 progress=False)

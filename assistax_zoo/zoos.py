@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class Zoo:
     """A registry of policies, and where to take those from that are not here yet.
 
-    Example:
+    Examples:
         >>> open_zoo().list("scratch/ippo-d1-s0-v1")
         ['scratch/ippo-d1-s0-v1/robot', 'scratch/ippo-d1-s0-v1/human']
     """
@@ -126,7 +126,7 @@ def open_zoo(source: "str | Path | Zoo | Registry | None" = None) -> Zoo:
         RegistryError: There is no registry, or it is of a newer schema.
         RemoteError: The remote cannot be reached.
 
-    Example:
+    Examples:
         >>> zoo = open_zoo()
         >>> zoo.partner("scratch/ippo-d1-s0-v1").spec.action_size
         3
@@ -160,7 +160,7 @@ def fetch(
     Raises:
         ZooError: See `Zoo.fetch`.
 
-    Example:
+    Examples:
         >>> fetch("scratch/ippo-d1-s0-v1").policies
         2
     """

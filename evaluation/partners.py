@@ -42,7 +42,7 @@ class Partner:
         setting: A human's disability setting, as values; None where its file names none.
         card: What the registry says of it: training, self-play, hash; None of a file.
 
-    Example:
+    Examples:
         >>> from assistax_zoo import open_zoo
         >>> partner = open_zoo().partner("scratch/ippo-d1-s0-v1")
         >>> partner.act(np.zeros((2, partner.spec.observation_size), np.float32)).shape

@@ -1,0 +1,79 @@
+"""The command that says how to cite what was used."""
+
+from pathlib import Path
+
+from assistax_zoo.commands.options import Source
+from assistax_zoo.console import answer
+from population.files import sha256
+from zoo.lock import read_lock
+from zoo.registry import Registry, load_registry
+
+PAPER = """@inproceedings{hinckeldey2025assistax,
+  title = {Assistax: A Hardware-Accelerated Reinforcement Learning Benchmark for
+    Assistive Robotics},
+  author = {Hinckeldey, Leonard and Fosong, Elliot and Miller, Elle and Rubavicius, Rimvydas and
+    McInroe, Trevor and Wollstadt, Patricia and Wiebel-Herboth, Christiane B. and
+    Ramamoorthy, Subramanian and Albrecht, Stefano V.},
+  booktitle = {2nd Coordination and Cooperation in Multi-Agent Reinforcement Learning Workshop},
+  year = {2025},
+  eprint = {2507.21638},
+  archivePrefix = {arXiv},
+  url = {https://arxiv.org/abs/2507.21638}
+}"""
+
+
+def cite(*, release: str | None = None, source: Source = Source(), json: bool = False) -> None:
+    """Print BibTeX of the paper, of this software, and of the partners that were used.
+
+    The partners' entry names their release, its root, the splits, and the registry's sha256: who
+    has these has the same bytes. With --lock it names what the lock pins.
+
+    Args:
+        release: Release of the partners; default the lock's, else the newest.
+        source: Where policies come from.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo cite --lock assistax-zoo.lock >> paper.bib
+    """
+    registry = load_registry(source.registry)
+    found = {
+        "paper": PAPER,
+        "software": _software(registry.data.releases[registry.release].date[:4]),
+        "partners": _partners(registry, release, source.lock),
+    }
+    answer(json, found, "\n\n".join(found.values()))
+
+
+def _software(year: str) -> str:
+    from assistax_zoo.main import _version
+
+    return f"""@software{{assistax_zoo,
+  title = {{assistax-zoo: Pretrained Partners for Assistive Robots, and Their Evaluation}},
+  author = {{{{The assistax-zoo authors}}}},
+  year = {{{year}}},
+  version = {{{_version().partition(":")[0]}}},
+  license = {{Apache-2.0}}
+}}"""
+
+
+def _partners(registry: Registry, release: str | None, lock: Path | None) -> str:
+    """Return the entry of what was played with."""
+    pinned = read_lock(lock) if lock else None
+    name = release or (pinned.release if pinned else registry.release)
+    registry.select(release=name)  # refuses an unknown one
+    published = registry.data.releases[name]
+    splits, facts = published.splits.values(), [f"root {registry.root(name)}"]
+    if pinned and lock:
+        if pinned.release != name:
+            raise ValueError(f"{lock} pins release {pinned.release}, not {name}; leave --release")
+        splits = [split.id for split in pinned.splits.values()]
+        facts = [f"root {pinned.root}", f"lock {pinned.sha256}"]
+    facts += [f"registry {sha256(registry.path.read_bytes())}"]
+    facts += [f"split {split}" for split in sorted(splits)]
+    return f"""@misc{{assistax_zoo_{name},
+  title = {{assistax-zoo Partners, Release {name}}},
+  author = {{{{The assistax-zoo authors}}}},
+  year = {{{published.date[:4]}}},
+  note = {{{"; ".join(facts)}}}
+}}"""

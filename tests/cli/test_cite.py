@@ -1,0 +1,71 @@
+"""`cite` names what was used, and agrees with CITATION.cff."""
+
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+from assistax_zoo.main import run
+from population.files import sha256
+from zoo.registry import load_registry
+
+ROOT = Path(__file__).parents[2]
+
+
+def cited(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, dict[str, str]]:
+    """Return the fields of each entry."""
+    assert run(["cite", *words]) == 0
+    text = capsys.readouterr().out
+    assert text.count("{") == text.count("}")
+    entries = re.split(r"\n\n(?=@)", text.strip())
+    found = {}
+    for entry in entries:
+        key = re.match(r"@\w+\{(\w+),\n", entry)
+        assert key is not None and entry.endswith("}\n}")
+        fields = re.findall(r"^  (\w+) = \{((?:.|\n)*?)\}(?:,|\n\})", entry, re.MULTILINE)
+        found[key[1]] = {name: " ".join(value.split()) for name, value in fields}
+    return found
+
+
+def test_it_agrees_with_the_citation_file(capsys: pytest.CaptureFixture[str]) -> None:
+    given = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    found = cited(capsys)
+    [paper] = given["references"]
+    printed = found["hinckeldey2025assistax"]
+    names = [f"{one['family-names']}, {one['given-names']}" for one in paper["authors"]]
+    assert printed["author"].split(" and ") == names
+    assert (printed["title"], printed["url"]) == (paper["title"], paper["url"])
+    assert printed["year"] == str(paper["year"])
+    assert found["assistax_zoo"]["title"] == given["title"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert (given["version"], given["license"]) == (project["version"], project["license"])
+
+
+def test_it_names_the_release_its_root_and_the_registry(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    registry = load_registry()
+    for release in ("v0", "v1"):
+        note = cited(capsys, "--release", release)[f"assistax_zoo_{release}"]["note"]
+        assert f"root {registry.root(release)}" in note
+        assert f"registry {sha256(registry.path.read_bytes())}" in note
+        assert registry.data.releases[release].splits["scratch"] in note
+
+
+def test_it_names_what_a_lock_pins(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lock = tmp_path / "paper.lock"
+    assert run(["lock", "--task", "scratch", "--release", "v0", "--out", str(lock)]) == 0
+    capsys.readouterr()
+    note = cited(capsys, "--lock", str(lock))["assistax_zoo_v0"]["note"]
+    assert f"lock {json.loads(lock.read_text())['sha256']}" in note
+    assert "scratch/half-s0-v0-f4c7b97d" in note and "bed_bath/" not in note
+    assert run(["cite", "--lock", str(lock), "--release", "v1"]) == 1
+    assert "pins release v0, not v1" in capsys.readouterr().err
+
+
+def test_an_unknown_release_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["cite", "--release", "v9"]) == 1
+    assert "v9" in capsys.readouterr().err

@@ -1,0 +1,94 @@
+"""The site holds all of docs/, its links lead somewhere, and it fetches nothing from elsewhere."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+import assistax_zoo as az
+from tools import site
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return site.build(tmp_path_factory.mktemp("build"))
+
+
+def test_every_page_is_built_and_in_the_navigation(built: Path) -> None:
+    settings = (ROOT / "zensical.toml").read_text(encoding="utf-8")
+    for path in (*(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("*.ipynb")):
+        assert (built / f"{path.stem}.html").is_file()
+        assert f'"{path.stem}.md"' in settings, f"{path.name} is not in nav of zensical.toml"
+
+
+def test_every_name_has_its_place_in_the_reference(built: Path) -> None:
+    page = (built / "api.html").read_text(encoding="utf-8")
+    for name in az.__all__:
+        assert f'id="assistax_zoo.{name}"' in page, f"docs/api.md lacks {name}"
+
+
+def test_every_command_is_described(built: Path) -> None:
+    from assistax_zoo.main import COMMANDS, GROUPS
+
+    page = (built / "commands.html").read_text(encoding="utf-8")
+    of_groups = {f"{group}-{name}" for group, (_, names) in GROUPS.items() for name in names}
+    for name in COMMANDS.keys() | of_groups:
+        assert f'id="assistax-zoo-{name}"' in page
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("planted", "told"),
+    [
+        ("[x](nowhere.md)", "page does not exist"),
+        ("[x](zoo.md#nowhere)", "anchor"),
+        ("![x](images/nowhere.png)", "nowhere.png"),
+        ("::: assistax_zoo.nothing", "assistax_zoo.nothing"),
+        ('<img src="https://example.org/x.png">', "fetches https://example.org/x.png"),
+    ],
+)
+def test_a_planted_defect_stops_the_build(
+    planted: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    relink = site._relink
+    monkeypatch.setattr(site, "_relink", lambda text: f"{relink(text)}\n\n{planted}\n")
+    with pytest.raises(ValueError, match=re.escape(told)):
+        site.build(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("page", "problem"),
+    [
+        ('<a href="b.html">', None),
+        ('<a href="b.html#here">', None),
+        ('<a href="#gone">', "a.html links to #gone, which has no such place"),
+        ('<a href="b.html#gone">', "a.html links to b.html#gone, which has no such place"),
+        ('<a href="c.html">', "a.html links to c.html, which is not there"),
+        ('<img src="c.png">', "a.html links to c.png, which is not there"),
+        ('<script src="//cdn.org/x.js">', "a.html fetches //cdn.org/x.js"),
+        ('<link rel="stylesheet" href="https://x.org/f">', "a.html fetches https://x.org/f"),
+        ('<a href="https://example.org">', None),
+    ],
+)
+def test_problems_of_a_page(page: str, problem: str | None, tmp_path: Path) -> None:
+    (tmp_path / "a.html").write_text(page)
+    (tmp_path / "b.html").write_text('<p id="here">')
+    assert site.find_problems(tmp_path) == ([problem] if problem else [])
+
+
+def test_a_notebook_keeps_text_tables_and_pictures(tmp_path: Path) -> None:
+    png = {"data": {"image/png": "aGVsbG8=", "text/plain": "<Figure>"}}
+    html = {"data": {"text/html": ["<table>\n", "\n", "</table>"], "text/plain": "rows"}}
+    outputs = [{"text": ["one\n"]}, html, png, {"data": {"text/plain": ["2"]}}]
+    cells = [
+        {"cell_type": "markdown", "source": ["# Title"]},
+        {"cell_type": "code", "source": ["f()"], "outputs": outputs},
+    ]
+    page = site.notebook_page(json.loads(json.dumps({"cells": cells})), "n", tmp_path)
+    assert page.startswith("# Title\n\n```python\nf()\n```\n\n```text\none\n```")
+    assert "<table>\n</table>" in page and "```text\n2\n```" in page
+    assert "(images/n-1.png)" in page
+    assert (tmp_path / "images" / "n-1.png").read_bytes() == b"hello"

@@ -1,0 +1,143 @@
+"""The documentation site: `python -m tools.site`, or `make site`, writes build/site.
+
+Pages are the Markdown and the notebooks under docs/, and README as the first one; those read well
+by themselves, so what the site needs on top is made here: notebooks as pages, links between the
+two places, and a reference of all commands.
+"""
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+ROOT = Path(__file__).parents[1]
+BESIDE = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "LICENSE")  # pages outside docs/
+_FETCHED = {"script": "src", "img": "src", "source": "src", "video": "src", "iframe": "src"}
+
+
+def build(out: Path = ROOT / "build") -> Path:
+    """Write the pages to `out`/docs and the site to `out`/site, which is returned.
+
+    Raises:
+        ValueError: A link leads nowhere, or a page would fetch something from elsewhere.
+    """
+    _write_pages(out / "docs")
+    settings = out / "zensical.toml"  # its folders are relative to itself
+    text = (ROOT / "zensical.toml").read_text(encoding="utf-8")
+    settings.write_text(text.replace('"build/', '"').replace('["."]', json.dumps([str(ROOT)])))
+    shutil.rmtree(out / "site", ignore_errors=True)
+    command = [sys.executable, "-m", "zensical", "build", "--strict", "--clean", "-f", settings]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=out)
+    if done.returncode:
+        told = (done.stdout + done.stderr).partition("Traceback")[0]
+        raise ValueError(re.sub(r"\x1b\[[\d;]*m", "", told))
+    if problems := find_problems(out / "site"):
+        raise ValueError("\n".join(problems))
+    return out / "site"
+
+
+def notebook_page(notebook: dict[str, Any], name: str, folder: Path) -> str:
+    """Return a notebook as Markdown; its pictures go to `folder`/images/`name`-N.png."""
+    parts, pictures = [], 0
+    for cell in notebook["cells"]:
+        source = "".join(cell["source"])
+        if cell["cell_type"] == "markdown":
+            parts.append(source)
+            continue
+        parts.append(f"```python\n{source}\n```")
+        for output in cell["outputs"]:
+            data = output.get("data", {})
+            if "image/png" in data:
+                pictures += 1
+                path = folder / "images" / f"{name}-{pictures}.png"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(base64.b64decode(data["image/png"]))
+                parts.append(f"![Output of the cell above](images/{path.name})")
+            elif "text/html" in data:  # without blank lines it is one block of HTML
+                html = re.sub(r"\n\s*\n", "\n", "".join(data["text/html"]))
+                parts.append(f'<div class="output">\n{html}\n</div>')
+            else:
+                text = "".join(output.get("text") or data.get("text/plain", ""))
+                parts.append(f"```text\n{text.rstrip()}\n```")
+    return "\n\n".join(parts) + "\n"
+
+
+def find_problems(site: Path) -> list[str]:
+    """Return what is wrong with built pages: links that lead nowhere, and what is not local."""
+    pages = {path: _Page(path) for path in sorted(site.rglob("*.html"))}
+    problems = []
+    for path, page in pages.items():
+        name = path.relative_to(site)
+        problems += [f"{name} fetches {url}" for url in page.fetched if urlsplit(url).netloc]
+        for url in (*page.links, *page.fetched):
+            parts = urlsplit(url)
+            if parts.scheme or parts.netloc:
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            if not target.exists():
+                problems.append(f"{name} links to {url}, which is not there")
+            elif parts.fragment and unquote(parts.fragment) not in pages[target].anchors:
+                problems.append(f"{name} links to {url}, which has no such place")
+    return problems
+
+
+class _Page(HTMLParser):
+    """What a page links to, what it fetches, and its places."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.fetched: list[str] = []
+        self.anchors: set[str] = set()
+        self._is_error_page = path.name == "404.html"  # which is shown at any address
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = {name: value or "" for name, value in attrs}
+        self.anchors |= {given[name] for name in ("id", "name") if name in given}
+        if self._is_error_page:
+            return
+        if tag == "a" and given.get("href"):
+            self.links.append(given["href"])
+        if tag == "link" and given.get("rel") not in ("canonical", "next", "prev"):
+            self.fetched.append(given["href"])
+        if given.get(_FETCHED.get(tag, "")):
+            self.fetched.append(given[_FETCHED[tag]])
+
+
+def _write_pages(folder: Path) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(ROOT / "docs", folder, ignore=shutil.ignore_patterns("data"))
+    for path in sorted(folder.glob("*.ipynb")):
+        notebook = json.loads(path.read_text(encoding="utf-8"))
+        path.with_suffix(".md").write_text(notebook_page(notebook, path.stem, folder))
+        path.unlink()
+    for name in BESIDE:
+        shutil.copy(ROOT / name, folder)
+    (folder / "index.md").write_text((ROOT / "README.md").read_text(encoding="utf-8"))
+    (folder / "commands.md").write_text(_commands())
+    for path in folder.glob("*.md"):
+        path.write_text(_relink(path.read_text(encoding="utf-8")))
+
+
+def _relink(text: str) -> str:
+    """Return a page whose links lead to where things are in the site."""
+    text = re.sub(r'(\]\(|src=")(?:docs/|\.\./)', r"\1", text)
+    return re.sub(r"(\]\([\w-]+)\.ipynb([)#])", r"\1.md\2", text)
+
+
+def _commands() -> str:
+    """Return the reference of the command line."""
+    from assistax_zoo.main import build_app
+
+    return build_app().generate_docs(heading_level=1, max_heading_level=3)
+
+
+if __name__ == "__main__":
+    print(build())
