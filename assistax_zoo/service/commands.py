@@ -49,17 +49,16 @@ def serve(
             data, database=database, artefacts=artefacts, registry=registry, backend=backend
         )
         port = serving.free_port(host, port)
-        token = serving.first_token(service)
         own = serving.worker_token(service, data) if workers else ""
         service.adopt_version()
         address = f"http://{host}:{port}"
         print(f"serving {address} from {data}; Ctrl-C stops", file=sys.stderr, flush=True)
-        if token:
+        if token := serving.first_token(service):
             print(f"organiser's token, shown once: {token}", file=sys.stderr, flush=True)
         options = ["--backend", backend, *(["--registry", str(registry)] if registry else [])]
         local = address.replace("0.0.0.0", "127.0.0.1")
-        with serving.local_workers(workers, local, own, options):
-            serving.run_server(service, host, port)
+        with serving.local_workers(workers, local, own, options) as stop_workers:
+            serving.run_server(service, host, port, stop_workers)
 
 
 def worker(

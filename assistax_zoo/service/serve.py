@@ -7,6 +7,7 @@ DIR/films/          of pairs of published policies, made when a reader asks
 DIR/worker-token    of the local workers; only the owner can read it
 """
 
+import asyncio
 import contextlib
 import os
 import signal
@@ -15,9 +16,11 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
+
+import uvicorn
 
 from assistax_zoo.service import tokens
 from assistax_zoo.service.artefacts import Artefacts
@@ -89,10 +92,10 @@ def worker_token(service: Service, data: Path) -> str:
     return token
 
 
-def run_server(service: Service, host: str, port: int, **pages: Any) -> None:
+def run_server(
+    service: Service, host: str, port: int, stop_workers: Callable[[], None], **pages: Any
+) -> None:
     """Serve until SIGINT or SIGTERM, ending requests first; `pages` go to `add_pages`."""
-    import uvicorn
-
     from assistax_zoo.service.api.app import create_app
     from assistax_zoo.service.api.operations import log_to_stderr
 
@@ -109,23 +112,49 @@ def run_server(service: Service, host: str, port: int, **pages: Any) -> None:
         ws_max_size=4 * 1024 * 1024,
         server_header=False,
     )
-    if not _stopping.is_set():
-        uvicorn.Server(config).run()
+    _Server(config, stop_workers).run()
+
+
+class _Server(uvicorn.Server):
+    """Stops the workers while it still answers, so that they can give their jobs back."""
+
+    def __init__(self, config: uvicorn.Config, stop_workers: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._stop_workers = stop_workers
+
+    async def main_loop(self) -> None:
+        if not _stopping.is_set():
+            await super().main_loop()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        await asyncio.to_thread(self._stop_workers)
+        await super().shutdown(sockets)
 
 
 @contextlib.contextmanager
 def stopped_by_signals() -> Generator[None]:
-    """End the block, with its workers, at Ctrl-C and at SIGTERM.
+    """End the block, with its workers, at Ctrl-C and at SIGTERM, whatever it is doing.
 
     uvicorn answers what is under way, then raises the signal once more; before it has started,
     nothing else would catch it. The wake-up pipe of other commands, which ends those within two
     seconds, is taken away.
     """
-    signal.set_wakeup_fd(-1)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
-    with contextlib.suppress(KeyboardInterrupt):
+    try:
+        signal.set_wakeup_fd(-1)
+        _on_signals(_interrupt)
         yield
+    except BaseException:  # C code that the signal struck may have made another error of it
+        if not _stopping.is_set():
+            raise
+    finally:
+        _on_signals(signal.SIG_IGN)
+    if _stopping.is_set():
+        print("stopped", file=sys.stderr, flush=True)
+
+
+def _on_signals(handler: Any) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
 
 
 def _interrupt(*_: Any) -> None:
@@ -135,21 +164,33 @@ def _interrupt(*_: Any) -> None:
 
 
 @contextlib.contextmanager
-def local_workers(count: int, address: str, token: str, options: list[str]) -> Generator[None]:
-    """Run workers as processes, start them again when they die, and stop them at the end."""
+def local_workers(
+    count: int, address: str, token: str, options: list[str]
+) -> Generator[Callable[[], None]]:
+    """Run workers as processes, start them again when they die, and stop them at the end.
+
+    Yields:
+        What stops them before.
+    """
     over = threading.Event()
     threads = [
         threading.Thread(target=_keep_working, args=(over, address, token, options))
         for _ in range(count)
     ]
-    for thread in threads:
-        thread.start()
-    try:
-        yield
-    finally:
+
+    def stop() -> None:
         over.set()
         for thread in threads:
-            thread.join()
+            if thread.is_alive():  # a signal may come before all are
+                thread.join()
+
+    try:
+        for thread in threads:
+            thread.start()
+        yield stop
+    finally:
+        _on_signals(signal.SIG_IGN)  # a second one must not leave workers behind
+        stop()
 
 
 def _keep_working(over: threading.Event, address: str, token: str, options: list[str]) -> None:

@@ -51,11 +51,18 @@ class Worker:
         self._idle, self._beat = idle, beat
         self._name = f"{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(2)}"
         self._stopping = threading.Event()
+        self._held: Work | None = None
         self._releases: dict[str, bytes] = {}
 
     def stop(self) -> None:
-        """Stop after this job; its signal handler may call this."""
+        """Stop after this job."""
         self._stopping.set()
+
+    def leave(self) -> None:
+        """Give back the job under way, whatever its thread is doing: the process ends now."""
+        self.stop()
+        if self._held is not None:
+            self._tell(self._client.give_back, self._held)
 
     def run(self, *, until_empty: bool = False) -> int:
         """Work until told to stop, or until the queue is empty; return how many jobs were done."""
@@ -67,7 +74,9 @@ class Worker:
                 log.warning("server does not answer", extra={"fields": {"worker": self._name}})
                 continue
             if work is not None:
+                self._held = work
                 done += self._do(work)
+                self._held = None
             elif until_empty:
                 break
             else:
@@ -88,7 +97,7 @@ class Worker:
         except Refusal as refusal:
             ended = f"refused: {refusal.code}"
             self._tell(self._client.refused, work, refusal.code)
-        except (KeyboardInterrupt, SystemExit):
+        except KeyboardInterrupt:
             self._tell(self._client.give_back, work)
             raise
         except Exception as error:

@@ -6,7 +6,6 @@ import signal
 import threading
 import time
 from pathlib import Path
-from typing import Any
 
 from assistax_zoo.service.api.operations import log_to_stderr
 from assistax_zoo.service.catalogue import ZooCatalogue
@@ -26,15 +25,18 @@ def run_worker(
     log_to_stderr()
     loaded = load_registry(registry)
     scorer = ZooScorer(loaded, ZooCatalogue(loaded, backend), backend)
-    signal.signal(signal.SIGTERM, _leave)
+    worker = Worker(client, scorer, live=functools.partial(LiveRobot, client))
+    # XLA may compile for long before the main thread hears of anything.
+    leaving = threading.Thread(target=_leave, args=(worker,), daemon=True)
+    signal.signal(signal.SIGTERM, lambda *_: leaving.is_alive() or leaving.start())
     if parent := os.environ.get(PARENT_VARIABLE):
         threading.Thread(target=_outlive_not, args=(int(parent),), daemon=True).start()
-    try:
-        live = functools.partial(LiveRobot, client)
-        Worker(client, scorer, live=live).run(until_empty=until_empty)
-    except SystemExit:
-        # Threads of XLA may still run: the interpreter's shutdown would unload what they call.
-        os._exit(0)
+    worker.run(until_empty=until_empty)
+
+
+def _leave(worker: Worker) -> None:
+    worker.leave()
+    os._exit(0)
 
 
 def _outlive_not(parent: int) -> None:
@@ -42,7 +44,3 @@ def _outlive_not(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(1.0)
     os._exit(0)
-
-
-def _leave(*_: Any) -> None:
-    raise SystemExit(0)

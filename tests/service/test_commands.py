@@ -12,8 +12,11 @@ from typing import Any
 
 import httpx2
 import pytest
+import sqlalchemy as sa
 
 from assistax_zoo.main import run
+from assistax_zoo.service import schema as t
+from assistax_zoo.service.serve import open_service
 from tests.untrained import HUMAN, ROBOT, params_of, published, untrained_team
 from zoo.storage import write_policy_file
 
@@ -61,7 +64,14 @@ def board(tmp_path: Path) -> Iterator[dict[str, Any]]:
     address, token = lines[0].split()[1], lines[1].split()[-1]
     environment = {"ASSISTAX_ZOO_SERVER": address, "ASSISTAX_ZOO_TOKEN": token}
     _wait_until_it_answers(address)
-    yield {"data": data, "registry": registry, "environment": environment}
+    lines = iter(process.stderr.readline, "")
+    found = {"data": data, "registry": registry, "environment": environment}
+    yield {**found, "lines": lines, "process": process}
+    stop(process)
+
+
+def stop(process: Any) -> None:
+    """End a server; one that has ended stays as it is."""
     process.send_signal(signal.SIGTERM)
     process.communicate(timeout=60)
     assert process.returncode == 0
@@ -125,6 +135,19 @@ def _wait_for_proof(root: str, environment: dict[str, str]) -> dict[str, Any]:
 def test_a_server_stops_with_its_workers(board: dict[str, Any]) -> None:
     """The fixture holds it to exit code 0, within a minute."""
     assert (board["data"] / "worker-token").stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.slow
+def test_a_stop_gives_the_job_under_way_back(board: dict[str, Any], tmp_path: Path) -> None:
+    file = tmp_path / "robot.safetensors"
+    write_policy_file(file, ROBOT, params_of(ROBOT, 7))
+    command("submit", file, "--task", "scratch", **board["environment"])
+    assert any("job begins" in line for line in board["lines"])
+    stop(board["process"])
+    service = open_service(board["data"], registry=board["registry"])
+    with service.database.read() as connection:
+        rows = connection.execute(sa.select(t.jobs.c.state, t.jobs.c.failures)).all()
+    assert [tuple(row) for row in rows] == [("waiting", 0)]
 
 
 def test_a_folder_that_is_no_service_is_refused(

@@ -151,11 +151,12 @@ def play_command(pair: Pair, out: Path) -> list[str]:
 
 
 def run_command(arguments: Sequence[str]) -> None:
-    """Run a command of `assistax-zoo`, gently: readers of pages come first."""
+    """Run a command of `assistax-zoo`, gently: readers of pages come first. It ends with us."""
     command = [sys.executable, "-m", "assistax_zoo", *arguments]
     nice = ["nice", "-n", "10"] if shutil.which("nice") else []
+    with_us = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
     subprocess.run(
-        [*nice, *command],
+        [*with_us, *nice, *command],
         check=True,
         timeout=SECONDS,
         stdin=subprocess.DEVNULL,
