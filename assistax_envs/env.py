@@ -199,7 +199,8 @@ class Env:
             camera: a camera of the scene, or "close"; the scene's first one if not given.
             width: pixels.
             height: pixels.
-            caption: lines to write at the lower left.
+            caption: lines to write below, of which the last names the human: who is named the same
+                looks the same.
 
         Raises:
             ValueError: there is no such simulation or camera, or this machine lacks EGL and OSMesa.
@@ -208,7 +209,7 @@ class Env:
 
         size = width, height
         if size not in self._renderers:
-            self._renderers[size] = Renderer(self.model, self._task, width, height)
+            self._renderers[size] = Renderer(self._task, width, height)
         return self._renderers[size].frame(state, index, camera, caption)
 
     def close(self) -> None:

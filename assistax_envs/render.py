@@ -1,15 +1,16 @@
 """Pictures of a simulation, without a display: EGL draws, or OSMesa where EGL does not run.
 
-A picture shows the pose, the task's targets, the tool's force on the arm, and what the step earned.
-Any task can be
-drawn: it names its targets and their colours itself.
+A picture shows the pose, the task's targets, each touch on the skin and how strong it is, and below
+the scene what the step earned and what the colours mean. Any task can be drawn: it names its
+targets and their colours itself.
 """
 
 import atexit
-import copy
 import dataclasses
 import functools
 import weakref
+import zlib
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -18,7 +19,10 @@ import mujoco
 import numpy as np
 
 from assistax_envs.gl import functions_from, open_context
-from assistax_envs.overlay import Figures, write
+from assistax_envs.models import build_dressed
+from assistax_envs.models.gentle_scenes import touching
+from assistax_envs.models.looks import palettes
+from assistax_envs.overlay import Figures, force_colour, panel, panel_height
 from assistax_envs.physics import SUBSTEPS
 from assistax_envs.tasks.base import TOUCHABLE, Sensors, Task
 
@@ -26,26 +30,25 @@ if TYPE_CHECKING:
     from assistax_envs.env import EnvState
 
 CLOSE = "close"  # a camera beside those of the scene: follows the tool and the targets
+CLOSE_FROM = "front"  # where it looks from
 LARGEST = 4096  # pixels a side
 
 TOOL_BODY = "robot_tool"
-FORCE_COLOUR = (0.05, 0.75, 0.25, 1.0)
 MARKER_RADIUS, DOT_RADIUS = 0.018, 0.008  # m, of a target alone and of one among many
 HALO_RADIUS, HALO_OPACITY = 0.048, 0.3  # m: wider than the arm, so that a target behind it is seen
-ARROW_WIDTH = 0.014  # m
+ARROW_WIDTH = 0.012  # m
 SHORTEST_ARROW, LONGEST_ARROW = 0.06, 0.25  # m
 ARROW_LENGTH = 0.01  # m for each N
+DISC_RADIUS, DISC_GROWTH, DISC_HEIGHT = 0.012, 0.005, 0.008  # m, m for each root of a N, m
 
 
 class Renderer:
-    """Draws simulations of one model at one size.
+    """Draws simulations of one task at one size.
 
     Holds an OpenGL context, so use it from one thread.
     """
 
-    def __init__(
-        self, model: mujoco.MjModel, task: Task, width: int = 640, height: int = 480
-    ) -> None:
+    def __init__(self, task: Task, width: int = 640, height: int = 480) -> None:
         """Open an OpenGL context.
 
         Raises:
@@ -60,7 +63,7 @@ class Renderer:
             _close, weakref.ref(self)
         )  # before the platform's own exit, which closes the display
         self._context.make_current()
-        self.model = copy.copy(model)
+        self.model = build_dressed(task.name)
         self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
         self.model.vis.quality.shadowsize = 2048
         self._task = task
@@ -71,8 +74,8 @@ class Renderer:
         with functions_from(platform):
             self._gl = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._gl)
-        self._viewport = mujoco.MjrRect(0, 0, width, height)
-        self._arm = {self.model.geom(f"human_{name}").id for name in TOUCHABLE}
+        self._size = width, height
+        self._arm = {f"human_{name}" for name in TOUCHABLE}
         self._tool = self.model.body(TOOL_BODY).id
 
     def frame(
@@ -88,7 +91,8 @@ class Renderer:
             state: [N] simulations.
             index: which of them.
             camera: a camera of the scene, or "close"; the scene's first one if not given.
-            caption: lines to write at the lower left.
+            caption: lines to write below, of which the last names the human: who is named the same
+                looks the same.
 
         Returns:
             uint8 [height, width, 3].
@@ -99,16 +103,21 @@ class Renderer:
         targets = {name: np.asarray(points)[0] for name, points in named.items()}
         self._context.make_current()
         view = self._view(camera, np.asarray(tool), targets)
+        self._wear(caption[-1] if caption else "")
         everything = mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(
             self.model, self._data, self._options, None, view, everything, self._scene
         )
         self._mark(targets)
-        self._draw_force(float(one.measures.force[0]))
-        pixels = np.empty((self._viewport.height, self._viewport.width, 3), np.uint8)
-        mujoco.mjr_render(self._viewport, self._scene, self._gl)
-        mujoco.mjr_readPixels(pixels, None, self._viewport, self._gl)
-        return write(pixels[::-1], self._figures(one), caption)
+        self._draw_touches(one)
+        width, height = self._size
+        figures = self._figures(one)
+        below = panel_height(width, height, figures, caption)
+        viewport = mujoco.MjrRect(0, 0, width, height - below)
+        pixels = np.empty((viewport.height, width, 3), np.uint8)
+        mujoco.mjr_render(viewport, self._scene, self._gl)
+        mujoco.mjr_readPixels(pixels, None, viewport, self._gl)
+        return np.concatenate([pixels[::-1], panel(width, below, height, figures, caption)])
 
     def close(self) -> None:
         """Give the OpenGL context back; the renderer draws no more."""
@@ -137,32 +146,32 @@ class Renderer:
             force=float(one.measures.force[0]),
             distance=float(one.measures.distance[0]),
             nonfinite=bool(one.nonfinite[0]),
+            targets=self._task.target_colours,
         )
+
+    def _wear(self, person: str) -> None:
+        """Give the human the skin, hair and clothes of a name: the same in all its pictures."""
+        worn = palettes()[zlib.crc32(person.encode()) % len(palettes())]
+        for material, colour in worn.items():
+            self.model.material(material).rgba[:3] = colour
 
     def _view(
         self, name: str | None, tool: np.ndarray, targets: dict[str, np.ndarray]
     ) -> mujoco.MjvCamera:
         view = mujoco.MjvCamera()
         names = [self.model.camera(i).name for i in range(self.model.ncam)]
-        if name in names or (name is None and names):
-            view.type, view.fixedcamid = (
-                mujoco.mjtCamera.mjCAMERA_FIXED,
-                names.index(name) if name else 0,
-            )
+        if name in names or name is None:
+            view.type = mujoco.mjtCamera.mjCAMERA_FIXED
+            view.fixedcamid = names.index(name) if name else 0
             return view
-        if name not in (None, CLOSE):
+        if name != CLOSE:
             raise ValueError(f"camera is {name!r}; allowed are {', '.join((*names, CLOSE))}")
         mujoco.mjv_defaultFreeCamera(self.model, view)
-        if name == CLOSE:
-            if names:  # from where the scene's own camera looks
-                x, y, z = -self._data.cam_xmat[0].reshape(3, 3)[:, 2]
-                view.azimuth, view.elevation = (
-                    np.degrees(np.arctan2(y, x)),
-                    np.degrees(np.arcsin(z)),
-                )
-            points = np.concatenate([tool, *targets.values()])
-            view.lookat[:] = points[np.isfinite(points).all(axis=1)].mean(axis=0)
-            view.distance = 0.9
+        x, y, z = -self._data.cam_xmat[names.index(CLOSE_FROM)].reshape(3, 3)[:, 2]
+        view.azimuth, view.elevation = np.degrees([np.arctan2(y, x), np.arcsin(z)])
+        points = np.concatenate([tool, *targets.values()])
+        view.lookat[:] = points[np.isfinite(points).all(axis=1)].mean(axis=0)
+        view.distance = 0.9
         return view
 
     def _mark(self, targets: dict[str, np.ndarray]) -> None:
@@ -178,30 +187,53 @@ class Renderer:
         geom.pos[:] = point
         geom.size[:] = radius
 
-    def _draw_force(self, newtons: float) -> None:
-        """Draw an arrow that ends where the tool presses, as long as the recorded force."""
-        forces, points = [np.zeros(3)], [np.zeros(3)]
-        for i, contact in enumerate(self._data.contact):
-            if sign := self._sign(contact):
-                force = np.zeros(6)
-                mujoco.mj_contactForce(self.model, self._data, i, force)
-                forces.append(sign * contact.frame.reshape(3, 3).T @ force[:3])
-                points.append(contact.pos.copy())
-        sizes, total = np.linalg.norm(forces, axis=1), np.sum(forces, axis=0)
-        if newtons <= 0.0 or np.linalg.norm(total) == 0.0:
-            return
-        point = np.average(points, axis=0, weights=sizes)
-        length = min(SHORTEST_ARROW + ARROW_LENGTH * newtons, LONGEST_ARROW)
-        start = point - total / np.linalg.norm(total) * length
-        geom = self._new_geom(mujoco.mjtGeom.mjGEOM_ARROW, FORCE_COLOUR)
-        mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, ARROW_WIDTH, start, point)
+    def _draw_touches(self, one: "EnvState") -> None:
+        """Draw a disc where the robot touches, and an arrow that ends where the force acts.
 
-    def _sign(self, contact: Any) -> int:
-        """Return 1 where the tool pushes the arm along the contact's frame, -1 against, else 0."""
-        for sign, (tool, arm) in ((1, contact.geom), (-1, contact.geom[::-1])):
-            if self.model.geom_bodyid[tool] == self._tool and arm in self._arm:
-                return sign
-        return 0
+        The pose gives where, and how forces share; the recorded force gives how much: the motors'
+        torques, which a state does not hold, press too.
+        """
+        felt = one.measures.contact is not None  # gentle scenes record all touches, not the tool's
+        touches = list(self._touches())
+        counted = [touch for touch in touches if felt or touch[2]]
+        newtons = float(one.measures.force[0])
+        pressed = sum(float(np.linalg.norm(force)) for _, force, _ in counted)
+        if not pressed or newtons <= 0.0:
+            return
+        for point, force, _ in touches:
+            self._draw_disc(point, force, newtons / pressed * float(np.linalg.norm(force)))
+        points, forces, _ = zip(*counted, strict=True)
+        total = np.sum(forces, axis=0)
+        if np.linalg.norm(total) > 0.0:
+            point = np.average(points, axis=0, weights=np.linalg.norm(forces, axis=1))
+            length = min(SHORTEST_ARROW + ARROW_LENGTH * newtons, LONGEST_ARROW)
+            start = point - total / np.linalg.norm(total) * length
+            geom = self._new_geom(mujoco.mjtGeom.mjGEOM_ARROW, force_colour(newtons))
+            mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, ARROW_WIDTH, start, point)
+
+    def _touches(self) -> Iterator[tuple[np.ndarray, np.ndarray, bool]]:
+        """Yield where the robot presses the human, with what force, and whether tool on arm."""
+        for i, contact in enumerate(self._data.contact):
+            names = [self.model.geom(geom).name for geom in contact.geom]
+            parts = touching(*names)
+            force = np.zeros(6)
+            mujoco.mj_contactForce(self.model, self._data, i, force)
+            if parts and np.linalg.norm(force[:3]) > 0.0:
+                robot, human = parts
+                sign = 1.0 if names[0] == robot else -1.0
+                tool = self.model.geom(robot).bodyid[0] == self._tool
+                turned = sign * contact.frame.reshape(3, 3).T @ force[:3]
+                yield contact.pos.copy(), turned, bool(tool and human in self._arm)
+
+    def _draw_disc(self, point: np.ndarray, force: np.ndarray, newtons: float) -> None:
+        geom = self._new_geom(mujoco.mjtGeom.mjGEOM_ELLIPSOID, force_colour(newtons))
+        radius = DISC_RADIUS + DISC_GROWTH * newtons**0.5
+        geom.pos[:], geom.size[:] = point, (radius, radius, DISC_HEIGHT)
+        geom.emission = 0.5  # as bright in the tool's shadow
+        quat, matrix = np.zeros(4), np.zeros(9)
+        mujoco.mju_quatZ2Vec(quat, force)
+        mujoco.mju_quat2Mat(matrix, quat)
+        geom.mat[:] = matrix.reshape(3, 3)
 
     def _new_geom(self, kind: mujoco.mjtGeom, colour: tuple[float, ...]) -> mujoco.MjvGeom:
         geom = self._scene.geoms[self._scene.ngeom]

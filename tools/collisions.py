@@ -16,7 +16,7 @@ from cyclopts import App
 from PIL import Image, ImageDraw, ImageFont
 
 from assistax_envs.gl import functions_from, open_context
-from assistax_envs.models import build_model
+from assistax_envs.models import build_dressed, build_model
 from assistax_envs.render import check_size
 from assistax_envs.tasks import TASK_CLASSES
 from assistax_envs.tasks.base import TOUCHABLE
@@ -96,7 +96,8 @@ def picture(tasks: Sequence[str], width: int = 480, height: int = 360) -> np.nda
     for task in tasks:
         model = build_model(task)
         qpos = TASK_CLASSES[task](model).pose.angle
-        panes = [_draw(each, qpos, width, height) for each in (model, collision_model(model))]
+        shown = build_dressed(task), collision_model(model)
+        panes = [_draw(each, qpos, width, height) for each in shown]
         rows += [np.concatenate(panes, axis=1), _caption(task, model, 2 * width)]
     return np.concatenate(rows)
 

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from assistax_envs.models.gentle_scenes import SCENES, soften
+from assistax_envs.models.looks import dress
 
 TOOLS: dict[str, str] = {
     "scratch": "stick",
@@ -30,6 +31,17 @@ WEAKNESS: dict[str, float] = {
 
 def build_model(task: str) -> mujoco.MjModel:
     """Compile the scene of `task` with its tool bolted to the robot's hand."""
+    return _scene(task).compile()
+
+
+def build_dressed(task: str) -> mujoco.MjModel:
+    """Compile the same scene for pictures: what collides is hidden behind what it stands for."""
+    scene = _scene(task)
+    dress(scene, SCENES.get(task, task))
+    return scene.compile()
+
+
+def _scene(task: str) -> mujoco.MjSpec:
     base = SCENES.get(task, task)
     with resources.as_file(resources.files("assistax_envs.models")) as folder:
         scene = mujoco.MjSpec.from_file(str(folder / f"{base}.xml"))
@@ -39,8 +51,8 @@ def build_model(task: str) -> mujoco.MjModel:
             scene.joint(f"human_{joint}").springref = angle
         if task in SCENES:
             soften(scene, task)
-            return scene.compile()
+            return scene
         for actuator in scene.actuators:
             if actuator.name.startswith("human_"):
                 actuator.gear = np.array(actuator.gear) * WEAKNESS.get(task, 1.0)
-        return scene.compile()
+        return scene

@@ -69,7 +69,7 @@ class GentleLift:
 
     name = "gentle_lift"
     target_colours: ClassVar = {
-        "section": (0.10, 0.75, 0.25, 1.0),
+        "section": (0.95, 0.05, 0.55, 1.0),
         "waist": (0.10, 0.35, 0.95, 1.0),
     }
 

@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 
 from assistax_envs import EnvState, gl
-from assistax_envs.overlay import Figures, write
+from assistax_envs.models import build, build_dressed, build_model
+from assistax_envs.overlay import COSTS, EARNS, LEVELS, Figures, panel
 from assistax_envs.render import Renderer
 from assistax_envs.tasks import TASK_CLASSES
 from tests.envs.conftest import environment, start
@@ -25,7 +26,9 @@ from tests.system import needs
 
 ROOT = Path(__file__).parents[2]
 TASK = "scratch"
+TARGETS = {"itch": (0.95, 0.05, 0.55, 1.0)}
 SIZE = {"width": 320, "height": 240}
+SCENE = 150  # lines of pixels that are scene at this size; words stand below
 
 
 @pytest.fixture(scope="module")
@@ -34,11 +37,12 @@ def two() -> EnvState:
 
 
 def coloured(frame: np.ndarray, kind: str) -> int:
-    """Count the pixels of a marker: magenta targets, green forces."""
-    red, green, blue = np.moveaxis(frame.astype(int), -1, 0)
+    """Count the pixels of a marker in the scene: magenta targets, green or amber forces."""
+    red, green, blue = np.moveaxis(frame[:SCENE].astype(int), -1, 0)
     if kind == "target":
         return int(((red - green > 90) & (blue - green > 40)).sum())
-    return int(((green - red > 90) & (green - blue > 60)).sum())
+    gentle = (green - red > 80) & (green - blue > 20)
+    return int((gentle | ((red - blue > 150) & (green - blue > 90))).sum())
 
 
 @pytest.mark.parametrize("task", TASK_CLASSES)
@@ -54,7 +58,7 @@ def test_the_same_state_gives_the_same_bytes_and_another_other_ones(two: EnvStat
     env = environment(TASK, "native")
     first, other = env.render(two, 0, **SIZE), env.render(two, 1, **SIZE)
     np.testing.assert_array_equal(env.render(two, 0, **SIZE), first)
-    np.testing.assert_array_equal(Renderer(env.model, env._task, **SIZE).frame(two, 0), first)
+    np.testing.assert_array_equal(Renderer(env._task, **SIZE).frame(two, 0), first)
     assert (other != first).any()
 
 
@@ -64,10 +68,10 @@ def test_the_target_is_seen(two: EnvState, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(
         env._task, "targets", lambda state, readings: {"itch": jnp.full((1, 1, 3), jnp.nan)}
     )
-    assert coloured(Renderer(env.model, env._task, **SIZE).frame(two), "target") == 0
+    assert coloured(Renderer(env._task, **SIZE).frame(two), "target") == 0
 
 
-def test_the_force_is_an_arrow_that_grows(two: EnvState, monkeypatch: pytest.MonkeyPatch):
+def test_a_touch_is_a_disc_and_an_arrow_that_grow(two: EnvState, monkeypatch: pytest.MonkeyPatch):
     env = environment(TASK, "native")
     touching = pressed(env, two)
 
@@ -104,17 +108,79 @@ def pressed(env, state: EnvState) -> EnvState:
     raise AssertionError("no pose with contact was found")
 
 
-def test_figures_are_written_on_a_copy():
-    plain = np.full((120, 320, 3), 128, np.uint8)
-    figures = Figures("scratch", {"reach_target": 0.5, "scratch": float("nan")}, 2.5, 0.1, True)
-    written = write(plain, figures, ("robot zero",))
-    assert (plain == 128).all() and (written != plain).any()
-    fuller = write(
-        plain,
-        dataclasses.replace(figures, terms={"reach_target": 1.0, "scratch": 0.0}),
-        ("robot zero",),
-    )
-    assert coloured(fuller, "force") > coloured(written, "force") > 0
+def words(**changes) -> np.ndarray:
+    figures = Figures("scratch", {"reach": 0.5, "cost": 0.0}, 2.5, 0.1, False, TARGETS)
+    return panel(320, 90, 240, dataclasses.replace(figures, **changes), ("robot zero",))
+
+
+def test_what_stands_below_follows_the_figures():
+    plain = words()
+    assert plain.shape == (90, 320, 3)
+
+    def painted(pixels: np.ndarray, colour: tuple[int, ...]) -> int:
+        return int((pixels == np.array(colour)).all(axis=-1).sum())
+
+    longer, costly = words(terms={"reach": 1.0, "cost": 0.0}), words(terms={"reach": 0, "cost": -1})
+    assert painted(longer, EARNS) > painted(plain, EARNS) > painted(costly, EARNS)
+    assert painted(costly, COSTS) > painted(plain, COSTS)
+    for newtons, (_, colour) in zip((2.0, 20.0, 80.0), LEVELS, strict=True):
+        other = 2.0 if newtons > 65.0 else 80.0
+        assert painted(words(force=newtons), colour) > painted(words(force=other), colour)
+    assert painted(plain, (242, 13, 140)) > 10  # the target's colour is explained
+    assert (words(nonfinite=True) != plain).any()
+
+
+def test_words_never_cover_the_scene(two: EnvState):
+    """The scene alone is drawn above the words: what is written below changes nothing there."""
+    env = environment(TASK, "native")
+    rich = dataclasses.replace(two, reward=jnp.full(2, 123.0))
+    one, other = env.render(two, **SIZE), env.render(rich, **SIZE)
+    assert (one[:SCENE] == other[:SCENE]).all() and (one[SCENE:] != other[SCENE:]).any()
+    assert env.render(two, width=64, height=48).shape == (48, 64, 3)  # no room for words
+
+
+@pytest.mark.parametrize("task", TASK_CLASSES)
+def test_looks_change_no_physics(task: str):
+    """What is drawn has the physics of what is simulated: the shapes on top have no mass, touch
+    nothing, and are not in the model of the tasks at all.
+    """
+    plain, dressed = build_model(task), build_dressed(task)
+    assert not any(plain.geom(i).name.startswith("look-") for i in range(plain.ngeom))
+    assert (plain.nmesh, dressed.nmesh > 30) == (0, True)
+    for field in ("nq", "nv", "nu", "nbody", "nsensordata", "npair"):
+        assert getattr(plain, field) == getattr(dressed, field), field
+    for field in ("body_mass", "body_inertia", "body_pos", "qpos0", "jnt_range", "pair_solref"):
+        np.testing.assert_array_equal(getattr(plain, field), getattr(dressed, field), field)
+    pose = TASK_CLASSES[task](plain).pose.angle
+    after = []
+    for model in (plain, dressed):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.ctrl[:] = pose, 0.3
+        for _ in range(100):
+            mujoco.mj_step(model, data)
+        after.append(np.concatenate([data.qpos, data.qvel, data.sensordata]))
+    np.testing.assert_array_equal(*after)
+
+
+def test_a_shape_that_weighs_or_touches_would_be_noticed(monkeypatch: pytest.MonkeyPatch):
+    scene = build._scene(TASK)
+    scene.body("human_right_lower_arm").add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05] * 3)
+    monkeypatch.setattr(build, "_scene", lambda task: scene)
+    with pytest.raises(AssertionError):
+        np.testing.assert_array_equal(
+            build_dressed(TASK).body_mass, environment(TASK, "native").model.body_mass
+        )
+
+
+def test_who_is_named_the_same_looks_the_same_whatever_the_disability():
+    env = environment(TASK, "native")
+    healthy, frail = (start(TASK, "native", [setting], seed=0) for setting in ("d1", "d9"))
+
+    def person(state: EnvState, name: str) -> np.ndarray:
+        return env.render(state, caption=(name,), **SIZE)[:SCENE]
+
+    np.testing.assert_array_equal(person(healthy, "a"), person(frail, "a"))
+    assert len({person(healthy, name).tobytes() for name in "abcdefghijkl"}) > 3
 
 
 @pytest.mark.parametrize(
@@ -177,7 +243,7 @@ def test_osmesa_steps_in_for_egl_and_draws_the_same(tmp_path: Path):
 
 def test_a_closed_renderer_gives_its_context_back(two: EnvState):
     env = environment(TASK, "native")
-    renderer = Renderer(env.model, env._task, 64, 48)
+    renderer = Renderer(env._task, 64, 48)
     renderer.close()
     renderer.close()
     del renderer
