@@ -37,6 +37,11 @@ PREFERENCES: dict[str, Preference] = {
 DRAWN = "drawn"  # a preference that is drawn anew, among all of them, at each episode's start
 
 
+def preferences_of(task: str) -> tuple[str, ...]:
+    """Return the preferences that humans play under if none are chosen; the paper's have none."""
+    return tuple(PREFERENCES) if task in GENTLE_TASKS else ()
+
+
 def check_preferences(task: str, names: Sequence[str]) -> None:
     """Refuse names that are no preferences, none, one twice, and any of them for another task."""
     if task not in GENTLE_TASKS:

@@ -17,7 +17,7 @@ import numpy as np
 import polars as pl
 
 from assistax_envs import disability_params, make
-from assistax_envs.preferences import FORCES, PREFERENCES, SPEEDS
+from assistax_envs.preferences import FORCES, PREFERENCES, SPEEDS, preferences_of
 from assistax_envs.tasks.gentle_base import FELT, HARD, Liking
 from assistax_envs.versions import GENTLE_TASKS, VERSIONS
 from evaluation.audit_gates import Gate, condition_figures, gates_of, own_pairs, strange_pairs
@@ -194,7 +194,7 @@ class _Tables:
             episodes=self.episodes,
             seed=self.seed,
             paired=paired,
-            preferences=tuple(PREFERENCES) if self.task in GENTLE_TASKS else (),
+            preferences=preferences_of(self.task),
         )
 
         def told(state: Progress) -> None:

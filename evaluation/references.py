@@ -38,16 +38,31 @@ def reference_roster(observation_size: int, action_size: int) -> Roster:
 
 def reference_jobs(env: Any, job: Job, own: tuple[Roster, Roster] | None) -> list[Job]:
     """Return what `play_references` plays."""
-    robot, human = ((env.observation_size[r], env.action_size[r]) for r in ("robot", "human"))
-    jobs = [dataclasses.replace(job, egos=reference_roster(*robot), stochastic=False)]
+    jobs = [
+        dataclasses.replace(job, egos=reference_roster(*_sizes(env, "robot")), stochastic=False)
+    ]
     if own:
-        robots, humans = own
-        jobs.append(dataclasses.replace(job, egos=robots, partners=humans, paired=True))
+        jobs.append(reference_job(env, job, SELF_PLAY, own))
     if job.task in SCRIPTS:
-        script = dataclasses.replace(job, egos=script_roster(job.task, *robot), stochastic=False)
-        alone: dict[str, Any] = {"partners": passive_roster(*human), "sides": {}}
+        script = reference_job(env, job, SCRIPT)
+        human = passive_roster(*_sizes(env, "human"))
+        alone: dict[str, Any] = {"partners": human, "sides": {}}
         jobs += [script, *(dataclasses.replace(one, **alone) for one in (script, job))]
     return jobs
+
+
+def reference_job(env: Any, job: Job, name: str, own: tuple[Roster, Roster] | None = None) -> Job:
+    """Return a job with its robots replaced by one reference: an ego, or self-play with `own`."""
+    if name == SELF_PLAY and own is not None:
+        return dataclasses.replace(job, egos=own[0], partners=own[1], paired=True)
+    sizes = _sizes(env, "robot")
+    if name == SCRIPT:
+        return dataclasses.replace(job, egos=script_roster(job.task, *sizes), stochastic=False)
+    both = reference_roster(*sizes)
+    [stack] = both.stacks
+    assert isinstance(stack, PolicyStack)
+    egos = Roster((stack.take([stack.ids.index(name)]),), {name: both.members[name]})
+    return dataclasses.replace(job, egos=egos, stochastic=False)
 
 
 def kept_folder(folder: Path, job: Job) -> Path:
@@ -66,6 +81,11 @@ def passive_roster(observation_size: int, action_size: int) -> Roster:
     """Return a human without an impairment that does nothing."""
     spec = ReferenceSpec("human", observation_size, action_size)
     return _single(spec, Member(PASSIVE, f"{PASSIVE}-{_VERSION}", disability="d1"))
+
+
+def _sizes(env: Any, role: str) -> tuple[int, int]:
+    """Return the widths of a seat's observations and actions."""
+    return env.observation_size[role], env.action_size[role]
 
 
 def _single(spec: PolicySpec, member: Member) -> Roster:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from assistax_envs.preferences import PREFERENCES, check_preferences
-from assistax_envs.versions import GENTLE_TASKS, TASKS, VERSIONS
+from assistax_envs.preferences import check_preferences, preferences_of
+from assistax_envs.versions import TASKS, VERSIONS
 from evaluation import provenance, tables
 from evaluation.blocks import BlockDone, run_block, run_blocks_on_ray
 from evaluation.derived import save_crossplay, save_evaluation
@@ -66,7 +66,7 @@ class Settings:
     def wishes(self) -> tuple[str, ...]:
         """The preferences that partners play under, in turns; none for the paper's tasks."""
         if self.preferences is None:
-            return tuple(PREFERENCES) if self.task in GENTLE_TASKS else ()
+            return preferences_of(self.task)
         named = self.preferences
         return tuple(named.split(",") if isinstance(named, str) else named)
 
@@ -118,7 +118,7 @@ def evaluate_policies(
     manifest, chosen = choose_partners(registry, settings.task, split, partners)
     egos = _read_egos(registry, policies, settings.task)
     _check_new(egos, chosen, include_own)
-    env, job = _make_job(registry, egos, chosen, settings, manifest)
+    env, job = make_job(registry, egos, chosen, settings, manifest)
     result = run_job(
         env, job, folder, max_envs=settings.max_envs, reuse=reuse, on_progress=on_progress
     )
@@ -189,7 +189,7 @@ def cross_play(
     robots = in_release(registry, egos, release, task=settings.task, role="robot")
     humans = in_release(registry, partners, release, task=settings.task, role="human")
     check_env_version(registry, robots)
-    env, job = _make_job(registry, registry_roster(registry, robots), humans, settings, manifest)
+    env, job = make_job(registry, registry_roster(registry, robots), humans, settings, manifest)
     options: dict[str, Any] = {"max_envs": settings.max_envs, "on_progress": on_progress}
     if block is not None:
         return run_block(env, job, folder, block, **options)
@@ -288,14 +288,14 @@ def _read_egos(registry: Registry, policies: Sequence[Any], task: str) -> Roster
     return egos
 
 
-def _make_job(
+def make_job(
     registry: Registry,
     egos: Roster,
     partners: Sequence[PolicyEntry],
     settings: Settings,
-    split: Split | None,
+    split: Split | None = None,
 ) -> "tuple[Env, Job]":
-    """Return the environment and the job of egos with partners."""
+    """Return the environment and the job of egos with partners, on their sides of a split."""
     from assistax_envs import make
 
     check_env_version(registry, partners)
@@ -332,13 +332,18 @@ def _play_references(
     """
     from evaluation.references import kept_folder, play_references, reference_jobs
 
-    robots = {entry.team: entry for entry in registry.policies if entry.role == "robot"}
-    pairs = [(robots[human.team], human) for human in partners if human.team in robots]
-    own = paired_rosters(registry, pairs) if pairs else None
+    own = own_robots(registry, partners)
     options: dict[str, Any] = {"max_envs": settings.max_envs, "on_progress": on_progress}
     played = play_references(env, job, own, kept, **options)
     folders = [kept_folder(kept, one) for one in reference_jobs(env, job, own)]
     return played, [folder / tables.EPISODES_FILE for folder in folders]
+
+
+def own_robots(registry: Registry, partners: Sequence[PolicyEntry]) -> tuple[Roster, Roster] | None:
+    """Return robots beside the partners that were trained with them; None if none is published."""
+    robots = {entry.team: entry for entry in registry.policies if entry.role == "robot"}
+    pairs = [(robots[human.team], human) for human in partners if human.team in robots]
+    return paired_rosters(registry, pairs) if pairs else None
 
 
 def _own_files(egos: Roster, crossplay: Path | None) -> list[Path]:

@@ -37,6 +37,10 @@ class Catalogue(Protocol):
         """Return what decides a score's value besides the robot: see `version_id`."""
         ...
 
+    def references(self, task: str) -> tuple[str, ...]:
+        """Return the rows that a board measures by, such as "uniform-random"."""
+        ...
+
 
 def version_id(identity: dict[str, Any]) -> str:
     """Return the id of a version: scores of two are never mixed."""
@@ -62,13 +66,15 @@ class ZooCatalogue:
 
     @functools.cache  # noqa: B019
     def identity(self, task: str) -> dict[str, Any]:
-        """Return evaluator, environment, engine and public panel."""
+        """Return evaluator, environment, engine, public panel, and what its humans like."""
         from importlib.metadata import version
 
+        from assistax_envs.preferences import preferences_of
         from assistax_envs.versions import VERSIONS, engine
         from evaluation.jobs import EVALUATOR_VERSION
 
-        return {
+        wishes = preferences_of(task)
+        return ({"preferences": list(wishes)} if wishes else {}) | {
             "task": task,
             "env_version": VERSIONS[task],
             "evaluator": EVALUATOR_VERSION,
@@ -79,6 +85,14 @@ class ZooCatalogue:
             "chunk": CHUNK,
             "seed": PUBLIC_SEED,
         }
+
+    def references(self, task: str) -> tuple[str, ...]:
+        """Return the reference egos, and self-play where every partner has its own robot."""
+        from evaluation.relative import RANDOM, SCRIPT, SELF_PLAY, ZERO
+
+        robots = {entry.team for entry in self._registry.select(task=task, role="robot")}
+        has_own = all(entry.team in robots for entry in self._entries(task))
+        return (ZERO, RANDOM, SCRIPT, *((SELF_PLAY,) if has_own else ()))
 
     def _entries(self, task: str) -> list[Any]:
         split = self._registry.split(task)

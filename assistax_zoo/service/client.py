@@ -83,7 +83,8 @@ class Client:
         if response.status_code == 204:
             return None
         fields: dict[str, Any] = response.json()
-        fields["partners"] = tuple(fields["partners"])
+        for name in ("partners", "preferences"):
+            fields[name] = tuple(fields[name])
         return Work(**fields)
 
     def beat(self, work: Work) -> bool:

@@ -25,6 +25,7 @@ def serve(
     artefacts: str | None = None,
     registry: Path | None = None,
     backend: str = "native",
+    references: bool = True,
 ) -> None:
     """Run the evaluation service: a web server, its data in a folder, and a local worker.
 
@@ -39,6 +40,8 @@ def serve(
         artefacts: Address of a store instead of the folder, such as s3://bucket/path.
         registry: Registry of the public partners instead of the installed one.
         backend: Backend that plays, the same for every worker.
+        references: Play zero and random actions, scripts and the partners' own robots whenever
+            nobody waits: the rows that a board measures by.
 
     Example:
         assistax-zoo serve --data board
@@ -51,6 +54,8 @@ def serve(
         port = serving.free_port(host, port)
         own = serving.worker_token(service, data) if workers else ""
         service.adopt_version()
+        if references:
+            service.add_references()
         address = f"http://{host}:{port}"
         print(f"serving {address} from {data}; Ctrl-C stops", file=sys.stderr, flush=True)
         if token := serving.first_token(service):

@@ -15,7 +15,7 @@ from assistax_zoo.service.catalogue import EPISODES, HIDDEN_EPISODES
 from assistax_zoo.service.database import Database, insert_once
 from assistax_zoo.service.problems import Problem
 from assistax_zoo.service.receipts import Signer
-from assistax_zoo.service.scoring import decode_table
+from assistax_zoo.service.scoring import decode_table, table_bytes
 
 c = t.results.c
 
@@ -35,6 +35,7 @@ def accept(
     secret: str,
     data: bytes,
     partners: tuple[str, ...],
+    preferences: tuple[str, ...],
     seconds: float,
     now: float,
 ) -> bool:
@@ -48,15 +49,15 @@ def accept(
     if row is None or row.state == "cancelled":
         raise Problem("lease_lost", "this job is no longer yours; take the next")
     episodes = EPISODES if row.panel == "public" else HIDDEN_EPISODES
-    decode_table(data, partners, episodes)
-    name = desk.artefacts.put(data)
+    kept = table_bytes(decode_table(data, partners, episodes, preferences))
+    name = desk.artefacts.put(kept)
     with desk.database.write() as connection:
         # The last two results of a panel must see each other.
         submissions.lock_submission(desk.database, connection, row.submission)
         held = jobs.held_job(connection, job, secret)
         if held is None or held.state not in ("leased", "waiting"):
             return False
-        record_artefact(connection, name, len(data), now)
+        record_artefact(connection, name, len(kept), now)
         if not insert_once(connection, t.results, _result(row, name, seconds, now)):
             return False
         done = sa.update(t.jobs).where(t.jobs.c.id == job).values(state="done", done_at=now)
@@ -126,15 +127,26 @@ def panel_table(
 
 
 def figures(table: pl.DataFrame) -> dict[str, Any]:
-    """Return mean and IQM over partners with intervals, successes, and broken episodes."""
+    """Return mean and IQM over partners with intervals, successes, and broken episodes.
+
+    Of a gentle task also how often somebody was hurt, and the mean return under each preference.
+    """
     from evaluation import tables
     from evaluation.bootstrap import estimate
 
-    scores = partner_means(table)
-    return {
-        **tables.to_json(estimate(scores[None, :])),
+    found = {
+        **tables.to_json(estimate(partner_means(table)[None, :])),
         "nonfinite": int(table["nonfinite"].sum()),
         "success": float(table["success"].to_numpy().mean()),
+    }
+    if "preference" not in table.columns:
+        return found
+    safe = tables.with_safety(table)["safe_success"]
+    liked = table.group_by("preference").agg(pl.col("return").cast(pl.Float64).mean())
+    return found | {
+        "safe_success": float(safe.to_numpy().mean()),
+        "violations": float(table["violated"].to_numpy().mean()),
+        "by_preference": dict(liked.sort("preference").rows()),
     }
 
 

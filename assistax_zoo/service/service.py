@@ -26,7 +26,7 @@ from assistax_zoo.service.problems import Problem
 from assistax_zoo.service.receipts import Signer
 from assistax_zoo.service.scoring import Work
 from assistax_zoo.service.submissions import Draft
-from assistax_zoo.service.vocabulary import FINAL_STATES
+from assistax_zoo.service.vocabulary import FINAL_STATES, REFERENCE
 
 Admit = Callable[[bytes, str], str]  # (file, task) -> format; raises Refusal
 
@@ -100,8 +100,10 @@ class Service:
             if row is None:
                 raise Problem("not_found", f"no job {job!r}")
             partners = self._partners(connection, row)
+            preferences = self._preferences(connection, row.submission)
         desk = results.Desk(self.database, self.artefacts, self.signer)
-        return results.accept(desk, job, secret, data, partners, seconds, self.clock())
+        given = data, partners, preferences, seconds
+        return results.accept(desk, job, secret, *given, self.clock())
 
     def owns_live(self, submission: str, submitter: str | None) -> bool:
         """Return whether a live submission that has not ended is this lab's."""
@@ -161,6 +163,15 @@ class Service:
         """Remove a lab's name, contact and files; hashes and scores stay, under a pseudonym."""
         erase_submitter(self, submitter)
 
+    def add_references(self) -> None:
+        """Queue what every board measures by, each once, to be played when nobody else waits."""
+        with self.database.write() as connection:
+            nobody = tokens.find_or_add(connection, REFERENCE, None, self.clock())
+        for task in self.catalogue.tasks:
+            for name in self.catalogue.references(task):
+                request = f"{task} {name}"
+                self.submit(nobody, Draft(task, name, request, kind="reference", format=name))
+
     def adopt_version(self) -> int:
         """Score anew what was scored by other versions; return how many submissions that is."""
         return adopt_version(self)
@@ -192,6 +203,7 @@ class Service:
             row = connection.execute(sa.select(t.submissions).where(s.id == lease.submission)).one()
             partners = self._partners(connection, lease)
             season = _season_of(connection, lease.submission)
+            preferences = self._preferences(connection, lease.submission)
         public = lease.panel == "public"
         return Work(
             job=lease.job,
@@ -210,7 +222,13 @@ class Service:
             seed=f"{PUBLIC_SEED:x}"
             if public
             else seasons.panel_seed(season.secret["leaves"], lease.panel),
+            preferences=preferences,
         )
+
+    def _preferences(self, connection: sa.Connection, submission: str) -> tuple[str, ...]:
+        s = t.submissions.c
+        task = connection.execute(sa.select(s.task).where(s.id == submission)).scalar_one()
+        return tuple(self.catalogue.identity(task).get("preferences", ()))
 
     def _partners(self, connection: sa.Connection, job: Any) -> tuple[str, ...]:
         """Return the partners of a job's chunk."""
@@ -266,7 +284,7 @@ def adopt_version(service: Service) -> int:
             stale = sa.select(t.submissions).where(
                 s.task == task,
                 s.state.in_(("queued", "running", "scored")),
-                s.kind == "file",
+                s.kind.in_(("file", "reference")),
                 s.id.not_in(planned),
             )
             for row in connection.execute(stale).mappings().all():

@@ -23,6 +23,7 @@ from assistax_zoo.service.scoring import cut
 from assistax_zoo.service.vocabulary import FINAL_STATES, OWN_FAILURES, Kind
 
 MAX_BYTES = 16 * 1024 * 1024
+LAST = 1_000_000  # turn of the references: they are played when nobody else waits
 LICENCES = ("Apache-2.0", "MIT", "BSD-3-Clause", "CC-BY-4.0", "CC0-1.0", "evaluation-only")
 
 c = t.submissions.c
@@ -38,8 +39,8 @@ class Draft:
     licence: str = "evaluation-only"
     season: str | None = None  # id; None for the public board alone
     kind: Kind = "file"
-    data: bytes | None = None  # None of a live robot
-    format: str | None = None  # as admission found it
+    data: bytes | None = None  # of a file alone
+    format: str | None = None  # as admission found it; of a reference its name
     refusal: str | None = None  # as admission found it
 
 
@@ -56,7 +57,7 @@ def check_draft(draft: Draft, catalogue: Catalogue) -> None:
     for name, value, most in (("method", draft.method, 80), ("request", draft.request, 64)):
         if not 1 <= len(value) <= most or not value.isprintable():
             raise Problem("invalid", f"{name} has 1 to {most} printable characters")
-    if (draft.data is None) != (draft.kind == "live"):
+    if (draft.data is not None) != (draft.kind == "file"):
         raise Problem("invalid", "a submission is a file, or kind live without a file")
     if draft.data is not None and len(draft.data) > MAX_BYTES:
         raise Problem("too_large", f"a file has at most {MAX_BYTES} bytes")
@@ -200,7 +201,7 @@ def _row(
         "reason": draft.refusal,
         "attempt": attempt,
         # Who has more in the queue waits longer: one lab cannot keep all others out.
-        "turn": connection.execute(waiting).scalar_one(),
+        "turn": LAST if draft.kind == "reference" else connection.execute(waiting).scalar_one(),
         "created_at": now,
         "finished_at": now if refused else None,
     }

@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from assistax_envs.preferences import preferences_of
 from assistax_zoo.service import seasons
 from assistax_zoo.service.admission import Admission, robot_sizes
 from assistax_zoo.service.catalogue import PUBLIC_SEED, ZooCatalogue
@@ -121,4 +122,5 @@ def _try_work(task: str, format: str, partners: tuple[str, ...]) -> Work:
     fields: dict[str, Any] = dict.fromkeys(field.name for field in dataclasses.fields(Work))
     fields |= {"task": task, "kind": "file", "format": format, "panel": "public"}
     fields |= {"partners": partners, "episodes": CHECK_EPISODES, "seed": f"{PUBLIC_SEED + 1:x}"}
+    fields["preferences"] = preferences_of(task)
     return Work(**fields)

@@ -62,7 +62,7 @@ def create_token(
         raise Problem("invalid", "a token that submits needs the name of a submitter")
     token = PREFIX + secrets.token_urlsafe(32)
     with database.write() as connection:
-        owner = _submitter(connection, submitter, contact, now) if submitter else None
+        owner = find_or_add(connection, submitter, contact, now) if submitter else None
         row = {
             "id": new_id(8),
             "sha256": _sha256(token),
@@ -125,7 +125,8 @@ def submitter_id(database: Database, name: str) -> str:
     return found
 
 
-def _submitter(connection: sa.Connection, name: str, contact: str | None, now: float) -> str:
+def find_or_add(connection: sa.Connection, name: str, contact: str | None, now: float) -> str:
+    """Return the id of the lab of this name, which is made if it is new."""
     c = t.submitters.c
     found = connection.execute(sa.select(c.id).where(c.name == name)).scalar()
     if found is not None:

@@ -11,10 +11,11 @@ SubmissionState = Literal["queued", "running", "scored", "refused", "failed"]
 JobState = Literal["held", "waiting", "leased", "done", "cancelled"]
 SeasonState = Literal["draft", "open", "closing", "closed"]
 PanelName = Literal["public", "A", "B"]
-Kind = Literal["file", "live"]
+Kind = Literal["file", "live", "reference"]  # a reference is nobody's: zero actions, a script
 AttemptState = Literal["free", "reserved", "spent", "refunded"]
 Scope = Literal["submit", "work", "organise"]
 
+REFERENCE = "reference"  # the submitter of rows that others are measured by
 FINAL_STATES: tuple[SubmissionState, ...] = ("scored", "refused", "failed")
 HIDDEN_PANELS: tuple[PanelName, ...] = ("A", "B")
 SCOPES: tuple[Scope, ...] = ("submit", "work", "organise")

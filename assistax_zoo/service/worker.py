@@ -135,7 +135,7 @@ class Worker:
             if self._live is None:
                 raise ValueError("this worker takes no live submissions")
             return self._live(work)
-        return self._fetch(str(work.artefact))
+        return self._fetch(work.artefact) if work.artefact else None
 
     def _release(self, work: Work) -> bytes | None:
         """Return the private release that a job is about; it is kept in memory alone."""

@@ -1,22 +1,21 @@
 """Plays work with the real evaluator: the same table whoever plays it, on one kind of machine.
 
 A chunk is a job of its own with its partners in a fixed order, so its program and its values depend
-on nothing else: not on other chunks, not on how many workers there are.
+on nothing else: not on other chunks, not on how many workers there are. Jobs are made and played by
+what `assistax_zoo.evaluate` plays with, `evaluation.studies`.
 """
 
-import functools
 import hashlib
 import tempfile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import polars as pl
 
 from assistax_zoo.service.admission import Admission, robot_sizes
 from assistax_zoo.service.catalogue import Catalogue, version_id
 from assistax_zoo.service.release_pack import hidden_partners, ordinal_index, unpack
-from assistax_zoo.service.scoring import Work
+from assistax_zoo.service.scoring import COLUMNS, GENTLE_COLUMNS, Work
 
 
 class ZooScorer:
@@ -31,7 +30,8 @@ class ZooScorer:
             backend: Of the environment.
         """
         self._registry, self._catalogue, self._backend = registry, catalogue, backend
-        self._admission = Admission(robot_sizes(registry))
+        self._sizes = robot_sizes(registry)
+        self._admission = Admission(self._sizes)
 
     def versions(self) -> tuple[str, ...]:
         """Return the ids of the versions that this installation scores."""
@@ -40,67 +40,50 @@ class ZooScorer:
 
     def play(self, work: Work, robot: Any, release: bytes | None) -> pl.DataFrame:
         """Return one row an episode; see `scoring.Scorer`."""
-        ego = _live(robot) if work.kind == "live" else self._file(work, robot)
+        egos = self._egos(work, robot)
         if release is None:
             entries = [self._registry.policy(name) for name in work.partners]
-            return self._play(work, ego, self._registry, entries)
+            return self._play(work, egos, self._registry, entries)
         with tempfile.TemporaryDirectory() as folder:
             hidden = unpack(release, Path(folder))
             humans = hidden_partners(hidden, work.task)
             entries = [humans[ordinal_index(name)] for name in work.partners]
-            return self._play(work, ego, hidden, entries)
+            return self._play(work, egos, hidden, entries)
 
-    def _play(self, work: Work, ego: Any, registry: Any, entries: list[Any]) -> pl.DataFrame:
+    def _play(self, work: Work, egos: Any, registry: Any, entries: list[Any]) -> pl.DataFrame:
         from evaluation.evaluator import run_job
-        from evaluation.jobs import Job
-        from evaluation.roster import registry_roster
+        from evaluation.references import reference_job
+        from evaluation.studies import Settings, make_job, own_robots
 
-        env = _env(work.task, self._backend)
-        job = Job(
-            task=work.task,
-            env_version=env.version,
-            backend=env.backend,
-            egos=ego,
-            partners=registry_roster(registry, entries),
-            episodes=work.episodes,
-            seed=int(work.seed, 16),
-        )
+        seed, likes = int(work.seed, 16), work.preferences or None
+        settings = Settings(work.task, work.episodes, seed, self._backend, preferences=likes)
+        env, job = make_job(registry, egos, entries, settings)
+        if work.kind == "reference":
+            job = reference_job(env, job, str(work.format), own_robots(registry, entries))
         with tempfile.TemporaryDirectory() as folder:
             table = run_job(env, job, Path(folder) / "job").table
         return _told(table, dict(zip([e.id for e in entries], work.partners, strict=True)))
 
-    def _file(self, work: Work, data: bytes) -> Any:
-        from evaluation.roster import Member, Roster
-        from population.stack import PolicyStack, map_leaves
+    def _egos(self, work: Work, robot: Any) -> Any:
+        from evaluation.references import reference_roster
+        from evaluation.roster import HostEgo, Member, Roster
+        from population.stack import stack_policies
 
-        robot = self._admission.read(data, work.task)
-        member = Member("robot", hashlib.sha256(data).hexdigest())
-        params = map_leaves(lambda leaf: np.asarray(leaf)[None], robot.params)
-        stack = PolicyStack(robot.spec, (member.id,), params)
-        return Roster((stack,), {member.id: member})
-
-
-def _live(act: Any) -> Any:
-    from evaluation.roster import HostEgo, Member, Roster
-
-    return Roster((HostEgo("robot", act),), {"robot": Member("robot", "live")})
-
-
-@functools.cache
-def _env(task: str, backend: str) -> Any:
-    from assistax_envs import make
-
-    return make(task, backend=backend)
+        if work.kind == "reference":
+            return reference_roster(*self._sizes[work.task])
+        if work.kind == "live":
+            return Roster((HostEgo("robot", robot),), {"robot": Member("robot", "live")})
+        admitted = self._admission.read(robot, work.task)
+        member = Member("robot", hashlib.sha256(robot).hexdigest())
+        stacks = stack_policies([(member.id, admitted.spec, admitted.params)])
+        return Roster(stacks, {member.id: member})
 
 
 def _told(table: pl.DataFrame, names: dict[str, str]) -> pl.DataFrame:
     """Return the columns that leave a worker, partners under the names that they were asked by."""
-    return table.select(
+    told = table.with_columns(
         pl.col("partner").replace_strict(names),
         pl.col("partner_algorithm").alias("algorithm"),
         pl.col("partner_disability").alias("disability"),
-        pl.col("episode"),
-        pl.col("return"),
-        pl.col("success"),
-        pl.col("nonfinite"),
     )
+    return told.select(name for name in (*COLUMNS, *GENTLE_COLUMNS) if name in told.columns)

@@ -34,8 +34,9 @@ class Robot:
 
 
 ROBOTS = (
-    Robot("reference", "random", 80.0),
-    Robot("reference", "zero action", 60.0),
+    Robot("reference", "uniform-random", 80.0),
+    Robot("reference", "zero-action", 60.0),
+    Robot("reference", "self-play", 1010.0),
     Robot("lab", "ppo ego", 987.0, seeds=4),
     Robot("lab", "sac ego", 986.5, seeds=3),
     Robot("school", "scripted", 700.0),

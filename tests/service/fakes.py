@@ -36,6 +36,9 @@ class FakeCatalogue:
             for i in range(self._partners)
         )
 
+    def references(self, task: str) -> tuple[str, ...]:
+        return ("zero-action", "self-play")
+
     def identity(self, task: str) -> dict[str, Any]:
         return {"task": task, "engine": {"name": "fake", "version": str(self._version)}}
 
@@ -52,6 +55,8 @@ class FakeScorer:
     def play(self, work: Work, robot: Any, release: bytes | None) -> pl.DataFrame:
         if robot == b"broken":
             raise Refusal("not_finite")
+        if work.kind == "reference":
+            robot = b"robot 0.0" if work.format == "zero-action" else b"robot 9.0"
         strength = play_live(work, robot) if callable(robot) else float(robot.decode().split()[1])
         rows = [(name, k) for name in work.partners for k in range(work.episodes)]
         return pl.DataFrame(
@@ -123,8 +128,7 @@ def work_off(service: Service, worker: str = "w", version: int = 1, most: int = 
     """Do what waits, as one worker would, and return how many jobs that was."""
     scorer, done = FakeScorer(version), 0
     while done < most and (work := service.lease(worker, scorer.versions())):
-        assert work.artefact is not None
-        robot = service.artefacts.get(work.artefact)
+        robot = service.artefacts.get(work.artefact) if work.artefact else None
         try:
             table = scorer.play(work, robot, None)
         except Refusal as refusal:

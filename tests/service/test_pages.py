@@ -122,9 +122,10 @@ def test_methods_that_cannot_be_told_apart_share_a_place(client: TestClient) -> 
 
 def test_seeds_are_pooled_and_the_random_row_is_zero(client: TestClient) -> None:
     text = client.get("/tasks/scratch").text
-    row = re.search(r'<tr role="row" class="reference">(.*?)</tr>', text, re.DOTALL)
-    assert row and "random" in row[1]
-    assert 'data-label="Normalised">0.00<' in row[1]
+    rows = re.findall(r'<tr role="row" class="reference">(.*?)</tr>', text, re.DOTALL)
+    named = zip(("self-play", "random", "zero"), rows, strict=True)
+    assert all(name in row for name, row in named)
+    assert 'data-label="Normalised">0.00<' in rows[1]
     assert "4 seeds" in text
 
 

@@ -65,6 +65,23 @@ def test_a_worker_may_refuse_too(tmp_path: Path) -> None:
     assert shown(service, id).reason == "not_finite"
 
 
+def test_references_are_queued_once_and_played_when_nobody_else_waits(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    for _ in range(2):
+        service.add_references()
+    id = service.submit(new_submitter(service), draft(2.0))
+    assert shown(service, id).place == 1
+    assert work_off(service, most=3) == 3
+    assert shown(service, id).state == "scored"
+    assert work_off(service) == 6
+    names = {each.method for each in service.queries.submissions() if each.kind == "reference"}
+    assert names == {"zero-action", "self-play"}
+    means = {s.method: s.figures["mean"] for s in service.queries.scores(task="scratch")}
+    assert means["zero-action"] < means["mine"] < means["self-play"]
+    again = new_service(tmp_path, version=2)  # after an upgrade they are played anew
+    assert again.adopt_version() == 3
+
+
 def test_a_repeated_request_adds_nothing(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     submitter = new_submitter(service)

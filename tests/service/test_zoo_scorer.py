@@ -1,5 +1,6 @@
 """With the real evaluator: both formats, a private release, and values that do not move."""
 
+import dataclasses
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
@@ -9,15 +10,22 @@ import numpy as np
 import polars as pl
 import pytest
 
+import assistax_envs
+from assistax_envs import Env
+from assistax_envs.preferences import PREFERENCES
 from assistax_envs.versions import FUSED_VERSION
-from assistax_zoo.service import zoo_scorer
 from assistax_zoo.service.admission import Admission, robot_sizes
-from assistax_zoo.service.catalogue import ZooCatalogue
+from assistax_zoo.service.catalogue import ZooCatalogue, version_id
 from assistax_zoo.service.problems import Refusal
 from assistax_zoo.service.release_pack import hidden_partners, ordinal, pack
-from assistax_zoo.service.scoring import Work, encode_table
+from assistax_zoo.service.results import figures
+from assistax_zoo.service.scoring import Work, decode_table, encode_table, table_bytes
 from assistax_zoo.service.submitting import _try_work
 from assistax_zoo.service.zoo_scorer import ZooScorer
+from evaluation.evaluator import run_job
+from evaluation.references import reference_jobs, reference_roster
+from evaluation.relative import RANDOM, SCRIPT, SELF_PLAY, ZERO
+from evaluation.studies import Settings, make_job, own_robots
 from population.onnx_export import to_onnx
 from population.spec import PolicySpec
 from tests.untrained import HUMAN, ROBOT, params_of, published, untrained_team
@@ -52,9 +60,13 @@ def files(tmp_path: Path) -> dict[str, bytes]:
 
 @pytest.fixture(autouse=True, scope="module")
 def short_episodes() -> Iterator[None]:
-    env = zoo_scorer._env(TASK, "native")
+    def short(*args: Any, **options: Any) -> Env:
+        env = Env(*args, **options)
+        env.episode_length = 100
+        return env
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(env, "episode_length", 100)
+        patch.setattr(assistax_envs, "make", short)
         yield
 
 
@@ -74,7 +86,7 @@ def test_a_robot_scores_the_same_in_both_formats_and_every_time(
         scorer_of(registry).play(work(partners), files[format], None)
         for format in ("safetensors", "safetensors", "onnx")
     ]
-    assert encode_table(tables[0]) == encode_table(tables[1])
+    assert table_bytes(tables[0]) == table_bytes(tables[1])
     returns = [table.sort("partner", "episode")["return"].to_numpy() for table in tables]
     # The networks round differently in the last bit, and contacts amplify that.
     np.testing.assert_allclose(returns[0], returns[2], rtol=0.05, atol=1.0)
@@ -86,6 +98,7 @@ def test_a_score_names_the_engine_that_made_it(registry: Registry) -> None:
 
     assert found("fused") == {"name": "fused", "version": str(FUSED_VERSION)}
     assert found("native") == {"name": "native", "version": version("mujoco")}
+    assert "preferences" not in ZooCatalogue(registry, "native").identity(TASK)
     with pytest.raises(ValueError, match="backend is 'auto'; allowed"):
         found("auto")
 
@@ -103,12 +116,62 @@ def test_a_private_release_is_played_under_ordinals(
     assert pack(private.path.parent) == packed
 
 
+@pytest.mark.slow
+def test_a_gentle_tasks_preferences_are_in_job_table_and_identity(tmp_path: Path) -> None:
+    task = "gentle_scratch"
+    env = assistax_envs.make(task, backend="native")
+    specs = {
+        role: PolicySpec(role, env.observation_size[role], env.action_size[role], hidden=(8,))
+        for role in ("robot", "human")
+    }
+    teams = []
+    for seed in (0, 1):
+        pairs = {role: (spec, params_of(spec, seed)) for role, spec in specs.items()}
+        teams.append(dataclasses.replace(untrained_team("d1", seed, **pairs), task=task))
+    registry = load_registry(published(teams, tmp_path))
+    identity = ZooCatalogue(registry, "native").identity(task)
+    assert identity["preferences"] == list(PREFERENCES)
+    assert version_id(identity) != version_id(identity | {"preferences": ["p1"]})
+    [partner, _] = (entry.id for entry in registry.select(task=task, role="human"))
+    write_policy_file(tmp_path / "robot.safetensors", specs["robot"], params_of(specs["robot"], 7))
+    asked = dataclasses.replace(_try_work(task, "safetensors", (partner,)), episodes=9)
+    table = scorer_of(registry).play(asked, (tmp_path / "robot.safetensors").read_bytes(), None)
+    assert sorted(table["preference"]) == list(PREFERENCES), "each once in nine episodes"
+    arrived = decode_table(encode_table(table), asked.partners, 9, asked.preferences)
+    shown = figures(arrived)
+    assert list(shown["by_preference"]) == list(PREFERENCES)
+    assert 0.0 <= shown["safe_success"] <= shown["success"] <= 1.0
+    assert "violations" in shown
+
+
+@pytest.mark.slow
+def test_reference_rows_are_what_evaluate_plays(registry: Registry, tmp_path: Path) -> None:
+    """Its robots, its episodes, its numbers: `evaluation.references`."""
+    partners = tuple(entry.id for entry in registry.select(task=TASK, role="human"))
+    asked = work(partners)
+    entries = [registry.policy(name) for name in partners]
+    settings = Settings(TASK, asked.episodes, int(asked.seed, 16), "native")
+    env, job = make_job(registry, reference_roster(34, 7), entries, settings)
+    jobs = reference_jobs(env, job, own_robots(registry, entries))[:2]
+    played = pl.concat(
+        run_job(env, one, tmp_path / str(place)).table for place, one in enumerate(jobs)
+    )
+    egos = pl.col("ego"), pl.col("ego").str.starts_with(TASK)
+    for name, chosen in ((RANDOM, egos[0] == RANDOM), (SELF_PLAY, egos[1])):
+        reference = dataclasses.replace(asked, kind="reference", format=name)
+        found = scorer_of(registry).play(reference, None, None)
+        expected = played.filter(chosen).sort("partner", "episode")
+        assert found.sort("partner", "episode")["return"].equals(expected["return"])
+        assert expected.height == found.height == 6
+    assert set(ZooCatalogue(registry, "native").references(TASK)) == {
+        *(ZERO, RANDOM, SCRIPT, SELF_PLAY)
+    }
+
+
 def test_a_live_robot_is_a_callable(registry: Registry) -> None:
     partners = tuple(entry.id for entry in registry.select(task=TASK, role="human"))[:1]
-    live: dict[str, Any] = {**vars(work(partners)), "kind": "live"}
-    table = scorer_of(registry).play(
-        Work(**live), lambda obs: np.zeros((len(obs), 7), np.float32), None
-    )
+    live = dataclasses.replace(work(partners), kind="live")
+    table = scorer_of(registry).play(live, lambda obs: np.zeros((len(obs), 7), np.float32), None)
     assert isinstance(table, pl.DataFrame)
     assert table.height == 2
 

@@ -10,10 +10,11 @@ import numpy as np
 from assistax_zoo.service.contract import PartnerScore, Queries, Submission
 from assistax_zoo.service.pages.crossplays import CrossPlays
 from assistax_zoo.service.statistics_board import Method, Panel, Standing, standings
+from assistax_zoo.service.vocabulary import REFERENCE
 from evaluation.metrics import Bounds
+from evaluation.relative import RANDOM, SELF_PLAY, ZERO
 
-REFERENCE = "reference"  # the submitter of rows that others are measured by
-LOW = ("random", "zero action")  # references that earn a normalised return of 0, the first there is
+LOW = (RANDOM, ZERO)  # references that earn a normalised return of 0, the first there is
 _NEWEST = 100_000  # submissions of a board; all of them
 
 
@@ -92,10 +93,9 @@ class Boards:
             return None
         partners = _panel(scores)
         references = {one.newest.method: one for one in methods if one.is_reference}
-        low = next((references[name] for name in LOW if name in references), None)
         panel = Panel(
             tuple(one.disability for one in partners),
-            _bounds(partners, low, self._crossplays.of(task)),
+            _bounds(partners, references, self._crossplays.of(task)),
         )
         by_name = {method.newest.id: method for method in methods}
         rows = standings(
@@ -136,11 +136,18 @@ def _panel(scores: Sequence[PartnerScore]) -> tuple[PartnerScore, ...]:
     return tuple({one.partner: one for one in sorted(scores, key=lambda s: s.partner)}.values())
 
 
-def _bounds(partners: Sequence[PartnerScore], low: Played | None, crossplay: Any) -> Bounds | None:
-    """What a random robot earns with each partner, and the best robot of the cross-play."""
-    if low is None or crossplay is None:
+def _bounds(
+    partners: Sequence[PartnerScore], references: Mapping[str, Played], crossplay: Any
+) -> Bounds | None:
+    """What a random robot earns with each partner, and the best robot known for it.
+
+    That is its own robot, or the best of the cross-play.
+    """
+    low = next((references[name] for name in LOW if name in references), None)
+    best = [] if SELF_PLAY not in references else [references[SELF_PLAY].returns.mean(axis=(0, 2))]
+    if crossplay is not None:
+        known = [crossplay.best_returns.get(one.partner) for one in partners]
+        best += [] if None in known else [np.array(known)]
+    if low is None or not best:
         return None
-    best = [crossplay.best_returns.get(one.partner) for one in partners]
-    if None in best:
-        return None
-    return Bounds(np.array(best), low.returns.mean(axis=(0, 2)))
+    return Bounds(np.max(best, axis=0), low.returns.mean(axis=(0, 2)))
