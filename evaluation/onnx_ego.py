@@ -1,10 +1,13 @@
 """A robot from an ONNX file of any exporter, run by onnxruntime in a process of its own.
 
-A model is data from a stranger. It is checked operator by operator before onnxruntime sees it, and
-its process may take so much memory and no more.
+This is for one's own evaluations, with any plain network that onnxruntime runs. A service, which
+plays the networks of strangers, makes JAX of them instead and takes fewer operators. Both read a
+file by `read_plain`: a model is data from a stranger, checked operator by operator before anything
+else sees it.
 """
 
 import resource
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +39,7 @@ def make(path: str) -> "OnnxEgo":
         ValueError: onnxruntime is not installed, or the file is not a model of this form.
     """
     try:
-        import onnx
+        import onnx  # noqa: F401
         import onnxruntime
     except ImportError:
         raise ValueError("needs onnxruntime: pip install 'assistax-zoo[export]'") from None
@@ -47,14 +50,40 @@ def make(path: str) -> "OnnxEgo":
     resource.setrlimit(resource.RLIMIT_AS, (taken + MEMORY, taken + MEMORY))
     data = file.read_bytes()
     try:
-        model = onnx.load_model_from_string(data)
-        _refuse_strangers(model, onnx)
+        read_plain(data)
         return OnnxEgo(data, onnxruntime)
     except (ValueError, MemoryError):
         raise
     except Exception as error:  # each library has an exception class for each of its status codes
         message = " ".join(str(error).split())
         raise ValueError(f"is not an ONNX model that onnxruntime runs: {message[:300]}") from None
+
+
+class StrangerError(ValueError):
+    """Why a model is not read, in a word for programs and a text for people."""
+
+    def __init__(self, code: str, message: str) -> None:
+        self.code = code  # "malformed", "subgraph", "operator_not_allowed" or "external_data"
+        super().__init__(message)
+
+
+def read_plain(data: bytes, operators: Collection[str] = OPERATORS) -> Any:
+    """Return the ONNX model in these bytes, a plain network of these operators, in one file.
+
+    Raises:
+        StrangerError: It is something else.
+    """
+    import onnx
+
+    model = onnx.ModelProto()
+    try:
+        model.ParseFromString(data)
+    except Exception:  # an exception class of protobuf's, which has several
+        raise StrangerError("malformed", "is not an ONNX model") from None
+    if not model.graph.node:
+        raise StrangerError("malformed", "is not an ONNX model with a graph")
+    _refuse_strangers(model, operators, onnx)
+    return model
 
 
 class OnnxEgo:
@@ -103,25 +132,31 @@ class OnnxEgo:
         return answer[0]
 
 
-def _refuse_strangers(model: Any, onnx: Any) -> None:
+def _refuse_strangers(model: Any, operators: Collection[str], onnx: Any) -> None:
     """Refuse what is not a plain network in one file."""
     graph, tensors = model.graph, list(model.graph.initializer)
-    unknown = {"functions of its own"} if model.functions else set()
+    inner = {"functions of its own"} if model.functions or model.training_info else set()
+    unknown = {"sparse weights"} if graph.sparse_initializer else set()
+    kinds = onnx.AttributeProto
     for node in graph.node:
-        tensors += [attribute.t for attribute in node.attribute if attribute.HasField("t")]
-        inner = any(attribute.HasField("g") or attribute.graphs for attribute in node.attribute)
-        if inner or node.domain not in ("", "ai.onnx") or node.op_type not in OPERATORS:
-            unknown.add(f"{node.domain or 'ai.onnx'}.{node.op_type}")
-    if unknown:
-        names = ", ".join(sorted(unknown))[:200]
-        raise ValueError(
-            f"uses {names}; allowed are the operators of plain networks, without loops, branches "
-            "and functions: export the network alone"
+        name = f"{node.domain or 'ai.onnx'}.{node.op_type}"
+        for each in node.attribute:
+            tensors += [*([each.t] if each.HasField("t") else []), *each.tensors]
+            if each.HasField("g") or each.graphs or each.type in (kinds.GRAPH, kinds.GRAPHS):
+                inner.add(name)
+        if node.domain not in ("", "ai.onnx") or node.op_type not in operators:
+            unknown.add(name)
+    if found := inner | unknown:
+        raise StrangerError(
+            "subgraph" if inner else "operator_not_allowed",
+            f"uses {', '.join(sorted(found))[:200]}; allowed are the operators of plain networks, "
+            "without loops, branches and functions: export the network alone",
         )
     external = onnx.TensorProto.EXTERNAL
     if any(tensor.data_location == external or tensor.external_data for tensor in tensors):
-        raise ValueError(
-            "keeps weights in other files, which its sha256 does not cover; save it as one file"
+        raise StrangerError(
+            "external_data",
+            "keeps weights in other files, which its sha256 does not cover; save it as one file",
         )
 
 

@@ -14,6 +14,7 @@ from onnx import TensorProto, helper, numpy_helper
 from assistax_zoo.service import onnx_admission, onnx_program
 from assistax_zoo.service.onnx_admission import ATTRIBUTES, admit_onnx
 from assistax_zoo.service.problems import Refusal
+from evaluation import onnx_ego
 from population.onnx_export import to_onnx
 from population.policy import Policy
 from population.spec import PolicySpec
@@ -79,6 +80,7 @@ def test_every_operator_has_a_case() -> None:
     tried = {node[0] for nodes, _ in CASES.values() for node in nodes}
     assert onnx_program.OPERATORS.keys() - tried == {"Split", "Where"}  # in the recurrent policy
     assert ATTRIBUTES.keys() <= onnx_program.OPERATORS.keys()
+    assert onnx_program.OPERATORS.keys() < onnx_ego.OPERATORS, "what a service takes plays at home"
 
 
 @pytest.mark.parametrize("torso", ["mlp", "gru"])

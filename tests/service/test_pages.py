@@ -57,6 +57,8 @@ def addresses(client: TestClient) -> list[str]:
         "/seasons",
         linked(client, "/seasons", r"/seasons/\w+"),
         "/ledger",
+        "/submit",
+        "/submit?task=bed_bath",
         "/tasks/nowhere",
     ]
 

@@ -19,9 +19,9 @@ PAGES = (
     *("/", "/tasks/scratch", "/tasks/arm_assist", "/tasks/scratch/compare", "/tasks/nowhere"),
     *("/tasks/scratch/partners?disability=d3", "/partners/scratch/ippo-d1-s0-v1"),
     *("/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1", "/tasks/scratch/explorer"),
-    *("/seasons", "/seasons/5ea5011", "/ledger"),
+    *("/seasons", "/seasons/5ea5011", "/submit?task=scratch", "/ledger"),
 )
-WIDTHS = (400, 900, 1600)
+WIDTHS = (400, 800, 1600)
 expect.set_options(timeout=60_000)  # waits no longer than it must
 
 
@@ -130,7 +130,7 @@ def test_axe_finds_nothing_serious_and_nothing_runs_out_of_the_window(
     faults = []
     for width in WIDTHS:
         with opened(browser, width, scheme) as page:
-            for path in (*PAGES[:-1], *submissions(page, address)):
+            for path in (*PAGES, *submissions(page, address)):
                 if path == "/tasks/nowhere":
                     continue  # its answer is an error, which `opened` complains about
                 page.goto(f"{address}{path}")
@@ -209,6 +209,40 @@ def test_a_submission_is_watched_from_the_queue_to_its_place(
         assert json.loads(Path(download.value.path()).read_text())["content"]["submission"] == id
         page.get_by_role("link", name="scratch", exact=True).last.click()
         expect(page.get_by_role("row", name="mine")).to_contain_text("5.5")
+
+
+@pytest.mark.parametrize("scripts", [True, False])
+def test_a_robot_is_handed_in_by_the_form_with_scripts_and_without(
+    browser: Browser, tmp_path: Path, scripts: bool
+) -> None:
+    service = new_service(tmp_path)
+    token = service.create_token(("submit",), submitter="Lab of Ada")
+    context = browser.new_context(java_script_enabled=scripts)
+    with running.served(service) as server:
+        page = context.new_page()
+        page.goto(server.address)
+        page.get_by_role("link", name="submit", exact=True).click()
+        fill_in(page, "not a token")
+        expect(page.get_by_role("alert")).to_contain_text("this token is not valid")
+        expect(page.get_by_label("Method")).to_have_value("mine & best")
+        fill_in(page, token)
+        expect(page.get_by_role("status")).to_contain_text("number 1 in the queue")
+        work_off(service)
+        if not scripts:
+            page.get_by_role("link", name="load it anew").click()
+        expect(page.get_by_role("status")).to_contain_text("place 1")
+        page.goto(f"{server.address}/tasks/scratch")
+        expect(page.get_by_role("row", name="mine & best")).to_contain_text("5.5")
+    context.close()
+
+
+def fill_in(page: Page, token: str) -> None:
+    """Fill the form in from the keyboard, and hand in a robot of strength 5."""
+    robot = {"name": "robot.onnx", "mimeType": "application/octet-stream", "buffer": b"robot 5.0"}
+    page.get_by_label("Robot").set_input_files(robot)
+    page.get_by_label("Method").fill("mine & best")
+    page.get_by_label("Your token").fill(token)
+    page.keyboard.press("Enter")
 
 
 def finish(folder: Path, submission: str) -> None:

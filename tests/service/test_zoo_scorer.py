@@ -196,24 +196,3 @@ def test_another_tasks_policy_is_refused(
     with pytest.raises(Refusal) as refusal:
         Admission(robot_sizes(registry))((tmp_path / "p.safetensors").read_bytes(), TASK)
     assert refusal.value.code == code
-
-
-@pytest.mark.parametrize("seed", range(100))
-def test_home_and_server_agree_on_good_and_damaged_files(
-    registry: Registry, files: dict[str, bytes], seed: int
-) -> None:
-    """Two hundred files: the answer is a format or a word, and always the same."""
-    rng = np.random.default_rng(seed)
-    for data in files.values():
-        damaged = bytearray(data)
-        for place in rng.integers(0, len(data), rng.integers(0, 4)):
-            damaged[place] = rng.integers(256)
-        home, server = (_answer(registry, bytes(damaged)) for _ in "hs")
-        assert home == server
-
-
-def _answer(registry: Registry, data: bytes) -> str:
-    try:
-        return Admission(robot_sizes(registry))(data, TASK)
-    except Refusal as refusal:
-        return refusal.code

@@ -86,21 +86,25 @@ def signed_in(scope: Scope) -> Any:
     """Return a dependency: the owner of the token in the header, if it may do this."""
 
     def check(request: Request) -> Principal:
-        limiter: Limiter = request.app.state.limiter
         kind, _, token = request.headers.get("authorization", "").partition(" ")
-        try:
-            if kind.lower() != "bearer" or not token:
-                raise Problem("not_signed_in", "send a token: Authorization: Bearer TOKEN")
-            principal = authenticate(request.app.state.service.database, token)
-        except Problem:
-            limiter.hit(SIGN_IN, client_of(request))  # guessing is slow
-            raise
-        if scope not in principal.scopes:
-            raise Problem("not_allowed", f"this token may not {scope}; ask the organiser for one")
-        request.state.token = principal.token
-        return principal
+        return sign_in(request, token if kind.lower() == "bearer" else "", scope)
 
     return Depends(check)
+
+
+def sign_in(request: Request, token: str, scope: Scope) -> Principal:
+    """Return the owner of a token that came with a request, if it may do this."""
+    try:
+        if not token:
+            raise Problem("not_signed_in", "send a token: Authorization: Bearer TOKEN")
+        principal = authenticate(request.app.state.service.database, token)
+    except Problem:
+        request.app.state.limiter.hit(SIGN_IN, client_of(request))  # guessing is slow
+        raise
+    if scope not in principal.scopes:
+        raise Problem("not_allowed", f"this token may not {scope}; ask the organiser for one")
+    request.state.token = principal.token
+    return principal
 
 
 Submitter = Annotated[Principal, signed_in("submit")]

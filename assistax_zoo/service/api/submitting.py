@@ -1,5 +1,6 @@
 """What a submitter may do: hand in and take back."""
 
+import dataclasses
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Depends, Query, Request
@@ -9,6 +10,7 @@ from assistax_zoo.service.api.guards import SUBMIT, Submitter
 from assistax_zoo.service.contract import Submission
 from assistax_zoo.service.problems import Problem
 from assistax_zoo.service.submissions import Draft
+from assistax_zoo.service.tokens import Principal
 
 router = APIRouter(prefix="/api", tags=["submit"], responses=RESPONSES)
 
@@ -42,20 +44,19 @@ def submit(
     `request_id` is chosen by you: if no answer arrives, send the same again, and it is one
     submission.
     """
+    data = body if body or kind == "file" else None
+    draft = Draft(task, method, request_id, licence, season, kind, data)
+    return hand_in(request, principal, draft)
+
+
+def hand_in(request: Request, principal: Principal, draft: Draft) -> Submission:
+    """Take in what a token's owner drafted; its season may be given by name."""
     request.app.state.limiter.hit(SUBMIT, principal.token)
     service = request.app.state.service
-    found = service.queries.season(season) if season else None
-    if season and found is None:
-        raise Problem("not_found", f"no season {season!r}; GET /api/seasons lists them")
-    draft = Draft(
-        task=task,
-        method=method,
-        request=request_id,
-        licence=licence,
-        season=found.id if found else None,
-        kind=kind,
-        data=body if body or kind == "file" else None,
-    )
+    found = service.queries.season(draft.season) if draft.season else None
+    if draft.season and found is None:
+        raise Problem("not_found", f"no season {draft.season!r}; GET /api/seasons lists them")
+    draft = dataclasses.replace(draft, season=found.id if found else None)
     return service.queries.submission(service.submit(str(principal.submitter), draft))
 
 

@@ -20,6 +20,7 @@ from assistax_zoo.service.pages.rendering import static_files
 from assistax_zoo.service.pages.season_routes import season_router
 from assistax_zoo.service.pages.security import FormTokens, SecurityHeaders
 from assistax_zoo.service.pages.site import NotFoundError, Site
+from assistax_zoo.service.pages.submit_routes import submit_router
 from assistax_zoo.service.pages.videos import Videos
 from zoo.registry import load_registry
 
@@ -80,8 +81,8 @@ def add_pages(
         cache=PageCache(),
         tokens=FormTokens(form_key),
     )
-    routers = board_router, season_router, partner_router, pair_router, explorer_router
-    for router in routers:
+    routers = board_router, season_router, submit_router, partner_router, pair_router
+    for router in (*routers, explorer_router):
         app.include_router(router(site))
 
     @app.get("/static/{name}", include_in_schema=False)

@@ -62,13 +62,7 @@ def pair_router(site: Site) -> APIRouter:
 
     @router.get("/pairs/{task}/{robot}/{human}")
     def pair(request: Request, task: str, robot: str, human: str) -> Response:
-        values = pair_values(site, site.task(task), robot, human)
-        response = Response(headers={"Cache-Control": "no-store"}, media_type="text/html")
-        token = site.tokens.issue(request, response)
-        page = site.render("pair.html", request.url.path, token=token, **values)
-        response.body = page.encode()
-        response.headers["Content-Length"] = str(len(response.body))
-        return response
+        return site.form(request, "pair.html", **pair_values(site, site.task(task), robot, human))
 
     @router.post("/pairs/{task}/{robot}/{human}")
     def film_pair(
@@ -79,8 +73,7 @@ def pair_router(site: Site) -> APIRouter:
         form_token: str = Form(default="", alias=security.FIELD),
     ) -> Response:
         if not site.tokens.accepts(request, form_token):
-            message = "This form was not written by this page. Go back, load it anew and try again."
-            return site.fresh("error.html", request.url.path, 403, message=message)
+            return site.fresh("error.html", request.url.path, 403, message=security.NOT_OURS)
         state = site.videos.ask(find_policies(site, site.task(task), robot, human))
         if state == "full":
             message = "Many films are waiting already. Please ask again in some minutes."
@@ -173,7 +166,6 @@ def pair_values(site: Site, task: str, robot: str, human: str) -> dict[str, Any]
         "is_gif": film is not None and film.suffix == ".gif",
         "returns": returns,
         "axis": axis_over(returns or [0.0]),
-        "field": security.FIELD,
     }
 
 

@@ -29,6 +29,7 @@ HEADERS = {
 }
 COOKIE = "assistax_form"
 FIELD = "form_token"
+NOT_OURS = "This form was not written by this page. Go back, load it anew and try again."
 
 
 class SecurityHeaders:

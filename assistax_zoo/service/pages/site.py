@@ -12,7 +12,7 @@ from assistax_zoo.service.pages.boards import Boards
 from assistax_zoo.service.pages.cache import Page, PageCache, pack, respond
 from assistax_zoo.service.pages.crossplays import CrossPlay, CrossPlays
 from assistax_zoo.service.pages.rendering import render
-from assistax_zoo.service.pages.security import FormTokens
+from assistax_zoo.service.pages.security import FIELD, FormTokens
 from assistax_zoo.service.pages.videos import Videos
 from zoo.registry import Registry
 
@@ -78,6 +78,16 @@ class Site:
     def render(self, template: str, path: str, **values: Any) -> str:
         """Return a page with what every page shows."""
         return render(template, tasks=self.tasks, path=path, **values)
+
+    def form(self, request: Request, template: str, status: int = 200, **values: Any) -> Response:
+        """Answer with a page that has a form for this browser alone."""
+        response = Response(status_code=status, headers={"Cache-Control": "no-store"})
+        token = self.tokens.issue(request, response)
+        values |= {"field": FIELD, "token": token}
+        response.body = self.render(template, request.url.path, **values).encode()
+        response.headers["Content-Length"] = str(len(response.body))
+        response.headers["Content-Type"] = "text/html; charset=utf-8"
+        return response
 
     def fresh(self, template: str, path: str, status: int = 200, **values: Any) -> Response:
         """Answer with a page that is nobody else's."""
