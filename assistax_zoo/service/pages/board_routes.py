@@ -75,7 +75,8 @@ def compare_values(board: Board, a: str, b: str) -> dict[str, Any]:
     rows = [row for row in (board.of(one) for one in (a, b) if one) if row]
     if len(rows) < len([one for one in (a, b) if one]):
         raise NotFoundError("One of the two is not on this board; choose from its list.")
-    rows += [row for row in board.rows if row not in rows][: 2 - len(rows)]
+    others = (*board.methods, *board.rows)
+    rows += [row for row in dict.fromkeys(others) if row not in rows][: 2 - len(rows)]
     if len(rows) < 2 or rows[0] is rows[1]:
         return {"first": rows[0], "second": None}
     first, second = (played.returns.mean(axis=2) for _, played in rows)

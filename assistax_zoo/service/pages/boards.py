@@ -51,6 +51,11 @@ class Board:
         """Episodes with each partner."""
         return self.rows[0][1].returns.shape[2]
 
+    @property
+    def methods(self) -> tuple[tuple[Standing, Played], ...]:
+        """The rows that compete, the highest M_test first."""
+        return tuple(row for row in self.rows if not row[1].is_reference)
+
     def of(self, submission: str) -> tuple[Standing, Played] | None:
         """Return the row that a submission is a seed of."""
         for standing, played in self.rows:

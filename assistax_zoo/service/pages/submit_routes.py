@@ -26,7 +26,8 @@ def submit_router(site: Site) -> APIRouter:
 
     @router.get("/submit")
     def form(request: Request, task: str = "") -> Response:
-        return site.form(request, "submit.html", **form_values(site, {"task": task}))
+        chosen = {"task": task} if task in site.tasks else {}
+        return site.form(request, "submit.html", **form_values(site, chosen))
 
     @router.post("/submit")
     def submit(
@@ -60,5 +61,6 @@ def submit_router(site: Site) -> APIRouter:
 def form_values(site: Site, given: dict[str, str], message: str = "") -> dict[str, Any]:
     """Return what the form shows: the choices, what was given before, and why it came back."""
     seasons = [one for one in site.queries.seasons() if one.state == "open"]
+    given = {"task": site.tasks[0], "method": "", "licence": LICENCES[-1], "season": ""} | given
     choices = {"seasons": seasons, "licences": LICENCES}
     return {**choices, "given": given, "message": message, "request_id": new_id(20)}
