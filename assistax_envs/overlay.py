@@ -74,7 +74,7 @@ def panel(
 
 
 def _lines(width: int, size: int, figures: Figures) -> list[list[tuple[Any, str]]]:
-    """Return lines of a coloured dot, or None, and words: what is felt, and what colours mean."""
+    """Return lines of a coloured patch, or None, and words: what is felt, and what colours mean."""
     ends = [f"{level:.0f}" for level, _ in LEVELS[1:]]
     words = (f"< {ends[0]} N", f"{ends[0]}-{ends[1]} N", f"> {ends[1]} N")
     items: list[tuple[Any, str]] = [
@@ -101,11 +101,11 @@ def _lines(width: int, size: int, figures: Figures) -> list[list[tuple[Any, str]
 def _item(
     draw: ImageDraw.ImageDraw, at: tuple[float, float], colour: Any, text: str, font: Any
 ) -> float:
-    """Write words behind their dot; return where the next ones begin."""
+    """Write words behind their patch; return where the next ones begin."""
     x, y = at
     size = font.size
     if colour is not None:
-        draw.ellipse((x, y + 0.2 * size, x + 0.8 * size, y + size), fill=colour)
+        draw.rounded_rectangle((x, y + 0.2 * size, x + 0.8 * size, y + size), size // 4, colour)
         x += size
     draw.text((x, y), text, font=font, fill=INK)
     return x + draw.textlength(text, font=font) + size
@@ -117,9 +117,9 @@ def _bar(
     """Write a term above a track that is full at 1, or at a cost of 1."""
     x, y = at
     size = font.size
-    draw.text((x, y), f"{name} {value:.2f}", font=font, fill=INK)
+    draw.text((x, y), f"{name} {round(value, 2) + 0.0:.2f}", font=font, fill=INK)
     share = float(np.clip(np.nan_to_num(value), -1.0, 1.0))
-    top, long = y + 1.12 * size, 9.0 * size
+    top, long = y + 1.25 * size, 9.0 * size
     draw.rectangle((x, top, x + long, top + size / 6), fill=TRACK)
     if abs(share) >= 0.005:
         fill = EARNS if share > 0.0 else COSTS

@@ -10,7 +10,6 @@ import dataclasses
 import functools
 import weakref
 import zlib
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -34,12 +33,13 @@ CLOSE_FROM = "front"  # where it looks from
 LARGEST = 4096  # pixels a side
 
 TOOL_BODY = "robot_tool"
-MARKER_RADIUS, DOT_RADIUS = 0.018, 0.008  # m, of a target alone and of one among many
-HALO_RADIUS, HALO_OPACITY = 0.048, 0.3  # m: wider than the arm, so that a target behind it is seen
+MARKER_RADIUS, DOT_RADIUS = 0.02, 0.008  # m, of a target alone and of one among many
+HALO_RADIUS, HALO_OPACITY = 0.045, 0.3  # m: wider than the arm, so that a target behind it is seen
 ARROW_WIDTH = 0.012  # m
 SHORTEST_ARROW, LONGEST_ARROW = 0.06, 0.25  # m
 ARROW_LENGTH = 0.01  # m for each N
-DISC_RADIUS, DISC_GROWTH, DISC_HEIGHT = 0.012, 0.005, 0.008  # m, m for each root of a N, m
+NEAR = 0.006  # m: a touch that ended within the last 5 ms is drawn where it was
+DISC_RADIUS, DISC_GROWTH, DISC_HEIGHT = 0.02, 0.008, 0.006  # m, m for each root of a N, m
 
 
 class Renderer:
@@ -66,6 +66,8 @@ class Renderer:
         self.model = build_dressed(task.name)
         self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
         self.model.vis.quality.shadowsize = 2048
+        # What is near is found as a contact, without a force of its own.
+        self.model.pair_margin[:] = self.model.pair_gap[:] = NEAR
         self._task = task
         self._locate = jax.jit(functools.partial(_locate, task, task.sensors))
         self._data = mujoco.MjData(self.model)
@@ -195,43 +197,51 @@ class Renderer:
         """
         felt = one.measures.contact is not None  # gentle scenes record all touches, not the tool's
         touches = list(self._touches())
-        counted = [touch for touch in touches if felt or touch[2]]
+        counted = [touch for touch in touches if felt or touch[3]]
         newtons = float(one.measures.force[0])
-        pressed = sum(float(np.linalg.norm(force)) for _, force, _ in counted)
-        if not pressed or newtons <= 0.0:
+        if not counted or newtons <= 0.0:
             return
-        for point, force, _ in touches:
-            self._draw_disc(point, force, newtons / pressed * float(np.linalg.norm(force)))
-        points, forces, _ = zip(*counted, strict=True)
-        total = np.sum(forces, axis=0)
+        points, ways, given = (np.array(part) for part in list(zip(*counted, strict=True))[:3])
+        if not given.any():  # it has just ended, or the arm has just left: the nearest was it
+            given = np.arange(len(given)) == 0
+        share = newtons / given.sum()
+        for point, way, size in zip(points, ways, given, strict=True):
+            if size:
+                self._draw_disc(point, way, share * size)
+        total = given @ ways
+        length = min(SHORTEST_ARROW + ARROW_LENGTH * newtons, LONGEST_ARROW)
         if np.linalg.norm(total) > 0.0:
-            point = np.average(points, axis=0, weights=np.linalg.norm(forces, axis=1))
-            length = min(SHORTEST_ARROW + ARROW_LENGTH * newtons, LONGEST_ARROW)
+            point = np.average(points, axis=0, weights=given)
             start = point - total / np.linalg.norm(total) * length
             geom = self._new_geom(mujoco.mjtGeom.mjGEOM_ARROW, force_colour(newtons))
             mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, ARROW_WIDTH, start, point)
 
-    def _touches(self) -> Iterator[tuple[np.ndarray, np.ndarray, bool]]:
-        """Yield where the robot presses the human, with what force, and whether tool on arm."""
-        for i, contact in enumerate(self._data.contact):
-            names = [self.model.geom(geom).name for geom in contact.geom]
-            parts = touching(*names)
-            force = np.zeros(6)
-            mujoco.mj_contactForce(self.model, self._data, i, force)
-            if parts and np.linalg.norm(force[:3]) > 0.0:
-                robot, human = parts
-                sign = 1.0 if names[0] == robot else -1.0
-                tool = self.model.geom(robot).bodyid[0] == self._tool
-                turned = sign * contact.frame.reshape(3, 3).T @ force[:3]
-                yield contact.pos.copy(), turned, bool(tool and human in self._arm)
+    def _touches(self) -> list[tuple[np.ndarray, np.ndarray, float, bool]]:
+        """Return where the robot is at the human, the nearest first.
 
-    def _draw_disc(self, point: np.ndarray, force: np.ndarray, newtons: float) -> None:
+        Of each the direction in which it presses, with how many N, and whether it is tool on arm.
+        """
+        found = []
+        for i, contact in sorted(enumerate(self._data.contact), key=lambda pair: pair[1].dist):
+            names = [self.model.geom(geom).name for geom in contact.geom]
+            if parts := touching(*names):
+                force = np.zeros(6)
+                mujoco.mj_contactForce(self.model, self._data, i, force)
+                size = float(np.linalg.norm(force[:3]))
+                axes = contact.frame.reshape(3, 3)
+                way = axes.T @ force[:3] / size if size else axes[0]
+                tool = self.model.geom(parts[0]).bodyid[0] == self._tool
+                sign = 1.0 if names[0] == parts[0] else -1.0
+                found.append((contact.pos.copy(), sign * way, size, tool and parts[1] in self._arm))
+        return found
+
+    def _draw_disc(self, point: np.ndarray, way: np.ndarray, newtons: float) -> None:
         geom = self._new_geom(mujoco.mjtGeom.mjGEOM_ELLIPSOID, force_colour(newtons))
         radius = DISC_RADIUS + DISC_GROWTH * newtons**0.5
         geom.pos[:], geom.size[:] = point, (radius, radius, DISC_HEIGHT)
         geom.emission = 0.5  # as bright in the tool's shadow
         quat, matrix = np.zeros(4), np.zeros(9)
-        mujoco.mju_quatZ2Vec(quat, force)
+        mujoco.mju_quatZ2Vec(quat, way)
         mujoco.mju_quat2Mat(matrix, quat)
         geom.mat[:] = matrix.reshape(3, 3)
 

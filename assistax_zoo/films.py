@@ -1,9 +1,9 @@
 """Films of an episode."""
 
 import contextlib
-import functools
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from assistax_zoo.zoos import Zoo, open_zoo
 
@@ -21,6 +21,7 @@ def render(
     fps: int = 25,
     width: int = 640,
     height: int = 480,
+    sheet: bool = False,
     zoo: "str | Path | Zoo | None" = None,
     on_step: Callable[[], None] | None = None,
 ) -> Path:
@@ -38,6 +39,8 @@ def render(
         fps: Frames a second, a divisor of 50.
         width: Pixels of a frame.
         height: Pixels of a frame.
+        sheet: Write beside an .mp4 a .gif of a tenth of a second a frame, and beside either a .png
+            of twelve moments.
         zoo: Where ids are looked up, as in `open_zoo`.
         on_step: Called after each step.
 
@@ -53,11 +56,17 @@ def render(
     """
     from assistax_envs import make
     from assistax_envs.interrupts import interruptible
-    from evaluation.film import check_film, film, play
+    from evaluation.film import MOMENTS, SHEET, check_film, film, play
     from evaluation.partners import seat_policy
 
     out = Path(out)
-    check_film(out, fps, width, height)
+    rates = {out: fps}
+    if sheet and out.suffix.lower() == ".mp4":
+        rates[out.with_suffix(".gif")] = 10
+    if sheet:
+        rates[out.with_suffix(".png")] = fps
+    for path, rate in rates.items():
+        check_film(path, rate, width, height)
     env = make(task, "native")
     length = env.episode_length if steps is None else steps
     if not 1 <= length <= env.episode_length:
@@ -77,9 +86,16 @@ def render(
             if on_step is not None:
                 on_step()
 
+        def draw(state: Any) -> Any:
+            check()
+            return env.render(state, **size)
+
         states = play(env, *act, setting, seed, length, on_step=stepped)
+        if sheet:
+            states = list(states)  # played once, drawn for each file
         with contextlib.closing(env):  # in this thread, which drew
-            film(states, functools.partial(env.render, **size), out, length, fps)
+            for path, rate in rates.items():
+                film(states, draw, path, length, rate, SHEET if sheet else MOMENTS)
 
     interruptible(work)
     return out

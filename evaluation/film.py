@@ -1,4 +1,4 @@
-"""Play one episode to look at, and film it: .mp4 or .gif, or a .png strip of moments."""
+"""Play one episode to look at, and film it: .mp4 or .gif, or a .png sheet of moments."""
 
 import contextlib
 import errno
@@ -6,7 +6,7 @@ import importlib
 import itertools
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from population.files import atomic_path
 
 RATE = 50  # control steps a second
 ENDINGS = (".mp4", ".gif", ".png")
-MOMENTS = 4  # pictures in a strip
+MOMENTS, SHEET = 4, 12  # pictures in a strip, and in a contact sheet of several rows
 VIDEO_HELP = (
     "an .mp4 needs the package imageio-ffmpeg; install it with: pip install "
     "'assistax-zoo[video]', or write .gif"
@@ -103,35 +103,37 @@ def check_film(path: Path, fps: int, width: int, height: int) -> None:
 
 
 def film(
-    states: Iterator[EnvState],
+    states: Iterable[EnvState],
     draw: Callable[[EnvState], np.ndarray],
     path: Path,
     steps: int,
     fps: int = 25,
+    count: int = MOMENTS,
 ) -> int:
     """Draw an episode and write it, in real time; return the number of frames.
 
     Args:
         states: of the episode, `steps` + 1 of them.
         draw: from a state to uint8 [H, W, 3].
-        path: ends in .mp4, .gif or .png; a .png holds four moments side by side, the last one the
+        path: ends in .mp4, .gif or .png; a .png holds moments, four side by side, the last one the
             end.
         steps: of the episode.
         fps: frames a second; a divisor of 50.
+        count: of the moments.
     """
     ending = path.suffix.lower()
-    wanted = moments(steps) if ending == ".png" else range(0, steps + 1, RATE // fps)
+    wanted = moments(steps, count) if ending == ".png" else range(0, steps + 1, RATE // fps)
     frames = (draw(state) for step, state in enumerate(states) if step in wanted)
     with atomic_path(path) as temporary:
-        {".mp4": _write_mp4, ".gif": _write_gif, ".png": _write_strip}[ending](
+        {".mp4": _write_mp4, ".gif": _write_gif, ".png": _write_sheet}[ending](
             frames, temporary, fps
         )
     return len(wanted)
 
 
-def moments(steps: int) -> Sequence[int]:
+def moments(steps: int, count: int = MOMENTS) -> Sequence[int]:
     """Return the steps of a strip: the first lie closer together, the last is the end."""
-    return sorted({round(steps * ((i + 1) / MOMENTS) ** 2) for i in range(MOMENTS)})
+    return sorted({round(steps * ((i + 1) / count) ** 2) for i in range(count)})
 
 
 def _write_mp4(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
@@ -167,16 +169,24 @@ def _write_mp4(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
 
 
 def _write_gif(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
+    """Write a GIF whose frames share the first one's colours, so that only what moves is stored.
+
+    The first frame has them all: what stands below it names each colour that can come.
+    """
+    first = Image.fromarray(next(frames)).quantize(method=Image.Quantize.MAXCOVERAGE)
     pictures = (
-        Image.fromarray(frame).quantize(method=Image.Quantize.FASTOCTREE) for frame in frames
+        Image.fromarray(frame).quantize(palette=first, dither=Image.Dither.NONE) for frame in frames
     )
-    next(pictures).save(
-        path, "GIF", save_all=True, append_images=pictures, duration=1000 // fps, loop=0
-    )
+    first.save(path, "GIF", save_all=True, append_images=pictures, duration=1000 // fps, loop=0)
 
 
-def _write_strip(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
-    Image.fromarray(np.concatenate(list(frames), axis=1)).save(path, "PNG", optimize=True)
+def _write_sheet(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
+    panes = list(frames)
+    empty = np.full_like(panes[0], 255)
+    panes += [empty] * (-len(panes) % MOMENTS if len(panes) > MOMENTS else 0)
+    starts = range(0, len(panes), MOMENTS)
+    rows = [np.concatenate(panes[start : start + MOMENTS], axis=1) for start in starts]
+    Image.fromarray(np.concatenate(rows)).save(path, "PNG", optimize=True)
 
 
 def _ffmpeg() -> Any:

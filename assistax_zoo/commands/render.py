@@ -20,9 +20,10 @@ def render(
     width: int = 640,
     height: int = 480,
     disability: str | None = None,
+    sheet: bool = False,
     registry: str | None = None,
 ) -> None:
-    """Film an episode of a robot and a human, with targets, contact force and reward drawn on.
+    """Film an episode of a robot and a human, with targets, touches and what the step earned.
 
     No display is needed. The human plays under its own disability setting. An .mp4 or .gif runs in
     real time, a .png shows four moments.
@@ -39,6 +40,8 @@ def render(
         width: Pixels of a frame.
         height: Pixels of a frame.
         disability: The human's setting, d1 to d9, instead of its own.
+        sheet: Write a contact sheet (.png, twelve moments) beside the film, and a .gif beside an
+            .mp4.
         registry: Registry to read instead of the installed one: a file, a folder or an address.
 
     Example:
@@ -58,6 +61,7 @@ def render(
                 steps=steps,
                 seed=seed,
                 disability=disability,
+                sheet=sheet,
                 zoo=registry,
                 on_step=lambda: advance(1),
                 **size,

@@ -67,6 +67,20 @@ def test_a_gif_runs_in_real_time_with_a_policy_from_a_file(tmp_path: Path):
         )
 
 
+def test_a_sheet_and_a_gif_lie_beside_an_mp4(tmp_path: Path):
+    pytest.importorskip("imageio_ffmpeg")
+    assert call("--out", tmp_path / "film.mp4", "--steps", 40, "--sheet", *SMALL) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["film.gif", "film.mp4", "film.png"]
+    with Image.open(tmp_path / "film.gif") as moving:
+        assert (getattr(moving, "n_frames", 1), moving.info["duration"]) == (9, 100)
+    sheet = np.asarray(Image.open(tmp_path / "film.png"))
+    assert sheet.shape == (3 * 120, 4 * 160, 3)
+    panes = [pane for row in np.split(sheet, 3) for pane in np.split(row, 4, axis=1)]
+    assert all((one != other).any() for one, other in itertools.pairwise(panes))
+    assert call("--out", tmp_path / "short.png", "--steps", 2, "--sheet", *SMALL) == 0
+    assert np.asarray(Image.open(tmp_path / "short.png")).shape == (120, 3 * 160, 3)
+
+
 def test_an_mp4_holds_every_frame(tmp_path: Path):
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
     out = tmp_path / "film.mp4"
