@@ -78,7 +78,7 @@ def render(
     ]
     setting = disability or getattr(act[1], "setting", None) or "d1"
     caption = (f"robot {robot}", f"human {human}")
-    size = {"camera": camera, "width": width, "height": height, "caption": caption}
+    size: dict[str, Any] = {"camera": camera, "width": width, "height": height, "caption": caption}
 
     def work(check: Callable[[], None]) -> None:
         def stepped() -> None:
