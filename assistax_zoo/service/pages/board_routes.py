@@ -75,8 +75,9 @@ def compare_values(board: Board, a: str, b: str) -> dict[str, Any]:
     rows = [row for row in (board.of(one) for one in (a, b) if one) if row]
     if len(rows) < len([one for one in (a, b) if one]):
         raise NotFoundError("One of the two is not on this board; choose from its list.")
-    others = (*board.methods, *board.rows)
-    rows += [row for row in dict.fromkeys(others) if row not in rows][: 2 - len(rows)]
+    for row in (*board.methods, *board.rows):
+        if len(rows) < 2 and all(row is not one for one in rows):
+            rows.append(row)
     if len(rows) < 2 or rows[0] is rows[1]:
         return {"first": rows[0], "second": None}
     first, second = (played.returns.mean(axis=2) for _, played in rows)
