@@ -29,7 +29,7 @@ class Client:
         patience: float = PATIENCE,
     ) -> None:
         """Prepare to speak with a server, such as "http://localhost:8800"."""
-        self.address = address.rstrip("/")
+        self.address, self.token = address.rstrip("/"), token
         self.headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._http = transport or httpx2.Client(base_url=address, timeout=60.0)
         self._patience = patience

@@ -1,10 +1,12 @@
 """The commands of the service: parse, call one function, print."""
 
+import functools
 import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from assistax_zoo.commands.options import Engine
 from assistax_zoo.console import print_json
 
 if TYPE_CHECKING:
@@ -73,8 +75,11 @@ def worker(
     registry: Path | None = None,
     backend: str = "native",
     until_empty: bool = False,
+    engine: Engine = Engine(),
 ) -> None:
     """Take jobs from a service and play them, until stopped.
+
+    With `--engine ray` there are as many workers as a cluster has room for, each with its own jobs.
 
     Args:
         url: Address of the server; default $ASSISTAX_ZOO_SERVER.
@@ -82,13 +87,18 @@ def worker(
         registry: Registry of the public partners instead of the installed one.
         backend: Backend that plays, the server's.
         until_empty: Stop when nothing waits.
+        engine: What runs workers.
 
     Example:
         assistax-zoo worker --url https://board.example.org --token-file worker-token
     """
     working = _module("working_process")
-    client = _client(url, token_file)
-    working.run_worker(client, registry, backend, until_empty=until_empty)
+    client, cluster = _client(url, token_file), engine.cluster()
+    if cluster is None:
+        working.run_worker(client, registry, backend, until_empty=until_empty)
+    else:
+        make = functools.partial(working.make_scorer, registry, backend)
+        working.run_workers_on_ray(cluster, client, make, until_empty=until_empty)
 
 
 def submit(

@@ -10,8 +10,8 @@ from typing import Any
 import sqlalchemy as sa
 
 from assistax_zoo.service.canonical import digest
-from assistax_zoo.service.contract import LedgerEntry
 from assistax_zoo.service.database import Database
+from assistax_zoo.service.queries import LedgerEntry
 from assistax_zoo.service.schema import ledger
 
 START = "0" * 64  # the hash before the first entry

@@ -19,10 +19,10 @@ from assistax_zoo.service.catalogue import (
     version_id,
 )
 from assistax_zoo.service.clock import Clock, system_clock
-from assistax_zoo.service.contract import Queries
 from assistax_zoo.service.database import Database
 from assistax_zoo.service.live.rooms import GONE_SECONDS, Rooms
 from assistax_zoo.service.problems import Problem
+from assistax_zoo.service.queries import Queries
 from assistax_zoo.service.receipts import Signer
 from assistax_zoo.service.scoring import Work
 from assistax_zoo.service.submissions import Draft

@@ -1,37 +1,83 @@
-"""A worker as a process: its signals, its log, its scorer."""
+"""A worker as a process, with its signals and its log; or as many as a Ray cluster has room for."""
 
+import contextlib
 import functools
 import os
 import signal
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from assistax_zoo.service.api.operations import log_to_stderr
 from assistax_zoo.service.catalogue import ZooCatalogue
 from assistax_zoo.service.client import Client
 from assistax_zoo.service.live.robot import LiveRobot
+from assistax_zoo.service.scoring import Scorer
 from assistax_zoo.service.serve import PARENT_VARIABLE
 from assistax_zoo.service.worker import Worker
 from assistax_zoo.service.zoo_scorer import ZooScorer
+from population.ray_blocks import RayCluster, run_blocks
 
 
 def run_worker(
     client: Client, registry: Path | None, backend: str, *, until_empty: bool = False
 ) -> None:
     """Work until SIGINT or SIGTERM; a job under way is given back."""
-    from zoo.registry import load_registry
-
     log_to_stderr()
-    loaded = load_registry(registry)
-    scorer = ZooScorer(loaded, ZooCatalogue(loaded, backend), backend)
-    worker = Worker(client, scorer, live=functools.partial(LiveRobot, client))
+    worker = _worker(client, make_scorer(registry, backend))
     # XLA may compile for long before the main thread hears of anything.
     leaving = threading.Thread(target=_leave, args=(worker,), daemon=True)
     signal.signal(signal.SIGTERM, lambda *_: leaving.is_alive() or leaving.start())
     if parent := os.environ.get(PARENT_VARIABLE):
         threading.Thread(target=_outlive_not, args=(int(parent),), daemon=True).start()
     worker.run(until_empty=until_empty)
+
+
+def run_workers_on_ray(
+    cluster: RayCluster, client: Client, make: Callable[[], Scorer], *, until_empty: bool = False
+) -> None:
+    """Keep a cluster full of workers, each of which takes jobs of its own.
+
+    What they do when this process ends is given to others as soon as its leases run out.
+    """
+    signal.signal(signal.SIGTERM, _exit)
+    shared = client.address, client.token, make, until_empty
+    with contextlib.suppress(SystemExit):
+        run_blocks(cluster, _names, _work_elsewhere, shared)
+
+
+def make_scorer(registry: Path | None, backend: str) -> Scorer:
+    """Return what plays with the partners of a registry, the installed one if none is given."""
+    from zoo.registry import load_registry
+
+    loaded = load_registry(registry)
+    return ZooScorer(loaded, ZooCatalogue(loaded, backend), backend)
+
+
+def _worker(client: Client, scorer: Scorer) -> Worker:
+    return Worker(client, scorer, live=functools.partial(LiveRobot, client))
+
+
+def _names(slots: int) -> list[str]:
+    return [f"worker {number + 1}" for number in range(slots)]
+
+
+def _work_elsewhere(
+    number: int,
+    count: int,
+    address: str,
+    token: str | None,
+    make: Callable[[], Scorer],
+    until_empty: bool,
+) -> None:
+    log_to_stderr()
+    _worker(Client(address, token), make()).run(until_empty=until_empty)
+
+
+def _exit(*_: Any) -> None:
+    raise SystemExit(0)
 
 
 def _leave(worker: Worker) -> None:

@@ -11,9 +11,9 @@ import sqlalchemy as sa
 from fastapi import FastAPI
 
 from assistax_zoo.service import schema as t
-from assistax_zoo.service.contract import Queries
 from assistax_zoo.service.database import Database
 from assistax_zoo.service.pages import add_pages
+from assistax_zoo.service.queries import Queries
 from zoo.registry import load_registry
 
 HOSTILE = "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>{{ 7*7 }}"

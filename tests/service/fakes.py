@@ -9,9 +9,9 @@ import polars as pl
 
 from assistax_zoo.service.artefacts import Artefacts
 from assistax_zoo.service.catalogue import Partner, version_id
-from assistax_zoo.service.contract import Submission
 from assistax_zoo.service.database import Database
 from assistax_zoo.service.problems import Refusal
+from assistax_zoo.service.queries import Submission
 from assistax_zoo.service.receipts import load_signer
 from assistax_zoo.service.scoring import Work, encode_table
 from assistax_zoo.service.service import Service

@@ -117,7 +117,7 @@ def test_an_unexpected_error_tells_nothing(
     def broken(*_: object, **__: object) -> None:
         raise RuntimeError("hidden-0007 returned 812.5")
 
-    monkeypatch.setattr("assistax_zoo.service.contract.Queries.submissions", broken)
+    monkeypatch.setattr("assistax_zoo.service.queries.Queries.submissions", broken)
     with caplog.at_level(logging.INFO, logger="assistax_zoo.service"):
         answer = http.get("/api/submissions")
     assert (answer.status_code, answer.json()["error"]["code"]) == (500, "unexpected")

@@ -12,12 +12,12 @@ import polars as pl
 import pytest
 from starlette.testclient import TestClient
 
-from assistax_zoo.service.contract import STATEMENT
 from assistax_zoo.service.pages.cache import PageCache
 from assistax_zoo.service.pages.charts import axis_over
 from assistax_zoo.service.pages.crossplays import PUBLISHED
 from assistax_zoo.service.pages.security import FIELD
 from assistax_zoo.service.pages.videos import Pair, Videos
+from assistax_zoo.service.queries import STATEMENT
 from tests.service.board_data import HOSTILE, make_app
 
 PAIR = "/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1"

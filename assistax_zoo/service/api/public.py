@@ -8,7 +8,8 @@ from pydantic import BaseModel
 from assistax_zoo.service import seasons
 from assistax_zoo.service.api.errors import RESPONSES
 from assistax_zoo.service.api.guards import count_read
-from assistax_zoo.service.contract import (
+from assistax_zoo.service.problems import Problem
+from assistax_zoo.service.queries import (
     STATEMENT,
     Attempts,
     LedgerEntry,
@@ -17,7 +18,6 @@ from assistax_zoo.service.contract import (
     Season,
     Submission,
 )
-from assistax_zoo.service.problems import Problem
 
 router = APIRouter(
     prefix="/api", tags=["read"], responses=RESPONSES, dependencies=[Depends(count_read)]

@@ -7,8 +7,8 @@ from fastapi import APIRouter, Depends, Query, Request
 
 from assistax_zoo.service.api.errors import RESPONSES
 from assistax_zoo.service.api.guards import SUBMIT, Submitter
-from assistax_zoo.service.contract import Submission
 from assistax_zoo.service.problems import Problem
+from assistax_zoo.service.queries import Submission
 from assistax_zoo.service.submissions import Draft
 from assistax_zoo.service.tokens import Principal
 

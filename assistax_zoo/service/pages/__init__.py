@@ -1,6 +1,6 @@
 """Pages for people: boards, submissions, partners, pairs, the cross-play explorer and seasons.
 
-Rendered on the server from what `contract.Queries` and the registry say. Everything but moving
+Rendered on the server from what `Queries` and the registry say. Everything but moving
 about in the explorer works without scripts.
 """
 
@@ -10,7 +10,6 @@ from typing import Protocol
 from fastapi import FastAPI, Request
 from starlette.responses import Response
 
-from assistax_zoo.service.contract import Queries
 from assistax_zoo.service.pages.board_routes import board_router
 from assistax_zoo.service.pages.boards import Boards
 from assistax_zoo.service.pages.cache import PageCache, respond
@@ -22,6 +21,7 @@ from assistax_zoo.service.pages.security import FormTokens, SecurityHeaders
 from assistax_zoo.service.pages.site import NotFoundError, Site
 from assistax_zoo.service.pages.submit_routes import submit_router
 from assistax_zoo.service.pages.videos import Videos
+from assistax_zoo.service.queries import Queries
 from zoo.registry import load_registry
 
 FILMS = Path("~/.cache/assistax-zoo/films")  # where no other folder is given

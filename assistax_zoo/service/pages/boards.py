@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from assistax_zoo.service.contract import PartnerScore, Queries, Submission
 from assistax_zoo.service.pages.crossplays import CrossPlays
+from assistax_zoo.service.queries import PartnerScore, Queries, Submission
 from assistax_zoo.service.statistics_board import Method, Panel, Standing, standings
 from assistax_zoo.service.vocabulary import REFERENCE
 from evaluation.metrics import Bounds

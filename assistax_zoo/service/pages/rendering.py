@@ -14,8 +14,8 @@ from typing import Any
 
 import jinja2
 
-from assistax_zoo.service.contract import STATEMENT
 from assistax_zoo.service.pages.cache import Page, pack
+from assistax_zoo.service.queries import STATEMENT
 
 _PACKAGE = "assistax_zoo.service.pages"
 _MEDIA_TYPES = {

@@ -7,10 +7,10 @@ from typing import Any
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from assistax_zoo.service.contract import PartnerScore, Score, Submission
 from assistax_zoo.service.pages.charts import axis_over
 from assistax_zoo.service.pages.rendering import table_rows
 from assistax_zoo.service.pages.site import LIVE, NotFoundError, Site
+from assistax_zoo.service.queries import PartnerScore, Score, Submission
 
 _ENTRIES = 200  # of the ledger on one page
 

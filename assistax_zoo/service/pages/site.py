@@ -7,13 +7,13 @@ from typing import Any
 from starlette.requests import Request
 from starlette.responses import Response
 
-from assistax_zoo.service.contract import Queries, Submission
 from assistax_zoo.service.pages.boards import Boards
 from assistax_zoo.service.pages.cache import Page, PageCache, pack, respond
 from assistax_zoo.service.pages.crossplays import CrossPlay, CrossPlays
 from assistax_zoo.service.pages.rendering import render
 from assistax_zoo.service.pages.security import FIELD, FormTokens
 from assistax_zoo.service.pages.videos import Videos
+from assistax_zoo.service.queries import Queries, Submission
 from zoo.registry import Registry
 
 LIVE = 1.0  # seconds that a page of the database may be old
