@@ -66,19 +66,21 @@ class Env:
 
     def __init__(
         self,
-        task: str,
+        task: str | type,
         backend: str = "auto",
         weights: dict[str, float] | None = None,
         **options: Any,
     ) -> None:
-        self.task = task
+        of_task: Any = TASK_CLASSES[task] if isinstance(task, str) else task
+        self.task = of_task.name
         self.backend = resolve_backend(backend)
-        self.version = VERSIONS[task]
-        _check_frames(task, self.backend)
+        self.version = VERSIONS[task] if isinstance(task, str) else 0  # 0: of no release
+        scene = getattr(of_task, "scene", self.task)
+        _check_frames(scene, self.backend)
         self.engine: dict[str, str] = engine(self.backend)
         self.episode_length = EPISODE_LENGTH
-        self.model: mujoco.MjModel = build_model(task)
-        self._task: Task = TASK_CLASSES[task](self.model, weights, **options)
+        self.model: mujoco.MjModel = build_model(scene)
+        self._task: Task = of_task(self.model, weights, **options)
         self._sensors: Sensors = self._task.sensors
         self._physics = make_physics(self.model, self.backend)
         self._renderers: dict[tuple[int, int], Any] = {}  # by width and height
@@ -261,12 +263,15 @@ class Env:
 
 
 def make(
-    task: str, backend: str = "auto", weights: dict[str, float] | None = None, **options: Any
+    task: str | type,
+    backend: str = "auto",
+    weights: dict[str, float] | None = None,
+    **options: Any,
 ) -> Env:
     """Make the environment of `task`.
 
     Args:
-        task: one of `TASKS`.
+        task: one of `TASKS`, or a class of your own that says in `scene` whose scene it takes.
         backend: "fused" (CPUs and NVIDIA GPUs), "native" (MuJoCo on CPU threads), "mjx" (XLA),
             "mjx-warp" (NVIDIA GPUs), or "auto": the fastest one here.
         weights: reward weights by term that replace those of Table 5.
@@ -276,7 +281,7 @@ def make(
         ValueError: the task, the backend or a weight's name is unknown, or the backend cannot run
             here.
     """
-    if task not in TASKS:
+    if isinstance(task, str) and task not in TASKS:
         raise ValueError(f"task is {task!r}; allowed are {', '.join(TASKS)}")
     return Env(task, backend, weights, **options)
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from assistax_zoo.auditing import audit
     from assistax_zoo.films import render
+    from assistax_zoo.recording import trajectories
     from assistax_zoo.results import (
         Comparison,
         CrossPlayResult,
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from assistax_zoo.training import train, train_ego
     from assistax_zoo.zoos import Zoo, fetch, open_zoo
     from evaluation.partners import Partner
+    from evaluation.planning import measure_spread, plan_evaluation
 
 __all__ = [
     "Comparison",
@@ -39,14 +41,18 @@ __all__ = [
     "evaluate",
     "fetch",
     "load_result",
+    "measure_spread",
     "open_zoo",
+    "plan_evaluation",
     "render",
     "train",
     "train_ego",
+    "trajectories",
 ]
 
 _HOMES = {
     "evaluation.partners": ("Partner",),
+    "evaluation.planning": ("measure_spread", "plan_evaluation"),
     "assistax_zoo.zoos": ("Zoo", "fetch", "open_zoo"),
     "assistax_zoo.studies": ("cross_play", "evaluate"),
     "assistax_zoo.results": (
@@ -58,6 +64,7 @@ _HOMES = {
     ),
     "assistax_zoo.auditing": ("audit",),
     "assistax_zoo.films": ("render",),
+    "assistax_zoo.recording": ("trajectories",),
     "assistax_zoo.training": ("train", "train_ego"),
 }
 

@@ -43,6 +43,7 @@ COMMANDS = {
     "train-ego": "assistax_zoo.commands.train_ego:train_ego",
     "sweep": "assistax_zoo.commands.sweep:sweep",
     "render": "assistax_zoo.commands.render:render",
+    "trajectories": "assistax_zoo.commands.trajectories:trajectories",
     "serve": "assistax_zoo.service.commands:serve",
     "worker": "assistax_zoo.service.commands:worker",
     "submit": "assistax_zoo.service.commands:submit",

@@ -37,6 +37,9 @@ def play(
     seed: int = 0,
     steps: int | None = None,
     on_step: Callable[[], None] | None = None,
+    *,
+    episode: int = 0,
+    preference: str | None = None,
 ) -> Iterator[EnvState]:
     """Yield the states of one episode, each [1], from its start on.
 
@@ -45,12 +48,15 @@ def play(
         robot: from the robot's observation [O] to its action [A].
         human: the same for the human.
         disability: the human's setting.
-        seed: the episode is number 0 of an evaluation with this seed.
+        seed: of the evaluation whose episode it is.
         steps: how many; the whole episode if not given.
         on_step: called after each step.
+        episode: which episode of that evaluation.
+        preference: what the human of a gentle task likes; drawn if not given.
     """
-    key = jax.random.key(np.uint32(episode_seeds(seed, [0])[0]))
-    state = jax.jit(env.reset)(key[None], disability_params([disability]))
+    key = jax.random.key(np.uint32(episode_seeds(seed, [episode])[0]))
+    likes = None if preference is None else [preference]
+    state = jax.jit(env.reset)(key[None], disability_params([disability], likes))
     step = jax.jit(env.step)
     yield state
     for _ in range(env.episode_length if steps is None else steps):

@@ -1,0 +1,186 @@
+"""Recorded episodes of a pair, step by step, for imitation and for studies."""
+
+import dataclasses
+import json
+import operator
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from assistax_zoo.zoos import Zoo, open_zoo
+
+if TYPE_CHECKING:
+    import polars as pl
+
+METADATA = "assistax"  # key of a file's metadata, whose value is JSON
+
+
+def trajectories(
+    robot: str,
+    human: str,
+    *,
+    task: str,
+    out: Path | str | None = None,
+    episodes: int = 8,
+    steps: int | None = None,
+    seed: int = 0,
+    disability: str | None = None,
+    preference: str | None = None,
+    backend: str = "auto",
+    zoo: "str | Path | Zoo | None" = None,
+    on_step: Callable[[], None] | None = None,
+) -> "pl.DataFrame":
+    """Play a pair and return what both saw, did and earned, one row a step.
+
+    Columns: `episode`, `step`, `robot_observation`, `human_observation`, `robot_action`,
+    `human_action`, `reward`, `term_NAME` of each, `force` (N), `terminated`, `truncated`,
+    `nonfinite`. Row t has the observations before step t and what step t gave; an episode's last
+    row has its final observations and no more. Actions are the policies' most likely ones.
+
+    Args:
+        robot: An id, a .safetensors or .onnx file, python:..., "zero" or "random".
+        human: An id, a .safetensors file, "zero" or "random".
+        task: Task, such as "scratch".
+        out: Parquet file to write too, with who played what in its metadata.
+        episodes: How many; the first are those of an evaluation with this seed.
+        steps: Steps of 20 ms of each; default the whole episode.
+        seed: Seed of the episodes.
+        disability: The human's setting, d1 to d9, instead of its own.
+        preference: What the human of a gentle task likes, p1 to p9; default drawn anew.
+        backend: Physics, or "auto" for the fastest one here.
+        zoo: Where ids are looked up, as in `open_zoo`.
+        on_step: Called after each step.
+
+    Raises:
+        ValueError: A policy does not fit its seat, or an argument is not allowed.
+        ZooError: A policy is not there, or not what it says.
+
+    Examples:
+        >>> table = trajectories("zero", "random", task="scratch", episodes=2, steps=3)
+        >>> table.height, table["robot_observation"].dtype.shape
+        (8, (34,))
+    """
+    import polars as pl
+
+    from assistax_envs import make
+    from assistax_envs.interrupts import interruptible
+    from evaluation.partners import seat_policy
+
+    env, registry = make(task, backend), open_zoo(zoo).registry
+    length = env.episode_length if steps is None else steps
+    if not 1 <= length <= env.episode_length or episodes < 1:
+        raise ValueError(
+            f"episodes is {episodes} and steps is {steps}; allowed are at least 1 and, of steps, "
+            f"at most {env.episode_length}"
+        )
+    names = {"robot": robot, "human": human}
+
+    def seats(number: int) -> dict[str, Any]:  # whose policies remember nothing
+        drawn = seed + number  # of random actions
+        return {
+            role: seat_policy(name, role, env, lambda: registry, task, drawn)
+            for role, name in names.items()
+        }
+
+    def work(check: Callable[[], None]) -> "list[pl.DataFrame]":
+        def stepped() -> None:
+            check()
+            if on_step is not None:
+                on_step()
+
+        options: dict[str, Any] = {
+            "seed": seed,
+            "steps": length,
+            "preference": preference,
+            "on_step": stepped,
+        }
+        return [_record(env, seats(k), setting, k, options) for k in range(episodes)]
+
+    first = seats(0)
+    setting = disability or getattr(first["human"], "setting", None) or "d1"
+    table = pl.concat(interruptible(work))
+    if out is not None:
+        facts = {
+            "disability": setting if isinstance(setting, str) else dataclasses.asdict(setting),
+            **{"preference": preference, "episodes": episodes, "steps": length, "seed": seed},
+            **{role: _who(name, first[role]) for role, name in names.items()},
+        }
+        _write(table, Path(out), env, facts)
+    return table
+
+
+def _record(
+    env: Any, seats: Mapping[str, Any], setting: Any, number: int, options: Mapping[str, Any]
+) -> "pl.DataFrame":
+    """Play one episode, and return its rows."""
+    import polars as pl
+
+    from evaluation.film import play
+
+    actions: dict[str, list[np.ndarray]] = {role: [] for role in seats}
+
+    def listening(role: str) -> Callable[[np.ndarray], np.ndarray]:
+        def act(obs: np.ndarray) -> np.ndarray:
+            actions[role].append(np.asarray(seats[role](obs), np.float32))
+            return actions[role][-1]
+
+        return act
+
+    acting = listening("robot"), listening("human")
+    states = list(play(env, *acting, setting, episode=number, **options))
+    count = len(states)
+
+    def given(values: list[Any]) -> "pl.Series":
+        """Return what each step gave, and nothing at the end."""
+        found = pl.Series(np.asarray(values))
+        return pl.concat([found, pl.Series([None], dtype=found.dtype)])
+
+    columns: dict[str, Any] = {
+        "episode": np.full(count, number, np.int32),
+        "step": np.arange(count, dtype=np.int32),
+    }
+    for role in seats:
+        seen = np.stack([np.asarray(state.obs[role][0], np.float32) for state in states])
+        columns[f"{role}_observation"] = pl.Series(seen)
+    columns |= {f"{role}_action": given(acted) for role, acted in actions.items()}
+    for name, leaf in _gains(env).items():
+        columns[name] = given([np.asarray(leaf(state))[0] for state in states[1:]])
+    return pl.DataFrame(columns)
+
+
+def _gains(env: Any) -> dict[str, Callable[[Any], Any]]:
+    """Return where a state has what the step that led to it gave, by column."""
+    terms = {f"term_{name}": lambda state, name=name: state.terms[name] for name in env.term_names}
+    return {
+        "reward": lambda state: state.reward,
+        **terms,
+        "force": lambda state: state.measures.force,
+        **{flag: operator.attrgetter(flag) for flag in ("terminated", "truncated", "nonfinite")},
+    }
+
+
+def _who(name: str, seat: Any) -> dict[str, Any]:
+    """Return who sat there: the name that was given, and the sha256 of what it stands for."""
+    from evaluation.provenance import file_sha256
+
+    card, path = getattr(seat, "card", None), Path(name)
+    sha256 = card.sha256 if card else file_sha256(path) if path.is_file() else None
+    return {"policy": path.name if path.is_file() else name, "sha256": sha256}
+
+
+def _write(table: "pl.DataFrame", path: Path, env: Any, facts: Mapping[str, Any]) -> None:
+    from evaluation.provenance import describe_machine
+    from population.files import atomic_path
+
+    about = {
+        "task": env.task,
+        "environment_version": env.version,
+        "backend": env.backend,
+        "engine": env.engine,
+        **facts,
+        "machine": describe_machine(),
+    }
+    with atomic_path(path) as temporary:
+        table.write_parquet(temporary, metadata={METADATA: json.dumps(about)}, compression="zstd")

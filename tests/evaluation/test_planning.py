@@ -1,0 +1,101 @@
+"""The interval that a plan promises is the one that the bootstrap gives."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from evaluation.bootstrap import estimate
+from evaluation.planning import (
+    MEASURED,
+    Spread,
+    measure_spread,
+    plan_evaluation,
+    spread_of,
+)
+
+EGOS = Path(__file__).parents[2] / "docs" / "data" / "v1" / "egos"
+TRUE = Spread(seeds=30.0, partners=50.0, pairs=40.0, episodes=80.0)
+
+
+def published(task: str, method: str) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return means and deviations [S, P] of a published table with test partners."""
+    table = pl.read_parquet(EGOS / f"{task}-{method}" / "pairs.parquet")
+    table = table.filter(pl.col("side") == "test").sort("ego", "partner")
+    shape = table["ego"].n_unique(), table["partner"].n_unique()
+    scores, deviations = (table[name].to_numpy().reshape(shape) for name in ("return", "return_sd"))
+    return scores, deviations, int(table["episodes"][0])
+
+
+def drawn(rng: np.random.Generator, seeds: int, partners: int, episodes: int) -> np.ndarray:
+    """Return scores [S, P] of the true spread."""
+    noise = np.hypot(TRUE.pairs, TRUE.episodes / np.sqrt(episodes))
+    return (
+        rng.normal(900.0, TRUE.seeds, (seeds, 1))
+        + rng.normal(0.0, TRUE.partners, (1, partners))
+        + rng.normal(0.0, noise, (seeds, partners))
+    )
+
+
+def found(scores: np.ndarray, resamples: int = 1000) -> float:
+    """Return the bootstrap's half-width, of a mean."""
+    interval = estimate(scores, resamples=resamples).mean_ci
+    assert interval is not None
+    return (interval[1] - interval[0]) / 2
+
+
+@pytest.mark.parametrize("shape", [(1, 40), (2, 40), (5, 20), (16, 60), (30, 8)])
+def test_the_bootstrap_gives_the_promised_width(shape: tuple[int, int]) -> None:
+    """Squares are averaged over tables, because the formula is of an expected variance."""
+    rng = np.random.default_rng(3)
+    squares = [found(drawn(rng, *shape, 4), 400) ** 2 for _ in range(80)]
+    promised = TRUE.half_width(*shape, 4)
+    assert np.sqrt(np.mean(squares)) == pytest.approx(promised, rel=0.1)
+
+
+@pytest.mark.parametrize("missing", ["seeds", "partners", "pairs", "episodes"])
+def test_a_formula_without_one_of_its_parts_is_caught(missing: str) -> None:
+    without = dataclasses.replace(TRUE, **{missing: 0.0})
+    shape = {"seeds": (16, 60), "partners": (30, 8), "pairs": (1, 40), "episodes": (1, 40)}[missing]
+    rng = np.random.default_rng(3)
+    squares = [found(drawn(rng, *shape, 4), 400) ** 2 for _ in range(80)]
+    assert np.sqrt(np.mean(squares)) > 1.1 * without.half_width(*shape, 4)
+
+
+@pytest.mark.parametrize("task", MEASURED)
+@pytest.mark.parametrize("method", ["ppo", "sac"])
+def test_published_tables(task: str, method: str) -> None:
+    scores, deviations, episodes = published(task, method)
+    spread = spread_of(scores, deviations, episodes)
+    kept = dataclasses.asdict(MEASURED[task][method])
+    assert kept == pytest.approx(dataclasses.asdict(spread), abs=0.05)
+    assert found(scores) == pytest.approx(spread.half_width(*scores.shape, episodes), rel=0.06)
+
+
+def test_a_spread_is_measured_from_episodes() -> None:
+    rng, (s, p, k) = np.random.default_rng(5), (40, 50, 6)
+    pairs = drawn(rng, s, p, 10**9)[..., None]  # no episode's noise yet
+    returns = pairs + rng.normal(0.0, TRUE.episodes, (s, p, k))
+    ego, partner, _ = (axis.ravel().astype(str) for axis in np.indices((s, p, k)))
+    table = pl.DataFrame({"ego": ego, "partner": partner, "return": returns.ravel()})
+    shuffled = table.sample(fraction=1.0, shuffle=True, seed=1)
+    measured = dataclasses.asdict(measure_spread(shuffled))
+    assert measured == pytest.approx(dataclasses.asdict(TRUE), rel=0.25)
+    with pytest.raises(ValueError, match="every ego with every partner"):
+        measure_spread(table.filter((pl.col("ego") != "1") | (pl.col("partner") != "2")))
+    with pytest.raises(ValueError, match="two of each"):
+        measure_spread(table.filter(pl.col("ego") == "1"))
+
+
+def test_a_plan_has_the_fewest_seeds_and_then_episodes() -> None:
+    plan = plan_evaluation(15.0, spread=TRUE, partners=100)
+    assert plan.half_width <= 15.0
+    assert TRUE.half_width(plan.seeds - 1, 100, 32) > 15.0
+    assert TRUE.half_width(plan.seeds, 100, plan.episodes - 1) > 15.0
+
+
+def test_what_cannot_be_reached_is_said() -> None:
+    with pytest.raises(ValueError, match=r"64 seeds with 59 partners reach \d+\.\d"):
+        plan_evaluation(1.0, task="arm_assist")

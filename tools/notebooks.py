@@ -1,0 +1,64 @@
+"""Runs the notebooks of docs/ and keeps what they show: `python -m tools.notebooks NAME...`."""
+
+import importlib.util
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import nbformat
+from nbclient import NotebookClient
+
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "docs"
+TIMEOUT = 600  # seconds of a cell
+
+
+def names() -> list[str]:
+    """Return the notebooks' names."""
+    return sorted(path.stem for path in FOLDER.glob("*.ipynb"))
+
+
+def run(name: str, folder: Path, preface: str = "") -> Any:
+    """Return the notebook with the outputs of a run in `folder`, as `keep` leaves them."""
+    content = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
+    if preface:
+        content.cells.insert(0, nbformat.v4.new_code_cell(preface))
+    os.environ["PYTHONPATH"] = f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+    resources = {"metadata": {"path": str(folder)}}
+    absent = "" if importlib.util.find_spec("torch") else "torch"  # such cells keep their outputs
+    options = {"timeout": TIMEOUT, "resources": resources, "skip_cells_with_tag": absent}
+    NotebookClient(content, **options).execute()
+    if preface:
+        content.cells.pop(0)
+    return keep(content)
+
+
+def keep(content: Any) -> Any:
+    """Drop what says more of a machine than of the result: messages, counters, times, versions."""
+    for cell in content.cells:
+        if cell.cell_type == "code":
+            cell.execution_count = None
+            cell.outputs = [one for one in cell.outputs if one.get("name") != "stderr"]
+            for output in cell.outputs:
+                if "execution_count" in output:
+                    output["execution_count"] = None
+        cell.metadata.pop("execution", None)
+    content.metadata = {
+        "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+        "language_info": {"name": "python"},
+    }
+    return content
+
+
+def main(chosen: list[str]) -> None:
+    """Run the notebooks and write them with their outputs."""
+    for name in chosen or names():
+        with tempfile.TemporaryDirectory() as folder:
+            nbformat.write(run(name, Path(folder)), FOLDER / f"{name}.ipynb")
+        print(name)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
