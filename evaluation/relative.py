@@ -18,6 +18,7 @@ COLUMN = "reference"  # what an episode of the table of references is: an ego, S
 # Ids in the episode table: of egos that nobody trained, and of a partner that does nothing.
 ZERO, RANDOM, SCRIPT, PASSIVE = "zero-action", "uniform-random", "script", "passive-human"
 SELF_PLAY, CROSS_PLAY, NONE = "self-play", "cross-play", "none"  # sources of a best response
+REFERENCE_ROWS = (ZERO, RANDOM, SCRIPT, SELF_PLAY)  # that stand beside methods on a board
 
 
 @dataclasses.dataclass(frozen=True)

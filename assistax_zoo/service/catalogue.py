@@ -37,8 +37,8 @@ class Catalogue(Protocol):
         """Return what decides a score's value besides the robot: see `version_id`."""
         ...
 
-    def references(self, task: str) -> tuple[str, ...]:
-        """Return the rows that a board measures by, such as "uniform-random"."""
+    def references(self, task: str) -> dict[str, str]:
+        """Return the rows that a board measures by: the method that each robot is a seed of."""
         ...
 
 
@@ -86,13 +86,17 @@ class ZooCatalogue:
             "seed": PUBLIC_SEED,
         }
 
-    def references(self, task: str) -> tuple[str, ...]:
-        """Return the reference egos, and self-play where every partner has its own robot."""
-        from evaluation.relative import RANDOM, SCRIPT, SELF_PLAY, ZERO
+    def references(self, task: str) -> dict[str, str]:
+        """Return the reference egos, self-play where all partners have robots, published egos."""
+        from evaluation.relative import REFERENCE_ROWS, SELF_PLAY
+        from zoo.ids import EGO
 
-        robots = {entry.team for entry in self._registry.select(task=task, role="robot")}
-        has_own = all(entry.team in robots for entry in self._entries(task))
-        return (ZERO, RANDOM, SCRIPT, *((SELF_PLAY,) if has_own else ()))
+        robots = self._registry.select(task=task, role="robot", release=self._registry.release)
+        found = {name: name for name in REFERENCE_ROWS}
+        if not {entry.team for entry in self._entries(task)} <= {entry.team for entry in robots}:
+            del found[SELF_PLAY]
+        egos = [entry for entry in robots if entry.disability == EGO]
+        return found | {one.team.partition("/")[2]: f"{one.algorithm} ego" for one in egos}
 
     def _entries(self, task: str) -> list[Any]:
         split = self._registry.split(task)

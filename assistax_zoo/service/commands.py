@@ -42,8 +42,8 @@ def serve(
         artefacts: Address of a store instead of the folder, such as s3://bucket/path.
         registry: Registry of the public partners instead of the installed one.
         backend: Backend that plays, the same for every worker.
-        references: Play zero and random actions, scripts and the partners' own robots whenever
-            nobody waits: the rows that a board measures by.
+        references: Play zero and random actions, scripts, published egos and the partners' own
+            robots whenever nobody waits: the rows that a board measures by.
 
     Example:
         assistax-zoo serve --data board
@@ -57,7 +57,7 @@ def serve(
         own = serving.worker_token(service, data) if workers else ""
         service.adopt_version()
         if references:
-            service.add_references()
+            serving.add_references_later(service)
         address = f"http://{host}:{port}"
         print(f"serving {address} from {data}; Ctrl-C stops", file=sys.stderr, flush=True)
         if token := serving.first_token(service):

@@ -168,9 +168,9 @@ class Service:
         with self.database.write() as connection:
             nobody = tokens.find_or_add(connection, REFERENCE, None, self.clock())
         for task in self.catalogue.tasks:
-            for name in self.catalogue.references(task):
+            for name, method in self.catalogue.references(task).items():
                 request = f"{task} {name}"
-                self.submit(nobody, Draft(task, name, request, kind="reference", format=name))
+                self.submit(nobody, Draft(task, method, request, kind="reference", format=name))
 
     def adopt_version(self) -> int:
         """Score anew what was scored by other versions; return how many submissions that is."""

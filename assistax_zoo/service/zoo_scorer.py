@@ -53,12 +53,13 @@ class ZooScorer:
     def _play(self, work: Work, egos: Any, registry: Any, entries: list[Any]) -> pl.DataFrame:
         from evaluation.evaluator import run_job
         from evaluation.references import reference_job
+        from evaluation.relative import REFERENCE_ROWS
         from evaluation.studies import Settings, make_job, own_robots
 
         seed, likes = int(work.seed, 16), work.preferences or None
         settings = Settings(work.task, work.episodes, seed, self._backend, preferences=likes)
         env, job = make_job(registry, egos, entries, settings)
-        if work.kind == "reference":
+        if work.kind == "reference" and work.format in REFERENCE_ROWS:
             job = reference_job(env, job, str(work.format), own_robots(registry, entries))
         with tempfile.TemporaryDirectory() as folder:
             table = run_job(env, job, Path(folder) / "job").table
@@ -66,11 +67,15 @@ class ZooScorer:
 
     def _egos(self, work: Work, robot: Any) -> Any:
         from evaluation.references import reference_roster
-        from evaluation.roster import HostEgo, Member, Roster
+        from evaluation.relative import REFERENCE_ROWS
+        from evaluation.roster import HostEgo, Member, Roster, registry_roster
         from population.stack import stack_policies
 
-        if work.kind == "reference":
+        if work.kind == "reference" and work.format in REFERENCE_ROWS:
             return reference_roster(*self._sizes[work.task])
+        if work.kind == "reference":
+            ego = self._registry.policy(f"{work.task}/{work.format}/robot")
+            return registry_roster(self._registry, [ego])
         if work.kind == "live":
             return Roster((HostEgo("robot", robot),), {"robot": Member("robot", "live")})
         admitted = self._admission.read(robot, work.task)

@@ -36,8 +36,8 @@ class FakeCatalogue:
             for i in range(self._partners)
         )
 
-    def references(self, task: str) -> tuple[str, ...]:
-        return ("zero-action", "self-play")
+    def references(self, task: str) -> dict[str, str]:
+        return {"zero-action": "zero-action", "self-play": "self-play"}
 
     def identity(self, task: str) -> dict[str, Any]:
         return {"task": task, "engine": {"name": "fake", "version": str(self._version)}}

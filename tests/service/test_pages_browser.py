@@ -229,6 +229,7 @@ def test_a_robot_is_handed_in_by_the_form_with_scripts_and_without(
         expect(page.get_by_role("status")).to_contain_text("number 1 in the queue")
         work_off(service)
         if not scripts:
+            page.wait_for_timeout(1100)  # a page may be a second old
             page.get_by_role("link", name="load it anew").click()
         expect(page.get_by_role("status")).to_contain_text("place 1")
         page.goto(f"{server.address}/tasks/scratch")

@@ -30,6 +30,7 @@ from population.onnx_export import to_onnx
 from population.spec import PolicySpec
 from tests.untrained import HUMAN, ROBOT, params_of, published, untrained_team
 from zoo.registry import Registry, load_registry
+from zoo.runs import TrainedTeam
 from zoo.storage import write_policy_file
 
 TASK = "scratch"
@@ -41,13 +42,16 @@ def registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
 
 
 def _registry(folder: Path, first: int) -> Registry:
-    teams = [
+    return load_registry(published(_teams(first), folder))
+
+
+def _teams(first: int) -> list[TrainedTeam]:
+    return [
         untrained_team(
             "d1", seed, robot=(ROBOT, params_of(ROBOT, seed)), human=(HUMAN, params_of(HUMAN, seed))
         )
         for seed in range(first, first + 3)
     ]
-    return load_registry(published(teams, folder))
 
 
 @pytest.fixture
@@ -163,9 +167,27 @@ def test_reference_rows_are_what_evaluate_plays(registry: Registry, tmp_path: Pa
         expected = played.filter(chosen).sort("partner", "episode")
         assert found.sort("partner", "episode")["return"].equals(expected["return"])
         assert expected.height == found.height == 6
-    assert set(ZooCatalogue(registry, "native").references(TASK)) == {
-        *(ZERO, RANDOM, SCRIPT, SELF_PLAY)
-    }
+
+
+@pytest.mark.slow
+def test_published_egos_are_rows_to_measure_by(registry: Registry, tmp_path: Path) -> None:
+    rows = {ZERO: ZERO, RANDOM: RANDOM, SCRIPT: SCRIPT, SELF_PLAY: SELF_PLAY}
+    assert ZooCatalogue(registry, "native").references(TASK) == rows
+    team = untrained_team("mixed", 5, robot=(ROBOT, params_of(ROBOT, 5)))
+    against = {"split": "scratch/half-s0-v0-01234567", "sha256": "0" * 64}
+    ego = dataclasses.replace(team, algorithm="ppo", trained_against=against)
+    teams = [*_teams(first=0), ego]
+    wider = load_registry(published(teams, tmp_path))
+    assert ZooCatalogue(wider, "native").references(TASK) == rows | {"ppo-ego-s5-v0": "ppo ego"}
+    partners = (next(entry.id for entry in wider.select(task=TASK, role="human")),)
+    reference = dataclasses.replace(work(partners), kind="reference", format="ppo-ego-s5-v0")
+    write_policy_file(tmp_path / "robot.safetensors", ROBOT, params_of(ROBOT, 5))
+    handed_in = (tmp_path / "robot.safetensors").read_bytes()
+    tables = [
+        scorer_of(wider).play(asked, robot, None)
+        for asked, robot in ((reference, None), (work(partners), handed_in))
+    ]
+    assert table_bytes(tables[0]) == table_bytes(tables[1])
 
 
 def test_a_live_robot_is_a_callable(registry: Registry) -> None:
