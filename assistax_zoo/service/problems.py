@@ -28,6 +28,7 @@ CODES = {
     "invalid": 422,
     "budget_spent": 429,
     "too_many_requests": 429,
+    "unavailable": 503,
     "too_full": 507,
 }
 

@@ -7,6 +7,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
+from sqlalchemy.exc import InterfaceError, OperationalError
 from starlette.exceptions import HTTPException
 
 from assistax_zoo.service.problems import CODES, Problem
@@ -51,6 +52,13 @@ def add_error_handlers(app: FastAPI) -> None:
     def other(_: Request, error: HTTPException) -> JSONResponse:
         code = _STATUS_CODES.get(error.status_code, "invalid")
         return _answer(error.status_code, code, str(error.detail), dict(error.headers or {}))
+
+    @app.exception_handler(OperationalError)
+    @app.exception_handler(InterfaceError)
+    def no_database(_: Request, error: Exception) -> JSONResponse:
+        # It is away, full or busy. Who asks again does no harm: every request names itself.
+        log.error("no database", extra={"fields": {"error": type(error).__name__}})
+        return _answer(503, "unavailable", "the database does not answer; try again soon")
 
     @app.exception_handler(Exception)
     def unexpected(request: Request, error: Exception) -> JSONResponse:

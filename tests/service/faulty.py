@@ -1,0 +1,53 @@
+"""A server or a worker without JAX, as a process to be killed.
+
+python -m tests.service.faulty serve FOLDER DATABASE PORT
+python -m tests.service.faulty work ADDRESS TOKEN
+"""
+
+import dataclasses
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from assistax_zoo.service import jobs
+from assistax_zoo.service.client import Client
+from assistax_zoo.service.scoring import Work
+from assistax_zoo.service.service import Service
+from assistax_zoo.service.worker import Worker
+from tests.service.fakes import FakeScorer, new_service
+
+LEASE_SECONDS = 10.0  # shorter than in earnest: who waits for a killed worker waits for this
+PATIENCE = 300.0
+
+
+class SlowScorer(FakeScorer):
+    """Takes a moment, so that a kill may strike within a job."""
+
+    def play(self, work: Work, robot: Any, release: bytes | None) -> Any:
+        time.sleep(0.2)
+        return super().play(work, robot, release)
+
+
+def real_service(folder: Path, url: str) -> Service:
+    """Return the service of the fakes by the machine's own clock."""
+    jobs.LEASE_SECONDS = LEASE_SECONDS
+    return dataclasses.replace(new_service(folder, url), clock=time.time)
+
+
+def main(how: str, *words: str) -> None:
+    if how == "work":
+        client = Client(words[0], words[1], patience=PATIENCE)
+        Worker(client, SlowScorer(), idle=0.1, beat=LEASE_SECONDS / 4).run()
+        return
+    import uvicorn
+
+    from assistax_zoo.service.api.app import create_app
+
+    folder, url, port = words
+    app = create_app(real_service(Path(folder), url))
+    uvicorn.run(app, port=int(port), log_level="error", ws="websockets-sansio")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
