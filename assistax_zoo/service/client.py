@@ -46,7 +46,9 @@ class Client:
         while True:
             try:
                 response = self._http.request(method, path, headers=headers, **options)
-                if response.status_code not in _AGAIN:
+                # Too many readers at one address: who only looks can look later.
+                later = response.status_code == 429 and method == "GET"
+                if response.status_code not in _AGAIN and not later:
                     return _checked(response)
                 error = f"it answered {response.status_code}"
             except httpx2.TransportError as failure:

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import uvicorn
+from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
 from assistax_zoo.service import tokens
 from assistax_zoo.service.artefacts import Artefacts
@@ -34,6 +35,8 @@ WORKER_TOKEN_FILE = "worker-token"
 _stopping = threading.Event()
 SETTLED_SECONDS = 120.0  # until references are queued
 STOP_SECONDS = 20  # for requests and jobs that are under way
+SILENT_SECONDS = 10.0  # a connection may say nothing, or half a request
+TAKING_LOOKS = 30  # times that long, a client may take for an answer
 TOKEN_VARIABLE = "ASSISTAX_ZOO_TOKEN"
 PARENT_VARIABLE = "ASSISTAX_ZOO_PARENT"  # a local worker ends when this process is gone
 
@@ -109,19 +112,43 @@ def run_server(
     from assistax_zoo.service.api.operations import log_to_stderr
 
     log_to_stderr()
-    config = uvicorn.Config(
-        create_app(service, **pages),
+    _Server(config_of(create_app(service, **pages), host, port), stop_workers).run()
+
+
+def config_of(app: Any, host: str, port: int) -> uvicorn.Config:
+    """Return how an application is served."""
+    return uvicorn.Config(
+        app,
         host=host,
         port=port,
         log_level="warning",
         access_log=False,  # it would hold addresses and queries; ours holds routes
         timeout_graceful_shutdown=STOP_SECONDS,
         limit_concurrency=1000,
+        http=_Impatient,
         ws="websockets-sansio",  # the one of uvicorn's implementations that is not deprecated
         ws_max_size=4 * 1024 * 1024,
         server_header=False,
     )
-    _Server(config, stop_workers).run()
+
+
+class _Impatient(AutoHTTPProtocol):
+    """Hangs up on who says nothing, or takes nothing: a thousand of them would be all there are."""
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        self._look(self, 0)
+
+    def _look(self, seen: Any, looks: int) -> None:
+        """Look now and then whether still the same request is under way, or none."""
+        if self.transport.is_closing() or self.transport.get_protocol() is not self:
+            return  # over, or a WebSocket now
+        looks = looks + 1 if self.cycle is seen else 0
+        waits = self.cycle is None or self.cycle.response_complete
+        if looks >= (1 if waits else TAKING_LOOKS):
+            self.transport.abort()
+        else:
+            self.loop.call_later(SILENT_SECONDS, self._look, self.cycle, looks)
 
 
 class _Server(uvicorn.Server):

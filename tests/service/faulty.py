@@ -43,10 +43,11 @@ def main(how: str, *words: str) -> None:
     import uvicorn
 
     from assistax_zoo.service.api.app import create_app
+    from assistax_zoo.service.serve import config_of
 
     folder, url, port = words
     app = create_app(real_service(Path(folder), url))
-    uvicorn.run(app, port=int(port), log_level="error", ws="websockets-sansio")
+    uvicorn.Server(config_of(app, "127.0.0.1", int(port))).run()
 
 
 if __name__ == "__main__":

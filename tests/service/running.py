@@ -11,6 +11,7 @@ import uvicorn
 
 from assistax_zoo.service.api.app import create_app
 from assistax_zoo.service.client import Client
+from assistax_zoo.service.serve import config_of
 from assistax_zoo.service.service import Service
 from assistax_zoo.service.vocabulary import Scope
 
@@ -36,9 +37,8 @@ def served(service: Service, port: int = 0) -> Generator[Served]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", port))
         port = probe.getsockname()[1]
-    config = uvicorn.Config(
-        create_app(service), port=port, log_level="error", ws="websockets-sansio", lifespan="off"
-    )
+    config = config_of(create_app(service), "127.0.0.1", port)
+    config.lifespan, config.log_level = "off", "error"
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run)
     thread.start()

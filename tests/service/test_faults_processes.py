@@ -209,7 +209,7 @@ def submit_and_wait(address: str, token: str, number: int, may_begin: Callable[[
     fields = {"task": "scratch", "method": "mine", "season": "spring"}
     id = client.submit(data, request_id=f"request-{number}", **fields)["id"]
     while client.submission(id)["state"] not in FINAL_STATES:
-        time.sleep(1.0)
+        time.sleep(3.0)
     client.close()
 
 
