@@ -3,7 +3,7 @@
 import dataclasses
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import App, CycloptsError, Parameter
 
@@ -13,7 +13,7 @@ from assistax_zoo.console import print_json, stdout_is_data
 def run(arguments: Sequence[str]) -> int:
     """Run one benchmark and return its exit code: 0 done, 1 error, 2 wrong usage."""
     app = App(name="python -m benchmarks", help="Speed on this machine.")
-    for command in (env, evaluate, train, fetch, ladder, pages):
+    for command in (env, evaluate, train, fetch, ladder, pages, service):
         app.command(command)
     try:
         app(arguments, print_error=False, exit_on_error=False, result_action="return_value")
@@ -279,6 +279,43 @@ def pages(
         print_json(rows)
         return
     print(f"{readers} readers for {seconds:g} s; milliseconds until the whole page was there")
+    _print_pages(rows)
+
+
+def service(
+    *, readers: int = 200, submitters: int = 50, seconds: float = 60.0, json: bool = False
+) -> None:
+    """Measure a new server while many read its pages, and others hand robots in and watch them.
+
+    A worker brings made-up returns at once: the server is measured, not the physics.
+
+    Args:
+        readers: How many read at once; each opens a page every five seconds or so.
+        submitters: How many hand in, watch to the end, and begin anew.
+        seconds: How long.
+        json: Print JSON.
+
+    Example:
+        python -m benchmarks service
+    """
+    from benchmarks.service import measure_service
+
+    _check_seconds(seconds)
+    found = dataclasses.asdict(measure_service(readers, submitters, seconds))
+    if json:
+        print_json(found)
+        return
+    load = " to ".join(f"{each:.1f}" for each in found["load"])
+    print(f"{readers} readers and {submitters} submitters for {seconds:g} s; load {load}")
+    _print_pages(found["pages"])
+    print(
+        f"{found['submitted']} submissions, {found['lost']} lost, scored after "
+        f"{found['seconds_to_score']:.1f} s; {found['requests']} requests, the server worked "
+        f"{found['server_cpu_ms']:.1f} ms for each"
+    )
+
+
+def _print_pages(rows: Sequence[dict[str, Any]]) -> None:
     for row in rows:
         print(
             f"{row['page']:22} {row['reads']:6} reads  median {row['median_ms']:7.1f}  "

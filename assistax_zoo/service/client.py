@@ -74,6 +74,10 @@ class Client:
         """Return what was released of a submission."""
         return self.call("GET", f"/api/submissions/{id}/scores").json()
 
+    def standing(self, id: str) -> dict[str, Any]:
+        """Return where the method of a scored submission stands on its board."""
+        return self.call("GET", f"/submissions/{id}/standing.json").json()
+
     def receipt(self, id: str) -> dict[str, Any]:
         """Return the receipt of a scored submission."""
         return self.call("GET", f"/api/submissions/{id}/receipt").json()

@@ -26,7 +26,7 @@ def serve(
     database: str | None = None,
     artefacts: str | None = None,
     registry: Path | None = None,
-    backend: str = "native",
+    backend: str = "fused",
     references: bool = True,
 ) -> None:
     """Run the evaluation service: a web server, its data in a folder, and a local worker.
@@ -73,7 +73,7 @@ def worker(
     url: str | None = None,
     token_file: Path | None = None,
     registry: Path | None = None,
-    backend: str = "native",
+    backend: str = "fused",
     until_empty: bool = False,
     engine: Engine = Engine(),
 ) -> None:
@@ -120,14 +120,14 @@ def submit(
     """Hand a robot in to a service, or check at home what the service will say.
 
     Args:
-        file: The robot: .safetensors of this project, or .onnx.
+        file: The robot: .safetensors of this project, .onnx, or an id of the zoo.
         task: Task, such as scratch.
         method: Name on the board; submissions of one name are seeds of one method.
         season: Season to take part in; default the public board alone.
         licence: What others may do with the file: evaluation-only, or a licence such as MIT.
         live: A robot that stays here instead of a file, such as python:mine:make.
         check: Only check: the server's own admission, and a few episodes with public partners.
-        watch: Wait for the end, and print place and time left.
+        watch: Wait for the end: print place in the queue and time left, then place on the board.
         url: Address of the server; default $ASSISTAX_ZOO_SERVER, else this machine's.
         token_file: File with your token; default the token in $ASSISTAX_ZOO_TOKEN.
         registry: Registry to check with instead of the installed one.
@@ -147,6 +147,7 @@ def submit(
         fields = {"task": task, "method": method, "season": season, "licence": licence}
         client = _client(url, token_file)
         answer = submitting.hand_in(client, file, live, fields, watch=watch)
+        answer = answer if json else submitting.for_reader(answer, client.address)
     _print(answer, json)
 
 

@@ -47,7 +47,7 @@ def open_service(
     database: str | None = None,
     artefacts: str | None = None,
     registry: Path | None = None,
-    backend: str = "native",
+    backend: str = "fused",
 ) -> Service:
     """Return the service of a data folder, its schema at the newest version.
 
@@ -132,7 +132,7 @@ def config_of(app: Any, host: str, port: int) -> uvicorn.Config:
     )
 
 
-class _Impatient(AutoHTTPProtocol):
+class _Impatient(AutoHTTPProtocol):  # ty: ignore[unsupported-base]
     """Hangs up on who says nothing, or takes nothing: a thousand of them would be all there are."""
 
     def connection_made(self, transport: Any) -> None:

@@ -20,16 +20,29 @@ from assistax_zoo.service.vocabulary import FINAL_STATES
 from assistax_zoo.service.zoo_scorer import ZooScorer
 
 CHECK_PARTNERS, CHECK_EPISODES = 3, 2
-POLL_SECONDS = 2.0
+BACKEND = "fused"  # what `serve` plays with, if it is told nothing else
+POLL_SECONDS = 3.0  # fifty watchers at one address are below its rate
 
 
 def read_file(path: Path) -> bytes:
-    """Return a robot's file; one that is too large is not read."""
+    """Return a robot's file, or that of a robot of the zoo; one that is too large is not read."""
+    if not path.exists() and not path.suffix:
+        return _robot_of_zoo(str(path))
     if not path.is_file():
-        raise ValueError(f"{path} is no file; give a .safetensors or an .onnx")
+        raise ValueError(f"{path} is no file; give a .safetensors, an .onnx or an id of the zoo")
     if path.stat().st_size > MAX_BYTES:
         raise Refusal("too_large", f"{path.stat().st_size} bytes")
     return path.read_bytes()
+
+
+def _robot_of_zoo(id: str) -> bytes:
+    from zoo.export import export_policy
+    from zoo.registry import load_registry
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "robot.safetensors"
+        export_policy(id, "safetensors", path, load_registry)
+        return path.read_bytes()
 
 
 def check_file(path: Path, task: str, registry: Path | None = None) -> dict[str, Any]:
@@ -46,11 +59,11 @@ def check_file(path: Path, task: str, registry: Path | None = None) -> dict[str,
     if task not in sizes:
         raise ValueError(f"task is {task!r}; allowed are {', '.join(sizes)}")
     format = Admission(sizes)(data, task)
-    catalogue = ZooCatalogue(loaded, "native")
+    catalogue = ZooCatalogue(loaded, BACKEND)
     panel = catalogue.public_panel(task)
     partners = tuple(each.id for each in panel[:: max(1, len(panel) // CHECK_PARTNERS)])
     work = _try_work(task, format, partners[:CHECK_PARTNERS])
-    table = ZooScorer(loaded, catalogue, "native").play(work, data, None)
+    table = ZooScorer(loaded, catalogue, BACKEND).play(work, data, None)
     return {
         "check": "admitted",
         "format": format,
@@ -94,7 +107,19 @@ def watch_submission(client: Client, id: str) -> dict[str, Any]:
     if found["state"] != "scored":
         return found
     scores = {score["panel"]: score["figures"] for score in client.scores(id)}
-    return {**found, "scores": scores, "receipt": client.receipt(id)}
+    return {**found, **client.standing(id), "scores": scores, "receipt": client.receipt(id)}
+
+
+def for_reader(found: dict[str, Any], address: str) -> dict[str, Any]:
+    """Return of a submission what its submitter reads first; --json has all."""
+    shown = {name: found[name] for name in ("id", "state", "reason_text") if found.get(name)}
+    for panel, figures in found.get("scores", {}).items():
+        interval = figures.get("mean_ci")
+        within = f" ({interval[0]:.1f} to {interval[1]:.1f})" if interval else ""
+        shown[f"mean return, {panel}"] = f"{figures['mean']:.1f}{within}"
+    if place := found.get("board_place"):
+        shown["place"] = f"{place} of {found['of_methods']} on {address}{found['board']}"
+    return shown | {"page": f"{address}/submissions/{found['id']}"}
 
 
 def verify_revealed(client: Client, name: str, root: str) -> dict[str, Any]:

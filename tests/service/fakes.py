@@ -100,6 +100,7 @@ def admit(data: bytes, task: str) -> str:
 
 
 def new_service(folder: Path, url: str | None = None, *, version: int = 1) -> Service:
+    folder.mkdir(exist_ok=True)
     database = Database(url or f"sqlite:///{folder / 'service.db'}")
     database.upgrade()
     return Service(

@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import socket
 import threading
 import time
 from collections.abc import Generator
@@ -11,7 +10,7 @@ import uvicorn
 
 from assistax_zoo.service.api.app import create_app
 from assistax_zoo.service.client import Client
-from assistax_zoo.service.serve import config_of
+from assistax_zoo.service.serve import config_of, free_port
 from assistax_zoo.service.service import Service
 from assistax_zoo.service.vocabulary import Scope
 
@@ -34,9 +33,7 @@ class Served:
 @contextlib.contextmanager
 def served(service: Service, port: int = 0) -> Generator[Served]:
     """Serve until the block ends."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", port))
-        port = probe.getsockname()[1]
+    port = free_port("127.0.0.1", port)
     config = config_of(create_app(service), "127.0.0.1", port)
     config.lifespan, config.log_level = "off", "error"
     server = uvicorn.Server(config)

@@ -52,7 +52,7 @@ def board(tmp_path: Path) -> Iterator[dict[str, Any]]:
     """Serve a tiny registry with one local worker; SIGTERM must end it cleanly."""
     registry = release(tmp_path / "public", 0, 4)
     data = tmp_path / "board"
-    options = ["--data", data, "--port", "0", "--registry", registry]
+    options = ["--data", data, "--port", "0", "--registry", registry, "--no-references"]
     process = subprocess.Popen(
         [sys.executable, "-m", "assistax_zoo", "serve", *map(str, options)],
         cwd=ROOT,
@@ -98,6 +98,17 @@ def test_a_season_by_its_commands(board: dict[str, Any], tmp_path: Path) -> None
     root = command("season", "open", *season).strip()
     file = tmp_path / "robot.safetensors"
     write_policy_file(file, ROBOT, params_of(ROBOT, 7))
+    again = (
+        "submit",
+        file,
+        "--task",
+        "scratch",
+        "--method",
+        "again",
+        "--season",
+        "spring",
+        "--watch",
+    )
     checked = command(
         "submit", file, "--task", "scratch", "--check", "--registry", board["registry"], "--json"
     )
@@ -108,6 +119,13 @@ def test_a_season_by_its_commands(board: dict[str, Any], tmp_path: Path) -> None
     )
     found = json.loads(submitted)
     assert (found["state"], found["scores"].keys()) == ("scored", {"public", "A"})
+    assert (found["board_place"], found["of_methods"]) == (1, 1)
+    told = command(*again, **environment)
+    assert "place: 1 of 2 on http://127.0.0.1" in told, "the same robot shares its place"
+    assert f"mean return, public: {found['scores']['public']['mean']:.1f}" in told
+    scores = httpx2.get(f"{environment['ASSISTAX_ZOO_SERVER']}/api/boards/scratch").json()["scores"]
+    public = [score["figures"] for score in scores if score["panel"] == "public"]
+    assert public == [found["scores"]["public"]] * 2, "the same robot, the same score, every bit"
     (tmp_path / "receipt.json").write_text(json.dumps(found["receipt"]))
     key = found["receipt"]["content"]["key"]
     command("receipt", "verify", tmp_path / "receipt.json", "--key", key)

@@ -26,6 +26,17 @@ def season_router(site: Site) -> APIRouter:
 
         return site.page(request, id, LIVE, "submission.html", values)
 
+    @router.get("/submissions/{id}/standing.json")
+    def standing(id: str) -> dict[str, Any]:
+        found = site.submission(id)
+        board = site.boards.of(found.task)
+        row = board.of(id) if board else None
+        if board is None or row is None:
+            raise NotFoundError("It has no place yet: its score is not there.")
+        competing = sum(each.place is not None for each, _ in board.rows)
+        page = f"/tasks/{found.task}"
+        return {"board_place": row[0].place, "of_methods": competing, "board": page}
+
     @router.get("/submissions/{id}/receipt.json")
     def receipt(id: str) -> Response:
         found = site.queries.receipt(site.submission(id).id)

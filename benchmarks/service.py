@@ -1,0 +1,171 @@
+"""A server under load: readers of its pages, submitters who hand in and watch, and what is lost.
+
+The server is the real one, in a process of its own; a worker beside it brings made-up returns at
+once, so that what is measured is the server and not the physics. Times are those of clients; on a
+machine that does other work too, the server's own work for a request is the steadier figure.
+"""
+
+import dataclasses
+import multiprocessing
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx2
+
+from assistax_zoo.service.client import Client
+from benchmarks.pages import PageSpeed, read_pages
+
+TASK, ROBOT = "scratch", "scratch/ippo-d1-s0-v1/robot"
+FIRST = 5  # submissions that are on the board before the load begins
+SPAWN = multiprocessing.get_context("spawn")
+
+
+@dataclasses.dataclass(frozen=True)
+class ServiceSpeed:
+    """What a server did while many wanted something of it."""
+
+    pages: list[PageSpeed]
+    submitted: int
+    lost: int  # of them: not scored in the end
+    seconds_to_score: float  # mean, from handing in to being seen as scored
+    requests: int
+    server_cpu_ms: float  # of the server's process, for one request, anybody's
+    load: tuple[float, float]  # of the machine, before and after
+
+
+def measure_service(readers: int, submitters: int, seconds: float) -> ServiceSpeed:
+    """Let readers and submitters use a new server for a while, and count."""
+    from assistax_zoo.service.serve import open_service
+
+    before = os.getloadavg()[0]
+    with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as folder:
+        with _server(Path(folder)) as (process, address):
+            service = open_service(Path(folder))
+            work = service.create_token(("work",), label="made up")
+            tokens = [
+                service.create_token(("submit",), submitter=f"lab {n}") for n in range(submitters)
+            ]
+            worker = SPAWN.Process(target=_work, args=(address, work), daemon=True)
+            worker.start()
+            _submit_all(address, tokens[:FIRST], 0.0)
+            answers: Any = SPAWN.Queue()
+            args = (address, tokens, seconds, answers)
+            crowd = SPAWN.Process(target=_submit_all, args=args, daemon=True)
+            crowd.start()
+            cpu, count = _cpu(process.pid), _requests(address)
+            pages = read_pages(address, readers, seconds)
+            handed_in, times = answers.get(timeout=600)
+            cpu, count = _cpu(process.pid) - cpu, _requests(address) - count
+            worker.terminate()
+        states = [each.state for each in service.queries.submissions(limit=100_000)]
+        service.database.close()
+    return ServiceSpeed(
+        pages,
+        handed_in + FIRST,
+        handed_in + FIRST - states.count("scored"),
+        sum(times) / max(1, len(times)),
+        count,
+        1000 * cpu / max(1, count),
+        (before, os.getloadavg()[0]),
+    )
+
+
+@contextmanager
+def _server(folder: Path) -> Generator[tuple[Any, str]]:
+    words = ["serve", "--data", str(folder), "--port", "0", "--workers", "0", "--no-references"]
+    with (folder / "log").open("w") as log:
+        process = subprocess.Popen([sys.executable, "-m", "assistax_zoo", *words], stderr=log)
+    try:
+        address = ""
+        while process.poll() is None and not address:
+            time.sleep(0.1)
+            told = (folder / "log").read_text().split()
+            address = told[1] if len(told) > 1 else ""
+        Client(address).call("GET", "/api/health")  # it asks again until there is an answer
+        yield process, address
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def _work(address: str, token: str) -> None:
+    """Bring made-up returns for every job."""
+    import numpy as np
+    import polars as pl
+
+    from assistax_zoo.service.catalogue import ZooCatalogue, version_id
+    from assistax_zoo.service.scoring import encode_table
+    from zoo.registry import load_registry
+
+    client, rng = Client(address, token), np.random.default_rng(0)
+    versions = (version_id(ZooCatalogue(load_registry(), "fused").identity(TASK)),)
+    while True:
+        work = client.lease("made up", versions)
+        if work is None:
+            time.sleep(0.2)
+            continue
+        rows = [(name, k) for name in work.partners for k in range(work.episodes)]
+        table = pl.DataFrame(
+            {
+                "partner": [name for name, _ in rows],
+                "algorithm": [name.split("/")[1].split("-")[0] for name, _ in rows],
+                "disability": [name.split("-")[1] for name, _ in rows],
+                "episode": [k for _, k in rows],
+                "return": rng.normal(900, 50, len(rows)),
+                "success": [True] * len(rows),
+                "nonfinite": [False] * len(rows),
+            }
+        )
+        client.result(work, encode_table(table), 0.1)
+
+
+def _submit_all(
+    address: str, tokens: list[str], seconds: float, answers: Any = None
+) -> tuple[int, list[float]]:
+    """Let every lab hand in a robot, watch it to its end, and begin anew while there is time."""
+    from assistax_zoo.service.submitting import POLL_SECONDS, read_file
+    from assistax_zoo.service.vocabulary import FINAL_STATES
+
+    robot, end, times = read_file(Path(ROBOT)), time.monotonic() + seconds, []
+
+    def lab(number: int) -> None:
+        client, count = Client(address, tokens[number]), 0
+        time.sleep(seconds * number / len(tokens) / 4)  # not all in one moment
+        while count == 0 or time.monotonic() < end:
+            began, fields = time.monotonic(), {"task": TASK, "method": f"robot {count}"}
+            request = f"request-{seconds}-{count}"
+            id = client.submit(robot, request_id=request, **fields)["id"]
+            while client.submission(id)["state"] not in FINAL_STATES:
+                time.sleep(POLL_SECONDS)
+            times.append(time.monotonic() - began)
+            count += 1
+            time.sleep(5.0 if seconds else 0.0)
+
+    threads = [threading.Thread(target=lab, args=(n,)) for n in range(len(tokens))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    if answers is not None:
+        answers.put((len(times), times))
+    return len(times), times
+
+
+def _cpu(pid: int) -> float:
+    """Return the seconds of processors that a process has used."""
+    ticks = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
+
+
+def _requests(address: str) -> int:
+    text = httpx2.get(f"{address}/metrics", timeout=60).text
+    lines = [line for line in text.splitlines() if line.startswith("assistax_service_requests_tot")]
+    return round(sum(float(line.rpartition(" ")[2]) for line in lines))
