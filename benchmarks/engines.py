@@ -1,6 +1,7 @@
 """Do teams earn the same on two engines? Self-play of published teams, paired by team and start.
 
 python -m benchmarks.engines --task scratch --teams 30 --episodes 64
+python -m benchmarks.engines --task scratch --theirs fused --planted actuator_gear --factor 1.01
 """
 
 import tempfile
@@ -12,6 +13,7 @@ import polars as pl
 from cyclopts import run
 
 from assistax_envs import make
+from assistax_envs.physics import make_physics
 from assistax_zoo.console import print_json, stdout_is_data
 from evaluation.evaluator import run_job
 from evaluation.jobs import Job
@@ -21,18 +23,25 @@ from zoo.registry import load_registry
 EQUIVALENT = 0.005  # of the mean return: engines that differ by less are taken for the same
 
 
-def compare(task: str, teams: int, episodes: int, ours: str, theirs: str) -> dict[str, Any]:
-    """Return how the mean return of `ours` differs from that of `theirs`.
+def compare(
+    task: str,
+    teams: int,
+    episodes: int,
+    ours: str,
+    theirs: str,
+    planted: tuple[str, float] | None = None,
+) -> dict[str, Any]:
+    """Return how the mean return of `ours`, with a defect if one is planted, differs from `theirs`.
 
     Of the task's teams, `teams` are taken at even distances in the order of the registry, so that
     all algorithms and impairments are among them. The interval of 95% is over teams; the engines
     are equivalent where all of it is within `EQUIVALENT`.
     """
-    returns = {backend: _returns(task, teams, episodes, backend) for backend in (ours, theirs)}
-    means = {
-        b: table.group_by("ego_team").agg(pl.col("return").mean()) for b, table in returns.items()
-    }
-    joined = means[ours].join(means[theirs], on="ego_team", suffix="_theirs")
+    played = _returns(task, teams, episodes, ours, planted), _returns(task, teams, episodes, theirs)
+    means, means_theirs = (
+        table.group_by("ego_team").agg(pl.col("return").mean()) for table in played
+    )
+    joined = means.join(means_theirs, on="ego_team", suffix="_theirs")
     difference = (joined["return"] - joined["return_theirs"]).to_numpy()
     mean = float(joined["return_theirs"].mean())  # ty: ignore
     margin = 1.96 * float(difference.std(ddof=1)) / np.sqrt(len(difference))
@@ -44,13 +53,19 @@ def compare(task: str, teams: int, episodes: int, ours: str, theirs: str) -> dic
         "margin_share": margin / abs(mean),
         "equivalent": abs(float(difference.mean())) + margin < EQUIVALENT * abs(mean),
         "largest_of_a_team": float(np.abs(difference).max()),
-        "nonfinite": int(returns[ours]["nonfinite"].sum()),
-        "nonfinite_theirs": int(returns[theirs]["nonfinite"].sum()),
+        "nonfinite": int(played[0]["nonfinite"].sum()),
+        "nonfinite_theirs": int(played[1]["nonfinite"].sum()),
     }
 
 
-def _returns(task: str, teams: int, episodes: int, backend: str) -> pl.DataFrame:
+def _returns(
+    task: str, teams: int, episodes: int, backend: str, planted: tuple[str, float] | None = None
+) -> pl.DataFrame:
     registry, env = load_registry(), make(task, backend)
+    if planted:
+        field, factor = planted
+        getattr(env.model, field)[:] *= factor
+        env._physics = make_physics(env.model, env.backend)
     entries = {entry.id: entry for entry in registry.policies if entry.task == task}
     pairs = [
         (entry, entries[f"{entry.team}/human"])
@@ -79,11 +94,14 @@ def main(
     episodes: int = 64,
     ours: str = "fused",
     theirs: str = "native",
+    planted: str | None = None,
+    factor: float = 1.01,
 ) -> None:
-    """Print the comparison as JSON."""
+    """Print the comparison as JSON; `planted` is a field of the model that `ours` has wrong."""
+    defect = (planted, factor) if planted else None
     with stdout_is_data():
-        result = compare(task, teams, episodes, ours, theirs)
-    print_json({"task": task, "ours": ours, "theirs": theirs, **result})
+        result = compare(task, teams, episodes, ours, theirs, defect)
+    print_json({"task": task, "ours": ours, "theirs": theirs, "planted": defect, **result})
 
 
 if __name__ == "__main__":
