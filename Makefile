@@ -21,7 +21,7 @@ help:
 	@echo 'make clean      remove the virtual environment, the demo and caches'
 
 demo: $(STAMP)
-	$(BIN)/assistax-zoo evaluate --task scratch --policy scratch/ippo-d1-s0-v1/robot --split test --episodes 2 --out demo/evaluate
+	$(BIN)/assistax-zoo evaluate --task scratch --policy scratch/ppo-ego-s0-v1/robot --split test --episodes 2 --out demo/evaluate
 	$(BIN)/assistax-zoo crossplay --task scratch --egos 'scratch/*-s0-v1/robot' --partners 'scratch/*-s0-v1/human' --episodes 1 --out demo/crossplay
 	$(BIN)/assistax-zoo plot crossplay demo/crossplay --out demo/crossplay.png
 	@echo

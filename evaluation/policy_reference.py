@@ -11,7 +11,7 @@ from assistax_envs.versions import TASKS
 Kind = Literal["zoo", "file", "onnx", "python", "zero", "random"]
 
 FORMS = (
-    "an id such as scratch/ippo-d1-s0-v1/robot, FILE.safetensors, FILE.onnx, "
+    "an id such as scratch/ppo-ego-s0-v1/robot, FILE.safetensors, FILE.onnx, "
     "python:FILE.py:FACTORY, python:package.module:FACTORY, zero, or random"
 )
 # A task's id or glob; a registry that was added stands before it, such as lab:scratch/...

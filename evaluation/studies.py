@@ -27,6 +27,7 @@ from evaluation.sources import describe_sources
 from evaluation.summary import Context, CrossPlaySummary, EvaluationSummary, SplitName
 from population.ray_blocks import RayCluster
 from zoo.errors import RegistryVersionError, SplitError, listing
+from zoo.ids import EGO
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
 from zoo.splits import SIDES, parse_split
@@ -224,13 +225,15 @@ def in_release(
 ) -> list[PolicyEntry]:
     """Return the policies of a release that match.
 
-    A pattern that names a release is looked up in all.
+    A pattern that names a release is looked up in all. One that matches teams means them alone:
+    egos, which have no human, are taken where nothing else matches, as in "scratch/*-ego-*".
     """
     found: dict[str, PolicyEntry] = {}
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
         named = re.search(r"-v\d+(/|$)", pattern)
         chosen = registry.select(pattern, task=task, role=role, release=None if named else release)
-        found |= {entry.id: entry for entry in chosen}
+        teams = [entry for entry in chosen if entry.disability != EGO]
+        found |= {entry.id: entry for entry in teams or chosen}
     return [entry for entry in registry.policies if entry.id in found]
 
 

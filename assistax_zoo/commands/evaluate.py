@@ -41,7 +41,7 @@ def evaluate(
         json: Print JSON.
 
     Example:
-        assistax-zoo evaluate --task scratch --policy scratch/ippo-d1-s0-v1/robot --episodes 8
+        assistax-zoo evaluate --task scratch --policy scratch/ppo-ego-s0-v1/robot --episodes 8
         --out results
     """
     with stdout_is_data():

@@ -76,7 +76,7 @@ def test_a_wheel_does_the_three_jobs_with_a_remote(
         assert done.returncode == code, done.stderr
         return done.stderr if code else done.stdout
 
-    assert "948 policies" in call("assistax-zoo", "list")
+    assert "951 policies" in call("assistax-zoo", "list")
     evaluate = ("assistax-zoo", "evaluate", *PLAY, "--policy", f"{TEAM}/robot", "--split", "both")
     evaluate = (*evaluate, "--partners", PARTNERS, "--include-own", "--out", "results")
     told = call(*evaluate, code=1)

@@ -23,6 +23,17 @@ def test_a_glob_is_looked_up_in_one_release_unless_it_names_its_own() -> None:
         humans("scratch/mappo-*", "v0")
 
 
+def test_egos_join_a_cross_play_only_where_they_are_meant() -> None:
+    def robots(pattern):
+        found = in_release(load_registry(), pattern, "v1", task="scratch", role="robot")
+        return {entry.id for entry in found}
+
+    ego = "scratch/ppo-ego-s0-v1/robot"
+    assert len(robots("scratch/*")) == 198 and ego not in robots("scratch/*")
+    assert robots("scratch/*-ego-*") == robots(ego) == robots("scratch/ppo-*") == {ego}
+    assert robots(["scratch/ippo-d1-s0-v1/robot", ego]) == {"scratch/ippo-d1-s0-v1/robot", ego}
+
+
 def test_policies_of_another_environment_version_are_refused_with_the_releases_that_fit() -> None:
     registry = load_registry()
     check_env_version(registry, registry.select("arm_assist/*", release="v1"))

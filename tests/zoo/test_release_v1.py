@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from tools.paper_page.data import read_paper
+from zoo.ids import EGO
 from zoo.registry import load_registry
 
 ROOT = Path(__file__).parents[2]
@@ -14,9 +15,8 @@ REGISTRY = load_registry(ROOT / "registry.json")
 
 @pytest.mark.parametrize("role", ["human", "robot"])
 def test_release_v1_is_table_6(role: str) -> None:
-    found = Counter(
-        (e.task, e.algorithm, e.disability) for e in REGISTRY.select(release="v1", role=role)
-    )
+    teams = [e for e in REGISTRY.select(release="v1", role=role) if e.disability != EGO]
+    found = Counter((e.task, e.algorithm, e.disability) for e in teams)
     wanted = {
         (task, algorithm, f"d{setting}"): told["seeds"]
         for task, algorithms in read_paper()["population"].items()
@@ -24,8 +24,18 @@ def test_release_v1_is_table_6(role: str) -> None:
         for setting in range(1, told["settings"] + 1)
     }
     assert found == wanted and found.total() == 434
-    assert all(entry.self_play for entry in REGISTRY.select(release="v1"))
+    assert all(entry.self_play for entry in teams)
     assert REGISTRY.release == "v1"
+
+
+def test_each_task_has_an_ego_of_the_training_half() -> None:
+    egos = REGISTRY.data.egos
+    assert sorted(egos) == [
+        f"{task}/ppo-ego-s0-v1" for task in ("arm_assist", "bed_bath", "scratch")
+    ]
+    for team, ego in egos.items():
+        split = REGISTRY.split(team.partition("/")[0])
+        assert (ego.trained_against.split, ego.trained_against.sha256) == (split.id, split.sha256)
 
 
 def test_every_task_has_its_default_and_leave_one_out_splits() -> None:
