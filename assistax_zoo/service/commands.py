@@ -65,7 +65,8 @@ def serve(
         options = ["--backend", backend, *(["--registry", str(registry)] if registry else [])]
         local = address.replace("0.0.0.0", "127.0.0.1")
         with serving.local_workers(workers, local, own, options) as stop_workers:
-            serving.run_server(service, host, port, stop_workers)
+            pages = serving.page_folders(data, registry)
+            serving.run_server(service, host, port, stop_workers, **pages)
 
 
 def worker(

@@ -4,6 +4,7 @@ DIR/service.db      SQLite, if no other database is given
 DIR/artefacts/      robots, results and private releases by sha256, if no store is given
 DIR/signing-key.pem
 DIR/films/          of pairs of published policies, made when a reader asks
+DIR/crossplays/     a finished cross-play for each task, if the organiser puts them there
 DIR/worker-token    of the local workers; only the owner can read it
 """
 
@@ -81,6 +82,13 @@ def add_references_later(service: Service, seconds: float = SETTLED_SECONDS) -> 
     timer.daemon = True
     timer.start()
     return timer
+
+
+def page_folders(data: Path, registry: Path | None) -> dict[str, Path | None]:
+    """Return where pages find partners, their cross-plays, and films: see `pages.add_pages`."""
+    played = data / "crossplays"
+    crossplays = played if played.is_dir() else None
+    return {"films": data / "films", "registry": registry, "crossplays": crossplays}
 
 
 def first_token(service: Service) -> str | None:

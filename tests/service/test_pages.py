@@ -2,6 +2,7 @@
 
 import json
 import re
+import subprocess
 import threading
 from collections.abc import Iterator, Sequence
 from html.parser import HTMLParser
@@ -16,9 +17,10 @@ from assistax_zoo.service.pages.cache import PageCache
 from assistax_zoo.service.pages.charts import axis_over
 from assistax_zoo.service.pages.crossplays import PUBLISHED
 from assistax_zoo.service.pages.security import FIELD
-from assistax_zoo.service.pages.videos import Pair, Videos
+from assistax_zoo.service.pages.videos import Pair, Videos, run_command
 from assistax_zoo.service.queries import STATEMENT
 from tests.service.board_data import HOSTILE, make_app
+from tests.untrained import published, teams_of
 
 PAIR = "/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1"
 EXPLORER = "/tasks/scratch/explorer"
@@ -283,6 +285,24 @@ def test_a_form_is_answered_to_who_was_given_it(tmp_path: Path) -> None:
         cookie = next(iter(reader.cookies.jar))
         assert cookie.has_nonstandard_attr("HttpOnly")
         assert cookie.get_nonstandard_attr("SameSite") == "strict"
+
+
+def test_pages_of_another_registry_show_its_partners_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    registry = published(teams_of(2), tmp_path)
+    environments = []
+    monkeypatch.setattr(subprocess, "run", lambda *_, env, **__: environments.append(env))
+    run_command(["list"], registry)
+    assert environments[0]["ASSISTAX_ZOO_REGISTRY"] == str(registry)
+    with TestClient(make_app(tmp_path, (), registry=registry)) as reader:
+        listed = reader.get("/tasks/scratch/partners").text
+        assert "ippo-d9-s1-v0" in listed and "-v1" not in listed
+        assert reader.get("/partners/scratch/ippo-d9-s1-v0").status_code == 200
+        assert reader.get("/partners/scratch/ippo-d1-s0-v1").status_code == 404
+        assert reader.get(EXPLORER).status_code == 404
+        assert reader.get(PAIR.replace("v1", "v0")).status_code == 200
+        assert "explorer" not in reader.get("/tasks/scratch").text
 
 
 def test_two_hundred_readers_cost_one_rendering() -> None:

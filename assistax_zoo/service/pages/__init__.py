@@ -4,6 +4,7 @@ Rendered on the server from what `Queries` and the registry say. Everything but 
 about in the explorer works without scripts.
 """
 
+import functools
 from pathlib import Path
 from typing import Protocol
 
@@ -13,14 +14,14 @@ from starlette.responses import Response
 from assistax_zoo.service.pages.board_routes import board_router
 from assistax_zoo.service.pages.boards import Boards
 from assistax_zoo.service.pages.cache import PageCache, respond
-from assistax_zoo.service.pages.crossplays import CrossPlays
+from assistax_zoo.service.pages.crossplays import PUBLISHED, CrossPlays
 from assistax_zoo.service.pages.partner_routes import explorer_router, pair_router, partner_router
 from assistax_zoo.service.pages.rendering import static_files
 from assistax_zoo.service.pages.season_routes import season_router
 from assistax_zoo.service.pages.security import FormTokens, SecurityHeaders
 from assistax_zoo.service.pages.site import NotFoundError, Site
 from assistax_zoo.service.pages.submit_routes import submit_router
-from assistax_zoo.service.pages.videos import Videos
+from assistax_zoo.service.pages.videos import Videos, run_command
 from assistax_zoo.service.queries import Queries
 from zoo.registry import load_registry
 
@@ -66,18 +67,19 @@ def add_pages(
         service: the service.
         films: folder in which films of pairs are kept; one of this user's if not given.
         crossplays: folder with a finished cross-play for each task; the published ones of a
-            checkout if not given.
+            checkout if neither it nor a registry is given.
         registry: file that partners are read from; the installed one if not given.
         form_key: signs tokens of forms; the same one for all processes behind one address.
     """
-    played = CrossPlays(crossplays)
+    folder = (films or FILMS).expanduser()
+    played = CrossPlays(crossplays or (PUBLISHED if registry is None else folder / "none"))
     site = Site(
         tasks=service.catalogue.tasks,
         queries=service.queries,
         registry=load_registry(registry),
         crossplays=played,
         boards=Boards(service.queries, played),
-        videos=Videos((films or FILMS).expanduser()),
+        videos=Videos(folder, functools.partial(run_command, registry=registry)),
         cache=PageCache(),
         tokens=FormTokens(form_key),
     )

@@ -134,9 +134,9 @@ def card_values(site: Site, task: str, team: str) -> dict[str, Any]:
     crossplay = site.crossplays.of(task)
     partner = _partner(site, task, team)
     robots: list[tuple[str, float]] = []
-    if crossplay:
-        column = [one["team"] for one in crossplay.data["columns"]].index(partner.team)
-        returns = crossplay.values["return"][:, column].tolist()
+    teams = [one["team"] for one in crossplay.data["columns"]] if crossplay else []
+    if crossplay and partner.team in teams:
+        returns = crossplay.values["return"][:, teams.index(partner.team)].tolist()
         names = [one["team"].partition("/")[2] for one in crossplay.data["rows"]]
         robots = sorted(zip(names, returns, strict=True), key=lambda pair: -pair[1])
     training = partner.entry.training.model_dump(exclude={"hyperparameters", "notes"})

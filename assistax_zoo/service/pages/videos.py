@@ -22,6 +22,8 @@ from typing import Literal
 
 import polars as pl
 
+from zoo.locations import REGISTRY_VARIABLE
+
 State = Literal["none", "waiting", "making", "ready", "failed", "full"]
 WAITING = 50  # pairs in the queue; then the next is asked to come back
 EPISODES = 16  # whose returns stand beside a film
@@ -150,8 +152,12 @@ def play_command(pair: Pair, out: Path) -> list[str]:
     return ["crossplay", "--task", pair.task, *seats, "--out", str(out)]
 
 
-def run_command(arguments: Sequence[str]) -> None:
-    """Run a command of `assistax-zoo`, gently: readers of pages come first. It ends with us."""
+def run_command(arguments: Sequence[str], registry: Path | None = None) -> None:
+    """Run a command of `assistax-zoo`, gently: readers of pages come first. It ends with us.
+
+    The policies are the installed registry's if no other is given.
+    """
+    chosen = {} if registry is None else {REGISTRY_VARIABLE: str(registry.absolute())}
     command = [sys.executable, "-m", "assistax_zoo", *arguments]
     nice = ["nice", "-n", "10"] if shutil.which("nice") else []
     with_us = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
@@ -161,5 +167,5 @@ def run_command(arguments: Sequence[str]) -> None:
         timeout=SECONDS,
         stdin=subprocess.DEVNULL,
         capture_output=True,
-        env=os.environ | {"JAX_PLATFORMS": "cpu"},
+        env=os.environ | chosen | {"JAX_PLATFORMS": "cpu"},
     )
