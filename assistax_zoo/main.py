@@ -183,6 +183,7 @@ def build_app() -> App:
         for command, path in commands.items():
             group.command(path, name=command)
         app.command(group)
+    app.register_install_completion_command(help="Complete commands and options in this shell.")
     return app
 
 

@@ -121,7 +121,7 @@ def train_egos(
     *,
     backend: str = "auto",
     resume: bool = True,
-    tensorboard: Path | None = None,
+    tensorboard: Path | str | None = None,
     progress: "Callable[[Progress], None] | None" = None,
 ) -> TrainedEgos:
     """Train the robots and write a policy file for each.
@@ -134,7 +134,7 @@ def train_egos(
         folder: Folder of the run; default a new temporary one.
         backend: Physics, or "auto" for the fastest one here.
         resume: Whether to go on with a run that the folder holds.
-        tensorboard: Folder for TensorBoard event files.
+        tensorboard: Folder for TensorBoard event files, or "wandb:PROJECT".
         progress: Called after every dispatch.
     """
     split = training.split

@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import functools
 import importlib
 import itertools
 import subprocess
@@ -56,8 +57,8 @@ def play(
     """
     key = jax.random.key(np.uint32(episode_seeds(seed, [episode])[0]))
     likes = None if preference is None else [preference]
-    state = jax.jit(env.reset)(key[None], disability_params([disability], likes))
-    step = jax.jit(env.step)
+    reset, step = _programs(env)
+    state = reset(key[None], disability_params([disability], likes))
     yield state
     for _ in range(env.episode_length if steps is None else steps):
         seats = {"robot": robot, "human": human}
@@ -69,6 +70,12 @@ def play(
         if on_step is not None:
             on_step()
         yield state
+
+
+@functools.lru_cache(1)
+def _programs(env: Env) -> tuple[Callable[..., EnvState], Callable[..., EnvState]]:
+    """Compile once for all episodes that follow each other."""
+    return jax.jit(env.reset), jax.jit(env.step)
 
 
 def check_film(path: Path, fps: int, width: int, height: int) -> None:

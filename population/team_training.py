@@ -12,7 +12,9 @@ from population.run_folder import TrainedRun, read_trained_run
 
 if TYPE_CHECKING:
     from population.frozen_partners import FrozenPartners
+    from population.tensorboard import EventFiles
     from population.train import Progress
+    from population.wandb_runs import WandbRuns
 
 
 def train_teams(
@@ -29,7 +31,7 @@ def train_teams(
     checkpoint_every: int | None = None,
     updates_per_call: int | None = None,
     resume: bool = True,
-    tensorboard: Path | None = None,
+    tensorboard: Path | str | None = None,
     progress: "Callable[[Progress], None] | None" = None,
 ) -> TrainedRun:
     """Train teams of a robot and a human, every seed with every disability setting, in one program.
@@ -47,7 +49,7 @@ def train_teams(
         checkpoint_every: Updates between checkpoints; default the algorithm's.
         updates_per_call: Updates dispatched to the device at once; default the algorithm's.
         resume: Whether to go on with a run that the folder holds.
-        tensorboard: Folder for TensorBoard event files.
+        tensorboard: Folder for TensorBoard event files, or "wandb:PROJECT".
         progress: Called after every dispatch.
 
     Raises:
@@ -77,7 +79,7 @@ def run_training(
     *,
     partners: "FrozenPartners | None" = None,
     resume: bool = True,
-    tensorboard: Path | None = None,
+    tensorboard: Path | str | None = None,
     progress: "Callable[[Progress], None] | None" = None,
 ) -> TrainedRun:
     """Train a configured run, with event files if they are wanted, and read it back.
@@ -88,7 +90,7 @@ def run_training(
         folder: Folder of the run; default a new temporary one.
         partners: Frozen partners of egos, as `config.partners` names them.
         resume: Whether to go on with a run that the folder holds.
-        tensorboard: Folder for TensorBoard event files.
+        tensorboard: Folder for TensorBoard event files, or "wandb:PROJECT".
         progress: Called after every dispatch.
     """
     from assistax_envs import make
@@ -99,9 +101,7 @@ def run_training(
     with contextlib.ExitStack() as stack:
         files = None
         if tensorboard is not None:
-            from population.tensorboard import EventFiles
-
-            files = EventFiles(config, folder, tensorboard)
+            files = _log(config, folder, str(tensorboard))
             reports.insert(0, stack.enter_context(contextlib.closing(files)))
 
         def report(state: "Progress") -> None:
@@ -120,6 +120,16 @@ def run_training(
         if files is not None:
             files.catch_up()
     return read_trained_run(folder)
+
+
+def _log(config: TrainConfig, folder: Path, place: str) -> "EventFiles | WandbRuns":
+    """Return what writes or sends a run's reports."""
+    from population.tensorboard import EventFiles
+    from population.wandb_runs import PREFIX, WandbRuns
+
+    if place.startswith(PREFIX):
+        return WandbRuns(config, folder, place.removeprefix(PREFIX))
+    return EventFiles(config, folder, Path(place))
 
 
 def read_preset(path: Path, algorithm: str | None = None) -> tuple[str, dict[str, Any]]:

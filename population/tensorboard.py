@@ -82,16 +82,14 @@ class EventFiles:
         for file in self._files.values():
             file.close()
 
-    def _write(self, rows: pl.DataFrame, more: Mapping[str, float]) -> None:
-        tags = {name: tag(name) for name in rows.columns if name not in _NOT_SCALARS}
+    def _write(self, rows: pl.DataFrame, more: dict[str, float]) -> None:
         for row in rows.iter_rows(named=True):
             member, step = row["member"], row["steps"]
             if step <= self._written[member]:
                 continue
-            scalars = {tags[name]: row[name] for name in tags if row[name] is not None}
-            scalars.update(more)
             values = [
-                self._summary.Value(tag=name, simple_value=value) for name, value in scalars.items()
+                self._summary.Value(tag=name, simple_value=value)
+                for name, value in (scalars(row) | more).items()
             ]
             event = self._event(
                 step=step, wall_time=time.time(), summary=self._summary(value=values)
@@ -113,6 +111,12 @@ class EventFiles:
         for file in self._files.values():
             file.flush()
         self._flushed = time.monotonic()
+
+
+def scalars(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a row of metrics holds, by the names under which it is shown."""
+    shown = {name: value for name, value in row.items() if name not in _NOT_SCALARS}
+    return {tag(name): value for name, value in shown.items() if value is not None}
 
 
 def tag(metric: str) -> str:

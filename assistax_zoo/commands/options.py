@@ -138,8 +138,8 @@ class Training:
             updates are short.
         updates_per_call: Updates dispatched to the device at once; default 1 for PPO, 20 for SAC.
         resume: Go on with a run that the folder holds.
-        tensorboard: Folder for TensorBoard event files, which several runs may share; needs
-            assistax-zoo[tensorboard].
+        tensorboard: Where to show it: a folder for TensorBoard event files, which several runs may
+            share, or wandb:PROJECT; needs assistax-zoo[tensorboard] or assistax-zoo[wandb].
     """
 
     seeds: str = "1"
@@ -149,7 +149,7 @@ class Training:
     checkpoint_every: int | None = None
     updates_per_call: int | None = None
     resume: bool = True
-    tensorboard: Path | None = None
+    tensorboard: Annotated[str | None, Parameter(name=("--log", "--tensorboard"))] = None
 
     def what(self, steps: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return what is trained, as the functions of training take it.

@@ -244,3 +244,28 @@ def test_progress_off_a_terminal_is_lines_on_standard_error(
         "evaluate scratch: 1/4",
         "evaluate scratch: 4/4",
     ]
+
+
+def test_completion_is_installed_and_knows_the_commands(tmp_path: Path) -> None:
+    """In bash: a word that has begun is completed to what there is."""
+    done = subprocess.run(
+        [sys.executable, "-m", "assistax_zoo", "--install-completion", "--shell", "bash"],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env={**os.environ, "HOME": str(tmp_path), "SHELL": "/bin/bash"},
+    )
+    assert done.returncode == 0, done.stderr
+    script = """
+        source ~/.bashrc
+        words() {
+            COMP_WORDS=(assistax-zoo "$@"); COMP_CWORD=$#
+            _assistax_zoo
+            echo "${COMPREPLY[@]}"
+        }
+        words traj; words plot cr; words evaluate --tas
+    """
+    told = subprocess.run(
+        ["bash", "-c", script], capture_output=True, text=True, env={"HOME": str(tmp_path)}
+    )
+    assert told.stdout.split("\n")[:3] == ["trajectories", "crossplay", "--task"], told.stderr
