@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+import importlib
 from pathlib import Path
 from typing import Any
 
@@ -65,10 +66,9 @@ class WandbRuns:
 
 def _library() -> Any:
     try:
-        import wandb  # ty: ignore[unresolved-import]
+        return importlib.import_module("wandb")
     except ImportError:
         raise ValueError(
             "sending to Weights & Biases needs the package wandb; install it with: pip install "
             "'assistax-zoo[wandb]'"
         ) from None
-    return wandb
