@@ -78,9 +78,9 @@ def standings(
 def _rank_competitors(
     methods: Sequence[Method], resamples: int, seed: int
 ) -> dict[str, tuple[int, int]]:
-    """Return place and worst rank of each method that competes."""
+    """Return place and worst rank of each method that competes; a lone partner gives none."""
     names = [method.name for method in methods if method.competes]
-    if not names:
+    if not names or methods[0].returns.shape[1] < 2:
         return {}
     scores = [method.returns.mean(axis=2) for method in methods if method.competes]
     ranks = rank_methods(scores, resamples=resamples, seed=seed)

@@ -76,3 +76,12 @@ def test_a_method_that_missed_partners_is_refused_by_name() -> None:
         standings([method("x", 1, 5), short], Panel(DISABILITIES))
     with pytest.raises(ValueError, match="no methods"):
         standings([], Panel(DISABILITIES))
+
+
+def test_a_lone_partner_gives_figures_and_no_place() -> None:
+    methods = [Method(name, np.full((1, 1, 4), level)) for name, level in (("a", 1.0), ("b", 2.0))]
+    rows = standings(methods, Panel(("d1",)))
+    assert [(row.name, row.place, row.m_test.mean) for row in rows] == [
+        ("b", None, 2.0),
+        ("a", None, 1.0),
+    ]
