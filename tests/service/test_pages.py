@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from html.parser import HTMLParser
 from pathlib import Path
@@ -328,11 +329,29 @@ def test_a_page_is_rendered_anew_when_it_is_old_and_the_cache_is_bounded() -> No
     texts = iter("abc")
     assert cache.page("k", 1.0, lambda: next(texts)).body == b"a"
     assert cache.page("k", 1.0, lambda: next(texts)).body == b"a"
-    now[0] = 1.0
+    now[0] = 10.0
     assert cache.page("k", 1.0, lambda: next(texts)).body == b"b"
     for i in range(2000):
         cache.page(str(i), 1.0, lambda: "x")
     assert cache.page("k", 1.0, lambda: next(texts)).body == b"c"
+
+
+def test_nobody_waits_for_a_page_that_is_a_little_too_old() -> None:
+    now, may, done = [0.0], threading.Event(), threading.Event()
+    cache = PageCache(lambda: now[0])
+    cache.page("k", 1.0, lambda: "old")
+
+    def slow() -> str:
+        assert may.wait(10)
+        done.set()
+        return "new"
+
+    now[0] = 2.0
+    assert [cache.page("k", 1.0, slow).body for _ in range(3)] == [b"old"] * 3
+    may.set()
+    assert done.wait(10)
+    while cache.page("k", 1.0, lambda: "newer").body != b"new":
+        time.sleep(0.01)
 
 
 def test_an_axis_holds_its_values_and_leaves_the_others_out() -> None:

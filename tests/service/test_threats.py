@@ -52,7 +52,9 @@ def test_a_threat_without_a_test_would_be_found() -> None:
     head = "## Threat model\n| who | what | test |\n|---|---|---|\n"
     assert missing(f"{head}| steals | nothing | none |\n") == ["steals"]
     assert missing(f"{head}| steals | nothing | `test_api::test_nothing` |\n") == ["steals"]
-    assert missing(f"{head}| dials | nothing | `test_threats::test_the_server_dials_nobody` |") == []
+    assert (
+        missing(f"{head}| dials | nothing | `test_threats::test_the_server_dials_nobody` |") == []
+    )
 
 
 @pytest.fixture

@@ -1,20 +1,23 @@
 """Rendered pages, kept for a moment: two hundred readers of one board cost one rendering a second.
 
-A page may so be a second old. Nobody waits for a rendering that another thread has begun if there
-is an older copy to show.
+A page may so be a second old. Nobody waits for a rendering if there is a copy to show that is not
+much older.
 """
 
 import collections
+import contextlib
 import dataclasses
 import gzip
 import hashlib
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
 from starlette.requests import Request
 from starlette.responses import Response
 
+WAITING = 5.0  # seconds that a page may be too old and is still shown while a new one is made
 _PAGES = 512  # kept; addresses are made by readers, so there is no end of them
 _IMMUTABLE = "public, max-age=31536000, immutable"
 
@@ -44,10 +47,23 @@ class PageCache:
         self._entries: collections.OrderedDict[str, _Entry] = collections.OrderedDict()
 
     def page(self, key: str, seconds: float, render: Callable[[], str]) -> Page:
-        """Return the page of a key, rendered anew if it is older than `seconds`."""
+        """Return the page of a key, at most `seconds` old, or a little older while it is made."""
         entry = self._entry(key)
-        if entry.page and (self._clock() < entry.until or entry.lock.locked()):
+        age = self._clock() - entry.until
+        if entry.page and (age < 0 or entry.lock.locked()):
             return entry.page
+        if entry.page and age < WAITING:  # a board takes long when a score was added
+            behind = threading.Thread(target=self._try_to_renew, args=(entry, seconds, render))
+            behind.daemon = True
+            behind.start()
+            return entry.page
+        return self._renew(entry, seconds, render)
+
+    def _try_to_renew(self, *args: Any) -> None:
+        with contextlib.suppress(Exception):  # who finds no copy to be shown will see the error
+            self._renew(*args)
+
+    def _renew(self, entry: "_Entry", seconds: float, render: Callable[[], str]) -> Page:
         with entry.lock:
             if entry.page is None or self._clock() >= entry.until:
                 entry.page = pack(render().encode())
