@@ -63,7 +63,7 @@ class Renderer:
             _close, weakref.ref(self)
         )  # before the platform's own exit, which closes the display
         self._context.make_current()
-        self.model = build_dressed(task.name)
+        self.model = build_dressed(getattr(task, "scene", task.name))
         self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
         self.model.vis.quality.shadowsize = 2048
         # What is near is found as a contact, without a force of its own.
@@ -142,8 +142,9 @@ class Renderer:
 
     def _figures(self, one: "EnvState") -> Figures:
         seconds = float(one.step[0]) * SUBSTEPS * self.model.opt.timestep
+        reward = round(float(one.reward[0]), 2) + 0.0  # never -0.00
         return Figures(
-            title=f"{self._task.name}  {seconds:.2f} s  reward {float(one.reward[0]):.2f}",
+            title=f"{self._task.name}  {seconds:.2f} s  reward {reward:.2f}",
             terms={name: float(value[0]) for name, value in one.terms.items()},
             force=float(one.measures.force[0]),
             distance=float(one.measures.distance[0]),

@@ -174,7 +174,7 @@ class EvaluationResult(_Result):
         return tables.read_parquet(self.folder / tables.PARTNERS_FILE)
 
     def plot(self, path: Path | str, kind: FigureKind = "zsc") -> "Figure":
-        """Draw the result, write it as .png or .pdf, and return the figure.
+        """Draw the result, write it as .png, .pdf or .svg, and return the figure.
 
         Args:
             path: File to write.
@@ -231,7 +231,7 @@ class CrossPlayResult(_Result):
     def plot(
         self, path: Path | str, order: Literal["shared", "separate"] | None = None
     ) -> "Figure":
-        """Draw the clustered matrix, write it as .png or .pdf, and return the figure.
+        """Draw the clustered matrix, write it as .png, .pdf or .svg, and return the figure.
 
         Args:
             path: File to write.

@@ -97,6 +97,8 @@ def picture(tasks: Sequence[str], width: int = 480, height: int = 360) -> np.nda
         model = build_model(task)
         qpos = TASK_CLASSES[task](model).pose.angle
         shown = build_dressed(task), collision_model(model)
+        for field in ("cam_pos", "cam_quat", "cam_fovy"):  # both from where the picture is taken
+            getattr(shown[1], field)[0] = getattr(shown[0], field)[0]
         panes = [_draw(each, qpos, width, height) for each in shown]
         rows += [np.concatenate(panes, axis=1), _caption(task, model, 2 * width)]
     return np.concatenate(rows)

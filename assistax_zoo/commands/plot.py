@@ -17,7 +17,7 @@ def crossplay(folder: Path, /, *, out: Path, order: OrderName | None = None) -> 
 
     Args:
         folder: Folder that `assistax-zoo crossplay --out` filled.
-        out: Figure to write, .png or .pdf.
+        out: Figure to write, .png, .pdf or .svg.
         order: shared for one order of teams on both axes, or separate for one order each; default
             shared if possible.
 
@@ -36,7 +36,7 @@ def zsc(folders: tuple[Path, ...], /, *, out: Path) -> None:
     Args:
         folders: Folders that `assistax-zoo evaluate --split both --out` filled, one a method, named
             as in the figure.
-        out: Figure to write, .png or .pdf.
+        out: Figure to write, .png, .pdf or .svg.
 
     Example:
         assistax-zoo plot zsc results/ppo results/fcp --out zsc.pdf
@@ -50,7 +50,7 @@ def disability(folders: tuple[Path, ...], /, *, out: Path) -> None:
     Args:
         folders: Folders that `assistax-zoo evaluate --out` filled, one a method, named as in the
             figure.
-        out: Figure to write, .png or .pdf.
+        out: Figure to write, .png, .pdf or .svg.
 
     Example:
         assistax-zoo plot disability results/ppo --out disability.png
@@ -64,7 +64,7 @@ def preference(folders: tuple[Path, ...], /, *, out: Path) -> None:
     Args:
         folders: Folders that `assistax-zoo evaluate --out` filled, one a method, named as in the
             figure.
-        out: Figure to write, .png or .pdf.
+        out: Figure to write, .png, .pdf or .svg.
 
     Example:
         assistax-zoo plot preference results/ppo --out preference.png
@@ -78,7 +78,7 @@ def profile(folders: tuple[Path, ...], /, *, out: Path) -> None:
     Args:
         folders: Folders that `assistax-zoo evaluate --out` filled, one a method, named as in the
             figure.
-        out: Figure to write, .png or .pdf.
+        out: Figure to write, .png, .pdf or .svg.
 
     Example:
         assistax-zoo plot profile results/ppo results/fcp --out profile.pdf
@@ -91,7 +91,7 @@ def curves(run: Path, /, *, out: Path) -> None:
 
     Args:
         run: Folder that `assistax-zoo train --out` filled, or is filling.
-        out: Figure to write, .png or .pdf.
+        out: Figure to write, .png, .pdf or .svg.
 
     Example:
         assistax-zoo plot curves runs/scratch-ippo --out curves.pdf
@@ -107,7 +107,7 @@ def speed(measured: tuple[Path, ...], /, *, out: Path) -> None:
 
     Args:
         measured: Files with what `python -m benchmarks env --json` printed.
-        out: Figure to write, .png or .pdf.
+        out: Figure to write, .png, .pdf or .svg.
 
     Example:
         assistax-zoo plot speed native.json warp.json --out speed.png
@@ -123,7 +123,7 @@ def sweep(folder: Path, /, *, out: Path) -> None:
 
     Args:
         folder: Folder that `assistax-zoo sweep --out` filled.
-        out: Figure to write, .png or .pdf.
+        out: Figure to write, .png, .pdf or .svg.
 
     Example:
         assistax-zoo plot sweep sweeps/ippo --out sweep.pdf
@@ -137,10 +137,10 @@ def sweep(folder: Path, /, *, out: Path) -> None:
 def population(
     *, out: Path, task: str | None = None, release: str | None = None, registry: Path | None = None
 ) -> None:
-    """Draw the published partners as a treemap by algorithm and disability setting.
+    """Draw the published partners as a grid of algorithms and disability settings.
 
     Args:
-        out: Figure to write, .png or .pdf.
+        out: Figure to write, .png, .pdf or .svg.
         task: Only this task.
         release: Only this release, such as v0.
         registry: Registry to read instead of the installed one.

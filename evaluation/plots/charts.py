@@ -1,5 +1,7 @@
-"""Figures with one pair of axes: returns as bars and points, profiles, learning curves, speed."""
+"""Figures with one pair of axes: returns as dots, profiles, learning curves, speed."""
 
+import math
+import types
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,36 +12,77 @@ from matplotlib.ticker import EngFormatter, StrMethodFormatter
 
 from evaluation.plots import style
 
-_TRAIN, _TEST = "#9ecae1", "#08519c"
+_DASHES = ("--", ":", "-.", (0, (5, 1)), (0, (1, 3)), (0, (3, 1, 1, 1)), (0, (8, 3)), (0, (2, 2)))
 
 Summaries = Mapping[str, Mapping[str, Any]]  # what `evaluate` saved, by the method's name
 
 
-def zsc_bars(summaries: Summaries) -> Figure:
-    """Draw M_train beside M_test of each method, IQM and 95% interval (paper, Figures 6, 14)."""
-    figure, axes = _returns(summaries, "Zero-shot coordination", 1.8 + 1.1 * len(summaries))
-    sides = [("training partners", "m_train", _TRAIN, -0.19)]
-    sides += [("test partners", "m_test", _TEST, 0.19)]
-    for label, key, colour, shift in sides:
-        found = {i + shift: one[key] for i, one in enumerate(summaries.values()) if one[key]}
-        if found:
-            heights = [value["iqm"] for value in found.values()]
-            axes.bar(list(found), heights, 0.36, color=colour, label=label)
-        for place, value in found.items():
-            _whisker(axes, place, value, style.INK)
-            top = value["iqm_ci"][1] if value["iqm_ci"] else value["iqm"]
-            axes.annotate(
-                f"{value['iqm']:.0f}",
-                (place, max(top, 0)),
-                (0, 3),
-                textcoords="offset points",
-                ha="center",
-                fontsize=7,
-            )
-    _name_places(axes, list(summaries), 2)
-    axes.axhline(0, color=style.FAINT, linewidth=0.6)
-    axes.margins(y=0.12)
+def zsc_dots(
+    summaries: Summaries, lines: Mapping[str, float] = types.MappingProxyType({})
+) -> Figure:
+    """Draw M_train beside M_test of each method, IQM and 95% interval (paper, Figures 6, 14).
+
+    The axis holds the dots and what they are compared with; it does not begin at zero.
+
+    Args:
+        summaries: of `evaluate`.
+        lines: other returns to draw as lines, by name, beside those of the reference egos.
+    """
+    references = _references(summaries, lines)
+    width, head = 2.6 + 0.9 * len(summaries), 0.2 * ((len(references) + 1) // 3)
+    figure, axes = _returns(summaries, "Zero-shot coordination", width, head)
+    colours = style.algorithm_colours(summaries)
+    for i, (name, one) in enumerate(summaries.items()):
+        for key, shift, fill in (("m_train", -0.13, "white"), ("m_test", 0.13, colours[name])):
+            if value := one[key]:
+                _whisker(axes, i + shift, value, colours[name])
+                axes.plot(
+                    [i + shift], [value["iqm"]], "o", color=colours[name], markerfacecolor=fill
+                )
+                axes.annotate(
+                    f"{value['iqm']:.0f}",
+                    (i + shift, value["iqm"]),
+                    (7, 0),
+                    textcoords="offset points",
+                    va="center",
+                    fontsize=7,
+                )
+    for label, fill in (("training partners", "white"), ("test partners", style.FAINT)):
+        axes.plot([], [], "o", color=style.FAINT, markerfacecolor=fill, label=label)
+    for (name, value), dashes in zip(references.items(), _DASHES, strict=False):
+        axes.axhline(
+            value, color=style.MUTED, linewidth=0.9, linestyle=dashes, label=f"{name} {value:.0f}"
+        )
+    axes.set_ylim(*_zoom(summaries, references))
+    axes.grid(axis="y", color=style.GRID, linewidth=0.6)
+    axes.set_axisbelow(True)
+    _name_places(axes, list(summaries), 3)
     return figure
+
+
+def _zoom(summaries: Summaries, references: Mapping[str, float]) -> tuple[float, float]:
+    """Return limits that hold the dots with their intervals, and the references near them.
+
+    What is farther off has its value in the legend.
+    """
+    values = [one[key] for one in summaries.values() for key in ("m_train", "m_test") if one[key]]
+    ends = [end for value in values for end in (value["iqm_ci"] or [value["iqm"]])]
+    low, high = min(ends), max(ends)
+    spread = max(high - low, 0.02 * max(abs(low), abs(high)), 1e-6)
+    near = [value for value in references.values() if low - 3 * spread < value < high + 3 * spread]
+    low, high = min([low, *near]), max([high, *near])
+    room = 0.15 * max(high - low, spread)
+    return low - room, high + room
+
+
+def _references(summaries: Summaries, lines: Mapping[str, float]) -> dict[str, float]:
+    """Return what to compare with: references' IQM, of several methods their mean."""
+    found: dict[str, list[float]] = {name: [value] for name, value in lines.items()}
+    for summary in summaries.values():
+        for name, value in (summary.get("references") or {}).items():
+            if value is not None:
+                found.setdefault(name.replace("_", " "), []).append(value["iqm"])
+    return {name: sum(values) / len(values) for name, values in found.items()}
 
 
 def trait_points(summaries: Summaries, trait: str = "disability") -> Figure:
@@ -53,12 +96,14 @@ def trait_points(summaries: Summaries, trait: str = "disability") -> Figure:
     what = {"disability": "disability setting", "preference": "preference"}[trait]
     title = f"Return by the partner's {what}"
     figure, axes = _returns(summaries, title, 2.4 + 0.55 * len(settings))
+    colours = style.algorithm_colours(summaries)
     for i, (label, summary) in enumerate(summaries.items()):
         shift = (i - (len(summaries) - 1) / 2) * min(0.2, 0.7 / len(summaries))
         groups = summary.get(f"by_{trait}", {})
         found = {x + shift: groups[name] for x, name in enumerate(settings) if groups.get(name)}
-        heights, colour = [value["iqm"] for value in found.values()], style.dark(i)
-        axes.plot(list(found), heights, "o", color=colour, markersize=5, label=label)
+        heights, colour = [value["iqm"] for value in found.values()], colours[label]
+        mark = style.MARKERS[i % len(style.MARKERS)]
+        axes.plot(list(found), heights, mark, color=colour, markersize=5, label=label)
         for place, value in found.items():
             _whisker(axes, place, value, colour)
     _name_places(axes, settings, 3)
@@ -76,8 +121,8 @@ def performance_profile(profiles: Mapping[str, pl.DataFrame], *, task: str, capt
         caption: written below.
     """
     figure, axes = _lines(f"Performance profile: {task}", caption, "return")
-    for i, (name, profile) in enumerate(profiles.items()):
-        style.band(axes, profile, "threshold", "share", style.dark(i), name)
+    for name, colour in style.algorithm_colours(profiles).items():
+        style.band(axes, profiles[name], "threshold", "share", colour, name)
     axes.set_ylabel("share of pairs above it", fontsize=9)
     axes.set_ylim(0, 1.02)
     axes.legend(fontsize=8, frameon=False, loc="lower left")
@@ -110,25 +155,42 @@ def speed(measured: pl.DataFrame, *, caption: str) -> Figure:
         caption: written below.
     """
     title = "Open loop: environment steps per second"
-    figure, axes = _lines(title, caption, "simulations in the batch")
     groups = sorted(measured.select("task", "backend", "device").unique().rows())
-    for i, (task, backend, device) in enumerate(groups):
+    tasks = sorted({task for task, _, _ in groups})
+    kinds = sorted({(backend, device) for _, backend, device in groups})
+    palette = (*dict.fromkeys(style.ALGORITHMS.values()), *style.OTHERS)
+    columns = 2
+    head = 0.2 * -(-len(groups) // columns)
+    figure, axes = _lines(title, caption, "simulations in the batch", head)
+    for task, backend, device in groups:
         rows = measured.filter(task=task, backend=backend, device=device).sort("batch")
         axes.plot(
             rows["batch"],
             rows["env_steps_per_second"],
-            color=style.OKABE_ITO[i % len(style.OKABE_ITO)],
-            marker="o",
-            markersize=4,
+            color=palette[kinds.index((backend, device)) % len(palette)],
+            marker=style.MARKERS[tasks.index(task) % len(style.MARKERS)],
+            markersize=5,
+            markerfacecolor="none",
             label=f"{task}, {backend}, {device}",
+            clip_on=False,
         )
     axes.set_xscale("log", base=2)
     axes.set_yscale("log")
     axes.set_ylabel("environment steps / s", fontsize=9)
+    _whole_decades(axes, measured["env_steps_per_second"])
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    axes.tick_params(axis="x", labelsize=7)
     axes.yaxis.set_major_formatter(EngFormatter(sep=""))
-    axes.legend(fontsize=7, frameon=False, loc="lower right")
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, fontsize=7, frameon=False)
     return figure
+
+
+def _whole_decades(axes: Axes, values: pl.Series) -> None:
+    """Let a logarithmic axis begin and end at a power of ten, so that nothing is cut."""
+    known = [value for value in values.to_list() if value and value > 0]
+    if known:
+        low, high = math.floor(math.log10(min(known))), math.ceil(math.log10(max(known)))
+        axes.set_ylim(10.0**low, 10.0 ** max(high, low + 1))
 
 
 def provenance(summaries: Summaries) -> str:
@@ -149,8 +211,13 @@ def provenance(summaries: Summaries) -> str:
     return "\n".join(lines)
 
 
-def _returns(summaries: Summaries, title: str, width: float) -> tuple[Figure, Axes]:
-    """Return axes for the returns of evaluations, which are of one task."""
+def _returns(
+    summaries: Summaries, title: str, width: float, head: float = 0.0
+) -> tuple[Figure, Axes]:
+    """Return axes for the returns of evaluations, which are of one task.
+
+    `head` inches more are kept above them for a legend.
+    """
     if not summaries:
         raise ValueError("there is nothing to draw; give at least one folder that evaluate filled")
     tasks = {summary["task"] for summary in summaries.values()}
@@ -164,15 +231,16 @@ def _returns(summaries: Summaries, title: str, width: float) -> tuple[Figure, Ax
         f"IQM and 95% bootstrap interval, which generalises to new {'; new '.join(about)}.\n"
         f"{provenance(summaries)}"
     )
-    size = max(width, 6.2), 3.35, 0.42
+    size = max(width, 6.2), 3.35 + head, 0.42
     figure, axes = _axes(f"{title}: {tasks.pop()}", caption, size, (0.15, 2.5), "returns")
     axes.set_ylabel("return of an episode", fontsize=9, color=style.INK)
     axes.tick_params(axis="y", labelsize=8)
     return figure, axes
 
 
-def _lines(title: str, caption: str, x: str) -> tuple[Figure, Axes]:
-    figure, axes = _axes(title, caption, (6.4, 4.2, 0.15), (0.55, 3.1), "lines")
+def _lines(title: str, caption: str, x: str, head: float = 0.0) -> tuple[Figure, Axes]:
+    """Return axes for lines; `head` inches above them are kept for a legend."""
+    figure, axes = _axes(title, caption, (6.4, 4.2 + head, 0.15), (0.55, 3.1), "lines")
     axes.tick_params(labelsize=8)
     axes.grid(color=style.GRID, linewidth=0.6)
     axes.set_axisbelow(True)

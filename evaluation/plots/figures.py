@@ -12,9 +12,9 @@ from evaluation import curves, tables
 from evaluation.plots import charts
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import Order, arrange
+from evaluation.plots.population import population_grid
 from evaluation.plots.style import check_path, save_figure
 from evaluation.plots.sweep import sweep_panels
-from evaluation.plots.treemap import population_treemap
 from evaluation.provenance import check_whole
 
 
@@ -45,7 +45,7 @@ def evaluation_figure(folders: Sequence[Path], kind: str, path: Path) -> Figure:
         summaries[name] = tables.read_json(folder / tables.SUMMARY_FILE)
     if kind != "profile":
         drawn = (
-            charts.zsc_bars(summaries) if kind == "zsc" else charts.trait_points(summaries, kind)
+            charts.zsc_dots(summaries) if kind == "zsc" else charts.trait_points(summaries, kind)
         )
         return save_figure(drawn, path)
     read = [tables.read_parquet(folder / tables.PROFILE_FILE) for folder in folders]
@@ -113,15 +113,16 @@ def speed_figure(measured: Sequence[Path], path: Path) -> Figure:
 
 
 def population_figure(partners: Iterable[Any], path: Path) -> Figure:
-    """Draw partners, entries of a registry, as areas by algorithm and disability setting."""
+    """Draw partners, entries of a registry, as a grid of algorithms and disability settings."""
     check_path(path)
     entries = list(partners)
     rows = [{"task": e.task, "algorithm": e.algorithm, "disability": e.disability} for e in entries]
     releases = ", ".join(sorted({entry.release for entry in entries}))
     caption = (
-        f"n = {len(entries)} human partners of release {releases}. Areas are numbers of partners."
+        f"n = {len(entries)} human partners of release {releases}. Below each setting: the elbow's "
+        "range and the strength that are left."
     )
-    return save_figure(population_treemap(pl.DataFrame(rows), caption=caption), path)
+    return save_figure(population_grid(pl.DataFrame(rows), caption=caption), path)
 
 
 def _require(folder: Path, command: str, *names: str) -> None:

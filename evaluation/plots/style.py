@@ -1,8 +1,9 @@
-"""What all figures share: colours, and writing PNG or PDF without pyplot's global state."""
+"""What all figures share: colours, and writing files without pyplot's global state."""
 
 import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import polars as pl
@@ -14,7 +15,12 @@ from matplotlib.typing import ColorType
 
 from population.files import atomic_path
 
-FORMATS = (".png", ".pdf")
+FORMATS = (".png", ".pdf", ".svg")
+_UNDATED: dict[str, dict[str, Any]] = {
+    ".png": {"Software": None},
+    ".pdf": {"CreationDate": None, "Producer": None},
+    ".svg": {"Date": None, "Creator": None},
+}
 INK = "#222222"
 MUTED = "#555555"
 FAINT = "#8a8a8a"
@@ -22,14 +28,19 @@ GRID = "#e5e5e5"
 UNKNOWN = "#c8c8c8"  # a policy from outside the zoo
 COLOUR_MAP = "viridis"
 _CAPTION_LINE = 0.14  # inches
-# Okabe and Ito (2008); first those that are unlike the colours of disability settings.
-OKABE_ITO = ("#009E73", "#CC79A7", "#F0E442", "#D55E00", "#56B4E9", "#0072B2", "#E69F00", "#000000")
-# One hue for each level of the elbow's range, lighter as strength falls; blue, orange and grey
-# differ for every vision.
+# One colour for an algorithm in all figures and reports. They differ for every vision and in grey,
+# and from every colour of the map, beside which they stand. An ego has its algorithm's colour.
+ALGORITHMS = {
+    **{"ippo": "#1e0ff0", "mappo": "#e17800", "isac": "#1e0000", "masac": "#b41ec3"},
+    **{"ppo": "#1e0ff0", "sac": "#1e0000"},
+}
+OTHERS = ("#f0003c", "#690f00", "#ff78e1", "#a52d5a")  # of methods that are not ours
+MARKERS = ("o", "s", "^", "D", "v", "P")
+# One hue for each level of the elbow's range, lighter as strength falls; as far from the map.
 _DISABILITY = {
-    **{"d1": "#0b4fa0", "d2": "#4393d5", "d3": "#a6d5f7"},
-    **{"d4": "#8c2d04", "d5": "#e6550d", "d6": "#fdb777"},
-    **{"d7": "#151515", "d8": "#6a6a6a", "d9": "#b3b3b3"},
+    **{"d1": "#7800a5", "d2": "#5a4bff", "d3": "#b487f0"},
+    **{"d4": "#690000", "d5": "#c31e0f", "d6": "#ff7800"},
+    **{"d7": "#4b0f2d", "d8": "#964b5a", "d9": "#ffb4b4"},
 }
 
 
@@ -68,11 +79,6 @@ def band(axes: Axes, table: pl.DataFrame, x: str, y: str, colour: str, label: st
         axes.fill_between(*ends, color=colour, alpha=0.18, linewidth=0)
 
 
-def dark(number: int) -> str:
-    """Return one of the colours in turn, first those that are dark on white."""
-    return OKABE_ITO[(number + 5) % len(OKABE_ITO)]
-
-
 def _wrap(text: str, width: float) -> list[str]:
     return [
         line for part in text.split("\n") for line in textwrap.wrap(part, int(15.5 * (width - 0.4)))
@@ -83,24 +89,27 @@ def check_path(path: Path) -> None:
     """Check, before any work is done, that a figure can be written under its name."""
     if path.suffix.lower() not in FORMATS:
         raise ValueError(
-            f"{path.name} ends in {path.suffix or 'nothing'!r}; figures are written as .png or .pdf"
+            f"{path.name} ends in {path.suffix or 'nothing'!r}; figures are written as "
+            f"{', '.join(FORMATS)}"
         )
 
 
 def save_figure(figure: Figure, path: Path, dpi: int = 200) -> Figure:
-    """Write a figure as PNG or PDF, by the path's ending; equal figures give equal bytes."""
+    """Write a figure as PNG, PDF or SVG, by its ending; equal figures give equal bytes."""
     check_path(path)
-    pdf = path.suffix.lower() == ".pdf"
-    metadata = {"CreationDate": None, "Producer": None} if pdf else {"Software": None}
-    with atomic_path(path) as temporary, matplotlib.rc_context({"pdf.fonttype": 42}):
+    metadata = _UNDATED[path.suffix.lower()]
+    fixed = {"pdf.fonttype": 42, "svg.hashsalt": "assistax-zoo"}
+    with atomic_path(path) as temporary, matplotlib.rc_context(fixed):
         figure.savefig(temporary, dpi=dpi, metadata=metadata, format=path.suffix[1:].lower())
     return figure
 
 
 def algorithm_colours(names: Iterable[str | None]) -> dict[str, str]:
-    """Give each algorithm a colour, by its place in the alphabet; beyond eight they repeat."""
+    """Give each algorithm its colour; other methods take turns, by their place in the alphabet."""
     known = sorted({name for name in names if name is not None})
-    return {name: OKABE_ITO[i % len(OKABE_ITO)] for i, name in enumerate(known)}
+    others = [name for name in known if name.lower() not in ALGORITHMS]
+    spare = {name: OTHERS[i % len(OTHERS)] for i, name in enumerate(others)}
+    return {name: spare.get(name) or ALGORITHMS[name.lower()] for name in known}
 
 
 def disability_colours(names: Iterable[str | None]) -> dict[str, str]:

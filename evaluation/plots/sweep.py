@@ -79,14 +79,14 @@ def _panel(axes: Axes, name: str, shown: pl.DataFrame, best: pl.DataFrame) -> No
         axes.set_xticks(range(len(levels)), levels)
         axes.set_xlim(-0.6, len(levels) - 0.4)
     axes.scatter(
-        places, shown["final_return"], s=9, color=style.OKABE_ITO[5], alpha=0.6, linewidths=0
+        places, shown["final_return"], s=9, color=style.ALGORITHMS["ippo"], alpha=0.6, linewidths=0
     )
     axes.scatter(
         marked,
         best["final_return"],
         s=26,
         facecolors="none",
-        edgecolors=style.OKABE_ITO[3],
+        edgecolors=style.ALGORITHMS["mappo"],
         linewidths=1.2,
     )
     axes.set_xlabel(name, fontsize=8)

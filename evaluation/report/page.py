@@ -7,6 +7,7 @@ careless with an id shows its tags to the reader, and runs nothing.
 import base64
 import functools
 import io
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -20,7 +21,7 @@ from matplotlib.figure import Figure
 
 from assistax_envs.disability import DISABILITY_SETTINGS
 from evaluation import tables
-from evaluation.plots.charts import performance_profile, provenance, trait_points, zsc_bars
+from evaluation.plots.charts import performance_profile, provenance, trait_points, zsc_dots
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import arrange, short_names
 from evaluation.provenance import file_sha256, read_manifest
@@ -125,7 +126,7 @@ def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     told = {key: column for key, column in _PARTNER.items() if column in partners.columns}
     headings, columns = [*told], list(told.values())
     images = {
-        "returns with training and test partners": zsc_bars(named),
+        "returns with training and test partners": zsc_dots(named),
         "returns by the partner's disability setting": trait_points(named),
         "performance profile": drawn,
     }
@@ -173,12 +174,19 @@ def _crossplay(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     strategies = _read(folder, tables.STRATEGIES_FILE)
     listed = strategies["partners"] if strategies else ()
     return {
-        "data": matrix_data(pairs, order, strategies),
+        "data": matrix_data(pairs, order, strategies) | {"film": _film(folder, summary["task"])},
         "strategies": strategies,
         "short": _short([one["partner"] for one in listed])
         | _short([one["robot"] for one in listed]),
         "static": _embedded(crossplay_heatmap(arrange(pairs, order), summary), "png"),
     }
+
+
+def _film(folder: Path, task: str) -> str:
+    """Return the beginning of the command that films an episode of a pair, the first it played."""
+    command = (_read(folder, tables.RUN_FILE) or {}).get("command")
+    seed = re.search(r"--seed[ =](\d+)", str(command))
+    return f"assistax-zoo render --task {task}{f' --seed {seed[1]}' if seed else ''}"
 
 
 def _short(names: Sequence[str]) -> dict[str, str]:

@@ -37,7 +37,7 @@ def call(*words: object) -> int:
     return run(["plot", *map(str, words)])
 
 
-@pytest.mark.parametrize("ending", ["png", "pdf"])
+@pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
 @pytest.mark.parametrize("order", [(), ("--order", "separate")])
 def test_crossplay_draws_the_saved_matrix_and_says_where(
     crossplay_folder: Path,
@@ -85,7 +85,7 @@ def test_wrong_folders_and_names_get_one_line(
         "holds an evaluation; this figure is of a folder that `assistax-zoo crossplay"
         in failure(capfd, call("crossplay", evaluation_folder, "--out", out))
     )
-    assert "ends in '.jpg'; figures are written as .png or .pdf" in failure(
+    assert "ends in '.jpg'; figures are written as .png, .pdf, .svg" in failure(
         capfd, call("crossplay", crossplay_folder, "--out", tmp_path / "x.jpg")
     )
     (crossplay_folder / tables.ORDER_FILE).write_text("{")

@@ -1,18 +1,20 @@
 """Figures: what they show, in which order, and that they leave no state behind."""
 
 import itertools
+import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 import polars as pl
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -23,11 +25,11 @@ from evaluation.plots.charts import (
     performance_profile,
     speed,
     trait_points,
-    zsc_bars,
+    zsc_dots,
 )
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import Matrix, arrange, short_names
-from evaluation.plots.treemap import population_treemap
+from evaluation.plots.population import population_grid
 from tests.evaluation.episode_tables import (
     CONTEXT,
     Team,
@@ -38,6 +40,7 @@ from tests.evaluation.episode_tables import (
 )
 from tools.paper_page.panels import training_panels
 
+ROOT = Path(__file__).parents[2]
 # Machado et al. (2009), full severity, on linear RGB.
 COLOUR_VISION = {
     "normal": np.eye(3),
@@ -250,24 +253,25 @@ def test_planted_defect_an_order_of_another_table_is_caught():
         arrange(pairs[:-1], order)
 
 
-@pytest.mark.parametrize("ending", ["png", "pdf"])
+@pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
 def test_files_are_written_whole_and_equal_for_equal_figures(tmp_path: Path, ending: str):
     paths = [tmp_path / f"{name}.{ending}" for name in ("a", "b")]
     for path in paths:
         style.save_figure(draw(teams(4), clusters=2)[1], path)
     assert paths[0].read_bytes() == paths[1].read_bytes()
-    assert paths[0].read_bytes().startswith(b"\x89PNG" if ending == "png" else b"%PDF")
+    begin = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
+    assert paths[0].read_bytes().startswith(begin[ending])
     assert len(list(tmp_path.iterdir())) == 2
     with pytest.raises(
-        ValueError, match=r"x\.svg ends in '\.svg'; figures are written as \.png or \.pdf"
+        ValueError, match=r"x\.eps ends in '\.eps'; figures are written as \.png, \.pdf, \.svg"
     ):
-        style.save_figure(Figure(), tmp_path / "x.svg")
+        style.save_figure(Figure(), tmp_path / "x.eps")
 
 
 def test_drawing_never_imports_pyplot():
     code = (
         "import sys\n"
-        "from evaluation.plots import charts, heatmap, treemap\n"
+        "from evaluation.plots import charts, heatmap, population\n"
         "sys.exit('matplotlib.pyplot' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
@@ -283,21 +287,63 @@ def test_names_are_shortened_by_what_they_share_and_stay_apart():
     assert long == "...kage.of.mine:make_robot"
 
 
-@pytest.mark.parametrize("vision", COLOUR_VISION)
-def test_strip_colours_differ_for_every_colour_vision(vision: str):
-    def lab(colour: str) -> np.ndarray:
-        rgb = np.array(to_rgb(colour))
-        linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-        xyz = XYZ @ np.clip(COLOUR_VISION[vision] @ linear, 0, 1) / np.array([0.9505, 1.0, 1.0888])
-        f = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
-        return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+def lab(colour: str | np.ndarray, vision: str = "normal") -> np.ndarray:
+    """Return CIE Lab of a colour as seen with a vision."""
+    rgb = np.array(to_rgb(colour) if isinstance(colour, str) else colour)
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    xyz = XYZ @ np.clip(COLOUR_VISION[vision] @ linear, 0, 1) / np.array([0.9505, 1.0, 1.0888])
+    f = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
 
-    settings = style.disability_colours([f"d{i}" for i in range(1, 10)])
-    algorithms = style.algorithm_colours(["ippo", "isac", "mappo", "masac", "e", "f", "g", "h"])
-    assert len(set(settings.values())) == 9
-    for colours, least in ((settings, 20), (algorithms, 15)):
-        for (a, x), (b, y) in itertools.combinations(colours.items(), 2):
-            assert np.linalg.norm(lab(x) - lab(y)) > least, (a, b)
+
+def closest(colours: Iterable[str], others: Iterable[Any], vision: str) -> float:
+    """Return the least distance in Lab between two colours, one of each list."""
+    seen, beside = ([lab(one, vision) for one in many] for many in (colours, others))
+    return min(float(np.linalg.norm(one - other)) for one in seen for other in beside)
+
+
+SETTINGS = style.disability_colours([f"d{i}" for i in range(1, 10)])
+STRIP = style.algorithm_colours(["ippo", "isac", "mappo", "masac", "e", "f", "g", "h"])
+MAP = matplotlib.colormaps[style.COLOUR_MAP](np.linspace(0, 1, 64))[:, :3]
+
+
+@pytest.mark.parametrize("vision", COLOUR_VISION)
+@pytest.mark.parametrize(("colours", "least", "off"), [(SETTINGS, 25, 12), (STRIP, 20, 15)])
+def test_strip_colours_differ_for_every_colour_vision(
+    colours: dict[str, str], least: float, off: float, vision: str
+):
+    """From each other, and from the map of the matrix beside which they stand."""
+    assert len(set(colours.values())) == len(colours)
+    for one, other in itertools.combinations(colours.values(), 2):
+        assert closest([one], [other], vision) > least, (one, other)
+    assert closest(colours.values(), MAP, vision) > off
+
+
+@pytest.mark.parametrize(("near", "least"), [("#4393d5", 12), ("#6a6a6a", 12), ("#009E73", 15)])
+def test_a_blue_a_grey_or_a_green_would_be_too_near_to_the_map(near: str, least: float):
+    assert min(closest([near], MAP, vision) for vision in COLOUR_VISION) < least
+
+
+def test_algorithms_differ_in_grey_and_settings_grow_lighter_as_strength_falls():
+    ours = sorted(lab(STRIP[name])[0] for name in ("ippo", "isac", "mappo", "masac"))
+    assert min(np.diff(ours)) > 10
+    for first in (1, 4, 7):
+        lightness = [lab(SETTINGS[f"d{i}"])[0] for i in range(first, first + 3)]
+        assert min(np.diff(lightness)) > 12
+
+
+def test_an_algorithm_has_one_colour_whatever_stands_beside_it():
+    for names in (["masac"], ["ippo", "masac"], ["a", "masac", "z"]):
+        assert style.algorithm_colours(names)["masac"] == style.ALGORITHMS["masac"]
+    assert style.algorithm_colours(["PPO"])["PPO"] == style.ALGORITHMS["ippo"]
+    everywhere = {
+        path: re.findall(r"#[0-9a-fA-F]{6}", path.read_text(encoding="utf-8"))
+        for folder in ("evaluation", "assistax_zoo", "tools")
+        for path in (ROOT / folder).rglob("*.py")
+        if path.name != "style.py"
+    }
+    known = set(style.ALGORITHMS.values()) | set(SETTINGS.values())
+    assert [path for path, found in everywhere.items() if known & set(found)] == []
 
 
 def test_unknown_settings_get_colours_and_outsiders_grey():
@@ -326,27 +372,35 @@ def evaluations() -> dict[str, dict[str, Any]]:
     }
 
 
-def test_bars_are_as_high_as_the_iqm_and_whiskers_as_long_as_the_interval():
+def test_dots_stand_at_the_iqm_with_whiskers_as_long_as_the_interval():
     found = evaluations()
-    figure = zsc_bars(found)
+    figure = zsc_dots(found)
     axes = axes_by_label(figure)["returns"]
-    heights = sorted(bar.get_height() for bar in axes.patches)
-    assert heights == pytest.approx(
-        sorted(one[key]["iqm"] for one in found.values() for key in ("m_test", "m_train"))
-    )
+    dots = sorted(line.get_ydata()[0] for line in axes.lines if len(line.get_ydata()) == 1)
+    values = [one[key] for one in found.values() for key in ("m_test", "m_train")]
+    assert dots == pytest.approx(sorted(value["iqm"] for value in values))
     whiskers = sorted(tuple(line.get_ydata()) for line in axes.lines if len(line.get_ydata()) == 2)
-    expected = sorted(
-        tuple(one[key]["iqm_ci"]) for one in found.values() for key in ("m_test", "m_train")
-    )
-    np.testing.assert_allclose([pair for pair in whiskers if pair != (0, 0)], expected)
+    np.testing.assert_allclose(whiskers, sorted(tuple(value["iqm_ci"]) for value in values))
     written = " ".join("\n".join(texts(figure)).split())
     assert "ppo: 3 seeds × 4 train, 4 test partners × 2 episodes; scratch, release v0" in written
     assert "new partners; new seeds and partners" in written
 
 
-def test_a_side_that_was_not_evaluated_has_no_bar():
+def test_the_axis_holds_what_is_near_and_the_legend_says_the_rest():
+    found = evaluations()
+    found["ppo"]["references"] = {"zero_action": {"iqm": 3.0}, "script": None}
+    axes = axes_by_label(zsc_dots(found, {"self-play": 510.0}))["returns"]
+    low, high = axes.get_ylim()
+    ends = [end for one in found.values() for end in (*one["m_test"]["iqm_ci"],)]
+    assert 3.0 < low < min(ends) and max([*ends, 510.0]) < high
+    legend = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert legend == ["training partners", "test partners", "self-play 510", "zero action 3"]
+
+
+def test_a_side_that_was_not_evaluated_has_no_dot():
     found = {name: {**one, "m_train": None, "gap": None} for name, one in evaluations().items()}
-    assert len(axes_by_label(zsc_bars(found))["returns"].patches) == 2
+    lines = axes_by_label(zsc_dots(found))["returns"].lines
+    assert sum(len(line.get_ydata()) == 1 for line in lines) == 2
 
 
 def test_disability_points_and_mixed_tasks():
@@ -357,7 +411,7 @@ def test_disability_points_and_mixed_tasks():
     with pytest.raises(ValueError, match="several tasks, bed_bath, scratch"):
         trait_points(found)
     with pytest.raises(ValueError, match="nothing to draw"):
-        zsc_bars({})
+        zsc_dots({})
 
 
 def test_lines_are_the_saved_tables():
@@ -405,7 +459,7 @@ def bars(draw: Callable[[dict], Figure]) -> Figure:
     [
         *(partial(training, tasks) for tasks in (1, 2, 3)),
         speeds,
-        partial(bars, zsc_bars),
+        partial(bars, zsc_dots),
         partial(bars, trait_points),
     ],
 )
@@ -419,21 +473,45 @@ def test_the_caption_is_as_wide_as_the_figure_at_most(draw: Callable[[], Figure]
     assert ticks is not None and 0 < caption.y0 < caption.y1 < ticks.y0
 
 
-def test_treemap_areas_are_numbers_of_partners():
+def test_the_grid_has_the_number_of_partners_in_each_cell():
     rows = (
         [("scratch", "ippo", "d1")] * 6
         + [("scratch", "ippo", "d9")] * 3
-        + [("scratch", "isac", "d1")] * 3
+        + [("bed_bath", "isac", "d1")] * 2
     )
-    figure = population_treemap(
+    figure = population_grid(
         pl.DataFrame(rows, schema=["task", "algorithm", "disability"], orient="row"), caption="n"
     )
-    axes = axes_by_label(figure)["treemap:scratch"]
-    areas = [patch.get_width() * patch.get_height() for patch in axes.patches]
-    assert areas[0] == pytest.approx(2 * areas[1])
-    assert {"ippo (9)", "isac (3)"} <= {text.get_text() for text in axes.texts}
+    scratch = axes_by_label(figure)["population:scratch"]
+    cells = {text.get_position(): text.get_text() for text in scratch.texts}
+    assert cells[(0.47, 0.46)] == "6" and cells[(8.47, 0.46)] == "3"
+    assert cells[(9.47, 0.46)] == "9" and cells[(9.47, 1.46)] == "0"  # sums of ippo and isac
+    assert (1.47, 0.46) not in cells  # nobody
+    coloured = [to_hex(patch.get_facecolor()) for patch in scratch.patches]
+    assert coloured[0] == SETTINGS["d1"] and coloured[8] == SETTINGS["d9"]
     with pytest.raises(ValueError, match="the population is empty"):
-        population_treemap(pl.DataFrame(schema=["task", "algorithm", "disability"]), caption="n")
+        population_grid(pl.DataFrame(schema=["task", "algorithm", "disability"]), caption="n")
+
+
+def test_speeds_lie_inside_their_axes_below_the_legend():
+    columns = ["task", "backend", "device", "batch", "env_steps_per_second"]
+    rows = [
+        (task, backend, "NVIDIA H200", 2**n, 90.0 * 4**n)
+        for task in ("scratch", "bed_bath", "arm_assist")
+        for backend in ("fused", "mjx-warp", "native")
+        for n in range(1, 9)
+    ]
+    figure = speed(pl.DataFrame(rows, schema=columns, orient="row"), caption=LONG)
+    axes = axes_by_label(figure)["lines"]
+    low, high = axes.get_ylim()
+    assert all(low <= y <= high for line in axes.lines for y in line.get_ydata())
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    figure.canvas.draw()
+    legend = axes.get_legend().get_window_extent(renderer)
+    assert legend.y0 >= axes.get_window_extent().y1 - 1
+    width, _ = figure.get_size_inches() * figure.dpi
+    assert legend.x0 > 0 and legend.x1 < width
+    assert legend.y1 < figure.texts[0].get_window_extent(renderer).y0  # below the title
 
 
 def test_saved_matrix_survives_its_files(tmp_path: Path):

@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import subprocess
+from collections.abc import Generator
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from urllib.parse import urlencode
 import jinja2
 import numpy as np
 import pytest
+from playwright.sync_api import Browser
 
 from evaluation import derived, relative, tables
 from evaluation.provenance import seal, write_run
@@ -19,11 +21,12 @@ from evaluation.report import write_report
 from evaluation.report.matrix_data import matrix_data
 from evaluation.report.page import templates
 from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, team_id, teams
+from tests.service.browser import browsing
 from tests.system import CHROMIUM, needs
 
 ROOT = Path(__file__).parents[2]
 HOSTILE = "python:my</script><script>alert(1)</script>&amp;:f"
-COMMAND = "assistax-zoo crossplay --task scratch --out 'x & <y>'"
+COMMAND = "assistax-zoo crossplay --task scratch --seed 5 --out 'x & <y>'"
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +101,7 @@ def test_a_report_loads_nothing_from_elsewhere(crossplay: Path, evaluation: Path
 
 def test_a_crossplay_is_told_with_command_versions_and_hashes(crossplay: Path, tmp_path: Path):
     text = page_of(crossplay, tmp_path)
-    assert "assistax-zoo crossplay --task scratch --out &#39;x &amp; &lt;y&gt;&#39;" in text
+    assert "--task scratch --seed 5 --out &#39;x &amp; &lt;y&gt;&#39;" in text
     for told in (
         "Cross-play: scratch",
         "scratch-half-v0",
@@ -277,3 +280,79 @@ def test_a_browser_draws_the_matrix_and_finds_a_pair(crossplay: Path, tmp_path: 
         (tmp_path / "report.html").read_text().replace("const data =", "throw 1; const data =")
     )
     assert coloured(broken.as_uri(), tmp_path) < 0.05
+
+
+@pytest.fixture(scope="module")
+def browser() -> Generator[Browser]:
+    with browsing() as found:
+        yield found
+
+
+@pytest.mark.slow
+@needs("chromium", CHROMIUM)
+def test_a_held_pair_has_its_address_and_the_command_that_films_it(
+    browser: Browser, crossplay: Path, tmp_path: Path
+):
+    page_of(crossplay, tmp_path)
+    page = browser.new_page(viewport={"width": 1280, "height": 1400})
+    page.goto((tmp_path / "report.html").as_uri())
+    page.wait_for_selector("body[data-matrix]")
+    assert page.locator("#pair").is_hidden()
+    box = page.locator("#matrix").bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 0.6 * box["height"])
+    told = page.locator("#tip").inner_text()
+    robot, human = (re.search(rf"{seat} (\S+)", told)[1] for seat in ("robot", "human"))
+    address = page.locator("#pair-address").inner_text()
+    assert address == page.url and address.endswith(urlencode({"robot": robot, "human": human}))
+    command = page.locator("#pair-command").inner_text()
+    assert command == (
+        f"assistax-zoo render --task scratch --seed 5 --robot {robot} --human {human} "
+        "--out pair.mp4"
+    )
+    page.locator("#pair button").last.click()
+    page.wait_for_function(
+        "['copied', 'selected'].includes(document.querySelectorAll('#pair button')[1].textContent)"
+    )
+    fresh = browser.new_page()
+    fresh.goto(address)
+    fresh.wait_for_selector("body[data-matrix]")
+    assert f"human {human}" in fresh.locator("#tip").inner_text()
+    page.locator("#all").click()
+    assert page.locator("#pair").is_hidden() and "#" not in page.url
+
+
+@pytest.mark.slow
+@needs("chromium", CHROMIUM)
+def test_find_scrolls_to_what_it_finds_and_enter_to_the_next(browser: Browser, tmp_path: Path):
+    population = teams(120, ("ippo", "isac"), ("d1", "d9"))
+    table = episode_table(clustered_matrix(120, 3)[:, :, None], population, population)
+    folder = tmp_path / "large"
+    folder.mkdir()
+    tables.write_episodes(table, folder / tables.EPISODES_FILE)
+    derived.save_crossplay(folder, table, CONTEXT)
+    write_run(folder, COMMAND, simulated=True)
+    page_of(folder, tmp_path)
+    page = browser.new_page(viewport={"width": 1000, "height": 700})
+    page.goto((tmp_path / "report.html").as_uri())
+    page.wait_for_selector("body[data-matrix]")
+    name = team_id(population[77])
+
+    def shown() -> bytes:
+        return page.locator("#matrix").screenshot()
+
+    def pointed() -> str:
+        box = page.locator("#matrix").bounding_box()
+        assert box is not None
+        page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.55 * box["height"])
+        return page.locator("#tip").inner_text()
+
+    before, whole = shown(), pointed()
+    page.locator("#find").fill(name)
+    assert page.locator("#find").get_attribute("title") == "1 of 2"
+    first, near = shown(), pointed()
+    page.locator("#find").press("Enter")
+    assert page.locator("#find").get_attribute("title") == "2 of 2"
+    assert len({before, first, shown()}) == 3 and whole != near
+    page.locator("#find").fill("nobody")
+    assert page.locator("#find").get_attribute("title") == ""

@@ -7,11 +7,11 @@ import polars as pl
 from matplotlib.figure import Figure
 
 from assistax_envs.versions import PAPER_TASKS
-from evaluation.plots.charts import zsc_bars
+from evaluation.plots.charts import zsc_dots
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import arrange
+from evaluation.plots.population import population_grid
 from evaluation.plots.style import save_figure
-from evaluation.plots.treemap import population_treemap
 from tools.paper_page.data import METHODS, Results
 from tools.paper_page.panels import training_panels
 from tools.paper_page.pictures import picture_names
@@ -22,7 +22,7 @@ DPI = 130  # a 198 x 198 matrix keeps more than three points a cell
 
 def draw_figures(results: Results, folder: Path) -> list[Path]:
     """Draw every figure that the data allow; return the files, those of `picture_names`."""
-    draw: dict[str, Callable[[], Figure]] = {"population.png": lambda: _treemap(results)}
+    draw: dict[str, Callable[[], Figure]] = {"population.png": lambda: _population(results)}
     draw["curves.png"] = lambda: _curves(results)
     for task in PAPER_TASKS:
         draw[f"crossplay_{task}.png"] = lambda task=task: _heatmap(results, task)
@@ -34,16 +34,16 @@ def draw_figures(results: Results, folder: Path) -> list[Path]:
     return written
 
 
-def _treemap(results: Results) -> Figure:
+def _population(results: Results) -> Figure:
     rows = [
         {"task": e.task, "algorithm": e.algorithm, "disability": e.disability}
         for e in results.humans
     ]
     caption = (
         f"n = {len(rows)} human partners of release {results.release}. "
-        "Areas are numbers of partners."
+        "Below each setting: the elbow's range and the strength that are left."
     )
-    return population_treemap(pl.DataFrame(rows), caption=caption)
+    return population_grid(pl.DataFrame(rows), caption=caption)
 
 
 def _curves(results: Results) -> Figure:
@@ -67,4 +67,7 @@ def _heatmap(results: Results, task: str) -> Figure:
 
 def _bars(results: Results, task: str) -> Figure:
     found = {method.upper(): results.egos.get((task, method)) for method in METHODS}
-    return zsc_bars({name: egos.summary for name, egos in found.items() if egos})
+    summaries = {name: egos.summary for name, egos in found.items() if egos}
+    played = results.crossplay.get(task)
+    lines = {"self-play of all teams": played.summary["self_play"]["iqm"]} if played else {}
+    return zsc_dots(summaries, lines)

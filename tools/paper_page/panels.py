@@ -28,7 +28,7 @@ def training_panels(
     if not tasks:
         raise ValueError("there are no curves to draw; give those of at least one task")
     names = sorted(set(curves["algorithm"]))
-    colours = {name: style.dark(i) for i, name in enumerate(names)}
+    colours = style.algorithm_colours(names)
     width = _LEFT + len(tasks) * (_WIDTH + _GAP)
     bottom = _BOTTOM + style.caption_height(caption, width)
     height = _TOP + _HEIGHT + bottom

@@ -82,7 +82,7 @@ def population(results: Results, picture: Picture) -> str:
         else (f"Different from the paper's: {'; '.join(_differences(settings, paper))}.")
     )
     drawn = (
-        image(picture("population.png"), "Treemap of the population")
+        image(picture("population.png"), "The population by task, algorithm and setting")
         if ours
         else f"Figure 2: {MISSING}."
     )

@@ -300,6 +300,40 @@ function crossPlayMatrix(data, options = {}) {
     tip.style.top = place(top(row, cell), tip.offsetHeight, canvas.clientHeight);
   }
 
+  const quoted = (text) =>
+    /^[\w@%+=:,./-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
+
+  function hold(pair) {
+    // Keep a pair, or none: a report shows its address, and what films it.
+    pinned = pair;
+    const panel = byId("pair");
+    if (!panel) return;
+    panel.hidden = !pair;
+    if (!pair) {
+      history.replaceState(null, "", location.pathname + location.search);
+      return;
+    }
+    const names = { robot: robot(pair[0]).name, human: human(pair[1]).name };
+    history.replaceState(null, "", `#${new URLSearchParams(names)}`);
+    byId("pair-address").textContent = location.href;
+    const seats = `--robot ${quoted(names.robot)} --human ${quoted(names.human)}`;
+    byId("pair-command").textContent = `${data.film} ${seats} --out pair.mp4`;
+  }
+
+  async function copy(button) {
+    const source = byId(button.dataset.copy);
+    try {
+      await navigator.clipboard.writeText(source.textContent);
+      button.textContent = "copied";
+    } catch {
+      getSelection().selectAllChildren(source); // not allowed here: ready for Ctrl-C
+      button.textContent = "selected";
+    }
+    setTimeout(() => (button.textContent = "copy"), 1500);
+  }
+  for (const button of document.querySelectorAll("[data-copy]"))
+    button.addEventListener("click", () => copy(button));
+
   function open([row, column]) {
     if (options.address) location.assign(options.address(robot(row), human(column)));
   }
@@ -308,7 +342,7 @@ function crossPlayMatrix(data, options = {}) {
     // From pair to pair with the keyboard; the part that is shown follows.
     const [rows, columns] = counts(),
       keep = (at, count) => Math.max(0, Math.min(count - 1, at));
-    pinned = pinned ? [keep(pinned[0] + down, rows), keep(pinned[1] + right, columns)] : [0, 0];
+    hold(pinned ? [keep(pinned[0] + down, rows), keep(pinned[1] + right, columns)] : [0, 0]);
     const shown = plot.width / (plot.fit * state.zoom),
       high = plot.height / (plot.fit * state.zoom);
     state.x = Math.max(pinned[1] + 1 - shown, Math.min(pinned[1], state.x));
@@ -341,7 +375,7 @@ function crossPlayMatrix(data, options = {}) {
     const cell = plot.fit * state.zoom;
     state.x = column + 0.5 - plot.width / cell / 2;
     state.y = row + 0.5 - plot.height / cell / 2;
-    pinned = [row, column];
+    hold([row, column]);
     draw();
     tell(pinned);
   }
@@ -353,7 +387,8 @@ function crossPlayMatrix(data, options = {}) {
       const chosen = select.value;
       if (name === "measure") data.measures[chosen].values ??= await options.load(chosen);
       state[name] = chosen;
-      pinned = null;
+      hits = []; // their places are those of the order before
+      hold(null);
       tell(null);
       change();
     });
@@ -377,15 +412,45 @@ function crossPlayMatrix(data, options = {}) {
       draw();
     },
   );
+  // What is found, robots first; Enter goes from one to the next.
+  let hits = [],
+    hit = 0;
+
+  function seek(next) {
+    // Scroll and zoom to a hit, so that its name is read.
+    byId("find").title = hits.length ? `${next + 1} of ${hits.length}` : "";
+    if (!hits.length) return;
+    hit = next;
+    const [isRow, i] = hits[hit];
+    state.zoom = Math.max(state.zoom, 12 / plot.fit);
+    const cell = plot.fit * state.zoom;
+    if (isRow) state.y = i + 0.5 - plot.height / cell / 2;
+    else state.x = i + 0.5 - plot.width / cell / 2;
+    canvas.scrollIntoView({ block: "nearest" });
+  }
+
   byId("find").addEventListener("input", (event) => {
     found = event.target.value.trim().toLowerCase();
+    const named = (isRow, at, count) =>
+      [...Array(count).keys()]
+        .filter((i) => at(i).name.toLowerCase().includes(found))
+        .map((i) => [isRow, i]);
+    const [rows, columns] = counts();
+    hits = found ? [...named(true, robot, rows), ...named(false, human, columns)] : [];
+    seek(0);
+    draw();
+  });
+  byId("find").addEventListener("keydown", (event) => {
+    if (event.key !== "Enter" || !hits.length) return;
+    event.preventDefault();
+    seek((hit + (event.shiftKey ? hits.length - 1 : 1)) % hits.length);
     draw();
   });
   byId("in").addEventListener("click", () => zoom(1.6));
   byId("out").addEventListener("click", () => zoom(1 / 1.6));
   byId("all").addEventListener("click", () => {
     Object.assign(state, { zoom: 1, x: 0, y: 0 });
-    pinned = null;
+    hold(null);
     tell(null);
     draw();
   });
@@ -399,7 +464,7 @@ function crossPlayMatrix(data, options = {}) {
       open(pair);
       return;
     }
-    pinned = pinned && !isTouch ? null : pair;
+    hold(pinned && !isTouch ? null : pair);
     draw();
     tell(pinned ?? pair);
   }
