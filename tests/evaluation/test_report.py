@@ -300,7 +300,7 @@ def test_a_held_pair_has_its_address_and_the_command_that_films_it(
     assert page.locator("#pair").is_hidden()
     box = page.locator("#matrix").bounding_box()
     assert box is not None
-    page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 0.6 * box["height"])
+    page.mouse.click(box["x"] + 0.4 * box["width"], box["y"] + 0.6 * box["height"])
     told = page.locator("#tip").inner_text()
     robot, human = (re.search(rf"{seat} (\S+)", told)[1] for seat in ("robot", "human"))
     address = page.locator("#pair-address").inner_text()
@@ -344,6 +344,7 @@ def test_find_scrolls_to_what_it_finds_and_enter_to_the_next(browser: Browser, t
     def pointed() -> str:
         box = page.locator("#matrix").bounding_box()
         assert box is not None
+        page.mouse.move(0, 0)
         page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.55 * box["height"])
         return page.locator("#tip").inner_text()
 

@@ -420,6 +420,7 @@ function crossPlayMatrix(data, options = {}) {
     // Scroll and zoom to a hit, so that its name is read.
     byId("find").title = hits.length ? `${next + 1} of ${hits.length}` : "";
     if (!hits.length) return;
+    tell(null);
     hit = next;
     const [isRow, i] = hits[hit];
     state.zoom = Math.max(state.zoom, 12 / plot.fit);
