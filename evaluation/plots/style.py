@@ -98,7 +98,7 @@ def save_figure(figure: Figure, path: Path, dpi: int = 200) -> Figure:
     """Write a figure as PNG, PDF or SVG, by its ending; equal figures give equal bytes."""
     check_path(path)
     metadata = _UNDATED[path.suffix.lower()]
-    fixed = {"pdf.fonttype": 42, "svg.hashsalt": "assistax-zoo"}
+    fixed: dict[Any, Any] = {"pdf.fonttype": 42, "svg.hashsalt": "assistax-zoo"}
     with atomic_path(path) as temporary, matplotlib.rc_context(fixed):
         figure.savefig(temporary, dpi=dpi, metadata=metadata, format=path.suffix[1:].lower())
     return figure
