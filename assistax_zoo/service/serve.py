@@ -27,6 +27,7 @@ from uvicorn.protocols.http.auto import AutoHTTPProtocol
 from assistax_zoo.service import tokens
 from assistax_zoo.service.artefacts import Artefacts
 from assistax_zoo.service.catalogue import ZooCatalogue
+from assistax_zoo.service.commands import TOKEN_VARIABLE
 from assistax_zoo.service.database import Database
 from assistax_zoo.service.receipts import load_signer
 from assistax_zoo.service.service import Service
@@ -38,7 +39,6 @@ SETTLED_SECONDS = 120.0  # until references are queued
 STOP_SECONDS = 20  # for requests and jobs that are under way
 SILENT_SECONDS = 10.0  # a connection may say nothing, or half a request
 TAKING_LOOKS = 30  # times that long, a client may take for an answer
-TOKEN_VARIABLE = "ASSISTAX_ZOO_TOKEN"
 PARENT_VARIABLE = "ASSISTAX_ZOO_PARENT"  # a local worker ends when this process is gone
 
 
