@@ -18,6 +18,10 @@ from urllib.parse import unquote, urlsplit
 
 ROOT = Path(__file__).parents[1]
 BESIDE = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "LICENSE")  # pages outside docs/
+# A table or a list right below other text, which GitHub takes for one and Markdown of old does not.
+_BLOCK = re.compile(
+    r"^((?![|\s]|[-*] |\d+\. ).+\n)(\|.*\n\|[-:| ]+\|$|(?:[-*]|1\.) )", re.MULTILINE
+)
 _FETCHED = {"script": "src", "img": "src", "source": "src", "video": "src", "iframe": "src"}
 
 
@@ -61,7 +65,7 @@ def notebook_page(notebook: dict[str, Any], name: str, folder: Path) -> str:
                 parts.append(f"![Output of the cell above](images/{path.name})")
             elif "text/html" in data:  # without blank lines it is one block of HTML
                 html = re.sub(r"\n\s*\n", "\n", "".join(data["text/html"]))
-                parts.append(f'<div class="output">\n{html}\n</div>')
+                parts.append(f'<div style="overflow-x: auto">\n{html}\n</div>')
             else:
                 text = "".join(output.get("text") or data.get("text/plain", ""))
                 parts.append(f"```text\n{text.rstrip()}\n```")
@@ -129,6 +133,7 @@ def _write_pages(folder: Path) -> None:
 def _relink(text: str) -> str:
     """Return a page whose links lead to where things are in the site."""
     text = re.sub(r'(\]\(|src=")(?:docs/|\.\./)', r"\1", text)
+    text = _BLOCK.sub(r"\1\n\2", text)
     return re.sub(r"(\]\([\w-]+)\.ipynb([)#])", r"\1.md\2", text)
 
 

@@ -24,6 +24,13 @@ def test_every_page_is_built_and_in_the_navigation(built: Path) -> None:
         assert f'"{path.stem}.md"' in settings, f"{path.name} is not in nav of zensical.toml"
 
 
+def test_no_table_is_left_as_text(built: Path) -> None:
+    for path in built.glob("*.html"):
+        assert not re.search(r"<p>[^<]*\|\s*-{3,}", path.read_text(encoding="utf-8")), path.name
+    page = (built / "CONTRIBUTING.html").read_text(encoding="utf-8")
+    assert page.count("<table") == 2
+
+
 def test_every_name_has_its_place_in_the_reference(built: Path) -> None:
     page = (built / "api.html").read_text(encoding="utf-8")
     for name in az.__all__:
