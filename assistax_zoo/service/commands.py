@@ -304,6 +304,7 @@ def receipt_verify(file: Path, /, *, key: str, json: bool = False) -> None:
     import json as decoder
 
     receipt = decoder.loads(file.read_text(encoding="utf-8"))
+    receipt = receipt.get("receipt", receipt) if isinstance(receipt, dict) else receipt
     _print(_module("receipts").verify_receipt(receipt, key), json)
 
 
