@@ -147,7 +147,9 @@ def _own_files(module: ModuleType, foreign: list[str]) -> list[str]:
     """Return the module's file, then those of its folder and the working one that it imported."""
     own = Path(module.__file__ or "").resolve()
     found = [getattr(each, "__file__", None) for each in list(sys.modules.values())]
-    files = {Path(file).resolve() for file in found if file and file.endswith(".py")} - {own}
+    # Not all of them are there: PyTorch has a module whose file is said to be "_classes.py".
+    named = {Path(file).resolve() for file in found if file and file.endswith(".py")}
+    files = {file for file in named if file.is_file()} - {own}
     roots, others = (own.parent, Path.cwd()), [Path(folder) for folder in foreign]
 
     def is_own(file: Path) -> bool:

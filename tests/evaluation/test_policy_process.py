@@ -183,3 +183,19 @@ def test_its_process_ends_with_it_and_with_its_parent(folder: Path) -> None:
         check=True,
     )
     assert gone(int(done.stdout))
+
+
+def test_a_library_may_have_a_module_without_a_file(folder: Path) -> None:
+    """As PyTorch has: `torch.classes` says that it is in "_classes.py"."""
+    write(
+        folder / "mine.py",
+        """
+        import sys, types
+        import numpy as np
+        sys.modules["classes"] = types.ModuleType("classes")
+        sys.modules["classes"].__file__ = "_classes.py"
+        def make():
+            return lambda obs: np.zeros((len(obs), 7), np.float32)
+        """,
+    )
+    assert digest("python:mine.py:make")[0]
