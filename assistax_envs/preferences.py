@@ -17,20 +17,29 @@ class Preference:
 
     force: float  # N, of the tool on its arm
     speed: float  # m/s, of the tool over its skin
+    distance: float  # m, of the hook from its arm once that lies
 
     def __post_init__(self) -> None:
-        for name in ("force", "speed"):
+        for name in ("force", "speed", "distance"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"preferred {name} is {getattr(self, name)}; it must be above 0")
 
 
 FORCES = (2.0, 4.0, 8.0)  # N
 SPEEDS = (0.02, 0.04, 0.08)  # m/s
+DISTANCES = (0.1, 0.25, 0.6)  # m
+# What of it matters in a task, and is observed there.
+WISHES: dict[str, tuple[str, ...]] = {
+    "gentle_scratch": ("force", "speed"),
+    "gentle_bath": ("force", "speed"),
+    "gentle_lift": ("distance",),
+}
+VALUES = {"force": FORCES, "speed": SPEEDS, "distance": DISTANCES}
 
 # Speed runs fastest: p2 is the lightest touch at the middle speed, p4 the middle touch at the
-# slowest.
+# slowest. Each distance goes with each force and each speed once.
 PREFERENCES: dict[str, Preference] = {
-    f"p{1 + len(SPEEDS) * i + j}": Preference(force, speed)
+    f"p{1 + len(SPEEDS) * i + j}": Preference(force, speed, DISTANCES[(i + j + 2) % len(DISTANCES)])
     for i, force in enumerate(FORCES)
     for j, speed in enumerate(SPEEDS)
 }

@@ -39,8 +39,6 @@ class Chain:
         """Return how joints [N, 7] move a point [N, 3] of the hand, and turn the hand.
 
         [N, 3, 7] each, by the product of exponentials: a joint's axis is turned by those before it.
-
-        By the product of exponentials: a joint's axis is turned by those before it.
         """
         turned = jnp.zeros((angles.shape[0], 4)).at[:, 0].set(1.0)
         moved = jnp.zeros((angles.shape[0], 3))
@@ -62,17 +60,25 @@ class Chain:
         linear, _ = self.jacobian(obs[:, :7], obs[:, 14:17])
         return jnp.einsum("nij,nj->ni", linear, obs[:, 7:14])
 
-    def drive(self, obs: jax.Array, velocity: jax.Array, shaft: jax.Array) -> jax.Array:
+    def drive(
+        self,
+        obs: jax.Array,
+        velocity: jax.Array,
+        shaft: jax.Array,
+        turn: float = TURN,
+        damping: float = 1e-4,
+    ) -> jax.Array:
         """Return actions [N, 7] that move and turn the tool.
 
-        At `velocity` [N, 3] m/s, its shaft towards `shaft` [N, 3].
+        At `velocity` [N, 3] m/s, its shaft towards `shaft` [N, 3] with weight `turn`; 0 leaves the
+        shaft to itself. With more `damping`, m^2, a stretched arm gives up rather than swings.
         """
         tool, orientation = obs[:, 14:17], obs[:, 17:21]
         now = rotate(orientation, jnp.broadcast_to(-DOWN, tool.shape))
         linear, angular = self.jacobian(obs[:, :7], tool)
-        both = jnp.concatenate([linear, TURN * angular], axis=1)
-        wanted = jnp.concatenate([velocity, TURN * 1.5 * jnp.cross(now, shaft)], axis=1)
-        square = both @ jnp.swapaxes(both, 1, 2) + 1e-4 * jnp.eye(6)[None]
+        both = jnp.concatenate([linear, turn * angular], axis=1)
+        wanted = jnp.concatenate([velocity, turn * 1.5 * jnp.cross(now, shaft)], axis=1)
+        square = both @ jnp.swapaxes(both, 1, 2) + damping * jnp.eye(6)[None]
         rate = jnp.einsum("nij,ni->nj", both, jnp.linalg.solve(square, wanted[..., None])[..., 0])
         share = rate * self._share[None]
         return share / jnp.maximum(1.0, jnp.abs(share).max(axis=1, keepdims=True))
@@ -85,7 +91,7 @@ def scripted_robot(task: str, model: mujoco.MjModel) -> Callable[[jax.Array], ja
 
 def go(chain: Chain, obs: jax.Array) -> jax.Array:
     """Scratch and bed bath: to the target by the shortest way, and stay."""
-    return chain.drive(obs, capped(4.0 * obs[:, 30:33], 0.4), _down(obs))
+    return chain.drive(obs, capped(6.0 * obs[:, 30:33], 0.8), _down(obs), turn=0.0, damping=1e-3)
 
 
 def lift(chain: Chain, obs: jax.Array) -> jax.Array:
@@ -106,7 +112,9 @@ def stroke(chain: Chain, obs: jax.Array) -> jax.Array:
     descend = 2.0 * aside - 0.04 * normal
     rub = capped(8.0 * aside, 0.05) + jnp.clip(0.004 * (force - 4.0), -0.03, 0.03) * normal
     velocity = jnp.where(off > 0.03, above, jnp.where(force > 0.3, rub, descend))
-    return chain.drive(obs, velocity, capped(jnp.asarray(DOWN) - normal, 1.0))
+    return chain.drive(
+        obs, velocity, capped(jnp.asarray(DOWN) - normal, 1.0), turn=0.05, damping=1e-3
+    )
 
 
 def wipe(chain: Chain, obs: jax.Array) -> jax.Array:
@@ -129,16 +137,16 @@ def wipe(chain: Chain, obs: jax.Array) -> jax.Array:
 
 def bring(chain: Chain, obs: jax.Array) -> jax.Array:
     """Gentle lift: the bar under the forearm, with it to the waist, and away once it lies there."""
-    to_section, distance, to_waist, left = (
-        obs[:, 30:33],
-        obs[:, 33:34],
-        obs[:, 34:37],
-        obs[:, 37:38],
-    )
-    under = to_section + UNDER
-    carry = capped(4.0 * to_waist, 0.3) + 2.0 * to_section
-    velocity = jnp.where(distance < 0.08, carry, capped(3.0 * under, 0.2))
-    return chain.drive(obs, jnp.where(left < 0.05, 0.1 * DOWN, velocity), _down(obs))
+    to_section, to_waist, left = obs[:, 30:33], obs[:, 34:37], obs[:, 37:38]
+    along = obs[:, 24:27] - obs[:, 27:30]  # of an arm that hangs straight: towards the hand
+    along = along / jnp.linalg.norm(along, axis=-1, keepdims=True)
+    under = to_section + 0.08 * along + UNDER
+    # The forearm turns about the elbow: what is across it lifts, what is along it slips.
+    across = to_waist - (to_waist * along).sum(-1, keepdims=True) * along
+    carry = capped(8.0 * across, 1.0) + 2.0 * under
+    near = jnp.linalg.norm(under, axis=-1, keepdims=True) < 0.07
+    velocity = jnp.where(near, carry, capped(3.0 * under, 0.25))
+    return chain.drive(obs, jnp.where(left < 0.05, 0.15 * DOWN, velocity), _down(obs), damping=1e-3)
 
 
 SCRIPTS: dict[str, Callable[[Chain, jax.Array], jax.Array]] = {

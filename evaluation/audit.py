@@ -17,7 +17,7 @@ import numpy as np
 import polars as pl
 
 from assistax_envs import disability_params, make
-from assistax_envs.preferences import FORCES, PREFERENCES, SPEEDS, preferences_of
+from assistax_envs.preferences import PREFERENCES, VALUES, WISHES, preferences_of
 from assistax_envs.tasks.gentle_base import FELT, HARD, Liking
 from assistax_envs.versions import GENTLE_TASKS, VERSIONS
 from evaluation.audit_gates import Gate, condition_figures, gates_of, own_pairs, strange_pairs
@@ -62,7 +62,7 @@ class Others:
 
 
 class Mistaken:
-    """An environment whose human believes in another preference: the next force and the next speed.
+    """An environment whose human believes in another preference: the next force, speed, distance.
 
     The reward keeps the one that it has.
     """
@@ -81,11 +81,12 @@ class Mistaken:
         """See `Env.step`."""
         return self._exchanged(self._env.step(state, actions))
 
-    @staticmethod
-    def _exchanged(state: Any) -> Any:
-        likes = state.task.likes
-        believed = Liking(_next(likes.force, FORCES), _next(likes.speed, SPEEDS)).observed()
-        obs = {**state.obs, "human": state.obs["human"].at[:, -2:].set(believed)}
+    def _exchanged(self, state: Any) -> Any:
+        task, likes = self._env.task, state.task.likes
+        other = {wish: _next(getattr(likes, wish), values) for wish, values in VALUES.items()}
+        believed = Liking(**other).observed(task)
+        human = state.obs["human"].at[:, -len(WISHES[task]) :].set(believed)
+        obs = {**state.obs, "human": human}
         return dataclasses.replace(state, obs=obs)
 
 

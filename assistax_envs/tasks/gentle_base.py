@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax_envs.preferences import PREFERENCES
+from assistax_envs.preferences import PREFERENCES, VALUES, WISHES
 from assistax_envs.tasks.base import HUMAN_JOINTS, Pose, Readings, Sensors, rotate
 
 STEP = 0.02  # s, one control step
@@ -20,11 +20,7 @@ SOFT = 10.0  # N, a gentle touch, after Assistive Gym's limit
 # the least of them holds everywhere.
 HARD = 65.0
 FELT = 0.3  # N, from where on a touch counts as one
-LIGHTEST, MIDDLE_FORCE, MIDDLE_SPEED = (
-    0.1,
-    4.0,
-    0.04,
-)  # N for "lets go"; scales of the observed preference
+LIGHTEST = 0.1  # N, below which the hook has let go
 
 
 @jax.tree_util.register_dataclass
@@ -34,12 +30,12 @@ class Liking:
 
     force: jax.Array  # N
     speed: jax.Array  # m/s
+    distance: jax.Array  # m
 
-    def observed(self) -> jax.Array:
-        """Return what the human knows of it, [N, 2]: 0 for the middle one, logarithmic."""
-        return jnp.stack(
-            [jnp.log(self.force / MIDDLE_FORCE), jnp.log(self.speed / MIDDLE_SPEED)], axis=-1
-        )
+    def observed(self, task: str) -> jax.Array:
+        """Return what the human of a task knows of it, [N, W]: 0 for the middle, logarithmic."""
+        shares = (getattr(self, wish) / VALUES[wish][1] for wish in WISHES[task])
+        return jnp.stack([jnp.log(share) for share in shares], axis=-1)
 
 
 def liking(preference: jax.Array, key: jax.Array) -> Liking:
@@ -167,13 +163,12 @@ def costs(readings: TouchReadings, soft: float = SOFT) -> dict[str, jax.Array]:
 
 
 def with_preference(
-    obs: dict[str, jax.Array], likes: Liking, told: tuple[str, ...]
+    obs: dict[str, jax.Array], seen: jax.Array, told: tuple[str, ...]
 ) -> dict[str, jax.Array]:
-    """Add the preference to what central critics and the roles that are `told` observe.
+    """Add what only the human knows, `seen` [N, W], to what central critics and the `told` see.
 
     A human that is not told, for measurements, sees zeros in its place.
     """
-    seen = likes.observed()
     added = {"global": seen, "human": seen if "human" in told else jnp.zeros_like(seen)}
     added |= {"robot": seen} if "robot" in told else {}
     return {

@@ -39,6 +39,9 @@ UNDERSIDE = ((90.0, 280.0), (165.0, 385.0))
 ENOUGH = 20  # points wiped, of 30, that are success
 # m above the skin, where the way to a point is measured to: points that face the pad come first
 FACING = 0.03
+# m that half a turn of the arm counts for in that way. The shortest way to a point on the far side
+# leads through the arm: without this, teams wipe what one posture shows and never turn the arm.
+TURN = 0.2
 SMOOTH = 0.25  # share of a step's speed in the smoothed one
 WIPED = 9.0  # m, a distance beyond all others
 
@@ -73,7 +76,7 @@ class GentleBath:
         whatever: float = 0.2,
     ) -> None:
         """Prepare; `whatever` is the share of a point's pay that no liking changes."""
-        terms = {"progress": 10.0, "wipe": 10.0, "time": 0.1}
+        terms = {"progress": 20.0, "wipe": 10.0, "time": 0.1}
         self.weights = terms | COSTS | {"violation": 20.0} | (weights or {})
         self.pose = Pose(model, START)
         self.sensors = TouchSensors(model, self.pose)
@@ -84,7 +87,8 @@ class GentleBath:
         under = angle % 360.0 < high - low
         self._segment, self._offset = segment[under], offset[under]
         radial = self._offset * np.array([1.0, 1.0, 0.0], np.float32)
-        self._over = self._offset + FACING * radial / np.linalg.norm(radial, axis=1, keepdims=True)
+        self._outward = radial / np.linalg.norm(radial, axis=1, keepdims=True)
+        self._over = self._offset + FACING * self._outward
 
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, WipeState]:
         """Draw the start pose [nq] and, where it is not given, the preference."""
@@ -120,9 +124,9 @@ class GentleBath:
         """
         s, r = task_state, readings
         points, over = self._points(r, self._offset), self._points(r, self._over)
-        gap, way = _distance(points, r), _distance(over, r)
-        first = jnp.isnan(s.nearest)
+        gap, first = _distance(points, r), jnp.isnan(s.nearest)
         tool, drift, speed = self._slide(s, r, gap, first)
+        way = _distance(over, r) + TURN * self._turned_away(tool)
         gentle = (r.on_arm > PRESS) & (r.on_arm < SOFT) & (speed > SLIDE)
         hit = (gap < NEAR) & (s.left > 0) & gentle[:, None]
         liked = bump(r.on_arm, s.likes.force) * bump(speed, s.likes.speed)
@@ -145,7 +149,7 @@ class GentleBath:
             speed[:, None] * 10.0,
             left,
         )
-        obs = with_preference(observations(r, *goal), s.likes, self._told)
+        obs = with_preference(observations(r, *goal), s.likes.observed(self.name), self._told)
         violated = s.violated | (r.peak > HARD)
         state = WipeState(left, tool, drift, nearest, violated, s.likes)
         return state, obs, terms, Measures(r.force, near, done & ~violated, r.peak, violated)
@@ -164,6 +168,12 @@ class GentleBath:
         drift = s.drift + SMOOTH * (step - s.drift)
         nearest = jnp.asarray(self._segment)[gap.argmin(axis=1)]
         return tool, drift, along_skin(drift, tool)[jnp.arange(n), nearest]
+
+    def _turned_away(self, tool: jax.Array) -> jax.Array:
+        """Return how far points are turned from the tool [N, 2, 3]: 0, or 1 on the far side."""
+        at = tool[:, self._segment].at[..., 2].set(0.0)  # [N, K, 3], across the segment
+        at = at / jnp.maximum(jnp.linalg.norm(at, axis=-1, keepdims=True), 1e-6)
+        return 0.5 * (1.0 - (at * self._outward[None]).sum(axis=-1))
 
     def _points(self, r: TouchReadings, offset: np.ndarray) -> jax.Array:
         """Return where points of the segments' frames [K, 3] are, [N, K, 3] in the world."""

@@ -1,7 +1,7 @@
 """Gentle lift: the hanging forearm is brought beside the waist, and rests once the hook let go.
 
 Neither can do it alone: the human is too weak to lift its arm, and an arm that nobody holds slides
-off the bed.
+off the bed. Once it rests, the hook waits as near or as far as the human likes a robot to be.
 """
 
 import dataclasses
@@ -10,12 +10,19 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 
 from assistax_envs.tasks.arm_assist import LOWER_ARM, START
-from assistax_envs.tasks.base import Measures, Pose, observations, to_target
+from assistax_envs.tasks.base import (
+    HUMAN_ACTUATORS,
+    Measures,
+    Pose,
+    observations,
+    rotate,
+    to_target,
+)
 from assistax_envs.tasks.gentle_base import (
     COSTS,
-    FELT,
     HARD,
     LIGHTEST,
     STEP,
@@ -33,15 +40,34 @@ WAIST = (
     -0.26,
     0.77,
 )  # m: across the waist, by the bed's edge; an idle arm slides off it by 20 cm
+# rad: shoulder 1, shoulder 2, elbow of an arm that is rolled onto the bed and bent. Episodes start
+# anywhere between, as if it had slipped so far. Who always starts with the whole way finds its
+# first half, and stays there: docs/tasks.md.
+WAY = (
+    (-0.92, -0.97, -1.57),
+    (-0.74, -1.02, -1.57),
+    (-0.48, -1.05, -1.57),
+    (-0.22, -1.04, -1.57),
+    (0.02, -1.01, -1.57),
+    (0.22, -0.95, -1.57),
+    (0.38, -0.88, -1.57),
+    (0.53, -0.80, -1.57),
+    (0.54, -0.79, -1.33),
+    (0.54, -0.79, -1.09),
+    (0.54, -0.79, -0.85),
+    (0.54, -0.79, -0.60),
+    (0.54, -0.79, -0.25),
+)
+# m: where a bar lifts the forearm, from its middle towards the hand (with the lever of the whole
+# arm below the elbow) and down (its own and the arm's radius).
+HANDWARD, UNDER = 0.08, 0.045
 THERE = 0.06  # m
 CALM = 0.1  # m/s
-FAR = 0.25  # m from the waist: nearer, the hook's way to the arm is no longer paid for
 HOLD = 100  # steps of rest that are success: 2 s
 SWING = 0.4  # m/s of the forearm that costs nothing yet
 SOFT = 40.0  # N, the sum over the hook: a forearm and hand weigh 15 N
 WIDE = 0.08  # m, how the pay for being there falls off
-CARRY_FORCE, CARRY_SPEED = 5.0, 4.0  # of a carry: so many times the force and the speed of a touch
-WHATEVER = 0.2  # share of the pay for resting there that no liking of the carry changes
+WHATEVER = 0.2  # share of the pay for resting there that no liking changes
 
 
 @jax.tree_util.register_dataclass
@@ -52,9 +78,7 @@ class LiftState:
     waist: jax.Array  # [3] target, m
     section: jax.Array  # [3] middle of the forearm a step ago; NaN before the first step
     left: jax.Array  # m, from it to the target a step ago
-    distance: jax.Array  # m, from the hook to it a step ago
-    carried: jax.Array  # m, of the forearm towards the target, in the hook
-    liked: jax.Array  # m, of it as the human likes it
+    under: jax.Array  # m, from the hook to where it lifts the forearm, a step ago
     held: jax.Array  # int32, steps of rest in a row
     longest: jax.Array  # int32
     violated: jax.Array  # bool, some contact was above the hard limit
@@ -62,9 +86,9 @@ class LiftState:
 
 
 class GentleLift:
-    """Progress of the forearm to the waist and of the hook to it; pay for being there.
+    """Progress of the hook under the forearm, and of that to the waist; pay for being there.
 
-    Most of it without a touch.
+    Most of it without a touch, with the hook at the distance that the human likes.
     """
 
     name = "gentle_lift"
@@ -85,24 +109,24 @@ class GentleLift:
         self.pose = Pose(model, START)
         self.sensors = TouchSensors(model, self.pose)
         self._told = told
+        joints = [model.joint(name) for name in HUMAN_ACTUATORS]
+        self._arm = np.array([joint.qposadr[0] for joint in joints])
 
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, LiftState]:
         """Draw the start pose [nq] and, where it is not given, the preference."""
-        pose_key, likes_key = jax.random.split(key)
+        pose_key, likes_key, start_key = jax.random.split(key, 3)
         nan, zero = jnp.full((), jnp.nan, jnp.float32), jnp.zeros((), jnp.int32)
         state = LiftState(
             waist=jnp.asarray(WAIST, jnp.float32),
             section=jnp.full(3, jnp.nan, jnp.float32),
             left=nan,
-            distance=nan,
-            carried=jnp.zeros((), jnp.float32),
-            liked=jnp.zeros((), jnp.float32),
+            under=nan,
             held=zero,
             longest=zero,
             violated=jnp.zeros((), bool),
             likes=liking(params.preference, likes_key),
         )
-        return self.pose.draw(pose_key), state
+        return self._slipped(self.pose.draw(pose_key), start_key), state
 
     def targets(self, task_state: LiftState, readings: TouchReadings) -> dict[str, jax.Array]:
         """See `Task.targets`: the section of the forearm, and where it should go."""
@@ -124,16 +148,13 @@ class GentleLift:
         first = jnp.isnan(s.left)
         speed = jnp.linalg.norm(jnp.where(first[:, None], 0.0, section - s.section), axis=-1) / STEP
         rest = (left < THERE) & (speed < CALM) & (r.force < LIGHTEST)
-        way = jnp.where(first | (r.force < FELT), 0.0, jnp.maximum(s.left - left, 0.0))
-        likes = s.likes
-        fits = bump(r.force, CARRY_FORCE * likes.force) * bump(speed, CARRY_SPEED * likes.speed)
-        carried, liked = s.carried + way, s.liked + way * fits
-        content = WHATEVER + (1.0 - WHATEVER) * liked / jnp.maximum(carried, 0.05)
+        _, under = to_target(_lifted_at(section, r), r)
+        liked = bump(distance, s.likes.distance) ** 2
         terms = {
-            "approach": jnp.where(first | (left < FAR), 0.0, s.distance - distance),
+            "approach": jnp.where(first | (left < THERE), 0.0, s.under - under),
             "lift": jnp.where(first, 0.0, s.left - left),
             "there": jnp.exp(-((left / WIDE) ** 2)) * jnp.exp(-((speed / CALM) ** 2)),
-            "rest": rest * content,
+            "rest": rest * (WHATEVER + (1.0 - WHATEVER) * liked),
             "swing": -jnp.minimum(1.0, jnp.maximum(speed - SWING, 0.0) / SWING),
         } | costs(r, SOFT)
         held = jnp.where(rest, s.held + 1, 0)
@@ -147,11 +168,21 @@ class GentleLift:
             r.force[:, None] / 10.0,
             jnp.minimum(held, HOLD)[:, None] / HOLD,
             speed[:, None] * 10.0,
-            content[:, None],
         )
-        obs = with_preference(observations(r, *goal), s.likes, self._told)
-        state = LiftState(
-            s.waist, section, left, distance, carried, liked, held, longest, violated, s.likes
-        )
+        obs = with_preference(observations(r, *goal), s.likes.observed(self.name), self._told)
+        state = LiftState(s.waist, section, left, under, held, longest, violated, s.likes)
         done = (longest >= HOLD) & ~violated
         return state, obs, terms, Measures(r.force, left, done, r.peak, violated)
+
+    def _slipped(self, pose: jax.Array, key: jax.Array) -> jax.Array:
+        """Return the pose [nq] with the arm somewhere on its way."""
+        way = jnp.asarray(WAY, jnp.float32)
+        place = jax.random.uniform(key, maxval=len(WAY) - 1.0)
+        arm = jnp.stack([jnp.interp(place, jnp.arange(len(WAY)), joint) for joint in way.T])
+        return pose.at[self._arm].add(arm - self.pose.angle[self._arm])
+
+
+def _lifted_at(section: jax.Array, r: TouchReadings) -> jax.Array:
+    """Return where a bar lifts forearms whose middles are at `section` [N, 3]."""
+    handward = jnp.broadcast_to(jnp.array([[0.0, 0.0, -HANDWARD]]), section.shape)
+    return (section + rotate(r.arm_orientation[:, LOWER_ARM], handward)).at[:, 2].add(-UNDER)

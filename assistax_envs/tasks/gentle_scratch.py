@@ -153,8 +153,10 @@ class GentleScratch:
             strokes=s.strokes + arrived,
             violated=s.violated | (r.peak > HARD),
         )
-        goal, left = self._goal(after, r, step, time, liked)
-        obs = with_preference(observations(r, *goal), s.likes, self._told)
+        goal, left = self._goal(after, r, step, time)
+        # How well the force was liked is for the human to feel: a robot that saw it would be told.
+        seen = jnp.column_stack([liked / time, s.likes.observed(self.name)])
+        obs = with_preference(observations(r, *goal), seen, self._told)
         done = (after.strokes >= ENOUGH) & ~after.violated
         return (
             dataclasses.replace(after, distance=left),
@@ -164,7 +166,7 @@ class GentleScratch:
         )
 
     def _goal(
-        self, s: StrokeState, r: TouchReadings, step: jax.Array, time: jax.Array, liked: jax.Array
+        self, s: StrokeState, r: TouchReadings, step: jax.Array, time: jax.Array
     ) -> tuple[tuple[jax.Array, ...], jax.Array]:
         """Return what is observed of the goal, and the distance [N] to the end that comes next."""
         row = jnp.arange(s.side.shape[0])
@@ -184,7 +186,6 @@ class GentleScratch:
             rotate(turn, step) / STEP,  # m/s, over the skin
             r.force[:, None] / 10.0,
             jnp.minimum(time, 50.0)[:, None] / 25.0,
-            (liked / time)[:, None],
             jnp.minimum(s.strokes, ENOUGH)[:, None] / ENOUGH,
         )
         return goal, left

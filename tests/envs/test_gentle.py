@@ -6,6 +6,7 @@ Nothing here depends on what a task pays for.
 import ast
 import dataclasses
 import inspect
+import itertools
 from typing import Any
 
 import jax
@@ -28,7 +29,7 @@ from assistax_envs.models.gentle_scenes import (
     touching,
 )
 from assistax_envs.physics import PhysicsState
-from assistax_envs.preferences import FORCES, PREFERENCES, SPEEDS, Preference
+from assistax_envs.preferences import FORCES, PREFERENCES, SPEEDS, VALUES, WISHES, Preference
 from assistax_envs.scripted import SCRIPTS, Chain, scripted_robot
 from assistax_envs.tasks import gentle_base
 from assistax_envs.tasks.base import HUMAN_JOINTS, Readings
@@ -192,7 +193,7 @@ def test_forces_turn_from_the_contacts_frame_into_the_worlds() -> None:
 
 def test_a_bump_is_one_at_its_best_and_less_elsewhere() -> None:
     x = jnp.linspace(0.0, 50.0, 501)
-    for best in (*FORCES, *SPEEDS):
+    for best in itertools.chain(*VALUES.values()):
         values = np.asarray(bump(x, jnp.float32(best)))
         assert float(bump(jnp.float32(best), jnp.float32(best))) == pytest.approx(1.0)
         assert values.max() <= 1.0 + 1e-6 and values.min() >= 0.0 and values[0] == 0.0
@@ -275,8 +276,11 @@ def test_names_go_through_all_forces_and_speeds() -> None:
     assert {(one.force, one.speed) for one in PREFERENCES.values()} == {
         (force, speed) for force in FORCES for speed in SPEEDS
     }
+    for wish in ("force", "speed"):  # each distance goes with each of them once
+        pairs = {(getattr(one, wish), one.distance) for one in PREFERENCES.values()}
+        assert len(pairs) == len(PREFERENCES)
     with pytest.raises(ValueError, match="preferred speed is 0"):
-        Preference(4.0, 0.0)
+        Preference(4.0, 0.0, 0.1)
 
 
 @each_gentle_task
@@ -291,6 +295,7 @@ def test_a_given_preference_is_kept_and_an_open_one_is_drawn_evenly(task: str) -
         wanted = [PREFERENCES[name] for name in given]
         np.testing.assert_allclose(state.task.likes.force, [one.force for one in wanted])
         np.testing.assert_allclose(state.task.likes.speed, [one.speed for one in wanted])
+        np.testing.assert_allclose(state.task.likes.distance, [one.distance for one in wanted])
     drawn = reset(keys, disability_params(["d1"] * N)).task.likes
     pairs = set(zip(drawn.force.tolist(), drawn.speed.tolist(), strict=True))
     assert len(pairs) == len(PREFERENCES)
@@ -313,21 +318,49 @@ def test_the_human_knows_its_preference_and_the_robot_does_not(task: str) -> Non
         reset(keys, disability_params(["d1"] * 2, [name] * 2)).obs for name in ("p1", "p9")
     )
     np.testing.assert_array_equal(one["robot"], other["robot"])
+    count = len(WISHES[task])
     for seat in ("human", "global"):
-        assert (one[seat] != other[seat]).sum(axis=1).tolist() == [2, 2]
-        np.testing.assert_array_equal(one[seat][:, :-2], other[seat][:, :-2])
+        assert (one[seat] != other[seat]).sum(axis=1).tolist() == [count] * 2
+        np.testing.assert_array_equal(one[seat][:, :-count], other[seat][:, :-count])
     middle = reset(keys, disability_params(["d1"] * 2, ["p5"] * 2)).obs["human"]
-    np.testing.assert_allclose(middle[:, -2:], 0.0, atol=1e-6)
+    np.testing.assert_allclose(middle[:, -count:], 0.0, atol=1e-6)
+
+
+@each_gentle_task
+def test_nothing_that_the_robot_sees_depends_on_what_is_liked(task: str) -> None:
+    """Under the same touches, that is: what the human does about it is for the robot to read."""
+    env = environment(task, "native")
+    states, n = touching_states(task), 8
+    readings = env._task.sensors.read(
+        env._physics.forward(
+            PhysicsState(
+                jnp.asarray(states.qpos)[:n],
+                jnp.asarray(states.qvel)[:n],
+                jnp.asarray(states.qvel)[:n],
+            ),
+            env._joint_range(start(task, "native", ["d1"] * n).params),
+        )
+    )
+    seen = []
+    for name in ("p1", "p9"):
+        state = env.reset(
+            jax.random.split(jax.random.key(9), n), disability_params(["d1"] * n, [name] * n)
+        ).task
+        for _ in range(3):
+            state, obs, _, _ = env._task.transition(state, readings)
+        seen.append(obs)
+    np.testing.assert_array_equal(seen[0]["robot"], seen[1]["robot"])
+    assert (np.asarray(seen[0]["human"]) != np.asarray(seen[1]["human"])).any()
 
 
 @each_gentle_task
 def test_a_told_robot_sees_what_the_human_does(task: str) -> None:
     env = assistax_envs.make(task, "native", told=("human", "robot"))
-    assert (
-        env.observation_size["robot"] == environment(task, "native").observation_size["robot"] + 2
-    )
+    sizes = env.observation_size, environment(task, "native").observation_size
+    more = sizes[0]["robot"] - sizes[1]["robot"]
+    assert more >= len(WISHES[task])
     obs = env.reset(jax.random.split(jax.random.key(6), 4), disability_params(["d1"] * 4)).obs
-    np.testing.assert_array_equal(obs["robot"][:, -2:], obs["human"][:, -2:])
+    np.testing.assert_array_equal(obs["robot"][:, -more:], obs["human"][:, -more:])
 
 
 def test_preferences_change_nothing_in_the_papers_tasks() -> None:

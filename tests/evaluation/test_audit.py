@@ -11,7 +11,8 @@ import pytest
 
 import assistax_zoo as az
 from assistax_envs import disability_params, make
-from assistax_envs.preferences import FORCES, PREFERENCES, SPEEDS
+from assistax_envs.preferences import PREFERENCES, VALUES, WISHES
+from assistax_envs.versions import GENTLE_TASKS
 from assistax_zoo.main import run
 from evaluation import audit as audits
 from evaluation.audit import Mistaken
@@ -119,22 +120,25 @@ def test_intervals_widen_with_the_teams() -> None:
     assert paired.ci == pytest.approx((0.0, 0.0))  # each team beside itself
 
 
-def test_a_mistaken_human_sees_the_next_preference_and_the_reward_does_not() -> None:
-    env = make(TASK, "native")
+@pytest.mark.parametrize("task", GENTLE_TASKS)
+def test_a_mistaken_human_sees_the_next_preference_and_the_reward_does_not(task: str) -> None:
+    env = make(task, "native")
     wrong, keys = Mistaken(env), jax.random.split(jax.random.key(0), 9)
     params = disability_params(["d1"] * 9, list(PREFERENCES))
     one, other = (jax.jit(each.reset)(keys, params) for each in (env, wrong))
-    np.testing.assert_array_equal(one.task.likes.force, other.task.likes.force)
+    jax.tree.map(np.testing.assert_array_equal, one.task.likes, other.task.likes)
     np.testing.assert_array_equal(one.obs["robot"], other.obs["robot"])
-    believed = np.exp(np.asarray(other.obs["human"][:, -2:])) * [4.0, 0.04]
-    names = list(PREFERENCES.values())
-    for liked, (force, speed) in zip(names, believed, strict=True):
-        at = FORCES.index(liked.force), SPEEDS.index(liked.speed)
-        assert force == pytest.approx(FORCES[(at[0] + 1) % 3], rel=1e-4)
-        assert speed == pytest.approx(SPEEDS[(at[1] + 1) % 3], rel=1e-4)
+    count = len(WISHES[task])
+    np.testing.assert_array_equal(one.obs["human"][:, :-count], other.obs["human"][:, :-count])
+    for column, wish in enumerate(WISHES[task], start=-count):
+        values = VALUES[wish]
+        for row, liked in enumerate(PREFERENCES.values()):
+            believed = values[1] * np.exp(float(other.obs["human"][row, column]))
+            at = values.index(getattr(liked, wish))
+            assert believed == pytest.approx(values[(at + 1) % 3], rel=1e-4)
     still = {"robot": jnp.zeros((9, 7)), "human": jnp.zeros((9, 3))}
     after = jax.jit(wrong.step)(other, still)
-    np.testing.assert_allclose(after.obs["human"][:, -2:], other.obs["human"][:, -2:])
+    np.testing.assert_allclose(after.obs["human"][:, -count:], other.obs["human"][:, -count:])
 
 
 def trained(folder: Path, told: tuple[str, ...] = ("human",), seeds: int = 2) -> Path:
