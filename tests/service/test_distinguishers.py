@@ -8,6 +8,7 @@ test has a leak of its kind planted, which it must find.
 
 import contextlib
 import dataclasses
+import functools
 import itertools
 import json
 import logging
@@ -27,6 +28,7 @@ from starlette.testclient import TestClient
 from assistax_zoo.service import results
 from assistax_zoo.service import schema as t
 from assistax_zoo.service.api.app import create_app
+from assistax_zoo.service.pages.cache import PageCache
 from assistax_zoo.service.queries import Queries
 from assistax_zoo.service.scoring import Work, encode_table
 from assistax_zoo.service.service import Service
@@ -101,6 +103,9 @@ def two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Season, Season
     def new_id(length: int = 12) -> str:
         return f"{next(counts[current[0]]):0{length}d}"
 
+    # Kept pages are always too old: which one is shown does not depend on how fast the machine is.
+    clock = functools.partial(next, itertools.count(0.0, 1e6))
+    monkeypatch.setattr("assistax_zoo.service.pages.PageCache", lambda: PageCache(clock))
     current = ["?"]
     for module in ("submissions", "jobs", "tokens", "ids"):
         monkeypatch.setattr(f"assistax_zoo.service.{module}.new_id", new_id, raising=False)
