@@ -139,9 +139,12 @@ def _relink(text: str) -> str:
 
 def _commands() -> str:
     """Return the reference of the command line."""
-    from assistax_zoo.main import build_app
+    from assistax_zoo.main import SUBCOMMANDS, _add_subcommands, build_app
 
-    return build_app().generate_docs(heading_level=1, max_heading_level=3)
+    app = build_app()
+    for command in SUBCOMMANDS:
+        _add_subcommands(app, [command])
+    return app.generate_docs(heading_level=1, max_heading_level=3)
 
 
 if __name__ == "__main__":

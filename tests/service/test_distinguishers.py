@@ -217,6 +217,7 @@ def hidden_returns(service: Service) -> list[float]:
     return table.sort("partner", "episode")["return"].to_list()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("leak", ["body", "log", "statements"])
 def test_a_planted_leak_is_found(
     leak: str, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
@@ -286,10 +287,12 @@ def told_apart(seasons: tuple[Season, Season]) -> bool:
     return all(p_value(times(seasons, ADDRESS, 60)) < 0.001 for _ in range(3))
 
 
+@pytest.mark.slow
 def test_the_time_of_an_answer_does_not_tell_them_apart(two: tuple[Season, Season]) -> None:
     assert not told_apart(two)
 
 
+@pytest.mark.slow
 def test_a_planted_leak_of_time_is_found(
     two: tuple[Season, Season], monkeypatch: pytest.MonkeyPatch
 ) -> None:
