@@ -69,6 +69,7 @@ def test_without_that_they_would_stay(tmp_path: Path, monkeypatch: pytest.Monkey
         assert not hung_up(silent)
 
 
+@pytest.mark.slow
 def test_a_body_that_comes_too_slowly_is_not_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -88,6 +89,7 @@ def test_a_body_that_comes_too_slowly_is_not_waited_for(
     assert service.queries.submissions() == []
 
 
+@pytest.mark.slow
 def test_who_takes_no_answer_is_hung_up_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It asks for much, again and again, and reads nothing: no buffer of the system holds that."""
     monkeypatch.setattr(serve, "SILENT_SECONDS", 0.1)
@@ -115,6 +117,7 @@ def hung_up_before(connection: socket.socket, length: int) -> bool:
     return seen < length
 
 
+@pytest.mark.slow
 def test_a_live_robot_that_thinks_long_is_not_hung_up_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -82,6 +82,7 @@ def check(code: int, lines: list[str], folder: Path) -> None:
     service.database.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", NAMED, ids=lambda moment: f"{moment[0]}-{moment[1]}")
 def test_a_signal_where_something_is_half_done(tmp_path: Path, moment: Moment) -> None:
     code, lines, struck = strike(tmp_path, [moment])
