@@ -1,6 +1,7 @@
 """Recorded episodes of a pair, step by step, for imitation and for studies."""
 
 import dataclasses
+import itertools
 import json
 import operator
 from collections.abc import Callable, Mapping
@@ -96,7 +97,11 @@ def trajectories(
             "preference": preference,
             "on_step": stepped,
         }
-        return [_record(env, seats(k), setting, k, options) for k in range(episodes)]
+        later = (seats(k) for k in range(1, episodes))  # each is loaded when its episode begins
+        return [
+            _record(env, seated, setting, k, options)
+            for k, seated in enumerate(itertools.chain([first], later))
+        ]
 
     first = seats(0)
     setting = disability or getattr(first["human"], "setting", None) or "d1"

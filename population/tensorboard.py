@@ -39,9 +39,7 @@ class EventFiles:
 
     def __init__(self, config: TrainConfig, run: Path, folder: Path) -> None:
         self._summary, self._event, self._writer = _library()
-        self._folders = [
-            folder / f"{config.task}-{config.algorithm}-{member.label}" for member in config.members
-        ]
+        self._folders = [folder / name.replace("/", "-") for name in config.names]
         self._metrics, self._files, self._caught_up = run / "metrics.parquet", {}, False
         if len(set(self._folders)) < len(self._folders):
             raise ValueError(

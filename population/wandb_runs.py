@@ -31,7 +31,7 @@ class WandbRuns:
 
     def __init__(self, config: TrainConfig, folder: Path, project: str) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        names = [f"{config.task}-{config.algorithm}-{member.label}" for member in config.members]
+        names = [name.replace("/", "-") for name in config.names]
         place = str(folder.resolve())
         init = _library().init
         self._runs = [

@@ -21,12 +21,13 @@ from assistax_zoo.service.tokens import authenticate
 from assistax_zoo.service.vocabulary import FINAL_STATES
 
 router = APIRouter(prefix="/api", tags=["live"], responses=RESPONSES)
+asking = APIRouter(prefix="/api/work", tags=["live"], responses=RESPONSES)
 WAIT_SECONDS = 20.0  # of one question of a worker, which then asks again
 LOOK_SECONDS = 1.0  # between two looks at whether the submission has ended
 POLICY_VIOLATION = 1008  # a WebSocket's closing code
 
 
-@router.post("/work/{job}/ask", response_class=Response)
+@asking.post("/{job}/ask", response_class=Response)
 async def ask(
     request: Request,
     worker: Worker,
@@ -134,4 +135,5 @@ def _check_owner(socket: WebSocket, submission: str) -> None:
 def add_live(app: Any) -> None:
     """Add rooms and routes to the application."""
     app.state.rooms = Rooms()
+    app.include_router(asking)
     app.include_router(router)
