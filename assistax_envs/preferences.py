@@ -18,9 +18,10 @@ class Preference:
     force: float  # N, of the tool on its arm
     speed: float  # m/s, of the tool over its skin
     distance: float  # m, of the hook from its arm once that lies
+    place: float  # m, how far across the waist its arm should lie
 
     def __post_init__(self) -> None:
-        for name in ("force", "speed", "distance"):
+        for name in ("force", "speed", "distance", "place"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"preferred {name} is {getattr(self, name)}; it must be above 0")
 
@@ -28,18 +29,22 @@ class Preference:
 FORCES = (2.0, 4.0, 8.0)  # N
 SPEEDS = (0.02, 0.04, 0.08)  # m/s
 DISTANCES = (0.1, 0.25, 0.6)  # m
+PLACES = (0.1, 0.2, 0.3)  # m
 # What of it matters in a task, and is observed there.
 WISHES: dict[str, tuple[str, ...]] = {
     "gentle_scratch": ("force", "speed"),
     "gentle_bath": ("force", "speed"),
-    "gentle_lift": ("distance",),
+    "gentle_lift": ("distance", "place"),
 }
-VALUES = {"force": FORCES, "speed": SPEEDS, "distance": DISTANCES}
+VALUES = {"force": FORCES, "speed": SPEEDS, "distance": DISTANCES, "place": PLACES}
 
 # Speed runs fastest: p2 is the lightest touch at the middle speed, p4 the middle touch at the
-# slowest. Each distance goes with each force and each speed once.
+# slowest. Two Latin squares, orthogonal to each other: of force, speed, distance and place any two
+# values meet once.
 PREFERENCES: dict[str, Preference] = {
-    f"p{1 + len(SPEEDS) * i + j}": Preference(force, speed, DISTANCES[(i + j + 2) % len(DISTANCES)])
+    f"p{1 + 3 * i + j}": Preference(
+        force, speed, DISTANCES[(i + j + 2) % 3], PLACES[(i + 2 * j + 1) % 3]
+    )
     for i, force in enumerate(FORCES)
     for j, speed in enumerate(SPEEDS)
 }

@@ -129,7 +129,7 @@ def audit_task(
     played = {
         "all pairs": table.play("pairs", teams.robots, teams.humans),
         "script, passive human": table.play("script", script, passive),
-        "script, human held": table.play("held", script, _held(*sizes["human"])),
+        "script, human held": table.play("held", script, held_roster(*sizes["human"])),
         "own, passive human": table.play("alone", teams.robots, passive),
     }
     if others.passive:
@@ -256,10 +256,14 @@ def _steps(env: Any, robot: Any, human: Any, params: Any, seed: int) -> tuple[np
     return tuple(np.asarray(values).ravel() for values in episode())
 
 
-def _held(observation_size: int, action_size: int) -> Roster:
-    """Return humans that hold their arm with constant torques, in all postures that these reach."""
+def held_roster(
+    observation_size: int,
+    action_size: int,
+    postures: Sequence[tuple[float, ...]] = POSTURES,
+) -> Roster:
+    """Return humans that hold their arm with constant torques, shares of their strength."""
     spec = PolicySpec("human", observation_size, action_size, hidden=(1,), normalise=False)
-    ids = tuple(f"held-{i}" for i in range(len(POSTURES)))
+    ids = tuple(f"held-{i}" for i in range(len(postures)))
     n = len(ids)
     params = {
         "Dense_0": {
@@ -268,7 +272,7 @@ def _held(observation_size: int, action_size: int) -> Roster:
         },
         "Dense_1": {
             "kernel": np.zeros((n, 1, action_size), np.float32),
-            "bias": np.array(POSTURES, np.float32),
+            "bias": np.array(postures, np.float32),
         },
         "log_std": np.zeros((n, action_size), np.float32),
     }

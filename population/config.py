@@ -67,6 +67,7 @@ class PPOConfig(Hyperparameters):
     minibatches: PositiveInt = 4  # parts of a pass; each holds whole simulations
     learning_rate: PositiveFloat = 1e-3  # of Adam, for actors and critics
     anneal_lr: bool = False  # whether the learning rate falls linearly to 0 over the run
+    anneal_entropy: bool = False  # whether the entropy bonus does
     clip_eps: PositiveFloat = 0.31  # the probability ratio is clipped to [1 - eps, 1 + eps]
     entropy_coef: NonNegativeFloat = 1e-4  # weight of the entropy bonus
     value_coef: NonNegativeFloat = 1.0  # weight of the value loss

@@ -78,11 +78,11 @@ class PPO(Trainer):
         self, state: TrainState, hyper: Hyper, partners: Any = ()
     ) -> tuple[TrainState, Metrics]:
         """Collect one rollout and learn from it; metrics are [M]."""
+        config = self.config
         state, batch, keys = self.collect(state, partners)
-        count = state.update.astype(jnp.float32)
-        if self.config.anneal_lr:
-            rate = hyper["learning_rate"] * (1.0 - count / self.updates)
-            hyper = {**hyper, "learning_rate": rate}
+        left = 1.0 - state.update.astype(jnp.float32) / self.updates
+        annealed = {"learning_rate": config.anneal_lr, "entropy_coef": config.anneal_entropy}
+        hyper = {name: each * left if annealed.get(name) else each for name, each in hyper.items()}
         batch = experience.by_member(batch, len(keys))
         members, metrics = member_map(self._learn)(state.members, batch, hyper, keys)
         return dataclasses.replace(state, members=members, update=state.update + 1), metrics

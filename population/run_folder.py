@@ -205,9 +205,11 @@ def read_trained_run(folder: Path | str) -> TrainedRun:
 def extends(trainer: TrainerConfig) -> bool:
     """Return whether a run may be made longer.
 
-    Its length sets neither learning rate nor the size of a replay.
+    Its length sets no learning rate, no entropy bonus and no size of a replay.
     """
-    return isinstance(trainer, PPOConfig) and not trainer.anneal_lr
+    if not isinstance(trainer, PPOConfig):
+        return False
+    return not (trainer.anneal_lr or trainer.anneal_entropy)
 
 
 def metrics_table(

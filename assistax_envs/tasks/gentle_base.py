@@ -31,6 +31,7 @@ class Liking:
     force: jax.Array  # N
     speed: jax.Array  # m/s
     distance: jax.Array  # m
+    place: jax.Array  # m
 
     def observed(self, task: str) -> jax.Array:
         """Return what the human of a task knows of it, [N, W]: 0 for the middle, logarithmic."""

@@ -77,7 +77,7 @@ class GentleBath:
     ) -> None:
         """Prepare; `whatever` is the share of a point's pay that no liking changes."""
         terms = {"progress": 20.0, "wipe": 10.0, "time": 0.1}
-        self.weights = terms | COSTS | {"violation": 20.0} | (weights or {})
+        self.weights = terms | COSTS | {"violation": 40.0} | (weights or {})
         self.pose = Pose(model, START)
         self.sensors = TouchSensors(model, self.pose)
         self._told, self._whatever = told, whatever

@@ -35,11 +35,11 @@ from assistax_envs.tasks.gentle_base import (
     with_preference,
 )
 
-WAIST = (
-    -0.17,
-    -0.26,
-    0.77,
-)  # m: across the waist, by the bed's edge; an idle arm slides off it by 20 cm
+# m: the forearm's place is so far from EDGE, across the waist. Everywhere there an arm slides off
+# the body by 7 to 13 cm if nobody holds it; a weak human can let it slide down the waist to a place
+# that it likes (from 0.3 to 0.2 or 0.1), and cannot draw it up.
+EDGE, ACROSS = (-0.338, -0.382, 0.765), (0.78, 0.6258, 0.0)
+MIDDLE = 0.2  # m: what the robot takes for the place
 # rad: shoulder 1, shoulder 2, elbow of an arm that is rolled onto the bed and bent. Episodes start
 # anywhere between, as if it had slipped so far. Who always starts with the whole way finds its
 # first half, and stays there: docs/tasks.md.
@@ -57,6 +57,8 @@ WAY = (
     (0.54, -0.79, -0.85),
     (0.54, -0.79, -0.60),
     (0.54, -0.79, -0.25),
+    (0.62, -0.76, -0.42),
+    (0.73, -0.73, -0.59),
 )
 # m: where a bar lifts the forearm, from its middle towards the hand (with the lever of the whole
 # arm below the elbow) and down (its own and the arm's radius).
@@ -75,7 +77,7 @@ WHATEVER = 0.2  # share of the pay for resting there that no liking changes
 class LiftState:
     """How far the forearm is, and how long it has rested."""
 
-    waist: jax.Array  # [3] target, m
+    waist: jax.Array  # [3] where the human likes its forearm to lie, m
     section: jax.Array  # [3] middle of the forearm a step ago; NaN before the first step
     left: jax.Array  # m, from it to the target a step ago
     under: jax.Array  # m, from the hook to where it lifts the forearm, a step ago
@@ -105,7 +107,7 @@ class GentleLift:
     ) -> None:
         terms = {"approach": 10.0, "lift": 100.0, "there": 0.3, "rest": 1.0, "swing": 0.1}
         # A hook that carries touches more than the bar.
-        self.weights = terms | COSTS | {"stray": 0.0, "violation": 10.0} | (weights or {})
+        self.weights = terms | COSTS | {"stray": 0.0, "violation": 20.0} | (weights or {})
         self.pose = Pose(model, START)
         self.sensors = TouchSensors(model, self.pose)
         self._told = told
@@ -116,15 +118,16 @@ class GentleLift:
         """Draw the start pose [nq] and, where it is not given, the preference."""
         pose_key, likes_key, start_key = jax.random.split(key, 3)
         nan, zero = jnp.full((), jnp.nan, jnp.float32), jnp.zeros((), jnp.int32)
+        likes = liking(params.preference, likes_key)
         state = LiftState(
-            waist=jnp.asarray(WAIST, jnp.float32),
+            waist=_place(likes.place),
             section=jnp.full(3, jnp.nan, jnp.float32),
             left=nan,
             under=nan,
             held=zero,
             longest=zero,
             violated=jnp.zeros((), bool),
-            likes=liking(params.preference, likes_key),
+            likes=likes,
         )
         return self._slipped(self.pose.draw(pose_key), start_key), state
 
@@ -160,16 +163,18 @@ class GentleLift:
         held = jnp.where(rest, s.held + 1, 0)
         longest = jnp.maximum(s.longest, held)
         violated = s.violated | (r.peak > HARD)
+        to_middle = _place(MIDDLE) - section
         goal = (
             towards,
             distance[:, None],
-            lift,
-            left[:, None],
+            to_middle,
+            jnp.linalg.norm(to_middle, axis=-1, keepdims=True),
             r.force[:, None] / 10.0,
-            jnp.minimum(held, HOLD)[:, None] / HOLD,
             speed[:, None] * 10.0,
         )
-        obs = with_preference(observations(r, *goal), s.likes.observed(self.name), self._told)
+        # Whether the arm rests where it should is for the human to feel.
+        seen = jnp.column_stack([jnp.minimum(held, HOLD) / HOLD, s.likes.observed(self.name)])
+        obs = with_preference(observations(r, *goal), seen, self._told)
         state = LiftState(s.waist, section, left, under, held, longest, violated, s.likes)
         done = (longest >= HOLD) & ~violated
         return state, obs, terms, Measures(r.force, left, done, r.peak, violated)
@@ -180,6 +185,11 @@ class GentleLift:
         place = jax.random.uniform(key, maxval=len(WAY) - 1.0)
         arm = jnp.stack([jnp.interp(place, jnp.arange(len(WAY)), joint) for joint in way.T])
         return pose.at[self._arm].add(arm - self.pose.angle[self._arm])
+
+
+def _place(across: jax.Array | float) -> jax.Array:
+    """Return the place [3] on the waist that is so far across it."""
+    return jnp.array(EDGE, jnp.float32) + across * jnp.array(ACROSS, jnp.float32)
 
 
 def _lifted_at(section: jax.Array, r: TouchReadings) -> jax.Array:

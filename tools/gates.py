@@ -1,0 +1,165 @@
+"""Trains those who play for the gates of a gentle task; `assistax-zoo audit` reads the folders.
+
+    python -m tools.gates gentle_lift runs/lift --only teams,passive --steps 16M
+    assistax-zoo audit gentle_lift --team runs/lift/teams --passive-robot runs/lift/passive
+
+Teams whose robot is told the human's preference, or whose human is not told it, robots that learn
+with a human that does nothing: such are in no release, and nothing but the gates wants them.
+"""
+
+import dataclasses
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cyclopts import App
+
+from assistax_envs import make
+from assistax_zoo.commands.options import parse_steps
+from evaluation.audit import held_roster
+from evaluation.audit_teams import read_teams
+from evaluation.ego_training import shared_out
+from evaluation.roster import Roster
+from population.config import MIXED, Member, TrainerConfig, make_run, preset
+from population.frozen_partners import FrozenPartners
+from population.stack import PolicyStack
+from population.train import Progress, train
+from zoo.registry import load_registry
+
+# Of the presets, what all runs of a task change. Noise of the size of a whole joint's torque rubs
+# nobody gently, hence the small deviation at the start; what keeps it from shrinking before both
+# have found their part of the act is the bonus, which ends with the run.
+GENTLE: Mapping[str, Any] = {"initial_log_std": -1.2, "anneal_lr": True, "anneal_entropy": True}
+CHANGES: Mapping[str, Mapping[str, Any]] = {
+    "gentle_scratch": {**GENTLE, "entropy_coef": 3e-3},
+    "gentle_bath": {**GENTLE, "entropy_coef": 1e-2},
+    "gentle_lift": {**GENTLE, "entropy_coef": 6e-3},
+}
+SETTING = "d1"
+
+
+@dataclasses.dataclass(frozen=True)
+class Condition:
+    """Who learns, and with whom."""
+
+    algorithm: str = "ippo"
+    torso: str = "mlp"
+    told: tuple[str, ...] = ("human",)  # who observes the preference
+    # Frozen humans of a robot's training: none, one that does nothing, one team's, or all teams'.
+    humans: str = "none"
+
+
+CONDITIONS: Mapping[str, Condition] = {
+    "teams": Condition(),
+    "mappo": Condition("mappo"),
+    "masac": Condition("masac"),
+    "told": Condition(told=("human", "robot")),
+    "blind": Condition(told=()),
+    "recurrent": Condition(torso="gru"),
+    "passive": Condition(humans="passive"),
+    "response": Condition(humans="one"),
+    "ego": Condition(humans="all"),
+    "ego-recurrent": Condition(torso="gru", humans="all"),
+    "ego-told": Condition(told=("human", "robot"), humans="all"),
+}
+
+
+def main(
+    task: str,
+    folder: Path,
+    /,
+    *,
+    only: str = ",".join(CONDITIONS),
+    seeds: str = "0,1,2,3",
+    steps: str = "20M",
+    changes: str = "",
+    backend: str = "auto",
+) -> None:
+    """Train conditions of a gentle task, each into FOLDER/CONDITION.
+
+    Runs that were interrupted go on. Conditions with humans of teams need FOLDER/teams first.
+
+    Args:
+        task: Gentle task.
+        folder: Of the runs.
+        only: Conditions, comma-separated.
+        seeds: Of each condition, comma-separated.
+        steps: Environment steps of each team.
+        changes: Hyperparameters, as num_envs=512,hidden=64x64.
+        backend: Physics.
+    """
+    numbers = tuple(int(seed) for seed in seeds.split(","))
+    given = dict(_value(each) for each in changes.split(",") if each)
+    for name in only.split(","):
+        condition = CONDITIONS[name]
+        env = make(task, backend, told=condition.told)
+        for place, chosen, humans in _humans(condition, folder, name, numbers, env):
+            trainer = _trainer(task, condition, given)
+            if humans:
+                trainer = shared_out(trainer, len(humans), keep=False)
+            config = make_run(
+                task,
+                condition.algorithm,
+                tuple(Member(seed, MIXED if humans else SETTING) for seed in chosen),
+                parse_steps(steps),
+                trainer,
+                self_play_episodes=0,
+                partners=humans.ids if humans else (),
+            )
+            train(config, env, place, partners=humans, progress=_printer(str(place)))
+
+
+def _value(change: str) -> tuple[str, Any]:
+    name, _, text = change.partition("=")
+    if name == "hidden":
+        return name, tuple(int(width) for width in text.split("x"))
+    return name, float(text) if "." in text or "e-" in text else int(text)
+
+
+def _trainer(task: str, condition: Condition, given: Mapping[str, Any]) -> TrainerConfig:
+    known = {field.name for field in dataclasses.fields(preset(condition.algorithm))}
+    of_task = {name: value for name, value in CHANGES[task].items() if name in known}
+    recurrent = {"torso": "gru"} if condition.torso == "gru" else {}
+    return preset(condition.algorithm, **{**of_task, **recurrent, **given})
+
+
+def _humans(
+    condition: Condition, folder: Path, name: str, seeds: Sequence[int], env: Any
+) -> Iterator[tuple[Path, Sequence[int], FrozenPartners | None]]:
+    """Yield the runs of a condition: folder, seeds, and the frozen humans."""
+    if condition.humans == "none":
+        yield folder / name, seeds, None
+        return
+    if condition.humans == "passive":
+        sizes = env.observation_size["human"], env.action_size["human"]
+        yield folder / name, seeds, _frozen(held_roster(*sizes, [(0.0, 0.0, 0.0)]))
+        return
+    humans = read_teams([str(folder / "teams")], load_registry(), env.task).humans
+    if condition.humans == "all":
+        yield folder / name, seeds, _frozen(humans)
+        return
+    [stack] = humans.stacks
+    assert isinstance(stack, PolicyStack)
+    for row, seed in enumerate(seeds):
+        one = Roster((stack.take([row]),), humans.members)
+        yield folder / name / f"s{seed}", [seed], _frozen(one)
+
+
+def _frozen(humans: Roster) -> FrozenPartners:
+    stacks = [stack for stack in humans.stacks if isinstance(stack, PolicyStack)]
+    return FrozenPartners(stacks, {name: SETTING for stack in stacks for name in stack.ids})
+
+
+def _printer(name: str) -> Callable[[Progress], None]:
+    def printed(state: Progress) -> None:
+        if state.update % 20 == 0 or state.update == state.updates:
+            mean = state.rows["return"].mean()
+            done = f"{state.steps / 1e6:.1f} of {state.total_steps / 1e6:.0f} M steps"
+            print(f"{name}: {done}, return {mean}", file=sys.stderr, flush=True)
+
+    return printed
+
+
+if __name__ == "__main__":
+    App(default_command=main)()
