@@ -163,7 +163,7 @@ class GentleLift:
         held = jnp.where(rest, s.held + 1, 0)
         longest = jnp.maximum(s.longest, held)
         violated = s.violated | (r.peak > HARD)
-        to_middle = _place(MIDDLE) - section
+        to_middle = _place(MIDDLE)[None] - section
         goal = (
             towards,
             distance[:, None],

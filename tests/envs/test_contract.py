@@ -20,7 +20,7 @@ WIDTHS = {
     "arm_assist": {"robot": 47, "human": 51, "global": 65},
     "gentle_scratch": {"robot": 46, "human": 53, "global": 67},
     "gentle_bath": {"robot": 69, "human": 75, "global": 89},
-    "gentle_lift": {"robot": 41, "human": 46, "global": 60},
+    "gentle_lift": {"robot": 40, "human": 47, "global": 61},
 }
 # Over 20 control steps of random torques, float32 against float64: rad, and reward. The largest
 # differences are of an elbow that strikes its stop; the mean tells apart what the largest lets

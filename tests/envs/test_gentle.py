@@ -276,11 +276,11 @@ def test_names_go_through_all_forces_and_speeds() -> None:
     assert {(one.force, one.speed) for one in PREFERENCES.values()} == {
         (force, speed) for force in FORCES for speed in SPEEDS
     }
-    for wish in ("force", "speed"):  # each distance goes with each of them once
-        pairs = {(getattr(one, wish), one.distance) for one in PREFERENCES.values()}
+    for one, other in itertools.combinations(VALUES, 2):  # any two values meet once
+        pairs = {(getattr(each, one), getattr(each, other)) for each in PREFERENCES.values()}
         assert len(pairs) == len(PREFERENCES)
     with pytest.raises(ValueError, match="preferred speed is 0"):
-        Preference(4.0, 0.0, 0.1)
+        Preference(4.0, 0.0, 0.1, 0.2)
 
 
 @each_gentle_task
@@ -314,8 +314,13 @@ def test_an_episode_draws_its_preference_once(task: str) -> None:
 def test_the_human_knows_its_preference_and_the_robot_does_not(task: str) -> None:
     """The same start under two preferences: only the human and critics can tell them apart."""
     reset, keys = compiled(task, "native")[0], jax.random.split(jax.random.key(5), 2)
+    apart = next(
+        name
+        for name, each in PREFERENCES.items()
+        if all(getattr(each, wish) != getattr(PREFERENCES["p1"], wish) for wish in WISHES[task])
+    )
     one, other = (
-        reset(keys, disability_params(["d1"] * 2, [name] * 2)).obs for name in ("p1", "p9")
+        reset(keys, disability_params(["d1"] * 2, [name] * 2)).obs for name in ("p1", apart)
     )
     np.testing.assert_array_equal(one["robot"], other["robot"])
     count = len(WISHES[task])

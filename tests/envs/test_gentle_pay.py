@@ -15,7 +15,7 @@ from assistax_envs import disability_params
 from assistax_envs.preferences import PREFERENCES
 from assistax_envs.tasks.base import HUMAN_ACTUATORS
 from assistax_envs.tasks.gentle_base import TouchReadings
-from assistax_envs.tasks.gentle_lift import HANDWARD, UNDER, WAIST, WAY, _lifted_at
+from assistax_envs.tasks.gentle_lift import HANDWARD, THERE, UNDER, WAY, _lifted_at
 from tests.envs.conftest import environment, play, start
 
 
@@ -42,7 +42,7 @@ def test_an_arm_starts_somewhere_on_its_way_and_slides_off_when_nobody_holds_it(
     still = [{"robot": jnp.zeros((64, 7)), "human": jnp.zeros((64, 3))}] * 100
     states = play("gentle_lift", "native", state, still)
     assert float(states[0].measures.force.max()) == 0.0
-    assert float(states[-1].task.left.min()) > 0.15
+    assert float(states[-1].task.left.min()) > THERE
     assert not np.asarray(states[-1].measures.success).any()
 
 
@@ -60,28 +60,48 @@ def test_the_hook_is_drawn_below_the_forearm_on_the_hands_side() -> None:
     assert ((offset * np.asarray(section - upper)).sum(axis=1) > 0.0).all()  # not to the elbow
 
 
-def test_rest_pays_most_with_the_hook_at_the_liked_distance_and_nothing_with_a_touch() -> None:
+def _rest(arm: jax.Array, distance: float, force: float = 0.0) -> dict[str, np.ndarray]:
+    """Return the terms of arms at rest at `arm` [9, 3] under p1..p9, the hook above them."""
     names = list(PREFERENCES)
     task, state, readings = _begun("gentle_lift", names)
-    waist = jnp.broadcast_to(jnp.asarray(WAIST), (len(names), 3))
+    there = dataclasses.replace(
+        readings,
+        arm_position=readings.arm_position.at[:, 1].set(arm),
+        tool_position=arm.at[:, 2].add(distance),
+        force=jnp.full(len(names), force),
+    )
+    after, _, _, _ = task.transition(state, there)
+    return {name: np.asarray(value) for name, value in task.transition(after, there)[2].items()}
 
-    def paid(distance: float, force: float = 0.0) -> dict[str, np.ndarray]:
-        there = dataclasses.replace(
-            readings,
-            arm_position=readings.arm_position.at[:, 1].set(waist),
-            tool_position=waist.at[:, 2].add(distance),
-            force=jnp.full(len(names), force),
-        )
-        after, _, _, _ = task.transition(state, there)
-        return {k: np.asarray(v) for k, v in task.transition(after, there)[2].items()}
 
-    pays = {distance: paid(distance)["rest"] for distance in (0.1, 0.25, 0.6)}
+def test_rest_pays_most_with_the_hook_at_the_liked_distance_and_nothing_with_a_touch() -> None:
+    _, state, _ = _begun("gentle_lift", list(PREFERENCES))
+    pays = {distance: _rest(state.waist, distance)["rest"] for distance in (0.1, 0.25, 0.6)}
     for row, one in enumerate(PREFERENCES.values()):
         assert pays[one.distance][row] == pytest.approx(1.0, abs=1e-4)
         others = [pays[d][row] for d in pays if d != one.distance]
         assert max(others) < 0.7 and min(others) > 0.2
-    assert not paid(0.1, force=1.0)["rest"].any()
-    assert all(not value.any() for name, value in paid(0.25).items() if name in ("lift", "swing"))
+    assert not _rest(state.waist, 0.1, force=1.0)["rest"].any()
+    still = _rest(state.waist, 0.25)
+    assert all(not value.any() for name, value in still.items() if name in ("lift", "swing"))
+
+
+def test_rest_pays_at_the_liked_place_alone_and_the_robot_does_not_see_which_it_is() -> None:
+    names = list(PREFERENCES)
+    _, state, _ = _begun("gentle_lift", names)
+    for name in names:
+        place = jnp.broadcast_to(state.waist[names.index(name)], (len(names), 3))
+        pays = _rest(place, 0.25)
+        same = np.array([one.place == PREFERENCES[name].place for one in PREFERENCES.values()])
+        assert (pays["rest"][same] > 0.2).all() and not pays["rest"][~same].any()
+        assert (pays["there"][same] > 0.99).all() and (pays["there"][~same] < 0.3).all()
+    env = environment("gentle_lift", "native")
+    keys = jnp.broadcast_to(jax.random.key(1), (len(names),))
+    obs = env.reset(keys, disability_params(["d1"] * len(names), names)).obs
+    np.testing.assert_array_equal(
+        obs["robot"], jnp.broadcast_to(obs["robot"][:1], obs["robot"].shape)
+    )
+    assert len(np.unique(np.asarray(obs["human"])[:, -2:].round(3), axis=0)) == 9
 
 
 def test_a_point_on_the_arms_far_side_is_farther_than_the_way_through_the_arm() -> None:
