@@ -17,6 +17,7 @@ def render(
     steps: int | None = None,
     seed: int = 0,
     disability: str | None = None,
+    preference: str | None = None,
     camera: str | None = None,
     fps: int = 25,
     width: int = 640,
@@ -35,6 +36,7 @@ def render(
         steps: Steps of 20 ms to show; default the whole episode.
         seed: Seed of the episode: where it starts.
         disability: The human's setting, d1 to d9, instead of its own.
+        preference: What the human of a gentle task likes, p1 to p9; default drawn.
         camera: A camera of the scene, such as "side", or "close" to follow the tool.
         fps: Frames a second, a divisor of 50.
         width: Pixels of a frame.
@@ -56,6 +58,7 @@ def render(
     """
     from assistax_envs import make
     from assistax_envs.interrupts import interruptible
+    from assistax_envs.preferences import check_preferences
     from evaluation.film import MOMENTS, SHEET, check_film, film, play
     from evaluation.partners import seat_policy
 
@@ -67,6 +70,8 @@ def render(
         rates[out.with_suffix(".png")] = fps
     for path, rate in rates.items():
         check_film(path, rate, width, height)
+    if preference is not None:
+        check_preferences(task, [preference])
     env = make(task, "native")
     length = env.episode_length if steps is None else steps
     if not 1 <= length <= env.episode_length:
@@ -90,7 +95,7 @@ def render(
             check()
             return env.render(state, **size)
 
-        states = play(env, *act, setting, seed, length, on_step=stepped)
+        states = play(env, *act, setting, seed, length, stepped, preference=preference)
         if sheet:
             states = list(states)  # played once, drawn for each file
         with contextlib.closing(env):  # in this thread, which drew

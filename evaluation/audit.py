@@ -35,6 +35,7 @@ from population.stack import PolicyStack
 JOINT_SPEEDS = (2.175,) * 4 + (2.61,) * 3  # rad/s, of the robot's datasheet
 POSTURES = tuple(itertools.product((-1.0, 0.0, 1.0), repeat=3))  # torques that a human holds
 EPISODES = 2 * len(PREFERENCES)  # of each pair: every preference twice
+ALONE = 10  # times as many for the script, which is one pair where teams are several
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,7 +109,7 @@ def audit_task(
         teams: Trained teams of several seeds, one disability setting.
         others: For the other gates.
         folder: Keeps the episodes by condition; an audit that was stopped goes on.
-        episodes: Of each pair.
+        episodes: Of each pair; ten times as many of the script with a passive human.
         seed: Of the episodes.
         backend: Physics.
         on_progress: Told how far each condition is.
@@ -128,7 +129,7 @@ def audit_task(
     passive, script = passive_roster(*sizes["human"]), script_roster(task, *sizes["robot"])
     played = {
         "all pairs": table.play("pairs", teams.robots, teams.humans),
-        "script, passive human": table.play("script", script, passive),
+        "script, passive human": table.play("script", script, passive, times=ALONE),
         "script, human held": table.play("held", script, held_roster(*sizes["human"])),
         "own, passive human": table.play("alone", teams.robots, passive),
     }
@@ -183,6 +184,7 @@ class _Tables:
         env: Any = None,
         paired: bool = False,
         condition: str | None = None,
+        times: int = 1,
     ) -> pl.DataFrame:
         env = env or self.env()
         job = Job(
@@ -192,7 +194,7 @@ class _Tables:
             engine=env.engine | ({"condition": condition} if condition else {}),
             egos=robots,
             partners=humans,
-            episodes=self.episodes,
+            episodes=times * self.episodes,
             seed=self.seed,
             paired=paired,
             preferences=preferences_of(self.task),

@@ -20,6 +20,7 @@ def render(
     width: int = 640,
     height: int = 480,
     disability: str | None = None,
+    preference: str | None = None,
     sheet: bool = False,
     registry: str | None = None,
 ) -> None:
@@ -40,6 +41,7 @@ def render(
         width: Pixels of a frame.
         height: Pixels of a frame.
         disability: The human's setting, d1 to d9, instead of its own.
+        preference: What the human of a gentle task likes, p1 to p9; drawn if not given.
         sheet: Write a contact sheet (.png, twelve moments) beside the film, and a .gif beside an
             .mp4.
         registry: Registry to read instead of the installed one: a file, a folder or an address.
@@ -61,6 +63,7 @@ def render(
                 steps=steps,
                 seed=seed,
                 disability=disability,
+                preference=preference,
                 sheet=sheet,
                 zoo=registry,
                 on_step=lambda: advance(1),
