@@ -146,8 +146,14 @@ def audit_task(
             there = env if told is None else table.env(told=told)
             played[name] = table.play(name, pairs.robots, pairs.humans, env=there, paired=True)
     if task in GENTLE_TASKS:
-        humans = {"env": Mistaken(env), "paired": True, "condition": "mistaken"}
-        played["mistaken humans"] = table.play("mistaken", teams.robots, teams.humans, **humans)
+        played["mistaken humans"] = table.play(
+            "mistaken",
+            teams.robots,
+            teams.humans,
+            env=Mistaken(env),
+            paired=True,
+            condition="mistaken",
+        )
     touch = touches(env, teams, episodes, seed)
     if others.response:
         own = dict(zip(teams.humans.ids, others.response.robots.ids, strict=True))

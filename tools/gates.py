@@ -16,6 +16,7 @@ from typing import Any
 from cyclopts import App
 
 from assistax_envs import make
+from assistax_envs.disability import DISABILITY_SETTINGS
 from assistax_zoo.commands.options import parse_steps
 from evaluation.audit import held_roster
 from evaluation.audit_teams import read_teams
@@ -91,17 +92,20 @@ def main(
     """
     numbers = tuple(int(seed) for seed in seeds.split(","))
     given = dict(_value(each) for each in changes.split(",") if each)
-    for name in only.split(","):
+    chosen = only.split(",")
+    if unknown := [name for name in chosen if name not in CONDITIONS]:
+        raise ValueError(f"condition is {unknown[0]!r}; allowed are {', '.join(CONDITIONS)}")
+    for name in chosen:
         condition = CONDITIONS[name]
         env = make(task, backend, told=condition.told)
-        for place, chosen, humans in _humans(condition, folder, name, numbers, env):
+        for place, own, humans in _humans(condition, folder, name, numbers, env):
             trainer = _trainer(task, condition, given)
             if humans:
                 trainer = shared_out(trainer, len(humans), keep=False)
             config = make_run(
                 task,
                 condition.algorithm,
-                tuple(Member(seed, MIXED if humans else SETTING) for seed in chosen),
+                tuple(Member(seed, MIXED if humans else SETTING) for seed in own),
                 parse_steps(steps),
                 trainer,
                 self_play_episodes=0,
@@ -148,7 +152,8 @@ def _humans(
 
 def _frozen(humans: Roster) -> FrozenPartners:
     stacks = [stack for stack in humans.stacks if isinstance(stack, PolicyStack)]
-    return FrozenPartners(stacks, {name: SETTING for stack in stacks for name in stack.ids})
+    setting = DISABILITY_SETTINGS[SETTING]
+    return FrozenPartners(stacks, {name: setting for stack in stacks for name in stack.ids})
 
 
 def _printer(name: str) -> Callable[[Progress], None]:

@@ -194,3 +194,23 @@ def test_an_episode_needs_both_players(
     assert run(["render", "--task", "scratch", "--robot", "zero", "--out", "x.png"]) == 2
     assert "--human" in capfd.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_human_of_a_gentle_task_plays_under_the_preference_that_is_named(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    liked = []
+
+    def played(*args: object, preference: str, **options: object):
+        liked.append(preference)
+        return film_play(*args, preference=preference, **options)
+
+    film_play = film.play
+    monkeypatch.setattr(film, "play", played)
+    out = tmp_path / "strip.png"
+    words = ("--out", out, "--steps", 2, *SMALL, "--preference")
+    assert call(*words, "p7", task="gentle_lift") == 0
+    assert liked == ["p7"]
+    capfd.readouterr()
+    assert "scratch have no preferences" in failure(capfd, call(*words, "p7"))
+    assert "preferences are p10" in failure(capfd, call(*words, "p10", task="gentle_lift"))

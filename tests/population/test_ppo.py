@@ -225,6 +225,20 @@ def test_learning_rate_falls_to_nothing_when_annealed():
     assert_same(after.members.learners["robot"].networks, state.members.learners["robot"].networks)
 
 
+def test_the_entropy_bonus_falls_to_nothing_when_annealed():
+    """A large bonus makes noise grow. When a run is over it is worth nothing: noise shrinks."""
+    spread = {}
+    for annealed in (False, True):
+        config = PPOConfig(**SMALL, entropy_coef=10.0, anneal_entropy=annealed)
+        ppo, state, hyper = start(ToyEnv(match), config, updates=4)
+        before = state.members.learners["robot"].networks["actor"]["log_std"]
+        state = dataclasses.replace(state, update=jnp.asarray(4, jnp.int32))
+        after, _ = jax.jit(ppo.update, compiler_options=FAST_COMPILE)(state, hyper)
+        grown = after.members.learners["robot"].networks["actor"]["log_std"] - before
+        spread[annealed] = float(grown.mean())
+    assert spread[False] > 0.1 > 0.0 > spread[True]
+
+
 def test_starts_are_spread_over_the_episode():
     _, state, _ = start(ToyEnv(match), PPOConfig(**SMALL))
     assert len(np.unique(state.simulations.env.step)) > 10

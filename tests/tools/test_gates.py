@@ -1,0 +1,58 @@
+"""`tools.gates` trains who plays for the gates, and an audit reads the folders that it leaves."""
+
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from assistax_zoo.auditing import audit
+from tools.gates import CONDITIONS, main
+
+TINY = "num_envs=4,rollout_steps=8,minibatches=1,epochs=1,hidden=8x8"
+
+
+def test_teams_the_passive_robot_and_best_responses_are_what_an_audit_takes(tmp_path: Path) -> None:
+    main(
+        "gentle_lift",
+        tmp_path,
+        only="teams,told,passive,response",
+        seeds="100,101",
+        steps="32",
+        changes=TINY,
+        backend="native",
+    )
+    responses = sorted((tmp_path / "response").iterdir())
+    assert [path.name for path in responses] == ["s100", "s101"]
+    found = audit(
+        "gentle_lift",
+        str(tmp_path / "teams"),
+        passive_robot=str(tmp_path / "passive"),
+        told=str(tmp_path / "told"),
+        response=[str(path) for path in responses],
+        episodes=2,
+        progress=False,
+    )
+    assert found.teams == ("teams/ippo-d1-s100/robot", "teams/ippo-d1-s101/robot")
+    played = {"passive robot, teams' humans", "told", "best responses"}
+    assert played < set(found.figures)
+    assert found.figures["best responses"]["episodes"] == 4  # each with the human it was made for
+
+
+def test_only_the_told_see_the_preference(tmp_path: Path) -> None:
+    widths = {}
+    for name in ("teams", "told"):
+        main(
+            "gentle_scratch", tmp_path, only=name, seeds="0", steps="32", changes=TINY,
+            backend="native",
+        )  # fmt: skip
+        assert (tmp_path / name / "teams.json").is_file()
+        metrics = pl.read_parquet(tmp_path / name / "metrics.parquet")
+        assert metrics["seed"].unique().to_list() == [0]
+        widths[name] = (tmp_path / name / "robot.safetensors").stat().st_size
+    assert widths["told"] > widths["teams"]
+    assert CONDITIONS["told"].told == ("human", "robot")
+
+
+def test_an_unknown_condition_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="condition is 'hopeful'; allowed are teams, mappo"):
+        main("gentle_lift", tmp_path, only="hopeful")
