@@ -22,7 +22,7 @@ def zsc_dots(
 ) -> Figure:
     """Draw M_train beside M_test of each method, IQM and 95% interval (paper, Figures 6, 14).
 
-    The axis holds the dots and what they are compared with; it does not begin at zero.
+    The axis holds the dots and what they are compared with; it need not begin at zero.
 
     Args:
         summaries: of `evaluate`.
@@ -53,25 +53,19 @@ def zsc_dots(
         axes.axhline(
             value, color=style.MUTED, linewidth=0.9, linestyle=dashes, label=f"{name} {value:.0f}"
         )
-    axes.set_ylim(*_zoom(summaries, references))
+    axes.set_ylim(*_limits(summaries, references))
     axes.grid(axis="y", color=style.GRID, linewidth=0.6)
     axes.set_axisbelow(True)
     _name_places(axes, list(summaries), 3)
     return figure
 
 
-def _zoom(summaries: Summaries, references: Mapping[str, float]) -> tuple[float, float]:
-    """Return limits that hold the dots with their intervals, and the references near them.
-
-    What is farther off has its value in the legend.
-    """
+def _limits(summaries: Summaries, references: Mapping[str, float]) -> tuple[float, float]:
+    """Return limits that hold the dots with their intervals, and the references."""
     values = [one[key] for one in summaries.values() for key in ("m_train", "m_test") if one[key]]
     ends = [end for value in values for end in (value["iqm_ci"] or [value["iqm"]])]
-    low, high = min(ends), max(ends)
-    spread = max(high - low, 0.02 * max(abs(low), abs(high)), 1e-6)
-    near = [value for value in references.values() if low - 3 * spread < value < high + 3 * spread]
-    low, high = min([low, *near]), max([high, *near])
-    room = 0.15 * max(high - low, spread)
+    low, high = min([*ends, *references.values()]), max([*ends, *references.values()])
+    room = 0.15 * max(high - low, 0.02 * max(abs(low), abs(high)), 1e-6)
     return low - room, high + room
 
 

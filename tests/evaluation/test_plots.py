@@ -386,15 +386,26 @@ def test_dots_stand_at_the_iqm_with_whiskers_as_long_as_the_interval():
     assert "new partners; new seeds and partners" in written
 
 
-def test_the_axis_holds_what_is_near_and_the_legend_says_the_rest():
+@pytest.mark.parametrize("zero_action", [3.0, 990.0])
+def test_the_axis_holds_robots_and_references_however_far_apart(zero_action):
     found = evaluations()
-    found["ppo"]["references"] = {"zero_action": {"iqm": 3.0}, "script": None}
+    found["ppo"]["references"] = {"zero_action": {"iqm": zero_action}, "script": None}
     axes = axes_by_label(zsc_dots(found, {"self-play": 510.0}))["returns"]
-    low, high = axes.get_ylim()
     ends = [end for one in found.values() for end in (*one["m_test"]["iqm_ci"],)]
-    assert 3.0 < low < min(ends) and max([*ends, 510.0]) < high
+    low, high = axes.get_ylim()
+    assert low < min([*ends, zero_action]) and max([*ends, zero_action]) < high
     legend = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert legend == ["training partners", "test partners", "self-play 510", "zero action 3"]
+    marks = ["training partners", "test partners", "self-play 510"]
+    assert legend == [*marks, f"zero action {zero_action:.0f}"]
+
+
+def test_the_axis_is_zoomed_where_references_are_near():
+    found = evaluations()
+    low, high = axes_by_label(zsc_dots(found, {"self-play": 510.0}))["returns"].get_ylim()
+    ends = [
+        end for one in found.values() for key in ("m_test", "m_train") for end in one[key]["iqm_ci"]
+    ]
+    assert min(ends) - 40 < low < min(ends) and max(ends) < high < max(ends) + 40
 
 
 def test_a_side_that_was_not_evaluated_has_no_dot():
