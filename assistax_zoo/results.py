@@ -32,8 +32,10 @@ class TemporaryFolder:
     """A folder that goes with the last result that holds it."""
 
     def __init__(self) -> None:
-        self.path = Path(tempfile.mkdtemp(prefix="assistax-zoo-"))
-        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+        outer = Path(tempfile.mkdtemp(prefix="assistax-zoo-"))
+        self.path = outer / "robot"  # the name that figures and reports show
+        self.path.mkdir()
+        weakref.finalize(self, shutil.rmtree, outer, ignore_errors=True)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

@@ -144,7 +144,9 @@ def _block_lines(summary: dict[str, Any], out: Path) -> tuple[str, str]:
 
 
 def _print_evaluation(summary: dict[str, Any]) -> None:
-    title = f"{summary['task']}, {len(summary['egos'])} robots, split {summary['split']['id']}"
+    robots = len(summary["egos"])
+    split = summary["split"]["id"]
+    title = f"{summary['task']}, {robots} {'robot' if robots == 1 else 'robots'}, split {split}"
     names = (("M_test", "m_test"), ("M_train", "m_train"), ("M_train - M_test", "gap"))
     rows = [(name, summary[key]) for name, key in names]
     for key in ("by_algorithm", "by_disability", "by_preference"):
