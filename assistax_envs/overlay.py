@@ -18,6 +18,7 @@ MEANINGS = {
     "waist": "where the arm goes",
 }  # of targets' names
 SMALLEST = 100  # pixels: what is lower has no room for words
+MOST = 0.42  # of a picture's height, for words
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,96 +42,113 @@ def panel_height(width: int, height: int, figures: Figures, caption: tuple[str, 
     """Return how many of a picture's lines of pixels the words take, 0 where there is no room."""
     if height < SMALLEST:
         return 0
-    size = _size(width, height)
-    rows = -(-len(figures.terms) // _columns(width, size)) + len(_lines(width, size, figures))
-    return min(_step(size) * (1 + rows + len(_captions(width, size, caption))) + size, height // 2)
+    font = _font(width, height)
+    return min(_height(font, _lines(font, width, height, figures, caption)), height // 2)
 
 
 def panel(
     width: int, rows: int, height: int, figures: Figures, caption: tuple[str, ...]
 ) -> np.ndarray:
     """Return what stands below a picture of this height, uint8 [rows, width, 3]."""
-    size = _size(width, height)
-    font, step, pad = ImageFont.load_default(size), _step(size), size // 2
+    font = _font(width, height)
     image = Image.new("RGB", (width, max(rows, 1)), PAPER)
-    draw = ImageDraw.Draw(image)
-    title = f"{figures.title}{'   physics diverged: frozen' * figures.nonfinite}"
-    draw.text((pad, pad), title, font=font, fill=INK)
-    y = pad + step
-    columns = _columns(width, size)
-    for i, (name, value) in enumerate(figures.terms.items()):
-        left = pad + i % columns * ((width - pad) // columns)
-        _bar(draw, (left, y + i // columns * step), name, value, font)
-    y += -(-len(figures.terms) // columns) * step
-    for line in _lines(width, size, figures):
-        x = float(pad)
-        for colour, text in line:
-            x = _item(draw, (x, y), colour, text, font)
-        y += step
-    for line in _captions(width, size, caption):
-        draw.text((pad, y), line, font=font, fill=INK)
-        y += step
+    draw, y = ImageDraw.Draw(image), font.size // 2
+    for line in _lines(font, width, height, figures, caption):
+        x = font.size // 2
+        for item in line:
+            _draw(draw, (x, y), item, font)
+            x += item.room
+        y += _step(font)
     return np.array(image)[:rows]
 
 
-def _lines(width: int, size: int, figures: Figures) -> list[list[tuple[Any, str]]]:
-    """Return lines of a coloured patch, or None, and words: what is felt, and what colours mean."""
-    ends = [f"{level:.0f}" for level, _ in LEVELS[1:]]
-    words = (f"< {ends[0]} N", f"{ends[0]}-{ends[1]} N", f"> {ends[1]} N")
-    items: list[tuple[Any, str]] = [
-        (_level(figures.force), f"touch {figures.force:5.1f} N"),
-        (None, f"distance {100.0 * figures.distance:3.0f} cm"),
-        (None, "targets:"),
-        *((_bytes(colour), MEANINGS.get(name, name)) for name, colour in figures.targets.items()),
-        (None, "touches, larger with force:"),
-        *((colour, text) for (_, colour), text in zip(LEVELS, words, strict=True)),
-        (EARNS, "earns"),
-        (COSTS, "costs"),
-    ]
-    font, lines, room = ImageFont.load_default(size), [[]], width - size
-    for item in items:
-        long = font.getlength("touch 000.0 N" if item[1].startswith("touch ") else item[1])
-        if room < long + 2 * size:
-            lines.append([])
-            room = width - size
-        lines[-1].append(item)
-        room -= round(long + 2 * size)
+@dataclasses.dataclass(frozen=True)
+class _Item:
+    """Words, behind a patch of a colour or above a bar where they have one."""
+
+    text: str
+    room: int  # pixels, with those to the next item
+    colour: Any = None
+    bar: float | None = None  # full at 1, or at a cost of -1
+
+
+def _lines(
+    font: Any, width: int, height: int, figures: Figures, caption: tuple[str, ...]
+) -> list[list[_Item]]:
+    """Return what is written; terms and caption only where the scene keeps most of the picture."""
+    lines = _flow(_facts(font, figures), width - font.size)
+    below = _flow([_item(font, text) for text in caption], width - font.size)
+    for more in (_terms(font, width, figures.terms), below):
+        if _height(font, lines + more) > MOST * height:
+            break
+        lines += more
     return lines
 
 
-def _item(
-    draw: ImageDraw.ImageDraw, at: tuple[float, float], colour: Any, text: str, font: Any
-) -> float:
-    """Write words behind their patch; return where the next ones begin."""
+def _facts(font: Any, figures: Figures) -> list[_Item]:
+    """Return clock, touch and distance, and what the colours mean: in all frames as long."""
+    ends = [f"{level:.0f}" for level, _ in LEVELS[1:]]
+    words = (f"< {ends[0]} N", f"{ends[0]}-{ends[1]} N", f"> {ends[1]} N")
+    colours = [colour for _, colour in LEVELS]
+    targets = {MEANINGS.get(name, name): _bytes(c) for name, c in figures.targets.items()}
+    touch = f"touch {figures.force:.1f} N"
+    return [
+        _item(font, figures.title, widest=f"{figures.title.split()[0]}  00.00 s  reward -00.00"),
+        *([_item(font, "physics diverged: frozen")] * figures.nonfinite),
+        _item(font, touch, _level(figures.force), widest="touch 000.0 N"),
+        _item(font, f"distance {100.0 * figures.distance:.0f} cm", widest="distance 000 cm"),
+        *(_item(font, text, colour) for text, colour in targets.items()),
+        *(_item(font, text, colour) for text, colour in zip(words, colours, strict=True)),
+        *(_item(font, text, colour) for text, colour in (("earns", EARNS), ("costs", COSTS))),
+    ]
+
+
+def _terms(font: Any, width: int, terms: Mapping[str, float]) -> list[list[_Item]]:
+    """Return the reward's terms with their bars, in columns."""
+    room = max((_item(font, f"{name} -00.00").room for name in terms), default=1)
+    columns = max(1, width // room)
+    items = [
+        _Item(f"{name} {round(value, 2) + 0.0:.2f}", room, bar=float(np.clip(value, -1.0, 1.0)))
+        for name, value in ((name, np.nan_to_num(value)) for name, value in terms.items())
+    ]
+    return [items[start : start + columns] for start in range(0, len(items), columns)]
+
+
+def _item(font: Any, text: str, colour: Any = None, widest: str = "") -> _Item:
+    """Return words with room for the widest that may stand there, a patch and a gap."""
+    long = max(font.getlength(text), font.getlength(widest))
+    return _Item(text, round(long + font.size * (2 if colour else 1)), colour)
+
+
+def _flow(items: list[_Item], width: int) -> list[list[_Item]]:
+    """Break items into lines."""
+    lines: list[list[_Item]] = []
+    for item in items:
+        if not lines or sum(one.room for one in lines[-1]) + item.room > width:
+            lines.append([])
+        lines[-1].append(item)
+    return lines
+
+
+def _draw(draw: ImageDraw.ImageDraw, at: tuple[int, int], item: _Item, font: Any) -> None:
     x, y = at
     size = font.size
-    if colour is not None:
-        draw.rounded_rectangle((x, y + 0.2 * size, x + 0.8 * size, y + size), size // 4, colour)
+    if item.colour is not None:
+        draw.rounded_rectangle(
+            (x, y + 0.2 * size, x + 0.8 * size, y + size), size // 4, item.colour
+        )
         x += size
-    draw.text((x, y), text, font=font, fill=INK)
-    return x + draw.textlength(text, font=font) + size
+    draw.text((x, y), item.text, font=font, fill=INK)
+    if item.bar is not None:
+        top, bottom, long = y + 1.25 * size, y + 1.4 * size, item.room - size
+        draw.rectangle((x, top, x + long, bottom), fill=TRACK)
+        if abs(item.bar) >= 0.005:
+            fill = EARNS if item.bar > 0.0 else COSTS
+            draw.rectangle((x, top, x + abs(item.bar) * long, bottom), fill=fill)
 
 
-def _bar(
-    draw: ImageDraw.ImageDraw, at: tuple[float, float], name: str, value: float, font: Any
-) -> None:
-    """Write a term above a track that is full at 1, or at a cost of 1."""
-    x, y = at
-    size = font.size
-    draw.text((x, y), f"{name} {round(value, 2) + 0.0:.2f}", font=font, fill=INK)
-    share = float(np.clip(np.nan_to_num(value), -1.0, 1.0))
-    top, long = y + 1.25 * size, 9.0 * size
-    draw.rectangle((x, top, x + long, top + size / 6), fill=TRACK)
-    if abs(share) >= 0.005:
-        fill = EARNS if share > 0.0 else COSTS
-        draw.rectangle((x, top, x + abs(share) * long, top + size / 6), fill=fill)
-
-
-def _captions(width: int, size: int, caption: tuple[str, ...]) -> list[str]:
-    """Return the caption in one line where it fits."""
-    joined = "   ".join(caption)
-    fits = ImageFont.load_default(size).getlength(joined) <= width - size
-    return [joined] * bool(caption) if fits else list(caption)
+def _height(font: Any, lines: list[list[_Item]]) -> int:
+    return _step(font) * len(lines) + font.size
 
 
 def _level(newtons: float) -> tuple[int, int, int]:
@@ -141,13 +159,11 @@ def _bytes(colour: tuple[float, ...]) -> tuple[int, ...]:
     return tuple(round(255 * channel) for channel in colour[:3])
 
 
-def _columns(width: int, size: int) -> int:
-    return max(1, width // round(10.2 * size))
+def _font(width: int, height: int) -> Any:
+    """Return letters that are read in films of 320 to 480 pixels, and grow with the picture."""
+    wished = max(8 + width // 80, width // 46)
+    return ImageFont.load_default(max(9, min(wished, height // 14)))
 
 
-def _size(width: int, height: int) -> int:
-    return max(9, min(height // 32, width // 46))
-
-
-def _step(size: int) -> int:
-    return round(1.5 * size)
+def _step(font: Any) -> int:
+    return round(1.5 * font.size)
