@@ -50,9 +50,14 @@ def zsc_dots(
     for label, fill in (("training partners", "white"), ("test partners", style.FAINT)):
         axes.plot([], [], "o", color=style.FAINT, markerfacecolor=fill, label=label)
     for (name, value), dashes in zip(references.items(), _DASHES, strict=False):
-        label = f"{name} {value:.0f}"
-        look = {"color": style.MUTED, "linewidth": 0.9, "linestyle": dashes}
-        axes.axhline(value, label=label, zorder=1.5, **look)  # below the dots
+        axes.axhline(
+            value,
+            color=style.MUTED,
+            linewidth=0.9,
+            linestyle=dashes,
+            label=f"{name} {value:.0f}",
+            zorder=1.5,  # below the dots
+        )
     axes.set_ylim(*_limits(summaries, references))
     axes.grid(axis="y", color=style.GRID, linewidth=0.6)
     axes.set_axisbelow(True)
