@@ -145,6 +145,7 @@ def _bar(description: str, total: int, is_bytes: bool) -> Generator[Callable[[in
 @contextmanager
 def _lines(description: str, total: int, is_bytes: bool) -> Generator[Callable[[int], None]]:
     start, done = time.monotonic(), 0
+    first: tuple[float, int] | None = None  # when work was first told of, and how much of it
 
     def figures() -> str:
         if is_bytes:
@@ -152,11 +153,13 @@ def _lines(description: str, total: int, is_bytes: bool) -> Generator[Callable[[
         return f"{done / 1e6:.2f}/{total / 1e6:.2f} M" if total >= 1e5 else f"{done}/{total}"
 
     def advance(count: int) -> None:
-        nonlocal done
+        nonlocal done, first
         done += count
-        spent = time.monotonic() - start
-        left = spent * (total - done) / max(done, 1)
-        told = f"{description}: {figures()}, {spent:.0f} s, {left:.0f} s left"
+        now = time.monotonic()
+        told = f"{description}: {figures()}, {now - start:.0f} s"
+        first = first or (now, done)  # compilation comes before it, and is not part of the speed
+        if done > first[1]:
+            told += f", {(now - first[0]) * (total - done) / (done - first[1]):.0f} s left"
         line.show(told, last=done >= total)
 
     with closing(Line()) as line:

@@ -246,6 +246,24 @@ def test_progress_off_a_terminal_is_lines_on_standard_error(
     ]
 
 
+def test_the_time_left_does_not_count_compilation(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(console, "SECONDS_BETWEEN_LINES", 0.0)
+    clock = iter([0.0, 60.0, 62.0, 64.0])
+    monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
+    now = [next(clock)]
+    with console.progress("evaluate scratch", 1000) as advance:
+        for count in (1, 1, 998):
+            now[0] = next(clock)
+            advance(count)
+    assert capsys.readouterr().err.splitlines() == [
+        "evaluate scratch: 1/1000, 60 s",
+        "evaluate scratch: 2/1000, 62 s, 1996 s left",
+        "evaluate scratch: 1000/1000, 64 s, 0 s left",
+    ]
+
+
 def test_completion_is_installed_and_knows_the_commands(tmp_path: Path) -> None:
     """In bash: a word that has begun is completed to what there is."""
     done = subprocess.run(
