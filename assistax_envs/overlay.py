@@ -18,7 +18,7 @@ MEANINGS = {
     "waist": "where the arm goes",
 }  # of targets' names
 SMALLEST = 100  # pixels: what is lower has no room for words
-MOST = 0.42  # of a picture's height, for words
+MOST_WITH_TERMS, MOST_WITH_NAMES = 0.42, 1 / 3  # of a picture's height, for words
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,11 +77,11 @@ def _lines(
 ) -> list[list[_Item]]:
     """Return what is written; terms and caption only where the scene keeps most of the picture."""
     lines = _flow(_facts(font, figures), width - font.size)
-    below = _flow([_item(font, text) for text in caption], width - font.size)
-    for more in (_terms(font, width, figures.terms), below):
-        if _height(font, lines + more) > MOST * height:
-            break
-        lines += more
+    terms = _terms(font, width, figures.terms)
+    names = _flow([_item(font, text) for text in caption], width - font.size)
+    for more, most in ((terms, MOST_WITH_TERMS), (names, MOST_WITH_NAMES)):
+        if _height(font, lines + more) <= most * height:
+            lines += more
     return lines
 
 
