@@ -93,7 +93,7 @@ def _facts(font: Any, figures: Figures) -> list[_Item]:
     targets = {MEANINGS.get(name, name): _bytes(c) for name, c in figures.targets.items()}
     touch = f"touch {figures.force:.1f} N"
     return [
-        _item(font, figures.title, widest=f"{figures.title.split()[0]}  00.00 s  reward -00.00"),
+        _item(font, figures.title, widest=f"{figures.title.split()[0]}  00.00 s  reward -000.00"),
         *([_item(font, "physics diverged: frozen")] * figures.nonfinite),
         _item(font, touch, _level(figures.force), widest="touch 000.0 N"),
         _item(font, f"distance {100.0 * figures.distance:.0f} cm", widest="distance 000 cm"),
