@@ -3,6 +3,7 @@
 import contextlib
 import math
 import sys
+import time
 from functools import partial
 from pathlib import Path
 
@@ -11,7 +12,6 @@ import polars as pl
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from population import tensorboard
 from population.tensorboard import EventFiles, tag
 from population.train import train
 from tests.population.test_train import CONFIG, Killed, kill_after
@@ -20,12 +20,10 @@ from tests.population.toy_env import ToyEnv, match
 MEMBERS = ("toy-ippo-d1-s0", "toy-ippo-d1-s3", "toy-ippo-d9-s0", "toy-ippo-d9-s3")
 
 
-def scalars(folder: Path) -> dict[str, list[tuple[int, float]]]:
-    """Return every (step, value) of a member's files by tag; what was written twice is there
-    twice.
-    """
+def scalars(folder: Path, *, all_files: bool = False) -> dict[str, list[tuple[int, float]]]:
+    """Return (step, value) by tag as TensorBoard shows a member, or all that its files hold."""
     reader = EventAccumulator(
-        str(folder), size_guidance={"scalars": 0}, purge_orphaned_data=False
+        str(folder), size_guidance={"scalars": 0}, purge_orphaned_data=not all_files
     ).Reload()
     return {
         name: [(event.step, event.value) for event in reader.Scalars(name)]
@@ -81,29 +79,26 @@ def test_event_files_hold_what_the_metrics_hold(whole):
     check(whole / "tb", whole / "run" / "metrics.parquet", speeds=6)
 
 
-def test_a_run_that_goes_on_writes_no_step_twice_and_leaves_none_out(tmp_path):
+def test_a_run_that_goes_on_shows_no_step_twice_and_leaves_none_out(tmp_path, monkeypatch):
     """Killed before its first checkpoint, which is of update 2; just after it; and an update later.
 
     What was written last is torn each time.
     """
-    for update in (1, 2, 3):
+    now = time.time()
+    for second, update in enumerate((1, 2, 3)):
+        monkeypatch.setattr(time, "time", lambda second=second: now + second)  # names the files
         with pytest.raises(Killed):
             run(tmp_path / "run", tmp_path / "tb", killed_at=update)
         for path in (tmp_path / "tb").rglob("events.*"):
             path.write_bytes(path.read_bytes()[:-5])
+    monkeypatch.setattr(time, "time", lambda: now + 3)
     run(tmp_path / "run", tmp_path / "tb")
-    # Update 2 is taken from the metrics, which know no speed.
-    check(tmp_path / "tb", tmp_path / "run" / "metrics.parquet", speeds=5)
-
-
-@pytest.mark.slow
-def test_the_reader_sees_what_is_written_twice(tmp_path, monkeypatch):
-    with pytest.raises(Killed):
-        run(tmp_path / "run", tmp_path / "tb", killed_at=3)
-    monkeypatch.setattr(tensorboard, "_last_step", lambda *_: -1)
-    run(tmp_path / "run", tmp_path / "tb")
-    steps = [step for step, _ in scalars(tmp_path / "tb" / MEMBERS[0])["episode/reward"]]
-    assert len(steps) > len(set(steps)) == 6
+    # Updates 1 and 2 are taken from the metrics, which know no speed.
+    check(tmp_path / "tb", tmp_path / "run" / "metrics.parquet", speeds=4)
+    member = tmp_path / "tb" / MEMBERS[0]
+    assert len(list(member.iterdir())) == 4
+    written = [step for step, _ in scalars(member, all_files=True)["episode/reward"]]
+    assert len(written) > len(set(written)) == 6
 
 
 def test_a_run_without_files_gets_its_past_written(whole, tmp_path):
