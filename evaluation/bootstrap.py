@@ -96,7 +96,7 @@ def estimate(scores: np.ndarray, *, resamples: int = RESAMPLES, seed: int = 0) -
 
 
 def profile_band(
-    scores: np.ndarray, thresholds: np.ndarray, *, resamples: int = RESAMPLES, seed: int = 0
+    scores: np.ndarray, thresholds: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Pointwise cluster band (low [T], high [T]) of the performance profile of scores [S, P].
 
@@ -106,7 +106,7 @@ def profile_band(
     if scores.size == 1:
         return None
     above = (scores[..., None] > np.asarray(thresholds, float)).astype(float)
-    seed_counts, partner_counts = cluster_counts(scores.shape, resamples, seed)
+    seed_counts, partner_counts = cluster_counts(scores.shape, RESAMPLES, seed=0)
     shares = (
         np.einsum("bs,spt,bp->bt", seed_counts, above, partner_counts, optimize=True) / scores.size
     )
@@ -114,9 +114,7 @@ def profile_band(
     return low, high
 
 
-def curve_band(
-    values: np.ndarray, *, resamples: int = RESAMPLES, seed: int = 0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+def curve_band(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """IQM over seeds at each point of curves [S, T] with its pointwise band: (iqm, low, high).
 
     None for one seed.
@@ -124,7 +122,7 @@ def curve_band(
     values = score_matrix(values)
     if len(values) == 1:
         return None
-    counts = draw_counts(len(values), resamples, np.random.default_rng(seed))
+    counts = draw_counts(len(values), RESAMPLES, np.random.default_rng(0))
     replicates = np.stack([weighted_iqm(column, counts) for column in values.T])
     low, high = np.quantile(replicates, (0.025, 0.975), axis=1)
     return np.array([iqm(column) for column in values.T]), low, high

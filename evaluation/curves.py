@@ -15,7 +15,7 @@ COLUMNS = {
 }
 
 
-def learning_curves(metrics: pl.DataFrame, *, points: int = 100, seed: int = 0) -> pl.DataFrame:
+def learning_curves(metrics: pl.DataFrame, *, points: int = 100) -> pl.DataFrame:
     """Return curves with columns disability, steps, iqm, low, high and seeds.
 
     No band for a single seed.
@@ -25,7 +25,6 @@ def learning_curves(metrics: pl.DataFrame, *, points: int = 100, seed: int = 0) 
             episode ended.
         points: number of bins of equal width over the steps; a bin counts where every seed has an
             episode.
-        seed: seed of the bootstrap.
 
     Raises:
         ValueError: a column is missing, or no episode has ended yet.
@@ -44,20 +43,20 @@ def learning_curves(metrics: pl.DataFrame, *, points: int = 100, seed: int = 0) 
     binned = ended.with_columns((pl.col("steps") / width).ceil().alias("bin"))
     cells = binned.group_by("disability", "seed", "bin").agg(pl.col("return").mean())
     curves = [
-        _curve(cells.filter(disability=name), name, width, seed)
+        _curve(cells.filter(disability=name), name, width)
         for name in cells["disability"].unique().sort()
     ]
     return pl.concat(curves)
 
 
-def _curve(cells: pl.DataFrame, name: str, width: float, seed: int) -> pl.DataFrame:
+def _curve(cells: pl.DataFrame, name: str, width: float) -> pl.DataFrame:
     wide = cells.sort("bin", "seed").pivot("seed", index="bin", values="return").drop_nulls()
     values = wide.drop("bin").to_numpy().T  # [S, T]
     if wide.is_empty():
         raise ValueError(
             f"no episodes of all seeds of {name} ended together; take fewer points or train on"
         )
-    band = curve_band(values, seed=seed)
+    band = curve_band(values)
     centre, low, high = band if band else ([iqm(column) for column in values.T], None, None)
     columns = {
         "disability": [name] * wide.height,

@@ -21,8 +21,10 @@ from evaluation.summary import (
 )
 from evaluation.tables import dense_block
 
+POINTS = 101  # of a performance profile
 
-def partner_table(table: pl.DataFrame, *, seed: int = 0) -> pl.DataFrame:
+
+def partner_table(table: pl.DataFrame) -> pl.DataFrame:
     """Average over egos and episodes: one row a partner.
 
     `return_low` and `return_high` are the ends of its mean's 95% interval over seeds.
@@ -34,7 +36,7 @@ def partner_table(table: pl.DataFrame, *, seed: int = 0) -> pl.DataFrame:
         pl.len().cast(pl.Int64).alias("episodes"),
         pl.col("nonfinite").sum().cast(pl.Int64),
     )
-    figures = [estimate(column, seed=seed) for column in block.scores.T]
+    figures = [estimate(column) for column in block.scores.T]
     intervals = [figure.mean_ci or (None, None) for figure in figures]
     returns = pl.DataFrame(
         {
@@ -49,14 +51,14 @@ def partner_table(table: pl.DataFrame, *, seed: int = 0) -> pl.DataFrame:
     return described.join(means, on="partner", maintain_order="left")
 
 
-def profile_table(table: pl.DataFrame, *, points: int = 101, seed: int = 0) -> pl.DataFrame:
+def profile_table(table: pl.DataFrame) -> pl.DataFrame:
     """Return the performance profile of the evaluated side.
 
     Threshold, share above it, low, high.
     """
     scores = dense_block(table).evaluated_side().scores
-    thresholds = np.linspace(min(0.0, scores.min()), scores.max(), points)
-    low, high = profile_band(scores, thresholds, seed=seed) or (None, None)
+    thresholds = np.linspace(min(0.0, scores.min()), scores.max(), POINTS)
+    low, high = profile_band(scores, thresholds) or (None, None)
     share = performance_profile(scores, thresholds)
     return pl.DataFrame(
         {"threshold": thresholds, "share": share, "low": low, "high": high},

@@ -96,7 +96,7 @@ def bounds_table(references: pl.DataFrame, crossplay: pl.DataFrame | None = None
 
 
 def summarise_references(
-    table: pl.DataFrame, references: pl.DataFrame, bounds: pl.DataFrame, *, seed: int = 0
+    table: pl.DataFrame, references: pl.DataFrame, bounds: pl.DataFrame
 ) -> tuple[References, Relative]:
     """Return the reference egos' returns, and the egos' figures relative to the bounds.
 
@@ -106,7 +106,6 @@ def summarise_references(
         table: Episodes of the policies.
         references: What `evaluation.references.play_references` returned.
         bounds: What `bounds_table` returned.
-        seed: Seed of the bootstrap.
     """
     block = tables.dense_block(table).evaluated_side()
     partners = block.partners.select("partner")
@@ -114,7 +113,7 @@ def summarise_references(
     on_side = references.join(partners, on="partner", how="semi", maintain_order="left")
 
     def figure(means: pl.Series) -> Estimate | None:
-        return estimate(means.to_numpy()[None], seed=seed) if means.len() else None
+        return estimate(means.to_numpy()[None]) if means.len() else None
 
     def returns_of(name: str) -> Estimate | None:
         played = on_side.filter(pl.col(COLUMN) == name).group_by("partner", maintain_order=True)
@@ -123,7 +122,7 @@ def summarise_references(
     def alone(egos: pl.Expr) -> Estimate | None:
         rows = references.filter((pl.col("partner") == PASSIVE) & egos).group_by("ego")
         means = rows.agg(pl.col("return").cast(pl.Float64).mean()).sort("ego")["return"]
-        return estimate(means.to_numpy()[:, None], seed=seed) if means.len() else None
+        return estimate(means.to_numpy()[:, None]) if means.len() else None
 
     played = (returns_of(ZERO), returns_of(RANDOM), returns_of(SELF_PLAY))
     found = References(
@@ -133,10 +132,10 @@ def summarise_references(
         passive_human=alone(pl.col("ego").is_in(block.egos["ego"].to_list())),
         script_with_passive_human=alone(pl.col("ego") == SCRIPT),
     )
-    return found, _relative(block.scores, bounds, seed)
+    return found, _relative(block.scores, bounds)
 
 
-def _relative(scores: np.ndarray, table: pl.DataFrame, seed: int) -> Relative:
+def _relative(scores: np.ndarray, table: pl.DataFrame) -> Relative:
     """Return the relative figures of scores [S, P], whose partners are the rows of `table`."""
     low = table["low"].to_numpy()
     # Without a best response B = L, which makes a partner unscorable.
@@ -147,13 +146,13 @@ def _relative(scores: np.ndarray, table: pl.DataFrame, seed: int) -> Relative:
     scored = table["partner"].filter(pl.Series(scorable))
     sources = sorted(table["source"].value_counts().iter_rows())
     return Relative(
-        normalised_return=estimate(normalised, seed=seed) if normalised.size else None,
-        br_prox=br_prox(scores, bounds, seed=seed),
-        regret=estimate(regrets[None], seed=seed) if regrets.size else None,
+        normalised_return=estimate(normalised) if normalised.size else None,
+        br_prox=br_prox(scores, bounds),
+        regret=estimate(regrets[None]) if regrets.size else None,
         worst_regret=WorstRegret(scored[int(regrets.argmax())], float(regrets.max()))
         if regrets.size
         else None,
-        coverage=coverage(scores, bounds, seed=seed),
+        coverage=coverage(scores, bounds),
         unscorable=tuple(table["partner"].filter(pl.Series(~scorable))),
         bounds=BoundsUsed(ZERO, dict(sources), int(table["low_episodes"][0])),
     )

@@ -164,9 +164,7 @@ def without_own(table: pl.DataFrame) -> pl.DataFrame:
     return table.filter(~own.fill_null(value=False))
 
 
-def summarise_evaluation(
-    table: pl.DataFrame, context: Context, *, seed: int = 0
-) -> EvaluationSummary:
+def summarise_evaluation(table: pl.DataFrame, context: Context) -> EvaluationSummary:
     """Summarise an evaluation; all egos of the table are seeds of one method.
 
     Raises:
@@ -177,13 +175,13 @@ def summarise_evaluation(
     sides = block.partners["side"].to_list()
     focus = block.evaluated_side()
     by_algorithm, by_disability = (
-        group_draws(focus.scores, focus.partners[f"partner_{trait}"].to_list(), seed=seed)
+        group_draws(focus.scores, focus.partners[f"partner_{trait}"].to_list())
         for trait in ("algorithm", "disability")
     )
-    by_preference = _preference_draws(focus, seed)
+    by_preference = _preference_draws(focus)
     several = focus.returns.shape[2] > 1
     return EvaluationSummary(
-        **vars(zero_shot(block.scores, sides, seed=seed)),
+        **vars(zero_shot(block.scores, sides)),
         **_common(block, context),
         side=focus.partners["side"][0],
         by_algorithm=_estimates(by_algorithm),
@@ -191,28 +189,26 @@ def summarise_evaluation(
         fairness=fairness(by_disability) if len(by_disability) > 1 else None,
         by_preference=_estimates(by_preference),
         preference_fairness=fairness(by_preference) if len(by_preference) > 1 else None,
-        safe_success=_share(focus.safe, seed),
-        violations=_share(focus.violated, seed),
+        safe_success=_share(focus.safe),
+        violations=_share(focus.violated),
         worst_partner=_worst_partner(focus),
-        cvar_10=cvar_crossfit(focus.returns, 0.1, seed=seed) if several else None,
+        cvar_10=cvar_crossfit(focus.returns, 0.1) if several else None,
         egos=tuple(block.egos["ego"]),
         partners={name: sides.count(name) for name in tables.SIDES},
         notes=(*_seed_notes(block.egos.height), *_group_notes(focus), *_episode_notes(block)),
     )
 
 
-def summarise_crossplay(
-    table: pl.DataFrame, context: Context, *, seed: int = 0
-) -> CrossPlaySummary:
+def summarise_crossplay(table: pl.DataFrame, context: Context) -> CrossPlaySummary:
     """Summarise a matrix of egos by partners."""
     block = dense_block(table)
     rows, columns = _traits(block.egos, "ego"), _traits(block.partners, "partner")
     means = block.scores.mean(axis=1)
     return CrossPlaySummary(
-        **vars(cross_play(block.scores, rows, columns, seed=seed)),
+        **vars(cross_play(block.scores, rows, columns)),
         **_common(block, context),
         best_ego=BestEgo(block.egos["ego"][int(means.argmax())], float(means.max())),
-        rank_stability=_rank_stability(block.scores, seed),
+        rank_stability=_rank_stability(block.scores),
         egos=block.egos.height,
         partners=block.partners.height,
         notes=(*_team_notes(block), *_episode_notes(block)),
@@ -257,7 +253,7 @@ def _common(block: Block, context: Context) -> dict:
     }
 
 
-def _preference_draws(block: Block, seed: int) -> dict[str, Draws]:
+def _preference_draws(block: Block) -> dict[str, Draws]:
     """Replicate the return under each preference: over the partners that played under it."""
     if block.preferences is None:
         return {}
@@ -267,12 +263,12 @@ def _preference_draws(block: Block, seed: int) -> dict[str, Draws]:
         for name in sorted(set(wished)):
             scores.append(returns[:, wished == name].mean(axis=1))
             names.append(name)
-    return group_draws(np.stack(scores, axis=1), names, seed=seed)
+    return group_draws(np.stack(scores, axis=1), names)
 
 
-def _share(happened: np.ndarray | None, seed: int) -> Estimate | None:
+def _share(happened: np.ndarray | None) -> Estimate | None:
     """Return in which share of episodes [E, P, K] it happened."""
-    return None if happened is None else estimate(happened.mean(axis=2), seed=seed)
+    return None if happened is None else estimate(happened.mean(axis=2))
 
 
 def _estimates(draws: dict[str, Draws]) -> dict[str, Estimate]:
@@ -292,10 +288,10 @@ def _worst_partner(block: Block) -> NamedWorst:
     return NamedWorst(*traits, worst.mean, worst.crossfit)
 
 
-def _rank_stability(scores: np.ndarray, seed: int) -> Stability | None:
+def _rank_stability(scores: np.ndarray) -> Stability | None:
     if min(scores.shape) < 2 or not np.ptp(scores.mean(axis=1)):
         return None
-    return rank_stability(scores, seed=seed)
+    return rank_stability(scores)
 
 
 def _seed_notes(egos: int) -> list[str]:

@@ -67,16 +67,14 @@ def normalised_return(scores: np.ndarray, bounds: Bounds) -> np.ndarray:
     return (scores - bounds.low) / span
 
 
-def br_prox(
-    scores: np.ndarray, bounds: Bounds, *, resamples: int = RESAMPLES, seed: int = 0
-) -> Estimate | None:
+def br_prox(scores: np.ndarray, bounds: Bounds) -> Estimate | None:
     """BR-Prox: min(1, (J - L) / (B - L)) over scores [S, P]; its figure is the IQM.
 
     ZSC-Eval (arXiv 2310.05208) has J / B; subtracting L makes it independent of a constant in the
     reward. None where no partner is scorable.
     """
     capped = np.minimum(normalised_return(scores, bounds), 1.0)[:, bounds.scorable]
-    return estimate(capped, resamples=resamples, seed=seed) if capped.size else None
+    return estimate(capped) if capped.size else None
 
 
 def regret(scores: np.ndarray, bounds: Bounds) -> np.ndarray:
@@ -87,14 +85,7 @@ def regret(scores: np.ndarray, bounds: Bounds) -> np.ndarray:
     return bounds.best - score_matrix(scores).mean(axis=0)
 
 
-def coverage(
-    scores: np.ndarray,
-    bounds: Bounds,
-    epsilon: float = 0.1,
-    *,
-    resamples: int = RESAMPLES,
-    seed: int = 0,
-) -> Coverage | None:
+def coverage(scores: np.ndarray, bounds: Bounds, epsilon: float = 0.1) -> Coverage | None:
     """Share of scorable partners whose normalised regret is at most epsilon, of scores [S, P].
 
     The normalised regret is (B - J) / (B - L). None where no partner is scorable.
@@ -103,7 +94,7 @@ def coverage(
     if not regrets.size:
         return None
     seeds, partners = regrets.shape
-    seed_counts, partner_counts = cluster_counts(regrets.shape, resamples, seed)
+    seed_counts, partner_counts = cluster_counts(regrets.shape, RESAMPLES, seed=0)
     covered = (seed_counts @ regrets / seeds <= epsilon) * partner_counts
     to = generalises_to((seeds, partners))
     return Coverage(

@@ -35,9 +35,7 @@ class Stability:
     halvings: int
 
 
-def paired_difference(
-    a: np.ndarray, b: np.ndarray, *, resamples: int = RESAMPLES, seed: int = 0
-) -> Difference:
+def paired_difference(a: np.ndarray, b: np.ndarray, *, seed: int = 0) -> Difference:
     """Difference of scores a [S, P] and b [S', P]; seeds of either and the partners are resampled.
 
     Each score averages the same episode keys, so noise of the environment common to both cancels.
@@ -49,7 +47,7 @@ def paired_difference(
         )
     rng = np.random.default_rng(seed)
     a_counts, b_counts, partner_counts = (
-        draw_counts(n, resamples, rng) for n in (len(a), len(b), a.shape[1])
+        draw_counts(n, RESAMPLES, rng) for n in (len(a), len(b), a.shape[1])
     )
     to = generalises_to((max(len(a), len(b)), a.shape[1]))
     draws = replicate_crossed(a, a_counts, partner_counts, to) - replicate_crossed(

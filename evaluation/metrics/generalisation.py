@@ -48,21 +48,15 @@ class WorstPartner:
     )  # chosen on even episodes and valued on odd ones, and the reverse; None with one episode
 
 
-def zero_shot(
-    scores: np.ndarray, sides: Sequence[str | None], *, resamples: int = RESAMPLES, seed: int = 0
-) -> ZeroShot:
+def zero_shot(scores: np.ndarray, sides: Sequence[str | None]) -> ZeroShot:
     """M(s) = mean over partners p of J[s, p], separately for the partners of each side.
 
     Args:
         scores: mean returns J [S, P].
         sides: "test", "train" or None (in neither) for each partner [P].
-        resamples: number of bootstrap draws; `seed` makes them reproducible.
-        seed: seed of the draws.
     """
     draws = {
-        side: draw
-        for side, draw in group_draws(scores, sides, resamples=resamples, seed=seed).items()
-        if side in ("test", "train")
+        side: draw for side, draw in group_draws(scores, sides).items() if side in ("test", "train")
     }
     if not draws:
         raise ValueError("no partner is on the test or the train side; evaluate against a split")
