@@ -17,6 +17,7 @@ import polars as pl
 
 from assistax_envs import scripted
 from assistax_envs.scripted import SCRIPTS
+from evaluation import tables
 from evaluation.evaluator import run_job
 from evaluation.jobs import Job
 from evaluation.relative import COLUMN, PASSIVE, RANDOM, SCRIPT, SELF_PLAY, ZERO
@@ -65,11 +66,6 @@ def reference_job(env: Any, job: Job, name: str, own: tuple[Roster, Roster] | No
     return dataclasses.replace(job, egos=egos, stochastic=False)
 
 
-def kept_folder(folder: Path, job: Job) -> Path:
-    """Return where a job of reference egos is kept."""
-    return folder / job.digest()[:20]
-
-
 def script_roster(task: str, observation_size: int, action_size: int) -> Roster:
     """Return a task's scripted robot, its code named by its hash."""
     spec = ScriptSpec("robot", observation_size, action_size, task=task)
@@ -102,8 +98,10 @@ def play_references(
     *,
     max_envs: int | None = None,
     on_progress: OnProgress = None,
-) -> pl.DataFrame:
-    """Return the reference egos' episodes with a job's partners, with a column `reference`.
+) -> tuple[pl.DataFrame, list[Path]]:
+    """Return the reference egos' episodes with a job's partners, and the files that keep them.
+
+    A column `reference` says whose they are.
 
     Args:
         env: The environment.
@@ -120,12 +118,13 @@ def play_references(
             on_progress(dataclasses.replace(state, what=what))
 
     options: dict[str, Any] = {"max_envs": max_envs, "kept": True}
-    played = []
+    played, files = [], []
     for one in reference_jobs(env, job, own):
         what = "policies with a passive human" if one.egos is job.egos else "reference egos"
         shown = functools.partial(told, what)
-        place = kept_folder(folder, one)
+        place = folder / one.digest()[:20]
         played.append(run_job(env, one, place, on_progress=shown, **options).table)
+        files.append(place / tables.EPISODES_FILE)
     names = (
         pl.when(pl.col("partner") == PASSIVE)
         .then("partner")
@@ -133,4 +132,4 @@ def play_references(
         .then("ego")
         .otherwise(pl.lit(SELF_PLAY))
     )
-    return pl.concat(played).with_columns(names.alias(COLUMN))
+    return pl.concat(played).with_columns(names.alias(COLUMN)), files

@@ -104,7 +104,7 @@ def summarise_references(
 
     Args:
         table: Episodes of the policies.
-        references: What `evaluation.references.play_references` returned.
+        references: What `evaluation.references.play_references` returned first.
         bounds: What `bounds_table` returned.
     """
     block = tables.dense_block(table).evaluated_side()

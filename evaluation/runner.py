@@ -39,11 +39,6 @@ class Progress:
     seconds: float  # spent in the environment and the networks, compilation not counted
     what: str = "policies"  # whose episodes these are
 
-    @property
-    def eta(self) -> float | None:
-        """Seconds left at the speed so far; None before the first step."""
-        return None if self.done == 0 else self.seconds * (self.total - self.done) / self.done
-
 
 OnProgress = Callable[[Progress], None] | None  # told how far a run is
 

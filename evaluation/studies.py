@@ -20,6 +20,7 @@ from evaluation.blocks import BlockDone, run_block, run_blocks_on_ray
 from evaluation.derived import save_crossplay, save_evaluation
 from evaluation.evaluator import Evaluation, check_folder, run_job
 from evaluation.jobs import Job
+from evaluation.references import play_references
 from evaluation.relative import bounds_table
 from evaluation.roster import Roster, paired_rosters, registry_roster
 from evaluation.runner import OnProgress
@@ -120,17 +121,17 @@ def evaluate_policies(
     egos = _read_egos(registry, policies, settings.task)
     _check_new(egos, chosen, include_own)
     env, job = make_job(registry, egos, chosen, settings, manifest)
-    result = run_job(
-        env, job, folder, max_envs=settings.max_envs, reuse=reuse, on_progress=on_progress
-    )
+    playing: dict[str, Any] = {"max_envs": settings.max_envs, "on_progress": on_progress}
+    result = run_job(env, job, folder, reuse=reuse, **playing)
     played, files = None, _own_files(egos, crossplay)
     if references is not None:
-        given = registry, env, job, chosen, settings, references, on_progress
-        episodes, kept = _play_references(*given)
+        own = own_robots(registry, chosen)
+        episodes, kept = play_references(env, job, own, references, **playing)
         played, files = (episodes, bounds_table(episodes, pairs)), files + kept
     context = _context(registry, job, manifest, manifest.release, result)
-    options = {"include_own": include_own, "references": played}
-    summary = save_evaluation(folder, result.table, context, **options)
+    summary = save_evaluation(
+        folder, result.table, context, include_own=include_own, references=played
+    )
     robots = set() if references is None else {entry.team for entry in chosen}
     _seal(registry, folder, egos, chosen, manifest, robots, files)
     return summary
@@ -318,28 +319,6 @@ def make_job(
         preferences=settings.wishes,
     )
     return env, job
-
-
-def _play_references(
-    registry: Registry,
-    env: "Env",
-    job: Job,
-    partners: Sequence[PolicyEntry],
-    settings: Settings,
-    kept: Path,
-    on_progress: OnProgress,
-) -> tuple[pl.DataFrame, list[Path]]:
-    """Return the reference egos' episodes with the partners, and the files that keep them.
-
-    Each partner's own robot is among them.
-    """
-    from evaluation.references import kept_folder, play_references, reference_jobs
-
-    own = own_robots(registry, partners)
-    options: dict[str, Any] = {"max_envs": settings.max_envs, "on_progress": on_progress}
-    played = play_references(env, job, own, kept, **options)
-    folders = [kept_folder(kept, one) for one in reference_jobs(env, job, own)]
-    return played, [folder / tables.EPISODES_FILE for folder in folders]
 
 
 def own_robots(registry: Registry, partners: Sequence[PolicyEntry]) -> tuple[Roster, Roster] | None:

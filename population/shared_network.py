@@ -9,9 +9,6 @@ one role that way, exactly; training, acting and publishing all use it.
 
 from collections.abc import Mapping
 
-import jax.numpy as jnp
-from jaxtyping import Array, Float
-
 from population.policy import Params
 from population.spec import ROLES
 
@@ -51,18 +48,6 @@ def fold(
     if "log_std" in params:
         folded["log_std"] = params["log_std"][..., :action_size]
     return folded
-
-
-def pad(obs: Float[Array, "*batch O"], role: str, width: int) -> Float[Array, "*batch {width}"]:
-    """Return the shared network's input [..., width] of obs [..., O].
-
-    What `fold` makes unnecessary.
-    """
-    one_hot = jnp.broadcast_to(
-        jnp.eye(len(ROLES))[ROLES.index(role)], (*obs.shape[:-1], len(ROLES))
-    )
-    blank = jnp.zeros((*obs.shape[:-1], width - obs.shape[-1] - len(ROLES)))
-    return jnp.concatenate([obs, blank, one_hot], axis=-1)
 
 
 def _heads(params: Params) -> list[str]:

@@ -130,4 +130,3 @@ def _library() -> tuple[Any, Any, Any]:
         event_pb2,
     )  # made at import time: type checkers cannot see what is in them
     return messages[0].Summary, messages[1].Event, EventsWriter
-

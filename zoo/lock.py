@@ -22,7 +22,6 @@ from zoo.schema import Name, PolicyEntry, Sha256, Team, first_problem
 from zoo.splits import parse_split
 from zoo.untrusted import parse_json, read_text
 
-LOCK_FILE = "assistax-zoo.lock"
 LOCK_VERSION = 2  # 1: without the root and the leaves
 MAX_LOCK_BYTES = 16 * 1024 * 1024
 _WORDS = {

@@ -85,7 +85,7 @@ def test_references_are_played_once_for_all_policies(tmp_path: Path):
     options: dict[str, Any] = {
         "on_progress": lambda state: seen.append(f"{state.what} {state.total}")
     }
-    one = play_references(
+    one, files = play_references(
         MatrixGame(), job_of(robots(0.3), humans(-0.5, 0.5)), own, tmp_path, **options
     )
     assert one.group_by(COLUMN).len().sort(COLUMN).rows() == [
@@ -95,10 +95,10 @@ def test_references_are_played_once_for_all_policies(tmp_path: Path):
     ]
     assert set(seen) == {"reference egos 48", "reference egos 24"}
     seen.clear()
-    again = play_references(
+    again, same = play_references(
         MatrixGame(), job_of(robots(-0.9), humans(-0.5, 0.5)), own, tmp_path, **options
     )
-    assert again.equals(one)
+    assert again.equals(one) and same == files and all(path.is_file() for path in files)
     assert set(seen) == {"reference egos 0"}
 
 
@@ -116,7 +116,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_script_and_a_passive_human_are_played(tmp_path: Path, scripted: None):
     partners = humans(-0.5, 0.5)
     job = job_of(robots(0.3, -0.3), partners, sides=dict.fromkeys(partners.ids, "test"))
-    found = play_references(MatrixGame(), job, (robots(-0.5, 0.5), partners), tmp_path)
+    found, _ = play_references(MatrixGame(), job, (robots(-0.5, 0.5), partners), tmp_path)
     assert found.group_by(COLUMN).len().sort(COLUMN).rows() == [
         (PASSIVE, 9),  # the script and both robots
         (SCRIPT, 6),
@@ -168,14 +168,14 @@ def test_a_tasks_script_is_a_policy():
 def test_kept_references_that_are_damaged_are_played_again(tmp_path: Path, file: str):
     """Halved, they would double every figure relative to them."""
     job = job_of(robots(0.3), humans(-0.5, 0.5))
-    first = play_references(MatrixGame(), job, None, tmp_path)
+    first, _ = play_references(MatrixGame(), job, None, tmp_path)
     [path] = tmp_path.glob(f"*/{file}")
     if file == tables.EPISODES_FILE:
         halved = pl.read_parquet(path).with_columns(pl.col("return") / 2)
         path.write_bytes(tables.parquet_bytes(halved))
     else:
         path.write_text(path.read_text().replace("a", "b", 1))
-    assert play_references(MatrixGame(), job, None, tmp_path).equals(first)
+    assert play_references(MatrixGame(), job, None, tmp_path)[0].equals(first)
 
 
 PARTNERS: list[Team] = teams(4)

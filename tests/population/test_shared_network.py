@@ -10,7 +10,7 @@ from population import shared_network
 from population.config import Member, PPOConfig, preset
 from population.policy import Policy
 from population.ppo import PPO
-from population.spec import PolicySpec
+from population.spec import ROLES, PolicySpec
 from tests.population.test_ppo import SMALL, deterministic_return, run
 from tests.population.toy_env import ToyEnv, match, together
 
@@ -20,6 +20,15 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "state-std": {"std": "state", "squash": "tanh"},
     "gru": {"torso": "gru"},
 }
+
+
+def pad(obs: jax.Array, role: str, width: int) -> jax.Array:
+    """Return the shared network's input [..., width] of obs [..., O], which `fold` makes needless."""
+    one_hot = jnp.broadcast_to(
+        jnp.eye(len(ROLES))[ROLES.index(role)], (*obs.shape[:-1], len(ROLES))
+    )
+    blank = jnp.zeros((*obs.shape[:-1], width - obs.shape[-1] - len(ROLES)))
+    return jnp.concatenate([obs, blank, one_hot], axis=-1)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -48,16 +57,12 @@ def test_an_exported_policy_acts_as_the_shared_network_does(role, variant):
         lambda leaf: leaf.shape, jax.eval_shape(own.init, keys[0])
     )
     obs, first = jax.random.normal(keys[2], (4, observation)), jnp.zeros(4, bool)
-    _, wanted = shared.step(
-        params, shared.initial_carry((4,)), shared_network.pad(obs, role, width), first
-    )
+    _, wanted = shared.step(params, shared.initial_carry((4,)), pad(obs, role, width), first)
     _, found = own.step(folded, own.initial_carry((4,)), obs, first)
     np.testing.assert_allclose(found.mean, wanted.mean[:, :action], rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(found.log_std, wanted.log_std[:, :action], rtol=1e-4, atol=1e-5)
     other = "human" if role == "robot" else "robot"
-    _, different = shared.step(
-        params, shared.initial_carry((4,)), shared_network.pad(obs, other, width), first
-    )
+    _, different = shared.step(params, shared.initial_carry((4,)), pad(obs, other, width), first)
     assert not np.allclose(found.mean, different.mean[:, :action], atol=1e-3)
 
 
