@@ -25,6 +25,7 @@ def train(
     hyperparameters: Mapping[str, Any] | None = None,
     backend: str = "auto",
     resume: bool = True,
+    tensorboard: Path | str | None = None,
     progress: "bool | Callable[[Progress], None]" = True,
     **options: Any,
 ) -> "TrainedRun":
@@ -40,9 +41,10 @@ def train(
         hyperparameters: Changes of the preset, such as {"learning_rate": 3e-4, "torso": "gru"}.
         backend: Physics, or "auto" for the fastest one here.
         resume: Go on with a run that the folder holds.
+        tensorboard: Folder for TensorBoard event files, or "wandb:PROJECT".
         progress: Show it, or a function that is called after every dispatch to the device.
-        **options: `self_play_episodes`, `checkpoint_every`, `updates_per_call` and `tensorboard`,
-            as `population.team_training.train_teams` takes them.
+        **options: `self_play_episodes` of each team's final evaluation, 16 or none (0);
+            `checkpoint_every` and `updates_per_call`, in updates, default the algorithm's.
 
     Returns:
         The run: its `folder`, which `assistax-zoo publish` takes, and `self_play` of `names`.
@@ -58,23 +60,17 @@ def train(
         >>> run.names
         ('scratch/ippo-d1-s0',)
     """
-    from population.team_training import train_teams
+    from population.config import check_names, make_members, make_run, numbered, preset
+    from population.team_training import run_training
 
+    check_names(task, disabilities)
+    members = make_members(numbered(seeds), disabilities)
+    trainer = preset(algorithm, **(hyperparameters or {}))
+    config = make_run(task, algorithm, members, steps, trainer, **options)
     line = contextlib.closing(TrainingLine(f"{task} {algorithm}"))
     with chosen_progress(progress, line) as report:
-        return train_teams(
-            task,
-            algorithm,
-            folder=folder,
-            disabilities=disabilities,
-            seeds=seeds,
-            steps=steps,
-            hyperparameters=hyperparameters,
-            backend=backend,
-            resume=resume,
-            progress=report,
-            **options,
-        )
+        shown: dict[str, Any] = {"tensorboard": tensorboard, "progress": report}
+        return run_training(config, backend, folder, resume=resume, **shown)
 
 
 def train_ego(

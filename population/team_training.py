@@ -1,13 +1,13 @@
-"""Training from plain arguments: what the command line and the Python interface call."""
+"""Training of a configured run: what the command line and the Python interface call."""
 
 import contextlib
 import json
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from population.config import TrainConfig, check_names, make_members, make_run, numbered, preset
+from population.config import TrainConfig
 from population.run_folder import TrainedRun, read_trained_run
 
 if TYPE_CHECKING:
@@ -15,61 +15,6 @@ if TYPE_CHECKING:
     from population.tensorboard import EventFiles
     from population.train import Progress
     from population.wandb_runs import WandbRuns
-
-
-def train_teams(
-    task: str,
-    algorithm: str = "ippo",
-    *,
-    folder: Path | str | None = None,
-    disabilities: Sequence[str] = ("d1",),
-    seeds: int | Sequence[int] = 1,
-    steps: int = 10_000_000,
-    hyperparameters: Mapping[str, Any] | None = None,
-    backend: str = "auto",
-    self_play_episodes: int = 16,
-    checkpoint_every: int | None = None,
-    updates_per_call: int | None = None,
-    resume: bool = True,
-    tensorboard: Path | str | None = None,
-    progress: "Callable[[Progress], None] | None" = None,
-) -> TrainedRun:
-    """Train teams of a robot and a human, every seed with every disability setting, in one program.
-
-    Args:
-        task: Task, such as "scratch".
-        algorithm: Preset of hyperparameters: ippo, mappo, isac or masac.
-        folder: Folder of the run; one that was interrupted goes on. Default a new temporary one.
-        disabilities: Settings of the human, such as ("d1", "d3").
-        seeds: How many, numbered from 0, or which.
-        steps: Environment steps of each team, rounded up to whole updates.
-        hyperparameters: Changes of the preset, such as {"learning_rate": 3e-4, "torso": "gru"}.
-        backend: Physics, or "auto" for the fastest one here.
-        self_play_episodes: Episodes of each team's final evaluation; 0 leaves it out.
-        checkpoint_every: Updates between checkpoints; default the algorithm's.
-        updates_per_call: Updates dispatched to the device at once; default the algorithm's.
-        resume: Whether to go on with a run that the folder holds.
-        tensorboard: Folder for TensorBoard event files, or "wandb:PROJECT".
-        progress: Called after every dispatch.
-
-    Raises:
-        ValueError: An argument is not allowed, or the folder holds another run.
-        population.train.DivergedError: A loss became NaN or infinite.
-    """
-    check_names(task, disabilities)
-    config = make_run(
-        task,
-        algorithm,
-        make_members(numbered(seeds), disabilities),
-        steps,
-        preset(algorithm, **(hyperparameters or {})),
-        self_play_episodes=self_play_episodes,
-        checkpoint_every=checkpoint_every,
-        updates_per_call=updates_per_call,
-    )
-    return run_training(
-        config, backend, folder, resume=resume, tensorboard=tensorboard, progress=progress
-    )
 
 
 def run_training(

@@ -53,7 +53,8 @@ def train(
         assistax-zoo train --task scratch --disability d1,d3 --seeds 8 --steps 10M --out
         runs/scratch-ippo
     """
-    from population.team_training import read_preset, train_teams
+    from assistax_zoo.training import train as train_teams
+    from population.team_training import read_preset
 
     changes: dict[str, Any] = {}
     if preset is not None:

@@ -23,7 +23,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 
 def pad(obs: jax.Array, role: str, width: int) -> jax.Array:
-    """Return the shared network's input [..., width] of obs [..., O], which `fold` makes needless."""
+    """Return the shared network's input [..., width] of obs [..., O]."""
     one_hot = jnp.broadcast_to(
         jnp.eye(len(ROLES))[ROLES.index(role)], (*obs.shape[:-1], len(ROLES))
     )

@@ -4,8 +4,9 @@ import jax.numpy as jnp
 import pytest
 
 import assistax_envs
+from assistax_zoo.training import train
 from population.policy import Policy
-from population.team_training import read_preset, train_teams
+from population.team_training import read_preset
 from tests.population.toy_env import ToyEnv, match
 
 SMALL = {"num_envs": 8, "rollout_steps": 10, "hidden": (8, 8), "minibatches": 2, "epochs": 1}
@@ -20,8 +21,9 @@ def toy(monkeypatch):
 
 
 def test_teams_come_back_with_paths_figures_and_policies(toy, tmp_path):
-    run = train_teams(
+    run = train(
         "scratch",
+        progress=False,
         folder=tmp_path / "run",
         disabilities=("d1", "d9"),
         seeds=2,
@@ -46,7 +48,7 @@ def test_teams_come_back_with_paths_figures_and_policies(toy, tmp_path):
 
 def test_without_a_folder_a_run_gets_a_temporary_one(toy, tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    run = train_teams("scratch", steps=80, hyperparameters=SMALL, self_play_episodes=0)
+    run = train("scratch", steps=80, hyperparameters=SMALL, self_play_episodes=0, progress=False)
     assert run.folder.parent == tmp_path and run.self_play == (None,)
 
 
@@ -62,7 +64,7 @@ def test_without_a_folder_a_run_gets_a_temporary_one(toy, tmp_path, monkeypatch)
 )
 def test_bad_arguments_are_named(arguments, message, tmp_path):
     with pytest.raises(ValueError, match=message):
-        train_teams(**arguments, folder=tmp_path / "run")
+        train(**arguments, folder=tmp_path / "run", progress=False)
     assert not (tmp_path / "run").exists()
 
 
