@@ -69,8 +69,9 @@ def train(
     config = make_run(task, algorithm, members, steps, trainer, **options)
     line = contextlib.closing(TrainingLine(f"{task} {algorithm}"))
     with chosen_progress(progress, line) as report:
-        shown: dict[str, Any] = {"tensorboard": tensorboard, "progress": report}
-        return run_training(config, backend, folder, resume=resume, **shown)
+        return run_training(
+            config, backend, folder, resume=resume, tensorboard=tensorboard, progress=report
+        )
 
 
 def train_ego(

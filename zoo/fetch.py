@@ -4,7 +4,6 @@ import dataclasses
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
 
 from population.files import atomic_write, remove_stale
 from zoo.added import added_remote
@@ -51,10 +50,6 @@ class Report:
     present: int  # of these shards, needed nothing
     bytes: int  # over the wire
     seconds: float
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the report as JSON-ready values."""
-        return dataclasses.asdict(self)
 
 
 def fetch(

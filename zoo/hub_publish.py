@@ -31,10 +31,6 @@ class Publication:
     commit: str | None = None  # of a hub
     tag: str | None = None
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the publication as JSON-ready values."""
-        return dataclasses.asdict(self)
-
 
 def publish_to(
     teams: Sequence[TrainedTeam], to: str, release: str, **arguments: Any

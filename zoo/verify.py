@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 from assistax_envs.versions import VERSIONS
 from zoo.errors import ZooError, listing, shorten
@@ -36,10 +35,6 @@ class Report:
     def ok(self) -> bool:
         """Return whether no problem was found."""
         return not self.problems
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the report as JSON-ready values."""
-        return {"ok": self.ok, **dataclasses.asdict(self)}
 
 
 def verify(

@@ -109,13 +109,12 @@ def crossplay(
         )
     with stdout_is_data():
         from assistax_zoo.studies import cross_play, play_block
-        from evaluation.tables import to_json
 
         given: dict[str, Any] = {"task": task, "release": release, **vars(playing)}
         given |= {"out": out, **source.given()}
         if block:
             done = play_block(_block(block), egos, partners, **given)
-            summary = {"block": block, **to_json(done)}
+            summary = {**vars(done), "block": block}
         else:
             summary = cross_play(egos, partners, cluster=cluster, **given).to_json()
     if block:

@@ -57,7 +57,6 @@ def replay(
         assistax-zoo replay results --sample 20
     """
     with stdout_is_data():
-        from evaluation import tables
         from evaluation.replay import replay_folder
 
         registry = load_registry(source.registry)
@@ -68,6 +67,6 @@ def replay(
         reach = f"{'within' if report.ok else 'beyond'} {report.tolerance:.1f}"
         how, told = "in the mean", f"{report.difference:+.1f} in the mean return, {reach}"
     again = f"{report.episodes} episodes of {folder} played again: {told}"
-    answer(json, tables.to_json(report), f"compared {how}: {report.why}", again)
+    answer(json, vars(report), f"compared {how}: {report.why}", again)
     if not report.ok:
         raise SystemExit(1)

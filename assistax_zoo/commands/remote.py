@@ -74,7 +74,7 @@ def fetch(
     lines = _report_lines(report)
     if theirs:
         lines += [f"its registry is {report.registry}: give it to other commands with --registry"]
-    answer(json, report.to_json(), *lines)
+    answer(json, vars(report), *lines)
 
 
 def add(
@@ -175,7 +175,7 @@ def publish(
     place = to or str(registry_path(registry))
     done = publish_to(teams, place, release, date=date, description=description, key=key)
     told = f"published {len(done.added)} new policies in release {release} of {done.registry}"
-    answer(json, done.to_json(), f"{told}; it holds {done.policies}")
+    answer(json, vars(done), f"{told}; it holds {done.policies}")
 
 
 def lock(

@@ -133,7 +133,7 @@ def verify(
 
     loaded = load_registry(registry)
     report = verify_registry(loaded, key=key)
-    content, lines, ok = report.to_json(), _report_lines(report), report.ok
+    content, lines, ok = {"ok": report.ok, **vars(report)}, _report_lines(report), report.ok
     if deep:
         replay = _replay_teams(loaded, pattern, release, episodes, backend)
         lines, ok = [*lines, *_replay_lines(replay)], ok and replay.ok

@@ -32,7 +32,7 @@ def test_all_damage_is_reported_at_once(registry: Registry) -> None:
     report = verify(registry)
     assert not report.ok and len(report.problems) == 2
     assert "found sha256" in "".join(report.problems) and "no file at" in "".join(report.problems)
-    assert report.to_json()["ok"] is False
+    assert report.ok is False
 
 
 def test_rows_are_held_against_the_registry(registry: Registry) -> None:
