@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import shlex
 import sys
 import time
@@ -31,11 +30,6 @@ def remember_command(words: Sequence[str]) -> None:
 def command_line() -> str:
     """Return the command that runs, as it would be typed."""
     return shlex.join(["assistax-zoo", *_COMMAND])
-
-
-def cache_folder(name: str) -> Path:
-    """Return the user's folder for what can be computed again."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "assistax-zoo", name)
 
 
 def print_json(value: Any) -> None:

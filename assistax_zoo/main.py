@@ -10,13 +10,13 @@ import os
 import re
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 from cyclopts import App, CycloptsError, Parameter
 
 from assistax_zoo.console import remember_command
 from assistax_zoo.interrupts import EXIT_INTERRUPT, end_now, ended_by_interrupts, interrupted
 from zoo.errors import ZooError
+from zoo.locations import cache_root
 
 DEBUG_VARIABLE = "ASSISTAX_ZOO_DEBUG"
 EXIT_ERROR, EXIT_USAGE, EXIT_BROKEN_PIPE = 1, 2, 141
@@ -207,8 +207,7 @@ def _complete_help(app: App, arguments: Sequence[str]) -> None:
 
 def _use_compilation_cache() -> None:
     """Tell JAX, before a command imports it, to keep what it compiles for the next process."""
-    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(home, "assistax-zoo", "xla")))
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache_root() / "xla"))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
 

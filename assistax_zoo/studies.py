@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from assistax_zoo.console import (
-    cache_folder,
     chosen_progress,
     command_line,
     study_progress,
@@ -20,6 +19,7 @@ from evaluation.studies import cross_play as play_population
 from evaluation.summary import CrossPlaySummary
 from population.ray_blocks import RayCluster
 from zoo.fetch import check_local
+from zoo.locations import cache_root
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 
@@ -117,7 +117,7 @@ def evaluate(
             split=split,
             partners=partners or None,
             include_own=include_own,
-            references=cache_folder("references") if references else None,
+            references=cache_root() / "references" if references else None,
             crossplay=crossplay.folder if isinstance(crossplay, CrossPlayResult) else crossplay,
             reuse=reuse,
             on_progress=on_progress,

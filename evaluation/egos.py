@@ -1,7 +1,5 @@
 """Find the robots that a job is about: in the registry, in files, in anybody's Python code."""
 
-import hashlib
-import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +10,7 @@ from evaluation import onnx_ego
 from evaluation.policy_process import PolicyError, PolicyProcess
 from evaluation.policy_reference import PolicyReference, parse_reference
 from evaluation.policy_worker import told
+from evaluation.provenance import file_sha256, identity_digest
 from evaluation.robot_forms import as_robot
 from evaluation.roster import HostEgo, Member, Roster, registry_roster
 from population.spec import PolicySpec
@@ -122,7 +121,7 @@ def _from_object(robot: Any, place: int) -> tuple[Member, HostEgo]:
     """Take a robot of this process; no digest covers what it depends on."""
     kind = getattr(robot, "__qualname__", type(robot).__qualname__)
     name = f"object:{kind}-{place}"
-    return Member(name, _digest([name]), reusable=False), HostEgo(name, as_robot(robot))
+    return Member(name, identity_digest([name]), reusable=False), HostEgo(name, as_robot(robot))
 
 
 def _from_outside(reference: PolicyReference) -> tuple[Member, HostEgo]:
@@ -151,21 +150,17 @@ def _python_member(reference: PolicyReference, robot: PolicyProcess) -> Member:
     named = [path for value in reference.arguments.values() if (path := Path(value)).is_file()]
     declared = [folder / name for name in robot.depends or ()]
     paths = [*map(Path, robot.files), *named, *declared]
-    hashes = [[path.name, hashlib.sha256(path.read_bytes()).hexdigest()] for path in paths]
+    hashes = [[path.name, file_sha256(path)] for path in paths]
     return Member(
         reference.text,
-        _digest([reference.text, hashes]),
+        identity_digest([reference.text, hashes]),
         reusable=robot.depends is not None,
         files=tuple(paths),
     )
 
 
 def _of_file(text: str, path: Path) -> Member:
-    return Member(text, hashlib.sha256(path.read_bytes()).hexdigest(), files=(path,))
-
-
-def _digest(value: Any) -> str:
-    return hashlib.sha256(json.dumps(value).encode()).hexdigest()
+    return Member(text, file_sha256(path), files=(path,))
 
 
 def _span(partners: Sequence[str]) -> str:

@@ -9,7 +9,6 @@ bytes: what is damaged is simulated again, and so is a finished table.
 
 import dataclasses
 import errno
-import hashlib
 import math
 import shutil
 import uuid
@@ -26,6 +25,7 @@ from evaluation.locks import locked
 from evaluation.provenance import MANIFEST_FILE
 from evaluation.roster import HostEgo
 from evaluation.runner import Meter, OnProgress, Runner
+from population.files import sha256
 
 PARTS_FOLDER = "parts"
 # Default bound of a chunk's simulations.
@@ -183,7 +183,7 @@ def simulate(
 def write_part(rows: pl.DataFrame, folder: Path, chunk: Chunk) -> None:
     """Write a chunk's episodes under a name that ends in their hash."""
     data = tables.parquet_bytes(rows)
-    name = f"part-{chunk.index:05d}-{hashlib.sha256(data).hexdigest()}.parquet"
+    name = f"part-{chunk.index:05d}-{sha256(data)}.parquet"
     tables.write_bytes(data, folder / PARTS_FOLDER / name)
 
 

@@ -6,13 +6,13 @@ A plan has tiles, which are simulated together, in chunks, which are saved.
 import dataclasses
 import hashlib
 import importlib.metadata
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from evaluation.provenance import identity_digest
 from evaluation.roster import HostEgo, Member, Roster
 
 # Goes up when the same job would give other tables. 2: columns of behaviour. 3: tiles, by which
@@ -110,7 +110,7 @@ class Job:
 
     def digest(self) -> str:
         """Return the sha256 of the job's identity."""
-        return hashlib.sha256(json.dumps(self.identity(), sort_keys=True).encode()).hexdigest()
+        return identity_digest(self.identity())
 
     def seeds(self, partners: Sequence[str], episodes: Sequence[int]) -> np.ndarray:
         """Return the seeds of episodes, [K] for every partner, or [P, K] where each has its own.

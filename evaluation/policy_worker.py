@@ -110,7 +110,10 @@ def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
     sys.path[:] = header["path"]
     name, factory = header["module"], header["factory"]
     try:
-        module = _import(name, Path(name).stem) if name.endswith(".py") else _named(name)
+        if name.endswith(".py"):
+            module = _import(name, Path(name).stem)
+        else:
+            module = importlib.import_module(name)
     except BaseException as error:
         raise LoadError(f"cannot import {name}: {told(error)}") from error
     make = getattr(module, factory, None)
@@ -129,10 +132,6 @@ def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         raise LoadError(f"{factory}() returned {kind}; expected {forms.FORMS}") from error
     depends = getattr(module, "DEPENDS", None)
     return robot, {"files": _own_files(module, header["foreign"]), "depends": depends}
-
-
-def _named(name: str) -> ModuleType:
-    return importlib.import_module(name)
 
 
 def _import(path: str, name: str) -> ModuleType:

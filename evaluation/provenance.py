@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from evaluation import tables
+from population.files import sha256
 from population.parquet import check_readable
 
 MANIFEST_FILE = "manifest.json"
@@ -52,9 +53,9 @@ def file_sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def identity_digest(identity: Mapping[str, Any]) -> str:
-    """Return the sha256 of a job's identity."""
-    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
+def identity_digest(identity: Any) -> str:
+    """Return the sha256 of what decides a result, JSON-ready, such as a job's identity."""
+    return sha256(json.dumps(identity, sort_keys=True).encode())
 
 
 def write_manifest(folder: Path, content: Mapping[str, Any]) -> None:

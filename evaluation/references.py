@@ -7,7 +7,6 @@ the passive human depend on these.
 
 import dataclasses
 import functools
-import hashlib
 import inspect
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from evaluation.jobs import Job
 from evaluation.relative import COLUMN, PASSIVE, RANDOM, SCRIPT, SELF_PLAY, ZERO
 from evaluation.roster import Member, ReferenceSpec, Roster, ScriptSpec
 from evaluation.runner import OnProgress, Progress
+from population.files import sha256
 from population.spec import PolicySpec
 from population.stack import PolicyStack
 
@@ -69,7 +69,7 @@ def reference_job(env: Any, job: Job, name: str, own: tuple[Roster, Roster] | No
 def script_roster(task: str, observation_size: int, action_size: int) -> Roster:
     """Return a task's scripted robot, its code named by its hash."""
     spec = ScriptSpec("robot", observation_size, action_size, task=task)
-    digest = hashlib.sha256(inspect.getsource(scripted).encode()).hexdigest()
+    digest = sha256(inspect.getsource(scripted).encode())
     return _single(spec, Member(SCRIPT, digest))
 
 

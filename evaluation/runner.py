@@ -212,12 +212,10 @@ class Runner:
             return self._rollouts[key]
 
 
-def play(env: Any, job: Job, max_envs: int, on_progress: OnProgress = None) -> pl.DataFrame:
+def play(env: Any, job: Job, max_envs: int) -> pl.DataFrame:
     """Return a job's episodes, in the order in which they were simulated; nothing is written."""
     parts: list[pl.DataFrame] = []
-    chunks = plan(job, max_envs)
-    meter = Meter(job.rows * env.episode_length, on_progress)
-    Runner(env, job).run(chunks, lambda chunk, rows: parts.append(rows), meter)
+    Runner(env, job).run(plan(job, max_envs), lambda chunk, rows: parts.append(rows))
     return pl.concat(parts)
 
 

@@ -108,7 +108,6 @@ def check_self_play(
     *,
     episodes: int = 4,
     backend: str = "native",
-    seed: int = 0,
     make_env: Callable[[str, str], Any] | None = None,
     on_progress: Callable[[int], None] = lambda teams: None,
 ) -> SelfPlayReport:
@@ -122,7 +121,6 @@ def check_self_play(
         entries: Policies of it.
         episodes: Episodes of each team at first.
         backend: Physics backend.
-        seed: Seed of the episodes.
         make_env: From task and backend to an environment; default `assistax_envs.make`.
         on_progress: Called with the number of teams just replayed.
     """
@@ -142,7 +140,7 @@ def check_self_play(
         env = (make_env or make)(task, backend)
         backend = env.backend
         try:
-            teams += _replay(registry, env, pairs, episodes, seed)
+            teams += _replay(registry, env, pairs, episodes)
         except ValueError as error:  # policies of other sizes than the environment's
             problems.append(str(error))
         on_progress(len(pairs))
@@ -231,16 +229,14 @@ def _teams(
     return teams
 
 
-def _replay(
-    registry: Registry, env: Any, pairs: Sequence[Pair], episodes: int, seed: int
-) -> list[TeamReplay]:
+def _replay(registry: Registry, env: Any, pairs: Sequence[Pair], episodes: int) -> list[TeamReplay]:
     """Play the teams, and those that differ once more and for longer."""
-    teams = _play(registry, env, pairs, episodes, seed)
+    teams = _play(registry, env, pairs, episodes, seed=0)
     differing = {team.team for team in teams if not team.ok and team.expected is not None}
     if not differing:
         return teams
     again = [pair for pair in pairs if pair[0].team in differing]
-    longer = {team.team: team for team in _play(registry, env, again, episodes * LONGER, seed + 1)}
+    longer = {team.team: team for team in _play(registry, env, again, episodes * LONGER, seed=1)}
     return [longer.get(team.team, team) for team in teams]
 
 

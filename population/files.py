@@ -9,11 +9,13 @@ is an hour old, since a younger one may be another process's.
 import contextlib
 import glob
 import hashlib
+import json
 import os
 import secrets
 import time
 from collections.abc import Generator
 from pathlib import Path
+from typing import Any
 
 from filelock import FileLock
 
@@ -46,6 +48,11 @@ def atomic_write(path: Path, data: bytes) -> None:
     """Replace the content of `path` by `data`, whole or not at all."""
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Replace the content of `path` by JSON that people may read, whole or not at all."""
+    atomic_write(path, (json.dumps(content, indent=2) + "\n").encode())
 
 
 def remove_stale(folder: Path, pattern: str, age: float = STALE_SECONDS) -> None:

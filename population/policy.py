@@ -187,16 +187,10 @@ class Policy(_Network):
         carry: Carry,
         obs: Float[Array, "*batch O"],
         first: Bool[Array, "*batch"],
-        key: jax.Array | None = None,
     ) -> tuple[Carry, Float[Array, "*batch A"]]:
-        """Return the new carry and an action [..., A] in [-1, 1].
-
-        Drawn with `key`, deterministic without.
-        """
+        """Return the new carry and the most likely action [..., A], in [-1, 1]."""
         carry, distribution = self.step(params, carry, obs, first)
-        if key is None:
-            return carry, distribution.mode()
-        return carry, distribution.action(distribution.sample(key))
+        return carry, distribution.mode()
 
 
 def normalise(normaliser: Params, obs: Float[Array, "*batch O"]) -> Float[Array, "*batch O"]:

@@ -19,7 +19,7 @@ import polars as pl
 import safetensors.numpy
 
 from population.config import Member, PPOConfig, TrainConfig, TrainerConfig
-from population.files import atomic_path, atomic_write
+from population.files import atomic_path, atomic_write, write_json
 from population.parquet import check_readable, read_parquet
 from population.spec import PolicySpec
 from population.stack import PolicyStack, flatten, unflatten
@@ -82,7 +82,7 @@ class RunFolder:
                     f"{self.folder} holds a run with another configuration: {there}; "
                     "repeat that configuration to resume it, or choose a new folder"
                 )
-        atomic_write(self._config, (json.dumps(wanted, indent=2) + "\n").encode())
+        write_json(self._config, wanted)
 
     def finished(self, config: TrainConfig) -> bool:
         """Return whether the folder holds the teams of this run, trained to its end."""
@@ -154,7 +154,7 @@ class RunFolder:
             }
             for row, (member, result) in enumerate(zip(config.members, self_play, strict=True))
         ]
-        atomic_write(self.teams, (json.dumps(teams, indent=2) + "\n").encode())
+        write_json(self.teams, teams)
 
     def _read_config(self) -> dict[str, Any]:
         try:

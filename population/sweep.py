@@ -21,7 +21,7 @@ from pydantic import Field, PositiveInt, TypeAdapter, ValidationError
 from population.checked import checked, first_problem
 from population.config import Member, TrainConfig, check_names, make_run, preset
 from population.environment import Environment
-from population.files import atomic_path, atomic_write
+from population.files import atomic_path, write_json
 from population.ray_blocks import NOT_SHARED, RayCluster, run_blocks
 from population.train import Progress, train
 
@@ -288,7 +288,7 @@ def _collect(sweep: Sweep, folder: Path) -> pl.DataFrame:
         "algorithm": sweep.algorithm,
         "hyperparameters": {**sweep.fixed, **best(results, points)},
     }
-    atomic_write(folder / BEST, (json.dumps(content, indent=2) + "\n").encode())
+    write_json(folder / BEST, content)
     return results
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 _REPR = reprlib.Repr()  # containers: their first few items alone
 _REPR.maxstring = _REPR.maxother = 200
+_LONGEST = 120  # characters of a value in an error
 
 
 class ZooError(Exception):
@@ -160,9 +161,9 @@ class LockError(ZooError):
     """A lock file that is malformed, or something else than what it pins."""
 
 
-def nearest(wanted: str, known: Iterable[str], count: int = 3) -> list[str]:
-    """Return up to `count` known names that look most like the wanted one, best first."""
-    return difflib.get_close_matches(wanted, sorted(known), n=count, cutoff=0.5)
+def nearest(wanted: str, known: Iterable[str]) -> list[str]:
+    """Return up to three known names that look most like the wanted one, best first."""
+    return difflib.get_close_matches(wanted, sorted(known), n=3, cutoff=0.5)
 
 
 def listing(names: Iterable[str], limit: int = 6) -> str:
@@ -172,10 +173,10 @@ def listing(names: Iterable[str], limit: int = 6) -> str:
     return (", ".join(names[:limit]) + rest) if names else "none"
 
 
-def shorten(value: object, limit: int = 120) -> str:
+def shorten(value: object) -> str:
     """Return the value's `repr`, cut where it is too long for an error line; never all of it."""
     text = _REPR.repr(value)
-    return text if len(text) <= limit else text[:limit] + "..."
+    return text if len(text) <= _LONGEST else text[:_LONGEST] + "..."
 
 
 def printable(text: str) -> str:

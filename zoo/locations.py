@@ -20,7 +20,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
-from population.files import atomic_write
+from population.files import write_json
 from zoo.errors import CacheError
 
 REGISTRY_VARIABLE = "ASSISTAX_ZOO_REGISTRY"
@@ -90,7 +90,7 @@ def set_default_remote(remote: str | None) -> None:
     """Remember the remote that is asked when none is named; None forgets it."""
     kept = {name: value for name, value in _settings().items() if name != "remote"}
     settings = {**kept, **({"remote": remote} if remote else {})}
-    atomic_write(data_root() / "config.json", (json.dumps(settings, indent=1) + "\n").encode())
+    write_json(data_root() / "config.json", settings)
 
 
 @contextmanager

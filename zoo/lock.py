@@ -19,7 +19,7 @@ from zoo.namespaces import split_namespace
 from zoo.registry import Registry, build_registry
 from zoo.roots import leaves
 from zoo.schema import Name, PolicyEntry, Sha256, Team, first_problem
-from zoo.splits import parse_split
+from zoo.splits import content_sha256, parse_split
 from zoo.untrusted import parse_json, read_text
 
 LOCK_VERSION = 2  # 1: without the root and the leaves
@@ -98,7 +98,7 @@ def make_lock(
         "policies": {entry.id: entry.sha256 for entry in entries},
     }
     return Lock.model_validate(
-        {"lock_version": LOCK_VERSION, "sha256": _digest(content), **content}
+        {"lock_version": LOCK_VERSION, "sha256": content_sha256(content), **content}
     )
 
 
@@ -136,7 +136,7 @@ def read_lock(path: Path) -> Lock:
     if (lock.lock_version == LOCK_VERSION) != (lock.root is not None):  # it is not in the sha256
         raise LockError(source, f"content of version {version}", "another's: it was edited", remedy)
     dumped = lock.model_dump(mode="json", exclude={"lock_version", "sha256"}, exclude_unset=True)
-    found = _digest(dumped)
+    found = content_sha256(dumped)
     if found != lock.sha256:
         raise LockError(
             source, f"content of sha256 {lock.sha256}", f"sha256 {found}: it was edited", remedy
@@ -228,7 +228,7 @@ def _tables(registry: Registry, release: str) -> dict[str, Mapping[str, Any]]:
     settings = {key: setting.model_dump() for key, setting in part.disability_settings.items()}
     return {
         "environments": registry.data.releases[release].environments,
-        "disability_settings": {"": _digest(settings)},
+        "disability_settings": {"": content_sha256(settings)},
         "splits": {split.id: split.sha256 for split in registry.splits},
         "shards": {path: shard.sha256 for path, shard in registry.data.shards.items()},
         "policies": {entry.id: entry.sha256 for entry in registry.policies},
@@ -294,7 +294,3 @@ def used_leaves(
 
 def _tasks(entries: Sequence[PolicyEntry]) -> list[str]:
     return sorted({entry.task for entry in entries})
-
-
-def _digest(content: Mapping[str, Any]) -> str:
-    return sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode())

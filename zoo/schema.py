@@ -24,6 +24,7 @@ from population.spec import PolicySpec, Role
 from zoo.ids import parse_team
 
 SCHEMA_VERSION = 2  # 1: without egos and roots; self-play's `mean_ci` was called `ci`
+_WIDTH = 190  # of a line of the file
 
 Scalar = float | int | bool | str | None
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -324,13 +325,13 @@ def _known(what: str, name: str, table: Any) -> None:
         )
 
 
-def _lay_out(value: Any, indent: int, width: int = 190) -> str:
+def _lay_out(value: Any, indent: int) -> str:
     """Return JSON: a container on one line where it fits and is shallow, else one item a line."""
     flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
     if (
         not isinstance(value, dict | list)
         or not value
-        or (indent and _shallow(value) and len(flat) + indent <= width)
+        or (indent and _shallow(value) and len(flat) + indent <= _WIDTH)
     ):
         return flat
     inner = " " * (indent + 1)

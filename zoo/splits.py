@@ -119,7 +119,7 @@ def make_split(
         "train": tuple(sides[0]),
         "test": tuple(sides[1]),
     }
-    split = Split.model_validate({"id": _id(content), "sha256": _digest(content), **content})
+    split = Split.model_validate({"id": _id(content), "sha256": content_sha256(content), **content})
     check_split(split)
     return split
 
@@ -139,7 +139,7 @@ def check_split(split: Split) -> None:
         LeakageError: A team is on both sides.
     """
     content = split.model_dump(exclude={"id", "sha256"})
-    digest = _digest(content)
+    digest = content_sha256(content)
     if digest != split.sha256:
         raise SplitError(f"split {split.id}", f"sha256 {split.sha256}", f"sha256 {digest}")
     if _id(content) != split.id:
@@ -230,7 +230,8 @@ def _custom(known: Sequence[str], train: list[str], test: list[str]) -> tuple[li
     return sorted(set(train)), sorted(set(test))
 
 
-def _digest(content: Mapping[str, object]) -> str:
+def content_sha256(content: Mapping[str, object]) -> str:
+    """Return the sha256 of a manifest's content, whatever the order of its fields."""
     return sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode())
 
 
@@ -240,6 +241,4 @@ def _id(content: Mapping[str, object]) -> str:
         "leave-one-disability-out": f"without-{content['held_out']}",
         "small-train": f"small-{content['n']}",
     }.get(str(content["rule"]), str(content["rule"]))
-    return (
-        f"{content['task']}/{slug}-s{content['seed']}-{content['release']}-{_digest(content)[:8]}"
-    )
+    return f"{content['task']}/{slug}-s{content['seed']}-{content['release']}-{content_sha256(content)[:8]}"

@@ -65,13 +65,8 @@ def load_stacks(registry: Registry, entries: Iterable[PolicyEntry]) -> tuple[Pol
 def load_leaves(registry: Registry, entries: Iterable[PolicyEntry]) -> dict[str, Leaves]:
     """Return the leaves of each entry by its id, in the dtype that is stored; verified."""
     entries = list(entries)
-    shards = _read_shards(registry, entries)
+    shards = {path: read_shard(registry, path) for path in dict.fromkeys(e.shard for e in entries)}
     return {entry.id: _verified_row(shards[entry.shard], entry.row, entry) for entry in entries}
-
-
-def _read_shards(registry: Registry, entries: Sequence[PolicyEntry]) -> dict[str, StackedFile]:
-    """Return every shard that holds one of the entries, by its path."""
-    return {shard: read_shard(registry, shard) for shard in dict.fromkeys(e.shard for e in entries)}
 
 
 def read_shard(registry: Registry, path: str) -> StackedFile:

@@ -1,7 +1,7 @@
 """Holding every published byte against the registry, and the registry against itself."""
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from assistax_envs.versions import VERSIONS
@@ -37,22 +37,16 @@ class Report:
         return not self.problems
 
 
-def verify(
-    registry: Registry,
-    progress: Callable[[str], None] = lambda shard: None,
-    *,
-    key: Path | None = None,
-) -> Report:
+def verify(registry: Registry, *, key: Path | None = None) -> Report:
     """Check all shards, rows, splits, roots and duplicates of a registry; report every problem.
 
     Args:
         registry: A loaded registry; its ids and references were checked on loading.
-        progress: Called with the path of each shard before it is read.
         key: Ed25519 public key, PEM, that every release must be signed by.
     """
     registry = registry.part("")
     data = registry.data
-    problems = [*root_problems(data), *_shards_problems(registry, progress)]
+    problems = [*root_problems(data), *_shards_problems(registry)]
     problems += [*_duplicates(registry), *_split_problems(registry)]
     if key:
         problems += _signature_problems(registry, key)
@@ -73,7 +67,7 @@ def verify(
     )
 
 
-def _shards_problems(registry: Registry, progress: Callable[[str], None]) -> Iterator[str]:
+def _shards_problems(registry: Registry) -> Iterator[str]:
     """Yield the problems of every shard; a wheel has none of them, which is said in one line."""
     shards = list(registry.data.shards)
     absent = [shard for shard in shards if not registry.shard_path(shard).is_file()]
@@ -84,7 +78,7 @@ def _shards_problems(registry: Registry, progress: Callable[[str], None]) -> Ite
         )
         return
     for shard in shards:
-        yield from _shard_problems(registry, shard, progress)
+        yield from _shard_problems(registry, shard)
 
 
 def _signature_problems(registry: Registry, key: Path) -> list[str]:
@@ -95,10 +89,7 @@ def _signature_problems(registry: Registry, key: Path) -> list[str]:
     return [problem for problem in found if problem]
 
 
-def _shard_problems(
-    registry: Registry, shard: str, progress: Callable[[str], None]
-) -> Iterator[str]:
-    progress(shard)
+def _shard_problems(registry: Registry, shard: str) -> Iterator[str]:
     entries = [entry for entry in registry.policies if entry.shard == shard]
     rows = sorted(entry.row for entry in entries)
     if rows != list(range(registry.data.shards[shard].rows)):

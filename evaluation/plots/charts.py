@@ -61,7 +61,7 @@ def zsc_dots(
     axes.set_ylim(*_limits(summaries, references))
     axes.grid(axis="y", color=style.GRID, linewidth=0.6)
     axes.set_axisbelow(True)
-    _name_places(axes, list(summaries), 3)
+    _name_places(axes, list(summaries))
     return figure
 
 
@@ -105,7 +105,7 @@ def trait_points(summaries: Summaries, trait: str = "disability") -> Figure:
         axes.plot(list(found), heights, mark, color=colour, markersize=5, label=label)
         for place, value in found.items():
             _whisker(axes, place, value, colour)
-    _name_places(axes, settings, 3)
+    _name_places(axes, settings)
     axes.grid(axis="y", color=style.GRID, linewidth=0.6)
     axes.set_axisbelow(True)
     return figure
@@ -274,13 +274,13 @@ def _whisker(axes: Axes, place: float, value: Mapping[str, Any], colour: str) ->
         )
 
 
-def _name_places(axes: Axes, names: list[str], columns: int) -> None:
+def _name_places(axes: Axes, names: list[str]) -> None:
     axes.set_xticks(range(len(names)), names, fontsize=8)
     axes.set_xlim(-0.6, len(names) - 0.4)
     axes.legend(
         loc="lower left",
         bbox_to_anchor=(0, 1.0),
-        ncols=columns,
+        ncols=3,
         fontsize=8,
         frameon=False,
         borderaxespad=0.2,

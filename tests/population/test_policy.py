@@ -55,8 +55,9 @@ def test_an_untrained_policy_acts_around_zero_within_the_limits():
     obs = 3.0 * jax.random.normal(jax.random.key(1), (1000, 5))
     first = jnp.ones(1000, bool)
     params = policy.init(jax.random.key(0))
-    _, still = policy.act(params, (), obs, first)
-    _, drawn = policy.act(params, (), obs, first, jax.random.key(2))
+    _, gaussian = policy.step(params, (), obs, first)
+    still = gaussian.mode()
+    drawn = gaussian.action(gaussian.sample(jax.random.key(2)))
     assert jnp.abs(still).max() < 0.1
     assert (jnp.abs(drawn) == 1.0).mean() < 0.15
 
