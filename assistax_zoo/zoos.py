@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from zoo.fetch import Report, remote_registry
 from zoo.fetch import fetch as fetch_entries
@@ -98,9 +98,9 @@ class Zoo:
             ValueError: The ending is another, or the format's package is not installed.
             ZooError: There is no such policy, or its bytes are not those of the registry.
         """
-        from zoo.export import export_policy
+        from zoo.export import Format, export_policy
 
-        formats: dict[str, Literal["safetensors", "onnx", "torch"]] = {
+        formats: dict[str, Format] = {
             ".safetensors": "safetensors",
             ".onnx": "onnx",
             ".pt": "torch",

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from population.extras import optional
 from population.network_plan import GRU, Dense, NetworkPlan, network_plan
 from population.policy import NORMALISED_LIMIT
 from population.spec import PolicySpec
@@ -33,12 +34,7 @@ def to_onnx(
     Raises:
         ValueError: The `onnx` package is not installed, or a parameter is missing.
     """
-    try:
-        import onnx
-    except ImportError:
-        raise ValueError(
-            "the format onnx needs the package onnx: pip install 'assistax-zoo[export]'"
-        ) from None
+    onnx = optional("onnx", "the format onnx", "export")
     graph = _Graph(onnx.helper, onnx.numpy_helper)
     plan = network_plan(spec, params)
     inputs, outputs = _write(graph, plan)

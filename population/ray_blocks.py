@@ -12,6 +12,8 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from population.extras import optional
+
 NOT_SHARED = (
     "give an --out that all machines of the cluster share under the same path"  # of missing results
 )
@@ -71,7 +73,7 @@ def run_blocks(
             block takes.
         BlocksFailedError: Blocks failed, each with its reason, after all others are done.
     """
-    ray = _library()
+    ray = optional("ray", "the engine ray", "ray")
     began = not ray.is_initialized()
     try:
         if began:
@@ -194,14 +196,3 @@ def _reason(error: Exception) -> str:
 
 def _first_line(error: BaseException) -> str:
     return str(error).strip().partition("\n")[0]
-
-
-def _library() -> Any:
-    try:
-        import ray
-        import ray.exceptions
-    except ImportError:
-        raise ValueError(
-            "the engine ray needs the package ray; install it with: pip install 'assistax-zoo[ray]'"
-        ) from None
-    return ray

@@ -5,12 +5,14 @@ For each member a folder of scalars over its environment steps.
 
 import time
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
 from population.config import TrainConfig
+from population.extras import optional
 from population.train import Progress
 
 SECONDS_BETWEEN_FLUSHES = 5.0
@@ -36,7 +38,10 @@ class EventFiles:
     """
 
     def __init__(self, config: TrainConfig, run: Path, folder: Path) -> None:
-        self._summary, self._event, self._writer = _library()
+        library = partial(optional, purpose="a log for TensorBoard", extra="tensorboard")
+        self._writer = library("tensorboardX.event_file_writer").EventsWriter
+        self._event = library("tensorboardX.proto.event_pb2").Event
+        self._summary = library("tensorboardX.proto.summary_pb2").Summary
         self._folders = [folder / name.replace("/", "-") for name in config.names]
         self._metrics, self._files = run / "metrics.parquet", []
         if len(set(self._folders)) < len(self._folders):
@@ -113,20 +118,3 @@ def tag(metric: str) -> str:
     if metric.startswith("term_"):
         return f"terms/{metric.removeprefix('term_')}"
     return f"learning/{metric}"
-
-
-def _library() -> tuple[Any, Any, Any]:
-    """Return the classes of summaries, of events and of their writer."""
-    try:
-        from tensorboardX.event_file_writer import EventsWriter
-        from tensorboardX.proto import event_pb2, summary_pb2
-    except ImportError:
-        raise ValueError(
-            "TensorBoard event files need the package tensorboardX; install it with: "
-            "pip install 'assistax-zoo[tensorboard]'"
-        ) from None
-    messages: Any = (
-        summary_pb2,
-        event_pb2,
-    )  # made at import time: type checkers cannot see what is in them
-    return messages[0].Summary, messages[1].Event, EventsWriter

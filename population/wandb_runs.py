@@ -2,13 +2,12 @@
 
 import dataclasses
 import hashlib
-import importlib
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 
 from population.config import TrainConfig
+from population.extras import optional
 from population.tensorboard import scalars
 from population.train import Progress
 
@@ -33,7 +32,7 @@ class WandbRuns:
         folder.mkdir(parents=True, exist_ok=True)
         names = [name.replace("/", "-") for name in config.names]
         place = str(folder.resolve())
-        init = _library().init
+        init = optional("wandb", "sending to Weights & Biases", "wandb").init
         self._runs = [
             init(
                 project=project,
@@ -62,13 +61,3 @@ class WandbRuns:
         """Send what is still on its way."""
         for run in self._runs:
             run.finish()
-
-
-def _library() -> Any:
-    try:
-        return importlib.import_module("wandb")
-    except ImportError:
-        raise ValueError(
-            "sending to Weights & Biases needs the package wandb; install it with: pip install "
-            "'assistax-zoo[wandb]'"
-        ) from None

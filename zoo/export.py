@@ -1,6 +1,5 @@
 """One policy as a file that needs nothing of this project: safetensors, ONNX, or PyTorch."""
 
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
@@ -9,7 +8,7 @@ from population.files import atomic_write, sha256
 from population.spec import PolicySpec
 from zoo.errors import ExportError
 from zoo.registry import Registry
-from zoo.storage import load_stacks, read_policy_file, write_policy_file
+from zoo.storage import load_stacks, policy_bytes, read_policy_file
 
 Format = Literal["safetensors", "onnx", "torch"]
 
@@ -51,10 +50,7 @@ def _encode(format: Format, spec: PolicySpec, params: Any, metadata: dict[str, A
         from population.torch_export import to_torch
 
         return to_torch(spec, params, metadata)
-    with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as folder:
-        path = Path(folder) / "policy.safetensors"
-        write_policy_file(path, spec, params, metadata)
-        return path.read_bytes()
+    return policy_bytes(spec, params, metadata)
 
 
 def _read_policy(

@@ -174,17 +174,12 @@ def _name(team: TrainedTeam, release: str) -> TeamId:
 
 def _sorted_provenance(training: Mapping[str, Any]) -> dict[str, Any]:
     """Return the training record by the schema's fields; the rest goes to `notes`, flattened."""
-    known = {
-        name: training[name] for name in Training.model_fields if training.get(name) is not None
-    }
-    rest = {name: value for name, value in training.items() if name not in Training.model_fields}
-    notes = {name: value for name, value in rest.items() if name not in _IDENTITY}
+    fields = Training.model_fields
+    known = {name: training[name] for name in fields if training.get(name) is not None}
+    rest = {name: training[name] for name in training if name not in (*fields, *_IDENTITY)}
+    known["notes"] = {**known.get("notes", {}), **rest}
     for field in ("hyperparameters", "notes"):
-        known[field] = dict(
-            sorted(
-                _scalars({**known.get(field, {}), **(notes if field == "notes" else {})}).items()
-            )
-        )
+        known[field] = dict(sorted(_scalars(known.get(field, {})).items()))
     return known
 
 

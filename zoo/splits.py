@@ -241,4 +241,5 @@ def _id(content: Mapping[str, object]) -> str:
         "leave-one-disability-out": f"without-{content['held_out']}",
         "small-train": f"small-{content['n']}",
     }.get(str(content["rule"]), str(content["rule"]))
-    return f"{content['task']}/{slug}-s{content['seed']}-{content['release']}-{content_sha256(content)[:8]}"
+    digest = content_sha256(content)[:8]
+    return f"{content['task']}/{slug}-s{content['seed']}-{content['release']}-{digest}"

@@ -167,7 +167,14 @@ def write_policy_file(
     params: Mapping[str, Any],
     metadata: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write one policy as `.safetensors`, atomically; `metadata` is kept as JSON.
+    """Write one policy as `.safetensors`, atomically; see `policy_bytes`."""
+    atomic_write(Path(path), policy_bytes(spec, params, metadata))
+
+
+def policy_bytes(
+    spec: PolicySpec, params: Mapping[str, Any], metadata: Mapping[str, Any] | None = None
+) -> bytes:
+    """Return one policy as the bytes of a `.safetensors` file; `metadata` is kept as JSON.
 
     Raises:
         FormatError: The parameters are not float32 or float16, or not finite.
@@ -179,7 +186,7 @@ def write_policy_file(
         "sha256": _content_sha256(spec, extra, leaves),
         "metadata": extra,
     }
-    atomic_write(Path(path), encode(leaves, content))
+    return encode(leaves, content)
 
 
 def check_params(spec: PolicySpec, leaves: Leaves, source: str) -> None:

@@ -1,18 +1,16 @@
 """The command that takes a policy away: export."""
 
 from pathlib import Path
-from typing import Literal
 
 from assistax_zoo.console import answer, stdout_is_data
+from zoo.export import Format, export_policy
 from zoo.registry import load_registry
-
-FormatName = Literal["safetensors", "onnx", "torch"]
 
 
 def export(
     id: str,
     *,
-    format: FormatName,
+    format: Format,
     out: Path,
     registry: Path | None = None,
     force: bool = False,
@@ -34,8 +32,6 @@ def export(
     Example:
         assistax-zoo export scratch/ippo-d3-s5-v1/robot --format onnx --out robot.onnx
     """
-    from zoo.export import export_policy
-
     with stdout_is_data():
         done = export_policy(id, format, out, lambda: load_registry(registry), force=force)
     deed = "wrote" if done["written"] else "nothing to do:"

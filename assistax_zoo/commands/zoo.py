@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from assistax_zoo.commands.provenance import verify_results
 from assistax_zoo.console import answer, progress, stdout_is_data
+from population.spec import Role
 from zoo.card import find_cards, write_card
 from zoo.errors import printable
 from zoo.registry import Registry, load_registry
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
     from evaluation.self_play_check import SelfPlayReport, TeamReplay
     from zoo.verify import Report
 
-RoleName = Literal["robot", "human"]
-
 
 def list_policies(
     pattern: str | None = None,
@@ -27,7 +26,7 @@ def list_policies(
     task: str | None = None,
     algorithm: str | None = None,
     disability: str | None = None,
-    role: RoleName | None = None,
+    role: Role | None = None,
     release: str | None = None,
     registry: Path | None = None,
     json: bool = False,
