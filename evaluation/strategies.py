@@ -145,17 +145,6 @@ def greedy_subset(features: np.ndarray, size: int) -> list[int]:
 
 def scale_features(features: np.ndarray) -> np.ndarray:
     """Scale each feature of [P, F] to [0, 1] over the partners; a constant feature becomes 0."""
-    features = np.asarray(features, float)
-    if features.ndim != 2 or not features.size:
-        raise ValueError(
-            f"features has shape {features.shape}; expected [partners, features], neither of them "
-            "empty"
-        )
-    if not np.isfinite(features).all():
-        raise ValueError(
-            f"{np.count_nonzero(~np.isfinite(features))} features are not finite; mend or exclude "
-            "them"
-        )
     low, span = features.min(axis=0), np.ptp(features, axis=0)
     return np.divide(features - low, span, out=np.zeros_like(features), where=span > 0)
 

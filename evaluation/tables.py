@@ -257,10 +257,7 @@ def parquet_bytes(table: pl.DataFrame) -> bytes:
 
 def read_parquet(path: Path) -> pl.DataFrame:
     """Read a Parquet file; a missing or damaged one is reported with its path."""
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"{path} does not exist; run `assistax-zoo evaluate` or `crossplay` with --out first"
-        )
+    _check_there(path)
     return parquet.read_parquet(path)
 
 
@@ -294,10 +291,7 @@ def write_json(content: Any, path: Path) -> None:
 
 def read_json(path: Path) -> dict:
     """Read a JSON object; a missing or damaged file is reported with its path."""
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"{path} does not exist; run `assistax-zoo evaluate` or `crossplay` with --out first"
-        )
+    _check_there(path)
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
@@ -307,6 +301,13 @@ def read_json(path: Path) -> dict:
     if not isinstance(content, dict):
         raise ValueError(f"{path} holds a {type(content).__name__}; expected an object")
     return content
+
+
+def _check_there(path: Path) -> None:
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path} does not exist; run `assistax-zoo evaluate` or `crossplay` with --out first"
+        )
 
 
 def _validate_column(table: pl.DataFrame, name: str) -> None:

@@ -11,14 +11,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from population.files import atomic_write, sha256
 from zoo.errors import LockError, ZooError, listing, shorten
 from zoo.namespaces import split_namespace
 from zoo.registry import Registry, build_registry
 from zoo.roots import leaves
-from zoo.schema import Name, PolicyEntry, Sha256, Team, first_problem
+from zoo.schema import Name, PolicyEntry, Sha256, StrictModel, Team, first_problem
 from zoo.splits import content_sha256, parse_split
 from zoo.untrusted import parse_json, read_text
 
@@ -34,23 +34,22 @@ _WORDS = {
 }  # what a lock pins, as errors call it
 
 
-class PinnedSplit(BaseModel):
+class PinnedSplit(StrictModel):
     """A split by its id and the sha256 of its content."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
     id: str
     sha256: Sha256
 
 
-class Lock(BaseModel):
+class Lock(StrictModel):
     """What a lock file holds."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
     lock_version: Literal[1, 2]
     sha256: Sha256  # of all the rest
     release: str
     root: Sha256 | None = None  # of the release when the lock was made; it may have grown since
-    leaves: dict[str, Sha256] = {}  # of what is pinned, provenance and figures too: see `zoo.roots`
+    # Of what is pinned, provenance and figures too: see `zoo.roots`.
+    leaves: dict[str, Sha256] = Field(default={})
     registry: Sha256  # of the registry.json that it was made of, to tell it from a grown one
     disability_settings: Sha256
     environments: dict[Name, Annotated[int, Field(ge=1)]]

@@ -58,11 +58,13 @@ def spec_from_json(value: object) -> PolicySpec:
 Spec = Annotated[PolicySpec, PlainValidator(spec_from_json), PlainSerializer(PolicySpec.to_json)]
 
 
-class _Model(BaseModel):
+class StrictModel(BaseModel):
+    """Frozen, of the types that it names and no other field."""
+
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
-class SelfPlay(_Model):
+class SelfPlay(StrictModel):
     """Return of a team with itself over `n` episodes, with its 95% interval."""
 
     mean: float
@@ -79,7 +81,7 @@ class SelfPlay(_Model):
         return self
 
 
-class Training(_Model):
+class Training(StrictModel):
     """How a run was trained; all its teams share it."""
 
     steps: Count  # environment steps of each seed
@@ -94,7 +96,7 @@ class Training(_Model):
     notes: dict[str, Scalar] = {}  # whatever else the trainer recorded
 
 
-class Release(_Model):
+class Release(StrictModel):
     """A release: its date, the versions of its environments, its default splits, and its root."""
 
     date: Annotated[str, Field(pattern=r"^\d{4}-\d{2}-\d{2}$")]
@@ -106,7 +108,7 @@ class Release(_Model):
     signature: Annotated[str, Field(pattern=r"^[0-9a-f]{128}$")] | None = None  # Ed25519, hex
 
 
-class DisabilitySetting(_Model):
+class DisabilitySetting(StrictModel):
     """A disability setting as the partners were trained with it."""
 
     strength: float
@@ -127,7 +129,7 @@ class DisabilitySetting(_Model):
         return Disability(**self.model_dump())
 
 
-class Shard(_Model):
+class Shard(StrictModel):
     """One file of stacked parameters; its bytes never change."""
 
     sha256: Sha256
@@ -140,7 +142,7 @@ class Shard(_Model):
     spec: Spec
 
 
-class PolicyRow(_Model):
+class PolicyRow(StrictModel):
     """Where one policy's parameters lie, and the sha256 of their canonical bytes."""
 
     shard: ShardPath
@@ -148,7 +150,7 @@ class PolicyRow(_Model):
     sha256: Sha256
 
 
-class Team(_Model):
+class Team(StrictModel):
     """The policies of a team, the run that trained them, and their self-play return."""
 
     run: str
@@ -156,14 +158,14 @@ class Team(_Model):
     policies: Annotated[dict[Role, PolicyRow], Field(min_length=1)]
 
 
-class TrainedAgainst(_Model):
+class TrainedAgainst(StrictModel):
     """The split whose training half an ego's partners were, wherever it is published."""
 
     split: str
     sha256: Sha256
 
 
-class Ego(_Model):
+class Ego(StrictModel):
     """A robot that was trained with frozen partners: no team, and never a partner."""
 
     run: str
@@ -171,7 +173,7 @@ class Ego(_Model):
     policies: Annotated[dict[Literal["robot"], PolicyRow], Field(min_length=1)]
 
 
-class Split(_Model):
+class Split(StrictModel):
     """Training and test partners of a task, by team id; see `zoo.splits`."""
 
     id: str
@@ -190,7 +192,7 @@ class Split(_Model):
         return "train" if team in self.train else "test" if team in self.test else None
 
 
-class RegistryFile(_Model):
+class RegistryFile(StrictModel):
     """The whole of `registry.json`."""
 
     schema_version: Literal[2]

@@ -5,13 +5,14 @@ import hashlib
 import os
 import threading
 from collections.abc import Callable
+from io import FileIO
 from pathlib import Path
-from typing import BinaryIO, NoReturn
+from typing import NoReturn
 
 from population.files import exclusive
 from zoo.errors import IntegrityError, RemoteError
 from zoo.locations import write_errors
-from zoo.remotes import CHUNK, Remote, TransientError, with_retries
+from zoo.remotes import Remote, TransientError, with_retries
 
 
 class Stopped(Exception):
@@ -68,33 +69,35 @@ def download(
 
 
 class _Transfer:
-    """The state of one download: the file, its hash so far, and what came over the wire."""
+    """The state of one download: the file, its size so far, and what came over the wire."""
 
     def __init__(
         self,
         remote: Remote,
         item: Item,
-        file: BinaryIO,
+        file: FileIO,
         advance: Callable[[int], None],
         stop: threading.Event,
     ) -> None:
         self.remote, self.item, self.file = remote, item, file
         self.advance, self.stop = advance, stop
-        self.received = self.reported = 0
-        self.digest, self.size = hashlib.sha256(), 0
+        self.received = self.reported = self.size = 0
 
     def run(self) -> None:
         """Complete the file; a wrong hash after a resumption starts once more anew."""
-        self._read_existing()
-        resumed = self.size > 0
-        self._complete()
-        if self.digest.hexdigest() != self.item.sha256 and resumed:
+        self._grow(self.file.seek(0, os.SEEK_END))
+        if self.size > self.item.bytes:
             self._restart()
-            self._complete()
-        if self.digest.hexdigest() != self.item.sha256:
-            self._refuse(f"sha256 {self.item.sha256}", f"sha256 {self.digest.hexdigest()}")
+        resumed = self.size > 0
+        found = self._complete()
+        if found != self.item.sha256 and resumed:
+            self._restart()
+            found = self._complete()
+        if found != self.item.sha256:
+            self._refuse(f"sha256 {self.item.sha256}", f"sha256 {found}")
 
-    def _complete(self) -> None:
+    def _complete(self) -> str:
+        """Fetch what is missing, and return the sha256 of the whole."""
         what, expected = f"{self.item.path} of {self.remote.name}", f"{self.item.bytes} bytes"
 
         def refuse(found: str) -> RemoteError:
@@ -102,6 +105,8 @@ class _Transfer:
             return RemoteError(what, expected, found, "fetch again later", kept)
 
         with_retries(self._receive, what, reached=lambda: self.size, refuse=refuse, stop=self.stop)
+        self.file.seek(0)
+        return hashlib.file_digest(self.file, "sha256").hexdigest()
 
     def _receive(self) -> None:
         if self.size == self.item.bytes:
@@ -115,7 +120,7 @@ class _Transfer:
                 if self.size + len(chunk) > self.item.bytes:
                     self._refuse(f"{self.item.bytes} bytes", "more")
                 self._write(chunk)
-                self._count(chunk)
+                self._grow(len(chunk))
                 self.received += len(chunk)
         if self.size < self.item.bytes:
             raise TransientError(f"the end after {self.size} bytes")
@@ -125,21 +130,13 @@ class _Transfer:
         while left:
             left = left[self.file.write(left) :]
 
-    def _read_existing(self) -> None:
-        self.file.seek(0)
-        while chunk := self.file.read(CHUNK):
-            self._count(chunk)
-        if self.size > self.item.bytes:
-            self._restart()
-
     def _restart(self) -> None:
         self.file.seek(0)
         self.file.truncate()
-        self.digest, self.size = hashlib.sha256(), 0
+        self.size = 0
 
-    def _count(self, chunk: bytes) -> None:
-        self.digest.update(chunk)
-        self.size += len(chunk)
+    def _grow(self, count: int) -> None:
+        self.size += count
         if self.size > self.reported:  # after a restart, bytes are not counted twice
             self.advance(self.size - self.reported)
             self.reported = self.size

@@ -58,13 +58,8 @@ def normalised_return(scores: np.ndarray, bounds: Bounds) -> np.ndarray:
 
     NaN in the columns of unscorable partners.
     """
-    scores = score_matrix(scores)
-    if scores.shape[1] != bounds.best.size:
-        raise ValueError(
-            f"there are {bounds.best.size} bounds for {scores.shape[1]} partners; give one for each"
-        )
     span = np.where(bounds.scorable, bounds.best - bounds.low, np.nan)
-    return (scores - bounds.low) / span
+    return (score_matrix(scores) - bounds.low) / span
 
 
 def br_prox(scores: np.ndarray, bounds: Bounds) -> Estimate | None:

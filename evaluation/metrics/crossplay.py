@@ -53,11 +53,6 @@ def cross_play(
     itself is self-play, however often the team is drawn, and never enters XP.
     """
     scores = score_matrix(scores)
-    if scores.shape != (len(rows.teams), len(columns.teams)):
-        raise ValueError(
-            f"scores has shape {scores.shape}; rows and columns name {len(rows.teams)} x "
-            f"{len(columns.teams)}"
-        )
     counts = _team_counts(rows.teams, columns.teams, resamples, np.random.default_rng(seed))
     to = _generalises_to(rows.teams, columns.teams)
     own = _equal(rows.teams, columns.teams)  # robot and human were trained together

@@ -96,8 +96,6 @@ def fairness(draws: dict[str, Draws]) -> Fairness:
 
     `gap = max_g M_g - min_g M_g`, taken anew in every draw for its interval.
     """
-    if not draws:
-        raise ValueError("there are no groups of partners; at least one is needed")
     means = {name: draw.mean for name, draw in draws.items()}
     worst, best = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
     replicates = np.stack([draw.means for draw in draws.values()])
@@ -109,7 +107,6 @@ def fairness(draws: dict[str, Draws]) -> Fairness:
 
 def worst_partner(returns: np.ndarray) -> WorstPartner:
     """Find the worst partner of returns [S, P, K]."""
-    returns = _returns(returns)
     means = returns.mean(axis=(0, 2))
     crossfit = None
     if returns.shape[2] > 1:
@@ -127,7 +124,6 @@ def cvar_crossfit(
     lowest of noisy means are low by chance too; the boundary partner counts with the fraction that
     is left.
     """
-    returns = _returns(returns)
     if returns.shape[2] < 2:
         raise ValueError(
             "CVaR needs 2 or more episodes a pair: one half chooses the tail and the other values "
@@ -152,13 +148,3 @@ def cvar_crossfit(
 
 def _halves(returns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return returns[:, :, 0::2].mean(axis=2), returns[:, :, 1::2].mean(axis=2)
-
-
-def _returns(returns: np.ndarray) -> np.ndarray:
-    returns = np.asarray(returns, float)
-    if returns.ndim != 3 or not returns.size:
-        raise ValueError(
-            f"returns has shape {returns.shape}; expected [seeds, partners, episodes], none of "
-            "them empty"
-        )
-    return returns
