@@ -2,6 +2,7 @@
 
     cache     shards/<sha256>.safetensors           whole shards, shared by all registries
               registries/<remote>/registry.json     what remotes published
+              references/, xla/                     episodes to compare with, compiled programs
     data      added/<namespace>/                    zoos of `assistax-zoo add`
     settings  config.json                           the default remote
 
