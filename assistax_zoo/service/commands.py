@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from assistax_zoo.service.service import Service
 
 SERVER = "http://127.0.0.1:8800"
+BACKEND = "fused"  # what a service plays with, if it is told nothing else
 SERVER_VARIABLE, TOKEN_VARIABLE = "ASSISTAX_ZOO_SERVER", "ASSISTAX_ZOO_TOKEN"
 
 
@@ -26,7 +27,7 @@ def serve(
     database: str | None = None,
     artefacts: str | None = None,
     registry: Path | None = None,
-    backend: str = "fused",
+    backend: str = BACKEND,
     references: bool = True,
 ) -> None:
     """Run the evaluation service: a web server, its data in a folder, and a local worker.
@@ -74,7 +75,7 @@ def worker(
     url: str | None = None,
     token_file: Path | None = None,
     registry: Path | None = None,
-    backend: str = "fused",
+    backend: str = BACKEND,
     until_empty: bool = False,
     engine: Engine = Engine(),
 ) -> None:

@@ -27,7 +27,7 @@ from uvicorn.protocols.http.auto import AutoHTTPProtocol
 from assistax_zoo.service import tokens
 from assistax_zoo.service.artefacts import Artefacts
 from assistax_zoo.service.catalogue import ZooCatalogue
-from assistax_zoo.service.commands import TOKEN_VARIABLE
+from assistax_zoo.service.commands import BACKEND, TOKEN_VARIABLE
 from assistax_zoo.service.database import Database
 from assistax_zoo.service.receipts import load_signer
 from assistax_zoo.service.service import Service
@@ -48,7 +48,7 @@ def open_service(
     database: str | None = None,
     artefacts: str | None = None,
     registry: Path | None = None,
-    backend: str = "fused",
+    backend: str = BACKEND,
 ) -> Service:
     """Return the service of a data folder, its schema at the newest version.
 

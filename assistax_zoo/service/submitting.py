@@ -12,6 +12,7 @@ from assistax_zoo.service import seasons
 from assistax_zoo.service.admission import Admission, robot_sizes
 from assistax_zoo.service.catalogue import PUBLIC_SEED, ZooCatalogue
 from assistax_zoo.service.client import Client
+from assistax_zoo.service.commands import BACKEND
 from assistax_zoo.service.ids import new_id
 from assistax_zoo.service.problems import Refusal
 from assistax_zoo.service.scoring import Work
@@ -20,7 +21,6 @@ from assistax_zoo.service.vocabulary import FINAL_STATES
 from assistax_zoo.service.zoo_scorer import ZooScorer
 
 CHECK_PARTNERS, CHECK_EPISODES = 3, 2
-BACKEND = "fused"  # what `serve` plays with, if it is told nothing else
 POLL_SECONDS = 3.0  # fifty watchers at one address are below its rate
 
 

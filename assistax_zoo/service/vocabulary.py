@@ -17,7 +17,6 @@ Scope = Literal["submit", "work", "organise"]
 
 REFERENCE = "reference"  # the submitter of rows that others are measured by
 FINAL_STATES: tuple[SubmissionState, ...] = ("scored", "refused", "failed")
-HIDDEN_PANELS: tuple[PanelName, ...] = ("A", "B")
 SCOPES: tuple[Scope, ...] = ("submit", "work", "organise")
 
 # Why a submission was refused: something about the file, which the submitter can mend.
