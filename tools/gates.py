@@ -37,7 +37,6 @@ CHANGES: Mapping[str, Mapping[str, Any]] = {
     "gentle_bath": {**GENTLE, "entropy_coef": 1e-2},
     "gentle_lift": {**GENTLE, "entropy_coef": 6e-3},
 }
-SETTING = "d1"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,6 +73,7 @@ def main(
     only: str = ",".join(CONDITIONS),
     seeds: str = "0,1,2,3",
     steps: str = "20M",
+    disability: str = "d1",
     changes: str = "",
     backend: str = "auto",
 ) -> None:
@@ -87,6 +87,7 @@ def main(
         only: Conditions, comma-separated.
         seeds: Of each condition, comma-separated.
         steps: Environment steps of each team.
+        disability: The human's setting.
         changes: Hyperparameters, as num_envs=512,hidden=64x64.
         backend: Physics.
     """
@@ -98,14 +99,14 @@ def main(
     for name in chosen:
         condition = CONDITIONS[name]
         env = make(task, backend, told=condition.told)
-        for place, own, humans in _humans(condition, folder, name, numbers, env):
+        for place, own, humans in _humans(condition, folder, name, numbers, env, disability):
             trainer = _trainer(task, condition, given)
             if humans:
                 trainer = shared_out(trainer, len(humans), keep=False)
             config = make_run(
                 task,
                 condition.algorithm,
-                tuple(Member(seed, MIXED if humans else SETTING) for seed in own),
+                tuple(Member(seed, MIXED if humans else disability) for seed in own),
                 parse_steps(steps),
                 trainer,
                 self_play_episodes=0,
@@ -129,7 +130,12 @@ def _trainer(task: str, condition: Condition, given: Mapping[str, Any]) -> Train
 
 
 def _humans(
-    condition: Condition, folder: Path, name: str, seeds: Sequence[int], env: Any
+    condition: Condition,
+    folder: Path,
+    name: str,
+    seeds: Sequence[int],
+    env: Any,
+    disability: str,
 ) -> Iterator[tuple[Path, Sequence[int], FrozenPartners | None]]:
     """Yield the runs of a condition: folder, seeds, and the frozen humans."""
     if condition.humans == "none":
@@ -137,22 +143,22 @@ def _humans(
         return
     if condition.humans == "passive":
         sizes = env.observation_size["human"], env.action_size["human"]
-        yield folder / name, seeds, _frozen(held_roster(*sizes, [(0.0, 0.0, 0.0)]))
+        yield folder / name, seeds, _frozen(held_roster(*sizes, [(0.0, 0.0, 0.0)]), disability)
         return
     humans = read_teams([str(folder / "teams")], load_registry(), env.task).humans
     if condition.humans == "all":
-        yield folder / name, seeds, _frozen(humans)
+        yield folder / name, seeds, _frozen(humans, disability)
         return
     [stack] = humans.stacks
     assert isinstance(stack, PolicyStack)
     for row, seed in enumerate(seeds):
         one = Roster((stack.take([row]),), humans.members)
-        yield folder / name / f"s{seed}", [seed], _frozen(one)
+        yield folder / name / f"s{seed}", [seed], _frozen(one, disability)
 
 
-def _frozen(humans: Roster) -> FrozenPartners:
+def _frozen(humans: Roster, disability: str) -> FrozenPartners:
     stacks = [stack for stack in humans.stacks if isinstance(stack, PolicyStack)]
-    setting = DISABILITY_SETTINGS[SETTING]
+    setting = DISABILITY_SETTINGS[disability]
     return FrozenPartners(stacks, {name: setting for stack in stacks for name in stack.ids})
 
 
