@@ -83,6 +83,7 @@ def train_ego(
     seeds: int | Sequence[int] = 1,
     steps: int = 20_000_000,
     hyperparameters: Mapping[str, Any] | None = None,
+    preferences: Sequence[str] = (),
     backend: str = "auto",
     resume: bool = True,
     zoo: "str | Path | Zoo | None" = None,
@@ -98,6 +99,8 @@ def train_ego(
         seeds: How many, numbered from 0, or which.
         steps: Environment steps of each robot, rounded up to whole updates.
         hyperparameters: Changes of the preset, such as {"learning_rate": 3e-4, "torso": "gru"}.
+        preferences: What the humans of a gentle task like, such as ("p2", "p3"), in turns; those
+            left out can be tested as held out. Default all, drawn anew each episode.
         backend: Physics, or "auto" for the fastest one here.
         resume: Go on with a run that the folder holds.
         zoo: Where the partners come from, as in `open_zoo`.
@@ -128,6 +131,7 @@ def train_ego(
         seeds=seeds,
         steps=steps,
         hyperparameters=hyperparameters,
+        preferences=preferences,
     )
     line = contextlib.closing(TrainingLine(f"{task} {algorithm}"))
     with chosen_progress(progress, line) as report:

@@ -68,6 +68,7 @@ def prepare(
     seeds: int | Sequence[int] = 1,
     steps: int = 20_000_000,
     hyperparameters: Mapping[str, Any] | None = None,
+    preferences: Sequence[str] = (),
     checkpoint_every: int | None = None,
     updates_per_call: int | None = None,
 ) -> EgoTraining:
@@ -86,6 +87,8 @@ def prepare(
         seeds: How many, numbered from 0, or which.
         steps: Environment steps of each robot, rounded up to whole updates.
         hyperparameters: Changes of the preset.
+        preferences: What the humans of a gentle task like, in turns; all of them, drawn anew each
+            episode, if none are given. Those that are left out can be tested as held out.
         checkpoint_every: Updates between checkpoints; default the algorithm's.
         updates_per_call: Updates dispatched to the device at once; default the algorithm's.
 
@@ -111,6 +114,7 @@ def prepare(
         checkpoint_every=checkpoint_every,
         updates_per_call=updates_per_call,
         partners=partners.ids,
+        preferences=preferences,
     )
     return EgoTraining(config, partners, chosen, trainer.num_envs)
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
 from assistax_envs.disability import DISABILITY_SETTINGS
+from assistax_envs.preferences import check_preferences
 from assistax_envs.versions import TASKS
 from population.checked import Many, Share, Widths, checked
 
@@ -240,8 +241,16 @@ class TrainConfig:
     self_play_episodes: NonNegativeInt = 16  # of each team's final evaluation; 0 leaves it out
     # Names of the frozen partners of an ego's training; without any, teams learn together.
     partners: Many[str] = ()
+    # What their humans like, in turns; all, drawn anew each episode, if none are named.
+    preferences: Many[str] = ()
 
     def __post_init__(self) -> None:
+        if self.preferences:
+            check_preferences(self.task, self.preferences)
+            if not self.partners:
+                raise ValueError(
+                    "preferences are those of frozen partners; a team's are drawn, leave them out"
+                )
         if not self.members:
             raise ValueError(
                 "a run has no members; give at least one seed and one disability setting"
@@ -273,7 +282,10 @@ class TrainConfig:
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON-ready values; `TrainConfig.from_json` gives the config back."""
-        return {**dataclasses.asdict(self), "kind": self.trainer.kind}
+        told = {**dataclasses.asdict(self), "kind": self.trainer.kind}
+        if not self.preferences:
+            del told["preferences"]  # as in runs of before there were any
+        return told
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> "TrainConfig":
@@ -295,6 +307,7 @@ def make_run(
     updates_per_call: int | None = None,
     self_play_episodes: int = 16,
     partners: Sequence[str] = (),
+    preferences: Sequence[str] = (),
 ) -> TrainConfig:
     """Return a run; what is None is the trainer's own."""
     return TrainConfig(
@@ -307,6 +320,7 @@ def make_run(
         updates_per_call=trainer.updates_per_call if updates_per_call is None else updates_per_call,
         self_play_episodes=self_play_episodes,
         partners=tuple(partners),
+        preferences=tuple(preferences),
     )
 
 

@@ -78,6 +78,19 @@ class FrozenPartners:
         """Return the disability setting of each simulation of a member."""
         return [setting for setting in self._settings for _ in range(num_envs // len(self))]
 
+    def likings(self, num_envs: int, preferences: Sequence[str]) -> list[str]:
+        """Return the preference of each simulation of a member: every partner's take turns.
+
+        The next partner begins with the next one, so that few simulations of many partners have
+        all of them alike.
+        """
+        share = num_envs // len(self)
+        return [
+            preferences[(partner + turn) % len(preferences)]
+            for partner in range(len(self))
+            for turn in range(share)
+        ]
+
     def initial_carry(self, simulations: int) -> tuple[Carry, ...]:
         """Return carries before the first observation, by stack [P, N / partners, ...]."""
         share = simulations // len(self)

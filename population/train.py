@@ -138,12 +138,15 @@ def initial_state(
     shares = shares or Shares(len(config.members), jax.local_devices()[:1])
     keys = jnp.stack([member_key(member) for member in config.members])
     settings: list[str | Disability] = []
+    likings: list[str] = []
     for member in config.members:
         if trainer.partners:
             settings += trainer.partners.settings(config.trainer.num_envs)
+            if config.preferences:
+                likings += trainer.partners.likings(config.trainer.num_envs, config.preferences)
         else:
             settings += [member.disability] * config.trainer.num_envs
-    start = shares.put((keys, disability_params(settings)))
+    start = shares.put((keys, disability_params(settings, likings or None)))
     initial = shares.jit(trainer.initial, state_specs(jax.eval_shape(trainer.initial, *start)))
     # Copied, so that no two leaves share a buffer: each is donated to the first update.
     return jax.tree.map(jnp.copy, initial(*start))

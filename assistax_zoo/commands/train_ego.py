@@ -21,6 +21,7 @@ def train_ego(
     split: str | None = None,
     algorithm: str = "ppo",
     steps: str = "20M",
+    preferences: str | None = None,
     training: Training = Training(),
     registry: Path | None = None,
     json: bool = False,
@@ -40,6 +41,8 @@ def train_ego(
         algorithm: ppo or sac.
         steps: Environment steps of each robot, such as 500k, 20M or 2e7; rounded up to whole
             updates.
+        preferences: What the humans of a gentle task like, comma-separated, in turns; those left
+            out can be tested as held out. All, drawn anew each episode, if not given.
         training: How it trains.
         registry: Registry to read instead of the installed one.
         json: Print the policy files as JSON at the end.
@@ -53,7 +56,14 @@ def train_ego(
     with shown_training(f"{task} {algorithm}", json_lines) as progress:
         from evaluation.ego_training import prepare, train_egos
 
-        prepared = prepare(load_registry(registry), task, split=split, algorithm=algorithm, **what)
+        prepared = prepare(
+            load_registry(registry),
+            task,
+            split=split,
+            algorithm=algorithm,
+            preferences=preferences.split(",") if preferences else (),
+            **what,
+        )
         print(prepared.summary, file=sys.stderr)
         egos = train_egos(prepared, out, progress=progress, **training.how())
     _report(egos, json, json_lines)

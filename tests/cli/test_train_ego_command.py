@@ -28,6 +28,7 @@ TINY = [
             "num_envs is 20 with 99 partners; .* choose 396, or leave",
         ),
         (["--split", "halves"], "expected one split"),
+        (["--preferences", "p1,p5"], "the humans of scratch have no preferences"),
         (["--set", "shared=true"], "leave shared out"),
         (["--algorithm", "sac", "--set", "critic=central"], "choose local"),
     ],

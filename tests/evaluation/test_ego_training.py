@@ -67,6 +67,7 @@ def test_a_training_is_prepared_and_says_how_simulations_are_shared():
     [
         ({"algorithm": "ippo"}, "algorithm is 'ippo'; allowed are ppo, sac"),
         ({"task": "swim"}, "task is 'swim'"),
+        ({"preferences": ["p1"]}, "the humans of scratch have no preferences"),
         (
             {"split": "half-s0-v0", "hyperparameters": {"num_envs": 20}},
             "num_envs is 20 with 16 partners; .* choose 16, or leave",

@@ -88,6 +88,32 @@ def test_every_partner_plays_under_its_own_disability():
         )
 
 
+def test_partners_take_turns_in_the_preferences_that_are_named_and_in_no_others():
+    run = dataclasses.replace(config(PPO), task="gentle_lift", preferences=("p2", "p9", "p4"))
+    state = initial_state(run, PPO(run.trainer, ToyEnv(match), 1, population()))
+    likes = state.simulations.env.params.preference.reshape(2, 3, 4)  # member, partner, simulation
+    wanted = [[2, 9, 4, 2], [9, 4, 2, 9], [4, 2, 9, 4]]
+    np.testing.assert_array_equal(likes, [wanted, wanted])
+    drawn = initial_state(config(PPO), PPO(run.trainer, ToyEnv(match), 1, population()))
+    assert not drawn.simulations.env.params.preference.any()
+    assert TrainConfig.from_json(json.loads(json.dumps(run.to_json()))) == run
+    assert "preferences" not in config(PPO).to_json()  # so that older runs go on
+
+
+@pytest.mark.parametrize(
+    ("task", "names", "partners", "message"),
+    [
+        ("scratch", ("p1",), ("a",), "scratch have no preferences"),
+        ("gentle_lift", ("p10",), ("a",), "preferences are p10"),
+        ("gentle_lift", ("p1", "p1"), ("a",), "preferences are p1, p1"),
+        ("gentle_lift", ("p1",), (), "a team's are drawn"),
+    ],
+)
+def test_preferences_that_nobody_can_have_are_refused(task, names, partners, message):
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(config(PPO), task=task, preferences=names, partners=partners)
+
+
 @pytest.mark.parametrize("kind", [PPO, pytest.param(SAC, marks=pytest.mark.slow)])
 def test_an_ego_learns_its_role_and_partners_stay_as_they_are(kind):
     run, env, partners = config(kind, members=1), ToyEnv(match), population()
