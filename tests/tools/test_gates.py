@@ -11,6 +11,7 @@ from tools.gates import CONDITIONS, main
 TINY = "num_envs=4,rollout_steps=8,minibatches=1,epochs=1,hidden=8x8"
 
 
+@pytest.mark.slow
 def test_teams_the_passive_robot_and_best_responses_are_what_an_audit_takes(tmp_path: Path) -> None:
     main(
         "gentle_lift",
