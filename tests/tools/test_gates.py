@@ -39,6 +39,7 @@ def test_teams_the_passive_robot_and_best_responses_are_what_an_audit_takes(tmp_
     assert found.figures["best responses"]["episodes"] == 4  # each with the human it was made for
 
 
+@pytest.mark.slow
 def test_only_the_told_see_the_preference(tmp_path: Path) -> None:
     widths = {}
     for name in ("teams", "told"):
