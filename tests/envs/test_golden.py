@@ -67,7 +67,12 @@ def test_joints_and_forces_change_only_with_the_version(task: str) -> None:
 
 @pytest.mark.parametrize(
     ("task", "backend"),
-    [(task, each) for task in SETTLED for each in TOLERANCES if each in backends(task)],
+    [
+        pytest.param(task, each, marks=[pytest.mark.slow] * (each == "mjx" and task != "scratch"))
+        for task in SETTLED
+        for each in TOLERANCES
+        if each in backends(task)
+    ],
 )
 def test_behaviour_changes_only_with_the_version(task: str, backend: str) -> None:
     golden = json.loads((FOLDER / f"{task}.json").read_text())
