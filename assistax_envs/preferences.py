@@ -21,9 +21,9 @@ class Preference:
     place: float  # m, how far across the waist its arm should lie
 
     def __post_init__(self) -> None:
-        for name in ("force", "speed", "distance", "place"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"preferred {name} is {getattr(self, name)}; it must be above 0")
+        for name, value in vars(self).items():
+            if not value > 0.0:
+                raise ValueError(f"preferred {name} is {value}; it must be above 0")
 
 
 FORCES = (2.0, 4.0, 8.0)  # N

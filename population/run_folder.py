@@ -207,9 +207,7 @@ def extends(trainer: TrainerConfig) -> bool:
 
     Its length sets no learning rate, no entropy bonus and no size of a replay.
     """
-    if not isinstance(trainer, PPOConfig):
-        return False
-    return not (trainer.anneal_lr or trainer.anneal_entropy)
+    return isinstance(trainer, PPOConfig) and not (trainer.anneal_lr or trainer.anneal_entropy)
 
 
 def metrics_table(

@@ -5,7 +5,6 @@
 RUNS/TASK/CONDITION are folders that `tools.gates` filled; conditions that are absent are left out.
 """
 
-import json
 from pathlib import Path
 
 import polars as pl
@@ -16,6 +15,7 @@ from matplotlib.ticker import EngFormatter
 from assistax_envs.models import build_model
 from assistax_envs.tasks import TASK_CLASSES
 from assistax_envs.versions import GENTLE_TASKS
+from evaluation import tables
 from evaluation.curves import learning_curves
 from evaluation.plots import style
 
@@ -45,13 +45,12 @@ def main(runs: Path, /, *, out: Path) -> None:
 
 
 def _draw(row: list[Axes], folder: Path, weight: float) -> None:
-    algorithm = json.loads((folder / "config.json").read_text())["config"]["algorithm"]
+    algorithm = tables.read_json(folder / "config.json")["config"]["algorithm"]
     colour = style.algorithm_colours([algorithm])[algorithm]
-    metrics = pl.read_parquet(folder / "metrics.parquet")
-    drawn = ("return", -pl.col("term_violation") / weight, -pl.col("term_force"))
+    metrics = tables.read_parquet(folder / "metrics.parquet")
+    drawn = (pl.col("return"), -pl.col("term_violation") / weight, -pl.col("term_force"))
     for axes, values, label in zip(row, drawn, COLUMNS, strict=True):
-        given = pl.col(values) if isinstance(values, str) else values
-        curve = learning_curves(metrics.with_columns(given.alias("return")))
+        curve = learning_curves(metrics.with_columns(values.alias("return")))
         style.band(axes, curve, "steps", "iqm", colour, algorithm.upper())
         axes.set_ylabel(label, fontsize=8)
         axes.tick_params(labelsize=7)

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from assistax_envs.preferences import PLACES
 from assistax_envs.tasks.arm_assist import LOWER_ARM, START
 from assistax_envs.tasks.base import (
     HUMAN_ACTUATORS,
@@ -39,7 +40,7 @@ from assistax_envs.tasks.gentle_base import (
 # the body by 7 to 13 cm if nobody holds it; a weak human can let it slide down the waist to a place
 # that it likes (from 0.3 to 0.2 or 0.1), and cannot draw it up.
 EDGE, ACROSS = (-0.338, -0.382, 0.765), (0.78, 0.6258, 0.0)
-MIDDLE = 0.2  # m: what the robot takes for the place
+MIDDLE = PLACES[1]  # m: what the robot takes for the place
 # rad: shoulder 1, shoulder 2, elbow of an arm that is rolled onto the bed and bent. Episodes start
 # anywhere between, as if it had slipped so far. Who always starts with the whole way finds its
 # first half, and stays there: docs/tasks.md.
