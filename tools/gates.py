@@ -7,25 +7,26 @@ Teams whose robot is told the human's preference, or whose human is not told it,
 with a human that does nothing: such are in no release, and nothing but the gates wants them.
 """
 
+import contextlib
 import dataclasses
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from cyclopts import App
+from cyclopts import App, Parameter
 
 from assistax_envs import make
 from assistax_envs.disability import DISABILITY_SETTINGS
-from assistax_zoo.commands.options import parse_steps
+from assistax_zoo.commands.options import parse_changes, parse_seeds, parse_steps
+from assistax_zoo.console import TrainingLine
 from evaluation.audit import held_roster
 from evaluation.audit_teams import read_teams
 from evaluation.ego_training import shared_out
 from evaluation.roster import Roster
-from population.config import MIXED, Member, TrainerConfig, make_run, preset
+from population.config import MIXED, TrainerConfig, make_members, make_run, preset
 from population.frozen_partners import FrozenPartners
 from population.stack import PolicyStack
-from population.train import Progress, train
+from population.train import train
 from zoo.registry import load_registry
 
 # Of the presets, what all runs of a task change. Noise of the size of a whole joint's torque rubs
@@ -71,10 +72,10 @@ def main(
     /,
     *,
     only: str = ",".join(CONDITIONS),
-    seeds: str = "0,1,2,3",
+    seeds: str = "4",
     steps: str = "20M",
     disability: str = "d1",
-    changes: str = "",
+    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
     backend: str = "auto",
 ) -> None:
     """Train conditions of a gentle task, each into FOLDER/CONDITION.
@@ -85,14 +86,13 @@ def main(
         task: Gentle task.
         folder: Of the runs.
         only: Conditions, comma-separated.
-        seeds: Of each condition, comma-separated.
+        seeds: Of each condition: how many, or which, such as 8 or 100-107.
         steps: Environment steps of each team.
         disability: The human's setting.
-        changes: Hyperparameters, as num_envs=512,hidden=64x64.
+        set_: Hyperparameter, such as num_envs=512; repeat it for more.
         backend: Physics.
     """
-    numbers = tuple(int(seed) for seed in seeds.split(","))
-    given = dict(_value(each) for each in changes.split(",") if each)
+    numbers, given = parse_seeds(seeds), parse_changes(set_)
     chosen = only.split(",")
     if unknown := [name for name in chosen if name not in CONDITIONS]:
         raise ValueError(f"condition is {unknown[0]!r}; allowed are {', '.join(CONDITIONS)}")
@@ -106,20 +106,14 @@ def main(
             config = make_run(
                 task,
                 condition.algorithm,
-                tuple(Member(seed, MIXED if humans else disability) for seed in own),
+                make_members(own, [MIXED if humans else disability]),
                 parse_steps(steps),
                 trainer,
                 self_play_episodes=0,
                 partners=humans.ids if humans else (),
             )
-            train(config, env, place, partners=humans, progress=_printer(str(place)))
-
-
-def _value(change: str) -> tuple[str, Any]:
-    name, _, text = change.partition("=")
-    if name == "hidden":
-        return name, tuple(int(width) for width in text.split("x"))
-    return name, float(text) if "." in text or "e-" in text else int(text)
+            with contextlib.closing(TrainingLine(str(place))) as line:
+                train(config, env, place, partners=humans, progress=line)
 
 
 def _trainer(task: str, condition: Condition, given: Mapping[str, Any]) -> TrainerConfig:
@@ -160,16 +154,6 @@ def _frozen(humans: Roster, disability: str) -> FrozenPartners:
     stacks = [stack for stack in humans.stacks if isinstance(stack, PolicyStack)]
     setting = DISABILITY_SETTINGS[disability]
     return FrozenPartners(stacks, {name: setting for stack in stacks for name in stack.ids})
-
-
-def _printer(name: str) -> Callable[[Progress], None]:
-    def printed(state: Progress) -> None:
-        if state.update % 20 == 0 or state.update == state.updates:
-            mean = state.rows["return"].mean()
-            done = f"{state.steps / 1e6:.1f} of {state.total_steps / 1e6:.0f} M steps"
-            print(f"{name}: {done}, return {mean}", file=sys.stderr, flush=True)
-
-    return printed
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import pytest
 from assistax_zoo.auditing import audit
 from tools.gates import CONDITIONS, main
 
-TINY = "num_envs=4,rollout_steps=8,minibatches=1,epochs=1,hidden=8x8"
+TINY = ("num_envs=4", "rollout_steps=8", "minibatches=1", "epochs=1", "hidden=(8, 8)")
 
 
 @pytest.mark.slow
@@ -19,7 +19,7 @@ def test_teams_the_passive_robot_and_best_responses_are_what_an_audit_takes(tmp_
         only="teams,told,passive,response",
         seeds="100,101",
         steps="32",
-        changes=TINY,
+        set_=TINY,
         backend="native",
     )
     responses = sorted((tmp_path / "response").iterdir())
@@ -44,7 +44,7 @@ def test_only_the_told_see_the_preference(tmp_path: Path) -> None:
     widths = {}
     for name in ("teams", "told"):
         main(
-            "gentle_scratch", tmp_path, only=name, seeds="0", steps="32", changes=TINY,
+            "gentle_scratch", tmp_path, only=name, seeds="1", steps="32", set_=TINY,
             backend="native",
         )  # fmt: skip
         assert (tmp_path / name / "teams.json").is_file()
