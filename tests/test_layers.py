@@ -25,6 +25,7 @@ LAYERS = {
         "population.torch_export",
         "assistax_envs.versions",
         "assistax_envs.disability",
+        "assistax_envs.preferences",
     ),
     "evaluation": ("assistax_envs", "population", "zoo"),
     "assistax_zoo": ("assistax_envs", "population", "zoo", "evaluation"),

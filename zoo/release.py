@@ -1,5 +1,6 @@
 """A release as a whole: its default splits, those made by hand, and its signature."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ def create_split(
     task: str,
     rule: str = "half",
     release: str | None = None,
+    default: bool = False,
     **arguments: Any,
 ) -> Split:
     """Make a split of a release's partners, write it to the registry, and return it.
@@ -32,7 +34,8 @@ def create_split(
         task: Task of the split.
         rule: One of `zoo.splits.RULES`.
         release: Release of the partners; the registry's newest if not given.
-        **arguments: `seed`, `held_out`, `n`, `train`, `test` of `zoo.splits.make_split`.
+        default: Make it the release's default split of the task.
+        **arguments: The others of `zoo.splits.make_split`.
 
     Raises:
         SplitError: The rule cannot be applied to the partners of the release.
@@ -64,7 +67,11 @@ def create_split(
         elif alike:
             raise similar_leak(split.id, alike)
         if split not in data.splits:
-            save_registry(data.model_copy(update={"splits": (*data.splits, split)}), path)
+            data = data.model_copy(update={"splits": (*data.splits, split)})
+        if default:
+            data = _with_defaults(data, release, {task: split.id})
+        if data != registry.data:
+            save_registry(data, path)
         return split
 
 
@@ -106,22 +113,28 @@ def _with_default_splits(data: RegistryFile, release: str) -> RegistryFile:
     """Return the registry with a default split, `half` of seed 0, where both halves have teams.
 
     A split that no longer covers the release stays in the registry; the default moves on to the new
-    one.
+    one, unless it was chosen by hand.
     """
-    splits, defaults = (
-        {split.id: split for split in data.splits},
-        dict(data.releases[release].splits),
-    )
+    splits, halves = {split.id: split for split in data.splits}, {}
     for task in data.releases[release].environments:
         partners = partner_teams(data, task, release)
         if len({half_side(parse_team(team)) for team in partners}) == 2:
             split = make_split(partners, task=task, release=release)
-            splits[split.id], defaults[task] = split, split.id
-    releases = {
-        **data.releases,
-        release: data.releases[release].model_copy(update={"splits": defaults}),
+            splits[split.id], halves[task] = split, split.id
+    chosen = {
+        task: split
+        for task, split in data.releases[release].splits.items()
+        if not split.startswith(f"{task}/half-s0-{release}-")
     }
-    return data.model_copy(update={"splits": tuple(splits.values()), "releases": releases})
+    grown = data.model_copy(update={"splits": tuple(splits.values())})
+    return _with_defaults(grown, release, {**halves, **chosen})
+
+
+def _with_defaults(data: RegistryFile, release: str, splits: Mapping[str, str]) -> RegistryFile:
+    """Return the registry with these default splits of a release, by task, beside its others."""
+    entry = data.releases[release]
+    entry = entry.model_copy(update={"splits": {**entry.splits, **splits}})
+    return data.model_copy(update={"releases": {**data.releases, release: entry}})
 
 
 def _no_partners(data: RegistryFile, task: str, release: str) -> SplitError:

@@ -2,7 +2,8 @@
 
 Nothing is stored twice: a policy's task, algorithm, disability, seed and release are its id, its
 spec is its shard's, and training provenance lies in `runs`, once for all teams of a run. Raise
-`SCHEMA_VERSION` with every added field, since older installations refuse what they do not know.
+`SCHEMA_VERSION` where what was written before would be read otherwise. A field that an older
+installation does not know is refused by it, with the advice to upgrade.
 """
 
 import dataclasses
@@ -186,6 +187,14 @@ class Split(StrictModel):
     sha256: Sha256
     train: tuple[str, ...]
     test: tuple[str, ...]
+    # Of gentle tasks: what the humans of each side like; none where nothing is held out.
+    preferences: dict[Literal["train", "test"], tuple[str, ...]] = {}
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """What its sha256 is of: without preferences as before there were any."""
+        unused = set() if self.preferences else {"preferences"}
+        return self.model_dump(exclude={"id", "sha256", *unused})
 
     def side(self, team: str) -> Literal["train", "test"] | None:
         """Return "train", "test", or None for a team outside the split."""

@@ -1,9 +1,9 @@
 """Splits: which partners a robot may train with, and which it is tested with.
 
-A split is a manifest: task, release, rule, seed, the sorted team ids of both sides, and the sha256
-of all that. Its id ends in the first eight digits of that sha256, so a published split never
-changes: when a release grows, its default split becomes a new one with a new id, and the old one
-stays for whoever cited it.
+A split is a manifest: task, release, rule, seed, the sorted team ids of both sides, what their
+humans like where preferences are held out, and the sha256 of all that. Its id ends in the first
+eight digits of that sha256, so a published split never changes: when a release grows, its default
+split becomes a new one with a new id, and the old one stays for whoever cited it.
 
 | rule | train | test |
 |---|---|---|
@@ -12,6 +12,9 @@ stays for whoever cited it.
 | `leave-one-disability-out` | every other disability setting | the held-out setting |
 | `small-train` | n teams of the half's train side, chosen at random | the half's test side |
 | `custom` | the teams given | the teams given |
+
+With any rule, a gentle task's split may hold preferences out too: its test partners then like what
+no training partner did.
 
 Humans that act nearly alike (`zoo/behaviour.py`) may not stand on both sides.
 `zoo.release.create_split` leaves such training partners out of a leave-one-out split, whose test
@@ -28,8 +31,9 @@ either side.
 import hashlib
 import json
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import Literal, NoReturn, get_args
+from typing import Any, Literal, NoReturn, get_args
 
+from assistax_envs.preferences import check_preferences, preferences_of
 from population.files import sha256
 from zoo.errors import LeakageError, SplitError, listing, shorten
 from zoo.ids import TeamId, parse_team
@@ -74,6 +78,8 @@ def make_split(
     n: int = 5,
     train: Iterable[str] = (),
     test: Iterable[str] = (),
+    train_preferences: Iterable[str] = (),
+    test_preferences: Iterable[str] = (),
 ) -> Split:
     """Return the split that the rule makes of the task's teams in a release.
 
@@ -87,10 +93,14 @@ def make_split(
         n: Number of training partners of `small-train`.
         train: Team ids of the train side of `custom`.
         test: Team ids of the test side of `custom`.
+        train_preferences: What the humans of a gentle task's train side like, such as ("p2", "p3");
+            the others of the task where only the test side's are given, and the reverse.
+        test_preferences: What those of the test side like; any of both where neither is given.
 
     Raises:
-        SplitError: The rule is unknown, lacks its argument, or leaves a side empty.
-        LeakageError: A team is on both sides.
+        SplitError: The rule is unknown, lacks its argument, or leaves a side empty; or its task
+            has no such preferences.
+        LeakageError: A team or a preference is on both sides.
     """
     known = sorted(
         {
@@ -109,7 +119,7 @@ def make_split(
         sides = _custom(known, sorted(train), sorted(test))
     else:
         raise SplitError("rule", f"one of {', '.join(RULES)}", shorten(rule))
-    content = {
+    content: dict[str, Any] = {
         "task": task,
         "release": release,
         "rule": rule,
@@ -119,6 +129,8 @@ def make_split(
         "train": tuple(sides[0]),
         "test": tuple(sides[1]),
     }
+    if preferences := _preferences(task, sorted(train_preferences), sorted(test_preferences)):
+        content["preferences"] = preferences
     split = Split.model_validate({"id": _id(content), "sha256": content_sha256(content), **content})
     check_split(split)
     return split
@@ -132,13 +144,13 @@ def half_side(team: TeamId, seed: int = 0) -> Literal["train", "test"]:
 
 
 def check_split(split: Split) -> None:
-    """Check that a split's content gives its sha256 and id, and that no team leaks.
+    """Check that a split's content gives its sha256 and id, and that nothing leaks.
 
     Raises:
         SplitError: The content differs from what was published, or a side is empty.
-        LeakageError: A team is on both sides.
+        LeakageError: A team or a preference is on both sides.
     """
-    content = split.model_dump(exclude={"id", "sha256"})
+    content = split.content
     digest = content_sha256(content)
     if digest != split.sha256:
         raise SplitError(f"split {split.id}", f"sha256 {split.sha256}", f"sha256 {digest}")
@@ -165,6 +177,8 @@ def check_split(split: Split) -> None:
     both = sorted(set(split.train) & set(split.test))
     if both:
         refuse_leak(split.id, [(team, team) for team in both])
+    if split.preferences:
+        _check_preferences(split)
 
 
 def shared_parameters(
@@ -190,6 +204,30 @@ def refuse_leak(split: str, pairs: Sequence[tuple[str, str]]) -> NoReturn:
         "no team and no parameters on both sides",
         f"{len(pairs)} on both: {listing([f'{a} = {b}' for a, b in pairs], 3)}",
     )
+
+
+def _preferences(task: str, train: list[str], test: list[str]) -> dict[str, tuple[str, ...]]:
+    """Return what the humans of each side like: of one that names nothing, what the other lacks."""
+    if not train and not test:
+        return {}
+    lists = {"train": (train, test), "test": (test, train)}
+    return {
+        side: tuple(own or (name for name in preferences_of(task) if name not in other))
+        for side, (own, other) in lists.items()
+    }
+
+
+def _check_preferences(split: Split) -> None:
+    train, test = (split.preferences.get(side, ()) for side in ("train", "test"))
+    for names in (train, test):
+        try:
+            check_preferences(split.task, names)
+        except ValueError as error:
+            expected = "preferences of its task on both sides"
+            raise SplitError(f"split {split.id}", expected, str(error)) from None
+    if both := sorted(set(train) & set(test)):
+        expected = "no preference on both sides"
+        raise LeakageError(f"split {split.id} leaks", expected, listing(both))
 
 
 def _by(known: Sequence[str], side_of: Callable[[TeamId], str]) -> tuple[list[str], list[str]]:
@@ -235,11 +273,12 @@ def content_sha256(content: Mapping[str, object]) -> str:
     return sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode())
 
 
-def _id(content: Mapping[str, object]) -> str:
+def _id(content: Mapping[str, Any]) -> str:
     slug = {
         "leave-one-algorithm-out": f"without-{content['held_out']}",
         "leave-one-disability-out": f"without-{content['held_out']}",
         "small-train": f"small-{content['n']}",
     }.get(str(content["rule"]), str(content["rule"]))
     digest = content_sha256(content)[:8]
+    slug = "-".join((slug, *content.get("preferences", {}).get("test", ())))
     return f"{content['task']}/{slug}-s{content['seed']}-{content['release']}-{digest}"

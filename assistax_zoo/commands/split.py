@@ -52,7 +52,11 @@ def show(id: str, *, registry: Path | None = None, json: bool = False) -> None:
     split = load_registry(registry).split(task, id if rest else None)
     lines = [f"{name:8} {value}" for name, value in _brief(split).items()]
     for side, teams in (("train", split.train), ("test", split.test)):
-        lines += [f"\n{side}", *(f"  {team}" for team in teams)]
+        likes = ", ".join(split.preferences.get(side, ()))
+        lines += [
+            f"\n{side}{f', under {likes}' if likes else ''}",
+            *(f"  {team}" for team in teams),
+        ]
     answer(json, split.model_dump(mode="json"), *lines)
 
 
@@ -66,6 +70,9 @@ def create(
     n: int = 5,
     train: tuple[str, ...] = (),
     test: tuple[str, ...] = (),
+    train_preferences: str = "",
+    test_preferences: str = "",
+    default: bool = False,
     registry: Path | None = None,
     json: bool = False,
 ) -> None:
@@ -83,6 +90,10 @@ def create(
         n: Training partners of small-train.
         train: Team ids or globs of a custom split's train side; repeat the option for more.
         test: Team ids or globs of a custom split's test side.
+        train_preferences: What a gentle task's humans of the train side like, such as p2,p3; those
+            that the test side lacks if not given.
+        test_preferences: What those of the test side like, such as p1,p5,p9, held out by any rule.
+        default: Make it the release's default split of the task.
         registry: Registry to write to instead of the installed one.
         json: Print JSON.
 
@@ -99,6 +110,9 @@ def create(
         seed=seed,
         held_out=held_out,
         n=n,
+        default=default,
+        train_preferences=_names(train_preferences),
+        test_preferences=_names(test_preferences),
         **sides,
     )
     counts = f"{len(split.train)} train, {len(split.test)} test"
@@ -149,6 +163,11 @@ def _teams(registry: Registry, patterns: tuple[str, ...]) -> list[str]:
     return sorted({entry.team for entry in entries})
 
 
+def _names(text: str) -> list[str]:
+    return text.split(",") if text else []
+
+
 def _brief(split: Split) -> dict[str, Any]:
-    content = split.model_dump(mode="json", exclude={"train", "test"}, exclude_none=True)
+    exclude = {"train", "test", "preferences"}
+    content = split.model_dump(mode="json", exclude=exclude, exclude_none=True)
     return {**content, "n_train": len(split.train), "n_test": len(split.test)}

@@ -8,6 +8,7 @@ import pytest
 
 from assistax_zoo.main import run
 from population.spec import PolicySpec
+from tests.zoo.conftest import put, trained_team
 from zoo.tensors import encode
 
 ROOT = Path(__file__).parents[2]
@@ -188,6 +189,27 @@ def test_splits(zoo: Path, capsys) -> None:
     assert "3 splits" in capsys.readouterr().out
     assert run(["split", "show", "scratch"]) == 0
     assert capsys.readouterr().out.count("scratch/ippo-") == 8
+
+
+def test_a_split_that_holds_preferences_out_says_so_and_becomes_the_default(
+    tmp_path: Path, capsys
+) -> None:
+    teams = [
+        trained_team(name, seed=s, task="gentle_lift") for name in ("ippo", "brdiv") for s in (0, 1)
+    ]
+    path = str(put(teams, tmp_path / "registry.json", "v2").path)
+    words = ("split", "create", "--task", "gentle_lift", "--rule", "leave-one-algorithm-out")
+    words += ("--held-out", "brdiv", "--test-preferences", "p1,p5,p9", "--default")
+    made = answer(capsys, *words, "--registry", path)
+    assert made["id"].startswith("gentle_lift/without-brdiv-p1-p5-p9-s0-v2-")
+    assert made["preferences"]["test"] == ["p1", "p5", "p9"]
+    assert answer(capsys, "split", "show", "gentle_lift", "--registry", path) == made
+    assert run(["split", "show", "gentle_lift", "--registry", path]) == 0
+    shown = capsys.readouterr().out
+    assert "test, under p1, p5, p9" in shown and "train, under p2, p3, p4, p6, p7, p8" in shown
+    assert answer(capsys, "split", "verify", "--registry", path)["ok"]
+    told = refusal(capsys, *words, "--train-preferences", "p1", "--registry", path)
+    assert "no preference on both sides, found p1" in told
 
 
 def test_bad_splits_are_refused(zoo: Path, capsys) -> None:

@@ -114,6 +114,59 @@ def test_what_cannot_be_split_is_refused(rule: str, arguments: dict, words: str)
         make(ids(), rule, **arguments)
 
 
+GENTLE = "gentle_lift"
+
+
+def gentle(rule="leave-one-algorithm-out", **arguments):
+    teams = [team.replace("scratch", GENTLE) for team in ids(disabilities=(1, 2))]
+    arguments = {"held_out": "mappo", "test_preferences": ("p9", "p1", "p5"), **arguments}
+    return make_split(teams, task=GENTLE, release="v1", rule=rule, **arguments)
+
+
+@pytest.mark.parametrize("rule", ["leave-one-algorithm-out", "half", "small-train"])
+def test_preferences_are_held_out_by_any_rule(rule: str) -> None:
+    split, without = gentle(rule), gentle(rule, test_preferences=())
+    assert split.preferences["test"] == ("p1", "p5", "p9")
+    assert split.preferences["train"] == ("p2", "p3", "p4", "p6", "p7", "p8")
+    assert (split.train, split.test) == (without.train, without.test)
+    assert "-p1-p5-p9-s0-v1-" in split.id and split.sha256 != without.sha256
+    few = gentle(rule, train_preferences=["p2"])
+    assert few.preferences == {"train": ("p2",), "test": ("p1", "p5", "p9")}
+    other = gentle(rule, test_preferences=(), train_preferences=split.preferences["train"])
+    assert other == split
+
+
+def test_a_split_without_preferences_is_hashed_as_before_there_were_any() -> None:
+    assert "preferences" not in gentle(test_preferences=()).content
+    published = load_registry().splits
+    assert len(published) == 42
+    for split in published:
+        check_split(split)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"test_preferences": ["p10"]}, "preferences are p10; give each"),
+        ({"test_preferences": ["p1", "p1"]}, "preferences are p1, p1; give each"),
+        ({"test_preferences": [f"p{k}" for k in range(1, 10)]}, "preferences are none; give each"),
+        ({"train_preferences": ["p1", "p2"]}, "no preference on both sides, found p1"),
+    ],
+)
+def test_preferences_that_cannot_be_held_out_are_refused(arguments: dict, words: str) -> None:
+    with pytest.raises(SplitError, match=words):
+        gentle(**arguments)
+    with pytest.raises(SplitError, match="the humans of scratch have no preferences"):
+        make(ids(), test_preferences=["p1"])
+
+
+def test_changed_preferences_are_refused() -> None:
+    split = gentle()
+    for sides in ({}, {**split.preferences, "test": ("p1", "p5")}):
+        with pytest.raises(SplitError, match=f"expected sha256 {split.sha256}, found sha256"):
+            check_split(split.model_copy(update={"preferences": sides}))
+
+
 def test_a_team_on_both_sides_leaks() -> None:
     teams = ids(("ippo",), (1,))
     with pytest.raises(LeakageError, match=teams[1]):
@@ -180,6 +233,18 @@ def test_create_writes_once(registry: Registry) -> None:
     assert loaded.split("scratch", "without-d9") == split and loaded.split("scratch").rule == "half"
     with pytest.raises(SplitError, match="scratch v0"):
         create_split(registry.path, task="bed_bath")
+
+
+def test_a_default_that_was_chosen_stays_when_the_release_grows(
+    registry: Registry, team, publish_to
+) -> None:
+    chosen = {"rule": "leave-one-disability-out", "held_out": "d9", "default": True}
+    split = create_split(registry.path, task="scratch", **chosen)
+    assert load_registry(registry.path).split("scratch") == split
+    grown = publish_to([team(seed=7)], registry.path)
+    assert grown.split("scratch") == split
+    half = create_split(registry.path, task="scratch", default=True)
+    assert load_registry(registry.path).split("scratch") == half and half.rule == "half"
 
 
 def test_every_rule_has_a_row_in_the_documentation() -> None:
