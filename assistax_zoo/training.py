@@ -33,7 +33,7 @@ def train(
 
     Args:
         task: Task, such as "scratch".
-        algorithm: Preset of hyperparameters: "ippo", "mappo", "isac" or "masac".
+        algorithm: Preset of hyperparameters: "ippo", "mappo", "isac", "masac" or "mep".
         folder: Folder of the run; one that was interrupted goes on. Default a new temporary one.
         disabilities: Settings of the human, such as ("d1", "d3").
         seeds: How many, numbered from 0, or which.

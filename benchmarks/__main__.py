@@ -144,7 +144,7 @@ def train(
 
     Args:
         task: Task.
-        algorithm: ippo, mappo, isac or masac.
+        algorithm: ippo, mappo, isac, masac or mep.
         backend: fused, native, mjx, mjx-warp or auto.
         seeds: Teams trained side by side.
         num_envs: Simulations of each team; default the preset's.

@@ -55,6 +55,7 @@ class PPOConfig(Hyperparameters):
         "learning_rate",
         "clip_eps",
         "entropy_coef",
+        "population_coef",
         "value_coef",
         "gamma",
         "gae_lambda",
@@ -68,9 +69,12 @@ class PPOConfig(Hyperparameters):
     minibatches: PositiveInt = 4  # parts of a pass; each holds whole simulations
     learning_rate: PositiveFloat = 1e-3  # of Adam, for actors and critics
     anneal_lr: bool = False  # whether the learning rate falls linearly to 0 over the run
-    anneal_entropy: bool = False  # whether the entropy bonus does
+    anneal_entropy: bool = False  # whether the bonuses of entropy and of the population do
     clip_eps: PositiveFloat = 0.31  # the probability ratio is clipped to [1 - eps, 1 + eps]
     entropy_coef: NonNegativeFloat = 1e-4  # weight of the entropy bonus
+    # Weight of the reward for what the population seldom does; above 0 the teams that differ in
+    # their seed alone are one population.
+    population_coef: NonNegativeFloat = 0.0
     value_coef: NonNegativeFloat = 1.0  # weight of the value loss
     gae_lambda: Share = 0.95  # decay of the advantage trace
     squash: Literal["clip", "tanh"] = "clip"  # how a Gaussian sample is brought into [-1, 1]
@@ -84,6 +88,12 @@ class PPOConfig(Hyperparameters):
             raise ValueError(
                 f"hidden is {self.hidden}; a shared recurrent network tells roles apart in its "
                 "embedding, so give two widths at least, such as (128, 128)"
+            )
+        if self.population_coef and (self.shared or self.torso == "gru"):
+            raise ValueError(
+                f"population_coef is {self.population_coef} with shared={self.shared} and torso "
+                f"{self.torso!r}; a population's humans have feed-forward networks of their own: "
+                "leave shared and torso out"
             )
         if self.num_envs % self.minibatches:
             raise ValueError(
@@ -143,6 +153,7 @@ class SACConfig(Hyperparameters):
     # come from. At 5 it lies below what a Gaussian of the least standard deviation has, so the
     # temperature falls throughout a run.
     target_entropy_scale: float = 5.0
+    population_coef: ClassVar[float] = 0.0
     squash: ClassVar[str] = "tanh"
     std: ClassVar[str] = "state"
     activation: Literal["tanh", "relu"] = "relu"  # after each hidden layer
@@ -171,7 +182,7 @@ _KINDS: Mapping[str, type[PPOConfig] | type[SACConfig]] = {"ppo": PPOConfig, "sa
 
 # The paper's tables, as differences from the defaults of the trainer. PPO's "scale clip eps" and
 # "ratio clip eps" are off in both: the clip range is neither divided by the number of agents nor
-# made symmetric in the ratio's logarithm.
+# made symmetric in the ratio's logarithm. `mep` is our IPPO with the bonus of Zhao et al. (2023).
 PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = types.MappingProxyType(
     {
         "ippo": ("ppo", {}),
@@ -187,6 +198,7 @@ PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = types.MappingProxyType(
         ),
         "isac": ("sac", {}),
         "masac": ("sac", {"critic": "central", "q_lr": 2e-4}),
+        "mep": ("ppo", {"population_coef": 1e-2}),
     }
 )
 
@@ -269,6 +281,28 @@ class TrainConfig:
                 "two members of a run are identical; each (seed, disability, overrides) may appear "
                 "once"
             )
+        self._check_populations()
+
+    def _check_populations(self) -> None:
+        """Refuse members that form no populations of one size, where the trainer wants them."""
+        if not self.trainer.population_coef:
+            if any("population_coef" in member.overrides for member in self.members):
+                raise ValueError(
+                    "members override population_coef, but it is 0 in the run, which then has no "
+                    "populations; set it above 0"
+                )
+            return
+        if self.partners:
+            raise ValueError(
+                "population_coef is for teams, and an ego's partners are frozen; set it to 0"
+            )
+        sizes = {len(places) for places in populations(self.members)}
+        if len(sizes) > 1 or min(sizes) < 2:
+            raise ValueError(
+                f"{self.algorithm} trains the seeds of a setting as one population, and the run "
+                f"has populations of {sorted(sizes)}; give every setting the same number of "
+                "seeds, two at least"
+            )
 
     @property
     def updates(self) -> int:
@@ -330,6 +364,15 @@ def traced_values(config: TrainerConfig, members: Sequence[Member]) -> dict[str,
         name: [member.overrides.get(name, getattr(config, name)) for member in members]
         for name in config.traced
     }
+
+
+def populations(members: Sequence[Member]) -> list[list[int]]:
+    """Return the places of the members of each population: those that differ in seed alone."""
+    found: dict[Any, list[int]] = {}
+    for place, member in enumerate(members):
+        key = member.disability, *sorted(member.overrides.items())
+        found.setdefault(key, []).append(place)
+    return list(found.values())
 
 
 def numbered(seeds: Any) -> Any:

@@ -29,6 +29,7 @@ from population.checked import Many, checked, first_problem
 from population.config import (
     Member,
     TrainConfig,
+    TrainerConfig,
     check_names,
     make_members,
     make_run,
@@ -69,11 +70,26 @@ class Group:
             )
         check_names(self.task, self.disabilities)
         self.config(self.members)  # checks the rest
+        if self.max_members and self.max_members < self.together:
+            raise ValueError(
+                f"max_members is {self.max_members}; the {self.together} seeds of a setting are "
+                "one population, which trains in one run: allow that many, or fewer seeds"
+            )
 
     @property
     def members(self) -> tuple[Member, ...]:
         """Every team, setting by setting."""
         return make_members(self.seeds, self.disabilities)
+
+    @property
+    def together(self) -> int:
+        """How many members in order must train in one run: a population has all its seeds."""
+        return len(self.seeds) if self.trainer.population_coef else 1
+
+    @property
+    def trainer(self) -> TrainerConfig:
+        """Hyperparameters."""
+        return preset(self.algorithm, **self.set)
 
     def config(self, members: Sequence[Member]) -> TrainConfig:
         """Return the run that trains some of the members."""
@@ -82,7 +98,7 @@ class Group:
             self.algorithm,
             members,
             self.steps,
-            preset(self.algorithm, **self.set),
+            self.trainer,
             checkpoint_every=self.checkpoint_every,
             updates_per_call=self.updates_per_call,
             self_play_episodes=self.self_play_episodes,
@@ -182,17 +198,29 @@ def find_blocks(group: Group, out: Path, done: Collection[Key] = ()) -> list[Blo
     """Return the runs of a group that hold, or are to hold, members that are not done.
 
     Members that no folder holds are cut in order into new blocks of at most `max_members`, so that
-    processes which look at different times cut alike.
+    processes which look at different times cut alike. A population is never cut.
 
     Args:
         group: The group.
         out: Folder of the plan's runs.
         done: Members that need no run: published, or adopted from another release.
+
+    Raises:
+        ValueError: Some members of a population are there, and some are not.
     """
     known = list(_existing(group, out))
     held = {key for block in known for key in block.keys} | set(done)
     missing = [member for member in group.members if (member.disability, member.seed) not in held]
+    for setting in group.disabilities if group.together > 1 else ():
+        left = sum(member.disability == setting for member in missing)
+        if 0 < left < group.together:
+            raise ValueError(
+                f"group {group.name} lacks {left} of its {group.together} teams of {setting}, "
+                f"which are one population; seeds that come later are a population of their own: "
+                "give them a group"
+            )
     size = group.max_members or len(group.members)
+    size -= size % group.together
     parts = [tuple(missing[start : start + size]) for start in range(0, len(missing), size)]
     taken = {block.name for block in known}
     names = (f"{group.name}-{number}" if number > 1 else group.name for number in count(1))

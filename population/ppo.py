@@ -5,6 +5,7 @@ each; with frozen partners in one seat, only the other learns.
 """
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -12,8 +13,8 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
-from population import experience, gae, normaliser, shared_network
-from population.config import PPOConfig
+from population import diversity, experience, gae, normaliser, shared_network
+from population.config import Member, PPOConfig
 from population.environment import Environment
 from population.experience import Batch
 from population.frozen_partners import FrozenPartners
@@ -57,7 +58,7 @@ class Samples:
 
 
 class PPO(Trainer):
-    """Trains with PPO: `ippo` has local critics, `mappo` central ones."""
+    """Trains with PPO: `ippo` has local critics, `mappo` central ones, `mep` IPPO's and a bonus."""
 
     def __init__(
         self,
@@ -74,6 +75,13 @@ class PPO(Trainer):
         if config.shared:
             self.learners = {shared_network.SHARED: self.roles}
 
+    def hyper(self, members: Sequence[Member]) -> Hyper:
+        """Return the traced hyperparameters, and who are of a population if teams form any."""
+        hyper = super().hyper(members)
+        if self.config.population_coef:
+            hyper["peers"] = diversity.peers(members)
+        return hyper
+
     def update(
         self, state: TrainState, hyper: Hyper, partners: Any = ()
     ) -> tuple[TrainState, Metrics]:
@@ -81,11 +89,20 @@ class PPO(Trainer):
         config = self.config
         state, batch, keys = self.collect(state, partners)
         left = 1.0 - state.update.astype(jnp.float32) / self.updates
-        annealed = {"learning_rate": config.anneal_lr, "entropy_coef": config.anneal_entropy}
+        annealed = {
+            "learning_rate": config.anneal_lr,
+            "entropy_coef": config.anneal_entropy,
+            "population_coef": config.anneal_entropy,
+        }
         hyper = {name: each * left if annealed.get(name) else each for name, each in hyper.items()}
         batch = experience.by_member(batch, len(keys))
-        members, metrics = member_map(self._learn)(state.members, batch, hyper, keys)
-        return dataclasses.replace(state, members=members, update=state.update + 1), metrics
+        metrics = member_map(experience.episode_metrics)(batch)
+        if config.population_coef:
+            batch, logged = self._with_bonus(state.members, batch, hyper)
+            metrics |= logged
+        members, losses = member_map(self._learn)(state.members, batch, hyper, keys)
+        state = dataclasses.replace(state, members=members, update=state.update + 1)
+        return state, metrics | losses
 
     def initial_learner(self, roles: tuple[Role, ...], key: jax.Array) -> Learner:
         """Return one member's learner of these roles."""
@@ -104,6 +121,23 @@ class PPO(Trainer):
             },
         )
 
+    def _with_bonus(
+        self, members: MemberState, batch: Batch, hyper: Hyper
+    ) -> tuple[Batch, Metrics]:
+        """Pay for what the population seldom does: r - c log (1/n) sum_j pi_j(a | o).
+
+        Logged are the population's entropy, and what of it is due to differences: between 0, where
+        all humans act alike, and log n, where none would do what another does.
+        """
+        role = diversity.ROLE
+        params = self.policy_params(members)[role]
+        usual = diversity.log_mean_density(self.policies[role], params, hyper["peers"], batch)
+        reward = batch.reward - hyper["population_coef"][:, None, None] * usual
+        return dataclasses.replace(batch, reward=reward), {
+            "population_entropy": -usual.mean((1, 2)),
+            "population_divergence": (batch.log_prob[role] - usual).mean((1, 2)),
+        }
+
     def _learn(
         self, member: MemberState, batch: Batch, hyper: Hyper, key: jax.Array
     ) -> tuple[MemberState, Metrics]:
@@ -112,7 +146,7 @@ class PPO(Trainer):
         The statistics change only after learning: within an update, probability ratios compare
         policies that read the same normalised observations, and start at exactly 1.
         """
-        learners, metrics = {}, experience.episode_metrics(batch)
+        learners, metrics = {}, {}
         keys = role_keys(key)
         for name, roles in self.learners.items():
             learners[name], losses = self._learn_role(name, member, batch, hyper, keys[roles[0]])

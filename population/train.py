@@ -106,9 +106,11 @@ def train(
             if progress is not None:
                 progress(state)
 
+        # Of a population each member reads all others: one device has them.
+        apart = 1 if config.trainer.population_coef else len(config.members)
         # The threads of the devices end before this does, whatever happens.
         with (
-            Shares(len(config.members), devices) as shares,
+            Shares(apart, devices) as shares,
             contextlib.closing(Checkpoints(run.checkpoints)) as checkpoints,
         ):
             training = _Training(config, trainer, shares, run, checkpoints)

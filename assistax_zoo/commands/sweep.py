@@ -25,7 +25,7 @@ def sweep(
     Args:
         task: Task, such as scratch.
         out: Folder of the sweep: a run for each block, sweep.parquet, preset.json.
-        algorithm: Preset that is varied: ippo, mappo, isac or masac.
+        algorithm: Preset that is varied: ippo, mappo, isac, masac or mep.
         search: What is tried.
         backend: Physics: fused, native, mjx, mjx-warp, or auto for the fastest one.
         engine: What runs the blocks.

@@ -38,7 +38,7 @@ def train(
         task: Task, such as scratch.
         out: Folder of the run: checkpoints, metrics.parquet, and at the end the teams for
             `assistax-zoo publish`.
-        algorithm: Preset of hyperparameters: ippo (default), mappo, isac or masac.
+        algorithm: Preset of hyperparameters: ippo (default), mappo, isac, masac or mep.
         preset: JSON file of hyperparameters in place of a built-in preset, as `assistax-zoo sweep`
             writes it.
         disability: Settings of the human, comma-separated, such as d1,d3.

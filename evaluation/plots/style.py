@@ -32,9 +32,9 @@ _CAPTION_LINE = 0.14  # inches
 # and from every colour of the map, beside which they stand. An ego has its algorithm's colour.
 ALGORITHMS = {
     **{"ippo": "#1e0ff0", "mappo": "#e17800", "isac": "#1e0000", "masac": "#b41ec3"},
-    **{"ppo": "#1e0ff0", "sac": "#1e0000"},
+    **{"mep": "#690f00", "ppo": "#1e0ff0", "sac": "#1e0000"},
 }
-OTHERS = ("#f0003c", "#690f00", "#ff78e1", "#a52d5a")  # of methods that are not ours
+OTHERS = ("#f0003c", "#ffb4d2", "#ff78e1", "#a52d5a")  # of methods that are not ours
 MARKERS = ("o", "s", "^", "D", "v", "P")
 # One hue for each level of the elbow's range, lighter as strength falls; as far from the map.
 _DISABILITY = {

@@ -61,7 +61,7 @@ def test_hyperparameters_are_read_as_values():
         (["--task", "swim"], "task is 'swim'; allowed are scratch"),
         (
             ["--task", "scratch", "--algorithm", "sac"],
-            "algorithm is 'sac'; allowed are ippo, mappo, isac, masac",
+            "algorithm is 'sac'; allowed are ippo, mappo, isac, masac, mep",
         ),
         (
             ["--task", "scratch", "--disability", "d1,d10"],

@@ -303,7 +303,8 @@ def closest(colours: Iterable[str], others: Iterable[Any], vision: str) -> float
 
 
 SETTINGS = style.disability_colours([f"d{i}" for i in range(1, 10)])
-STRIP = style.algorithm_colours(["ippo", "isac", "mappo", "masac", "e", "f", "g", "h"])
+OURS = ("ippo", "isac", "mappo", "masac", "mep")
+STRIP = style.algorithm_colours([*OURS, "e", "f", "g", "h"])
 MAP = matplotlib.colormaps[style.COLOUR_MAP](np.linspace(0, 1, 64))[:, :3]
 
 
@@ -325,7 +326,7 @@ def test_a_blue_a_grey_or_a_green_would_be_too_near_to_the_map(near: str, least:
 
 
 def test_algorithms_differ_in_grey_and_settings_grow_lighter_as_strength_falls():
-    ours = sorted(lab(STRIP[name])[0] for name in ("ippo", "isac", "mappo", "masac"))
+    ours = sorted(lab(STRIP[name])[0] for name in OURS)
     assert min(np.diff(ours)) > 10
     for first in (1, 4, 7):
         lightness = [lab(SETTINGS[f"d{i}"])[0] for i in range(first, first + 3)]

@@ -58,7 +58,7 @@ def test_bad_hyperparameters_are_named(changes, message):
 
 def test_unknown_algorithm_lists_the_allowed():
     with pytest.raises(
-        ValueError, match="algorithm is 'sac'; allowed are ippo, mappo, isac, masac"
+        ValueError, match="algorithm is 'sac'; allowed are ippo, mappo, isac, masac, mep"
     ):
         preset("sac")
 

@@ -78,7 +78,7 @@ def test_numbers_of_seeds_and_lists_of_them(tmp_path):
     ("changes", "message"),
     [
         ({"algorithm": "sac"},
-        "groups.0: algorithm is 'sac'; allowed are ippo, mappo, isac, masac"),
+        "groups.0: algorithm is 'sac'; allowed are ippo, mappo, isac, masac, mep"),
         ({"task": "swim"},
         "groups.0: task is 'swim'; allowed are scratch, bed_bath, arm_assist"),
         ({"disabilities": ["d1", "d10"]},
