@@ -131,9 +131,12 @@ def _write_pages(folder: Path) -> None:
 
 
 def _relink(text: str) -> str:
-    """Return a page whose links lead to where things are in the site."""
+    """Return a page whose links lead to where things are in the site, pictures to themselves."""
     text = re.sub(r'(\]\(|src=")(?:docs/|\.\./)', r"\1", text)
     text = _BLOCK.sub(r"\1\n\2", text)
+    # On a phone a picture is read at its own size, one touch away.
+    text = re.sub(r"^(!\[[^\]]*\]\(([^)]+)\))$", r"[\1](\2)", text, flags=re.MULTILINE)
+    text = re.sub(r'(<img src="([^"]+)"[^>]*>)', r'<a href="\2">\1</a>', text)
     return re.sub(r"(\]\([\w-]+)\.ipynb([)#])", r"\1.md\2", text)
 
 

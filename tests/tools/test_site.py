@@ -46,6 +46,12 @@ def test_every_command_is_described(built: Path) -> None:
         assert f'id="assistax-zoo-{name}"' in page
 
 
+def test_a_picture_opens_at_its_own_size(built: Path) -> None:
+    for name in ("images/gentle_lift.gif", "images/speed.png", "images/my_robot-1.png"):
+        pages = [path.read_text(encoding="utf-8") for path in built.glob("*.html")]
+        assert any(re.search(rf'<a href="{name}"><img [^>]*src="{name}"', page) for page in pages)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("planted", "told"),
