@@ -1,11 +1,14 @@
 """Films of an episode."""
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from assistax_zoo.zoos import Zoo, open_zoo
+
+if TYPE_CHECKING:
+    from evaluation.film import Pair
 
 
 def render(
@@ -58,49 +61,55 @@ def render(
     """
     from assistax_envs import make
     from assistax_envs.interrupts import interruptible
-    from assistax_envs.preferences import check_preferences
-    from evaluation.film import MOMENTS, SHEET, check_film, film, play
-    from evaluation.partners import seat_policy
+    from evaluation.film import Pair
 
-    out = Path(out)
+    rates = _rates(Path(out), fps, (width, height), sheet)
+    who = {"disability": disability, "preference": preference}
+    env, registry = make(task, "native"), lambda: open_zoo(zoo).registry
+    pair = Pair(env, robot, human, registry, steps=steps, seed=seed, **who)
+    caption = (f"robot {robot}", f"human {human}")
+    size = {"camera": camera, "width": width, "height": height, "caption": caption}
+    interruptible(lambda check: _film(pair, rates, size, sheet, check, on_step))
+    return Path(out)
+
+
+def _rates(out: Path, fps: int, size: tuple[int, int], sheet: bool) -> dict[Path, int]:
+    """Return the files to write and the frames a second of each, checked."""
+    from evaluation.film import check_film
+
     rates = {out: fps}
     if sheet and out.suffix.lower() == ".mp4":
         rates[out.with_suffix(".gif")] = 10
     if sheet:
         rates[out.with_suffix(".png")] = fps
     for path, rate in rates.items():
-        check_film(path, rate, width, height)
-    if preference is not None:
-        check_preferences(task, [preference])
-    env = make(task, "native")
-    length = env.episode_length if steps is None else steps
-    if not 1 <= length <= env.episode_length:
-        raise ValueError(f"steps is {steps}; allowed are 1 to {env.episode_length}, an episode")
-    registry = lambda: open_zoo(zoo).registry  # noqa: E731 - read where a reference asks for it
-    act = [
-        seat_policy(reference, role, env, registry, task, seed)
-        for role, reference in (("robot", robot), ("human", human))
-    ]
-    setting = disability or getattr(act[1], "setting", None) or "d1"
-    caption = (f"robot {robot}", f"human {human}")
-    size: dict[str, Any] = {"camera": camera, "width": width, "height": height, "caption": caption}
+        check_film(path, rate, *size)
+    return rates
 
-    def work(check: Callable[[], None]) -> None:
-        def stepped() -> None:
-            check()
-            if on_step is not None:
-                on_step()
 
-        def draw(state: Any) -> Any:
-            check()
-            return env.render(state, **size)
+def _film(
+    pair: "Pair",
+    rates: Mapping[Path, int],
+    size: Mapping[str, Any],
+    sheet: bool,
+    check: Callable[[], None],
+    on_step: Callable[[], None] | None,
+) -> None:
+    """Play the episode, and draw it for each file; `check` is called often."""
+    from evaluation.film import MOMENTS, SHEET, film
 
-        states = play(env, *act, setting, seed, length, stepped, preference=preference)
-        if sheet:
-            states = list(states)  # played once, drawn for each file
-        with contextlib.closing(env):  # in this thread, which drew
-            for path, rate in rates.items():
-                film(states, draw, path, length, rate, SHEET if sheet else MOMENTS)
+    def stepped() -> None:
+        check()
+        if on_step is not None:
+            on_step()
 
-    interruptible(work)
-    return out
+    def draw(state: Any) -> Any:
+        check()
+        return pair.env.render(state, **size)
+
+    states = pair.play(stepped)
+    if sheet:
+        states = list(states)  # played once, drawn for each file
+    with contextlib.closing(pair.env):  # in this thread, which drew
+        for path, rate in rates.items():
+            film(states, draw, path, pair.length, rate, SHEET if sheet else MOMENTS)

@@ -1,7 +1,6 @@
 """Recorded episodes of a pair, step by step, for imitation and for studies."""
 
 import dataclasses
-import itertools
 import json
 import operator
 from collections.abc import Callable, Mapping
@@ -14,6 +13,8 @@ from assistax_zoo.zoos import Zoo, open_zoo
 
 if TYPE_CHECKING:
     import polars as pl
+
+    from evaluation.film import Pair
 
 METADATA = "assistax"  # key of a file's metadata, whose value is JSON
 
@@ -63,27 +64,27 @@ def trajectories(
         >>> table.height, table["robot_observation"].dtype.shape
         (8, (34,))
     """
+    from assistax_envs import make
+    from evaluation.film import Pair
+
+    if episodes < 1:
+        raise ValueError(f"episodes is {episodes}; give at least 1")
+    env, registry = make(task, backend), open_zoo(zoo).registry
+    who = {"disability": disability, "preference": preference}
+    pair = Pair(env, robot, human, lambda: registry, steps=steps, seed=seed, **who)
+
+    table = _record_all(pair, episodes, on_step)
+    if out is not None:
+        facts = {"preference": preference, "episodes": episodes, "steps": pair.length, "seed": seed}
+        _write(table, Path(out), pair, facts)
+    return table
+
+
+def _record_all(pair: "Pair", episodes: int, on_step: Callable[[], None] | None) -> "pl.DataFrame":
+    """Play all episodes, and return their rows."""
     import polars as pl
 
-    from assistax_envs import make
     from assistax_envs.interrupts import interruptible
-    from evaluation.partners import seat_policy
-
-    env, registry = make(task, backend), open_zoo(zoo).registry
-    length = env.episode_length if steps is None else steps
-    if not 1 <= length <= env.episode_length or episodes < 1:
-        raise ValueError(
-            f"episodes is {episodes} and steps is {steps}; allowed are at least 1 and, of steps, "
-            f"at most {env.episode_length}"
-        )
-    names = {"robot": robot, "human": human}
-
-    def seats(number: int) -> dict[str, Any]:  # whose policies remember nothing
-        drawn = seed + number  # of random actions
-        return {
-            role: seat_policy(name, role, env, lambda: registry, task, drawn)
-            for role, name in names.items()
-        }
 
     def work(check: Callable[[], None]) -> "list[pl.DataFrame]":
         def stepped() -> None:
@@ -91,50 +92,25 @@ def trajectories(
             if on_step is not None:
                 on_step()
 
-        options: dict[str, Any] = {
-            "seed": seed,
-            "steps": length,
-            "preference": preference,
-            "on_step": stepped,
-        }
-        later = (seats(k) for k in range(1, episodes))  # each is loaded when its episode begins
-        return [
-            _record(env, seated, setting, k, options)
-            for k, seated in enumerate(itertools.chain([first], later))
-        ]
+        return [_record(pair, number, stepped) for number in range(episodes)]
 
-    first = seats(0)
-    setting = disability or getattr(first["human"], "setting", None) or "d1"
-    table = pl.concat(interruptible(work))
-    if out is not None:
-        facts = {
-            "disability": setting if isinstance(setting, str) else dataclasses.asdict(setting),
-            **{"preference": preference, "episodes": episodes, "steps": length, "seed": seed},
-            **{role: _who(name, first[role]) for role, name in names.items()},
-        }
-        _write(table, Path(out), env, facts)
-    return table
+    return pl.concat(interruptible(work))
 
 
-def _record(
-    env: Any, seats: Mapping[str, Any], setting: Any, number: int, options: Mapping[str, Any]
-) -> "pl.DataFrame":
+def _record(pair: "Pair", number: int, stepped: Callable[[], None]) -> "pl.DataFrame":
     """Play one episode, and return its rows."""
     import polars as pl
 
-    from evaluation.film import play
+    actions: dict[str, list[np.ndarray]] = {role: [] for role in pair.references}
 
-    actions: dict[str, list[np.ndarray]] = {role: [] for role in seats}
-
-    def listening(role: str) -> Callable[[np.ndarray], np.ndarray]:
-        def act(obs: np.ndarray) -> np.ndarray:
-            actions[role].append(np.asarray(seats[role](obs), np.float32))
+    def heard(role: str, act: Callable[[np.ndarray], np.ndarray]) -> Any:
+        def acting(obs: np.ndarray) -> np.ndarray:
+            actions[role].append(np.asarray(act(obs), np.float32))
             return actions[role][-1]
 
-        return act
+        return acting
 
-    acting = listening("robot"), listening("human")
-    states = list(play(env, *acting, setting, episode=number, **options))
+    states = list(pair.play(stepped, number, heard))
     count = len(states)
 
     def given(values: list[Any]) -> "pl.Series":
@@ -146,11 +122,11 @@ def _record(
         "episode": np.full(count, number, np.int32),
         "step": np.arange(count, dtype=np.int32),
     }
-    for role in seats:
+    for role in actions:
         seen = np.stack([np.asarray(state.obs[role][0], np.float32) for state in states])
         columns[f"{role}_observation"] = pl.Series(seen)
     columns |= {f"{role}_action": given(acted) for role, acted in actions.items()}
-    for name, leaf in _gains(env).items():
+    for name, leaf in _gains(pair.env).items():
         columns[name] = given([np.asarray(leaf(state))[0] for state in states[1:]])
     return pl.DataFrame(columns)
 
@@ -175,16 +151,19 @@ def _who(name: str, seat: Any) -> dict[str, Any]:
     return {"policy": path.name if path.is_file() else name, "sha256": sha256}
 
 
-def _write(table: "pl.DataFrame", path: Path, env: Any, facts: Mapping[str, Any]) -> None:
+def _write(table: "pl.DataFrame", path: Path, pair: "Pair", facts: Mapping[str, Any]) -> None:
     from evaluation.provenance import describe_machine
     from population.files import atomic_path
 
+    env, setting = pair.env, pair.setting
     about = {
         "task": env.task,
         "environment_version": env.version,
         "backend": env.backend,
         "engine": env.engine,
+        "disability": setting if isinstance(setting, str) else dataclasses.asdict(setting),
         **facts,
+        **{role: _who(name, pair.seats[role]) for role, name in pair.references.items()},
         "machine": describe_machine(),
     }
     with atomic_path(path) as temporary:

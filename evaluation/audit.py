@@ -36,6 +36,7 @@ JOINT_SPEEDS = (2.175,) * 4 + (2.61,) * 3  # rad/s, of the robot's datasheet
 POSTURES = tuple(itertools.product((-1.0, 0.0, 1.0), repeat=3))  # torques that a human holds
 EPISODES = 2 * len(PREFERENCES)  # of each pair: every preference twice
 ALONE = 10  # times as many for the script, which is one pair where teams are several
+BOTH = ("robot", "human")  # who is told the preference; the human alone elsewhere
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,6 +61,10 @@ class Others:
     blind: Teams | None = None  # teams whose human is not
     recurrent: Teams | None = None  # teams whose robot remembers
     response: Teams | None = None  # robot i was trained with the frozen human of team i
+    # Robots that were trained with the frozen humans of some teams, and play with the others'.
+    ego: Teams | None = None
+    ego_told: Teams | None = None  # ... and are told the preference
+    ego_recurrent: Teams | None = None  # ... and remember
 
 
 class Mistaken:
@@ -114,6 +119,20 @@ def audit_task(
         backend: Physics.
         on_progress: Told how far each condition is.
     """
+    _check(task, teams, others, episodes)
+    table = _Tables(task, folder, episodes, seed, backend, on_progress)
+    env = table.env()
+    played = _play(table, env, teams, others)
+    touch = touches(env, teams, episodes, seed)
+    gates = gates_of(task, played, touch)
+    pairs = played.pop("all pairs")
+    played = {"own teams": own_pairs(pairs), "strangers": strange_pairs(pairs), **played}
+    figures = {name: condition_figures(each) for name, each in played.items() if each.height}
+    about = task, VERSIONS[task], env.backend, teams.robots.ids, episodes
+    return Audit(*about, tuple(gates), figures | {"own, step by step": touch})
+
+
+def _check(task: str, teams: Teams, others: Others, episodes: int) -> None:
     if episodes < 2:
         raise ValueError(f"episodes is {episodes}; give at least 2: half of them choose a posture")
     if others.response and len(others.response.robots.ids) != len(teams.humans.ids):
@@ -121,10 +140,18 @@ def audit_task(
             f"{len(others.response.robots.ids)} best responses for {len(teams.humans.ids)} teams; "
             "give one for each, in their order"
         )
-    if task not in GENTLE_TASKS and (others.told or others.blind):
-        raise ValueError(f"the humans of {task} have no preferences; leave out --told and --blind")
-    table = _Tables(task, folder, episodes, seed, backend, on_progress)
-    env = table.env()
+    if task not in GENTLE_TASKS and (others.told or others.blind or others.ego_told):
+        raise ValueError(
+            f"the humans of {task} have no preferences; leave out --told, --blind and --ego-told"
+        )
+    for egos in (others.ego, others.ego_told, others.ego_recurrent):
+        if egos and set(teams.humans.ids) <= set(egos.met):
+            raise ValueError("the egos were trained with every team; name teams they never met too")
+
+
+def _play(table: "_Tables", env: Any, teams: Teams, others: Others) -> dict[str, pl.DataFrame]:
+    """Play every condition that somebody can play."""
+    task = table.task
     sizes = {role: (env.observation_size[role], env.action_size[role]) for role in teams.SEATS}
     passive, script = passive_roster(*sizes["human"]), script_roster(task, *sizes["robot"])
     played = {
@@ -139,10 +166,15 @@ def audit_task(
         played["passive robot, teams' humans"] = table.play("passive-team", robots, teams.humans)
     if others.response:
         robots = others.response.robots
-        played["best responses"] = table.play("response", robots, teams.humans)
+        played["best responses"] = table.play("response", robots, teams.humans, paired=True)
+    for name in ("ego", "ego_told", "ego_recurrent"):
+        if egos := getattr(others, name):
+            there = table.env(told=BOTH) if name == "ego_told" else env
+            met = table.play(name, egos.robots, teams.humans, env=there)
+            played[name.replace("_", " ")] = met.filter(~pl.col("partner").is_in(egos.met))
     for name in ("recurrent", "told", "blind"):
         if pairs := getattr(others, name):
-            told = {"told": ("robot", "human"), "blind": ()}.get(name)
+            told = {"told": BOTH, "blind": ()}.get(name)
             there = env if told is None else table.env(told=told)
             played[name] = table.play(name, pairs.robots, pairs.humans, env=there, paired=True)
     if task in GENTLE_TASKS:
@@ -154,17 +186,7 @@ def audit_task(
             paired=True,
             condition="mistaken",
         )
-    touch = touches(env, teams, episodes, seed)
-    if others.response:
-        own = dict(zip(teams.humans.ids, others.response.robots.ids, strict=True))
-        meant = pl.col("partner").replace_strict(own)
-        played["best responses"] = played["best responses"].filter(pl.col("ego") == meant)
-    gates = gates_of(task, played, touch)
-    pairs = played.pop("all pairs")
-    played = {"own teams": own_pairs(pairs), "strangers": strange_pairs(pairs), **played}
-    figures = {name: condition_figures(each) for name, each in played.items() if each.height}
-    about = task, VERSIONS[task], env.backend, teams.robots.ids, episodes
-    return Audit(*about, tuple(gates), figures | {"own, step by step": touch})
+    return played
 
 
 @dataclasses.dataclass(frozen=True)

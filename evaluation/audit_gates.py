@@ -71,12 +71,32 @@ def gates_of(
         earned("teams whose robot is told the preference", "> 5% more", "told", 1.05, "--told"),
         earned("teams whose robot remembers", "more than those without memory", "recurrent", 1.0,
                "--recurrent"),
+        *_ego_gates(played),
         lost("humans that believe in another preference", "loses, the interval above 0",
              "mistaken humans", 0.0, "a gentle task", above=True, paired=True),
         lost("control: humans that were never told theirs", "loses, the interval above 0",
              "blind", 0.0, "--blind", above=True),
         *_touch_gates(touch),
     ]  # fmt: skip
+
+
+def _ego_gates(played: Mapping[str, pl.DataFrame]) -> list[Gate]:
+    """Return what knowing the preference is worth to robots among strangers, and remembering."""
+    names = "among strangers, a robot that is told the preference", "> 5% more", "--ego, --ego-told"
+    again = "share of that which a recurrent robot wins back", "the interval above 0"
+    egos = [played.get(name) for name in ("ego", "ego told", "ego recurrent")]
+    plain, told, recurrent = (None if one is None else _by_robot(one, "return") for one in egos)
+    worth = Gate(*names[:2], None, None, None, f"not measured: needs {names[2]}")
+    if plain is None or told is None:
+        return [worth]
+    said = f"return {told.mean():.1f}, not told {plain.mean():.1f}"
+    value, ci = _estimate(lambda a, b: b / a, plain, told)
+    worth = dataclasses.replace(worth, value=value, ci=ci, holds=value >= 1.05, told=said)
+    if recurrent is None:
+        return [worth, Gate(*again, None, None, None, "not measured: needs --ego-recurrent")]
+    value, ci = _estimate(lambda a, b, c: (c - a) / (b - a), plain, told, recurrent)
+    said = f"return {recurrent.mean():.1f}"
+    return [worth, Gate(*again, value, ci, ci is not None and ci[0] > 0.0, said)]
 
 
 def own_pairs(table: pl.DataFrame) -> pl.DataFrame:

@@ -10,6 +10,7 @@ import numpy as np
 
 from evaluation.egos import read_egos
 from evaluation.roster import Member, Roster, registry_roster
+from population.run_folder import RunFolder
 from population.spec import PolicySpec
 from population.stack import PolicyStack, flatten, stack_policies
 from zoo.registry import Registry
@@ -33,6 +34,7 @@ class Teams:
 
     robots: Roster
     humans: Roster
+    met: tuple[str, ...] = ()  # frozen humans with whom robots alone were trained
 
     SEATS: ClassVar = ("robot", "human")
 
@@ -69,11 +71,11 @@ def read_teams(sources: Sequence[str], registry: Registry, task: str) -> Teams:
         for seat, one in enumerate(stacks):
             one += stack_policies((m.id, spec, params) for m, spec, params in
                                   (pair[seat] for pair in alike))  # fmt: skip
-    rosters = [
+    robots, humans = (
         Roster(tuple(stacks[seat]), {pair[seat][0].id: pair[seat][0] for pair in ordered})
         for seat in range(2)
-    ]
-    return Teams(*rosters)
+    )
+    return Teams(robots, humans)
 
 
 def read_robots(sources: Sequence[str], registry: Registry, task: str) -> Teams:
@@ -91,6 +93,14 @@ def read_robots(sources: Sequence[str], registry: Registry, task: str) -> Teams:
         named = read_egos(other, registry, task)
         stacks, members = (*stacks, *named.stacks), members | dict(named.members)
     return Teams(Roster(stacks, members), Roster((), {}))
+
+
+def read_trained_egos(sources: Sequence[str], registry: Registry, task: str) -> Teams:
+    """Return robots of folders of `train`, and whom they have met there."""
+    if elsewhere := [source for source in sources if not Path(source).is_dir()]:
+        raise ValueError(f"an ego is {elsewhere[0]!r}; give the folder in which it was trained")
+    met = [name for source in sources for name in RunFolder(source).config().partners]
+    return dataclasses.replace(read_robots(sources, registry, task), met=tuple(met))
 
 
 def _of_run(source: str, task: str) -> list[dict[str, Single]]:

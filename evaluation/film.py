@@ -16,8 +16,11 @@ import numpy as np
 from PIL import Image
 
 from assistax_envs import Disability, Env, EnvState, disability_params
+from assistax_envs.preferences import check_preferences
 from evaluation.jobs import episode_seeds
+from evaluation.partners import seat_policy
 from population.files import atomic_path
+from zoo.registry import Registry
 
 RATE = 50  # control steps a second
 ENDINGS = (".mp4", ".gif", ".png")
@@ -70,6 +73,66 @@ def play(
         if on_step is not None:
             on_step()
         yield state
+
+
+class Pair:
+    """A robot and a human by reference, who play episodes to be filmed or recorded."""
+
+    def __init__(
+        self,
+        env: Env,
+        robot: str,
+        human: str,
+        registry: Callable[[], Registry],
+        *,
+        steps: int | None = None,
+        seed: int = 0,
+        disability: str | None = None,
+        preference: str | None = None,
+    ) -> None:
+        """Check who plays and how long; see `play` for the rest.
+
+        Args:
+            env: the environment.
+            robot: as in `seat_policy`.
+            human: likewise.
+            registry: read where a reference asks for it.
+            steps: of each episode; all of them if not given.
+            seed: of the evaluation whose episodes they are.
+            disability: the human's setting instead of its own.
+            preference: what the human of a gentle task likes; drawn if not given.
+        """
+        if preference is not None:
+            check_preferences(env.task, [preference])
+        self.length = env.episode_length if steps is None else steps
+        if not 1 <= self.length <= env.episode_length:
+            raise ValueError(f"steps is {steps}; allowed are 1 to {env.episode_length}, an episode")
+        self.env, self.references = env, {"robot": robot, "human": human}
+        self._registry, self._seed, self._preference = registry, seed, preference
+        self.seats = self._seated(0)
+        self.setting = disability or getattr(self.seats["human"], "setting", None) or "d1"
+
+    def _seated(self, episode: int) -> dict[str, Act]:
+        """Return policies that remember nothing of earlier episodes."""
+        seed = self._seed + episode  # of random actions
+        return {
+            role: seat_policy(name, role, self.env, self._registry, self.env.task, seed)
+            for role, name in self.references.items()
+        }
+
+    def play(
+        self,
+        on_step: Callable[[], None],
+        episode: int = 0,
+        heard: Callable[[str, Act], Act] = lambda role, act: act,
+    ) -> Iterator[EnvState]:
+        """Yield the states of one episode; `heard` may listen to what a role does."""
+        seats = self._seated(episode) if episode else self.seats
+        acting = (heard(role, act) for role, act in seats.items())
+        options = {"episode": episode, "preference": self._preference}
+        yield from play(
+            self.env, *acting, self.setting, self._seed, self.length, on_step, **options
+        )
 
 
 @functools.lru_cache(1)

@@ -47,7 +47,8 @@ class Condition:
     algorithm: str = "ippo"
     torso: str = "mlp"
     told: tuple[str, ...] = ("human",)  # who observes the preference
-    # Frozen humans of a robot's training: none, one that does nothing, one team's, or all teams'.
+    # Frozen humans of a robot's training: none, one that does nothing, one team's, or those of
+    # every other team, so that it can play with the rest as with strangers.
     humans: str = "none"
 
 
@@ -60,9 +61,9 @@ CONDITIONS: Mapping[str, Condition] = {
     "recurrent": Condition(torso="gru"),
     "passive": Condition(humans="passive"),
     "response": Condition(humans="one"),
-    "ego": Condition(humans="all"),
-    "ego-recurrent": Condition(torso="gru", humans="all"),
-    "ego-told": Condition(told=("human", "robot"), humans="all"),
+    "ego": Condition(humans="half"),
+    "ego-recurrent": Condition(torso="gru", humans="half"),
+    "ego-told": Condition(told=("human", "robot"), humans="half"),
 }
 
 
@@ -140,14 +141,17 @@ def _humans(
         yield folder / name, seeds, _frozen(held_roster(*sizes, [(0.0, 0.0, 0.0)]), disability)
         return
     humans = read_teams([str(folder / "teams")], load_registry(), env.task).humans
-    if condition.humans == "all":
-        yield folder / name, seeds, _frozen(humans, disability)
-        return
     [stack] = humans.stacks
     assert isinstance(stack, PolicyStack)
+
+    def some(rows: Sequence[int]) -> FrozenPartners:
+        return _frozen(Roster((stack.take(rows),), humans.members), disability)
+
+    if condition.humans == "half":
+        yield folder / name, seeds, some(range(0, len(stack.ids), 2))
+        return
     for row, seed in enumerate(seeds):
-        one = Roster((stack.take([row]),), humans.members)
-        yield folder / name / f"s{seed}", [seed], _frozen(one, disability)
+        yield folder / name / f"s{seed}", [seed], some([row])
 
 
 def _frozen(humans: Roster, disability: str) -> FrozenPartners:

@@ -1,6 +1,9 @@
 """The gates of a task, from named teams."""
 
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from assistax_zoo.console import new_table, print_json, print_table, stdout_is_data
 
@@ -15,6 +18,9 @@ def audit(
     told: tuple[str, ...] = (),
     blind: tuple[str, ...] = (),
     recurrent: tuple[str, ...] = (),
+    ego: tuple[str, ...] = (),
+    ego_told: tuple[str, ...] = (),
+    ego_recurrent: tuple[str, ...] = (),
     episodes: int = 18,
     seed: int = 0,
     backend: str = "auto",
@@ -24,18 +30,19 @@ def audit(
 ) -> None:
     """Ask whether a task can be done without the partner, and whether it is done gently.
 
-    Each gate is a figure of trained teams with its 95% interval and its bar. Those for which nobody
-    was named are listed as not measured.
+    Each gate is a figure of trained teams, its 95% interval and its bar, if somebody plays for it.
 
     Args:
         task: Task, such as gentle_scratch.
         team: Teams: a folder that `train` filled, or a glob over the zoo's; repeat it for more.
-        passive_robot: Robot that was trained with a human that does nothing: a folder of `train`,
-            or any form of a robot.
-        response: Robot that was trained with the frozen human of a team; one for each, in order.
+        passive_robot: Robot trained with a human that does nothing: a folder, or any form.
+        response: Robot trained with the frozen human of a team; one for each, in order.
         told: Teams whose robot is told the human's preference.
         blind: Teams whose human is not told its own.
         recurrent: Teams whose robot remembers.
+        ego: Robots trained with frozen humans of some teams; they play with the others'.
+        ego_told: The same, told the preference.
+        ego_recurrent: The same, with a memory.
         episodes: Episodes of each pair; each preference twice if not given.
         seed: Seed of the episodes.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
@@ -50,26 +57,21 @@ def audit(
         from assistax_zoo.auditing import audit as audit_teams
         from evaluation.tables import to_json
 
-        found = to_json(
-            audit_teams(
-                task,
-                team,
-                passive_robot=passive_robot,
-                response=response,
-                told=told,
-                blind=blind,
-                recurrent=recurrent,
-                episodes=episodes,
-                seed=seed,
-                backend=backend,
-                zoo=registry,
-                out=out,
-            )
-        )
-    if json:
-        print_json(found)
-        return
-    table = new_table(f"{task}, {len(found['teams'])} teams, {found['episodes']} episodes a pair")
+        others: dict[str, Any] = {
+            "passive_robot": passive_robot,
+            "response": response,
+            "told": told,
+        }
+        others |= {"blind": blind, "recurrent": recurrent, "ego": ego, "ego_told": ego_told}
+        play = partial(audit_teams, ego_recurrent=ego_recurrent, zoo=registry, out=out, **others)
+        found = to_json(play(task, team, episodes=episodes, seed=seed, backend=backend))
+    (print_json if json else _print)(found)
+
+
+def _print(found: Mapping[str, Any]) -> None:
+    """Print an audit's gates as a table, then the figures behind them."""
+    title = f"{found['task']}, {len(found['teams'])} teams, {found['episodes']} episodes a pair"
+    table = new_table(title)
     for name in ("gate", "bar", "found", "95%", "holds"):
         table.add_column(name, overflow="fold")
     for gate in found["gates"]:

@@ -1,6 +1,7 @@
 """Pictures and films of an episode."""
 
 from pathlib import Path
+from typing import Any
 
 from assistax_zoo.console import progress, stdout_is_data
 
@@ -26,8 +27,7 @@ def render(
 ) -> None:
     """Film an episode of a robot and a human, with targets, touches and what the step earned.
 
-    No display is needed. The human plays under its own disability setting. An .mp4 or .gif runs in
-    real time, a .png shows four moments.
+    No display is needed. An .mp4 or .gif runs in real time, a .png shows four moments.
 
     Args:
         task: Task, such as scratch.
@@ -35,38 +35,36 @@ def render(
         human: An id, a .safetensors file, zero, or random.
         out: File to write: .mp4, .gif or .png.
         steps: Steps of 20 ms to show; the whole episode of 1000 if not given.
-        seed: Seed of the episode: where it starts.
+        seed: Of the episode.
         camera: A camera of the scene, such as side, or close to follow the tool.
         fps: Frames a second.
         width: Pixels of a frame.
         height: Pixels of a frame.
         disability: The human's setting, d1 to d9, instead of its own.
         preference: What the human of a gentle task likes, p1 to p9; drawn if not given.
-        sheet: Write a contact sheet (.png, twelve moments) beside the film, and a .gif beside an
-            .mp4.
+        sheet: Write a .png of twelve moments beside the film, and a .gif beside an .mp4.
         registry: Registry to read instead of the installed one: a file, a folder or an address.
 
     Example:
-        assistax-zoo render --task scratch --robot scratch/ippo-d1-s7-v1/robot --human random
-        --out scratch.mp4
+        assistax-zoo render --task scratch --robot random --human random --out scratch.mp4
     """
     with stdout_is_data():
         from assistax_zoo.films import render as film
 
-        size = {"fps": fps, "width": width, "height": height, "camera": camera}
+        size: dict[str, Any] = {
+            "fps": fps,
+            "width": width,
+            "height": height,
+            "camera": camera,
+            "sheet": sheet,
+        }
+        who: dict[str, Any] = {
+            "task": task,
+            "disability": disability,
+            "preference": preference,
+            "zoo": registry,
+        }
         with progress(f"render {task}", steps or EPISODE) as advance:
-            film(
-                robot,
-                human,
-                out,
-                task=task,
-                steps=steps,
-                seed=seed,
-                disability=disability,
-                preference=preference,
-                sheet=sheet,
-                zoo=registry,
-                on_step=lambda: advance(1),
-                **size,
-            )
+            shown: dict[str, Any] = {"steps": steps, "seed": seed, "on_step": lambda: advance(1)}
+            film(robot, human, out, **who, **size, **shown)
     print(out)

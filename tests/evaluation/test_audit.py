@@ -60,7 +60,7 @@ def test_gates_by_hand() -> None:
     missing = [name for name, gate in found.items() if gate.holds is None]
     assert [found[name].told.rpartition("needs ")[2] for name in missing] == [
         *("--passive-robot", "--passive-robot", "--response", "--told", "--recurrent"),
-        *("a gentle task", "--blind"),
+        *("--ego, --ego-told", "a gentle task", "--blind"),
     ]
 
 
@@ -86,6 +86,20 @@ def test_other_conditions_are_shares_of_what_teams_earn(
     found = gates(**{condition: own})[gate]
     assert found.value == pytest.approx(value) and found.holds == holds
     assert found.ci == pytest.approx((value, value))  # nobody differs
+
+
+def test_what_egos_earn_among_strangers_says_what_knowing_and_remembering_are_worth() -> None:
+    def earned(*returns: float) -> pl.DataFrame:
+        return played([[[value] * 4] * 2 for value in returns], ["one", "other"], TWO)
+
+    some = {"ego": earned(90.0, 110.0), "ego told": earned(125.0, 115.0)}
+    worth, won_back = list(gates(**some, **{"ego recurrent": earned(105.0, 105.0)}).values())[10:12]
+    assert worth.value == pytest.approx(1.2) and worth.holds
+    assert won_back.value == pytest.approx(0.25)
+    assert won_back.ci is not None and won_back.ci[0] < 0.0 and not won_back.holds
+    known = gates(**some, **{"ego recurrent": earned(115.0, 119.0)})
+    assert known["share of that which a recurrent robot wins back"].holds
+    assert "not measured: needs --ego-recurrent" in [gate.told for gate in gates(**some).values()]
 
 
 def test_a_script_that_does_the_task_fails_its_gate_and_so_do_teams_that_hurt() -> None:

@@ -16,7 +16,7 @@ def test_teams_the_passive_robot_and_best_responses_are_what_an_audit_takes(tmp_
     main(
         "gentle_lift",
         tmp_path,
-        only="teams,told,passive,response",
+        only="teams,told,passive,response,ego,ego-told,ego-recurrent",
         seeds="100,101",
         steps="32",
         set_=TINY,
@@ -30,6 +30,9 @@ def test_teams_the_passive_robot_and_best_responses_are_what_an_audit_takes(tmp_
         passive_robot=str(tmp_path / "passive"),
         told=str(tmp_path / "told"),
         response=[str(path) for path in responses],
+        ego=str(tmp_path / "ego"),
+        ego_told=str(tmp_path / "ego-told"),
+        ego_recurrent=str(tmp_path / "ego-recurrent"),
         episodes=2,
         progress=False,
     )
@@ -37,6 +40,8 @@ def test_teams_the_passive_robot_and_best_responses_are_what_an_audit_takes(tmp_
     played = {"passive robot, teams' humans", "told", "best responses"}
     assert played < set(found.figures)
     assert found.figures["best responses"]["episodes"] == 4  # each with the human it was made for
+    egos = [found.figures[f"ego{kind}"]["episodes"] for kind in ("", " told", " recurrent")]
+    assert egos == [4, 4, 4]  # two robots with the human of the second team alone
 
 
 @pytest.mark.slow
