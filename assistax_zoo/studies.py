@@ -68,7 +68,8 @@ def evaluate(
         stochastic: Draw actions instead of taking each policy's most likely one.
         max_envs: Most simulations in a saved part; lower it if memory runs out.
         preferences: What the humans of a gentle task like, such as "p1,p5": each partner takes
-            turns in them from episode to episode; default all.
+            turns in them from episode to episode; default those of its side of the split, or all
+            where it holds none out.
         include_own: Count partners that were trained with one of the robots; else they are played
             and kept in the tables, and no figure is about them.
         references: Compare with zero and random actions, the task's script and each partner's own
@@ -156,7 +157,7 @@ def cross_play(
         backend: Physics: "auto" for the fastest one here, or its name.
         stochastic: Draw actions instead of taking each policy's most likely one.
         max_envs: Most simulations in a saved part; lower it if memory runs out.
-        preferences: As in `evaluate`.
+        preferences: What the humans of a gentle task like, in turns; default all.
         zoo: Where policies come from, as in `open_zoo`.
         lock: Lock file of a paper; other bytes than those it pins are refused.
         out: As in `evaluate`.

@@ -99,8 +99,9 @@ def train_ego(
         seeds: How many, numbered from 0, or which.
         steps: Environment steps of each robot, rounded up to whole updates.
         hyperparameters: Changes of the preset, such as {"learning_rate": 3e-4, "torso": "gru"}.
-        preferences: What the humans of a gentle task like, such as ("p2", "p3"), in turns; those
-            left out can be tested as held out. Default all, drawn anew each episode.
+        preferences: What the humans of a gentle task like, such as ("p2", "p3"), in turns; default
+            those of the split's training half, or all, drawn anew each episode, where it holds
+            none out.
         backend: Physics, or "auto" for the fastest one here.
         resume: Go on with a run that the folder holds.
         zoo: Where the partners come from, as in `open_zoo`.

@@ -44,7 +44,8 @@ class EgoTraining:
         """How the simulations are shared out, in a line."""
         envs, count = self.config.trainer.num_envs, len(self.partners)
         share = f"{envs // count} simulation{'s' * (envs > count)} each"
-        line = f"{count} partners of {self.split.id}, {share}"
+        likes = ", ".join(self.config.preferences)
+        line = f"{count} partners of {self.split.id}{f' under {likes}' if likes else ''}, {share}"
         if envs == self.preset_envs:
             return line
         return f"{line}, {envs} in place of the preset's {self.preset_envs}"
@@ -87,8 +88,8 @@ def prepare(
         seeds: How many, numbered from 0, or which.
         steps: Environment steps of each robot, rounded up to whole updates.
         hyperparameters: Changes of the preset.
-        preferences: What the humans of a gentle task like, in turns; all of them, drawn anew each
-            episode, if none are given. Those that are left out can be tested as held out.
+        preferences: What the humans of a gentle task like, in turns; if none are given, those of
+            the split's training half, or all, drawn anew each episode, where it holds none out.
         checkpoint_every: Updates between checkpoints; default the algorithm's.
         updates_per_call: Updates dispatched to the device at once; default the algorithm's.
 
@@ -114,7 +115,7 @@ def prepare(
         checkpoint_every=checkpoint_every,
         updates_per_call=updates_per_call,
         partners=partners.ids,
-        preferences=preferences,
+        preferences=preferences or chosen.preferences.get("train", ()),
     )
     return EgoTraining(config, partners, chosen, trainer.num_envs)
 

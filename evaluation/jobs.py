@@ -42,6 +42,8 @@ class Job:
     engine: Mapping[str, str] = dataclasses.field(default_factory=dict)  # name and version
     # Of the gentle tasks: what the partners like, in turns, see `wishes`; empty where it is drawn.
     preferences: tuple[str, ...] = ()
+    # Side -> those of its partners, where the sides differ.
+    side_preferences: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.episodes < 1:
@@ -88,7 +90,12 @@ class Job:
 
     def identity(self) -> dict[str, Any]:
         """Return what decides the values of the episode table, JSON-ready."""
-        wishes = {"preferences": list(self.preferences)} if self.preferences else {}
+        wishes: dict[str, Any] = {}
+        if self.preferences:
+            wishes["preferences"] = list(self.preferences)
+        if self.side_preferences:
+            sides = {side: list(names) for side, names in self.side_preferences.items()}
+            wishes["side_preferences"] = sides
         return wishes | {
             "evaluator_version": EVALUATOR_VERSION,
             "task": self.task,
@@ -131,9 +138,22 @@ class Job:
         episodes of many partners have all of them equally often, and no partner's depend on who
         else plays.
         """
-        first = [int.from_bytes(hashlib.sha256(name.encode()).digest()[:4]) for name in partners]
-        turn = (np.array(first)[:, None] + np.array(episodes)[None]) % len(self.preferences)
-        return np.array(self.preferences)[turn]
+        rows = []
+        for name in partners:
+            likes = self.side_preferences.get(self.sides.get(name, ""), self.preferences)
+            first = int.from_bytes(hashlib.sha256(name.encode()).digest()[:4])
+            rows.append([likes[(first + episode) % len(likes)] for episode in episodes])
+        return np.array(rows)
+
+    def following(self, preferences: Mapping[str, tuple[str, ...]]) -> "Job":
+        """Return the job with each partner under the preferences of its side of a split.
+
+        Who is on no side, as the passive human, plays under those of all sides that play.
+        """
+        played = {side: preferences[side] for side in sorted(set(self.sides.values()))}
+        likes = tuple(sorted({name for names in played.values() for name in names}))
+        differing = played if len(played) > 1 else {}
+        return dataclasses.replace(self, preferences=likes, side_preferences=differing)
 
 
 @dataclasses.dataclass(frozen=True)

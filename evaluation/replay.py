@@ -107,6 +107,7 @@ def _rebuild(identity: Mapping[str, Any], registry: Registry, run_code: bool) ->
         paired=identity["paired"],
         apart=identity["apart"],
         preferences=tuple(identity.get("preferences", ())),
+        side_preferences=identity.get("side_preferences", {}),
     )
     here = job.identity()
     for name in ("env_version", "evaluator_version", "egos", "partners"):

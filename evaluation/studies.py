@@ -47,7 +47,7 @@ class Settings:
     backend: str = "auto"
     stochastic: bool = False  # draw actions instead of taking each policy's mode
     max_envs: int | None = None  # simulations at once; None is the backend's default
-    # Of a gentle task's humans, such as "p1,p5"; None is all of them, in turns.
+    # Of a gentle task's humans, such as "p1,p5"; None is the split's, or all of them, in turns.
     preferences: str | Sequence[str] | None = None
 
     def __post_init__(self) -> None:
@@ -121,6 +121,8 @@ def evaluate_policies(
     egos = _read_egos(registry, policies, settings.task)
     _check_new(egos, chosen, include_own)
     env, job = make_job(registry, egos, chosen, settings, manifest)
+    if manifest.preferences and settings.preferences is None:
+        job = job.following(manifest.preferences)
     playing: dict[str, Any] = {"max_envs": settings.max_envs, "on_progress": on_progress}
     result = run_job(env, job, folder, reuse=reuse, **playing)
     played, files = None, _own_files(egos, crossplay)
@@ -346,7 +348,7 @@ def _context(
         backend=job.backend,
         engine=dict(job.engine),
         release=release,
-        split=SplitName(split.id, split.sha256) if split else None,
+        split=SplitName(split.id, split.sha256, dict(split.preferences)) if split else None,
         lock=registry.lock,
         env_steps_per_second=result.env_steps_per_second,
     )

@@ -43,6 +43,7 @@ class SplitName:
 
     id: str
     sha256: str
+    preferences: dict[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)  # by side
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -195,7 +196,12 @@ def summarise_evaluation(table: pl.DataFrame, context: Context) -> EvaluationSum
         cvar_10=cvar_crossfit(focus.returns, 0.1) if several else None,
         egos=tuple(block.egos["ego"]),
         partners={name: sides.count(name) for name in tables.SIDES},
-        notes=(*_seed_notes(block.egos.height), *_group_notes(focus), *_episode_notes(block)),
+        notes=(
+            *_seed_notes(block.egos.height),
+            *_group_notes(focus),
+            *_preference_notes(block, context.split),
+            *_episode_notes(block),
+        ),
     )
 
 
@@ -226,6 +232,12 @@ def summarise_comparison(a: pl.DataFrame, b: pl.DataFrame, *, seed: int = 0) -> 
         raise ValueError(
             "the two tables have different episode keys; evaluate both with the same seed and "
             "episodes"
+        )
+    likes = [one.preferences[0] for one in (first, second) if one.preferences is not None]
+    if len(likes) == 2 and not np.array_equal(likes[0], likes[1]):
+        raise ValueError(
+            "the partners of the two tables liked different things; evaluate both methods with the "
+            "same split and --preferences"
         )
 
     def difference(side: str) -> Difference | None:
@@ -304,6 +316,21 @@ def _group_notes(block: Block) -> list[str]:
     counts = [Counter(block.partners[f"partner_{trait}"]) for trait in ("algorithm", "disability")]
     smallest = min(count for groups in counts for count in groups.values())
     return _few(smallest, f"groups of partners have as few as {smallest}", " partners")
+
+
+def _preference_notes(block: Block, split: SplitName | None) -> list[str]:
+    """Say which partners played under preferences that are not their side's."""
+    if split is None or block.preferences is None:
+        return []
+    notes = []
+    for side, names in split.preferences.items():
+        mask = (block.partners["side"] == side).fill_null(value=False).to_numpy()
+        if others := sorted(set(block.preferences[:, mask].ravel()) - set(names)):
+            notes.append(
+                f"{side} partners played under {', '.join(others)}; the split's {side} preferences "
+                f"are {', '.join(names)}"
+            )
+    return notes
 
 
 def _team_notes(block: Block) -> list[str]:

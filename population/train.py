@@ -339,7 +339,8 @@ def _provenance(
     config: TrainConfig, env: Environment, shares: Shares, seconds: float
 ) -> Mapping[str, Any]:
     """Return what a registry says about a run."""
-    return {
+    likes = {"preferences": list(config.preferences)} if config.preferences else {}
+    return likes | {
         "steps": config.updates * config.trainer.batch_steps,
         "env_version": env.version,
         "backend": env.backend,

@@ -1,4 +1,4 @@
-"""Untrained teams of scratch, for tests that need a registry and no skill."""
+"""Untrained teams, for tests that need a registry and no skill."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -22,19 +22,24 @@ def params_of(spec: PolicySpec, seed: int) -> dict[str, Any]:
     )
 
 
-def untrained_team(disability: str, seed: int, **policies: tuple[PolicySpec, Any]) -> TrainedTeam:
+def untrained_team(
+    disability: str, seed: int, task: str = "scratch", **policies: tuple[PolicySpec, Any]
+) -> TrainedTeam:
     """Return an IPPO team of policies by role: spec and parameters of each."""
     specs, params = ({role: pair[place] for role, pair in policies.items()} for place in range(2))
     training = {"run": "untrained", "steps": 0, "env_version": 1, "backend": "native"}
-    return TrainedTeam("scratch", "ippo", disability, seed, specs, params, training)
+    return TrainedTeam(task, "ippo", disability, seed, specs, params, training)
 
 
-def teams_of(seeds: int, robot: PolicySpec = ROBOT, human: PolicySpec = HUMAN) -> list[TrainedTeam]:
+def teams_of(
+    seeds: int, robot: PolicySpec = ROBOT, human: PolicySpec = HUMAN, task: str = "scratch"
+) -> list[TrainedTeam]:
     """Return untrained teams of d1 and d9, so many seeds of each."""
     return [
         untrained_team(
             disability,
             seed,
+            task,
             robot=(robot, params_of(robot, 10 * place + seed)),
             human=(human, params_of(human, 100 + 10 * place + seed)),
         )

@@ -35,6 +35,7 @@ ShardPath = Annotated[
     str, Field(pattern=r"^([A-Za-z0-9_][A-Za-z0-9_.-]*/)*[A-Za-z0-9_][A-Za-z0-9_.-]*\.safetensors$")
 ]
 Count = Annotated[int, Field(ge=0)]
+Side = Annotated[str, Field(pattern=r"^(train|test)$")]
 Rule = Literal[
     "half", "leave-one-algorithm-out", "leave-one-disability-out", "small-train", "custom"
 ]
@@ -188,7 +189,7 @@ class Split(StrictModel):
     train: tuple[str, ...]
     test: tuple[str, ...]
     # Of gentle tasks: what the humans of each side like; none where nothing is held out.
-    preferences: dict[Literal["train", "test"], tuple[str, ...]] = {}
+    preferences: dict[Side, tuple[str, ...]] = {}
 
     @property
     def content(self) -> dict[str, Any]:

@@ -30,7 +30,8 @@ class Playing:
         max_envs: Most simulations in a saved part, and on a GPU at once; lower it if memory runs
             out.
         preferences: What the humans of a gentle task like, such as p1,p5: each partner takes turns
-            in them from episode to episode; all if not given.
+            in them from episode to episode; if not given, those of its side of the split, or all
+            where it holds none out.
     """
 
     episodes: int = 8

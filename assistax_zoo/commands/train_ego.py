@@ -41,8 +41,9 @@ def train_ego(
         algorithm: ppo or sac.
         steps: Environment steps of each robot, such as 500k, 20M or 2e7; rounded up to whole
             updates.
-        preferences: What the humans of a gentle task like, comma-separated, in turns; those left
-            out can be tested as held out. All, drawn anew each episode, if not given.
+        preferences: What the humans of a gentle task like, such as p2,p3, in turns; if not given,
+            those of the split's training half, or all, drawn anew each episode, where it holds
+            none out.
         training: How it trains.
         registry: Registry to read instead of the installed one.
         json: Print the policy files as JSON at the end.

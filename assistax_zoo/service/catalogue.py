@@ -73,7 +73,7 @@ class ZooCatalogue:
         from assistax_envs.versions import VERSIONS, engine
         from evaluation.jobs import EVALUATOR_VERSION
 
-        wishes = preferences_of(task)
+        wishes = self._registry.split(task).preferences.get("test") or preferences_of(task)
         return ({"preferences": list(wishes)} if wishes else {}) | {
             "task": task,
             "env_version": VERSIONS[task],

@@ -1,9 +1,11 @@
 """What the humans of a gentle task like, from the job to the figures."""
 
+import dataclasses
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import polars as pl
@@ -12,14 +14,24 @@ import pytest
 from assistax_envs.preferences import PREFERENCES
 from evaluation import tables
 from evaluation.derived import save_evaluation
+from evaluation.ego_training import prepare
 from evaluation.evaluator import run_job
 from evaluation.jobs import Job
 from evaluation.plots.charts import trait_points
+from evaluation.replay import replay_folder
 from evaluation.report.page import write_report
-from evaluation.studies import Settings
-from evaluation.summary import read_summary, summarise_evaluation
+from evaluation.studies import Settings, cross_play, evaluate_policies
+from evaluation.summary import (
+    SplitName,
+    read_summary,
+    summarise_comparison,
+    summarise_evaluation,
+)
+from tests import untrained
 from tests.evaluation.episode_tables import CONTEXT
-from tests.evaluation.matrix_game import MatrixGame, humans, robots
+from tests.evaluation.matrix_game import HUMAN, ROBOT, MatrixGame, humans, robots
+from zoo.registry import Registry, load_registry
+from zoo.release import create_split
 
 NAMES = tuple(PREFERENCES)
 
@@ -135,6 +147,100 @@ def test_a_folder_of_a_gentle_task_is_read_drawn_and_reported(tmp_path: Path) ->
     paper = {**shown, "by_preference": {}}
     with pytest.raises(ValueError, match="no partner of these folders has a preference"):
         trait_points({"mine": paper}, "preference")
+
+
+SIDES = {"train": ("p2", "p3"), "test": ("p1", "p5", "p9")}
+
+
+def test_partners_play_under_the_preferences_of_their_side(tmp_path: Path) -> None:
+    job = job_of()
+    assert job.following(SIDES).identity() == job_of(preferences=SIDES["test"]).identity()
+    partners = job.partners.ids
+    mixed = dataclasses.replace(
+        job, sides=dict(zip(partners, ("train", "test", "test"), strict=True))
+    )
+    both = mixed.following(SIDES)
+    assert both.identity() == {
+        **mixed.identity(),
+        "preferences": ["p1", "p2", "p3", "p5", "p9"],
+        "side_preferences": {side: list(names) for side, names in SIDES.items()},
+    }
+    table = run_job(Fond(), both, tmp_path).table
+    for side, names in SIDES.items():
+        assert set(table.filter(side=side)["preference"]) == set(names)
+    alone = dataclasses.replace(mixed, preferences=SIDES["train"])
+    np.testing.assert_array_equal(
+        both.wishes(partners[:1], range(9)), alone.wishes(partners[:1], range(9))
+    )  # whoever plays beside it
+    assert set(both.wishes(["passive"], range(9))[0]) == {"p1", "p2", "p3", "p5", "p9"}
+
+
+def test_preferences_of_the_other_side_are_told(tmp_path: Path) -> None:
+    split = SplitName("gentle/half-p1-p5-p9", "0" * 64, SIDES)
+    context = dataclasses.replace(CONTEXT, split=split)
+    right = summarise_evaluation(played(tmp_path / "a", preferences=("p1", "p5")), context)
+    assert not any("split's" in note for note in right.notes)
+    wrong = summarise_evaluation(played(tmp_path / "b", preferences=("p1", "p3")), context)
+    told = "test partners played under p3; the split's test preferences are p1, p5, p9"
+    assert told in wrong.notes
+
+
+def test_methods_whose_partners_liked_different_things_are_not_compared(tmp_path: Path) -> None:
+    one, other = (played(tmp_path / name, preferences=(name,)) for name in ("p1", "p2"))
+    assert summarise_comparison(one, one).test is not None
+    with pytest.raises(ValueError, match="the partners of the two tables liked different things"):
+        summarise_comparison(one, other)
+
+
+@pytest.fixture(scope="module")
+def gentle(tmp_path_factory: pytest.TempPathFactory) -> Registry:
+    """A registry of untrained teams of gentle lift, whose default split holds preferences out."""
+    teams = [
+        dataclasses.replace(team, params=jax.tree.map(lambda leaf: 100 * leaf, team.params))
+        for team in untrained.teams_of(2, ROBOT, HUMAN, "gentle_lift")
+    ]  # farther apart, so that no two act alike
+    path = untrained.published(teams, tmp_path_factory.mktemp("zoo"))
+    rule: dict[str, Any] = {"rule": "leave-one-disability-out", "held_out": "d9", "default": True}
+    create_split(path, task="gentle_lift", test_preferences=SIDES["test"], **rule)
+    return load_registry(path)
+
+
+def test_an_evaluation_plays_what_the_split_says_and_tells_it(
+    gentle: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("assistax_envs.make", lambda task, backend: Fond())
+    split = gentle.split("gentle_lift")
+
+    def evaluate(name: str, split: str, **changes: Any) -> tuple[Any, dict[str, set[str]]]:
+        settings = Settings("gentle_lift", 9, **changes)
+        robots, folder = ["gentle_lift/ippo-d1-s0-v0/robot"], tmp_path / name
+        summary = evaluate_policies(gentle, robots, settings, folder, split=split)
+        table = tables.read_episodes(folder / tables.EPISODES_FILE)
+        return summary, {side: set(rows["preference"]) for (side,), rows in table.group_by("side")}
+
+    both, liked = evaluate("both", "both")
+    assert liked == {side: set(names) for side, names in split.preferences.items()}
+    assert both.gap is not None and both.split.preferences == split.preferences
+    assert sorted(both.by_preference) == ["p1", "p5", "p9"]
+    replayed = replay_folder(tmp_path / "both", gentle, sample=9)
+    assert replayed.ok and replayed.exact
+    asked, liked = evaluate("asked", "test", preferences="p2")
+    assert liked == {"test": {"p2"}} and any("played under p2" in note for note in asked.notes)
+    population = cross_play(gentle, "*", "*", Settings("gentle_lift", 9), tmp_path / "xp")
+    pairs = tables.read_episodes(tmp_path / "xp" / tables.EPISODES_FILE)
+    assert population.episodes == 16 * 9 and set(pairs["preference"]) == set(NAMES)
+
+
+def test_robots_train_under_the_preferences_of_the_training_half(gentle: Registry) -> None:
+    prepared = prepare(gentle, "gentle_lift", steps=1)
+    assert prepared.config.preferences == ("p2", "p3", "p4", "p6", "p7", "p8")
+    assert "under p2, p3, p4, p6, p7, p8, " in prepared.summary
+    assert prepare(gentle, "gentle_lift", preferences=["p1"]).config.preferences == ("p1",)
+    half = create_split(
+        gentle.path, task="gentle_lift", rule="leave-one-disability-out", held_out="d1"
+    )
+    named = prepare(load_registry(gentle.path), "gentle_lift", split=half.id)
+    assert named.config.preferences == ()
 
 
 def test_settings_know_which_tasks_have_preferences() -> None:
