@@ -11,6 +11,7 @@ import re
 import shutil
 import subprocess
 import sys
+import textwrap
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -141,13 +142,27 @@ def _relink(text: str) -> str:
 
 
 def _commands() -> str:
-    """Return the reference of the command line."""
-    from assistax_zoo.main import SUBCOMMANDS, _add_subcommands, build_app
+    """Return the reference of the command line: each command's help, and its example."""
+    from assistax_zoo.main import SUBCOMMANDS, _add_subcommands, _complete_help, build_app
 
     app = build_app()
     for command in SUBCOMMANDS:
         _add_subcommands(app, [command])
-    return app.generate_docs(heading_level=1, max_heading_level=3)
+    page = app.generate_docs(heading_level=1, max_heading_level=3)
+    # The list of commands is a table of contents already, and an empty default says nothing.
+    page = re.sub(r"^## Table of Contents\n\n(?:\s*- .*\n)+\n", "", page, flags=re.MULTILINE)
+    page = re.sub(r" \*\[default: (?:\(\))?\]\*", "", page).replace(
+        "# assistax-zoo", "# All commands", 1
+    )
+    parts = re.split(r"^(?=##+ assistax-zoo )", page, flags=re.MULTILINE)
+    for i, part in enumerate(parts[1:], 1):
+        words = part.partition("\n")[0].split()[2:]
+        _complete_help(app, words)
+        example = app.parse_commands(words)[1][-1].help_epilogue or ""
+        lines = textwrap.dedent(example.partition("\n\n")[2])
+        lines = re.sub(r"\n(?!assistax-zoo )", r" \\\n    ", lines)
+        parts[i] = part + (f"**Example**:\n\n```sh\n{lines}\n```\n\n" if lines else "")
+    return "".join(parts)
 
 
 if __name__ == "__main__":
