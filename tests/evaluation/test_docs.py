@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -9,8 +10,11 @@ import numpy as np
 import pytest
 
 from assistax_zoo.main import run
+from zoo.registry import load_registry
+from zoo.release import create_split
 
-GUIDE = Path(__file__).parents[2] / "docs" / "evaluation.md"
+ROOT = Path(__file__).parents[2]
+GUIDE = ROOT / "docs" / "evaluation.md"
 
 
 def printed(name: str) -> str:
@@ -78,3 +82,22 @@ def test_a_torch_module_is_called_with_what_torch_takes():
 
     call_ego(HostEgo("m", act), ["p"], 2, 7)(np.zeros((2, 34), np.float32), 0)
     assert (seen[0].dtype, seen[0].shape, seen[0].flags.writeable) == (np.float32, (2, 34), True)
+
+
+@pytest.mark.slow
+def test_few_and_a_split_by_behaviour_of_release_v1(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As docs/zoo.md prints it."""
+    page = (ROOT / "docs" / "zoo.md").read_text(encoding="utf-8")
+    [example] = re.findall(r"```python\n(.*?create_split.*?)```", page, re.DOTALL)
+    shutil.copy(ROOT / "registry.json", tmp_path)
+    (tmp_path / "zoo").symlink_to(ROOT / "zoo")
+    (tmp_path / "xp").symlink_to(ROOT / "docs" / "data" / "v1" / "crossplay" / "scratch")
+    monkeypatch.chdir(tmp_path)
+    exec(example, {})
+    few = create_split("registry.json", task="scratch", rule="small-train")
+    registry = load_registry("registry.json")
+    half, clusters = registry.split("scratch"), registry.split("scratch", "custom")
+    assert len(few.train) == 5 and set(few.train) < set(half.train) and few.test == half.test
+    assert len(clusters.test) == 68 and len(clusters.train) == 130
