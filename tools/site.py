@@ -151,9 +151,8 @@ def _commands() -> str:
     page = app.generate_docs(heading_level=1, max_heading_level=3)
     # The list of commands is a table of contents already, and an empty default says nothing.
     page = re.sub(r"^## Table of Contents\n\n(?:\s*- .*\n)+\n", "", page, flags=re.MULTILINE)
-    page = re.sub(r" \*\[default: (?:\(\))?\]\*", "", page).replace(
-        "# assistax-zoo", "# All commands", 1
-    )
+    page = page.replace("*[default: ()]*", "").replace("*[default: *]*", r"*[default: \*]*")
+    page = page.replace("# assistax-zoo", "# All commands", 1)
     parts = re.split(r"^(?=##+ assistax-zoo )", page, flags=re.MULTILINE)
     for i, part in enumerate(parts[1:], 1):
         words = part.partition("\n")[0].split()[2:]
