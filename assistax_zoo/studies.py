@@ -38,6 +38,7 @@ def evaluate(
     stochastic: bool = False,
     max_envs: int | None = None,
     preferences: str | Sequence[str] | None = None,
+    series: int = 1,
     include_own: bool = False,
     references: bool = True,
     crossplay: "Path | CrossPlayResult | None" = None,
@@ -70,6 +71,8 @@ def evaluate(
         preferences: What the humans of a gentle task like, such as "p1,p5": each partner takes
             turns in them from episode to episode; default those of its side of the split, or all
             where it holds none out.
+        series: Episodes that a robot plays with a partner, one after the other, before it forgets;
+            the partner stays as it is for so long. `by_place` then says how the return grows.
         include_own: Count partners that were trained with one of the robots; else they are played
             and kept in the tables, and no figure is about them.
         references: Compare with zero and random actions, the task's script and each partner's own
@@ -100,7 +103,7 @@ def evaluate(
         2
     """
     robots = list(robot) if isinstance(robot, list) else [robot]
-    settings = Settings(task, episodes, seed, backend, stochastic, max_envs, preferences)
+    settings = Settings(task, episodes, seed, backend, stochastic, max_envs, preferences, series)
     opened = _locked(open_zoo(zoo), lock, task, split)
     _, chosen = choose_partners(opened.registry, task, split, partners or None)
     needed = _needed(opened.registry, robots, chosen, references)

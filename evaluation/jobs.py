@@ -38,6 +38,7 @@ class Job:
     # Partner id -> "train" or "test".
     sides: Mapping[str, str] = dataclasses.field(default_factory=dict)
     paired: bool = False  # ego i of stack g with partner i of stack g, and no other
+    series: int = 1  # episodes in which a robot remembers a partner, one after the other
     apart: bool = False  # each partner plays episodes of its own, not those of all: see `seeds`
     engine: Mapping[str, str] = dataclasses.field(default_factory=dict)  # name and version
     # Of the gentle tasks: what the partners like, in turns, see `wishes`; empty where it is drawn.
@@ -52,6 +53,11 @@ class Job:
             )
         if self.seed < 0:
             raise ValueError(f"seed is {self.seed}; allowed is 0 or more")
+        if self.series < 1 or self.episodes % self.series:
+            raise ValueError(
+                f"series is {self.series} of {self.episodes} episodes; give 1 or more, and a "
+                "multiple of it as episodes (--series 5 --episodes 10)"
+            )
         for seat, roster in (("ego", self.egos), ("partner", self.partners)):
             ids = roster.ids
             if not ids:
@@ -60,8 +66,11 @@ class Job:
                 raise ValueError(
                     f"{seat} {twice[0]} is given {ids.count(twice[0])} times; give each {seat} once"
                 )
-        if self.apart and self.stochastic:
-            raise ValueError("actions are drawn by the episodes of all partners; leave out apart")
+        if (self.apart or self.series > 1) and self.stochastic:
+            raise ValueError(
+                "actions are drawn by the episodes that all partners play at once; leave out "
+                "--stochastic, or apart and --series"
+            )
         sizes = [[len(one.ids) for one in seat.stacks] for seat in (self.egos, self.partners)]
         if self.paired and sizes[0] != sizes[1]:
             raise ValueError(
@@ -96,24 +105,29 @@ class Job:
         if self.side_preferences:
             sides = {side: list(names) for side, names in self.side_preferences.items()}
             wishes["side_preferences"] = sides
-        return wishes | {
-            "evaluator_version": EVALUATOR_VERSION,
-            "task": self.task,
-            "env_version": self.env_version,
-            "backend": self.backend,
-            "engine": dict(self.engine),
-            "episodes": self.episodes,
-            "seed": self.seed,
-            "stochastic": self.stochastic,
-            "paired": self.paired,
-            "apart": self.apart,
-            "egos": [[name, self.egos.members[name].digest] for name in self.egos.ids],
-            "partners": [
-                [one.id, one.disability, self.sides.get(one.id), one.digest, _setting(one)]
-                for one in self.partners.describe(self.partners.ids)
-            ],
-            "software": {name: importlib.metadata.version(name) for name in ("jax", "mujoco")},
-        }
+        series = {"series": self.series} if self.series > 1 else {}
+        return (
+            wishes
+            | series
+            | {
+                "evaluator_version": EVALUATOR_VERSION,
+                "task": self.task,
+                "env_version": self.env_version,
+                "backend": self.backend,
+                "engine": dict(self.engine),
+                "episodes": self.episodes,
+                "seed": self.seed,
+                "stochastic": self.stochastic,
+                "paired": self.paired,
+                "apart": self.apart,
+                "egos": [[name, self.egos.members[name].digest] for name in self.egos.ids],
+                "partners": [
+                    [one.id, one.disability, self.sides.get(one.id), one.digest, _setting(one)]
+                    for one in self.partners.describe(self.partners.ids)
+                ],
+                "software": {name: importlib.metadata.version(name) for name in ("jax", "mujoco")},
+            }
+        )
 
     def digest(self) -> str:
         """Return the sha256 of the job's identity."""
@@ -123,12 +137,27 @@ class Job:
         """Return the seeds of episodes, [K] for every partner, or [P, K] where each has its own.
 
         With its own, a partner's luck is its own too: means over partners then vary as little as
-        those of as many independent episodes.
+        those of as many independent episodes. In series they are in the order of play.
         """
-        if not self.apart:
-            return np.array(episode_seeds(self.seed, episodes))
-        rows = [int.from_bytes(hashlib.sha256(name.encode()).digest()[:4]) for name in partners]
-        return np.array([episode_seeds(self.seed, episodes, row) for row in rows])
+        if self.apart:
+            rows = map(_number, partners)
+            seeds = np.array([episode_seeds(self.seed, episodes, row) for row in rows])
+        else:
+            seeds = np.array(episode_seeds(self.seed, episodes))
+        if self.series == 1:
+            return seeds
+        order = self.order(partners, len(episodes))
+        return np.take_along_axis(np.broadcast_to(seeds, order.shape), order, axis=1)
+
+    def order(self, partners: Sequence[str], episodes: int) -> np.ndarray:
+        """Return which of whole series of episodes is played in each place, [P, K].
+
+        Another partner begins its series with another episode: over partners each place is played
+        from every start, and a return that grows from place to place is not the starts' luck.
+        """
+        place = np.arange(episodes)
+        first = np.array([_number(name) for name in partners])[:, None]
+        return place // self.series * self.series + (place + first) % self.series
 
     def wishes(self, partners: Sequence[str], episodes: Sequence[int]) -> np.ndarray:
         """Return the names of the preferences under which partners play episodes, [P, K].
@@ -136,13 +165,13 @@ class Job:
         The preferences take turns over a partner's episodes, as in a Latin square: another partner
         begins with another, which its id decides. So every start is played under several, few
         episodes of many partners have all of them equally often, and no partner's depend on who
-        else plays.
+        else plays. Within a series a partner is one person, and likes one thing.
         """
         rows = []
         for name in partners:
             likes = self.side_preferences.get(self.sides.get(name, ""), self.preferences)
-            first = int.from_bytes(hashlib.sha256(name.encode()).digest()[:4])
-            rows.append([likes[(first + episode) % len(likes)] for episode in episodes])
+            turns = [_number(name) + episode // self.series for episode in episodes]
+            rows.append([likes[turn % len(likes)] for turn in turns])
         return np.array(rows)
 
     def following(self, preferences: Mapping[str, tuple[str, ...]]) -> "Job":
@@ -165,7 +194,9 @@ class Tile:
     egos: range  # rows of the ego stack, padding not counted
     partners: range
     episodes: range
-    shape: tuple[int, int, int]  # [E, P, K] with padding: equal for all tiles of a pair of stacks
+    # [E, P, K] at once, with padding: equal for all tiles of a pair of stacks. K is that of the
+    # series where there are any.
+    shape: tuple[int, int, int]
     paired: bool = False  # the egos are the partners' own, one each, and E is 1
 
     @property
@@ -245,9 +276,10 @@ def cut_tiles(job: Job, most: int) -> list[Tile]:
         for j, partner in enumerate(job.partners.stacks):
             if job.paired and i != j:
                 continue
-            sizes = 1 if job.paired else len(ego.ids), len(partner.ids), job.episodes
+            rounds = job.episodes // job.series
+            sizes = 1 if job.paired else len(ego.ids), len(partner.ids), rounds
             shape = tile_shape(*sizes, most, host=isinstance(ego, HostEgo))
-            egos, partners, episodes = (
+            egos, partners, rounds = (
                 _cut(size, width) for size, width in zip(sizes, shape, strict=True)
             )
             if shape == (1, 1, 1) and most > 1:
@@ -256,9 +288,14 @@ def cut_tiles(job: Job, most: int) -> list[Tile]:
                 Tile(i, j, p if job.paired else e, p, k, shape, job.paired)
                 for e in egos
                 for p in partners
-                for k in episodes
+                for k in (range(k.start * job.series, k.stop * job.series) for k in rounds)
             ]
     return tiles
+
+
+def _number(partner: str) -> int:
+    """Return a number of a partner's own, whoever else plays."""
+    return int.from_bytes(hashlib.sha256(partner.encode()).digest()[:4])
 
 
 def _balanced(size: int, most: int) -> int:

@@ -108,6 +108,7 @@ def _rebuild(identity: Mapping[str, Any], registry: Registry, run_code: bool) ->
         apart=identity["apart"],
         preferences=tuple(identity.get("preferences", ())),
         side_preferences=identity.get("side_preferences", {}),
+        series=identity.get("series", 1),
     )
     here = job.identity()
     for name in ("env_version", "evaluator_version", "egos", "partners"):

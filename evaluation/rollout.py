@@ -97,6 +97,7 @@ class Rollout:
         stochastic: bool = False,
         paired: bool = False,
         length: int | None = None,
+        series: int = 1,
     ) -> None:
         """Prepare blocks.
 
@@ -108,17 +109,21 @@ class Rollout:
             paired: robot i plays with human i only: robot parameters have leaves [P, ...], and E is
                 1.
             length: steps to play, if fewer than the episode's: for measuring speed.
+            series: episodes that a robot plays with a partner, one after the other, before it
+                forgets: its recurrent state is kept, the human's is not.
         """
         self.env = env
         self.compile_seconds: dict[jax.Device, float] = collections.defaultdict(float)
-        self._paired = paired
+        self._paired, self._series = paired, series
         self._length = length or env.episode_length
         steps = 1 if robot is None else segment_length(self._length)
         self._start = jax.jit(
             functools.partial(_start, env, robot, human, paired=paired), static_argnames="shape"
         )
         self._advance = jax.jit(
-            functools.partial(_advance, env, robot, human, steps, stochastic, paired=paired),
+            functools.partial(
+                _advance, env, robot, human, steps, stochastic, paired=paired, forgets=series == 1
+            ),
             static_argnames="shape",
         )
         self._steps = steps
@@ -146,8 +151,10 @@ class Rollout:
             env_params: the partners' own `EnvParams`, leaves [P], or [P, K] where a partner is
                 another in each episode.
             seeds: K integers; `jax.random.key(seeds[k])` starts episode k of every pair (common
-                random numbers). Or [P, K], where each partner has episodes of its own.
-            act: (observations [N, O] float32, step) -> actions [N, A], for a robot from outside.
+                random numbers). Or [P, K], where each partner has episodes or an order of its own.
+                Those of a series stand next to each other.
+            act: (observations [N, O] float32, step of the series) -> actions [N, A], for a robot
+                from outside.
             on_steps: called with the number of steps just done, of every simulation.
             device: where to run; the first one if not given.
 
@@ -155,20 +162,31 @@ class Rollout:
             The tally with NumPy leaves [E, P, K].
         """
         device = device or jax.local_devices()[0]
-        shape, given = self._place(robot_params, human_params, env_params, seeds, device)
-        began = time.perf_counter()
-        start, advance = self._programs(device, shape, given)
-        self.compile_seconds[device] += time.perf_counter() - began
-        robot_params, human_params, env_params, keys, once = given
-        loop = start(env_params, keys)
-        for step in range(0, self._length, self._steps):
-            action = None if act is None else act(np.array(loop.state.obs["robot"]), step)
-            loop = jax.block_until_ready(
-                advance(loop, robot_params, human_params, keys, action, once)
+        tallies, memory = [], None
+        for place in range(self._series):
+            shape, given = self._place(robot_params, human_params, env_params, seeds, device, place)
+            began = time.perf_counter()
+            start, advance = self._programs(device, shape, given)
+            self.compile_seconds[device] += time.perf_counter() - began
+            robots, humans, settings, keys, once = given
+            loop = start(settings, keys)
+            if place:
+                loop = dataclasses.replace(loop, robot=memory)
+            for step in range(0, self._length, self._steps):
+                action = None
+                if act is not None:
+                    obs = np.array(loop.state.obs["robot"])
+                    action = act(obs, place * self._length + step)
+                loop = jax.block_until_ready(advance(loop, robots, humans, keys, action, once))
+                if on_steps is not None:
+                    on_steps(self._steps)
+            memory = loop.robot
+            tallies.append(
+                jax.tree.map(lambda leaf, shape=shape: np.asarray(leaf).reshape(shape), loop.tally)
             )
-            if on_steps is not None:
-                on_steps(self._steps)
-        return jax.tree.map(lambda leaf: np.asarray(leaf).reshape(shape), loop.tally)
+        return jax.tree.map(
+            lambda *leaves: np.stack(leaves, axis=-1).reshape(*shape[:2], -1), *tallies
+        )
 
     def prepare(
         self,
@@ -189,12 +207,19 @@ class Rollout:
         env_params: Any,
         seeds: Sequence[int] | np.ndarray,
         device: jax.Device,
+        place: int = 0,
     ) -> tuple[Shape, tuple[Any, ...]]:
-        """Return a block's shape, and on its device what the programs are given."""
+        """Return a block's shape, and on its device what the programs are given.
+
+        A block is of the episodes at one place of every series.
+        """
         egos = (
             1 if robot_params is None or self._paired else jax.tree.leaves(robot_params)[0].shape[0]
         )
-        seeds = np.asarray(seeds, np.uint32)
+        seeds = np.asarray(seeds, np.uint32)[..., place :: self._series]
+        env_params = jax.tree.map(
+            lambda leaf: leaf if leaf.ndim == 1 else leaf[:, place :: self._series], env_params
+        )
         shape = egos, jax.tree.leaves(human_params)[0].shape[0], seeds.shape[-1]
         keys = jax.vmap(jax.random.key)(seeds.ravel()).reshape(seeds.shape)
         given = robot_params, human_params, env_params, keys, _once()
@@ -296,8 +321,12 @@ def _advance(
     *,
     shape: Shape,
     paired: bool = False,
+    forgets: bool = True,
 ) -> Loop:
-    """Advance a block by `steps`; `action` is a robot's from outside; for `once` see `_once`."""
+    """Advance a block by `steps`; `action` is a robot's from outside; for `once` see `_once`.
+
+    A robot that does not forget is never told that an episode begins.
+    """
     e, p, k = shape
 
     def body(loop: Loop, _: None) -> tuple[Loop, None]:
@@ -307,10 +336,12 @@ def _advance(
         robot_action, robot_carry = action, loop.robot
         if robot is not None:
             obs = loop.state.obs["robot"].reshape(*((p, k) if paired else (e, p * k)), -1)
-            robot_carry, acted = _act(robot, robot_params, loop.robot, obs, loop.time, noise[0])
+            first = loop.time == 0 if forgets else False
+            robot_carry, acted = _act(robot, robot_params, loop.robot, obs, first, noise[0])
             robot_action = acted.reshape(e * p * k, -1)
         obs = loop.state.obs["human"].reshape(e, p, k, -1).swapaxes(0, 1).reshape(p, e * k, -1)
-        human_carry, acted = _act(human, human_params, loop.human, obs, loop.time, noise[1])
+        first = loop.time == 0
+        human_carry, acted = _act(human, human_params, loop.human, obs, first, noise[1])
         human_action = acted.reshape(p, e, k, -1).swapaxes(0, 1).reshape(e * p * k, -1)
         state = _step_alone(env, loop.state, {"robot": robot_action, "human": human_action}, once)
         travel = _travel(env.joint_positions(loop.state), env.joint_positions(state))
@@ -378,7 +409,12 @@ def _travel(before: dict[str, jax.Array], after: dict[str, jax.Array]) -> dict[s
 
 
 def _act(
-    policy: Any, params: Any, carry: Any, obs: jax.Array, time: jax.Array, keys: jax.Array | None
+    policy: Any,
+    params: Any,
+    carry: Any,
+    obs: jax.Array,
+    first: jax.Array | bool,
+    keys: jax.Array | None,
 ) -> tuple[Any, jax.Array]:
     """Map a policy over its stacked parameters: obs [G, R, O] -> actions [G, R, A].
 
@@ -389,7 +425,7 @@ def _act(
     # A product with one row takes another path on the CPU, which rounds differently: values would
     # depend on the block.
     obs = jnp.broadcast_to(obs, (obs.shape[0], _rows(rows), obs.shape[2]))
-    first = jnp.broadcast_to(time == 0, obs.shape[:2])
+    first = jnp.broadcast_to(first, obs.shape[:2])
     if keys is None:
         carry, action = member_map(policy.act)(params, carry, obs, first)
         return carry, action[:, :rows]

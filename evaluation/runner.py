@@ -174,7 +174,7 @@ class Runner:
             nonlocal counted
             spent = time.perf_counter() - began - (rollout.compile_seconds[device] - before)
             counted, seconds = spent, spent - counted
-            meter.add(device, steps * tile.rows, seconds)
+            meter.add(device, steps * tile.rows // job.series, seconds)
 
         tally = _run(job, rollout, tile, *block, act=act, on_steps=on_steps, device=device)
         return _rows(job, tile, tally)
@@ -186,7 +186,7 @@ class Runner:
         humans = partner.take(_padded(tile.partners, p))
         partners = job.partners.describe(humans.ids)
         settings = [member.setting or str(member.disability) for member in partners]
-        episodes = _padded(tile.episodes, k)
+        episodes = _padded(tile.episodes, k * job.series)
         wishes = job.wishes(humans.ids, episodes) if job.preferences else None
         robots = None
         if not isinstance(ego, HostEgo):
@@ -207,6 +207,7 @@ class Runner:
                     "stochastic": self._job.stochastic,
                     "paired": self._job.paired,
                     "length": self._length,
+                    "series": self._job.series,
                 }
                 self._rollouts[key] = Rollout(self._env, _policy(robot), _policy(human), **options)
             return self._rollouts[key]
@@ -278,13 +279,18 @@ def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
     else:
         rows = egos.join(partners, how="cross", maintain_order="left_right")
     rows = rows.join(episodes, how="cross", maintain_order="left_right")
-    wishes, touches = {}, {}
+    places, wishes, touches = {}, {}, {}
+    if job.series > 1:
+        played = tile.episodes.start + job.order(partners["partner"].to_list(), k)
+        order = {"episode": played, "place": 1 + np.arange(k) % job.series}
+        places = {name: np.broadcast_to(one, (e, p, k)).ravel() for name, one in order.items()}
     if job.preferences:
         names = job.wishes(partners["partner"].to_list(), tile.episodes)
         wishes = {"preference": np.broadcast_to(names, (e, p, k)).ravel()}
     if tally.violated is not None:
         touches = {"contact_peak": tally.contact_peak, "violated": tally.violated}
     measured = {
+        **places,
         **wishes,
         "key": keys.ravel(),
         "return": tally.returns,

@@ -49,6 +49,7 @@ class Settings:
     max_envs: int | None = None  # simulations at once; None is the backend's default
     # Of a gentle task's humans, such as "p1,p5"; None is the split's, or all of them, in turns.
     preferences: str | Sequence[str] | None = None
+    series: int = 1  # episodes in which a robot remembers a partner, one after the other
 
     def __post_init__(self) -> None:
         if self.task not in TASKS:
@@ -317,6 +318,7 @@ def make_job(
         episodes=settings.episodes,
         seed=settings.seed,
         stochastic=settings.stochastic,
+        series=settings.series,
         sides={entry.id: side for entry in partners if split and (side := split.side(entry.team))},
         preferences=settings.wishes,
     )

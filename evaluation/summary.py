@@ -95,6 +95,8 @@ class EvaluationSummary(Summary, ZeroShot):
     # Of the gentle tasks: by what the human likes; goal reached and nobody hurt; a hard contact.
     by_preference: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     preference_fairness: Fairness | None = None  # None with fewer than two preferences
+    # Of series of episodes, in which a robot remembers its partner: by place, from "1".
+    by_place: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     safe_success: Estimate | None = None  # share of episodes
     violations: Estimate | None = None
     worst_partner: NamedWorst
@@ -190,6 +192,7 @@ def summarise_evaluation(table: pl.DataFrame, context: Context) -> EvaluationSum
         fairness=fairness(by_disability) if len(by_disability) > 1 else None,
         by_preference=_estimates(by_preference),
         preference_fairness=fairness(by_preference) if len(by_preference) > 1 else None,
+        by_place=_by_place(table, focus),
         safe_success=_share(focus.safe),
         violations=_share(focus.violated),
         worst_partner=_worst_partner(focus),
@@ -276,6 +279,17 @@ def _preference_draws(block: Block) -> dict[str, Draws]:
             scores.append(returns[:, wished == name].mean(axis=1))
             names.append(name)
     return group_draws(np.stack(scores, axis=1), names)
+
+
+def _by_place(table: pl.DataFrame, block: Block) -> dict[str, Estimate]:
+    """Estimate the return in each place of a series, over the pairs of a block."""
+    if "place" not in table.columns:
+        return {}
+    pairs = ["place", "ego", "partner"]
+    played = table.filter(pl.col("partner").is_in(block.partners["partner"].to_list()))
+    means = played.group_by(pairs).agg(pl.col("return").cast(pl.Float64).mean()).sort(pairs)
+    scores = means["return"].to_numpy().reshape(-1, *block.scores.shape)
+    return {str(place): estimate(score) for place, score in enumerate(scores, 1)}
 
 
 def _share(happened: np.ndarray | None) -> Estimate | None:

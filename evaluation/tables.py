@@ -48,6 +48,7 @@ SCHEMA: dict[str, pl.DataType] = {
     "partner_seed": pl.Int64(),
     "side": pl.String(),
     "episode": pl.Int64(),
+    "place": pl.Int64(),  # of the episode in its series, from 1, where a robot remembers a partner
     "preference": pl.String(),
     "key": pl.Int64(),
     "return": pl.Float32(),
@@ -145,7 +146,7 @@ def outcome_columns(table: pl.DataFrame) -> tuple[str, ...]:
 
 def validate_episodes(table: pl.DataFrame) -> pl.DataFrame:
     """Return the table, or raise `ValueError` saying what is wrong with it and where."""
-    needed = [name for name in SCHEMA if name not in (*BEHAVIOUR, *GENTLE)]
+    needed = [name for name in SCHEMA if name not in (*BEHAVIOUR, *GENTLE, "place")]
     missing = [name for name in needed if name not in table.columns]
     if missing:
         raise ValueError(

@@ -16,6 +16,7 @@ def evaluate(
     policy: tuple[str, ...],
     against: Against = Against(),
     playing: Playing = Playing(),
+    series: int = 1,
     fetch: bool = False,
     reuse: bool = False,
     out: Path | None = None,
@@ -33,6 +34,8 @@ def evaluate(
             python:package.module:FACTORY; repeat it for more seeds.
         against: With whom, and what it is compared with.
         playing: How they play.
+        series: Episodes that a robot plays with a partner, one after the other, before it forgets:
+            its recurrent state is kept, and the partner's preference stays.
         fetch: Bring partners and robots of the zoo that are missing here from the remote.
         reuse: Take what --out holds of a robot from Python code though its module does not declare
             what it depends on; else it is played again.
@@ -50,6 +53,7 @@ def evaluate(
         result = evaluate_robots(
             list(policy),
             task=task,
+            series=series,
             fetch=fetch,
             reuse=reuse,
             out=out,
@@ -148,8 +152,9 @@ def _print_evaluation(summary: dict[str, Any]) -> None:
     title = f"{summary['task']}, {robots} {'robot' if robots == 1 else 'robots'}, split {split}"
     names = (("M_test", "m_test"), ("M_train", "m_train"), ("M_train - M_test", "gap"))
     rows = [(name, summary[key]) for name, key in names]
-    for key in ("by_algorithm", "by_disability", "by_preference"):
-        rows += [(f"  {name}", figure) for name, figure in summary[key].items()]
+    for key in ("by_algorithm", "by_disability", "by_preference", "by_place"):
+        word = "episode " * (key == "by_place")
+        rows += [(f"  {word}{name}", figure) for name, figure in summary[key].items()]
     _print_figures(title, rows)
     if summary["safe_success"]:
         rows = [(name, summary[name.replace(" ", "_")]) for name in ("safe success", "violations")]
