@@ -151,6 +151,11 @@ class EvaluationResult(_Result):
         return self.summary.by_preference
 
     @property
+    def by_place(self) -> dict[str, Estimate]:
+        """The return in each place of a series of episodes, from "1"; empty without series."""
+        return self.summary.by_place
+
+    @property
     def safe_success(self) -> Estimate | None:
         """Share of episodes of a gentle task that reached the goal and hurt nobody; else None."""
         return self.summary.safe_success

@@ -226,6 +226,9 @@ def test_an_evaluation_plays_what_the_split_says_and_tells_it(
     assert replayed.ok and replayed.exact
     asked, liked = evaluate("asked", "test", preferences="p2")
     assert liked == {"test": {"p2"}} and any("played under p2" in note for note in asked.notes)
+    series, liked = evaluate("series", "test", series=3)
+    assert list(series.by_place) == ["1", "2", "3"] and liked == {"test": {"p1", "p5", "p9"}}
+    assert replay_folder(tmp_path / "series", gentle, sample=9).exact
     population = cross_play(gentle, "*", "*", Settings("gentle_lift", 9), tmp_path / "xp")
     pairs = tables.read_episodes(tmp_path / "xp" / tables.EPISODES_FILE)
     assert population.episodes == 16 * 9 and set(pairs["preference"]) == set(NAMES)
