@@ -20,7 +20,7 @@ from assistax_envs import disability_params, make
 from assistax_envs.preferences import PREFERENCES, VALUES, WISHES, preferences_of
 from assistax_envs.tasks.gentle_base import FELT, HARD, Liking
 from assistax_envs.versions import GENTLE_TASKS, VERSIONS
-from evaluation.audit_gates import Gate, condition_figures, gates_of, own_pairs, strange_pairs
+from evaluation.audit_gates import Gate, condition_figures, gates_of, strange_pairs
 from evaluation.audit_teams import Teams
 from evaluation.evaluator import run_job
 from evaluation.jobs import Job
@@ -35,7 +35,9 @@ from population.stack import PolicyStack
 JOINT_SPEEDS = (2.175,) * 4 + (2.61,) * 3  # rad/s, of the robot's datasheet
 POSTURES = tuple(itertools.product((-1.0, 0.0, 1.0), repeat=3))  # torques that a human holds
 EPISODES = 2 * len(PREFERENCES)  # of each pair: every preference twice
-ALONE = 10  # times as many for the script, which is one pair where teams are several
+# Times as many of a team with itself, and of the script with a passive human: those are few pairs,
+# and one episode in a hundred is to be told from none.
+MORE = 10
 BOTH = ("robot", "human")  # who is told the preference; the human alone elsewhere
 
 
@@ -114,7 +116,8 @@ def audit_task(
         teams: Trained teams of several seeds, one disability setting.
         others: For the other gates.
         folder: Keeps the episodes by condition; an audit that was stopped goes on.
-        episodes: Of each pair; ten times as many of the script with a passive human.
+        episodes: Of each pair; ten times as many of own teams, and of the script with a passive
+            human.
         seed: Of the episodes.
         backend: Physics.
         on_progress: Told how far each condition is.
@@ -125,8 +128,7 @@ def audit_task(
     played = _play(table, env, teams, others)
     touch = touches(env, teams, episodes, seed)
     gates = gates_of(task, played, touch)
-    pairs = played.pop("all pairs")
-    played = {"own teams": own_pairs(pairs), "strangers": strange_pairs(pairs), **played}
+    played["strangers"] = strange_pairs(played.pop("all pairs"))
     figures = {name: condition_figures(each) for name, each in played.items() if each.height}
     about = task, VERSIONS[task], env.backend, teams.robots.ids, episodes
     return Audit(*about, tuple(gates), figures | {"own, step by step": touch})
@@ -155,8 +157,9 @@ def _play(table: "_Tables", env: Any, teams: Teams, others: Others) -> dict[str,
     sizes = {role: (env.observation_size[role], env.action_size[role]) for role in teams.SEATS}
     passive, script = passive_roster(*sizes["human"]), script_roster(task, *sizes["robot"])
     played = {
+        "own teams": table.play("own", teams.robots, teams.humans, paired=True, times=MORE),
         "all pairs": table.play("pairs", teams.robots, teams.humans),
-        "script, passive human": table.play("script", script, passive, times=ALONE),
+        "script, passive human": table.play("script", script, passive, times=MORE),
         "script, human held": table.play("held", script, held_roster(*sizes["human"])),
         "own, passive human": table.play("alone", teams.robots, passive),
     }

@@ -33,7 +33,7 @@ def gates_of(
 ) -> list[Gate]:
     """Return the gates of a task, from the episodes of each condition; see `audit_task`."""
     pairs = played["all pairs"]
-    own, goal = own_pairs(pairs), "safe_success" if task in GENTLE_TASKS else "success"
+    own, goal = played["own teams"], "safe_success" if task in GENTLE_TASKS else "success"
     each = with_safety(own).group_by("ego").agg(pl.col(goal).cast(pl.Float64).mean())
     half = float(each[goal].to_numpy().max()) / 2
 
@@ -97,11 +97,6 @@ def _ego_gates(played: Mapping[str, pl.DataFrame]) -> list[Gate]:
     value, ci = _estimate(lambda a, b, c: (c - a) / (b - a), plain, told, recurrent)
     said = f"return {recurrent.mean():.1f}"
     return [worth, Gate(*again, value, ci, ci is not None and ci[0] > 0.0, said)]
-
-
-def own_pairs(table: pl.DataFrame) -> pl.DataFrame:
-    """Return the episodes of robots with the humans they were trained with."""
-    return table.filter(pl.col("ego_team") == pl.col("partner_team"))
 
 
 def strange_pairs(table: pl.DataFrame) -> pl.DataFrame:

@@ -36,11 +36,17 @@ def played(returns: Any, egos: Any = TWO, partners: Any = TWO, **columns: Any) -
     return table.with_columns(pl.lit(value).alias(name) for name, value in safe.items())
 
 
+def own_of(pairs: pl.DataFrame) -> pl.DataFrame:
+    return pairs.filter(pl.col("ego_team") == pl.col("partner_team"))
+
+
 def gates(**changes: pl.DataFrame) -> dict[str, Gate]:
     """Teams that earn 100 with their own and 50 with the other's human."""
     pairs = played([[[100.0] * 4, [50.0] * 4], [[50.0] * 4, [100.0] * 4]])
     idle = played([[[10.0] * 4]], ["script"], TWO[:1], success=False)
+    pairs = changes.get("all pairs", pairs)
     conditions = {
+        "own teams": own_of(pairs),
         "all pairs": pairs,
         "script, passive human": idle,
         "script, human held": idle,
@@ -82,8 +88,7 @@ def test_other_conditions_are_shares_of_what_teams_earn(
     condition: str, gate: str, earned: float, value: float, holds: bool
 ) -> None:
     pairs = played([[[earned] * 4, [0.0] * 4], [[0.0] * 4, [earned] * 4]])
-    own = pairs.filter(pl.col("ego_team") == pl.col("partner_team"))
-    found = gates(**{condition: own})[gate]
+    found = gates(**{condition: own_of(pairs)})[gate]
     assert found.value == pytest.approx(value) and found.holds == holds
     assert found.ci == pytest.approx((value, value))  # nobody differs
 
