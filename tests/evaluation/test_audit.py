@@ -208,7 +208,7 @@ def test_an_audit_of_run_folders(
         TASK, str(runs["team"]), episodes=2, backend="native", out=tmp_path / "out", progress=False
     )
     assert found.teams == ("own/ippo-d1-s0/robot", "own/ippo-d1-s1/robot")
-    assert found.figures["own teams"]["episodes"] == 4
+    assert found.figures["own teams"]["episodes"] == 40  # ten times as many
     assert {"safe_success", "violated", "contact_peak"} <= set(found.figures["strangers"])
     assert "mistaken humans" in found.figures and "told" not in found.figures
 
