@@ -153,6 +153,8 @@ def _commands() -> str:
     page = re.sub(r"^## Table of Contents\n\n(?:\s*- .*\n)+\n", "", page, flags=re.MULTILINE)
     page = page.replace("*[default: ()]*", "").replace("*[default: *]*", r"*[default: \*]*")
     page = page.replace("# assistax-zoo", "# All commands", 1)
+    # This one is named as the program that runs, which here is this module.
+    page = re.sub(r"(--install-completion) .*(\[OPTIONS\])", r"\1 \2", page)
     parts = re.split(r"^(?=##+ assistax-zoo )", page, flags=re.MULTILINE)
     for i, part in enumerate(parts[1:], 1):
         words = part.partition("\n")[0].split()[2:]
