@@ -94,14 +94,13 @@ def train_ego(
     Args:
         task: Task, such as "scratch".
         algorithm: "ppo" or "sac".
-        folder: Folder of the run; one that was interrupted goes on. Default a new temporary one.
+        folder: Of the run; one that was interrupted goes on. Default a new temporary one.
         split: Split whose training half are the partners; default the release's own.
         seeds: How many, numbered from 0, or which.
         steps: Environment steps of each robot, rounded up to whole updates.
         hyperparameters: Changes of the preset, such as {"learning_rate": 3e-4, "torso": "gru"}.
         preferences: What the humans of a gentle task like, such as ("p2", "p3"), in turns; default
-            those of the split's training half, or all, drawn anew each episode, where it holds
-            none out.
+            those of the split's training half, or all, drawn anew each episode.
         backend: Physics, or "auto" for the fastest one here.
         resume: Go on with a run that the folder holds.
         zoo: Where the partners come from, as in `open_zoo`.
@@ -124,15 +123,9 @@ def train_ego(
     from evaluation.ego_training import prepare, train_egos
 
     registry = open_zoo(zoo).registry
+    chosen: dict[str, Any] = {"hyperparameters": hyperparameters, "preferences": preferences}
     training = prepare(
-        registry,
-        task,
-        split=split,
-        algorithm=algorithm,
-        seeds=seeds,
-        steps=steps,
-        hyperparameters=hyperparameters,
-        preferences=preferences,
+        registry, task, split=split, algorithm=algorithm, seeds=seeds, steps=steps, **chosen
     )
     line = contextlib.closing(TrainingLine(f"{task} {algorithm}"))
     with chosen_progress(progress, line) as report:

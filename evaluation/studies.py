@@ -94,17 +94,13 @@ def evaluate_policies(
         registry: The published partners.
         policies: The robots, see `evaluation.egos.read_egos`.
         settings: Task, episodes and the rest.
-        folder: Filled with the episodes and every table drawn from them; a run that was stopped
-            goes on.
-        split: "test" (default), "train" or "both" sides of the default split, or a split's id,
-            ":train" or ":both" added.
+        folder: Filled with the episodes and their tables; a run that was stopped goes on.
+        split: "test" (default), "train" or "both" sides of the default split, or ID:SIDE.
         partners: Globs over partners, to play only some of those sides; see `choose_partners`.
-        include_own: Count partners that were trained with one of the robots. Else they are played
-            and their rows kept, but no figure is about them.
+        include_own: Count partners that were trained with one of the robots.
         references: Folder that keeps the episodes of reference egos, see `evaluation.references`;
             None plays none.
-        crossplay: Folder of a finished cross-play, whose best robot with a partner may be its best
-            response.
+        crossplay: Finished cross-play, whose best robots may be the partners' best responses.
         reuse: See `evaluation.evaluator.run_job`.
         on_progress: Told how far the run is.
 

@@ -80,12 +80,10 @@ def train(
     Args:
         config: What to train.
         env: The environment of `config.task`.
-        folder: Where the run is kept: configuration, checkpoints, metrics, and at the end the
-            teams.
+        folder: Keeps configuration, checkpoints, metrics, and at the end the teams.
         partners: Who sits in the other seat, the same as `config.partners` names.
         resume: Whether to go on with a run that the folder holds.
-        stop_on_divergence: Whether a loss that is not finite ends the run; if not, that member goes
-            on to no good.
+        stop_on_divergence: A loss that is not finite ends the run; else that member goes on.
         progress: Called after every dispatch to the devices.
         devices: Those that may be used; all of this process if not given.
 

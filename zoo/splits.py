@@ -85,30 +85,24 @@ def make_split(
 
     Args:
         teams: Team ids to split; those of another task or release are left out.
-        task: Task of the split.
-        release: Release of the split.
+        task: Of the split.
+        release: Of the split.
         rule: One of `RULES`.
-        seed: Seed of the rules that choose at random, `half` and `small-train`.
+        seed: Of the rules that choose at random, `half` and `small-train`.
         held_out: Algorithm or disability setting that a leave-one-out rule tests on.
         n: Number of training partners of `small-train`.
         train: Team ids of the train side of `custom`.
-        test: Team ids of the test side of `custom`.
-        train_preferences: What the humans of a gentle task's train side like, such as ("p2", "p3");
-            the others of the task where only the test side's are given, and the reverse.
-        test_preferences: What those of the test side like; any of both where neither is given.
+        test: Likewise.
+        train_preferences: What the train side's humans of a gentle task like, such as ("p2", "p3");
+            where only one side's are given, the other has the rest.
+        test_preferences: What the test side's like.
 
     Raises:
-        SplitError: The rule is unknown, lacks its argument, or leaves a side empty; or its task
-            has no such preferences.
+        SplitError: An unknown rule or preference, no argument, or an empty side.
         LeakageError: A team or a preference is on both sides.
     """
-    known = sorted(
-        {
-            str(team)
-            for team in map(parse_team, teams)
-            if (team.task, team.release, team.namespace) == (task, release, "")
-        }
-    )
+    ids = set(map(parse_team, teams))
+    known = sorted(str(t) for t in ids if (t.task, t.release, t.namespace) == (task, release, ""))
     if rule == "half":
         sides = _by(known, lambda team: half_side(team, seed))
     elif rule in LEAVE_ONE_OUT:
@@ -126,11 +120,10 @@ def make_split(
         "held_out": held_out if rule in LEAVE_ONE_OUT else None,
         "n": n if rule == "small-train" else None,
         "seed": seed if rule in ("half", "small-train") else 0,
-        "train": tuple(sides[0]),
-        "test": tuple(sides[1]),
+        **{side: tuple(own) for side, own in zip(SIDES["both"], sides, strict=True)},
     }
-    if preferences := _preferences(task, sorted(train_preferences), sorted(test_preferences)):
-        content["preferences"] = preferences
+    preferences = _preferences(task, sorted(train_preferences), sorted(test_preferences))
+    content |= {"preferences": preferences} if preferences else {}
     split = Split.model_validate({"id": _id(content), "sha256": content_sha256(content), **content})
     check_split(split)
     return split

@@ -78,8 +78,7 @@ def create(
 ) -> None:
     """Make a split of a release's partners and write it to the registry.
 
-    Where a setting or algorithm is held out, training partners that act nearly as a test partner
-    does are left out.
+    Where one is held out, training partners that act nearly as a test partner does are left out.
 
     Args:
         task: Task of the split.
@@ -90,8 +89,7 @@ def create(
         n: Training partners of small-train.
         train: Team ids or globs of a custom split's train side; repeat the option for more.
         test: Team ids or globs of a custom split's test side.
-        train_preferences: What a gentle task's humans of the train side like, such as p2,p3; those
-            that the test side lacks if not given.
+        train_preferences: What its humans like, such as p2,p3; those that the test side lacks.
         test_preferences: What those of the test side like, such as p1,p5,p9, held out by any rule.
         default: Make it the release's default split of the task.
         registry: Registry to write to instead of the installed one.
