@@ -35,7 +35,7 @@ from zoo.registry import load_registry
 GENTLE: Mapping[str, Any] = {"initial_log_std": -1.2, "anneal_lr": True, "anneal_entropy": True}
 CHANGES: Mapping[str, Mapping[str, Any]] = {
     "gentle_scratch": {**GENTLE, "entropy_coef": 3e-3},
-    "gentle_bath": {**GENTLE, "entropy_coef": 1e-2},
+    "gentle_bath": {**GENTLE, "entropy_coef": 3e-3},
     "gentle_lift": {**GENTLE, "entropy_coef": 6e-3},
 }
 

@@ -19,7 +19,7 @@ WIDTHS = {
     "bed_bath": {"robot": 34, "human": 38, "global": 52},
     "arm_assist": {"robot": 47, "human": 51, "global": 65},
     "gentle_scratch": {"robot": 46, "human": 53, "global": 67},
-    "gentle_bath": {"robot": 69, "human": 75, "global": 89},
+    "gentle_bath": {"robot": 64, "human": 70, "global": 84},
     "gentle_lift": {"robot": 40, "human": 47, "global": 61},
 }
 # Over 20 control steps of random torques, float32 against float64: rad, and reward. The largest
