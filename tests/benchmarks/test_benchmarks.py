@@ -47,6 +47,7 @@ def test_env_prints_a_line_for_people(capfd: pytest.CaptureFixture[str]):
     assert "env steps/s" in told
 
 
+@pytest.mark.slow
 def test_evaluate_compares_the_evaluator_with_the_environment(capfd: pytest.CaptureFixture[str]):
     bench.evaluate(task="scratch", backend="native", shape="1,2,2", seconds=0.03, json=True)
     (row,) = json.loads(capfd.readouterr().out)

@@ -67,6 +67,7 @@ def test_a_gif_runs_in_real_time_with_a_policy_from_a_file(tmp_path: Path):
         )
 
 
+@pytest.mark.slow
 def test_a_sheet_and_a_gif_lie_beside_an_mp4(tmp_path: Path):
     pytest.importorskip("imageio_ffmpeg")
     assert call("--out", tmp_path / "film.mp4", "--steps", 40, "--sheet", *SMALL) == 0

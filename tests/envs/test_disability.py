@@ -24,7 +24,7 @@ def test_settings_are_numbered_with_strength_running_fastest() -> None:
     assert list(DISABILITY_SETTINGS) == [f"d{i}" for i in range(1, 10)]
 
 
-@pytest.mark.parametrize("backend", ["native", "mjx"])
+@pytest.mark.parametrize("backend", ["native", pytest.param("mjx", marks=pytest.mark.slow)])
 def test_d9_narrows_the_elbows_reach_in_the_same_batch(backend: str) -> None:
     model = environment("scratch", backend).model
     elbow = model.joint(ELBOW)

@@ -48,6 +48,11 @@ from tests.envs.conftest import compiled, environment, play, random_actions, sta
 from tests.envs.fused.scenes import converged, touching_states
 
 each_gentle_task = pytest.mark.parametrize("task", GENTLE_TASKS)
+# Whose compilation takes seconds a task: one of them in every run.
+one_gentle_task = pytest.mark.parametrize(
+    "task",
+    ["gentle_lift", *(pytest.param(task, marks=pytest.mark.slow) for task in GENTLE_TASKS[:2])],
+)
 N = 64
 
 
@@ -246,7 +251,7 @@ def test_points_are_given_in_the_segments_frame() -> None:
     np.testing.assert_allclose(point, [[1.0, 0.0, 0.0]], atol=1e-6)  # turned by 90 degrees about z
 
 
-@each_gentle_task
+@one_gentle_task
 def test_a_hard_contact_is_a_violation_for_the_rest_of_the_episode(task: str) -> None:
     env = environment(task, "native")
     states, model = touching_states(task), env.model
@@ -358,7 +363,7 @@ def test_nothing_that_the_robot_sees_depends_on_what_is_liked(task: str) -> None
     assert (np.asarray(seen[0]["human"]) != np.asarray(seen[1]["human"])).any()
 
 
-@each_gentle_task
+@one_gentle_task
 def test_a_told_robot_sees_what_the_human_does(task: str) -> None:
     env = assistax_envs.make(task, "native", told=("human", "robot"))
     sizes = env.observation_size, environment(task, "native").observation_size

@@ -139,7 +139,10 @@ def test_intervals_widen_with_the_teams() -> None:
     assert paired.ci == pytest.approx((0.0, 0.0))  # each team beside itself
 
 
-@pytest.mark.parametrize("task", GENTLE_TASKS)
+@pytest.mark.parametrize(
+    "task",
+    ["gentle_lift", *(pytest.param(task, marks=pytest.mark.slow) for task in GENTLE_TASKS[:2])],
+)
 def test_a_mistaken_human_sees_the_next_preference_and_the_reward_does_not(task: str) -> None:
     env = make(task, "native")
     wrong, keys = Mistaken(env), jax.random.split(jax.random.key(0), 9)
