@@ -66,6 +66,7 @@ def audit(
     """
     Settings(task, episodes, seed, backend)  # refuses what is none of them
     registry = open_zoo(zoo).registry
+    own = read_teams(_listed(teams), registry, task)
     egos = {"ego": ego, "ego_told": ego_told, "ego_recurrent": ego_recurrent}
     robots = {"passive": passive_robot, "response": response}
     pairs = {"told": told, "blind": blind, "recurrent": recurrent}
@@ -74,7 +75,6 @@ def audit(
     play = partial(audit_task, episodes=episodes, seed=seed, backend=backend)
     shown = chosen_progress(progress, study_progress(f"audit {task}"))
     with tempfile.TemporaryDirectory() as temporary, shown as on_progress:
-        own = read_teams(_listed(teams), registry, task)
         return play(task, own, Others(**found), Path(out or temporary), on_progress=on_progress)
 
 

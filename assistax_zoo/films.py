@@ -98,16 +98,11 @@ def _film(
     """Play the episode, and draw it for each file; `check` is called often."""
     from evaluation.film import MOMENTS, SHEET, film
 
-    def stepped() -> None:
-        check()
-        if on_step is not None:
-            on_step()
-
     def draw(state: Any) -> Any:
         check()
         return pair.env.render(state, **size)
 
-    states = pair.play(stepped)
+    states = pair.play(check, on_step)
     if sheet:
         states = list(states)  # played once, drawn for each file
     with contextlib.closing(pair.env):  # in this thread, which drew

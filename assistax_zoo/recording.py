@@ -34,12 +34,11 @@ def trajectories(
     zoo: "str | Path | Zoo | None" = None,
     on_step: Callable[[], None] | None = None,
 ) -> "pl.DataFrame":
-    """Play a pair and return what both saw, did and earned, one row a step.
+    """Play a pair, most likely actions, and return what both saw, did and earned: a row a step.
 
-    Columns: `episode`, `step`, `robot_observation`, `human_observation`, `robot_action`,
-    `human_action`, `reward`, `term_NAME` of each, `force` (N), `terminated`, `truncated`,
-    `nonfinite`. Row t has the observations before step t and what step t gave; an episode's last
-    row has its final observations and no more. Actions are the policies' most likely ones.
+    Columns: `episode`, `step`, `ROLE_observation` and `ROLE_action` of both roles, `reward`,
+    `term_NAME` of each, `force` (N), `terminated`, `truncated`, `nonfinite`. A row has what was
+    observed before a step and what it gave, an episode's last row its final observations alone.
 
     Args:
         robot: An id, a .safetensors or .onnx file, python:..., "zero" or "random".
@@ -65,6 +64,7 @@ def trajectories(
         (8, (34,))
     """
     from assistax_envs import make
+    from assistax_envs.interrupts import interruptible
     from evaluation.film import Pair
 
     if episodes < 1:
@@ -72,32 +72,25 @@ def trajectories(
     env, registry = make(task, backend), open_zoo(zoo).registry
     who = {"disability": disability, "preference": preference}
     pair = Pair(env, robot, human, lambda: registry, steps=steps, seed=seed, **who)
-
-    table = _record_all(pair, episodes, on_step)
+    table = interruptible(lambda check: _record_all(pair, episodes, check, on_step))
     if out is not None:
         facts = {"preference": preference, "episodes": episodes, "steps": pair.length, "seed": seed}
         _write(table, Path(out), pair, facts)
     return table
 
 
-def _record_all(pair: "Pair", episodes: int, on_step: Callable[[], None] | None) -> "pl.DataFrame":
+def _record_all(
+    pair: "Pair", episodes: int, check: Callable[[], None], on_step: Callable[[], None] | None
+) -> "pl.DataFrame":
     """Play all episodes, and return their rows."""
     import polars as pl
 
-    from assistax_envs.interrupts import interruptible
-
-    def work(check: Callable[[], None]) -> "list[pl.DataFrame]":
-        def stepped() -> None:
-            check()
-            if on_step is not None:
-                on_step()
-
-        return [_record(pair, number, stepped) for number in range(episodes)]
-
-    return pl.concat(interruptible(work))
+    return pl.concat([_record(pair, number, check, on_step) for number in range(episodes)])
 
 
-def _record(pair: "Pair", number: int, stepped: Callable[[], None]) -> "pl.DataFrame":
+def _record(
+    pair: "Pair", number: int, check: Callable[[], None], on_step: Callable[[], None] | None
+) -> "pl.DataFrame":
     """Play one episode, and return its rows."""
     import polars as pl
 
@@ -110,7 +103,7 @@ def _record(pair: "Pair", number: int, stepped: Callable[[], None]) -> "pl.DataF
 
         return acting
 
-    states = list(pair.play(stepped, number, heard))
+    states = list(pair.play(check, on_step, number, heard))
     count = len(states)
 
     def given(values: list[Any]) -> "pl.Series":

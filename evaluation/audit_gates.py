@@ -82,21 +82,20 @@ def gates_of(
 
 def _ego_gates(played: Mapping[str, pl.DataFrame]) -> list[Gate]:
     """Return what knowing the preference is worth to robots among strangers, and remembering."""
-    names = "among strangers, a robot that is told the preference", "> 5% more", "--ego, --ego-told"
-    again = "share of that which a recurrent robot wins back", "the interval above 0"
-    egos = [played.get(name) for name in ("ego", "ego told", "ego recurrent")]
-    plain, told, recurrent = (None if one is None else _by_robot(one, "return") for one in egos)
-    worth = Gate(*names[:2], None, None, None, f"not measured: needs {names[2]}")
+    name, needs = "among strangers, a robot that is told the preference", "--ego, --ego-told"
+    plain, told, recurrent = map(played.get, ("ego", "ego told", "ego recurrent"))
     if plain is None or told is None:
-        return [worth]
-    said = f"return {told.mean():.1f}, not told {plain.mean():.1f}"
-    value, ci = _estimate(lambda a, b: b / a, plain, told)
-    worth = dataclasses.replace(worth, value=value, ci=ci, holds=value >= 1.05, told=said)
+        return [Gate(name, "> 5% more", None, None, None, f"not measured: needs {needs}")]
+    worth = _earned(name, "> 5% more", plain, told, 1.05, needs, than="not told")
+    name, bar = "share of that which a recurrent robot wins back", "the interval above 0"
     if recurrent is None:
-        return [worth, Gate(*again, None, None, None, "not measured: needs --ego-recurrent")]
-    value, ci = _estimate(lambda a, b, c: (c - a) / (b - a), plain, told, recurrent)
-    said = f"return {recurrent.mean():.1f}"
-    return [worth, Gate(*again, value, ci, ci is not None and ci[0] > 0.0, said)]
+        return [worth, Gate(name, bar, None, None, None, "not measured: needs --ego-recurrent")]
+    returns = [_by_robot(table, "return") for table in (plain, told, recurrent)]
+    said = f"return {returns[2].mean():.1f}"
+    if returns[1].mean() <= returns[0].mean():
+        return [worth, Gate(name, bar, None, None, None, f"{said}: nothing to win back")]
+    value, ci = _estimate(lambda a, b, c: (c - a) / (b - a), *returns)
+    return [worth, Gate(name, bar, value, ci, ci is not None and ci[0] > 0.0, said)]
 
 
 def strange_pairs(table: pl.DataFrame) -> pl.DataFrame:
@@ -173,12 +172,13 @@ def _earned(
     needs: str,
     *,
     paired: bool = False,
+    than: str = "own teams",
 ) -> Gate:
-    """Return what the other condition earns, as a share of the teams' own return."""
+    """Return what the other condition earns, as a share of what `than` earn."""
     if other is None:
         return Gate(name, bar, None, None, None, f"not measured: needs {needs}")
     ours, theirs = _by_robot(own, "return"), _by_robot(other, "return")
-    told = f"return {theirs.mean():.1f}, own teams {ours.mean():.1f}"
+    told = f"return {theirs.mean():.1f}, {than} {ours.mean():.1f}"
     if ours.mean() <= 0.0:
         return Gate(name, bar, None, None, None, f"{told}: no share of it")
     value, ci = _estimate(lambda a, b: b / a, ours, theirs, paired=paired)

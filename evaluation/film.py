@@ -122,16 +122,26 @@ class Pair:
 
     def play(
         self,
-        on_step: Callable[[], None],
+        check: Callable[[], None],
+        on_step: Callable[[], None] | None = None,
         episode: int = 0,
         heard: Callable[[str, Act], Act] = lambda role, act: act,
     ) -> Iterator[EnvState]:
-        """Yield the states of one episode; `heard` may listen to what a role does."""
+        """Yield the states of one episode; `heard` may listen to what a role does.
+
+        After each step `check` is called, which may end it all, then `on_step`.
+        """
+
+        def stepped() -> None:
+            check()
+            if on_step is not None:
+                on_step()
+
         seats = self._seated(episode) if episode else self.seats
         acting = (heard(role, act) for role, act in seats.items())
         options = {"episode": episode, "preference": self._preference}
         yield from play(
-            self.env, *acting, self.setting, self._seed, self.length, on_step, **options
+            self.env, *acting, self.setting, self._seed, self.length, stepped, **options
         )
 
 

@@ -99,35 +99,29 @@ class Job:
 
     def identity(self) -> dict[str, Any]:
         """Return what decides the values of the episode table, JSON-ready."""
-        wishes: dict[str, Any] = {}
-        if self.preferences:
-            wishes["preferences"] = list(self.preferences)
-        if self.side_preferences:
-            sides = {side: list(names) for side, names in self.side_preferences.items()}
-            wishes["side_preferences"] = sides
-        series = {"series": self.series} if self.series > 1 else {}
-        return (
-            wishes
-            | series
-            | {
-                "evaluator_version": EVALUATOR_VERSION,
-                "task": self.task,
-                "env_version": self.env_version,
-                "backend": self.backend,
-                "engine": dict(self.engine),
-                "episodes": self.episodes,
-                "seed": self.seed,
-                "stochastic": self.stochastic,
-                "paired": self.paired,
-                "apart": self.apart,
-                "egos": [[name, self.egos.members[name].digest] for name in self.egos.ids],
-                "partners": [
-                    [one.id, one.disability, self.sides.get(one.id), one.digest, _setting(one)]
-                    for one in self.partners.describe(self.partners.ids)
-                ],
-                "software": {name: importlib.metadata.version(name) for name in ("jax", "mujoco")},
-            }
-        )
+        newer = {  # told where used, so that folders of before there were any stay the answer
+            "preferences": list(self.preferences),
+            "side_preferences": {side: list(own) for side, own in self.side_preferences.items()},
+            "series": self.series if self.series > 1 else None,
+        }
+        return {name: value for name, value in newer.items() if value} | {
+            "evaluator_version": EVALUATOR_VERSION,
+            "task": self.task,
+            "env_version": self.env_version,
+            "backend": self.backend,
+            "engine": dict(self.engine),
+            "episodes": self.episodes,
+            "seed": self.seed,
+            "stochastic": self.stochastic,
+            "paired": self.paired,
+            "apart": self.apart,
+            "egos": [[name, self.egos.members[name].digest] for name in self.egos.ids],
+            "partners": [
+                [one.id, one.disability, self.sides.get(one.id), one.digest, _setting(one)]
+                for one in self.partners.describe(self.partners.ids)
+            ],
+            "software": {name: importlib.metadata.version(name) for name in ("jax", "mujoco")},
+        }
 
     def digest(self) -> str:
         """Return the sha256 of the job's identity."""

@@ -1,11 +1,39 @@
 """The gates of a task, from named teams."""
 
+import dataclasses
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
+from cyclopts import Parameter
+
 from assistax_zoo.console import new_table, print_json, print_table, stdout_is_data
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Others:
+    """Who plays for the gates that the teams alone cannot measure.
+
+    Attributes:
+        passive_robot: Robot trained with a human that does nothing: a folder, or any form.
+        response: Robot trained with the frozen human of a team; one for each, in order.
+        told: Teams whose robot is told the human's preference.
+        blind: Teams whose human is not told its own.
+        recurrent: Teams whose robot remembers.
+        ego: Robots trained with frozen humans of some teams; they play with the others'.
+        ego_told: The same, told the preference.
+        ego_recurrent: The same, with a memory.
+    """
+
+    passive_robot: tuple[str, ...] = ()
+    response: tuple[str, ...] = ()
+    told: tuple[str, ...] = ()
+    blind: tuple[str, ...] = ()
+    recurrent: tuple[str, ...] = ()
+    ego: tuple[str, ...] = ()
+    ego_told: tuple[str, ...] = ()
+    ego_recurrent: tuple[str, ...] = ()
 
 
 def audit(
@@ -13,14 +41,7 @@ def audit(
     /,
     *,
     team: tuple[str, ...],
-    passive_robot: tuple[str, ...] = (),
-    response: tuple[str, ...] = (),
-    told: tuple[str, ...] = (),
-    blind: tuple[str, ...] = (),
-    recurrent: tuple[str, ...] = (),
-    ego: tuple[str, ...] = (),
-    ego_told: tuple[str, ...] = (),
-    ego_recurrent: tuple[str, ...] = (),
+    others: Others = Others(),
     episodes: int = 18,
     seed: int = 0,
     backend: str = "auto",
@@ -30,19 +51,13 @@ def audit(
 ) -> None:
     """Ask whether a task can be done without the partner, and whether it is done gently.
 
-    Each gate is a figure of trained teams, its 95% interval and its bar, if somebody plays for it.
+    Each gate is a figure of trained teams with its 95% interval and its bar. Those for which nobody
+    was named are listed as not measured.
 
     Args:
         task: Task, such as gentle_scratch.
         team: Teams: a folder that `train` filled, or a glob over the zoo's; repeat it for more.
-        passive_robot: Robot trained with a human that does nothing: a folder, or any form.
-        response: Robot trained with the frozen human of a team; one for each, in order.
-        told: Teams whose robot is told the human's preference.
-        blind: Teams whose human is not told its own.
-        recurrent: Teams whose robot remembers.
-        ego: Robots trained with frozen humans of some teams; they play with the others'.
-        ego_told: The same, told the preference.
-        ego_recurrent: The same, with a memory.
+        others: Who plays for the other gates.
         episodes: Episodes of each pair; each preference twice if not given.
         seed: Seed of the episodes.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
@@ -57,14 +72,18 @@ def audit(
         from assistax_zoo.auditing import audit as audit_teams
         from evaluation.tables import to_json
 
-        others: dict[str, Any] = {
-            "passive_robot": passive_robot,
-            "response": response,
-            "told": told,
-        }
-        others |= {"blind": blind, "recurrent": recurrent, "ego": ego, "ego_told": ego_told}
-        play = partial(audit_teams, ego_recurrent=ego_recurrent, zoo=registry, out=out, **others)
-        found = to_json(play(task, team, episodes=episodes, seed=seed, backend=backend))
+        found = to_json(
+            audit_teams(
+                task,
+                team,
+                **vars(others),
+                episodes=episodes,
+                seed=seed,
+                backend=backend,
+                zoo=registry,
+                out=out,
+            )
+        )
     (print_json if json else _print)(found)
 
 

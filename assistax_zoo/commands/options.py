@@ -235,6 +235,11 @@ def parse_steps(text: str) -> int:
     return math.ceil(steps)
 
 
+def parse_names(text: str | None) -> list[str]:
+    """Return the names of "p1,p5"; none where nothing is given."""
+    return text.split(",") if text else []
+
+
 def parse_seeds(text: str) -> list[int]:
     """Return the seeds of "8" (0 to 7), "0-7" or "2,5"."""
     ranges = [re.fullmatch(r"(\d+)(?:-(\d+))?", part.strip()) for part in text.split(",")]

@@ -1,7 +1,6 @@
 """Pictures and films of an episode."""
 
 from pathlib import Path
-from typing import Any
 
 from assistax_zoo.console import progress, stdout_is_data
 
@@ -51,20 +50,20 @@ def render(
     with stdout_is_data():
         from assistax_zoo.films import render as film
 
-        size: dict[str, Any] = {
-            "fps": fps,
-            "width": width,
-            "height": height,
-            "camera": camera,
-            "sheet": sheet,
-        }
-        who: dict[str, Any] = {
-            "task": task,
-            "disability": disability,
-            "preference": preference,
-            "zoo": registry,
-        }
+        size = {"fps": fps, "width": width, "height": height, "camera": camera}
         with progress(f"render {task}", steps or EPISODE) as advance:
-            shown: dict[str, Any] = {"steps": steps, "seed": seed, "on_step": lambda: advance(1)}
-            film(robot, human, out, **who, **size, **shown)
+            film(
+                robot,
+                human,
+                out,
+                task=task,
+                steps=steps,
+                seed=seed,
+                disability=disability,
+                preference=preference,
+                sheet=sheet,
+                zoo=registry,
+                on_step=lambda: advance(1),
+                **size,
+            )
     print(out)

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from assistax_zoo.commands.options import parse_names
 from assistax_zoo.commands.zoo import table_lines
 from assistax_zoo.console import answer
 from zoo.errors import ZooError
@@ -109,8 +110,8 @@ def create(
         held_out=held_out,
         n=n,
         default=default,
-        train_preferences=_names(train_preferences),
-        test_preferences=_names(test_preferences),
+        train_preferences=parse_names(train_preferences),
+        test_preferences=parse_names(test_preferences),
         **sides,
     )
     counts = f"{len(split.train)} train, {len(split.test)} test"
@@ -159,10 +160,6 @@ def verify(id: str | None = None, *, registry: Path | None = None, json: bool = 
 def _teams(registry: Registry, patterns: tuple[str, ...]) -> list[str]:
     entries = registry.select(patterns, role="human") if patterns else []
     return sorted({entry.team for entry in entries})
-
-
-def _names(text: str) -> list[str]:
-    return text.split(",") if text else []
 
 
 def _brief(split: Split) -> dict[str, Any]:

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from assistax_zoo.commands.options import Training
+from assistax_zoo.commands.options import Training, parse_names
 from assistax_zoo.commands.train import shown_training
 from assistax_zoo.console import answer
 from zoo.registry import load_registry
@@ -62,7 +62,7 @@ def train_ego(
             task,
             split=split,
             algorithm=algorithm,
-            preferences=preferences.split(",") if preferences else (),
+            preferences=parse_names(preferences),
             **what,
         )
         print(prepared.summary, file=sys.stderr)

@@ -5,6 +5,7 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import assistax_envs
 from assistax_envs import Env, EnvState
@@ -12,6 +13,12 @@ from assistax_envs.physics import GIVES_CONTACT_FRAMES
 from assistax_envs.versions import GENTLE_TASKS
 
 BACKENDS = ("fused", "native", "mjx")
+
+# For tests whose compilation takes seconds a task: one gentle task in every run.
+one_gentle_task = pytest.mark.parametrize(
+    "task",
+    ["gentle_lift", *(pytest.param(task, marks=pytest.mark.slow) for task in GENTLE_TASKS[:2])],
+)
 
 
 def backends(task: str, among: tuple[str, ...] = BACKENDS) -> list[str]:

@@ -44,15 +44,17 @@ from assistax_envs.tasks.gentle_base import (
     world_force,
 )
 from assistax_envs.versions import GENTLE_TASKS, TASKS
-from tests.envs.conftest import compiled, environment, play, random_actions, start
+from tests.envs.conftest import (
+    compiled,
+    environment,
+    one_gentle_task,
+    play,
+    random_actions,
+    start,
+)
 from tests.envs.fused.scenes import converged, touching_states
 
 each_gentle_task = pytest.mark.parametrize("task", GENTLE_TASKS)
-# Whose compilation takes seconds a task: one of them in every run.
-one_gentle_task = pytest.mark.parametrize(
-    "task",
-    ["gentle_lift", *(pytest.param(task, marks=pytest.mark.slow) for task in GENTLE_TASKS[:2])],
-)
 N = 64
 
 

@@ -12,7 +12,6 @@ import pytest
 import assistax_zoo as az
 from assistax_envs import disability_params, make
 from assistax_envs.preferences import PREFERENCES, VALUES, WISHES
-from assistax_envs.versions import GENTLE_TASKS
 from assistax_zoo.main import run
 from evaluation import audit as audits
 from evaluation.audit import Mistaken
@@ -20,6 +19,7 @@ from evaluation.audit_gates import Gate, gates_of
 from population.config import TrainConfig, make_members
 from population.run_folder import RunFolder
 from population.spec import PolicySpec
+from tests.envs.conftest import one_gentle_task
 from tests.evaluation.episode_tables import Team, episode_table, teams
 from tests.untrained import params_of
 from zoo.errors import ZooError
@@ -139,10 +139,7 @@ def test_intervals_widen_with_the_teams() -> None:
     assert paired.ci == pytest.approx((0.0, 0.0))  # each team beside itself
 
 
-@pytest.mark.parametrize(
-    "task",
-    ["gentle_lift", *(pytest.param(task, marks=pytest.mark.slow) for task in GENTLE_TASKS[:2])],
-)
+@one_gentle_task
 def test_a_mistaken_human_sees_the_next_preference_and_the_reward_does_not(task: str) -> None:
     env = make(task, "native")
     wrong, keys = Mistaken(env), jax.random.split(jax.random.key(0), 9)
