@@ -88,7 +88,8 @@ class GentleScratch:
         told: tuple[str, ...] = ("human",),
     ) -> None:
         """Prepare; `hard` is the share of itches out of reach while the arm rests."""
-        self.weights = {"progress": 20.0, "stroke": 1.0} | COSTS | (weights or {})
+        terms = {"progress": 20.0, "stroke": 1.0}
+        self.weights = terms | COSTS | {"violation": 20.0} | (weights or {})
         self.pose = Pose(model, START)
         self.sensors = TouchSensors(model, self.pose)
         self._hard, self._told = hard, told
