@@ -67,7 +67,7 @@ def gates_of(
         _share("teams hurt nobody", "violations < 0.01", own, "violated", lambda x: x < 0.01),
         _cross_play(pairs),
         earned("best response to a frozen partner", ">= 80% of self-play", "best responses", 0.8,
-               "--response"),
+               "--response", paired=True),
         earned("teams whose robot is told the preference", "> 5% more", "told", 1.05, "--told"),
         earned("teams whose robot remembers", "more than those without memory", "recurrent", 1.0,
                "--recurrent"),
@@ -174,10 +174,16 @@ def _earned(
     paired: bool = False,
     than: str = "own teams",
 ) -> Gate:
-    """Return what the other condition earns, as a share of what `than` earn."""
+    """Return what the other condition earns, as a share of what `than` earn.
+
+    Where paired, with the same humans in the same episodes, of which own teams may play more.
+    """
     if other is None:
         return Gate(name, bar, None, None, None, f"not measured: needs {needs}")
-    ours, theirs = _by_robot(own, "return"), _by_robot(other, "return")
+    who = "ego"
+    if paired:
+        own, who = own.join(other, on=("partner", "episode"), how="semi"), "partner"
+    ours, theirs = _by_robot(own, "return", who), _by_robot(other, "return", who)
     told = f"return {theirs.mean():.1f}, {than} {ours.mean():.1f}"
     if ours.mean() <= 0.0:
         return Gate(name, bar, None, None, None, f"{told}: no share of it")
@@ -200,12 +206,16 @@ def _estimate(
     return point, (float(low), float(high))
 
 
-def _by_robot(table: pl.DataFrame, column: str) -> np.ndarray:
-    """Return a column's mean of each robot, or of each episode where one robot played."""
+def _by_robot(table: pl.DataFrame, column: str, who: str = "ego") -> np.ndarray:
+    """Return a column's mean of each robot, or of each episode where one robot played.
+
+    With `who` "partner", of each human: those who meet one robot each stand for it, by one name in
+    all conditions.
+    """
     table = with_safety(table).with_columns(pl.col(column).cast(pl.Float64))
     if table["ego"].n_unique() == 1:
         return table.sort("partner", "episode")[column].to_numpy()
-    return table.group_by("ego").agg(pl.col(column).mean()).sort("ego")[column].to_numpy()
+    return table.group_by(who).agg(pl.col(column).mean()).sort(who)[column].to_numpy()
 
 
 def _best_held(table: pl.DataFrame) -> pl.DataFrame:

@@ -34,13 +34,12 @@ from zoo.registry import load_registry
 
 # Of PPO's presets, what all runs of a task change. Noise of the size of a whole joint's torque rubs
 # nobody gently, hence the small deviation at the start; what keeps it from shrinking before both
-# have found their part of the act is the bonus, which ends with the run. A quarter of the preset's
-# simulations learn as much in a quarter of the steps. MAPPO learns at IPPO's rate.
+# have found their part of the act is the bonus, which ends with the run. MAPPO learns at IPPO's
+# rate. On a CPU `--set num_envs=256 --steps 6M` gives a team of scratch or bath in five minutes.
 GENTLE: Mapping[str, Any] = {
     "initial_log_std": -1.2,
     "anneal_lr": True,
     "anneal_entropy": True,
-    "num_envs": 256,
     "learning_rate": 1e-3,
 }
 CHANGES: Mapping[str, Mapping[str, Any]] = {

@@ -137,6 +137,11 @@ def test_intervals_widen_with_the_teams() -> None:
     mistaken = gates(**{"all pairs": pairs, "mistaken humans": own})
     paired = mistaken["humans that believe in another preference"]
     assert paired.ci == pytest.approx((0.0, 0.0))  # each team beside itself
+    # Own teams play more episodes; what happens in those that the other has not is no loss of its.
+    rare = own.with_columns(pl.col("return") - 900.0, pl.col("episode") + 2)
+    more = {"all pairs": pairs, "own teams": pl.concat([own, rare]), "mistaken humans": own}
+    same = gates(**more)["humans that believe in another preference"]
+    assert (same.value, same.ci) == (paired.value, paired.ci)
 
 
 @one_gentle_task
