@@ -17,6 +17,7 @@ from population.checked import Many, Share, Widths, checked
 MIXED = "mixed"
 
 LogStd = Annotated[float, Field(ge=-5, le=1)]
+Precision = Literal["float32", "float16"]
 
 
 @checked
@@ -255,6 +256,7 @@ class TrainConfig:
     partners: Many[str] = ()
     # What their humans like, in turns; all, drawn anew each episode, if none are named.
     preferences: Many[str] = ()
+    precision: Precision = "float32"  # of the parameters that are written, and then evaluated
 
     def __post_init__(self) -> None:
         if self.preferences:
@@ -317,8 +319,10 @@ class TrainConfig:
     def to_json(self) -> dict[str, Any]:
         """Return JSON-ready values; `TrainConfig.from_json` gives the config back."""
         told = {**dataclasses.asdict(self), "kind": self.trainer.kind}
-        if not self.preferences:
-            del told["preferences"]  # as in runs of before there were any
+        if not self.preferences:  # as in runs of before there were any
+            del told["preferences"]
+        if self.precision == "float32":
+            del told["precision"]
         return told
 
     @classmethod
@@ -342,6 +346,7 @@ def make_run(
     self_play_episodes: int = 16,
     partners: Sequence[str] = (),
     preferences: Sequence[str] = (),
+    precision: Precision = "float32",
 ) -> TrainConfig:
     """Return a run; what is None is the trainer's own."""
     return TrainConfig(
@@ -355,6 +360,7 @@ def make_run(
         self_play_episodes=self_play_episodes,
         partners=tuple(partners),
         preferences=tuple(preferences),
+        precision=precision,
     )
 
 

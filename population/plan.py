@@ -28,6 +28,7 @@ from pydantic import (
 from population.checked import Many, checked, first_problem
 from population.config import (
     Member,
+    Precision,
     TrainConfig,
     TrainerConfig,
     check_names,
@@ -59,6 +60,7 @@ class Group:
     updates_per_call: PositiveInt | None = None  # dispatched at once; None: the trainer's default
     checkpoint_every: PositiveInt | None = None  # in updates; None: the trainer's default
     self_play_episodes: NonNegativeInt = 16  # of each team's final evaluation; 0 leaves it out
+    precision: Precision = "float32"  # in which teams are published, after which they are evaluated
     max_members: PositiveInt | None = None  # most teams in one run, so that it fits the device
     adopt: Release | None = None  # whose teams of at least `steps` join unchanged
 
@@ -102,6 +104,7 @@ class Group:
             checkpoint_every=self.checkpoint_every,
             updates_per_call=self.updates_per_call,
             self_play_episodes=self.self_play_episodes,
+            precision=self.precision,
         )
 
 

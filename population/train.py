@@ -267,6 +267,8 @@ class _Training:
         config, trainer = self.config, self.trainer
         # On one device: a few episodes of each team are less than an update was.
         params = jax.jit(trainer.policy_params)(self.shares.gather(state.members))
+        written = jax.tree.map(lambda leaf: leaf.astype(config.precision), params)
+        params = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), written)  # as they are read
         figures: list[dict[str, Any] | None] = [None] * len(config.members)
         if config.self_play_episodes and not trainer.partners:
             figures[:] = self_play(
@@ -279,7 +281,7 @@ class _Training:
             )
         seconds = float(metrics["seconds"][-1])
         training = _provenance(config, trainer.env, self.shares, seconds)
-        self.run.write_teams(config, trainer.specs, jax.device_get(params), training, figures)
+        self.run.write_teams(config, trainer.specs, jax.device_get(written), training, figures)
 
 
 class _Clock:

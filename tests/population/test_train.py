@@ -1,3 +1,4 @@
+import dataclasses
 import errno
 import json
 import os
@@ -20,7 +21,9 @@ from population.checkpoints import Checkpoints
 from population.config import Member, TrainConfig, make_members, preset
 from population.policy import Policy
 from population.run_folder import RunFolder
+from population.self_play import self_play
 from population.spec import PolicySpec
+from population.stack import flatten
 from population.train import DivergedError, train
 from tests.population.toy_env import ToyEnv, match
 
@@ -96,6 +99,30 @@ def test_exported_rows_are_distinct_and_act(finished):
         jax.tree.map(jax.numpy.asarray, params), (), jax.numpy.ones((1, 3)), jax.numpy.ones(1, bool)
     )
     assert len(np.unique(np.asarray(action)[:, 0, 0])) == 4
+
+
+def test_half_precision_is_written_and_what_is_written_is_evaluated(
+    finished, tmp_path, monkeypatch
+):
+    evaluated = {}
+
+    def spied(env, policies, params, *rest):
+        evaluated.update(params)
+        return self_play(env, policies, params, *rest)
+
+    monkeypatch.setattr("population.train.self_play", spied)
+    half = train(dataclasses.replace(CONFIG, precision="float16"), ToyEnv(match), tmp_path / "half")
+    for role in ("robot", "human"):
+        whole = safetensors.numpy.load_file(finished / f"{role}.safetensors")
+        leaves = safetensors.numpy.load_file(half / f"{role}.safetensors")
+        played = flatten(jax.device_get(evaluated[role]))
+        for name, leaf in leaves.items():
+            assert leaf.dtype == np.float16 and played[name].dtype == np.float32
+            np.testing.assert_array_equal(leaf, whole[name].astype(np.float16))
+            np.testing.assert_array_equal(leaf, played[name])
+        assert any((leaf != whole[name]).any() for name, leaf in leaves.items())
+    assert RunFolder(half).config().precision == "float16"
+    assert "precision" not in (finished / "config.json").read_text()
 
 
 def test_metrics_have_a_row_for_each_update_and_member(finished):
