@@ -1,0 +1,110 @@
+"""Trains robots that are told what their partners like, and evaluates them beside other methods.
+
+    python -m tools.told_egos gentle_scratch runs/told --seeds 16 --steps 10M
+    python -m tools.told_egos gentle_scratch runs/told --seeds 16 --steps 10M --set torso=gru
+
+RUNS/training is as of `assistax-zoo train-ego`, RUNS/evaluation as of `evaluate --split both`. Such
+robots observe more than any robot may: they say what adaptation could earn at best, and nothing
+else wants them, hence they cannot be published, and no command plays them.
+"""
+
+import contextlib
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from assistax_envs import make
+from assistax_zoo.commands.options import parse_changes, parse_seeds, parse_steps
+from assistax_zoo.console import TrainingLine
+from evaluation.audit import BOTH
+from evaluation.audit_teams import read_robots
+from evaluation.derived import save_evaluation
+from evaluation.ego_training import prepare
+from evaluation.evaluator import run_job
+from evaluation.studies import Settings, choose_partners, make_job
+from evaluation.summary import Context, EvaluationSummary, SplitName
+from population.train import train
+from zoo.registry import Registry, load_registry
+
+
+def main(
+    task: str,
+    folder: Path,
+    /,
+    *,
+    split: str | None = None,
+    seeds: str = "4",
+    steps: str = "10M",
+    episodes: int = 8,
+    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    backend: str = "auto",
+    registry: Path | None = None,
+) -> None:
+    """Train and evaluate told robots; what was interrupted goes on.
+
+    Args:
+        task: Gentle task.
+        folder: Of the run and the evaluation.
+        split: With whose training half they learn; default the release's own.
+        seeds: How many, or which.
+        steps: Environment steps of each robot.
+        episodes: Of each pair.
+        set_: Hyperparameter, such as num_envs=512; repeat it for more.
+        backend: Physics.
+        registry: Registry to read instead of the installed one.
+    """
+    zoo, env = load_registry(registry), make(task, backend, told=BOTH)
+    changes = parse_changes(set_)
+    learning = prepare(
+        zoo,
+        task,
+        split=split,
+        seeds=parse_seeds(seeds),
+        steps=parse_steps(steps),
+        hyperparameters=changes,
+    )
+    with contextlib.closing(TrainingLine(str(folder))) as line:
+        train(
+            learning.config,
+            env,
+            folder / "training",
+            partners=learning.partners,
+            progress=line,
+        )
+    summary = evaluate(zoo, task, folder, learning.split.id, episodes, backend)
+    for side, found in (("train", summary.m_train), ("test", summary.m_test)):
+        print(f"{side}: {found.mean:.1f}" if found else f"{side}: nobody")
+
+
+def evaluate(
+    registry: Registry, task: str, folder: Path, split: str, episodes: int, backend: str
+) -> EvaluationSummary:
+    """Play the told robots of a folder with both sides of a split, and save what comes of it."""
+    robots = read_robots([str(folder / "training")], registry, task).robots
+    manifest, partners = choose_partners(registry, task, f"{split}:both", None)
+    settings = Settings(task, episodes, backend=backend)
+    usual, job = make_job(registry, robots, partners, settings, manifest)
+    if manifest.preferences:
+        job = job.following(manifest.preferences)
+    engine = {**job.engine, "condition": "told"}
+    job = dataclasses.replace(job, engine=engine)
+    env = make(task, usual.backend, told=BOTH)
+    result = run_job(env, job, folder / "evaluation")
+    about = SplitName(manifest.id, manifest.sha256, dict(manifest.preferences))
+    context = Context(
+        task=task,
+        env_version=job.env_version,
+        backend=job.backend,
+        engine=engine,
+        release=manifest.release,
+        split=about,
+        lock=registry.lock,
+        env_steps_per_second=result.env_steps_per_second,
+    )
+    return save_evaluation(folder / "evaluation", result.table, context)
+
+
+if __name__ == "__main__":
+    App(default_command=main)()
