@@ -11,6 +11,7 @@ import numpy as np
 
 from assistax_envs.disability import DISABILITY_SETTINGS, Disability
 from assistax_envs.models import build_model
+from assistax_envs.models.gentle_scenes import SCENES, SPARED
 from assistax_envs.physics import (
     GIVES_CONTACT_FRAMES,
     SUBSTEPS,
@@ -93,6 +94,7 @@ class Env:
             role: np.array([self.model.joint(name).qposadr[0] for name in names])
             for role, names in (("robot", ROBOT_JOINTS), ("human", HUMAN_JOINTS))
         }
+        self._spared = SPARED if scene in SCENES else 0.0
         self._elbow = self.model.joint(ELBOW).id
         # The elbow's rest angle is where its scene starts it.
         self._elbow_rest = float(self._task.pose.angle[self.model.joint(ELBOW).qposadr[0]])
@@ -226,7 +228,10 @@ class Env:
 
         What is left of the human's strength, and its tremor.
         """
-        human = jnp.clip(action["human"], -1.0, 1.0) * params.strength[:, None] + shake
+        strength = params.strength
+        if self._spared:
+            strength = 1.0 - (1.0 - self._spared) * (1.0 - strength)
+        human = jnp.clip(action["human"], -1.0, 1.0) * strength[:, None] + shake
         control = jnp.zeros((human.shape[0], self.model.nu), jnp.float32)
         control = control.at[:, self._actuators["robot"]].set(jnp.clip(action["robot"], -1.0, 1.0))
         return control.at[:, self._actuators["human"]].set(jnp.clip(human, -1.0, 1.0))

@@ -46,6 +46,19 @@ def test_d9_narrows_the_elbows_reach_in_the_same_batch(backend: str) -> None:
     assert lows[1] == pytest.approx(rest + 0.4 * (low - rest), abs=0.06)
 
 
+@pytest.mark.parametrize(("task", "left"), [("scratch", 0.4), ("gentle_bath", 0.7)])
+def test_humans_of_gentle_tasks_are_spared_half_of_a_settings_weakness(
+    task: str, left: float
+) -> None:
+    env = environment(task, "native")
+    full = {role: jnp.ones((2, size)) for role, size in env.action_size.items()}
+    params = assistax_envs.disability_params(["d1", "d3"])
+    control = env._control(params, full, jnp.zeros(full["human"].shape))
+    given = np.asarray(control)[:, env._actuators["human"]]
+    np.testing.assert_allclose(given, np.outer([1.0, left], np.ones(given.shape[1])), atol=1e-6)
+    assert (given[0] == 1.0).all()  # d1 to the bit
+
+
 @pytest.mark.parametrize("backend", ["native", "mjx"])
 def test_d9_weakens_every_joint_it_moves(backend: str) -> None:
     model = environment("scratch", backend).model
