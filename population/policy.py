@@ -282,10 +282,10 @@ class _Recurrent(nn.Module):
     @nn.compact
     def __call__(self) -> tuple[jax.Array, jax.Array]:
         shape = self.width, self.width
-        kernel = self.param("kernel", nn.initializers.orthogonal(), shape)
+        kernel = jnp.asarray(self.param("kernel", nn.initializers.orthogonal(), shape))
         if not self.biased:
             return kernel, jnp.zeros(())
-        return kernel, self.param("bias", nn.initializers.zeros, shape[:1])
+        return kernel, jnp.asarray(self.param("bias", nn.initializers.zeros, shape[:1]))
 
 
 def _dense(width: int, scale: float) -> nn.Dense:
