@@ -28,7 +28,7 @@ def main(runs: Path, /, *, out: Path) -> None:
     """Draw return, violations and the cost of force against steps, by task and algorithm."""
     caption = (
         "Mean over seeds (IQM) with its pointwise 95% bootstrap band; actions are drawn, as in "
-        "training. IPPO: eight seeds, MAPPO: eight (lift: four), MASAC: four."
+        "training. Eight seeds, of MAPPO in gentle lift four."
     )
     height = ROW * len(GENTLE_TASKS) + 0.8
     figure = style.titled_figure("Training of the gentle tasks, d1", caption, WIDTH, height)
