@@ -55,7 +55,7 @@ def page(
         python -m tools.paper_page page --release v1 --data docs/data/v1 --out docs/results.md
     """
     from tools.paper_page.data import read_results
-    from tools.paper_page.page import first_difference, make_page, relative_folder
+    from tools.paper_page.page import check_page, make_page, relative_folder
     from tools.paper_page.pictures import picture_names
     from zoo.registry import load_registry
 
@@ -70,21 +70,14 @@ def page(
     text = make_page(results, relative_folder(folder, out), command)
     again = f"run `{command}`"
     if check:
-        if not out.is_file():
-            raise ValueError(f"{out} does not exist; {again}")
-        if (found := out.read_text(encoding="utf-8")) != text:
-            raise ValueError(
-                f"{out} is not what the tables give: {first_difference(found, text)}; {again}"
-            )
-        if missing := [name for name in picture_names(results) if not (folder / name).is_file()]:
-            raise ValueError(f"{folder} lacks {', '.join(missing)}; {again}")
+        check_page(out, text, folder, picture_names(results), again)
     else:
         from evaluation.tables import write_bytes
         from tools.paper_page.figures import draw_figures
 
         draw_figures(results, folder)
         write_bytes(text.encode(), out)
-    _warn(results.missing)
+    warn(results.missing)
     print(f"{out} is what the tables give" if check else out)
 
 
@@ -114,7 +107,8 @@ def collect(folders: tuple[Path, ...], /, *, out: Path) -> None:
         print(f"{folder} -> {written}, {size / 1e6:.2f} MB")
 
 
-def _warn(missing: list[str]) -> None:
+def warn(missing: list[str]) -> None:
+    """Say on standard error what is not measured yet."""
     for what in missing:
         print(f"warning: not measured yet: {what}", file=sys.stderr)
     if missing:

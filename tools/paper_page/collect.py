@@ -11,7 +11,7 @@ the name of one of our tasks and of a method.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -25,8 +25,10 @@ from evaluation.tables import EGO_COLUMNS, PARTNER_COLUMNS
 TRAINING_FILE = "training.json"
 CROSSPLAY, EGOS = "crossplay", "egos"  # folders of the data
 _METHOD = re.compile(r"[a-z][a-z0-9_]*")
-_EGO_FILE = re.compile(rf"(?P<method>{_METHOD.pattern})-s(?P<seed>\d+)\.safetensors")
-_ABSOLUTE = re.compile(r"(?<![^\s'\"=])/[^\s'\"]+")  # a path from the root, as a word of a command
+EGO_FILE = re.compile(rf"(?P<method>{_METHOD.pattern})-s(?P<seed>\d+)\.safetensors")
+_ABSOLUTE = re.compile(
+    r"(?<![^\s'\"=:])~?/[^\s'\"]+"
+)  # a path from the root, as a word of a command
 _EGO_MEASURES = ("return", "return_sd", "success", "episodes", "nonfinite")
 _TOLD_OF_TRAINING = ("steps", "device", "seconds", "backend", "date", "commit")
 
@@ -46,7 +48,7 @@ def collect(folder: Path, data: Path) -> Path:
         )
     summary = tables.read_json(folder / tables.SUMMARY_FILE)
     if "self_play" in summary:
-        return _collect_crossplay(folder, summary, data)
+        return collect_crossplay(folder, summary, data)
     if "m_test" in summary:
         return _collect_evaluation(folder, summary, data)
     raise ValueError(
@@ -55,18 +57,25 @@ def collect(folder: Path, data: Path) -> Path:
     )
 
 
-def _collect_crossplay(folder: Path, summary: dict[str, Any], data: Path) -> Path:
-    out = data / CROSSPLAY / _known_task(summary, folder)
+def collect_crossplay(
+    folder: Path, summary: dict[str, Any], data: Path, tasks: Sequence[str] = PAPER_TASKS
+) -> Path:
+    """Condense a finished cross-play of published teams of one of the tasks.
+
+    Raises:
+        ValueError: the task is another, or a policy is from outside the zoo.
+    """
+    out = data / CROSSPLAY / known_task(summary, folder, tasks)
     pairs = tables.read_parquet(folder / tables.PAIRS_FILE)
     if pairs["ego_team"].null_count() or pairs["partner_team"].null_count():
         raise ValueError(
             f"{folder} has policies from outside the zoo; give a cross-play of published teams"
         )
-    tables.write_parquet(_small(pairs), out / tables.PAIRS_FILE)
+    tables.write_parquet(small(pairs), out / tables.PAIRS_FILE)
     for name in (tables.ORDER_FILE, tables.STRATEGIES_FILE):
         tables.write_json(tables.read_json(folder / name), out / name)
     tables.write_json(summary, out / tables.SUMMARY_FILE)
-    tables.write_json(_run(folder, summary), out / tables.RUN_FILE)
+    tables.write_json(how_it_ran(folder, summary), out / tables.RUN_FILE)
     return out
 
 
@@ -74,7 +83,7 @@ def _collect_evaluation(folder: Path, summary: dict[str, Any], data: Path) -> Pa
     if not summary["m_test"] or not summary["m_train"]:
         raise ValueError(f"{folder} has only one side of the split; run evaluate with --split both")
     method, names = _egos(summary["egos"], folder)
-    out = data / EGOS / f"{_known_task(summary, folder)}-{method}"
+    out = data / EGOS / f"{known_task(summary, folder)}-{method}"
     pairs = tables.pair_table(tables.read_episodes(folder / tables.EPISODES_FILE))
     pairs = pairs.select(*EGO_COLUMNS, *PARTNER_COLUMNS, *_EGO_MEASURES).with_columns(
         pl.col("ego").replace_strict({ego: name for ego, (name, _) in names.items()}),
@@ -84,15 +93,29 @@ def _collect_evaluation(folder: Path, summary: dict[str, Any], data: Path) -> Pa
         .alias("ego_seed"),
     )
     tables.write_parquet(
-        _small(pairs.sort("ego_seed", maintain_order=True)), out / tables.PAIRS_FILE
+        small(pairs.sort("ego_seed", maintain_order=True)), out / tables.PAIRS_FILE
     )
     egos = [names[ego][0] for ego in summary["egos"]]
     tables.write_json({**summary, "egos": egos}, out / tables.SUMMARY_FILE)
-    tables.write_json(_run(folder, summary), out / tables.RUN_FILE)
+    tables.write_json(how_it_ran(folder, summary), out / tables.RUN_FILE)
     return out
 
 
 def _collect_training(folder: Path, data: Path) -> Path:
+    first, content = read_training(folder)
+    out = data / EGOS / f"{first['task']}-{first['algorithm']}"
+    tables.write_json(content, out / TRAINING_FILE)
+    return out
+
+
+def read_training(
+    folder: Path, tasks: Sequence[str] = PAPER_TASKS
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return what the first ego of a train-ego run says of itself, and what is kept of the run.
+
+    Raises:
+        ValueError: no finished egos, another task, or an algorithm that is no plain name.
+    """
     from zoo.storage import read_policy_file
 
     files = sorted((folder / "policies").glob("*.safetensors"))
@@ -103,27 +126,25 @@ def _collect_training(folder: Path, data: Path) -> Path:
     method = first["algorithm"]
     if not (isinstance(method, str) and _METHOD.fullmatch(method)):
         raise ValueError(f"{folder} names the algorithm {method!r}; expected a name such as ppo")
-    out = data / EGOS / f"{_known_task(first, folder)}-{method}"
+    known_task(first, folder, tasks)
     training = {
         name: first["training"][name] for name in _TOLD_OF_TRAINING if name in first["training"]
     }
-    content = {"egos": len(told), "split": first.get("split"), **training}
-    tables.write_json(content, out / TRAINING_FILE)
-    return out
+    return first, {"egos": len(told), "split": first.get("split"), **training}
 
 
-def _known_task(told: Mapping[str, Any], folder: Path) -> str:
+def known_task(told: Mapping[str, Any], folder: Path, tasks: Sequence[str] = PAPER_TASKS) -> str:
     """Return the task that a received folder names: one of ours, since a folder is named so."""
-    if told.get("task") not in PAPER_TASKS:
+    if told.get("task") not in tasks:
         raise ValueError(
-            f"{folder} names the task {told.get('task')!r}; allowed are {', '.join(PAPER_TASKS)}"
+            f"{folder} names the task {told.get('task')!r}; allowed are {', '.join(tasks)}"
         )
     return told["task"]
 
 
 def _egos(references: list[str], folder: Path) -> tuple[str, dict[str, tuple[str, int]]]:
     """Return the one method of the egos, and each one's file name and seed."""
-    found = {reference: _EGO_FILE.fullmatch(PurePath(reference).name) for reference in references}
+    found = {reference: EGO_FILE.fullmatch(PurePath(reference).name) for reference in references}
     methods = {match["method"] for match in found.values() if match}
     if None in found.values() or len(methods) != 1:
         raise ValueError(
@@ -135,16 +156,13 @@ def _egos(references: list[str], folder: Path) -> tuple[str, dict[str, tuple[str
     }
 
 
-def _run(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
+def how_it_ran(
+    folder: Path, summary: Mapping[str, Any], episodes_file: str = tables.EPISODES_FILE
+) -> dict[str, Any]:
     """Return how the folder came about: without paths, with the seconds of simulation."""
     path = folder / tables.RUN_FILE
     run = tables.read_json(path) if path.is_file() else {}
-    steps = (
-        pl.scan_parquet(folder / tables.EPISODES_FILE)
-        .select(pl.col("steps").sum())
-        .collect()
-        .item()
-    )
+    steps = pl.scan_parquet(folder / episodes_file).select(pl.col("steps").sum()).collect().item()
     rate = summary["env_steps_per_second"]
     command = _ABSOLUTE.sub(lambda found: PurePath(found[0]).name, run.get("command", ""))
     return {
@@ -155,5 +173,6 @@ def _run(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _small(pairs: pl.DataFrame) -> pl.DataFrame:
+def small(pairs: pl.DataFrame) -> pl.DataFrame:
+    """Return a table with its numbers in 32 bits."""
     return pairs.with_columns(cs.float().cast(pl.Float32), cs.integer().cast(pl.Int32))

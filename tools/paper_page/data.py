@@ -183,18 +183,18 @@ def read_results(registry: Registry, release: str, data: Path) -> Results:
         entry for entry in registry.policies if entry.role == "human" and entry.release == release
     ]
     crossplay = {
-        task: _read_crossplay(folder)
+        task: read_crossplay(folder)
         for task in PAPER_TASKS
         if (folder := data / collect.CROSSPLAY / task).is_dir()
     }
     keys = [(task, method) for task in PAPER_TASKS for method in METHODS]
     egos = {
-        key: _read_egos(path)
+        key: read_egos(path)
         for key in keys
         if _evaluated(path := data / collect.EGOS / "-".join(key))
     }
     for found in (*crossplay.values(), *egos.values()):
-        _check_release(found, release, {human.team for human in humans}, data)
+        check_release(found, release, {human.team for human in humans}, data)
     return Results(
         release,
         humans,
@@ -222,7 +222,8 @@ def read_notes(path: Path) -> dict[str, str]:
     return {name: text for name, text in found.items() if text}
 
 
-def _check_release(found: CrossPlayed | Egos, release: str, teams: set[str], data: Path) -> None:
+def check_release(found: CrossPlayed | Egos, release: str, teams: set[str], data: Path) -> None:
+    """Refuse a table of another release, or with partners that are not among the teams."""
     told = found.summary
     if told["release"] != release:
         raise ValueError(
@@ -238,7 +239,8 @@ def _check_release(found: CrossPlayed | Egos, release: str, teams: set[str], dat
         )
 
 
-def _read_crossplay(folder: Path) -> CrossPlayed:
+def read_crossplay(folder: Path) -> CrossPlayed:
+    """Read a condensed cross-play; the same teams are on both of its axes."""
     order, strategies, summary, run = (
         tables.read_json(folder / name)
         for name in (
@@ -252,24 +254,26 @@ def _read_crossplay(folder: Path) -> CrossPlayed:
         raise ValueError(
             f"{folder} has other teams on its rows than on its columns; collect a whole cross-play"
         )
-    return CrossPlayed(_read_pairs(folder), order, strategies, summary, run)
+    return CrossPlayed(read_pairs(folder), order, strategies, summary, run)
 
 
 def _evaluated(folder: Path) -> bool:
     return (folder / tables.PAIRS_FILE).is_file()
 
 
-def _read_egos(folder: Path) -> Egos:
+def read_egos(folder: Path) -> Egos:
+    """Read a condensed evaluation."""
     training = folder / collect.TRAINING_FILE
     return Egos(
-        _read_pairs(folder),
+        read_pairs(folder),
         tables.read_json(folder / tables.SUMMARY_FILE),
         tables.read_json(folder / tables.RUN_FILE),
         tables.read_json(training) if training.is_file() else None,
     )
 
 
-def _read_pairs(folder: Path) -> pl.DataFrame:
+def read_pairs(folder: Path) -> pl.DataFrame:
+    """Read a folder's table of pairs, its floats in 64 bits again."""
     return tables.read_parquet(folder / tables.PAIRS_FILE).with_columns(cs.float().cast(pl.Float64))
 
 

@@ -12,7 +12,7 @@ from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import arrange
 from evaluation.plots.population import population_grid
 from evaluation.plots.style import save_figure
-from tools.paper_page.data import METHODS, Results
+from tools.paper_page.data import METHODS, CrossPlayed, Results
 from tools.paper_page.panels import training_panels
 from tools.paper_page.pictures import picture_names
 from tools.paper_page.training import training_curves
@@ -25,7 +25,7 @@ def draw_figures(results: Results, folder: Path) -> list[Path]:
     draw: dict[str, Callable[[], Figure]] = {"population.png": lambda: _population(results)}
     draw["curves.png"] = lambda: _curves(results)
     for task in PAPER_TASKS:
-        draw[f"crossplay_{task}.png"] = lambda task=task: _heatmap(results, task)
+        draw[f"crossplay_{task}.png"] = lambda task=task: heatmap(results.crossplay[task])
         draw[f"zsc_{task}.png"] = lambda task=task: _bars(results, task)
     written = []
     for name in picture_names(results):
@@ -60,8 +60,8 @@ def _curves(results: Results) -> Figure:
     return training_panels(curves, final, caption=caption)
 
 
-def _heatmap(results: Results, task: str) -> Figure:
-    played = results.crossplay[task]
+def heatmap(played: CrossPlayed) -> Figure:
+    """Draw a cross-play's clustered matrix."""
     return crossplay_heatmap(arrange(played.pairs, played.order), played.summary)
 
 

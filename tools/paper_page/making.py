@@ -1,40 +1,55 @@
 """The page's last section: which commands made the tables, on what device, in how many minutes."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from assistax_envs.versions import PAPER_TASKS
 from tools.paper_page.data import CrossPlayed, Egos, Results
 from tools.paper_page.markdown import MISSING, code, spoken, table
-from zoo.schema import Training
+from zoo.schema import PolicyEntry, Training
 
 _POLICY = re.compile(r"--policy[ =](\S+)")
 
 
+HEADINGS = ("what", "how much", "device", "backend", "device minutes")
+
+
 def made(results: Results, command: str) -> str:
     """Return device minutes of every part, then the commands; `command` makes the page."""
-    rows = [*_trained(results), *_played(results)]
+    named: dict[str, CrossPlayed | Egos] = {
+        f"cross-play of {spoken(task)}": played for task, played in results.crossplay.items()
+    }
+    named |= {
+        f"evaluation of {m.upper()} egos, {spoken(t)}": egos
+        for (t, m), egos in results.egos.items()
+    }
+    trained = {
+        f"training {spoken(task)} {method.upper()} egos": egos.training
+        for (task, method), egos in results.egos.items()
+        if egos.training
+    }
+    rows = [*team_rows(results.humans, PAPER_TASKS), *ego_rows(trained), *played_rows(named)]
+    return costs(rows, [found.run["command"] for found in named.values()], command)
+
+
+def costs(rows: Sequence[Sequence[object]], commands: Sequence[str], command: str) -> str:
+    """Return rows of HEADINGS as a table, then the commands that are known; `command` is last."""
     if not rows:
         return f"{MISSING.capitalize()}.\n\n{code(command)}"
-    headings = ["what", "how much", "device", "backend", "device minutes"]
-    commands = [
-        found.run["command"] for found in (*results.crossplay.values(), *results.egos.values())
-    ]
     lines = [_shortened(one) for one in commands if one]
-    return f"{table(headings, rows, (4,))}\n\n{code(chr(10).join([*lines, command]))}"
+    return f"{table(HEADINGS, rows, (4,))}\n\n{code(chr(10).join([*lines, command]))}"
 
 
-def _trained(results: Results) -> list[list[object]]:
-    """Return a row for each task and algorithm of the registry, and for the egos."""
+def team_rows(everyone: Sequence[PolicyEntry], tasks: Sequence[str]) -> list[list[object]]:
+    """Return a row for each task and algorithm of the registry's teams."""
     rows: list[list[object]] = []
     kinds = sorted(
-        {(h.task, h.algorithm) for h in results.humans},
-        key=lambda kind: (PAPER_TASKS.index(kind[0]), kind[1]),
+        {(h.task, h.algorithm) for h in everyone},
+        key=lambda kind: (tasks.index(kind[0]), kind[1]),
     )
     for task, algorithm in kinds:
-        humans = [
-            human for human in results.humans if (human.task, human.algorithm) == (task, algorithm)
-        ]
+        humans = [human for human in everyone if (human.task, human.algorithm) == (task, algorithm)]
         runs = {human.run: human.training for human in humans}
         what = f"training {spoken(task)} {algorithm.upper()}"
         much = f"{len(humans)} teams, {_steps(list(runs.values()))} steps each"
@@ -46,29 +61,21 @@ def _trained(results: Results) -> list[list[object]]:
                 _minutes([run.seconds for run in runs.values()]),
             ]
         )
-    for (task, method), egos in results.egos.items():
-        if told := egos.training:
-            much = f"{told['egos']} egos, {told['steps'] / 1e6:.3g} M steps each"
-            place = [told.get("device") or "–", told.get("backend") or "–"]
-            rows.append(
-                [
-                    f"training {spoken(task)} {method.upper()} egos",
-                    much,
-                    *place,
-                    _minutes([told.get("seconds")]),
-                ]
-            )
     return rows
 
 
-def _played(results: Results) -> list[list[object]]:
-    named: dict[str, CrossPlayed | Egos] = {
-        f"cross-play of {spoken(task)}": played for task, played in results.crossplay.items()
-    }
-    named |= {
-        f"evaluation of {m.upper()} egos, {spoken(t)}": egos
-        for (t, m), egos in results.egos.items()
-    }
+def ego_rows(trained: Mapping[str, Mapping[str, Any]]) -> list[list[object]]:
+    """Return a row for each training of egos, by what is said of it."""
+    rows: list[list[object]] = []
+    for what, told in trained.items():
+        much = f"{told['egos']} egos, {told['steps'] / 1e6:.3g} M steps each"
+        place = [told.get("device") or "–", told.get("backend") or "–"]
+        rows.append([what, much, *place, _minutes([told.get("seconds")])])
+    return rows
+
+
+def played_rows(named: Mapping[str, CrossPlayed | Egos]) -> list[list[object]]:
+    """Return a row for each cross-play and evaluation, by what is said of it."""
     rows: list[list[object]] = []
     for what, found in named.items():
         run, told = found.run, found.summary

@@ -1,6 +1,7 @@
 """The whole page: sections in order, hand-written reasons in their places."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from tools.paper_page import sections
@@ -57,6 +58,22 @@ def first_difference(found: str, wanted: str) -> str:
         if one != other:
             return f"line {number} is {one[:90]!r}, not {other[:90]!r}"
     return f"it has {len(found.splitlines())} lines, not {len(wanted.splitlines())}"
+
+
+def check_page(out: Path, text: str, folder: Path, pictures: Sequence[str], again: str) -> None:
+    """Check that a page is this text and that its pictures are in the folder.
+
+    Raises:
+        ValueError: it is not so; the message says to run `again`.
+    """
+    if not out.is_file():
+        raise ValueError(f"{out} does not exist; {again}")
+    if (found := out.read_text(encoding="utf-8")) != text:
+        raise ValueError(
+            f"{out} is not what the tables give: {first_difference(found, text)}; {again}"
+        )
+    if missing := [name for name in pictures if not (folder / name).is_file()]:
+        raise ValueError(f"{folder} lacks {', '.join(missing)}; {again}")
 
 
 def _head(results: Results) -> str:

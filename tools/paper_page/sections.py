@@ -15,6 +15,14 @@ from tools.paper_page.training import RISING, gained_last, training_curves
 
 Picture = Callable[[str], str]  # from a figure's file name to its link
 
+MATRIX_HEADINGS = (
+    "teams",
+    "self-play IQM",
+    "cross-play IQM",
+    "lost with another's human",
+    "clusters",
+    "silhouette",
+)
 _ALGORITHMS = ("ippo", "mappo", "masac")
 _MEANINGS = """A claim *holds* where every criterion is met, and *in part* where its last one is but another is not;
 where the last one is not met it *does not hold*. *Undecided*: an interval reaches over its threshold.
@@ -171,19 +179,10 @@ def cross_play(results: Results, picture: Picture) -> str:
     rows, shares, pairs = [], [], []
     for task in PAPER_TASKS:
         played = results.crossplay.get(task)
-        rows.append([spoken(task), *(_matrix_figures(played) if played else [MISSING, *["–"] * 5])])
+        rows.append([spoken(task), *(matrix_figures(played) if played else [MISSING, *["–"] * 5])])
         shares += [[spoken(task), *_shares(played)]] if played else []
         pairs += [_exchange(task, played, results.paper["incompatible"])] if played else []
-    headings = [
-        "task",
-        "teams",
-        "self-play IQM",
-        "cross-play IQM",
-        "lost with another's human",
-        "clusters",
-        "silhouette",
-    ]
-    text = table(headings, rows, (1, 2, 3, 4, 5, 6))
+    text = table(["task", *MATRIX_HEADINGS], rows, (1, 2, 3, 4, 5, 6))
     if not shares:
         return text
     split = table(["task", "robot", "human", "who fits whom, and noise"], shares, (1, 2, 3))
@@ -347,7 +346,8 @@ def _differences(
     return [f"{spoken(task)} {name.upper()}" for task, name in sorted(differing)]
 
 
-def _matrix_figures(played: CrossPlayed) -> list[object]:
+def matrix_figures(played: CrossPlayed) -> list[object]:
+    """Return a task's cells of MATRIX_HEADINGS."""
     told, order = played.summary, played.order["teams"]
     gap = told["relative_gap"]
     lost = "–" if gap is None else "{:.1%} [{:.1%}, {:.1%}]".format(gap["value"], *gap["value_ci"])
