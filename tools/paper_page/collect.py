@@ -25,7 +25,7 @@ from evaluation.tables import EGO_COLUMNS, PARTNER_COLUMNS
 TRAINING_FILE = "training.json"
 CROSSPLAY, EGOS = "crossplay", "egos"  # folders of the data
 _METHOD = re.compile(r"[a-z][a-z0-9_]*")
-EGO_FILE = re.compile(rf"(?P<method>{_METHOD.pattern})-s(?P<seed>\d+)\.safetensors")
+EGO_FILE = re.compile(rf"(?P<method>{_METHOD.pattern})-s(?P<seed>[0-9]{{1,6}})\.safetensors")
 _ABSOLUTE = re.compile(
     r"(?<![^\s'\"=:])~?/[^\s'\"]+"
 )  # a path from the root, as a word of a command
@@ -157,18 +157,23 @@ def _egos(references: list[str], folder: Path) -> tuple[str, dict[str, tuple[str
 
 
 def how_it_ran(
-    folder: Path, summary: Mapping[str, Any], episodes_file: str = tables.EPISODES_FILE
+    folder: Path, summary: Mapping[str, Any], steps: int | None = None
 ) -> dict[str, Any]:
-    """Return how the folder came about: without paths, with the seconds of simulation."""
+    """Return how the folder came about: without paths, with the seconds of simulation.
+
+    `steps` are those of the simulation; without them, those of its episodes.
+    """
     path = folder / tables.RUN_FILE
     run = tables.read_json(path) if path.is_file() else {}
-    steps = pl.scan_parquet(folder / episodes_file).select(pl.col("steps").sum()).collect().item()
+    if steps is None:
+        episodes = pl.scan_parquet(folder / tables.EPISODES_FILE)
+        steps = int(episodes.select(pl.col("steps").sum()).collect().item())
     rate = summary["env_steps_per_second"]
     command = _ABSOLUTE.sub(lambda found: PurePath(found[0]).name, run.get("command", ""))
     return {
         **run,
         "command": command,
-        "env_steps": int(steps),
+        "env_steps": steps,
         "seconds": steps / rate if rate else None,
     }
 

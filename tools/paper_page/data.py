@@ -6,7 +6,7 @@ import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import polars as pl
@@ -35,6 +35,17 @@ _CURVE_COLUMNS = {
     **dict.fromkeys(("task", "algorithm", "disability"), pl.String),
     **{"seed": pl.Int64, "steps": pl.Int64, "return": pl.Float64},
 }
+
+
+class Played(Protocol):
+    """What was played: its table of pairs, what is said of it, and how it ran."""
+
+    @property
+    def pairs(self) -> pl.DataFrame: ...
+    @property
+    def summary(self) -> Mapping[str, Any]: ...
+    @property
+    def run(self) -> Mapping[str, Any]: ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -189,7 +200,7 @@ def read_results(registry: Registry, release: str, data: Path) -> Results:
     }
     keys = [(task, method) for task in PAPER_TASKS for method in METHODS]
     egos = {
-        key: read_egos(path)
+        key: _read_egos(path)
         for key in keys
         if _evaluated(path := data / collect.EGOS / "-".join(key))
     }
@@ -222,7 +233,7 @@ def read_notes(path: Path) -> dict[str, str]:
     return {name: text for name, text in found.items() if text}
 
 
-def check_release(found: CrossPlayed | Egos, release: str, teams: set[str], data: Path) -> None:
+def check_release(found: Played, release: str, teams: set[str], data: Path) -> None:
     """Refuse a table of another release, or with partners that are not among the teams."""
     told = found.summary
     if told["release"] != release:
@@ -261,8 +272,7 @@ def _evaluated(folder: Path) -> bool:
     return (folder / tables.PAIRS_FILE).is_file()
 
 
-def read_egos(folder: Path) -> Egos:
-    """Read a condensed evaluation."""
+def _read_egos(folder: Path) -> Egos:
     training = folder / collect.TRAINING_FILE
     return Egos(
         read_pairs(folder),

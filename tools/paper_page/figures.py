@@ -1,7 +1,8 @@
 """Figures of the page, each drawn from a saved table by `evaluation.plots`."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 from matplotlib.figure import Figure
@@ -67,7 +68,9 @@ def heatmap(played: CrossPlayed) -> Figure:
 
 def _bars(results: Results, task: str) -> Figure:
     found = {method.upper(): results.egos.get((task, method)) for method in METHODS}
-    summaries = {name: egos.summary for name, egos in found.items() if egos}
+    summaries: dict[str, Mapping[str, Any]] = {
+        name: egos.summary for name, egos in found.items() if egos
+    }
     played = results.crossplay.get(task)
     lines = {"self-play of all teams": played.summary["self_play"]["iqm"]} if played else {}
     return zsc_dots(summaries, lines)

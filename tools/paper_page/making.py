@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from assistax_envs.versions import PAPER_TASKS
-from tools.paper_page.data import CrossPlayed, Egos, Results
+from tools.paper_page.data import Played, Results
 from tools.paper_page.markdown import MISSING, code, spoken, table
 from zoo.schema import PolicyEntry, Training
 
@@ -17,7 +17,7 @@ HEADINGS = ("what", "how much", "device", "backend", "device minutes")
 
 def made(results: Results, command: str) -> str:
     """Return device minutes of every part, then the commands; `command` makes the page."""
-    named: dict[str, CrossPlayed | Egos] = {
+    named: dict[str, Played] = {
         f"cross-play of {spoken(task)}": played for task, played in results.crossplay.items()
     }
     named |= {
@@ -37,7 +37,7 @@ def costs(rows: Sequence[Sequence[object]], commands: Sequence[str], command: st
     """Return rows of HEADINGS as a table, then the commands that are known; `command` is last."""
     if not rows:
         return f"{MISSING.capitalize()}.\n\n{code(command)}"
-    lines = [_shortened(one) for one in commands if one]
+    lines = [_shortened(one) for one in dict.fromkeys(commands) if one]
     return f"{table(HEADINGS, rows, (4,))}\n\n{code(chr(10).join([*lines, command]))}"
 
 
@@ -74,7 +74,7 @@ def ego_rows(trained: Mapping[str, Mapping[str, Any]]) -> list[list[object]]:
     return rows
 
 
-def played_rows(named: Mapping[str, CrossPlayed | Egos]) -> list[list[object]]:
+def played_rows(named: Mapping[str, Played]) -> list[list[object]]:
     """Return a row for each cross-play and evaluation, by what is said of it."""
     rows: list[list[object]] = []
     for what, found in named.items():

@@ -1,0 +1,1 @@
+"""Make the results page of the release of gentle tasks from small tables."""

@@ -1,0 +1,173 @@
+"""Condense folders of the gentle tasks into small tables that a repository can hold.
+
+| folder of | becomes |
+|---|---|
+| `assistax-zoo evaluate --split both --out` | `egos/TASK/SPLIT/METHOD/`: pairs, summary, run |
+| the same with `--series` | `egos/TASK/SPLIT/METHOD-series/`, with the place in the series |
+| `assistax-zoo train-ego --out` | `egos/TASK/SPLIT/METHOD/training.json` |
+| `assistax-zoo crossplay --out` | `crossplay/TASK/`: pairs, order, strategies, summary, run |
+
+In `pairs.parquet` a row is a robot, a partner and a preference, of a series also a place: the mean
+return, the shares of episodes, and their number. Folders may have been received from anybody: what
+they say names a folder only where it is one of our tasks, or fits a strict pattern.
+"""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path, PurePath
+from typing import Any
+
+import polars as pl
+
+from assistax_envs.versions import GENTLE_TASKS
+from evaluation import tables
+from evaluation.tables import PARTNER_COLUMNS
+from tools.paper_page.collect import (
+    EGO_FILE,
+    EGOS,
+    TRAINING_FILE,
+    collect_crossplay,
+    how_it_ran,
+    known_task,
+    read_training,
+    small,
+)
+
+SERIES = "-series"  # ends the name of a method that played series of episodes
+REFERENCES = {"script": "script", "random": "uniform-random"}  # methods, as references are called
+KEY = ("ego_seed", "partner", "preference")  # of a row; of series, `place` too
+MEASURES = ("return", "success", "safe_success", "violated")  # means over a row's episodes
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,31}(-[a-z0-9_]{1,32}){0,9}")
+_TOLD = ("task", "release", "split", "env_version", "backend", "engine", "lock")
+_RUN = ("command", "date", "devices", "versions", "env_steps", "seconds")
+
+
+def collect(folder: Path, data: Path, method: str | None = None, split: str | None = None) -> Path:
+    """Condense one finished folder into the data of a release; return the folder that was written.
+
+    Args:
+        folder: Of evaluate, train-ego or crossplay.
+        data: Of the release.
+        method: Name of the robots' method; without it, their files' ("ppo-s0" is of ppo).
+            "script" and "random" are an evaluation's references, where it played them.
+        split: Under which split a training is filed, where it is not the one trained with.
+
+    Raises:
+        ValueError: The folder is none that can be condensed, or names no task or split of ours.
+    """
+    if method is not None:
+        checked_name(method, "method")
+    if (folder / "policies").is_dir():
+        first, content = read_training(folder, GENTLE_TASKS)
+        name = checked_name(method or first["algorithm"], "method")
+        out = _place(data, first["task"], split or first.get("split"), name)
+        tables.write_json(content, out / TRAINING_FILE)
+        return out
+    summary = tables.read_json(folder / tables.SUMMARY_FILE)
+    known_task(summary, folder, GENTLE_TASKS)
+    if "self_play" in summary:
+        return collect_crossplay(folder, summary, data, GENTLE_TASKS)
+    return _collect_evaluation(folder, summary, data, method)
+
+
+def checked_name(name: object, what: str) -> str:
+    """Return a method's or split's name, which names a folder.
+
+    Raises:
+        ValueError: It is no short name of lowercase words with hyphens between them.
+    """
+    if not (isinstance(name, str) and _NAME.fullmatch(name)):
+        raise ValueError(f"the {what} is {name!r}; expected a name such as ppo-gru or half-s0-v2")
+    return name
+
+
+def _place(data: Path, task: str, split: object, method: str) -> Path:
+    """Return the folder of a method with a split, whose id may begin with the task."""
+    name = split.removeprefix(f"{task}/") if isinstance(split, str) else split
+    return data / EGOS / task / checked_name(name, "split") / method
+
+
+def _collect_evaluation(
+    folder: Path, summary: Mapping[str, Any], data: Path, method: str | None
+) -> Path:
+    reference = REFERENCES.get(method or "")
+    table = _reference_episodes(folder, reference) if reference else None
+    file = tables.EPISODES_FILE if table is None else tables.REFERENCES_FILE
+    table = tables.read_episodes(folder / file) if table is None else table
+    if lacking := [name for name in ("preference", "violated") if name not in table.columns]:
+        raise ValueError(f"{folder} lacks {', '.join(lacking)}, which every gentle task tells")
+    series = "place" in table.columns
+    sides = {"test"} if series else {"train", "test"}
+    if missing := sides - set(table["side"]):
+        raise ValueError(
+            f"{folder} has no {' and no '.join(sorted(missing))} partners; run evaluate with "
+            "--split both"
+        )
+    name, seeds = _seeds(table["ego"].unique().sort().to_list(), method, folder)
+    name += SERIES if series and not name.endswith(SERIES) else ""
+    split = summary.get("split")
+    split = split.get("id") if isinstance(split, dict) else split
+    out = _place(data, summary["task"], split, name)
+    pairs = condense(table.with_columns(ego_seed=pl.col("ego").replace_strict(seeds)))
+    steps = int(table["steps"].sum())
+    run = how_it_ran(folder, summary, steps)
+    told = {
+        **{one: summary.get(one) for one in _TOLD},
+        "egos": len(seeds),
+        "episodes": table.height,
+        "episodes_per_pair": table.height // table.select("ego", "partner").n_unique(),
+        "nonfinite": int(table["nonfinite"].sum()),
+    }
+    tables.write_parquet(pairs, out / tables.PAIRS_FILE)
+    tables.write_json(told, out / tables.SUMMARY_FILE)
+    tables.write_json({one: run[one] for one in _RUN if one in run}, out / tables.RUN_FILE)
+    return out
+
+
+def condense(table: pl.DataFrame) -> pl.DataFrame:
+    """Condense episodes, their robots in `ego_seed`, to a row a robot, partner and preference.
+
+    A series keeps the place as well. Means are floats and counts integers of 32 bits.
+    """
+    key = [*KEY, *(["place"] if "place" in table.columns else [])]
+    partners = [name for name in PARTNER_COLUMNS if name not in key]
+    return small(
+        tables.with_safety(table)
+        .group_by(key)
+        .agg(
+            *(pl.col(name).first() for name in partners),
+            *(pl.col(name).cast(pl.Float64).mean() for name in MEASURES),
+            pl.len().alias("episodes"),
+            pl.col("nonfinite").sum(),
+        )
+        .sort(key)
+    )
+
+
+def _reference_episodes(folder: Path, reference: str) -> pl.DataFrame | None:
+    """Return the episodes of one of an evaluation's references; None where it played none."""
+    path = folder / tables.REFERENCES_FILE
+    if not path.is_file():
+        return None
+    table = tables.read_parquet(path)
+    if "reference" not in table.columns:
+        raise ValueError(f"{path} has no column reference; take a finished folder of evaluate")
+    # Beside a passive human, who is no partner, a reference plays on no side.
+    table = table.filter(pl.col("reference") == reference, pl.col("side").is_not_null())
+    return None if table.is_empty() else tables.validate_episodes(table.drop("reference"))
+
+
+def _seeds(egos: list[str], method: str | None, folder: Path) -> tuple[str, dict[str, int]]:
+    """Return the method's name and each robot's seed: its file's, or else its place."""
+    found = [EGO_FILE.fullmatch(PurePath(ego).name) for ego in egos]
+    methods = {match["method"] for match in found if match}
+    if method is None and (None in found or len(methods) != 1):
+        raise ValueError(
+            f"{folder} evaluated {', '.join(egos[:3])}; name their method with --as, such as "
+            "--as ppo-gru"
+        )
+    name = checked_name(method or methods.pop(), "method")
+    seeds = [int(match["seed"]) for match in found if match]
+    if len(set(seeds)) < len(egos):
+        seeds = list(range(len(egos)))
+    return name, dict(zip(egos, seeds, strict=True))

@@ -1,0 +1,336 @@
+"""The page's sections in order, in Markdown."""
+
+from collections.abc import Callable, Iterable, Mapping
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from assistax_envs.versions import GENTLE_TASKS
+from evaluation.bootstrap import Estimate, Interval, estimate
+from evaluation.metrics import paired_difference, zero_shot
+from evaluation.strategies import FEATURES
+from tools.paper_page.making import costs, ego_rows, played_rows, team_rows
+from tools.paper_page.markdown import MISSING, figure, image, spoken, table
+from tools.paper_page.sections import MATRIX_HEADINGS, matrix_figures
+from tools.results_v2.data import MIRROR, SERIES, Evaluated, Results, short
+from tools.results_v2.measures import diversity, holm, split_cost, two_sided
+from zoo.schema import PolicyEntry, Split
+
+ALIKE = 1.05  # steps of training within this ratio count as equal
+SIDE = "test"  # of the partners that methods are compared with
+_NOTHING = f"{MISSING.capitalize()}."
+
+
+def make_page(results: Results, pictures: str, command: str) -> str:
+    """Return the page as Markdown.
+
+    Args:
+        results: What there is of the release.
+        pictures: Folder of the figures, relative to the page.
+        command: The command that makes the page, for its last section.
+    """
+    parts = {
+        "The population": by_task(results, population),
+        "Training for equally many steps": by_task(results, equal_steps),
+        "Splits, and what they cost": by_task(results, splits),
+        "Methods": by_task(results, methods),
+        "Differences between methods": by_task(results, differences),
+        "Adaptation within a series of episodes": by_task(results, adaptation),
+        "Cross-play": cross_play(results, pictures),
+        "Diversity": diverse(results),
+        "How this was made": made(results, command),
+    }
+    head = (
+        f"# Release {results.release}: people who like different things\n\n"
+        "Returns with their 95% bootstrap intervals. This page is made from the registry and "
+        "committed tables by the command at its end. A *team* is a robot and a human that learned "
+        "together; an *ego* is a robot that learned with the training partners of a split. "
+        "Intervals of fewer than 16 seeds or partners are too narrow."
+    )
+    return "\n\n".join([head, *(f"## {name}\n\n{text}" for name, text in parts.items())]) + "\n"
+
+
+def picture_names(results: Results) -> list[str]:
+    """Return the files of the figures that the data allow to draw."""
+    return [f"crossplay_{task}.png" for task in results.crossplay]
+
+
+def by_task(results: Results, section: Callable[[Results, str], str]) -> str:
+    """Return a section's text for every task below its name."""
+    texts = ((task, section(results, task)) for task in GENTLE_TASKS)
+    return "\n\n".join(f"### {spoken(task).capitalize()}\n\n{text}" for task, text in texts)
+
+
+def population(results: Results, task: str) -> str:
+    """Return the number of teams and their self-play by setting, algorithm and steps."""
+    humans = [human for human in results.humans if human.task == task]
+    if not humans:
+        return _NOTHING
+    kinds = sorted({_kind(human) for human in humans})
+    settings = sorted({human.disability for human in humans}, key=lambda name: (len(name), name))
+    rows = [[setting, *(_teams(humans, kind, [setting]) for kind in kinds)] for setting in settings]
+    rows.append(["all", *(_teams(humans, kind, settings) for kind in kinds)])
+    headings = ["setting", *(f"{name.upper()}, {steps} steps" for name, steps in kinds)]
+    return (
+        f"{table(headings, rows, range(1, len(headings)))}\n\nOf {len(humans)} teams: how many, "
+        "and the IQM of their returns in self-play. Intervals resample teams."
+    )
+
+
+def equal_steps(results: Results, task: str) -> str:
+    """Return self-play of the teams whose steps of training several algorithms share."""
+    humans = [human for human in results.humans if human.task == task]
+    rows: list[list[object]] = []
+    for group in _alike([human for human in humans if human.self_play]):
+        names = sorted({human.algorithm for human in group})
+        each = {name: {h.disability for h in group if h.algorithm == name} for name in names}
+        settings = set.intersection(*each.values())
+        if len(names) < 2 or not settings:
+            continue
+        steps = f"{min(h.training.steps for h in group) / 1e6:.3g} M"
+        shared = [human for human in group if human.disability in settings]
+        for name in names:
+            ours = [human for human in shared if human.algorithm == name]
+            found = _self_play(ours)
+            cells = [figure(found), figure(found, key="mean", ci="mean_ci")]
+            place = ", ".join(sorted(settings, key=lambda one: (len(one), one)))
+            rows.append([steps, name.upper(), place, len(ours), *cells])
+    if not rows:
+        return _NOTHING
+    headings = ["steps", "algorithm", "settings", "teams", "self-play IQM [95%]", "mean [95%]"]
+    return (
+        f"{table(headings, rows, (0, 3, 4, 5))}\n\nTeams of algorithms that trained for equally "
+        "many steps, within 5%, in the settings that all of them have. Intervals resample teams."
+    )
+
+
+def splits(results: Results, task: str) -> str:
+    """Return the splits with their rules and counts, and the share that unseen partners cost."""
+    rows: list[list[object]] = []
+    for split in results.splits[task]:
+        found = results.methods(task, split, mirrored=True)
+        held = ", ".join(split.preferences.get("test", ())) or "–"
+        what = f"{split.rule}, {split.held_out}" if split.held_out else split.rule
+        name = f"`{short(split)}`" + (" (default)" if split is results.splits[task][0] else "")
+        counts = [len(split.train), len(split.test)]
+        rows.append([name, what, *counts, held, *_cost(found, split)])
+    if not rows:
+        return _NOTHING
+    headings = ["split", "rule", "training partners", "test partners", "held-out preferences"]
+    headings += [f"M_test of ppo{MIRROR}", "M_test of ppo", "lost, share of the former [95%]"]
+    return (
+        f"{table(headings, rows, (2, 3, 5, 6, 7))}\n\n`ppo{MIRROR}` was trained with the test "
+        "side, `ppo` with the training side; both play with the test partners. The interval "
+        "resamples the seeds of either apart, and the partners together."
+    )
+
+
+def methods(results: Results, task: str) -> str:
+    """Return what every method earned on every split where one was evaluated."""
+    headings = ["method", "seeds", "M_train mean", "M_train IQM", "M_test mean", "M_test IQM"]
+    headings += ["gap, mean", "safe success", "violations"]
+    texts = []
+    for split in results.splits[task]:
+        found = results.methods(task, split)
+        rows = [[f"`{name}`", *_figures(egos)] for name, egos in found.items()]
+        texts += [f"`{short(split)}`:\n\n{table(headings, rows, range(1, 9))}"] if rows else []
+    if not texts:
+        return _NOTHING
+    about = (
+        "M is the mean return over partners; the gap is M_train - M_test. Safe success, the goal "
+        "reached and nobody hurt, and violations, a contact above the hard limit, are shares of "
+        "episodes with test partners. Intervals resample seeds and partners. What was trained with "
+        "the test side is no method, and stands above alone."
+    )
+    return "\n\n".join([*texts, about])
+
+
+def differences(results: Results, task: str) -> str:
+    """Return all pairwise differences in M_test on the default split, Holm-corrected."""
+    default = results.splits[task][:1]
+    found = results.methods(task, default[0]) if default else {}
+    if len(found) < 2:
+        return _NOTHING
+    _check_alike(found, default[0])
+    scores = {name: egos.scores("return", SIDE) for name, egos in found.items()}
+    pairs = list(combinations(scores, 2))
+    compared = [paired_difference(scores[a], scores[b]) for a, b in pairs]
+    p = {pair: value for pair, one in zip(pairs, compared, strict=True)
+         if (value := two_sided(one)) is not None}  # fmt: skip
+    adjusted = dict(zip(p, holm(list(p.values())), strict=True))
+    rows = [
+        [
+            f"`{a}` - `{b}`",
+            figure(vars(one), key="mean", ci="mean_ci"),
+            f"{one.partners_better:.0%}",
+            *(_p(values.get((a, b))) for values in (p, adjusted)),
+        ]
+        for (a, b), one in zip(pairs, compared, strict=True)
+    ]
+    headings = ["difference", "M_test, mean [95%]", "partners better with the former", "p"]
+    return (
+        f"{table([*headings, 'p, Holm'], rows, range(1, 5))}\n\nOn `{short(default[0])}`. p is "
+        "two-sided, by the bootstrap of seeds and partners; the least is 0.001. Holm's correction "
+        f"is for the {len(p)} differences of this table."
+    )
+
+
+def adaptation(results: Results, task: str) -> str:
+    """Return the return by place in a series, of every method that played one."""
+    default = results.splits[task][:1]
+    found = results.methods(task, default[0], series=True) if default else {}
+    if not found:
+        return _NOTHING
+    places = sorted({place for egos in found.values() for place in egos.places})
+    rows: list[list[object]] = []
+    for name, egos in found.items():
+        scores = {place: egos.scores("return", SIDE, place) for place in egos.places}
+        cells = [_mean(estimate(scores[one])) if one in scores else "–" for one in places]
+        gain = _mean(estimate(scores[max(scores)] - scores[min(scores)]))
+        rows.append([f"`{name.removesuffix(SERIES)}`", egos.seeds, *cells, gain])
+    headings = ["method", "seeds", *(f"episode {place}" for place in places), "last - first"]
+    return (
+        f"{table(headings, rows, range(1, len(headings)))}\n\nMean return with test partners by "
+        f"place in a series, on `{short(default[0])}`. A recurrent robot remembers its partner "
+        "within the series; a feed-forward one does not. Intervals resample seeds and partners."
+    )
+
+
+def cross_play(results: Results, pictures: str) -> str:
+    """Return self-play beside cross-play, and the clustered matrices."""
+    rows = [
+        [spoken(task), *(matrix_figures(played) if played else [MISSING, *["–"] * 5])]
+        for task in GENTLE_TASKS
+        for played in [results.crossplay.get(task)]
+    ]
+    drawn = [
+        image(f"{pictures}/crossplay_{task}.png", f"Cross-play of {spoken(task)}")
+        for task in results.crossplay
+    ]
+    return "\n\n".join([table(["task", *MATRIX_HEADINGS], rows, range(1, 7)), *drawn])
+
+
+def diverse(results: Results) -> str:
+    """Return how many directions behaviour and cross-play have, beside those of release v1."""
+    releases = {results.release: results.crossplay, "v1": results.paper}
+    found = [(release, *item) for release, one in releases.items() for item in one.items()]
+    if not found:
+        return _NOTHING
+    size = max(1, min(len(played.teams) for _, _, played in found) // 2)
+    rows: list[list[object]] = []
+    for release, task, played in found:
+        one = diversity(played, size)
+        chosen = [_interval(value) for value in (one.chosen_behaviour, one.chosen_returns)]
+        whole = [f"{value:.2f}" for value in (one.behaviour, one.returns)]
+        cells = [whole[0], chosen[0], whole[1], chosen[1]]
+        rows.append([release, spoken(task), len(played.teams), *cells])
+    of = f"of {size} teams [95%]"
+    headings = ["release", "task", "teams", "behaviour", of, "effective rank", of]
+    return (
+        f"{table(headings, rows, range(2, 7))}\n\n*Behaviour*: participation ratio of the "
+        f"{len(FEATURES)} features of best responses (BR-Div, arXiv 2310.05208). *Effective rank*: "
+        "of the doubly centred cross-play matrix, the exponential of the entropy of its singular "
+        "values (Roy & Vetterli, *The effective rank: a measure of effective dimensionality*, "
+        "EUSIPCO 2007); noise of episodes adds to it, as more teams do. So tasks are compared by "
+        f"the mean over random choices of {size} teams, half of the smallest cross-play, with the "
+        "range of 95% of the choices."
+    )
+
+
+def made(results: Results, command: str) -> str:
+    """Return device minutes of every table, then the commands; `command` makes the page."""
+
+    def named(key: tuple[str, str, str]) -> str:
+        task, split, method = key
+        return f"{spoken(task)} {method} egos, {split}"
+
+    played = {f"cross-play of {spoken(task)}": one for task, one in results.crossplay.items()}
+    evaluated = {f"evaluation of {named(key)}": one for key, one in results.egos.items()}
+    trained = {f"training {named(key)}": told for key, told in results.trained.items()}
+    rows = [*team_rows(results.humans, GENTLE_TASKS), *ego_rows(trained)]
+    rows += [*played_rows(played), *played_rows(evaluated)]
+    runs = [one.run for one in (*played.values(), *evaluated.values())]
+    return costs(rows, [run.get("command", "") for run in runs], command)
+
+
+def _kind(human: PolicyEntry) -> tuple[str, str]:
+    return human.algorithm, f"{human.training.steps / 1e6:.3g} M"
+
+
+def _teams(humans: Iterable[PolicyEntry], kind: tuple[str, str], settings: list[str]) -> str:
+    chosen = [one for one in humans if _kind(one) == kind and one.disability in settings]
+    return f"{len(chosen)}: {figure(_self_play(chosen))}" if chosen else "–"
+
+
+def _self_play(humans: Iterable[PolicyEntry]) -> dict[str, Any] | None:
+    means = [human.self_play.mean for human in humans if human.self_play]
+    return vars(estimate(np.array(means))) if means else None
+
+
+def _alike(humans: Iterable[PolicyEntry]) -> list[list[PolicyEntry]]:
+    """Group teams by their steps: the most of a group are at most ALIKE times the fewest."""
+    groups: list[list[PolicyEntry]] = []
+    for human in sorted(humans, key=lambda one: one.training.steps):
+        fewest = groups[-1][0].training.steps if groups else None
+        if fewest is None or human.training.steps > ALIKE * fewest:
+            groups.append([])
+        groups[-1].append(human)
+    return groups
+
+
+def _cost(found: Mapping[str, Evaluated], split: Split) -> list[str]:
+    both = {name: found[name] for name in (f"ppo{MIRROR}", "ppo") if name in found}
+    _check_alike(both, split)
+    scores = [egos.scores("return", SIDE) for egos in both.values()]
+    told = [
+        _mean(estimate(both[name].scores("return", SIDE))) if name in both else MISSING
+        for name in (f"ppo{MIRROR}", "ppo")
+    ]
+    if len(scores) < 2:
+        return [*told, MISSING]
+    lost = split_cost(*scores)
+    return [*told, "–" if lost is None else _interval(lost, percent=True)]
+
+
+def _check_alike(found: Mapping[str, Evaluated], split: Split) -> None:
+    """Refuse methods that played other partners, preferences or numbers of episodes."""
+    first = next(iter(found), "")
+    for name, egos in found.items():
+        if not egos.played(SIDE).equals(found[first].played(SIDE)):
+            raise ValueError(
+                f"{first} and {name} on {split.id} played other preferences or numbers of "
+                "episodes with the test partners; evaluate both with the same --episodes"
+            )
+
+
+def _figures(egos: Evaluated) -> list[object]:
+    sides = {side: egos.scores("return", side) for side in ("train", "test")}
+    names = [side for side, scores in sides.items() for _ in range(scores.shape[1])]
+    told = zero_shot(np.concatenate(list(sides.values()), axis=1), names)
+    assert told.m_train and told.m_test and told.gap
+    returns = [cell for one in (told.m_train, told.m_test) for cell in (_mean(one), _iqm(one))]
+    shares = [estimate(egos.scores(name, SIDE)) for name in ("safe_success", "violated")]
+    return [egos.seeds, *returns, _mean(told.gap), *(_share(one) for one in shares)]
+
+
+def _mean(found: Estimate) -> str:
+    return figure(vars(found), key="mean", ci="mean_ci")
+
+
+def _iqm(found: Estimate) -> str:
+    return figure(vars(found))
+
+
+def _share(found: Estimate) -> str:
+    return _interval(Interval(found.mean, found.mean_ci, found.n, ""), percent=True)
+
+
+def _interval(found: Interval, *, percent: bool = False) -> str:
+    form = ".1%" if percent else ".2f"
+    ends = "" if found.value_ci is None else " [{:{f}}, {:{f}}]".format(*found.value_ci, f=form)
+    return f"{found.value:{form}}{ends}"
+
+
+def _p(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3f}"
