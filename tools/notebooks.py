@@ -28,8 +28,10 @@ def run(name: str, folder: Path, preface: str = "") -> Any:
     os.environ["PYTHONPATH"] = f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
     resources = {"metadata": {"path": str(folder)}}
     absent = "" if importlib.util.find_spec("torch") else "torch"  # such cells keep their outputs
-    options = {"timeout": TIMEOUT, "resources": resources, "skip_cells_with_tag": absent}
-    NotebookClient(content, **options).execute()
+    client = NotebookClient(
+        content, timeout=TIMEOUT, resources=resources, skip_cells_with_tag=absent
+    )
+    client.execute()
     if preface:
         content.cells.pop(0)
     return keep(content)
