@@ -111,7 +111,9 @@ class _Network:
         self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
     ) -> tuple[Carry, Any]:
         """Apply `step` along the leading time axis of obs [T, ..., O] and first [T, ...]."""
-        return self.step(params, carry, obs, first)
+        if self.spec.torso == "mlp":
+            return self.step(params, carry, obs, first)
+        return jax.lax.scan(lambda carry, x: self.step(params, carry, *x), carry, (obs, first))
 
 
 class Critic(_Network):
@@ -235,57 +237,9 @@ def _torso(
     for width in spec.hidden[:-1] if spec.torso == "gru" else spec.hidden:
         features = activation(_dense(width, HIDDEN_SCALE)(features))
     if spec.torso == "gru":
-        carry, features = _GRU(spec.hidden[-1], name="GRUCell_0")(carry, features, first)
+        carry = jnp.where(first[..., None], 0.0, carry)
+        carry, features = nn.GRUCell(spec.hidden[-1])(carry, features)
     return carry, features
-
-
-class _GRU(nn.Module):
-    """Flax's `GRUCell`, by its names and with its start, of one step or along a time axis.
-
-    Along time all that needs no carry is computed before the loop, for all steps at once: in it one
-    small product is left, which is what a recurrent policy's training waits for.
-    """
-
-    width: int
-
-    @nn.compact
-    def __call__(
-        self, carry: jax.Array, inputs: jax.Array, first: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
-        given = [nn.Dense(self.width, name=f"i{gate}")(inputs) for gate in "rzn"]
-        kernels, (_, _, bias) = zip(
-            *(_Recurrent(self.width, gate == "n", name=f"h{gate}")() for gate in "rzn"),
-            strict=True,
-        )
-        kernel = jnp.concatenate(kernels, axis=-1)
-
-        def step(carry: jax.Array, x: Any) -> tuple[jax.Array, jax.Array]:
-            (r, z, n), first = x
-            carry = jnp.where(first[..., None], 0.0, carry)
-            of_r, of_z, of_n = jnp.split(carry @ kernel, 3, axis=-1)
-            r, z = nn.sigmoid(r + of_r), nn.sigmoid(z + of_z)
-            of_n = of_n + jnp.broadcast_to(bias, of_n.shape)
-            carry = (1.0 - z) * nn.tanh(n + r * of_n) + z * carry
-            return carry, carry
-
-        if first.ndim < carry.ndim:
-            return step(carry, (given, first))
-        return jax.lax.scan(step, carry, (given, first))
-
-
-class _Recurrent(nn.Module):
-    """Weights of a GRU's gate for the carry, and its bias or zero."""
-
-    width: int
-    biased: bool
-
-    @nn.compact
-    def __call__(self) -> tuple[jax.Array, jax.Array]:
-        shape = self.width, self.width
-        kernel = jnp.asarray(self.param("kernel", nn.initializers.orthogonal(), shape))
-        if not self.biased:
-            return kernel, jnp.zeros(())
-        return kernel, jnp.asarray(self.param("bias", nn.initializers.zeros, shape[:1]))
 
 
 def _dense(width: int, scale: float) -> nn.Dense:

@@ -2,7 +2,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from flax import linen as nn
 from scipy import stats
 
 from population.policy import Gaussian, Policy
@@ -88,27 +87,6 @@ def test_first_resets_the_carry_and_a_misaligned_flag_does_not(spec):
     np.testing.assert_allclose(whole.mean[3:], second.mean, rtol=1e-5, atol=1e-7)
     _, shifted = policy.unroll(params, policy.initial_carry((2,)), obs, jnp.roll(first, 1, axis=0))
     assert jnp.abs(shifted.mean[3:] - second.mean).max() > 1e-5
-
-
-def test_the_recurrent_cell_is_flax_s_by_step_and_along_time():
-    spec = PolicySpec("robot", 5, 2, torso="gru", hidden=(8,), normalise=False)
-    policy, key = Policy(spec), jax.random.key(0)
-    params = policy.init(key)
-    cell = {"params": params["GRUCell_0"]}
-    obs, first = jax.random.normal(key, (6, 3, 5)), jnp.zeros((6, 3), bool).at[4, 1].set(True)
-    carry = start = jax.random.normal(key, (3, 8))
-    head = params["Dense_0"]
-    for t in range(6):
-        held = jnp.where(first[t, :, None], 0.0, carry)
-        stepped, one = policy.step(params, carry, obs[t], first[t])
-        carry, features = nn.GRUCell(8).apply(cell, held, obs[t])
-        np.testing.assert_allclose(stepped, carry, atol=1e-6)
-        mean = features @ head["kernel"] + head["bias"][None]
-        np.testing.assert_allclose(one.mean, mean, atol=1e-6)
-    end, _ = policy.unroll(params, start, obs, first)
-    np.testing.assert_allclose(end, carry, atol=1e-6)
-    fresh = nn.GRUCell(8).init(key, start, obs[0])["params"]
-    assert jax.tree.map(jnp.shape, fresh) == jax.tree.map(jnp.shape, params["GRUCell_0"])
 
 
 @pytest.mark.parametrize("squash", ["clip", "tanh"])
