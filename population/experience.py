@@ -14,6 +14,7 @@ from population.frozen_partners import FrozenPartners
 from population.members import flatten, member_map, split
 from population.policy import Carry, Gaussian, Params, Policy
 
+EVER = ("success", "violated")  # measures of an episode that hold once they held at a step
 Sampler = Callable[[Gaussian, jax.Array], jax.Array]  # draws raw actions with a key
 
 
@@ -26,7 +27,7 @@ class Episodes:
     """
 
     whole: jax.Array  # [N] bool
-    sums: dict[str, jax.Array]  # "return" and "term_..." so far [N]
+    sums: dict[str, jax.Array]  # so far [N]: "return", "term_...", and 1 for what of EVER held
 
 
 @jax.tree_util.register_dataclass
@@ -48,7 +49,7 @@ class Tally:
 
     final_obs: dict[str, jax.Array]  # at a simulation's time limit, before its reset [N, O]
     finished: jax.Array  # number of whole episodes that ended [N]
-    finished_sums: dict[str, jax.Array]  # their "return" and "term_..." [N]
+    finished_sums: dict[str, jax.Array]  # over them, of what `Episodes.sums` has [N]
     nonfinite: jax.Array  # number of simulations that diverged [N]
 
 
@@ -84,7 +85,6 @@ def begin(
     phases of an episode.
     """
     simulations = stagger.shape[0]
-    sums = {"return": env.reward, **{f"term_{name}": value for name, value in env.terms.items()}}
     return Simulations(
         env=dataclasses.replace(env, step=stagger.astype(env.step.dtype)),
         carry={
@@ -93,7 +93,7 @@ def begin(
         },
         partners=partners.initial_carry(simulations) if partners else (),
         first=jnp.ones(simulations, bool),
-        episodes=Episodes(whole=stagger == 0, sums=jax.tree.map(jnp.zeros_like, sums)),
+        episodes=Episodes(whole=stagger == 0, sums=jax.tree.map(jnp.zeros_like, _gains(env))),
     )
 
 
@@ -170,7 +170,7 @@ def by_member(batch: Batch, members: int) -> Batch:
 
 
 def episode_metrics(batch: Batch) -> dict[str, jax.Array]:
-    """Return the mean sums of the whole episodes that ended (NaN without any), and counts."""
+    """Return means over the whole episodes that ended (NaN without any), and counts."""
     tally, finished = batch.tally, batch.tally.finished.sum()
     means = {name: value.sum() / finished for name, value in tally.finished_sums.items()}
     return {
@@ -214,15 +214,24 @@ def _act(
     return carry, (action, raw, log_prob)
 
 
+def _gains(state: EnvState) -> dict[str, jax.Array]:
+    """Return what a step adds to its episode [N]; measures that a task has not are left out."""
+    ever = {name: getattr(state.measures, name, None) for name in EVER}
+    return {
+        "return": state.reward,
+        **{f"term_{name}": value for name, value in state.terms.items()},
+        **{name: value.astype(jnp.float32) for name, value in ever.items() if value is not None},
+    }
+
+
 def _account(
     episodes: Episodes, tally: Tally, after: EnvState, ended: jax.Array, truncated: jax.Array
 ) -> tuple[Episodes, Tally]:
     """Add a step to the episodes in progress, and those that ended to the tally."""
-    gains = {
-        "return": after.reward,
-        **{f"term_{name}": value for name, value in after.terms.items()},
+    sums = {
+        name: jnp.maximum(episodes.sums[name], gain) if name in EVER else episodes.sums[name] + gain
+        for name, gain in _gains(after).items()
     }
-    sums = {name: episodes.sums[name] + gains[name] for name in gains}
     counted = ended & episodes.whole
     tally = Tally(
         final_obs=select(

@@ -25,6 +25,7 @@ from population.spec import PolicySpec
 from population.stack import PolicyStack, flatten, unflatten
 
 METADATA_KEY = "assistax"  # safetensors bytes are stable with one metadata key only
+OF_EPISODES = ("return", "success", "violated")  # metrics over those that ended, beside terms
 _MAY_CHANGE = (
     "checkpoint_every",
     "self_play_episodes",
@@ -241,7 +242,7 @@ def metrics_table(
         }
     )
     # A mean over no episodes is missing, not a number.
-    means = [name for name in columns if name == "return" or name.startswith("term_")]
+    means = [name for name in columns if name in OF_EPISODES or name.startswith("term_")]
     table = table.with_columns(pl.col(name).fill_nan(None) for name in means)
     return table.cast({name: dtype for name, dtype in _SCHEMA.items() if name in table.columns})
 

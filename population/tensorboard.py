@@ -13,11 +13,12 @@ import polars as pl
 
 from population.config import TrainConfig
 from population.extras import optional
+from population.run_folder import OF_EPISODES
 from population.train import Progress
 
 SECONDS_BETWEEN_FLUSHES = 5.0
 _NOT_SCALARS = ("update", "steps", "seconds", "member", "disability", "seed")
-_EPISODE = ("return", "reward", "episodes", "nonfinite")
+_EPISODE = (*OF_EPISODES, "reward", "episodes", "nonfinite")
 
 
 class EventFiles:

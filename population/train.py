@@ -230,15 +230,15 @@ class _Training:
             saving = done // config.checkpoint_every > (done - updates) // config.checkpoint_every
             ending = done == config.updates
             if stop_on_divergence and (bad := _diverged(values)):
-                self.run.write_metrics(pl.concat(metrics))
+                self.run.write_metrics(pl.concat(metrics, how="diagonal"))
                 raise DivergedError(_divergence(bad, rows, config, self.checkpoints))
             if saving or ending:
-                metrics = [pl.concat(metrics)]
+                metrics = [pl.concat(metrics, how="diagonal")]
                 self.run.write_metrics(metrics[0])
             if extends(config.trainer) if ending else saving:
                 self.checkpoints.save(done, state)
             progress(clock.progress(config, done, rows))
-        return state, pl.concat(metrics)
+        return state, pl.concat(metrics, how="diagonal")
 
     def _advance(
         self, state: TrainState

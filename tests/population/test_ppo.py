@@ -84,6 +84,16 @@ def test_value_of_a_constant_reward_bootstraps_through_the_time_limit(terminates
     )  # partial first episodes are not counted
 
 
+@pytest.mark.parametrize(("paid", "share"), [(1.0, 1.0), (0.5, 0.0)])
+def test_an_episode_succeeds_whose_goal_held_at_any_step(paid, share):
+    """The toy's goal holds above a reward of 0.9: here in the third step of thirteen, or never."""
+    env = ToyEnv(lambda state, action: {"once": paid * (state.step == 2)}, episode_length=13)
+    _, _, metrics = run(env, PPOConfig(**SMALL), updates=3)
+    ended = np.asarray(metrics["episodes"]) > 0
+    assert ended.any()
+    np.testing.assert_array_equal(np.asarray(metrics["success"])[ended], share)
+
+
 @pytest.mark.parametrize(
     ("algorithm", "reward", "changes"),
     [

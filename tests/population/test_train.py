@@ -135,6 +135,8 @@ def test_metrics_have_a_row_for_each_update_and_member(finished):
     terms = complete.select(pl.sum_horizontal("term_robot", "term_human")).to_series()
     np.testing.assert_allclose(terms, complete["return"], rtol=1e-4)
     assert metrics.filter(pl.col("episodes") == 0)["return"].null_count() > 0
+    assert metrics.filter(pl.col("episodes") == 0)["success"].null_count() > 0
+    assert complete["success"].is_between(0.0, 1.0).all() and complete["success"].n_unique() > 2
 
 
 def until_killed(folder, update):
