@@ -127,7 +127,7 @@ def evaluate_policies(
         own = own_robots(registry, chosen)
         episodes, kept = play_references(env, job, own, references, **playing)
         played, files = (episodes, bounds_table(episodes, pairs)), files + kept
-    context = _context(registry, job, manifest, manifest.release, result)
+    context = context_of(registry, job, manifest, manifest.release, result)
     summary = save_evaluation(
         folder, result.table, context, include_own=include_own, references=played
     )
@@ -199,7 +199,7 @@ def cross_play(
         run_blocks_on_ray(make_env, job, folder, cluster, **options)
     result = run_job(env, job, folder, **options)
     releases = ", ".join(sorted({entry.release for entry in (*robots, *humans)}))
-    context = _context(registry, job, manifest, releases, result)
+    context = context_of(registry, job, manifest, releases, result)
     summary = save_crossplay(folder, result.table, context)
     _draw(folder, summary)
     _seal(registry, folder, job.egos, humans, manifest)
@@ -336,7 +336,7 @@ def _own_files(egos: Roster, crossplay: Path | None) -> list[Path]:
     return files
 
 
-def _context(
+def context_of(
     registry: Registry, job: Job, split: Split | None, release: str, result: Evaluation
 ) -> Context:
     """Return what the table does not say of its run."""

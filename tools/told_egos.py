@@ -23,8 +23,8 @@ from evaluation.audit_teams import read_robots
 from evaluation.derived import save_evaluation
 from evaluation.ego_training import prepare
 from evaluation.evaluator import run_job
-from evaluation.studies import Settings, choose_partners, make_job
-from evaluation.summary import Context, EvaluationSummary, SplitName
+from evaluation.studies import Settings, choose_partners, context_of, make_job
+from evaluation.summary import EvaluationSummary
 from population.train import train
 from zoo.registry import Registry, load_registry
 
@@ -56,14 +56,13 @@ def main(
         registry: Registry to read instead of the installed one.
     """
     zoo, env = load_registry(registry), make(task, backend, told=BOTH)
-    changes = parse_changes(set_)
     learning = prepare(
         zoo,
         task,
         split=split,
         seeds=parse_seeds(seeds),
         steps=parse_steps(steps),
-        hyperparameters=changes,
+        hyperparameters=parse_changes(set_),
     )
     with contextlib.closing(TrainingLine(str(folder))) as line:
         train(
@@ -88,21 +87,10 @@ def evaluate(
     usual, job = make_job(registry, robots, partners, settings, manifest)
     if manifest.preferences:
         job = job.following(manifest.preferences)
-    engine = {**job.engine, "condition": "told"}
-    job = dataclasses.replace(job, engine=engine)
+    job = dataclasses.replace(job, engine={**job.engine, "condition": "told"})
     env = make(task, usual.backend, told=BOTH)
     result = run_job(env, job, folder / "evaluation")
-    about = SplitName(manifest.id, manifest.sha256, dict(manifest.preferences))
-    context = Context(
-        task=task,
-        env_version=job.env_version,
-        backend=job.backend,
-        engine=engine,
-        release=manifest.release,
-        split=about,
-        lock=registry.lock,
-        env_steps_per_second=result.env_steps_per_second,
-    )
+    context = context_of(registry, job, manifest, manifest.release, result)
     return save_evaluation(folder / "evaluation", result.table, context)
 
 

@@ -4,7 +4,7 @@ Run from a checkout: `python -m tools.paper_page page` and `python -m tools.pape
 """
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from cyclopts import App
@@ -14,15 +14,32 @@ PROGRAM = "python -m tools.paper_page"
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run `page` or `collect`; return 0 when done, 1 after an error, 2 after wrong usage."""
-    app = App(name=PROGRAM, help=__doc__)
-    app.command(page)
-    app.command(collect)
+    """Run `page` or `collect`; see `run_commands`."""
+    return run_commands(PROGRAM, __doc__, (page, collect), arguments)
+
+
+def run_commands(
+    program: str,
+    about: str | None,
+    commands: Sequence[Callable[..., None]],
+    arguments: Sequence[str] | None,
+) -> int:
+    """Run one of a program's commands; return 0 when done, 1 after an error, 2 after wrong usage.
+
+    Args:
+        program: As it is called.
+        about: What its help says first.
+        commands: Named as the functions are.
+        arguments: Words of the command line; this process's own if None.
+    """
+    app = App(name=program, help=about)
+    for command in commands:
+        app.command(command)
     words = sys.argv[1:] if arguments is None else arguments
     try:
         app(words, print_error=False, exit_on_error=False, result_action="return_value")
     except CycloptsError as error:
-        print(f"error: {error}\ntry: {PROGRAM} --help", file=sys.stderr)
+        print(f"error: {error}\ntry: {program} --help", file=sys.stderr)
         return 2
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)

@@ -8,27 +8,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import App, Parameter
-from cyclopts.exceptions import CycloptsError
+from cyclopts import Parameter
+
+from tools.paper_page.__main__ import run_commands, warn
 
 PROGRAM = "python -m tools.results_v2"
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run `collect` or `page`; return 0 when done, 1 after an error, 2 after wrong usage."""
-    app = App(name=PROGRAM, help=__doc__)
-    app.command(collect)
-    app.command(page)
-    words = sys.argv[1:] if arguments is None else arguments
-    try:
-        app(words, print_error=False, exit_on_error=False, result_action="return_value")
-    except CycloptsError as error:
-        print(f"error: {error}\ntry: {PROGRAM} --help", file=sys.stderr)
-        return 2
-    except (ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
+    return run_commands(PROGRAM, __doc__, (collect, page), arguments)
 
 
 def collect(
@@ -87,7 +76,6 @@ def page(
     Example:
         python -m tools.results_v2 page --release v2 --data docs/data/v2 --out docs/results-v2.md
     """
-    from tools.paper_page.__main__ import warn
     from tools.paper_page.page import check_page, relative_folder
     from tools.results_v2.data import read_results
     from tools.results_v2.page import make_page, picture_names
