@@ -228,21 +228,23 @@ class Env:
 
         What is left of the human's strength, and its tremor.
         """
-        strength = params.strength
-        if self._spared:
-            strength = 1.0 - (1.0 - self._spared) * (1.0 - strength)
+        strength = self._left(params.strength)
         human = jnp.clip(action["human"], -1.0, 1.0) * strength[:, None] + shake
         control = jnp.zeros((human.shape[0], self.model.nu), jnp.float32)
         control = control.at[:, self._actuators["robot"]].set(jnp.clip(action["robot"], -1.0, 1.0))
         return control.at[:, self._actuators["human"]].set(jnp.clip(human, -1.0, 1.0))
 
+    def _left(self, share: jax.Array) -> jax.Array:
+        """Return what a setting leaves of strength or range [N], of which a scene may spare some.
+
+        Nothing is computed where none is spared: the paper's tasks stay as they are to the bit.
+        """
+        return 1.0 - (1.0 - self._spared) * (1.0 - share) if self._spared else share
+
     def _joint_range(self, params: EnvParams) -> jax.Array:
         """Return joint limits [N, njnt, 2], the elbow's drawn in about its rest angle."""
-        full = jnp.asarray(self.model.jnt_range, jnp.float32)
-        elbow = (
-            self._elbow_rest
-            + params.elbow_range[:, None] * (full[self._elbow] - self._elbow_rest)[None]
-        )
+        full, left = jnp.asarray(self.model.jnt_range, jnp.float32), self._left(params.elbow_range)
+        elbow = self._elbow_rest + left[:, None] * (full[self._elbow] - self._elbow_rest)[None]
         return (
             jnp.broadcast_to(full, (params.elbow_range.shape[0], *full.shape))
             .at[:, self._elbow]

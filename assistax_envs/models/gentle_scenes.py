@@ -20,8 +20,9 @@ HUMAN_SHARE: dict[str, float] = {  # of a healthy right arm's torques
     "gentle_bath": 0.5,
     "gentle_lift": 0.12,  # holds the forearm where it was brought to, and cannot bring it there
 }
-# Of a disability's weakness these humans, who are weak already, are spared this share: a setting's
-# strength of 0.4 leaves them 0.7 of their torques. At 0.4 who lies on a bed cannot lift its arm.
+# Of a disability these humans, who are weak already, are spared this share: a setting's 0.4 leaves
+# them 0.7 of their torques, or of the elbow's range. With 0.4 of the torques who lies on a bed
+# cannot lift its arm, and with 0.4 of the range it cannot fold it across the waist.
 SPARED = 0.5
 TRUNK = 3.0  # times as stiff and damped as in the paper's scenes: 500 N bend those by 14 degrees
 # Of Newton's method, at most. At the paper's 4 MuJoCo's C engine and MJX have not always converged,

@@ -47,9 +47,7 @@ def test_d9_narrows_the_elbows_reach_in_the_same_batch(backend: str) -> None:
 
 
 @pytest.mark.parametrize(("task", "left"), [("scratch", 0.4), ("gentle_bath", 0.7)])
-def test_humans_of_gentle_tasks_are_spared_half_of_a_settings_weakness(
-    task: str, left: float
-) -> None:
+def test_humans_of_gentle_tasks_are_spared_half_of_a_setting(task: str, left: float) -> None:
     env = environment(task, "native")
     full = {role: jnp.ones((2, size)) for role, size in env.action_size.items()}
     params = assistax_envs.disability_params(["d1", "d3"])
@@ -57,6 +55,12 @@ def test_humans_of_gentle_tasks_are_spared_half_of_a_settings_weakness(
     given = np.asarray(control)[:, env._actuators["human"]]
     np.testing.assert_allclose(given, np.outer([1.0, left], np.ones(given.shape[1])), atol=1e-6)
     assert (given[0] == 1.0).all()  # d1 to the bit
+    ranges = np.asarray(env._joint_range(assistax_envs.disability_params(["d1", "d7"])))
+    assert (ranges[0] == np.asarray(env.model.jnt_range, np.float32)).all()
+    wide, narrow = np.diff(ranges[:, env._elbow])[:, 0]
+    assert narrow == pytest.approx(left * wide)
+    others = np.arange(env.model.njnt) != env._elbow
+    assert (ranges[1, others] == ranges[0, others]).all()
 
 
 @pytest.mark.parametrize("backend", ["native", "mjx"])
