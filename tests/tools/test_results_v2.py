@@ -23,7 +23,7 @@ from tools.results_v2 import measures
 from tools.results_v2.__main__ import run
 from tools.results_v2.collect import collect, condense
 from tools.results_v2.data import read_results
-from zoo.registry import Registry
+from zoo.registry import Registry, load_registry
 from zoo.schema import Split
 from zoo.storage import write_policy_file
 
@@ -539,8 +539,12 @@ def test_tables_that_do_not_fit_are_refused(
 @pytest.fixture
 def crossplay(tmp_path: Path, split: Split) -> Path:
     """A cross-play in which every team earns 900 with itself, and 600 with another."""
-    count = len(TEAMS)
-    returns = (600 + 300 * np.eye(count))[:, :, None].repeat(2, axis=2)
+    return played(tmp_path, split, 600 + 300 * np.eye(len(TEAMS)))
+
+
+def played(tmp_path: Path, split: Split, matrix: np.ndarray) -> Path:
+    """Write the finished cross-play of all teams, with these returns."""
+    returns = matrix[:, :, None].repeat(2, axis=2)
     table = episodes(split, returns, TEAMS, likes=("p1", "p5")).with_columns(
         side=pl.lit(None, pl.String), robot_travel=pl.col("partner").rank("dense").cast(pl.Float32)
     )
@@ -573,6 +577,19 @@ def test_a_cross_play_is_drawn_and_its_diversity_told(
     picture.unlink()
     page(tmp_path, "--check", code=1)
     assert f"lacks {picture.name}" in capfd.readouterr().err
+
+
+def test_the_smaller_convention_is_held_out(tmp_path: Path, split: Split, registry: Registry):
+    few = np.isin(np.arange(len(TEAMS)), (0, 3, 8))
+    # Robots suit their own group; what each human earns in the mean says nothing of it.
+    matrix = 50.0 * (few[:, None] == few) * (1 + np.arange(len(TEAMS))) - 1000 * (np.arange(10) % 2)
+    rng = np.random.default_rng(0)
+    collect(played(tmp_path, split, matrix + rng.normal(size=matrix.shape)), tmp_path / "v2")
+    words = ["cluster", TASK, "--release", "v2", "--data", str(tmp_path / "v2")]
+    assert run([*words, "--registry", str(registry.path)]) == 0
+    [found] = [one for one in load_registry(registry.path).splits if one.rule == "custom"]
+    assert found.test == tuple(sorted(team_id(TEAMS[place]) for place in (0, 3, 8)))
+    assert len(found.train) == len(TEAMS) - 3
 
 
 def test_choices_of_teams_keep_rows_columns_and_features_together(

@@ -1,6 +1,6 @@
 """The results of the release of gentle tasks: condensed tables, and the page made from them.
 
-Run from a checkout: `python -m tools.results_v2 collect` and `python -m tools.results_v2 page`.
+Run from a checkout: `python -m tools.results_v2 collect`, `cluster` and `page`.
 """
 
 import sys
@@ -16,8 +16,8 @@ PROGRAM = "python -m tools.results_v2"
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run `collect` or `page`; return 0 when done, 1 after an error, 2 after wrong usage."""
-    return run_commands(PROGRAM, __doc__, (collect, page), arguments)
+    """Run a command; return 0 when done, 1 after an error, 2 after wrong usage."""
+    return run_commands(PROGRAM, __doc__, (collect, cluster, page), arguments)
 
 
 def collect(
@@ -49,6 +49,47 @@ def collect(
         raise ValueError("no folder given; name at least one of evaluate, train-ego or crossplay")
     for folder in folders:
         print(f"{folder} -> {condense(folder, out, method, split)}")
+
+
+def cluster(
+    tasks: tuple[str, ...],
+    /,
+    *,
+    data: Path,
+    release: str,
+    registry: Path | None = None,
+) -> None:
+    """Write the split by behaviour: the humans of the smaller of two groups are held out.
+
+    Humans are in one group where the same robots of the release's cross-play suit them.
+
+    Args:
+        tasks: Gentle tasks whose cross-plays have been collected.
+        data: Folder of the release's tables, which `collect` fills.
+        release: Release of the partners, such as v2.
+        registry: Registry to write to instead of the installed one.
+
+    Example:
+        python -m tools.results_v2 cluster gentle_bath --release v2 --data docs/data/v2
+    """
+    from tools.paper_page.collect import CROSSPLAY
+    from tools.paper_page.data import read_crossplay
+    from tools.results_v2.measures import conventions
+    from zoo.registry import load_registry
+    from zoo.release import create_split
+
+    path = load_registry(registry).path
+    for task in tasks:
+        played = read_crossplay(data / CROSSPLAY / task)
+        held = conventions(played.matrix)
+        train, test = (
+            [team for team, out in zip(played.teams, held, strict=True) if out == side]
+            for side in (False, True)
+        )
+        split = create_split(
+            path, task=task, release=release, rule="custom", train=train, test=test
+        )
+        print(f"{split.id}: {len(train)} train, {len(test)} test")
 
 
 def page(

@@ -4,6 +4,9 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import squareform
+from scipy.stats import rankdata
 
 from evaluation.bootstrap import (
     RESAMPLES,
@@ -107,6 +110,23 @@ def effective_rank(matrix: np.ndarray) -> float:
         return 0.0
     shares = values / values.sum()
     return float(np.exp(-(shares * np.log(shares)).sum()))
+
+
+def conventions(matrix: np.ndarray) -> np.ndarray:
+    """Return which of two groups each human is in [H]: True for the smaller, False for the other.
+
+    Humans are alike where the same robots suit them better than others: average linkage of
+    1 - correlation of the robots' ranks with them, less a robot's mean rank with everybody. Ranks,
+    because one episode in which somebody is pressed for 20 s outweighs all others of a human.
+
+    Args:
+        matrix: Mean returns [R, H] of robots with humans.
+    """
+    ranks = rankdata(matrix, axis=0)
+    apart = 1.0 - np.corrcoef((ranks - ranks.mean(axis=1, keepdims=True)).T)
+    tree = linkage(squareform(apart, checks=False), "average")
+    first = fcluster(tree, 2, "maxclust") == 1
+    return first if first.mean() <= 0.5 else ~first
 
 
 def diversity(played: CrossPlayed, size: int, *, seed: int = 0) -> Diverse:
