@@ -579,10 +579,11 @@ def test_a_cross_play_is_drawn_and_its_diversity_told(
     assert f"lacks {picture.name}" in capfd.readouterr().err
 
 
-def test_the_smaller_convention_is_held_out(tmp_path: Path, split: Split, registry: Registry):
+def test_the_better_convention_is_held_out(tmp_path: Path, split: Split, registry: Registry):
     few = np.isin(np.arange(len(TEAMS)), (0, 3, 8))
     # Robots suit their own group; what each human earns in the mean says nothing of it.
     matrix = 50.0 * (few[:, None] == few) * (1 + np.arange(len(TEAMS))) - 1000 * (np.arange(10) % 2)
+    matrix += 2000 * (few[:, None] & few)
     rng = np.random.default_rng(0)
     collect(played(tmp_path, split, matrix + rng.normal(size=matrix.shape)), tmp_path / "v2")
     words = ["cluster", TASK, "--release", "v2", "--data", str(tmp_path / "v2")]
@@ -590,6 +591,12 @@ def test_the_smaller_convention_is_held_out(tmp_path: Path, split: Split, regist
     [found] = [one for one in load_registry(registry.path).splits if one.rule == "custom"]
     assert found.test == tuple(sorted(team_id(TEAMS[place]) for place in (0, 3, 8)))
     assert len(found.train) == len(TEAMS) - 3
+    words += ["--held-out", "masac", "--test-preferences", "p1,p5", "--default"]
+    assert run([*words, "--registry", str(registry.path)]) == 0
+    harder = load_registry(registry.path).split(TASK)
+    assert harder.test == (team_id(TEAMS[8]),)
+    assert harder.train == tuple(sorted(team_id(TEAMS[place]) for place in (1, 2, 4)))
+    assert harder.preferences["test"] == ("p1", "p5")
 
 
 def test_choices_of_teams_keep_rows_columns_and_features_together(

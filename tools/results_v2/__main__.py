@@ -57,16 +57,25 @@ def cluster(
     *,
     data: Path,
     release: str,
+    held_out: str | None = None,
+    test_preferences: str = "",
+    default: bool = False,
     registry: Path | None = None,
 ) -> None:
-    """Write the split by behaviour: the humans of the smaller of two groups are held out.
+    """Write the split by behaviour: one of two groups of humans is held out.
 
-    Humans are in one group where the same robots of the release's cross-play suit them.
+    Humans are in one group where the same robots of the release's cross-play suit them. Held out is
+    the group whose own robots earn more with it: a convention that the training side lacks.
 
     Args:
         tasks: Gentle tasks whose cross-plays have been collected.
         data: Folder of the release's tables, which `collect` fills.
         release: Release of the partners, such as v2.
+        held_out: Algorithm that is held out as well: its humans of that group are the test side,
+            all others' of the other group the training side.
+        test_preferences: What the test side's humans like, such as p1,p5,p9; the others like the
+            rest.
+        default: Make it the release's default split of the task.
         registry: Registry to write to instead of the installed one.
 
     Example:
@@ -75,6 +84,7 @@ def cluster(
     from tools.paper_page.collect import CROSSPLAY
     from tools.paper_page.data import read_crossplay
     from tools.results_v2.measures import conventions
+    from zoo.ids import parse_team
     from zoo.registry import load_registry
     from zoo.release import create_split
 
@@ -83,11 +93,23 @@ def cluster(
         played = read_crossplay(data / CROSSPLAY / task)
         held = conventions(played.matrix)
         train, test = (
-            [team for team, out in zip(played.teams, held, strict=True) if out == side]
+            [
+                team
+                for team, own in zip(played.teams, held, strict=True)
+                if own == side
+                and (held_out is None or (parse_team(team).algorithm == held_out) == side)
+            ]
             for side in (False, True)
         )
         split = create_split(
-            path, task=task, release=release, rule="custom", train=train, test=test
+            path,
+            task=task,
+            release=release,
+            rule="custom",
+            train=train,
+            test=test,
+            test_preferences=[name for name in test_preferences.split(",") if name],
+            default=default,
         )
         print(f"{split.id}: {len(train)} train, {len(test)} test")
 

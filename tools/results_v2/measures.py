@@ -113,20 +113,23 @@ def effective_rank(matrix: np.ndarray) -> float:
 
 
 def conventions(matrix: np.ndarray) -> np.ndarray:
-    """Return which of two groups each human is in [H]: True for the smaller, False for the other.
+    """Return which of two groups each human is in [T]: True where teams do better with one another.
 
     Humans are alike where the same robots suit them better than others: average linkage of
     1 - correlation of the robots' ranks with them, less a robot's mean rank with everybody. Ranks,
     because one episode in which somebody is pressed for 20 s outweighs all others of a human.
 
+    Better is the greater median return of robots with humans of their own group.
+
     Args:
-        matrix: Mean returns [R, H] of robots with humans.
+        matrix: Mean returns [T, T] of robots with humans, by team.
     """
     ranks = rankdata(matrix, axis=0)
     apart = 1.0 - np.corrcoef((ranks - ranks.mean(axis=1, keepdims=True)).T)
     tree = linkage(squareform(apart, checks=False), "average")
     first = fcluster(tree, 2, "maxclust") == 1
-    return first if first.mean() <= 0.5 else ~first
+    within = [np.median(matrix[np.ix_(group, group)]) for group in (first, ~first)]
+    return first if within[0] > within[1] else ~first
 
 
 def diversity(played: CrossPlayed, size: int, *, seed: int = 0) -> Diverse:
