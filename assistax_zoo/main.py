@@ -87,6 +87,7 @@ GROUPS = {
     "season": (
         "Hidden partners of an evaluation service.",
         {
+            "plan": "assistax_zoo.service.commands:season_plan",
             "create": "assistax_zoo.service.commands:season_create",
             "open": "assistax_zoo.service.commands:season_open",
             "close": "assistax_zoo.service.commands:season_close",

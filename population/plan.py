@@ -11,8 +11,9 @@ import dataclasses
 import fnmatch
 import json
 import re
+import secrets
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from itertools import count
+from itertools import count, islice
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -37,6 +38,7 @@ from population.config import (
     numbered,
     preset,
 )
+from population.files import atomic_path
 from population.run_folder import RunFolder, differences
 
 # The last word of a group's name is no number, or it were taken for another's second folder.
@@ -162,6 +164,55 @@ def read_plan(path: Path) -> Plan:
         return TypeAdapter(Plan).validate_json(path.read_bytes())
     except ValidationError as error:
         raise ValueError(f"plan {path}: {first_problem(error)}") from None
+
+
+def private_plan(plan: Plan, task: str | None = None, release: str | None = None) -> Plan:
+    """Return a plan like a public one, whose teams nobody else can train.
+
+    Each group has as many seeds as before, drawn from the system's secrets: no two of the plan are
+    the same, and none is a public one. It adopts nothing.
+
+    Args:
+        plan: The public plan.
+        task: Task whose groups are kept; None keeps all.
+        release: Release that the teams join; None keeps the plan's.
+
+    Raises:
+        ValueError: The plan has no group of the task, or the release is not "v" and a number.
+    """
+    groups = [group for group in plan.groups if task in (None, group.task)]
+    if not groups:
+        tasks = ", ".join(dict.fromkeys(group.task for group in plan.groups))
+        raise ValueError(f"task is {task!r}; the plan has {tasks}: name one, or none for all")
+    public = {seed for group in plan.groups for seed in group.seeds}
+    count = sum(len(group.seeds) for group in groups) + len(public)  # enough without public ones
+    drawn = secrets.SystemRandom().sample(range(2**31), count)
+    fresh = (seed for seed in drawn if seed not in public)
+    private = tuple(
+        dataclasses.replace(group, seeds=tuple(islice(fresh, len(group.seeds))), adopt=None)
+        for group in groups
+    )
+    release = plan.release if release is None else release
+    return dataclasses.replace(plan, release=release, groups=private)
+
+
+def write_private_plan(plan: Plan, path: Path) -> None:
+    """Write a plan to a file, in a folder made for it if need be, that only its owner may read.
+
+    Raises:
+        ValueError: There is such a file; its seeds are nowhere else, so it stays.
+        OSError: It cannot be written.
+    """
+    if path.exists():
+        raise ValueError(
+            f"{path} exists, and seeds that were trained with may be nowhere else; choose a new "
+            "file, or remove this one first"
+        )
+    content = TypeAdapter(Plan).dump_python(plan, mode="json", exclude_defaults=True)
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with atomic_path(path) as temporary:
+        temporary.touch(mode=0o600)
+        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -210,6 +210,36 @@ def token_revoke(id: str, /, *, data: Path, database: str | None = None) -> None
     _module("tokens").revoke_token(service.database, service.clock(), id)
 
 
+def season_plan(
+    plan: Path,
+    /,
+    *,
+    out: Path,
+    task: str | None = None,
+    release: str | None = None,
+) -> None:
+    """Write a private plan: a public one's teams, with seeds that nobody can guess.
+
+    `train population` trains and publishes it to a private release. Whoever has the plan, the runs
+    or the registry has the partners: keep them out of repositories and shared folders.
+
+    Args:
+        plan: Public plan, such as zoo/plans/v2.json.
+        out: File to write, for its owner alone; one that exists is never overwritten.
+        task: Only the groups of this task; default all.
+        release: Name of the private release, such as v3; default the plan's.
+
+    Example:
+        assistax-zoo season plan zoo/plans/v2.json --task gentle_scratch --out private/plan.json
+    """
+    from population.plan import private_plan, read_plan, write_private_plan
+
+    private = private_plan(read_plan(plan), task, release)
+    write_private_plan(private, out)
+    teams = sum(len(group.members) for group in private.groups)
+    print(f"{out} has {teams} teams; keep it secret, since it is all one needs to train them")
+
+
 def season_create(
     name: str,
     /,
