@@ -21,8 +21,8 @@ help:
 	@echo 'make clean      remove the virtual environment, the demo and caches'
 
 demo: $(STAMP)
-	$(BIN)/assistax-zoo evaluate --task gentle_lift --policy gentle_lift/mappo-d4-s0-v2/robot --split test --episodes 2 --out demo/evaluate
-	$(BIN)/assistax-zoo crossplay --task gentle_lift --egos 'gentle_lift/*-s0-v2/robot' --partners 'gentle_lift/*-s0-v2/human' --episodes 1 --out demo/crossplay
+	$(BIN)/assistax-zoo evaluate --task gentle_scratch --policy gentle_scratch/mappo-d4-s0-v2/robot --split test --episodes 2 --out demo/evaluate
+	$(BIN)/assistax-zoo crossplay --task gentle_scratch --egos 'gentle_scratch/*-s0-v2/robot' --partners 'gentle_scratch/*-s0-v2/human' --episodes 1 --out demo/crossplay
 	$(BIN)/assistax-zoo plot crossplay demo/crossplay --out demo/crossplay.png
 	@echo
 	@echo 'M_test of the robot, one row an episode:   demo/evaluate'
