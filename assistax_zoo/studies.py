@@ -154,7 +154,8 @@ def cross_play(
         egos: Globs over robots, such as "scratch/ippo-*/robot"; all of the release if None.
         partners: Globs over humans; all of the release if None.
         task: Task, such as "scratch".
-        release: Release of both, where a glob names none; default the newest whole one.
+        release: Release of both, where a glob names none; default the newest whole one
+            that has the task.
         episodes: Of each pair.
         seed: Of the episodes, the same for every pair.
         backend: Physics: "auto" for the fastest one here, or its name.

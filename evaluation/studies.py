@@ -175,14 +175,14 @@ def cross_play(
 ) -> CrossPlaySummary | BlockDone:
     """Evaluate the robots of a population with its humans.
 
-    `egos` and `partners` are globs over policy or team ids of a release, the registry's default if
-    not given; a glob that names a release is taken at its word. The rest is as in
+    `egos` and `partners` are globs over policy or team ids of a release, the task's default if not
+    given; a glob that names a release is taken at its word. The rest is as in
     `evaluate_policies`. With `block` only that share of the chunks is simulated, and how many are
     missing is returned: see `evaluation.blocks.run_block`. With a `cluster` the chunks are
     spread over it, in as many blocks as it runs at once.
     """
     check_folder(folder)
-    release = release or registry.release
+    release = release or registry.release_of(settings.task)
     try:
         manifest = registry.split(settings.task, release=release)
     except SplitError:

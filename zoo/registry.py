@@ -52,8 +52,12 @@ class Registry:
 
     @property
     def release(self) -> str:
-        """Name of the newest whole release, whose splits are the default."""
+        """Name of the newest whole release."""
         return self.data.release
+
+    def release_of(self, task: str) -> str:
+        """Return a task's default release: the newest whole one that has it."""
+        return self.data.release_of(task)
 
     @property
     def splits(self) -> tuple[Split, ...]:
@@ -116,13 +120,13 @@ class Registry:
         return select(self.policies, pattern, **fields)
 
     def split(self, task: str, id: str | None = None, *, release: str | None = None) -> Split:
-        """Return a verified split: the one named, or a release's default (the newest's).
+        """Return a verified split: the one named, or a release's default (the task's own).
 
         Args:
             task: Task the split is for.
             id: A split's id, or its beginning: that of one split alone ("half-s0-v0"), or of one
-                alone of the newest release ("half"). Of a zoo that was added, after its namespace:
-                "lab:half"; "lab:" is its default split.
+                alone of the task's default release ("half"). Of a zoo that was added, after its
+                namespace: "lab:half"; "lab:" is its default split.
             release: Release whose default split is meant when `id` is not given.
 
         Raises:
@@ -139,7 +143,7 @@ class Registry:
         split = (
             self._named_split(task, id)
             if id
-            else self._default_split(task, release or self.release)
+            else self._default_split(task, release or self.release_of(task))
         )
         check_split(split)
         missing = [team for team in (*split.train, *split.test) if team not in self.data.teams]
@@ -155,7 +159,8 @@ class Registry:
         full = name if "/" in name else f"{task}/{name}"
         exact = [split for split in known if split.id == full]
         found = exact or [split for split in known if split.id.startswith(full)]
-        for candidates in (found, [split for split in found if split.release == self.release]):
+        newest = self.release_of(task)
+        for candidates in (found, [split for split in found if split.release == newest]):
             if len(candidates) == 1:
                 return candidates[0]
         ids = [split.id for split in known]

@@ -33,7 +33,7 @@ def create_split(
         registry_path: The registry to write to.
         task: Task of the split.
         rule: One of `zoo.splits.RULES`.
-        release: Release of the partners; the registry's newest if not given.
+        release: Release of the partners; the newest whole one that has the task if not given.
         default: Make it the release's default split of the task.
         **arguments: The others of `zoo.splits.make_split`.
 
@@ -51,7 +51,7 @@ def create_split(
     with exclusive(path):
         registry = load_registry(path)
         data = registry.data
-        release = release or data.release
+        release = release or data.release_of(task)
         partners = partner_teams(data, task, release)
         if not partners:
             raise _no_partners(data, task, release)

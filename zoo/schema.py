@@ -22,7 +22,7 @@ from pydantic import (
 
 from assistax_envs.disability import Disability
 from population.spec import PolicySpec, Role
-from zoo.ids import parse_team
+from zoo.ids import parse_team, release_number
 
 SCHEMA_VERSION = 2  # 1: without egos and roots; self-play's `mean_ci` was called `ci`
 _WIDTH = 190  # of a line of the file
@@ -206,7 +206,7 @@ class RegistryFile(StrictModel):
     """The whole of `registry.json`."""
 
     schema_version: Literal[2]
-    release: ReleaseName  # the newest whole one: its splits are the default
+    release: ReleaseName  # the newest whole one
     releases: dict[ReleaseName, Release]
     disability_settings: dict[str, DisabilitySetting]
     runs: dict[str, Training]
@@ -214,6 +214,19 @@ class RegistryFile(StrictModel):
     teams: dict[str, Team]
     egos: dict[str, Ego] = {}
     splits: tuple[Split, ...] = ()
+
+    def release_of(self, task: str) -> ReleaseName:
+        """Return a task's default release: the newest whole one that has it, or else of all.
+
+        Those of an added zoo have its namespace before their name, and are nobody's default.
+        """
+        newest = release_number(self.release)
+        having = [
+            name
+            for name, entry in self.releases.items()
+            if ":" not in name and task in entry.environments and release_number(name) <= newest
+        ]
+        return max(having, key=release_number, default=self.release)
 
     @model_validator(mode="after")
     def _consistent(self) -> "RegistryFile":

@@ -94,7 +94,8 @@ def crossplay(
         egos: Glob over robots, such as 'scratch/ippo-*/robot'; repeat it for more; all if not
             given.
         partners: Glob over humans; repeat it for more; all if not given.
-        release: Release of both, where a glob names none; default the newest whole one.
+        release: Release of both, where a glob names none; default the newest whole one
+            that has the task.
         playing: How they play.
         block: Simulate only a share, such as 2/4; with the parts of all, the command without
             --block merges them.

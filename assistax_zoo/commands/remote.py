@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from assistax_zoo.console import answer, progress
+from zoo.ids import release_number
 from zoo.locations import default_remote, registry_path, set_default_remote
 from zoo.lock import locked_entries, make_lock, read_lock, write_lock
 from zoo.registry import load_registry
@@ -196,7 +197,7 @@ def lock(
     Args:
         pattern: Glob over policy ids to pin; all of the release if not given.
         task: Only this task.
-        release: Release to pin; default the newest.
+        release: Release to pin; default the newest that one of the tasks has by default.
         split: Id of a split to pin instead of a task's default one; repeat it for more tasks.
         out: File to write.
         registry: Registry to read instead of the installed one.
@@ -206,7 +207,10 @@ def lock(
         assistax-zoo lock 'scratch/*' --release v1 --out assistax-zoo.lock
     """
     loaded = load_registry(registry)
-    entries = loaded.select(pattern, task=task, release=release or loaded.release)
+    if release is None:
+        found = loaded.select(pattern, task=task)
+        release = max({loaded.release_of(entry.task) for entry in found}, key=release_number)
+    entries = loaded.select(pattern, task=task, release=release)
     made = make_lock(loaded, entries, {name.partition("/")[0]: name for name in split})
     write_lock(made, out)
     lines = [f"locked {len(made.policies)} policies of release {made.release} in {out}"]

@@ -84,7 +84,7 @@ def create(
     Args:
         task: Task of the split.
         rule: How the partners are divided.
-        release: Release of the partners; default the newest.
+        release: Release of the partners; default the newest that has the task.
         seed: Seed of the rules half and small-train.
         held_out: Algorithm or disability setting that a leave-one-out rule tests on.
         n: Training partners of small-train.

@@ -61,8 +61,12 @@ class Admission:
 
 def robot_sizes(registry: Any) -> dict[str, tuple[int, int]]:
     """Return the widths of a robot's observations and actions by task."""
-    robots = registry.select(role="robot", release=registry.release)
-    return {e.task: (e.spec.observation_size, e.spec.action_size) for e in robots}
+    robots = registry.select(role="robot")
+    return {
+        robot.task: (robot.spec.observation_size, robot.spec.action_size)
+        for robot in robots
+        if robot.release == registry.release_of(robot.task)
+    }
 
 
 def is_safetensors(data: bytes) -> bool:

@@ -56,7 +56,13 @@ class ZooCatalogue:
     @property
     def tasks(self) -> tuple[str, ...]:
         """The tasks that have a board."""
-        return tuple(self._registry.data.releases[self._registry.release].splits)
+        releases = self._registry.data.releases.items()
+        return tuple(
+            task
+            for name, release in releases
+            for task in release.splits
+            if name == self._registry.release_of(task)
+        )
 
     @functools.cache  # noqa: B019
     def public_panel(self, task: str) -> tuple[Partner, ...]:
@@ -91,7 +97,7 @@ class ZooCatalogue:
         from evaluation.relative import REFERENCE_ROWS, SELF_PLAY
         from zoo.ids import EGO
 
-        robots = self._registry.select(task=task, role="robot", release=self._registry.release)
+        robots = self._of_task(task, "robot")
         found = {name: name for name in REFERENCE_ROWS}
         if not {entry.team for entry in self._entries(task)} <= {entry.team for entry in robots}:
             del found[SELF_PLAY]
@@ -100,6 +106,10 @@ class ZooCatalogue:
 
     def _entries(self, task: str) -> list[Any]:
         split = self._registry.split(task)
-        humans = self._registry.select(task=task, role="human")
+        humans = self._of_task(task, "human")
         chosen = [entry for entry in humans if split.side(entry.team) == "test"]
         return sorted(chosen, key=lambda entry: (entry.spec.digest, entry.id))
+
+    def _of_task(self, task: str, role: str) -> list[Any]:
+        """Return the policies of a task's default release."""
+        return self._registry.select(task=task, role=role, release=self._registry.release_of(task))

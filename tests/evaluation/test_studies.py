@@ -46,7 +46,9 @@ def test_policies_of_another_environment_version_are_refused_with_the_releases_t
 def test_partners_bring_the_default_split_of_their_release() -> None:
     registry = load_registry()
     newest, test = choose_partners(registry, "scratch", None, None)
-    assert newest.release == registry.release and {entry.team for entry in test} == set(newest.test)
+    assert newest.release == "v1" != registry.release and {entry.team for entry in test} == set(
+        newest.test
+    )
     older, both = choose_partners(registry, "scratch", "both", "scratch/ippo-d1-s?-v0/human")
     assert older == registry.split("scratch", release="v0") and len(both) == 8
     assert (

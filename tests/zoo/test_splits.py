@@ -139,7 +139,7 @@ def test_preferences_are_held_out_by_any_rule(rule: str) -> None:
 def test_a_split_without_preferences_is_hashed_as_before_there_were_any() -> None:
     assert "preferences" not in gentle(test_preferences=()).content
     published = load_registry().splits
-    assert len(published) == 42
+    assert sum(not split.preferences for split in published) >= 42
     for split in published:
         check_split(split)
 

@@ -29,12 +29,12 @@ class Partner:
 
 
 def list_partners(registry: Registry, task: str, crossplay: CrossPlay | None) -> list[Partner]:
-    """Return the humans of the newest release, in the registry's order."""
+    """Return the humans of the task's default release, in the registry's order."""
     split = registry.split(task)
     played = crossplay.humans if crossplay else {}
     return [
         _partner(entry, split.side(entry.team), played.get(entry.team))
-        for entry in registry.select(task=task, role="human", release=registry.release)
+        for entry in registry.select(task=task, role="human", release=registry.release_of(task))
     ]
 
 

@@ -1,10 +1,12 @@
-"""The published population is the paper's, whole, and can be split in every way."""
+"""Release v1 is the paper's population, whole, and can be split in every way; v2 is its plan's."""
 
 from collections import Counter
 from pathlib import Path
 
 import pytest
 
+from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
+from population.plan import read_plan
 from tools.paper_page.data import read_paper
 from zoo.ids import EGO
 from zoo.registry import load_registry
@@ -25,7 +27,6 @@ def test_release_v1_is_table_6(role: str) -> None:
     }
     assert found == wanted and found.total() == 434
     assert all(entry.self_play for entry in teams)
-    assert REGISTRY.release == "v1"
 
 
 def test_each_task_has_an_ego_of_the_training_half() -> None:
@@ -60,3 +61,30 @@ def test_every_task_has_its_default_and_leave_one_out_splits() -> None:
             )
     sizes = {task: len(REGISTRY.split(task).test) for task in ("scratch", "bed_bath", "arm_assist")}
     assert sizes == {"scratch": 99, "bed_bath": 59, "arm_assist": 59}
+
+
+def test_release_v2_is_its_plan() -> None:
+    plan = read_plan(ROOT / "zoo" / "plans" / "v2.json")
+    wanted = {
+        f"{group.task}/{group.algorithm}-{member.label}-v2"
+        for group in plan.groups
+        for member in group.members
+    }
+    humans = [e for e in REGISTRY.select(release="v2", role="human") if e.disability != EGO]
+    assert {entry.team for entry in humans} == wanted
+    assert Counter(entry.task for entry in humans) == dict.fromkeys(GENTLE_TASKS, 198)
+    assert all(entry.self_play for entry in humans)
+
+
+def test_a_task_has_its_own_default_release() -> None:
+    found = {task: REGISTRY.release_of(task) for task in (*PAPER_TASKS, *GENTLE_TASKS)}
+    assert found == dict.fromkeys(PAPER_TASKS, "v1") | dict.fromkeys(GENTLE_TASKS, "v2")
+    assert REGISTRY.split("scratch", "half").release == "v1"
+
+
+@pytest.mark.parametrize("task", GENTLE_TASKS)
+def test_a_gentle_tasks_default_split_holds_out_an_algorithm_and_preferences(task: str) -> None:
+    split = REGISTRY.split(task)
+    assert all("/mep-" in team for team in split.test)
+    assert not any("/mep-" in team for team in split.train)
+    assert split.preferences["test"] == ("p1", "p5", "p9")
