@@ -19,7 +19,6 @@ _SCHEMA = {
     "disability": pl.String,
     "seed": pl.Int64,
     "steps": pl.Int64,
-    "return": pl.Float32,
 }
 # Of episodes, kept where a run's metrics have them: a figure of a gentle task needs all.
 _MEASURES = ("return", "success", "violated", "term_force", "term_violation")

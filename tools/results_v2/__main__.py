@@ -81,6 +81,7 @@ def cluster(
     Example:
         python -m tools.results_v2 cluster gentle_bath --release v2 --data docs/data/v2
     """
+    from assistax_zoo.commands.options import parse_names
     from tools.paper_page.collect import CROSSPLAY
     from tools.paper_page.data import read_crossplay
     from tools.results_v2.measures import conventions
@@ -108,7 +109,7 @@ def cluster(
             rule="custom",
             train=train,
             test=test,
-            test_preferences=[name for name in test_preferences.split(",") if name],
+            test_preferences=parse_names(test_preferences),
             default=default,
         )
         print(f"{split.id}: {len(train)} train, {len(test)} test")

@@ -4,8 +4,8 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.cluster.hierarchy import fcluster, linkage
-from scipy.spatial.distance import squareform
+from scipy.cluster import hierarchy
+from scipy.spatial.distance import pdist
 from scipy.stats import rankdata
 
 from evaluation.bootstrap import (
@@ -125,9 +125,8 @@ def conventions(matrix: np.ndarray) -> np.ndarray:
         matrix: Mean returns [T, T] of robots with humans, by team.
     """
     ranks = rankdata(matrix, axis=0)
-    apart = 1.0 - np.corrcoef((ranks - ranks.mean(axis=1, keepdims=True)).T)
-    tree = linkage(squareform(apart, checks=False), "average")
-    first = fcluster(tree, 2, "maxclust") == 1
+    apart = pdist((ranks - ranks.mean(axis=1, keepdims=True)).T, "correlation")
+    first = hierarchy.fcluster(hierarchy.average(apart), 2, "maxclust") == 1
     within = [np.median(matrix[np.ix_(group, group)]) for group in (first, ~first)]
     return first if within[0] > within[1] else ~first
 
