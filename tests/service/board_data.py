@@ -87,7 +87,7 @@ def humans_of_the_test_half(task: str) -> list[Any]:
     split = registry.split(task)
     return [
         entry
-        for entry in registry.select(task=task, role="human", release=registry.release)
+        for entry in registry.select(task=task, role="human", release=registry.release_of(task))
         if split.side(entry.team) == "test"
     ]
 
