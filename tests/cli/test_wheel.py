@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from zoo.registry import load_registry
+
 ROOT = Path(__file__).parents[2]
 TEAM = "scratch/ippo-d1-s0-v1"
 PARTNERS = "scratch/ippo-d1-s[01]-v1/human"
@@ -76,7 +78,7 @@ def test_a_wheel_does_the_three_jobs_with_a_remote(
         assert done.returncode == code, done.stderr
         return done.stderr if code else done.stdout
 
-    assert "951 policies" in call("assistax-zoo", "list")
+    assert f"{len(load_registry().policies)} policies" in call("assistax-zoo", "list")
     evaluate = ("assistax-zoo", "evaluate", *PLAY, "--policy", f"{TEAM}/robot", "--split", "both")
     evaluate = (*evaluate, "--partners", PARTNERS, "--include-own", "--out", "results")
     told = call(*evaluate, code=1)
