@@ -42,8 +42,9 @@ site: $(STAMP)
 	$(BIN)/python -m tools.site
 	@echo 'open build/site/index.html; with search: $(BIN)/python -m http.server -d build/site'
 
+# A file's tests share what they compile, hence a worker.
 test: lint types
-	$(BIN)/python -m pytest -n 2 -m "not slow and not attack"
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow and not attack"
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -n 2 -m "slow or attack"

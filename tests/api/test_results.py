@@ -121,6 +121,7 @@ def test_a_temporary_folder_lives_as_long_as_the_result(zoo: az.Zoo) -> None:
     assert not folder.exists()
 
 
+@pytest.mark.slow
 def test_every_form_of_one_robot_earns_the_same(zoo: az.Zoo, tmp_path: Path) -> None:
     """A policy file, its ONNX export, a callable, a Partner and an SB3-like model: one network."""
     params = params_of(ROBOT, 3)

@@ -11,6 +11,7 @@ from benchmarks import __main__ as bench
 from benchmarks.__main__ import run
 
 
+@pytest.mark.slow
 def test_env_prints_steps_per_second_of_each_batch_size(capfd: pytest.CaptureFixture[str]):
     words = ["--task", "scratch", "--backend", "native", "--batch", "1,3", "--seconds", "0.03"]
     assert run(["env", *words, "--json"]) == 0

@@ -135,6 +135,7 @@ print(jax.numpy.arange(3).sum(), len(left))
 """
 
 
+@pytest.mark.slow
 def test_a_function_raises_and_leaves_the_interpreter_alive(tmp_path: Path) -> None:
     rng = random.Random(0)
     moments = [str(rng.uniform(0.1, 4.0)) for _ in range(2)]

@@ -124,6 +124,7 @@ def test_a_finished_run_is_only_published_even_without_its_checkpoints(place, mo
     assert (place / "runs" / "toy-other" / "robot.safetensors").read_bytes() == parameters
 
 
+@pytest.mark.slow
 def test_a_release_becomes_the_default_once_its_plan_is_whole(place):
     assert run(words(place, "--groups", "toy-one")) == 0
     part = load_registry(place / "registry.json")
@@ -134,6 +135,7 @@ def test_a_release_becomes_the_default_once_its_plan_is_whole(place):
     assert {*split.train, *split.test} == set(whole.data.teams) and len(whole.splits) == 1
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_as_it_was_begun(place, monkeypatch, capsys):
     """The folder holds two members of four; its configuration stands, whatever the plan says
     meanwhile.
@@ -167,6 +169,7 @@ def test_an_interrupted_run_goes_on_as_it_was_begun(place, monkeypatch, capsys):
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_adopted_teams_keep_parameters_and_provenance(place, monkeypatch, capsys):
     """The runs of both releases have one name and one duration: they are still told apart."""
     write_plan(place, ONE, release="v0")
@@ -249,6 +252,7 @@ def test_a_run_that_another_process_holds_is_left_to_it(place, monkeypatch, caps
     assert rows(capsys, place)["toy-other"]["published"] == 2
 
 
+@pytest.mark.slow
 def test_what_another_process_wrote_of_its_runs_stays_in_the_file(place):
     write_plan(place, OTHER)
     assert run(words(place, "--no-publish", out="here")) == 0

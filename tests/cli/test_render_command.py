@@ -82,6 +82,7 @@ def test_a_sheet_and_a_gif_lie_beside_an_mp4(tmp_path: Path):
     assert np.asarray(Image.open(tmp_path / "short.png")).shape == (120, 3 * 160, 3)
 
 
+@pytest.mark.slow
 def test_an_mp4_holds_every_frame(tmp_path: Path):
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
     out = tmp_path / "film.mp4"
@@ -102,6 +103,7 @@ def test_an_mp4_holds_every_frame(tmp_path: Path):
     assert len(frames) == 21 and frames.std() > 20.0
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_picture(tmp_path: Path):
     for name, seed in (("a", 0), ("b", 0), ("c", 1)):
         assert call("--out", tmp_path / f"{name}.png", "--steps", 4, "--seed", seed, *SMALL) == 0

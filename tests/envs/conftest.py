@@ -21,6 +21,12 @@ one_gentle_task = pytest.mark.parametrize(
 )
 
 
+# MJX takes ten seconds or more to compile a scene.
+native_and_mjx = pytest.mark.parametrize(
+    "backend", ["native", pytest.param("mjx", marks=pytest.mark.slow)]
+)
+
+
 def backends(task: str, among: tuple[str, ...] = BACKENDS) -> list[str]:
     """Return the backends that play a task."""
     gives = GIVES_CONTACT_FRAMES if task in GENTLE_TASKS else BACKENDS

@@ -33,6 +33,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> int:
     return 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make_key", [jax.random.key, jax.random.PRNGKey], ids=["typed", "raw"])
 def test_jaxmarl_is_the_environment_on_one_simulation(marl: AssistaxMarlEnv, make_key):
     obs, state = jax.jit(marl.reset)(make_key(1))

@@ -1,7 +1,6 @@
 """What every task promises on every backend."""
 
 import dataclasses
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -30,20 +29,15 @@ LARGEST_DIFFERENCE, MEAN_DIFFERENCE = 3e-2, 1e-3
 QUICK = ("fused", "native")
 
 
-def _every(slow: Callable[[str, str], bool]) -> pytest.MarkDecorator:
-    """Parametrise by task and backend; MJX takes ten seconds or more to compile a scene."""
-    return pytest.mark.parametrize(
-        ("task", "backend"),
-        [
-            pytest.param(task, backend, marks=pytest.mark.slow if slow(task, backend) else ())
-            for task in TASKS
-            for backend in backends(task)
-        ],
-    )
-
-
-each_task_and_backend = _every(lambda task, backend: backend not in QUICK and task != "scratch")
-each_whole_episode = _every(lambda task, backend: backend not in QUICK)
+# MJX takes ten seconds or more to compile a scene.
+each_task_and_backend = pytest.mark.parametrize(
+    ("task", "backend"),
+    [
+        pytest.param(task, backend, marks=() if backend in QUICK else pytest.mark.slow)
+        for task in TASKS
+        for backend in backends(task)
+    ],
+)
 each_quick_one = pytest.mark.parametrize(
     ("task", "backend"), [(task, backend) for task in TASKS for backend in backends(task, QUICK)]
 )
@@ -69,7 +63,7 @@ def test_shapes_and_types(task: str, backend: str) -> None:
     ]
 
 
-@each_whole_episode
+@each_task_and_backend
 @pytest.mark.parametrize("actions", ["random", "full", "opposed"])
 def test_a_whole_episode_stays_finite_and_ends_by_time(
     task: str, backend: str, actions: str

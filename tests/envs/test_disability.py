@@ -11,7 +11,14 @@ from scipy import signal
 import assistax_envs
 from assistax_envs import DISABILITY_SETTINGS, Disability, EnvState
 from assistax_envs.tremor import BAND, TremorFilter
-from tests.envs.conftest import compiled, constant_actions, environment, play, start
+from tests.envs.conftest import (
+    compiled,
+    constant_actions,
+    environment,
+    native_and_mjx,
+    play,
+    start,
+)
 
 ELBOW = "human_right_elbow"
 
@@ -24,7 +31,7 @@ def test_settings_are_numbered_with_strength_running_fastest() -> None:
     assert list(DISABILITY_SETTINGS) == [f"d{i}" for i in range(1, 10)]
 
 
-@pytest.mark.parametrize("backend", ["native", pytest.param("mjx", marks=pytest.mark.slow)])
+@native_and_mjx
 def test_d9_narrows_the_elbows_reach_in_the_same_batch(backend: str) -> None:
     model = environment("scratch", backend).model
     elbow = model.joint(ELBOW)
@@ -63,7 +70,7 @@ def test_humans_of_gentle_tasks_are_spared_half_of_a_setting(task: str, left: fl
     assert (ranges[1, others] == ranges[0, others]).all()
 
 
-@pytest.mark.parametrize("backend", ["native", "mjx"])
+@native_and_mjx
 def test_d9_weakens_every_joint_it_moves(backend: str) -> None:
     model = environment("scratch", backend).model
     dofs = [
@@ -128,14 +135,14 @@ def test_the_tremor_filter_is_a_butterworth_band_pass_of_unit_variance(rate: flo
     np.testing.assert_array_equal(ours._a, a.astype(np.float32))
 
 
-def test_tremor_reaches_the_joints_on_both_backends() -> None:
-    for backend in ("native", "mjx"):
-        env = environment("scratch", backend)
-        dof = env.model.joint(ELBOW).dofadr[0]
-        settings = [Disability(), Disability(tremor=0.5), Disability(tremor=0.5), Disability()]
-        same = jax.random.split(jax.random.key(0), 4)[jnp.zeros(4, jnp.int32)]
-        state = compiled("scratch", backend)[0](same, assistax_envs.disability_params(settings))
-        last = play("scratch", backend, state, constant_actions(4, 20, 0.0, 0.0))[-1]
-        qvel = np.asarray(last.physics.qvel)[:, dof]
-        assert abs(qvel[1]) > 5 * abs(qvel[0])
-        assert qvel[0] == pytest.approx(qvel[3], abs=1e-6)
+@native_and_mjx
+def test_tremor_reaches_the_joints(backend: str) -> None:
+    env = environment("scratch", backend)
+    dof = env.model.joint(ELBOW).dofadr[0]
+    settings = [Disability(), Disability(tremor=0.5), Disability(tremor=0.5), Disability()]
+    same = jax.random.split(jax.random.key(0), 4)[jnp.zeros(4, jnp.int32)]
+    state = compiled("scratch", backend)[0](same, assistax_envs.disability_params(settings))
+    last = play("scratch", backend, state, constant_actions(4, 20, 0.0, 0.0))[-1]
+    qvel = np.asarray(last.physics.qvel)[:, dof]
+    assert abs(qvel[1]) > 5 * abs(qvel[0])
+    assert qvel[0] == pytest.approx(qvel[3], abs=1e-6)

@@ -74,6 +74,7 @@ def _rest(arm: jax.Array, distance: float, force: float = 0.0) -> dict[str, np.n
     return {name: np.asarray(value) for name, value in task.transition(after, there)[2].items()}
 
 
+@pytest.mark.slow
 def test_rest_pays_most_with_the_hook_at_the_liked_distance_and_nothing_with_a_touch() -> None:
     _, state, _ = _begun("gentle_lift", list(PREFERENCES))
     pays = {distance: _rest(state.waist, distance)["rest"] for distance in (0.1, 0.25, 0.6)}
@@ -104,6 +105,7 @@ def test_rest_pays_at_the_liked_place_alone_and_the_robot_does_not_see_which_it_
     assert len(np.unique(np.asarray(obs["human"])[:, -2:].round(3), axis=0)) == 9
 
 
+@pytest.mark.slow
 def test_a_point_on_the_arms_far_side_is_farther_than_the_way_through_the_arm() -> None:
     task, _, _ = _begun("gentle_bath", ["p5"])
     tool = jnp.asarray(0.1 * task._outward[:1] + task._offset[:1])  # over the first point

@@ -2,15 +2,14 @@
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from assistax_envs.tasks.base import HUMAN_JOINTS, ROBOT_JOINTS, Sensors
-from tests.envs.conftest import environment, play, random_actions, start
+from tests.envs.conftest import environment, native_and_mjx, play, random_actions, start
 
 SETTINGS = ["d1", "d9", "d3", "d7"]
 
 
-@pytest.mark.parametrize("backend", ["native", "mjx"])
+@native_and_mjx
 def test_observation_slices_are_the_joints_of_mujoco_itself(backend: str) -> None:
     env = environment("scratch", backend)
     moving = play("scratch", backend, start("scratch", backend, SETTINGS), random_actions(4, 25))[

@@ -3,9 +3,12 @@
 import re
 from pathlib import Path
 
+import pytest
+
 START = Path(__file__).parents[2] / "docs" / "start.md"
 
 
+@pytest.mark.slow
 def test_the_example_of_the_environments_runs(capsys) -> None:
     (example,) = [
         code

@@ -26,6 +26,7 @@ def printed(name: str) -> str:
     return found.group(1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["numpy_robot", "torch_robot"])
 def test_my_robot_against_the_zoo_in_ten_lines(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]

@@ -16,6 +16,7 @@ from tests import untrained
 from zoo.registry import Registry, load_registry
 
 STEPS = 20
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

@@ -101,6 +101,7 @@ def networks(state):
     return {role: learner.networks for role, learner in state.members.learners.items()}
 
 
+@pytest.mark.slow
 def test_without_the_bonus_it_is_ippo_bit_for_bit():
     _, ippo, _ = run(ToyEnv(match), preset("ippo", **SMALL), PAIR, updates=3)
     _, mep, metrics = run(ToyEnv(match), preset("mep", **SMALL, population_coef=0), PAIR, updates=3)
@@ -126,6 +127,7 @@ def test_the_bonus_ends_with_the_run_and_never_enters_the_return():
     assert np.abs(paid["value_loss_human"]).min() > 10.0 * expected["value_loss_human"].max()
 
 
+@pytest.mark.slow
 def test_the_bonus_makes_humans_differ_where_the_task_does_not_care():
     """The human's second action has no effect; without the bonus no two differ in it."""
     spread = {}

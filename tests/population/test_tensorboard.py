@@ -79,6 +79,7 @@ def test_event_files_hold_what_the_metrics_hold(whole):
     check(whole / "tb", whole / "run" / "metrics.parquet", speeds=6)
 
 
+@pytest.mark.slow
 def test_a_run_that_goes_on_shows_no_step_twice_and_leaves_none_out(tmp_path, monkeypatch):
     """Killed before its first checkpoint, which is of update 2; just after it; and an update later.
 

@@ -259,6 +259,7 @@ def test_a_killed_run_of_sac_goes_on_to_the_same_bits(tmp_path):
     assert RunFolder(whole).config() == config
 
 
+@pytest.mark.slow
 def test_a_finished_run_is_left_alone_and_can_be_extended(finished, tmp_path):
     before = (finished / "teams.json").stat().st_mtime_ns
     train(CONFIG, ToyEnv(match), finished, progress=kill_after(1))

@@ -61,6 +61,7 @@ def test_who_says_nothing_is_hung_up_on(
         assert all(map(hung_up, silent))
 
 
+@pytest.mark.slow
 def test_without_that_they_would_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(serve._Impatient, "_look", lambda *_: None)
     with served(new_service(tmp_path)) as server:
@@ -146,6 +147,7 @@ class Watched(Counting):
         return action
 
 
+@pytest.mark.slow
 def test_a_server_that_starts_again_does_not_show_in_a_live_score(tmp_path: Path) -> None:
     """It forgets who was connected, and which step was asked; both ends say it again."""
     (tmp_path / "calm").mkdir()

@@ -82,6 +82,7 @@ def work(partners: tuple[str, ...]) -> Work:
     return _try_work(TASK, "safetensors", partners)
 
 
+@pytest.mark.slow
 def test_a_robot_scores_the_same_in_both_formats_and_every_time(
     registry: Registry, files: dict[str, bytes]
 ) -> None:
