@@ -142,7 +142,7 @@ def choose_partners(
     """Return the split that `split` names, and the humans of its sides that match `patterns`.
 
     The default split is that of the release that the matching partners are of, if they are of one,
-    else of the newest.
+    else the task's own.
     """
     name, side = parse_split(split, registry.parts)
     humans = registry.select(patterns, task=task, role="human")

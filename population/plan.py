@@ -185,8 +185,8 @@ def private_plan(plan: Plan, task: str | None = None, release: str | None = None
         tasks = ", ".join(dict.fromkeys(group.task for group in plan.groups))
         raise ValueError(f"task is {task!r}; the plan has {tasks}: name one, or none for all")
     public = {seed for group in plan.groups for seed in group.seeds}
-    count = sum(len(group.seeds) for group in groups) + len(public)  # enough without public ones
-    drawn = secrets.SystemRandom().sample(range(2**31), count)
+    enough = sum(len(group.seeds) for group in groups) + len(public)  # public ones may be drawn
+    drawn = secrets.SystemRandom().sample(range(2**31), enough)
     fresh = (seed for seed in drawn if seed not in public)
     private = tuple(
         dataclasses.replace(group, seeds=tuple(islice(fresh, len(group.seeds))), adopt=None)

@@ -119,6 +119,14 @@ class Registry:
         """
         return select(self.policies, pattern, **fields)
 
+    def of_task(self, task: str, role: str) -> list[PolicyEntry]:
+        """Return a task's robots or humans, those of its default release, in registry order.
+
+        Raises:
+            UnknownIdError: The release has none; what there is is named.
+        """
+        return self.select(task=task, role=role, release=self.release_of(task))
+
     def split(self, task: str, id: str | None = None, *, release: str | None = None) -> Split:
         """Return a verified split: the one named, or a release's default (the task's own).
 

@@ -97,7 +97,7 @@ class ZooCatalogue:
         from evaluation.relative import REFERENCE_ROWS, SELF_PLAY
         from zoo.ids import EGO
 
-        robots = self._of_task(task, "robot")
+        robots = self._registry.of_task(task, "robot")
         found = {name: name for name in REFERENCE_ROWS}
         if not {entry.team for entry in self._entries(task)} <= {entry.team for entry in robots}:
             del found[SELF_PLAY]
@@ -106,10 +106,6 @@ class ZooCatalogue:
 
     def _entries(self, task: str) -> list[Any]:
         split = self._registry.split(task)
-        humans = self._of_task(task, "human")
+        humans = self._registry.of_task(task, "human")
         chosen = [entry for entry in humans if split.side(entry.team) == "test"]
         return sorted(chosen, key=lambda entry: (entry.spec.digest, entry.id))
-
-    def _of_task(self, task: str, role: str) -> list[Any]:
-        """Return the policies of a task's default release."""
-        return self._registry.select(task=task, role=role, release=self._registry.release_of(task))

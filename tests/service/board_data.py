@@ -14,6 +14,7 @@ from assistax_zoo.service import schema as t
 from assistax_zoo.service.database import Database
 from assistax_zoo.service.pages import add_pages
 from assistax_zoo.service.queries import Queries
+from evaluation.studies import choose_partners
 from zoo.registry import load_registry
 
 HOSTILE = "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>{{ 7*7 }}"
@@ -58,7 +59,7 @@ def fill(folder: Path, robots: tuple[Robot, ...]) -> Database:
     database = Database(f"sqlite:///{folder / 'service.db'}")
     database.upgrade()
     rng = np.random.default_rng(0)
-    partners = humans_of_the_test_half("scratch")
+    _, partners = choose_partners(load_registry(), "scratch", None, None)
     ease = rng.normal(0, 5, (len(partners), 1))
     with database.write() as connection:
         write = Writer(connection)
@@ -79,17 +80,6 @@ def fill(folder: Path, robots: tuple[Robot, ...]) -> Database:
         write.submission("lab", "next idea", "queued")
         write.submission("group", HOSTILE, "refused", reason="operator_not_allowed")
     return database
-
-
-def humans_of_the_test_half(task: str) -> list[Any]:
-    """Return the humans of the default split's test half."""
-    registry = load_registry()
-    split = registry.split(task)
-    return [
-        entry
-        for entry in registry.select(task=task, role="human", release=registry.release_of(task))
-        if split.side(entry.team) == "test"
-    ]
 
 
 class Writer:

@@ -186,4 +186,4 @@ def _partner(site: Site, task: str, team: str) -> Partner:
     for one in list_partners(site.registry, task, site.crossplays.of(task)):
         if one.name == team:
             return one
-    raise NotFoundError(f"There is no partner {team!r} of {task} in the newest release.")
+    raise NotFoundError(f"There is no partner {team!r} of {task} in its default release.")

@@ -34,7 +34,7 @@ def list_partners(registry: Registry, task: str, crossplay: CrossPlay | None) ->
     played = crossplay.humans if crossplay else {}
     return [
         _partner(entry, split.side(entry.team), played.get(entry.team))
-        for entry in registry.select(task=task, role="human", release=registry.release_of(task))
+        for entry in registry.of_task(task, "human")
     ]
 
 
