@@ -142,7 +142,6 @@ def train_egos(
         tensorboard: Folder for TensorBoard event files, or "wandb:PROJECT".
         progress: Called after every dispatch.
     """
-    split = training.split
     run = run_training(
         training.config,
         backend,
@@ -152,9 +151,7 @@ def train_egos(
         tensorboard=tensorboard,
         progress=progress,
     )
-    # What publishing reads: an ego's entry names the split it was trained with, and its sha256.
-    atomic_write(run.folder / SPLIT, split.model_dump_json().encode())
-    return TrainedEgos(run, split, tuple(_write_policies(run, split)))
+    return write_egos(run, training.split)
 
 
 def shared_out(trainer: TrainerConfig, partners: int, *, keep: bool) -> TrainerConfig:
@@ -190,8 +187,10 @@ def load_partners(registry: Registry, split: Split) -> "FrozenPartners":
     return FrozenPartners(load_stacks(registry, entries), settings)
 
 
-def _write_policies(run: TrainedRun, split: Split) -> list[Path]:
-    """Write a policy file for each robot of a finished run."""
+def write_egos(run: TrainedRun, split: Split) -> TrainedEgos:
+    """Write the split of a finished run, and a policy file for each of its robots."""
+    # What publishing reads: an ego's entry names the split it was trained with, and its sha256.
+    atomic_write(run.folder / SPLIT, split.model_dump_json().encode())
     [(_, robots)] = run.policies.items()
     files = []
     for row, member in enumerate(run.config.members):
@@ -204,4 +203,4 @@ def _write_policies(run: TrainedRun, split: Split) -> list[Path]:
             "training": {"run": run.folder.resolve().name, **run.training},
         }
         write_policy_file(files[-1], robots.spec, robots.row(row), metadata)
-    return files
+    return TrainedEgos(run, split, tuple(files))

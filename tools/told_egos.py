@@ -5,7 +5,7 @@
 
 RUNS/training is as of `assistax-zoo train-ego`, RUNS/evaluation as of `evaluate --split both`. Such
 robots observe more than any robot may: they say what adaptation could earn at best, and nothing
-else wants them, hence they cannot be published, and no command plays them.
+else wants them, hence no command publishes or plays them.
 """
 
 import contextlib
@@ -21,10 +21,11 @@ from assistax_zoo.console import TrainingLine
 from evaluation.audit import BOTH
 from evaluation.audit_teams import read_robots
 from evaluation.derived import save_evaluation
-from evaluation.ego_training import prepare
+from evaluation.ego_training import prepare, write_egos
 from evaluation.evaluator import run_job
 from evaluation.studies import Settings, choose_partners, context_of, make_job
 from evaluation.summary import EvaluationSummary
+from population.run_folder import read_trained_run
 from population.train import train
 from zoo.registry import Registry, load_registry
 
@@ -65,13 +66,14 @@ def main(
         hyperparameters=parse_changes(set_),
     )
     with contextlib.closing(TrainingLine(str(folder))) as line:
-        train(
+        trained = train(
             learning.config,
             env,
             folder / "training",
             partners=learning.partners,
             progress=line,
         )
+    write_egos(read_trained_run(trained), learning.split)
     summary = evaluate(zoo, task, folder, learning.split.id, episodes, backend)
     for side, found in (("train", summary.m_train), ("test", summary.m_test)):
         print(f"{side}: {found.mean:.1f}" if found else f"{side}: nobody")

@@ -121,6 +121,7 @@ def publish(
         if old and not fresh and not key:
             return old
         data = _with_release(base, release, created, fresh, environments or VERSIONS)
+        _check_sizes(data, release, fresh)
         data, files = _with_members(data, release, fresh)
         data = completed(data, release) if complete else data
         return _write(signed(data, release, key) if key else data, files, path)
@@ -295,6 +296,26 @@ def _with_release(
         release: entry.model_copy(update={"environments": dict(sorted(versions.items()))}),
     }
     return data.model_copy(update={"releases": releases})
+
+
+def _check_sizes(data: RegistryFile, release: str, fresh: Sequence[_Candidate]) -> None:
+    """Refuse policies that see or do other than the task's others in this environment."""
+    versions = data.releases[release].environments
+    known = {
+        (shard.task, shard.role): (shard.spec.observation_size, shard.spec.action_size)
+        for shard in data.shards.values()
+        if data.releases[shard.release].environments[shard.task] == versions.get(shard.task)
+    }
+    for candidate in fresh:
+        for role, spec in candidate.specs.items():
+            found = spec.observation_size, spec.action_size
+            expected = known.setdefault((candidate.team.task, role), found)
+            if found != expected:
+                raise PublishError(
+                    f"policy {candidate.team}/{role}",
+                    "{} observations and {} actions, as the task's others have".format(*expected),
+                    "{} and {}".format(*found),
+                )
 
 
 def _with_members(

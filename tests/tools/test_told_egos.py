@@ -11,6 +11,7 @@ from evaluation import tables
 from population.run_folder import RunFolder
 from population.spec import PolicySpec
 from tests import untrained
+from tools.results_v2.collect import collect
 from tools.told_egos import main
 from zoo.registry import load_registry
 from zoo.release import create_split
@@ -41,3 +42,6 @@ def test_told_robots_learn_with_a_half_and_play_as_the_split_says(tmp_path: Path
     liked = {side: set(rows["preference"]) for (side,), rows in played.group_by("side")}
     assert liked == {"train": set(run.preferences), "test": {"p1"}}
     assert load_registry(path).split(task).id == split.id
+    filed = collect(tmp_path / "told" / "training", tmp_path / "v2", "ppo-told")
+    assert filed == collect(tmp_path / "told" / "evaluation", tmp_path / "v2", "ppo-told")
+    assert tables.read_json(filed / "training.json")["egos"] == 2

@@ -12,6 +12,7 @@ import pytest
 
 from population.config import PPOConfig, TrainConfig, make_members
 from population.run_folder import RunFolder
+from population.spec import PolicySpec
 from zoo.errors import FormatError, ImmutableError, PublishError, RegistryError
 from zoo.publish import publish
 from zoo.registry import Registry, load_registry
@@ -165,6 +166,10 @@ def test_what_cannot_be_published_is_refused(registry: Registry, team, publish_t
         ),
         ([team(seed=9, disability="d10")], "one of d1"),
         ([team(seed=9, task="ironing")], "task ironing"),
+        (
+            [team(seed=9, specs={**new.specs, "robot": PolicySpec("robot", 8, 2, hidden=(4,))})],
+            "ippo-d1-s9-v0/robot: expected 5 observations and 2 actions.*found 8 and 2",
+        ),
     ]
     for teams, words in cases:
         with pytest.raises(PublishError, match=words) as caught:
