@@ -1,5 +1,6 @@
 """Find the robots that a job is about: in the registry, in files, in anybody's Python code."""
 
+import glob
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,8 +28,8 @@ def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> Roster:
     """Resolve references and Python objects to egos; those of one spec are stacked, in order.
 
     Args:
-        robots: Texts of the forms of `evaluation.policy_reference`, paths, and objects of those of
-            `evaluation.robot_forms`.
+        robots: Texts of the forms of `evaluation.policy_reference`, paths, globs of policy files,
+            and objects of those of `evaluation.robot_forms`.
         registry: Where ids are looked up.
         task: Whose robots are meant by a glob.
 
@@ -40,7 +41,7 @@ def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> Roster:
     """
     single: list[tuple[Member, PolicySpec, Any]] = []
     host: list[tuple[Member, HostEgo]] = []
-    for place, robot in enumerate(robots):
+    for place, robot in enumerate(_each(robots)):
         if not isinstance(robot, str | Path):
             host.append(_from_object(robot, place))
             continue
@@ -109,6 +110,20 @@ def _from_zoo(
         assert isinstance(stack, PolicyStack)
         for row, name in enumerate(stack.ids):
             yield found.members[name], stack.spec, stack.row(row)
+
+
+def _each(robots: Sequence[Any]) -> Iterable[Any]:
+    """Yield robots; a glob of files, such as runs/ego/policies/*.safetensors, gives each file."""
+    for robot in robots:
+        text = str(robot) if isinstance(robot, str | Path) else ""
+        globbed = glob.has_magic(text) and parse_reference(text).kind == "file"
+        if not globbed or Path(text).exists():
+            yield robot
+            continue
+        found = sorted(glob.glob(text), key=lambda path: (len(path), path))  # s2 before s10
+        if not found:
+            raise ValueError(f"policy {text!r} matches no file; see what is there with ls")
+        yield from found
 
 
 def _from_file(text: str) -> tuple[Member, PolicySpec, Any]:

@@ -170,11 +170,16 @@ def processor() -> str:
 
 def write_run(folder: Path, command: str, simulated: bool) -> None:
     """Write the command; where the episodes were found finished, what is there is kept."""
-    path = folder / tables.RUN_FILE
-    if simulated or not path.is_file():
-        date = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        tables.write_json({"command": command, "date": date, **describe_machine()}, path)
+    if simulated or not (folder / tables.RUN_FILE).is_file():
+        record_command(folder, command)
     seal(folder)
+
+
+def record_command(folder: Path, command: str) -> None:
+    """Write which command filled a folder, when and where."""
+    date = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    content = {"command": command, "date": date, **describe_machine()}
+    tables.write_json(content, folder / tables.RUN_FILE)
 
 
 def _files(folder: Path) -> list[Path]:

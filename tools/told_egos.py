@@ -10,6 +10,8 @@ else wants them, hence no command publishes or plays them.
 
 import contextlib
 import dataclasses
+import shlex
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -23,6 +25,7 @@ from evaluation.audit_teams import read_robots
 from evaluation.derived import save_evaluation
 from evaluation.ego_training import prepare, write_egos
 from evaluation.evaluator import run_job
+from evaluation.provenance import record_command, write_run
 from evaluation.studies import Settings, choose_partners, context_of, make_job
 from evaluation.summary import EvaluationSummary
 from population.run_folder import read_trained_run
@@ -74,7 +77,10 @@ def main(
             progress=line,
         )
     write_egos(read_trained_run(trained), learning.split)
+    command = shlex.join(["python", "-m", "tools.told_egos", *sys.argv[1:]])
+    record_command(trained, command)
     summary = evaluate(zoo, task, folder, learning.split.id, episodes, backend)
+    write_run(folder / "evaluation", command, simulated=True)
     for side, found in (("train", summary.m_train), ("test", summary.m_test)):
         print(f"{side}: {found.mean:.1f}" if found else f"{side}: nobody")
 

@@ -31,7 +31,8 @@ def evaluate(
     Args:
         task: Task, such as scratch.
         policy: Robot: an id, a .safetensors or .onnx file, python:FILE.py:FACTORY or
-            python:package.module:FACTORY; repeat it for more seeds.
+            python:package.module:FACTORY. For more seeds repeat it, or quote a glob of ids or
+            .safetensors files.
         against: With whom, and what it is compared with.
         playing: How they play.
         series: Episodes that a robot plays with a partner, one after the other, before it forgets:

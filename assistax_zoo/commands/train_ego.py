@@ -1,13 +1,14 @@
 """The command that trains robots with frozen partners of the zoo, for zero-shot coordination."""
 
 import json as jsonlib
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from assistax_zoo.commands.options import Training, parse_names
 from assistax_zoo.commands.train import shown_training
-from assistax_zoo.console import answer
+from assistax_zoo.console import answer, command_line
 from zoo.registry import load_registry
 
 if TYPE_CHECKING:
@@ -56,6 +57,7 @@ def train_ego(
     what = training.what(steps)
     with shown_training(f"{task} {algorithm}", json_lines) as progress:
         from evaluation.ego_training import prepare, train_egos
+        from evaluation.provenance import record_command
 
         prepared = prepare(
             load_registry(registry),
@@ -67,6 +69,7 @@ def train_ego(
         )
         print(prepared.summary, file=sys.stderr)
         egos = train_egos(prepared, out, progress=progress, **training.how())
+    record_command(egos.run.folder, command_line())
     _report(egos, json, json_lines)
 
 
@@ -79,9 +82,10 @@ def _report(egos: "TrainedEgos", json: bool, json_lines: bool) -> None:
         "partners": len(run.config.partners),
         "policies": [str(path) for path in egos.files],
     }
-    words = " ".join(f"--policy {path}" for path in egos.files)
+    files = egos.files[0] if len(egos.files) == 1 else egos.files[0].parent / "*.safetensors"
     lines = [
         f"{len(egos.files)} robots in {egos.files[0].parent}; next:",
-        f"assistax-zoo evaluate --task {run.config.task} --split both {words}",
+        f"assistax-zoo evaluate --task {run.config.task} --split both --policy "
+        f"{shlex.quote(str(files))}",
     ]
     answer(json, result, *([jsonlib.dumps(result)] if json_lines else lines))

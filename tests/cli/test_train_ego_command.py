@@ -62,6 +62,8 @@ def test_trained_robots_are_policy_files_that_can_be_evaluated(tmp_path, capfd):
         "ppo-s0.safetensors",
         "ppo-s1.safetensors",
     ]
+    command = json.loads((tmp_path / "ego" / "run.json").read_text())["command"]
+    assert command.startswith("assistax-zoo train-ego --task scratch --split half-s0-v0 --seeds 2")
     (stack,) = read_egos(result["policies"], load_registry(), "scratch").stacks
     assert len(stack.ids) == 2
     spec, _, metadata = storage.read_policy_file(result["policies"][1])

@@ -48,6 +48,18 @@ def test_files_of_one_spec_are_stacked_in_order(tmp_path: Path):
     assert stack.params["Dense_1"]["kernel"][1, 0, 0] == 2.0
 
 
+def test_a_glob_names_files_in_the_order_of_their_seeds(tmp_path: Path):
+    paths = [str(tmp_path / f"ppo-s{seed}.safetensors") for seed in (0, 2, 10)]
+    for path in paths:
+        write_policy_file(path, SPEC, params(float(len(path))))
+    glob = str(tmp_path / "*.safetensors")
+    assert list(read_egos([glob], EMPTY, "scratch").members) == paths
+    with pytest.raises(ValueError, match=r"x\*.safetensors.* matches no file"):
+        read_egos([str(tmp_path / "x*.safetensors")], EMPTY, "scratch")
+    Path(glob).write_bytes(Path(paths[0]).read_bytes())  # a file that is so called is meant
+    assert list(read_egos([glob], EMPTY, "scratch").members) == [glob]
+
+
 def test_a_missing_file_is_a_zoo_error(tmp_path: Path):
     with pytest.raises(ZooError, match="no such file"):
         read_egos([str(tmp_path / "none.safetensors")], EMPTY, "scratch")

@@ -244,12 +244,15 @@ def trained_egos(folder: Path, **changes: Any) -> Path:
 
 def test_training_is_filed_with_its_method(tmp_path: Path):
     folder = trained_egos(tmp_path / "run")
+    command = "assistax-zoo train-ego --task gentle_scratch --out /home/me/runs/ego"
+    tables.write_json({"command": command}, folder / "run.json")
     egos = tmp_path / "v2" / "egos" / TASK
     assert collect(folder, tmp_path / "v2") == egos / "half-s0-v2" / "ppo"
     out = collect(folder, tmp_path / "v2", "ppo-mirror", "without-mep")
     assert out == egos / "without-mep" / "ppo-mirror"
     told = tables.read_json(out / "training.json")
     assert (told["steps"], told["seconds"], told["egos"]) == (5_000_000, 90.0, 1)
+    assert told["command"] == command.replace("/home/me/runs/", "")
 
 
 HOSTILE = ["../../x", "/tmp/x", "..", "half/../../x", "", ["half"], None, "Half", "a\nb", "a" * 99]
@@ -451,6 +454,7 @@ def test_what_is_not_there_is_said_so(
 
 def test_minutes_and_commands(data: Path, tmp_path: Path, registry: Registry, split: Split):
     trained = trained_egos(tmp_path / "run", split=split.id)
+    tables.write_json({"command": "assistax-zoo train-ego"}, trained / "run.json")
     assert run(["collect", str(trained), "--as", "ppo-gru", "--out", str(data)]) == 0
     text = page(tmp_path)
     name = split.id.split("/")[1]
@@ -458,6 +462,7 @@ def test_minutes_and_commands(data: Path, tmp_path: Path, registry: Registry, sp
     assert row[1:] == ["H200", "fused", "1.5"]
     row = cells(text, f"training gentle scratch ppo-gru egos, {name}", "How this was made")
     assert row == ["1 egos, 5 M steps each", "cpu", "fused", "1.5"]
+    assert "\nassistax-zoo train-ego\n" in text
     assert "\nassistax-zoo evaluate ppo-series\n" in text
     assert text.endswith(f"--data {data} --out {tmp_path / 'page.md'}\n```\n")
 

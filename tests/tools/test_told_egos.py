@@ -44,4 +44,5 @@ def test_told_robots_learn_with_a_half_and_play_as_the_split_says(tmp_path: Path
     assert load_registry(path).split(task).id == split.id
     filed = collect(tmp_path / "told" / "training", tmp_path / "v2", "ppo-told")
     assert filed == collect(tmp_path / "told" / "evaluation", tmp_path / "v2", "ppo-told")
-    assert tables.read_json(filed / "training.json")["egos"] == 2
+    trained, run = (tables.read_json(filed / name) for name in ("training.json", "run.json"))
+    assert trained["egos"] == 2 and "tools.told_egos" in trained["command"] == run["command"]

@@ -130,7 +130,14 @@ def read_training(
     training = {
         name: first["training"][name] for name in _TOLD_OF_TRAINING if name in first["training"]
     }
-    return first, {"egos": len(told), "split": first.get("split"), **training}
+    run = folder / tables.RUN_FILE
+    command = _placeless(tables.read_json(run)) if run.is_file() else ""
+    return first, {
+        "egos": len(told),
+        "split": first.get("split"),
+        **training,
+        **({"command": command} if command else {}),
+    }
 
 
 def known_task(told: Mapping[str, Any], folder: Path, tasks: Sequence[str] = PAPER_TASKS) -> str:
@@ -169,13 +176,17 @@ def how_it_ran(
         episodes = pl.scan_parquet(folder / tables.EPISODES_FILE)
         steps = int(episodes.select(pl.col("steps").sum()).collect().item())
     rate = summary["env_steps_per_second"]
-    command = _ABSOLUTE.sub(lambda found: PurePath(found[0]).name, run.get("command", ""))
     return {
         **run,
-        "command": command,
+        "command": _placeless(run),
         "env_steps": steps,
         "seconds": steps / rate if rate else None,
     }
+
+
+def _placeless(run: Mapping[str, Any]) -> str:
+    """Return the command of a run with the names of files in place of paths from the root."""
+    return _ABSOLUTE.sub(lambda found: PurePath(found[0]).name, str(run.get("command", "")))
 
 
 def small(pairs: pl.DataFrame) -> pl.DataFrame:
