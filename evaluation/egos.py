@@ -41,7 +41,7 @@ def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> Roster:
     """
     single: list[tuple[Member, PolicySpec, Any]] = []
     host: list[tuple[Member, HostEgo]] = []
-    for place, robot in enumerate(_each(robots)):
+    for place, robot in enumerate(robots):
         if not isinstance(robot, str | Path):
             host.append(_from_object(robot, place))
             continue
@@ -50,7 +50,7 @@ def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> Roster:
         if reference.kind == "zoo":
             single += _from_zoo(reference.source, registry, task)
         elif reference.kind == "file":
-            single.append(_from_file(reference.text))
+            single += _from_files(reference.text)
         elif reference.kind in ("python", "onnx"):
             host.append(_from_outside(reference))
         else:
@@ -112,24 +112,15 @@ def _from_zoo(
             yield found.members[name], stack.spec, stack.row(row)
 
 
-def _each(robots: Sequence[Any]) -> Iterable[Any]:
-    """Yield robots; a glob of files, such as runs/ego/policies/*.safetensors, gives each file."""
-    for robot in robots:
-        text = str(robot) if isinstance(robot, str | Path) else ""
-        globbed = glob.has_magic(text) and parse_reference(text).kind == "file"
-        if not globbed or Path(text).exists():
-            yield robot
-            continue
-        found = sorted(glob.glob(text), key=lambda path: (len(path), path))  # s2 before s10
-        if not found:
-            raise ValueError(f"policy {text!r} matches no file; see what is there with ls")
-        yield from found
-
-
-def _from_file(text: str) -> tuple[Member, PolicySpec, Any]:
-    path = Path(text)
-    spec, params, _ = read_policy_file(path)
-    return _of_file(text, path), spec, params
+def _from_files(text: str) -> Iterable[tuple[Member, PolicySpec, Any]]:
+    """Yield the robot of a file, or of each file that a glob names, s2 before s10."""
+    globbed = glob.escape(text) != text and not Path(text).exists()
+    names = sorted(glob.glob(text), key=lambda name: (len(name), name)) if globbed else [text]
+    if not names:
+        raise ValueError(f"policy {text!r} matches no file; see what is there with ls")
+    for name in names:
+        spec, params, _ = read_policy_file(name)
+        yield _of_file(name, Path(name)), spec, params
 
 
 def _from_object(robot: Any, place: int) -> tuple[Member, HostEgo]:

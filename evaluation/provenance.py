@@ -169,17 +169,17 @@ def processor() -> str:
 
 
 def write_run(folder: Path, command: str, simulated: bool) -> None:
-    """Write the command; where the episodes were found finished, what is there is kept."""
-    if simulated or not (folder / tables.RUN_FILE).is_file():
-        record_command(folder, command)
+    """Write the command, see `record_command`, and the sha256 of all files of a folder."""
+    record_command(folder, command, simulated)
     seal(folder)
 
 
-def record_command(folder: Path, command: str) -> None:
-    """Write which command filled a folder, when and where."""
-    date = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    content = {"command": command, "date": date, **describe_machine()}
-    tables.write_json(content, folder / tables.RUN_FILE)
+def record_command(folder: Path, command: str, filled: bool) -> None:
+    """Write which command filled a folder; where it found all finished, what is there is kept."""
+    path = folder / tables.RUN_FILE
+    if filled or not path.is_file():
+        date = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        tables.write_json({"command": command, "date": date, **describe_machine()}, path)
 
 
 def _files(folder: Path) -> list[Path]:

@@ -28,7 +28,7 @@ from evaluation.evaluator import run_job
 from evaluation.provenance import record_command, write_run
 from evaluation.studies import Settings, choose_partners, context_of, make_job
 from evaluation.summary import EvaluationSummary
-from population.run_folder import read_trained_run
+from population.run_folder import RunFolder, read_trained_run
 from population.train import train
 from zoo.registry import Registry, load_registry
 
@@ -68,19 +68,16 @@ def main(
         steps=parse_steps(steps),
         hyperparameters=parse_changes(set_),
     )
+    run = folder / "training"
+    finished = RunFolder(run).finished(learning.config)
     with contextlib.closing(TrainingLine(str(folder))) as line:
-        trained = train(
-            learning.config,
-            env,
-            folder / "training",
-            partners=learning.partners,
-            progress=line,
-        )
-    write_egos(read_trained_run(trained), learning.split)
+        train(learning.config, env, run, partners=learning.partners, progress=line)
+    write_egos(read_trained_run(run), learning.split)
     command = shlex.join(["python", "-m", "tools.told_egos", *sys.argv[1:]])
-    record_command(trained, command)
+    record_command(run, command, filled=not finished)
     summary = evaluate(zoo, task, folder, learning.split.id, episodes, backend)
-    write_run(folder / "evaluation", command, simulated=True)
+    simulated = summary.env_steps_per_second is not None
+    write_run(folder / "evaluation", command, simulated)
     for side, found in (("train", summary.m_train), ("test", summary.m_test)):
         print(f"{side}: {found.mean:.1f}" if found else f"{side}: nobody")
 

@@ -58,6 +58,7 @@ def train_ego(
     with shown_training(f"{task} {algorithm}", json_lines) as progress:
         from evaluation.ego_training import prepare, train_egos
         from evaluation.provenance import record_command
+        from population.run_folder import RunFolder
 
         prepared = prepare(
             load_registry(registry),
@@ -68,8 +69,9 @@ def train_ego(
             **what,
         )
         print(prepared.summary, file=sys.stderr)
+        finished = RunFolder(out).finished(prepared.config)
         egos = train_egos(prepared, out, progress=progress, **training.how())
-    record_command(egos.run.folder, command_line())
+    record_command(out, command_line(), filled=not finished)
     _report(egos, json, json_lines)
 
 

@@ -62,8 +62,12 @@ def test_trained_robots_are_policy_files_that_can_be_evaluated(tmp_path, capfd):
         "ppo-s0.safetensors",
         "ppo-s1.safetensors",
     ]
-    command = json.loads((tmp_path / "ego" / "run.json").read_text())["command"]
+    recorded = (tmp_path / "ego" / "run.json").read_bytes()
+    command = json.loads(recorded)["command"]
     assert command.startswith("assistax-zoo train-ego --task scratch --split half-s0-v0 --seeds 2")
+    assert run([*words, "--out", str(tmp_path / "ego"), "--backend", "native"]) == 0
+    assert "/policies/*.safetensors'" in capfd.readouterr().out
+    assert (tmp_path / "ego" / "run.json").read_bytes() == recorded  # nothing was trained again
     (stack,) = read_egos(result["policies"], load_registry(), "scratch").stacks
     assert len(stack.ids) == 2
     spec, _, metadata = storage.read_policy_file(result["policies"][1])

@@ -583,6 +583,14 @@ def test_the_page_of_a_partial_release(
     assert all(line.count("|") > 2 for line in text.splitlines() if line.startswith("|"))
 
 
+def test_trainings_stand_with_their_minutes_and_commands():
+    training = {"egos": 2, "steps": 5e6, "seconds": 90.0, "command": "assistax-zoo train-ego"}
+    one = dataclasses.replace(egos(800, 790), training=training)
+    text = make_page(results(egos={("scratch", "ppo"): one}), "images", "make results")
+    assert "| training scratch PPO egos | 2 egos, 5 M steps each | – | – | 1.5 |" in text
+    assert "\nassistax-zoo train-ego\nassistax-zoo evaluate\n" in text
+
+
 def test_every_table_has_as_many_cells_in_each_row():
     everything = results(
         humans=humans({"ippo": [930.0, 940], "masac": [700.0, 800]}),

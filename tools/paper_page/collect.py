@@ -130,14 +130,8 @@ def read_training(
     training = {
         name: first["training"][name] for name in _TOLD_OF_TRAINING if name in first["training"]
     }
-    run = folder / tables.RUN_FILE
-    command = _placeless(tables.read_json(run)) if run.is_file() else ""
-    return first, {
-        "egos": len(told),
-        "split": first.get("split"),
-        **training,
-        **({"command": command} if command else {}),
-    }
+    command = _run_of(folder)["command"]
+    return first, {"egos": len(told), "split": first.get("split"), **training, "command": command}
 
 
 def known_task(told: Mapping[str, Any], folder: Path, tasks: Sequence[str] = PAPER_TASKS) -> str:
@@ -170,23 +164,23 @@ def how_it_ran(
 
     `steps` are those of the simulation; without them, those of its episodes.
     """
-    path = folder / tables.RUN_FILE
-    run = tables.read_json(path) if path.is_file() else {}
     if steps is None:
         episodes = pl.scan_parquet(folder / tables.EPISODES_FILE)
         steps = int(episodes.select(pl.col("steps").sum()).collect().item())
     rate = summary["env_steps_per_second"]
     return {
-        **run,
-        "command": _placeless(run),
+        **_run_of(folder),
         "env_steps": steps,
         "seconds": steps / rate if rate else None,
     }
 
 
-def _placeless(run: Mapping[str, Any]) -> str:
-    """Return the command of a run with the names of files in place of paths from the root."""
-    return _ABSOLUTE.sub(lambda found: PurePath(found[0]).name, str(run.get("command", "")))
+def _run_of(folder: Path) -> dict[str, Any]:
+    """Return what a folder says of its run, its command with names in place of absolute paths."""
+    path = folder / tables.RUN_FILE
+    run = tables.read_json(path) if path.is_file() else {}
+    command = _ABSOLUTE.sub(lambda found: PurePath(found[0]).name, str(run.get("command", "")))
+    return {**run, "command": command}
 
 
 def small(pairs: pl.DataFrame) -> pl.DataFrame:

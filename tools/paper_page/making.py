@@ -30,7 +30,8 @@ def made(results: Results, command: str) -> str:
         if egos.training
     }
     rows = [*team_rows(results.humans, PAPER_TASKS), *ego_rows(trained), *played_rows(named)]
-    return costs(rows, [found.run["command"] for found in named.values()], command)
+    runs = (*trained.values(), *(found.run for found in named.values()))
+    return costs(rows, [run.get("command", "") for run in runs], command)
 
 
 def costs(rows: Sequence[Sequence[object]], commands: Sequence[str], command: str) -> str:

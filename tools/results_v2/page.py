@@ -250,9 +250,8 @@ def made(results: Results, command: str) -> str:
     trained = {f"training {named(key)}": told for key, told in results.trained.items()}
     rows = [*team_rows(results.humans, GENTLE_TASKS), *ego_rows(trained)]
     rows += [*played_rows(played), *played_rows(evaluated)]
-    runs = [one.run for one in (*played.values(), *evaluated.values())]
-    commands = [one.get("command", "") for one in (*results.trained.values(), *runs)]
-    told = costs(rows, commands, command)
+    runs = (*trained.values(), *(one.run for one in (*played.values(), *evaluated.values())))
+    told = costs(rows, [run.get("command", "") for run in runs], command)
     return f"Minutes are a process's own; up to four shared a GPU.\n\n{told}"
 
 
