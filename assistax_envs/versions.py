@@ -12,9 +12,9 @@ VERSIONS: dict[str, int] = {
     "scratch": 1,
     "bed_bath": 1,
     "arm_assist": 2,
-    "gentle_scratch": 1,
-    "gentle_bath": 1,
-    "gentle_lift": 1,
+    "gentle_scratch": 2,
+    "gentle_bath": 2,
+    "gentle_lift": 2,
 }
 
 TASKS: tuple[str, ...] = tuple(VERSIONS)

@@ -29,15 +29,18 @@ TRUNK = 3.0  # times as stiff and damped as in the paper's scenes: 500 N bend th
 # and show contact forces that are not there: 2.2% of gentle lift's episodes above 65 N, not 0.5%.
 ITERATIONS = 8
 SKIN = 0.06  # s, time constant of robot on human: flesh gives way by millimetres at a few newtons
-LINKS = {  # body of the robot -> name of its last capsule
-    "robot_link5": "robot_forearm",
-    "robot_link6": "robot_wrist",
-    "robot_hand": "robot_hand",
+ARM = ("human_right_upper_arm", "human_right_lower_arm", "human_right_hand")
+BODY = ("human_head", "human_torso", *ARM)
+LINKS = {  # name of a capsule -> the robot's body that has it, its place there, what it may touch
+    "robot_elbow": ("robot_link4", 0, ARM),
+    "robot_upper_forearm": ("robot_link5", 0, ARM),
+    "robot_forearm": ("robot_link5", 1, BODY),
+    "robot_wrist_joint": ("robot_link6", 0, ARM),
+    "robot_wrist": ("robot_link6", 1, BODY),
+    "robot_flange": ("robot_link7", 0, ARM),
+    "robot_hand": ("robot_hand", 0, BODY),
+    "robot_shaft": ("robot_tool", 0, ARM),
 }
-BODY = tuple(
-    f"human_{part}"
-    for part in ("head", "torso", "right_upper_arm", "right_lower_arm", "right_hand")
-)
 LEGS = ("right_thigh", "left_thigh")  # parts of the human that belong to the furniture's files
 
 
@@ -54,7 +57,7 @@ def soften(scene: mujoco.MjSpec, task: str) -> None:
         if "abdomen" in joint.name:
             joint.stiffness = np.array(joint.stiffness) * TRUNK
             joint.damping = np.array(joint.damping) * TRUNK
-    _give_links_contacts(scene)
+    _give_contacts(scene)
     for pair in scene.pairs:
         touch = touching(pair.geomname1, pair.geomname2)
         if touch:
@@ -62,21 +65,21 @@ def soften(scene: mujoco.MjSpec, task: str) -> None:
             _feel(scene, *touch)
 
 
-def _give_links_contacts(scene: mujoco.MjSpec) -> None:
-    """Let the robot's forearm, wrist and hand touch the human.
+def _give_contacts(scene: mujoco.MjSpec) -> None:
+    """Let all of the robot, from its elbow on, touch the human.
 
-    Else they pass through it where that is the short way.
+    Else it passes through it where that is the short way.
     """
-    for body, name in LINKS.items():
-        scene.body(body).geoms[-1].name = name
     known = {frozenset((pair.geomname1, pair.geomname2)) for pair in scene.pairs}
     like = scene.pairs[0]
-    for link in LINKS.values():
-        for part in BODY:
-            if frozenset((link, part)) not in known:
+    for name, (body, place, parts) in LINKS.items():
+        geom = scene.body(body).geoms[place]
+        geom.name = geom.name or name  # the stick is all shaft, and keeps its name
+        for part in parts:
+            if frozenset((geom.name, part)) not in known:
                 scene.add_pair(
-                    name=f"{link.removeprefix('robot_')}-{part.removeprefix('human_')}",
-                    geomname1=link,
+                    name=f"{geom.name.removeprefix('robot_')}-{part.removeprefix('human_')}",
+                    geomname1=geom.name,
                     geomname2=part,
                     condim=like.condim,
                     friction=like.friction,

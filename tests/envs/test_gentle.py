@@ -19,7 +19,6 @@ import assistax_envs
 from assistax_envs import disability_params, scripted
 from assistax_envs.models import build_model
 from assistax_envs.models.gentle_scenes import (
-    BODY,
     HUMAN_SHARE,
     LINKS,
     ROBOT_SHARE,
@@ -96,7 +95,11 @@ def test_every_pair_of_robot_and_human_is_soft_and_felt_and_no_other(task: str) 
     }
     touches = {frozenset(pair) for pair in named if touching(*pair)}
     assert touches == felt
-    assert {frozenset((link, part)) for link in LINKS.values() for part in BODY} <= touches
+    for body, place, parts in LINKS.values():
+        link = [
+            each for each in range(model.ngeom) if model.geom_bodyid[each] == model.body(body).id
+        ]
+        assert {frozenset((model.geom(link[place]).name, part)) for part in parts} <= touches
     for pair, solref in zip(named, model.pair_solref, strict=True):
         assert (solref[0] == SKIN) == (frozenset(pair) in touches)
 
