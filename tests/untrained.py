@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from assistax_envs.versions import VERSIONS
 from population.policy import Policy
 from population.spec import PolicySpec
 from zoo.publish import publish
@@ -27,7 +28,12 @@ def untrained_team(
 ) -> TrainedTeam:
     """Return an IPPO team of policies by role: spec and parameters of each."""
     specs, params = ({role: pair[place] for role, pair in policies.items()} for place in range(2))
-    training = {"run": "untrained", "steps": 0, "env_version": 1, "backend": "native"}
+    training = {
+        "run": "untrained",
+        "steps": 0,
+        "env_version": VERSIONS[task],
+        "backend": "native",
+    }
     return TrainedTeam(task, "ippo", disability, seed, specs, params, training)
 
 

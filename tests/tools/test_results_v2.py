@@ -14,6 +14,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from assistax_envs.versions import VERSIONS
 from evaluation import derived, tables
 from evaluation.metrics import paired_difference
 from evaluation.summary import SplitName
@@ -57,7 +58,7 @@ def registry(tmp_path: Path) -> Registry:
             training={
                 "run": f"{TASK}-{name}-{steps}",
                 "steps": int(steps * 1e6),
-                "env_version": 1,
+                "env_version": VERSIONS[TASK],
                 "backend": "fused",
                 "device": "cpu",
                 "seconds": 30.0,

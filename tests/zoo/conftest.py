@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from assistax_envs.versions import VERSIONS
 from population.spec import PolicySpec
 from tests.zoo.hub_server import Hub
 from zoo import remotes
@@ -46,9 +47,9 @@ def trained_team(
 ) -> TrainedTeam:
     """Return a team whose parameters follow from its name."""
     noise = zlib.crc32(f"{algorithm}-{disability}-{seed}".encode())
-    specs = changes.pop("specs", SPECS)
+    specs, task = changes.pop("specs", SPECS), changes.get("task", "scratch")
     fields: dict[str, Any] = {
-        "task": "scratch",
+        "task": task,
         "algorithm": algorithm,
         "disability": disability,
         "seed": seed,
@@ -60,7 +61,7 @@ def trained_team(
         "training": {
             "run": f"scratch-{algorithm}",
             "steps": 10_000_000,
-            "env_version": 1,
+            "env_version": VERSIONS.get(task, 1),
             "backend": "native",
             "versions": {"jax": "0.10.2"},
             "hyperparameters": {"learning_rate": 1e-3, "anneal_lr": False},

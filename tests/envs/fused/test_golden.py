@@ -1,6 +1,6 @@
-"""Golden trajectories, to the bit: they change only together with the generator's `FUSED_VERSION`.
+"""Golden trajectories, to the bit: they change only with `FUSED_VERSION` or a task's version.
 
-To renew them after it was raised: `python -m tests.envs.fused.test_golden`.
+To renew them after either was raised: `python -m tests.envs.fused.test_golden`.
 """
 
 import hashlib

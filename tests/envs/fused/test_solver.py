@@ -33,9 +33,9 @@ GOLDEN = {
     "scratch": "e388656e7b05968e",
     "bed_bath": "719d7b80b91755c4",
     "arm_assist": "d15e93ca1d258d42",
-    "gentle_scratch": "0c20863dc06b467d",
-    "gentle_bath": "b35ebc413e29f195",
-    "gentle_lift": "45f341907125513a",
+    "gentle_scratch": "59514bf83e5831b0",
+    "gentle_bath": "37683527b54034a9",
+    "gentle_lift": "20901736454a8e61",
 }
 
 
