@@ -132,7 +132,7 @@ def test_a_gentle_tasks_preferences_are_in_job_table_and_identity(tmp_path: Path
     teams = []
     for seed in (0, 1):
         pairs = {role: (spec, params_of(spec, seed)) for role, spec in specs.items()}
-        teams.append(dataclasses.replace(untrained_team("d1", seed, **pairs), task=task))
+        teams.append(untrained_team("d1", seed, task, **pairs))
     registry = load_registry(published(teams, tmp_path))
     identity = ZooCatalogue(registry, "native").identity(task)
     assert identity["preferences"] == list(PREFERENCES)
