@@ -7,13 +7,13 @@ disability setting.
 A team passes if its mean return lies within `TEAM_MARGIN` of the recorded mean plus
 `STANDARD_ERRORS` standard errors of the difference; the recorded interval gives a team's standard
 deviation. A task passes if the mean difference of its teams lies within `TASK_MARGIN` and as many
-standard errors. The margins allow for another physics
-backend: release v0 was measured on a GPU with `mjx-warp` in float32, and `native` differs from it
-    by 0.0 to 0.3 % on
-scratch.
+standard errors. The margins allow for another physics backend: release v0 was measured on a GPU
+with `mjx-warp` in float32, and `native` differs from it by 0.0 to 0.3 % on scratch.
 
 A team that differs plays `LONGER` times as many episodes before it is called different: among the
-few episodes of each of hundreds of teams some fail, which says nothing of the installation.
+few episodes of each of hundreds of teams some fail, which says nothing of the installation. Where
+those are more than were recorded their own deviation counts if it is larger: a team that succeeds,
+or hurts somebody, once in twenty episodes may have been recorded without one.
 
 A return is a coarse measure, since trained policies make up for much: on scratch, with two
 episodes, a tenth less gravity moves it by 1.6 % and a fifth less torque by 0.8 %. That each step is
@@ -27,7 +27,6 @@ from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import numpy as np
-import polars as pl
 
 from assistax_envs.versions import VERSIONS
 from evaluation import provenance
@@ -165,14 +164,22 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **found}
 
 
-def tolerance(recorded: SelfPlay, episodes: int) -> float:
-    """Return the largest difference between the recorded and a replayed mean that passes."""
-    return STANDARD_ERRORS * _standard_error(recorded, episodes) + TEAM_MARGIN * abs(recorded.mean)
+def tolerance(recorded: SelfPlay, episodes: int, deviation: float = 0.0) -> float:
+    """Return the largest difference between the recorded and a replayed mean that passes.
+
+    Args:
+        recorded: What the registry has.
+        episodes: Episodes of the replay.
+        deviation: Standard deviation of a return in the replay; the larger one counts.
+    """
+    error = _standard_error(recorded, episodes, deviation)
+    return STANDARD_ERRORS * error + TEAM_MARGIN * abs(recorded.mean)
 
 
-def _standard_error(recorded: SelfPlay, episodes: int) -> float:
+def _standard_error(recorded: SelfPlay, episodes: int, deviation: float = 0.0) -> float:
     """Return that of the difference between the recorded mean and one over `episodes`."""
-    deviation = (recorded.mean_ci[1] - recorded.mean_ci[0]) / _WIDTH_95 * math.sqrt(recorded.n)
+    width = recorded.mean_ci[1] - recorded.mean_ci[0]
+    deviation = max(width / _WIDTH_95 * math.sqrt(recorded.n), deviation)
     return deviation * math.sqrt(1.0 / recorded.n + 1.0 / episodes)
 
 
@@ -258,17 +265,22 @@ def _play(
     )
     check_sizes(env, job)
     table = play(env, job, MAX_ENVS.get(env.backend, MAX_ENVS["native"]))
-    means = dict(table.group_by("ego_team").agg(pl.col("return").cast(pl.Float64).mean()).rows())
+    returns = {
+        str(team): rows["return"].to_numpy().astype(float)
+        for (team,), rows in table.group_by("ego_team")
+    }
     return [
-        _compare(team, registry.team(team).self_play, means[team], episodes)
+        _compare(team, registry.team(team).self_play, returns[team])
         for team in (robot.team for robot, _ in pairs)
     ]
 
 
-def _compare(team: str, recorded: SelfPlay | None, found: float, episodes: int) -> TeamReplay:
+def _compare(team: str, recorded: SelfPlay | None, returns: np.ndarray) -> TeamReplay:
+    found, episodes = float(returns.mean()), len(returns)
     if recorded is None:
         return TeamReplay(team, None, found, None, episodes, math.isfinite(found))
-    allowed = tolerance(recorded, episodes)
+    more = episodes > recorded.n  # fewer say less of the deviation than what is recorded
+    allowed = tolerance(recorded, episodes, float(returns.std(ddof=1)) if more else 0.0)
     return TeamReplay(
         team, recorded.mean, found, allowed, episodes, abs(found - recorded.mean) <= allowed
     )

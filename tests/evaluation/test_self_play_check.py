@@ -134,6 +134,23 @@ def test_a_team_whose_few_episodes_hold_a_failure_is_judged_by_more(
     assert [(team.found, team.episodes) for team in report.teams] == [(RETURN, 32), (RETURN, 2)]
 
 
+@pytest.mark.parametrize(("every", "ok"), [(8, True), (1, False)])
+def test_rare_episodes_that_were_not_recorded_are_no_difference(
+    registry: Registry, monkeypatch: pytest.MonkeyPatch, every: int, ok: bool
+) -> None:
+    """One episode in eight, or each, earns ten times as much; of the recorded ones none did."""
+    play = self_play_check.play
+
+    def played(env: Any, job: Any, max_envs: int) -> Any:
+        rich = pl.col("episode") % every == 0
+        earned = pl.col("return") * pl.when(rich).then(10.0).otherwise(1.0)
+        return play(env, job, max_envs).with_columns(earned.alias("return"))
+
+    monkeypatch.setattr(self_play_check, "play", played)
+    [team] = check(registry, "scratch/ippo-d1-s0-v0").teams
+    assert team.ok is ok and team.episodes == 32
+
+
 def test_a_drift_of_all_teams_is_found_where_each_alone_would_pass(registry: Registry) -> None:
     """Physics that gives 3.8 % less to everyone."""
     data = json.loads(registry.path.read_text())
