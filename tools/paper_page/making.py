@@ -31,15 +31,14 @@ def made(results: Results, command: str) -> str:
     }
     rows = [*team_rows(results.humans, PAPER_TASKS), *ego_rows(trained), *played_rows(named)]
     runs = (*trained.values(), *(found.run for found in named.values()))
-    return costs(rows, [run.get("command", "") for run in runs], command)
+    return costs(rows, [*(run.get("command", "") for run in runs), command])
 
 
-def costs(rows: Sequence[Sequence[object]], commands: Sequence[str], command: str) -> str:
-    """Return rows of HEADINGS as a table, then the commands that are known; `command` is last."""
-    if not rows:
-        return f"{MISSING.capitalize()}.\n\n{code(command)}"
-    lines = [_shortened(one) for one in dict.fromkeys(commands) if one]
-    return f"{table(HEADINGS, rows, (4,))}\n\n{code(chr(10).join([*lines, command]))}"
+def costs(rows: Sequence[Sequence[object]], commands: Sequence[str]) -> str:
+    """Return rows of HEADINGS as a table, then the commands; one that is empty is not known."""
+    shown = table(HEADINGS, rows, (4,)) if rows else f"{MISSING.capitalize()}."
+    known = [_shortened(one) for one in dict.fromkeys(commands) if one]
+    return "\n\n".join([shown, *([code("\n".join(known))] if known else [])])
 
 
 def team_rows(everyone: Sequence[PolicyEntry], tasks: Sequence[str]) -> list[list[object]]:

@@ -11,7 +11,7 @@ from evaluation.bootstrap import Estimate, Interval, estimate
 from evaluation.metrics import paired_difference, zero_shot
 from evaluation.strategies import FEATURES
 from tools.paper_page.making import costs, ego_rows, played_rows, team_rows
-from tools.paper_page.markdown import MISSING, figure, image, spoken, table
+from tools.paper_page.markdown import MISSING, code, figure, image, spoken, table
 from tools.paper_page.sections import MATRIX_HEADINGS, matrix_figures
 from tools.results_v2.data import MIRROR, SERIES, Evaluated, Results, short
 from tools.results_v2.measures import diversity, holm, split_cost, two_sided
@@ -239,20 +239,30 @@ def diverse(results: Results) -> str:
 
 
 def made(results: Results, command: str) -> str:
-    """Return device minutes of every table, then the commands; `command` makes the page."""
+    """Return device minutes and commands of every table; `command` makes the page."""
+    note = (
+        "Minutes are a process's own; up to four shared a GPU. What trained `ppo-mirror` is the "
+        "split with its sides exchanged, which is no split of the release."
+    )
+    return f"{note}\n\n{by_task(results, _made)}\n\nThis page:\n\n{code(command)}"
 
-    def named(key: tuple[str, str, str]) -> str:
-        task, split, method = key
-        return f"{spoken(task)} {method} egos, {split}"
 
-    played = {f"cross-play of {spoken(task)}": one for task, one in results.crossplay.items()}
-    evaluated = {f"evaluation of {named(key)}": one for key, one in results.egos.items()}
-    trained = {f"training {named(key)}": told for key, told in results.trained.items()}
-    rows = [*team_rows(results.humans, GENTLE_TASKS), *ego_rows(trained)]
-    rows += [*played_rows(played), *played_rows(evaluated)]
-    runs = (*trained.values(), *(one.run for one in (*played.values(), *evaluated.values())))
-    told = costs(rows, [run.get("command", "") for run in runs], command)
-    return f"Minutes are a process's own; up to four shared a GPU.\n\n{told}"
+def _made(results: Results, task: str) -> str:
+    humans = [human for human in results.humans if human.task == task]
+    trained = {
+        f"training {method} egos, {split}": told
+        for (of, split, method), told in results.trained.items()
+        if of == task
+    }
+    played = {f"cross-play of {spoken(of)}": x for of, x in results.crossplay.items() if of == task}
+    played |= {
+        f"evaluation of {method} egos, {split}": egos
+        for (of, split, method), egos in results.egos.items()
+        if of == task
+    }
+    rows = [*team_rows(humans, GENTLE_TASKS), *ego_rows(trained), *played_rows(played)]
+    runs = (*trained.values(), *(one.run for one in played.values()))
+    return costs(rows, [run.get("command", "") for run in runs])
 
 
 def _kind(human: PolicyEntry) -> tuple[str, str]:
