@@ -33,6 +33,7 @@ _HEAD = 0.72
 
 _MOST_NAMES = 72  # an axis with more policies shows clusters, not names
 _MOST_FIGURES = 14  # a matrix of at most this size shows its numbers
+_BELOW = 0.05  # of pairs that may lie below the first colour
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,7 +60,7 @@ def crossplay_heatmap(matrix: Matrix, summary: Mapping[str, Any]) -> Figure:
     }
     lines = legend_lines(matrix, palettes["algorithm"], palettes["disability"])
     layout = _layout(matrix, len(lines))
-    below = caption(matrix, summary, _marks(matrix))
+    below = caption(matrix, summary, _marks(matrix)) + _told_below(matrix.values)
     wide, high = layout.size[0], layout.size[1] + style.caption_height(below, layout.size[0])
     figure = style.titled_figure(f"Cross-play: {summary['task']}", below, wide, high)
     figure.text(0.2 / wide, 1 - 0.42 / high, headline(summary), fontsize=8.5, va="top", color=INK)
@@ -95,7 +96,8 @@ def _layout(matrix: Matrix, legend_lines: int) -> _Layout:
 
 
 def _draw_colour_bar(image: AxesImage, axes: Axes) -> None:
-    bar = axes.figure.colorbar(image, cax=axes)
+    below = image.norm.vmin > image.get_array().min()
+    bar = axes.figure.colorbar(image, cax=axes, extend="min" if below else "neither")
     bar.set_label("mean return", fontsize=8, color=INK)
     axes.tick_params(labelsize=7, width=0.6, length=2.5, colors=INK)
     axes.spines["outline"].set_visible(False)
@@ -113,8 +115,7 @@ def _name_room(side: Side, size: float) -> float:
 
 def _draw_matrix(axes: Axes, matrix: Matrix, cells: tuple[float, float]) -> AxesImage:
     values = matrix.values
-    low, high = float(values.min()), float(values.max())
-    norm = Normalize(low, high if high > low else low + 1.0)
+    norm = Normalize(*_colour_ends(values))
     image = axes.imshow(
         values, cmap=style.COLOUR_MAP, norm=norm, aspect="auto", interpolation="nearest"
     )
@@ -137,6 +138,26 @@ def _draw_matrix(axes: Axes, matrix: Matrix, cells: tuple[float, float]) -> Axes
     elif _marks(matrix):
         _mark_self_play(axes, matrix, image, min(cells))
     return image
+
+
+def _colour_ends(values: np.ndarray) -> tuple[float, float]:
+    """Return the returns of the first and the last colour: those of all pairs but a few bad ones.
+
+    In gentle tasks some pairs press on the person for seconds, which costs thousands; colours that
+    reached down to them would make the others alike.
+    """
+    low, most, high = (float(np.quantile(values, share)) for share in (0.0, _BELOW, 1.0))
+    if most - low > high - most:
+        low = most
+    return low, high if high > low else low + 1.0
+
+
+def _told_below(values: np.ndarray) -> str:
+    """Return what the caption says of returns without a colour of their own."""
+    least = float(values.min())
+    if _colour_ends(values)[0] == least:
+        return ""
+    return f" {_BELOW:.0%} of pairs, down to {least:,.0f}, are below the first colour."
 
 
 def _marks(matrix: Matrix) -> str:

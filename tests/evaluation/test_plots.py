@@ -230,6 +230,22 @@ def test_a_small_matrix_shows_its_numbers_with_self_play_in_bold():
     np.testing.assert_array_equal(bold, np.eye(4, dtype=bool))
 
 
+@pytest.mark.parametrize(
+    ("least", "told"), [(0.0, None), (-5000.0, "5% of pairs, down to -5,000,")]
+)
+def test_a_few_very_bad_pairs_do_not_take_the_colours(least: float, told: str | None):
+    values = np.linspace(0.0, 500.0, 20)
+    values[0] = least
+    table = episode_table(values.reshape(1, 20, 1), ["my robot"], teams(20))
+    pairs, order = derived.crossplay_matrix(table)
+    summarised = tables.to_json(summary.summarise_crossplay(table, CONTEXT))
+    figure = crossplay_heatmap(arrange(pairs, order), summarised)
+    [image] = axes_by_label(figure)["matrix"].images
+    first = 0.0 if told is None else 0.95 * values[1] + 0.05 * least
+    assert (image.norm.vmin, image.norm.vmax) == (pytest.approx(first), 500.0)
+    assert told is None or any(told in text for text in texts(figure))
+
+
 def test_an_outsider_is_drawn_without_self_play():
     table = episode_table(np.arange(20.0).reshape(1, 20, 1), ["my robot"], teams(20))
     pairs, order = derived.crossplay_matrix(table)
