@@ -73,7 +73,8 @@ def crossplay_heatmap(matrix: Matrix, summary: Mapping[str, Any]) -> Figure:
     image = _draw_matrix(heat, matrix, layout.cells)
     _draw_margin(place, layout, "left", matrix.rows, palettes)
     _draw_margin(place, layout, "top", matrix.columns, palettes)
-    _draw_colour_bar(image, place(layout.legend_left, layout.top, 0.15, _COLOUR_BAR, "colourbar"))
+    bar = place(layout.legend_left, layout.top, 0.15, _COLOUR_BAR, "colourbar")
+    _draw_colour_bar(image, bar, below=bool(_told_below(matrix.values)))
     top, height = layout.top + _COLOUR_BAR + 0.25, max(layout.legend_height, LINE)
     draw_legend(place(layout.legend_left, top, _LEGEND, height, "legend"), lines)
     return figure
@@ -95,8 +96,7 @@ def _layout(matrix: Matrix, legend_lines: int) -> _Layout:
     return _Layout((cells[0], cells[1]), left, top, width, height, legend_left, legend, size)
 
 
-def _draw_colour_bar(image: AxesImage, axes: Axes) -> None:
-    below = image.norm.vmin > image.get_array().min()
+def _draw_colour_bar(image: AxesImage, axes: Axes, below: bool) -> None:
     bar = axes.figure.colorbar(image, cax=axes, extend="min" if below else "neither")
     bar.set_label("mean return", fontsize=8, color=INK)
     axes.tick_params(labelsize=7, width=0.6, length=2.5, colors=INK)

@@ -254,14 +254,21 @@ def _made(results: Results, task: str) -> str:
         for (of, split, method), told in results.trained.items()
         if of == task
     }
-    played = {f"cross-play of {spoken(of)}": x for of, x in results.crossplay.items() if of == task}
-    played |= {
-        f"evaluation of {method} egos, {split}": egos
-        for (of, split, method), egos in results.egos.items()
+    crossed = {
+        f"cross-play of {spoken(of)}": x for of, x in results.crossplay.items() if of == task
+    }
+    egos = {
+        f"evaluation of {method} egos, {split}": one
+        for (of, split, method), one in results.egos.items()
         if of == task
     }
-    rows = [*team_rows(humans, GENTLE_TASKS), *ego_rows(trained), *played_rows(played)]
-    runs = (*trained.values(), *(one.run for one in played.values()))
+    rows = [
+        *team_rows(humans, GENTLE_TASKS),
+        *ego_rows(trained),
+        *played_rows(crossed),
+        *played_rows(egos),
+    ]
+    runs = [*trained.values(), *(one.run for one in (*crossed.values(), *egos.values()))]
     return costs(rows, [run.get("command", "") for run in runs])
 
 
