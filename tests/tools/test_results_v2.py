@@ -411,6 +411,20 @@ def test_all_pairs_of_methods_are_compared(data: Path, tmp_path: Path, registry:
     assert "for the 3 differences" in text
 
 
+def test_in_short_only_trained_methods_come_apart(
+    data: Path, tmp_path: Path, registry: Registry, split: Split
+):
+    # Told what its partner likes: 10 more in one of three episodes.
+    put_method(data, split, "ppo-told", {"train": [100, 100, 100], "test": [70, 110, 70]})
+    # This one is as good as PPO with every partner, and so not apart from it.
+    put_method(data, split, "ppo-gru", {"train": [100, 100, 100], "test": [70, 100, 70]})
+    lost, apart, alike, told, memory = cells(page(tmp_path), "gentle scratch", "In short")
+    assert (lost, memory) == ("20.0% [20.0%, 20.0%]", figure(25))
+    assert set(apart.split("; ")) == {"`ppo` > `sac`", "`ppo-gru` > `sac`"}
+    assert alike == "`ppo`, `ppo-gru`"
+    assert told.startswith(figure(-10 / 3) + ", p 0.0")
+
+
 def test_the_recurrent_robot_adapts(data: Path, tmp_path: Path, registry: Registry):
     heading = "Adaptation within a series of episodes"
     text = page(tmp_path)

@@ -1,7 +1,8 @@
 """Comparing methods, the cost of a split, and how diverse a population is."""
 
 import dataclasses
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.cluster import hierarchy
@@ -16,7 +17,7 @@ from evaluation.bootstrap import (
     interval,
     replicate_crossed,
 )
-from evaluation.metrics import Difference
+from evaluation.metrics import Difference, paired_difference
 from evaluation.statistics import score_matrix
 from evaluation.strategies import best_responses, br_diversity
 from tools.paper_page.data import CrossPlayed
@@ -34,6 +35,26 @@ class Diverse:
     # Mean over choices of equally many teams, with their 2.5% and 97.5% quantiles.
     chosen_behaviour: Interval
     chosen_returns: Interval
+
+
+@dataclasses.dataclass(frozen=True)
+class Compared:
+    """Two methods' difference, with its two-sided p and the same after Holm's correction."""
+
+    difference: Difference
+    p: float | None  # None if nothing was resampled
+    adjusted: float | None
+
+
+def compare(scores: Mapping[str, np.ndarray]) -> dict[tuple[str, str], Compared]:
+    """Compare every two methods by their returns [S, P] with the same partners."""
+    found = {
+        (a, b): paired_difference(scores[a], scores[b])
+        for a, b in itertools.combinations(scores, 2)
+    }
+    p = {pair: value for pair, one in found.items() if (value := two_sided(one)) is not None}
+    adjusted = dict(zip(p, holm(list(p.values())), strict=True))
+    return {pair: Compared(one, p.get(pair), adjusted.get(pair)) for pair, one in found.items()}
 
 
 def two_sided(difference: Difference) -> float | None:

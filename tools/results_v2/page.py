@@ -1,24 +1,27 @@
 """The page's sections in order, in Markdown."""
 
 from collections.abc import Callable, Iterable, Mapping
-from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from assistax_envs.versions import GENTLE_TASKS
 from evaluation.bootstrap import Estimate, Interval, estimate
-from evaluation.metrics import paired_difference, zero_shot
+from evaluation.metrics import zero_shot
 from evaluation.strategies import FEATURES
 from tools.paper_page.making import costs, ego_rows, played_rows, team_rows
 from tools.paper_page.markdown import MISSING, code, figure, image, spoken, table
 from tools.paper_page.sections import MATRIX_HEADINGS, matrix_figures
+from tools.results_v2.collect import REFERENCES
 from tools.results_v2.data import MIRROR, SERIES, Evaluated, Results, short
-from tools.results_v2.measures import diversity, holm, split_cost, two_sided
+from tools.results_v2.measures import Compared, compare, diversity, split_cost
 from zoo.schema import PolicyEntry, Split
 
 ALIKE = 1.05  # steps of training within this ratio count as equal
 SIDE = "test"  # of the partners that methods are compared with
+ALPHA = 0.05  # below it, a p after Holm's correction counts as a difference
+TOLD = ("ppo", "ppo-told")  # what knowing a partner's preference is worth
+RECURRENT = "ppo-gru"
 _NOTHING = f"{MISSING.capitalize()}."
 
 
@@ -31,6 +34,7 @@ def make_page(results: Results, pictures: str, command: str) -> str:
         command: The command that makes the page, for its last section.
     """
     parts = {
+        "In short": in_short(results),
         "The population": by_task(results, population),
         "Training for equally many steps": by_task(results, equal_steps),
         "Splits, and what they cost": by_task(results, splits),
@@ -60,6 +64,43 @@ def by_task(results: Results, section: Callable[[Results, str], str]) -> str:
     """Return a section's text for every task below its name."""
     texts = ((task, section(results, task)) for task in GENTLE_TASKS)
     return "\n\n".join(f"### {spoken(task).capitalize()}\n\n{text}" for task, text in texts)
+
+
+def in_short(results: Results) -> str:
+    """Return what the default splits cost, and which methods come apart on them."""
+    rows = [[spoken(task), *_in_short(results, task)] for task in GENTLE_TASKS]
+    headings = ["task", "lost", "come apart", "do not", f"`{TOLD[0]}` - `{TOLD[1]}`"]
+    headings += [f"`{RECURRENT}`: last - first"]
+    return (
+        f"{table(headings, rows, (1, 4, 5))}\n\nOn the default splits: the share of M_test that a "
+        "robot loses because it trained with the training side; the trained methods that are not "
+        f"told what a partner likes, apart where p is below {ALPHA:g} after Holm's correction, the "
+        "better one first; what being told is worth, and what a memory gains within a series. The "
+        "sections below say how each is measured."
+    )
+
+
+def _in_short(results: Results, task: str) -> list[str]:
+    found = compared(results, task)
+    trained = {pair: one for pair, one in found.items() if not {*pair} & {*REFERENCES, TOLD[1]}}
+    apart = {
+        pair: one
+        for pair, one in trained.items()
+        if one.adjusted is not None and one.adjusted < ALPHA
+    }
+    better = [
+        " > ".join(f"`{name}`" for name in (pair if one.difference.mean > 0 else pair[::-1]))
+        for pair, one in apart.items()
+    ]
+    alike = [f"`{a}`, `{b}`" for a, b in trained if (a, b) not in apart]
+    named = ["; ".join(names) or ("–" if trained else MISSING) for names in (better, alike)]
+    told = found.get(TOLD)
+    worth = f"{_mean(told.difference)}, p {_p(told.adjusted)}" if told else MISSING
+    default = results.splits[task][:1]
+    lost = _cost(results.methods(task, default[0], mirrored=True), default[0]) if default else []
+    series = results.methods(task, default[0], series=True) if default else {}
+    egos = series.get(f"{RECURRENT}{SERIES}")
+    return [(lost or [MISSING])[-1], *named, worth, _gain(egos) if egos else MISSING]
 
 
 def population(results: Results, task: str) -> str:
@@ -148,32 +189,38 @@ def methods(results: Results, task: str) -> str:
 
 def differences(results: Results, task: str) -> str:
     """Return all pairwise differences in M_test on the default split, Holm-corrected."""
-    default = results.splits[task][:1]
-    found = results.methods(task, default[0]) if default else {}
-    if len(found) < 2:
+    found = compared(results, task)
+    if not found:
         return _NOTHING
-    _check_alike(found, default[0])
-    scores = {name: egos.scores("return", SIDE) for name, egos in found.items()}
-    pairs = list(combinations(scores, 2))
-    compared = [paired_difference(scores[a], scores[b]) for a, b in pairs]
-    p = {pair: value for pair, one in zip(pairs, compared, strict=True)
-         if (value := two_sided(one)) is not None}  # fmt: skip
-    adjusted = dict(zip(p, holm(list(p.values())), strict=True))
     rows = [
         [
             f"`{a}` - `{b}`",
-            figure(vars(one), key="mean", ci="mean_ci"),
-            f"{one.partners_better:.0%}",
-            *(_p(values.get((a, b))) for values in (p, adjusted)),
+            _mean(one.difference),
+            f"{one.difference.partners_better:.0%}",
+            _p(one.p),
+            _p(one.adjusted),
         ]
-        for (a, b), one in zip(pairs, compared, strict=True)
+        for (a, b), one in found.items()
     ]
     headings = ["difference", "M_test, mean [95%]", "partners better with the former", "p"]
+    count = sum(one.p is not None for one in found.values())
     return (
-        f"{table([*headings, 'p, Holm'], rows, range(1, 5))}\n\nOn `{short(default[0])}`. p is "
-        "two-sided, by the bootstrap of seeds and partners; the least is 0.001. Holm's correction "
-        f"is for the {len(p)} differences of this table."
+        f"{table([*headings, 'p, Holm'], rows, range(1, 5))}\n\nOn "
+        f"`{short(results.splits[task][0])}`. p is two-sided, by the bootstrap of seeds and "
+        "partners; the least is 0.001. Holm's correction is for the "
+        f"{count} differences of this table."
     )
+
+
+def compared(results: Results, task: str) -> dict[tuple[str, str], Compared]:
+    """Compare every two methods in M_test on a task's default split; empty below two methods."""
+    default = results.splits[task][:1]
+    methods = results.methods(task, default[0]) if default else {}
+    if len(methods) < 2:
+        return {}
+    _check_alike(methods, default[0])
+    scores = {name: egos.scores("return", SIDE) for name, egos in methods.items()}
+    return compare(scores)
 
 
 def adaptation(results: Results, task: str) -> str:
@@ -187,8 +234,7 @@ def adaptation(results: Results, task: str) -> str:
     for name, egos in found.items():
         scores = {place: egos.scores("return", SIDE, place) for place in egos.places}
         cells = [_mean(estimate(scores[one])) if one in scores else "–" for one in places]
-        gain = _mean(estimate(scores[max(scores)] - scores[min(scores)]))
-        rows.append([f"`{name.removesuffix(SERIES)}`", egos.seeds, *cells, gain])
+        rows.append([f"`{name.removesuffix(SERIES)}`", egos.seeds, *cells, _gain(egos)])
     headings = ["method", "seeds", *(f"episode {place}" for place in places), "last - first"]
     return (
         f"{table(headings, rows, range(1, len(headings)))}\n\nMean return with test partners by "
@@ -330,6 +376,12 @@ def _figures(egos: Evaluated) -> list[object]:
     returns = [cell for one in (told.m_train, told.m_test) for cell in (_mean(one), _iqm(one))]
     shares = [estimate(egos.scores(name, SIDE)) for name in ("safe_success", "violated")]
     return [egos.seeds, *returns, _mean(told.gap), *(_share(one) for one in shares)]
+
+
+def _gain(egos: Evaluated) -> str:
+    """Return what the last episode of a series earns beyond the first."""
+    first, last = (egos.scores("return", SIDE, end(egos.places)) for end in (min, max))
+    return _mean(estimate(last - first))
 
 
 def _mean(found: Estimate) -> str:
