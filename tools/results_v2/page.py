@@ -164,7 +164,7 @@ def splits(results: Results, task: str) -> str:
         f"{table(headings, rows, (2, 3, 5, 6, 7))}\n\n`ppo{MIRROR}` was trained with the test "
         "side, `ppo` with the training side; both play with the test partners. The interval "
         "resamples the seeds of either apart, and the partners together. Custom splits are by "
-        "behaviour: of the two groups of humans that other robots suit, one is held out."
+        "behaviour: humans fall into two groups by which robots suit them; the better is held out."
     )
 
 
