@@ -227,6 +227,8 @@ def _environment(home: str) -> None:
         "TMPDIR": home,
         "JAX_PLATFORMS": "cpu",
         "JAX_COMPILATION_CACHE_DIR": str(COMPILED),
+        # Its threads have idle priority: on a busy machine a process waits seconds for their end.
+        "MESA_SHADER_CACHE_DISABLE": "true",
     }
 
 
