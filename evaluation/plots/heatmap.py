@@ -60,7 +60,8 @@ def crossplay_heatmap(matrix: Matrix, summary: Mapping[str, Any]) -> Figure:
     }
     lines = legend_lines(matrix, palettes["algorithm"], palettes["disability"])
     layout = _layout(matrix, len(lines))
-    below = caption(matrix, summary, _marks(matrix)) + _told_below(matrix.values)
+    uncoloured = _told_below(matrix.values)
+    below = caption(matrix, summary, _marks(matrix)) + uncoloured
     wide, high = layout.size[0], layout.size[1] + style.caption_height(below, layout.size[0])
     figure = style.titled_figure(f"Cross-play: {summary['task']}", below, wide, high)
     figure.text(0.2 / wide, 1 - 0.42 / high, headline(summary), fontsize=8.5, va="top", color=INK)
@@ -74,7 +75,7 @@ def crossplay_heatmap(matrix: Matrix, summary: Mapping[str, Any]) -> Figure:
     _draw_margin(place, layout, "left", matrix.rows, palettes)
     _draw_margin(place, layout, "top", matrix.columns, palettes)
     bar = place(layout.legend_left, layout.top, 0.15, _COLOUR_BAR, "colourbar")
-    _draw_colour_bar(image, bar, below=bool(_told_below(matrix.values)))
+    _draw_colour_bar(image, bar, below=bool(uncoloured))
     top, height = layout.top + _COLOUR_BAR + 0.25, max(layout.legend_height, LINE)
     draw_legend(place(layout.legend_left, top, _LEGEND, height, "legend"), lines)
     return figure

@@ -96,6 +96,14 @@ class Results:
             and (mirrored or not method.endswith(MIRROR))
         }
 
+    def on_default(self, task: str, *, series: bool = False) -> dict[str, Evaluated]:
+        """Return the same of a task's default split; empty where it has none."""
+        return {
+            method: found
+            for split in self.splits[task][:1]
+            for method, found in self.methods(task, split, series=series).items()
+        }
+
     @property
     def missing(self) -> list[str]:
         """Name what is not measured yet."""

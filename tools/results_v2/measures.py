@@ -46,7 +46,10 @@ class Compared:
     adjusted: float | None
 
 
-def compare(scores: Mapping[str, np.ndarray]) -> dict[tuple[str, str], Compared]:
+Comparison = dict[tuple[str, str], Compared]  # by the names of two methods
+
+
+def compare(scores: Mapping[str, np.ndarray]) -> Comparison:
     """Compare every two methods by their returns [S, P] with the same partners."""
     found = {
         (a, b): paired_difference(scores[a], scores[b])

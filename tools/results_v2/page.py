@@ -1,6 +1,7 @@
 """The page's sections in order, in Markdown."""
 
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from tools.paper_page.markdown import MISSING, code, figure, image, spoken, tabl
 from tools.paper_page.sections import MATRIX_HEADINGS, matrix_figures
 from tools.results_v2.collect import REFERENCES
 from tools.results_v2.data import MIRROR, SERIES, Evaluated, Results, short
-from tools.results_v2.measures import Compared, compare, diversity, split_cost
+from tools.results_v2.measures import Comparison, compare, diversity, split_cost
 from zoo.schema import PolicyEntry, Split
 
 ALIKE = 1.05  # steps of training within this ratio count as equal
@@ -33,13 +34,14 @@ def make_page(results: Results, pictures: str, command: str) -> str:
         pictures: Folder of the figures, relative to the page.
         command: The command that makes the page, for its last section.
     """
+    found = {task: compared(results, task) for task in GENTLE_TASKS}
     parts = {
-        "In short": in_short(results),
+        "In short": in_short(results, found),
         "The population": by_task(results, population),
         "Training for equally many steps": by_task(results, equal_steps),
         "Splits, and what they cost": by_task(results, splits),
         "Methods": by_task(results, methods),
-        "Differences between methods": by_task(results, differences),
+        "Differences between methods": by_task(results, partial(differences, found)),
         "Adaptation within a series of episodes": by_task(results, adaptation),
         "Cross-play": cross_play(results, pictures),
         "Diversity": diverse(results),
@@ -66,9 +68,9 @@ def by_task(results: Results, section: Callable[[Results, str], str]) -> str:
     return "\n\n".join(f"### {spoken(task).capitalize()}\n\n{text}" for task, text in texts)
 
 
-def in_short(results: Results) -> str:
+def in_short(results: Results, found: Mapping[str, Comparison]) -> str:
     """Return what the default splits cost, and which methods come apart on them."""
-    rows = [[spoken(task), *_in_short(results, task)] for task in GENTLE_TASKS]
+    rows = [[spoken(task), *_in_short(results, task, found[task])] for task in GENTLE_TASKS]
     headings = ["task", "lost", "come apart", "do not", f"`{TOLD[0]}` - `{TOLD[1]}`"]
     headings += [f"`{RECURRENT}`: last - first"]
     return (
@@ -80,8 +82,7 @@ def in_short(results: Results) -> str:
     )
 
 
-def _in_short(results: Results, task: str) -> list[str]:
-    found = compared(results, task)
+def _in_short(results: Results, task: str, found: Comparison) -> list[str]:
     trained = {pair: one for pair, one in found.items() if not {*pair} & {*REFERENCES, TOLD[1]}}
     apart = {
         pair: one
@@ -96,11 +97,12 @@ def _in_short(results: Results, task: str) -> list[str]:
     named = ["; ".join(names) or ("–" if trained else MISSING) for names in (better, alike)]
     told = found.get(TOLD)
     worth = f"{_mean(told.difference)}, p {_p(told.adjusted)}" if told else MISSING
-    default = results.splits[task][:1]
-    lost = _cost(results.methods(task, default[0], mirrored=True), default[0]) if default else []
-    series = results.methods(task, default[0], series=True) if default else {}
-    egos = series.get(f"{RECURRENT}{SERIES}")
-    return [(lost or [MISSING])[-1], *named, worth, _gain(egos) if egos else MISSING]
+    lost = [
+        _cost(results.methods(task, split, mirrored=True), split)[-1]
+        for split in results.splits[task][:1]
+    ]
+    egos = results.on_default(task, series=True).get(f"{RECURRENT}{SERIES}")
+    return [*(lost or [MISSING]), *named, worth, _gain(egos) if egos else MISSING]
 
 
 def population(results: Results, task: str) -> str:
@@ -188,9 +190,9 @@ def methods(results: Results, task: str) -> str:
     return "\n\n".join([*texts, about])
 
 
-def differences(results: Results, task: str) -> str:
+def differences(comparisons: Mapping[str, Comparison], results: Results, task: str) -> str:
     """Return all pairwise differences in M_test on the default split, Holm-corrected."""
-    found = compared(results, task)
+    found = comparisons[task]
     if not found:
         return _NOTHING
     rows = [
@@ -213,21 +215,18 @@ def differences(results: Results, task: str) -> str:
     )
 
 
-def compared(results: Results, task: str) -> dict[tuple[str, str], Compared]:
+def compared(results: Results, task: str) -> Comparison:
     """Compare every two methods in M_test on a task's default split; empty below two methods."""
-    default = results.splits[task][:1]
-    methods = results.methods(task, default[0]) if default else {}
-    if len(methods) < 2:
+    found = results.on_default(task)
+    if len(found) < 2:
         return {}
-    _check_alike(methods, default[0])
-    scores = {name: egos.scores("return", SIDE) for name, egos in methods.items()}
-    return compare(scores)
+    _check_alike(found, results.splits[task][0])
+    return compare({name: egos.scores("return", SIDE) for name, egos in found.items()})
 
 
 def adaptation(results: Results, task: str) -> str:
     """Return the return by place in a series, of every method that played one."""
-    default = results.splits[task][:1]
-    found = results.methods(task, default[0], series=True) if default else {}
+    found = results.on_default(task, series=True)
     if not found:
         return _NOTHING
     places = sorted({place for egos in found.values() for place in egos.places})
@@ -239,8 +238,9 @@ def adaptation(results: Results, task: str) -> str:
     headings = ["method", "seeds", *(f"episode {place}" for place in places), "last - first"]
     return (
         f"{table(headings, rows, range(1, len(headings)))}\n\nMean return with test partners by "
-        f"place in a series, on `{short(default[0])}`. A recurrent robot remembers its partner "
-        "within the series; a feed-forward one does not. Intervals resample seeds and partners."
+        f"place in a series, on `{short(results.splits[task][0])}`. A recurrent robot remembers "
+        "its partner within the series; a feed-forward one does not. Intervals resample seeds and "
+        "partners."
     )
 
 
