@@ -98,18 +98,25 @@ def test_p_is_two_sided_and_never_zero():
 
 def test_the_cost_of_a_split_by_hand():
     partners = np.array([[10.0, 100.0, 1000.0]]).repeat(2, axis=0)
-    found = measures.split_cost(partners, 0.8 * partners)
-    assert found is not None and found.value_ci is not None
-    assert found.value == pytest.approx(0.2)
-    # Partners are resampled together, so that these, who differ a lot, leave no doubt.
-    assert found.value_ci == pytest.approx((0.2, 0.2))
+    lost, share = measures.split_cost(partners, 0.8 * partners)
+    assert share is not None and lost.value == pytest.approx(0.2 * 370)
+    assert share.value == pytest.approx(0.2)
+    # Partners are resampled together, so that these, who differ a lot, leave no doubt of the share.
+    assert share.value_ci == pytest.approx((0.2, 0.2))
+    assert lost.value_ci == pytest.approx((0.2 * 10, 0.2 * 1000))
     seeds = np.array([[50.0], [150.0]])
-    found = measures.split_cost(seeds, 0.8 * seeds)
-    assert found is not None and found.value_ci is not None
-    assert found.value == pytest.approx(0.2)
+    lost, share = measures.split_cost(seeds, 0.8 * seeds)
+    assert share is not None and share.value == pytest.approx(0.2)
     # Seeds are resampled apart: at worst 1 - 0.8 x 150 / 50, at best 1 - 0.8 x 50 / 150.
-    assert found.value_ci == pytest.approx((1 - 2.4, 1 - 0.8 / 3))
-    assert measures.split_cost(-partners, partners) is None
+    assert share.value_ci == pytest.approx((1 - 2.4, 1 - 0.8 / 3))
+    assert lost.value_ci == pytest.approx((50 - 120, 150 - 40))
+    lost, share = measures.split_cost(-partners, partners)
+    assert lost.value == pytest.approx(-2 * 370) and share is None
+    # It earns 1 on the mean, and with other seeds nothing: of that there is no share either.
+    lost, share = measures.split_cost(np.array([[-8.0], [10.0]]), seeds)
+    assert lost.value == pytest.approx(1 - 100) and share is None
+    one = measures.split_cost(np.array([[10.0]]), np.array([[8.0]]))
+    assert one.share is not None and one.share.value_ci is None
     with pytest.raises(ValueError, match="the same partners"):
         measures.split_cost(partners, partners[:, :2])
 
@@ -394,8 +401,8 @@ def test_the_split_costs_a_fifth(data: Path, tmp_path: Path, registry: Registry,
     text = page(tmp_path)
     name = f"`{split.id.split('/')[1]}` (default)"
     counts = [str(len(split.train)), str(len(split.test))]
-    lost = "20.0% [20.0%, 20.0%]"
-    assert cells(text, name) == ["half", *counts, "–", figure(100), figure(80), lost]
+    earned = [figure(100), figure(80), figure(20), "20.0% [20.0%, 20.0%]"]
+    assert cells(text, name) == ["half", *counts, "–", *earned]
 
 
 def test_all_pairs_of_methods_are_compared(data: Path, tmp_path: Path, registry: Registry):

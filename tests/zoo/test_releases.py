@@ -34,6 +34,7 @@ def test_egos_were_trained_with_the_training_side_of_the_default_split() -> None
     assert sorted(egos) == [
         "arm_assist/ppo-ego-s0-v1",
         "bed_bath/ppo-ego-s0-v1",
+        "gentle_bath/ppo-ego-s0-v2",
         "gentle_lift/ppo-ego-s0-v2",
         "gentle_scratch/ppo-ego-s0-v2",
         "scratch/ppo-ego-s0-v1",

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.cluster import hierarchy
@@ -85,8 +86,15 @@ def holm(p: Sequence[float]) -> list[float]:
     return adjusted.tolist()
 
 
-def split_cost(mirror: np.ndarray, plain: np.ndarray, *, seed: int = 0) -> Interval | None:
-    """Return what unseen partners cost: the share of the mirror's return that is lost.
+class SplitCost(NamedTuple):
+    """What unseen partners cost."""
+
+    lost: Interval  # mean return of the mirror less that of the other
+    share: Interval | None  # of the mirror's; None where that is not surely above zero
+
+
+def split_cost(mirror: np.ndarray, plain: np.ndarray, *, seed: int = 0) -> SplitCost:
+    """Return what unseen partners cost, in return and as a share of the mirror's.
 
     The seeds of either are resampled apart, the partners together.
 
@@ -94,9 +102,6 @@ def split_cost(mirror: np.ndarray, plain: np.ndarray, *, seed: int = 0) -> Inter
         mirror: Returns [S, P] of robots that were trained with these test partners.
         plain: Returns [S', P] of robots that were trained with the training side, same partners.
         seed: Of the resamples.
-
-    Returns:
-        The share; None where the mirror earns nothing, of which there is no share.
 
     Raises:
         ValueError: They have different numbers of partners.
@@ -107,8 +112,6 @@ def split_cost(mirror: np.ndarray, plain: np.ndarray, *, seed: int = 0) -> Inter
             f"the mirror has {mirror.shape[1]} partners and the other {plain.shape[1]}; give both "
             "the same partners"
         )
-    if mirror.mean() <= 0:
-        return None
     rng = np.random.default_rng(seed)
     partners = draw_counts(mirror.shape[1], RESAMPLES, rng)
     to = generalises_to((max(len(mirror), len(plain)), mirror.shape[1]))
@@ -116,9 +119,12 @@ def split_cost(mirror: np.ndarray, plain: np.ndarray, *, seed: int = 0) -> Inter
         replicate_crossed(scores, draw_counts(len(scores), RESAMPLES, rng), partners, to)
         for scores in (mirror, plain)
     )
-    earned = np.where(above.means > 0, above.means, np.nan)
-    lost = interval(1 - below.means / earned, to)
-    return Interval(1 - below.mean / above.mean, lost, above.n + below.n, to)
+    count = above.n + below.n
+    lost = Interval(above.mean - below.mean, interval(above.means - below.means, to), count, to)
+    shares = interval(1 - below.means / np.where(above.means > 0, above.means, np.nan), to)
+    if above.mean <= 0 or (shares is None and lost.value_ci is not None):
+        return SplitCost(lost, None)
+    return SplitCost(lost, Interval(1 - below.mean / above.mean, shares, count, to))
 
 
 def effective_rank(matrix: np.ndarray) -> float:

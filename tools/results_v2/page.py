@@ -161,11 +161,12 @@ def splits(results: Results, task: str) -> str:
     if not rows:
         return _NOTHING
     headings = ["split", "rule", "training partners", "test partners", "held-out preferences"]
-    headings += [f"M_test of ppo{MIRROR}", "M_test of ppo", "lost, share of the former [95%]"]
+    headings += [f"M_test of ppo{MIRROR}", "M_test of ppo", "lost [95%]", "share of the former"]
     return (
-        f"{table(headings, rows, (2, 3, 5, 6, 7))}\n\n`ppo{MIRROR}` was trained with the test "
+        f"{table(headings, rows, (2, 3, 5, 6, 7, 8))}\n\n`ppo{MIRROR}` was trained with the test "
         "side, `ppo` with the training side; both play with the test partners. The interval "
-        "resamples the seeds of either apart, and the partners together. Custom splits are by "
+        "resamples the seeds of either apart, and the partners together. A return that is not "
+        "surely above zero has no share. Custom splits are by "
         "behaviour: humans fall into two groups by which robots suit them; the better is held out."
     )
 
@@ -288,7 +289,7 @@ def diverse(results: Results) -> str:
 def made(results: Results, command: str) -> str:
     """Return device minutes and commands of every table; `command` makes the page."""
     note = (
-        "Minutes are a process's own; up to four shared a GPU. What trained `ppo-mirror` is the "
+        "Minutes are a process's own; up to twelve shared a GPU. What trained `ppo-mirror` is the "
         "split with its sides exchanged, which is no split of the release."
     )
     return f"{note}\n\n{by_task(results, _made)}\n\nThis page:\n\n{code(command)}"
@@ -316,7 +317,8 @@ def _made(results: Results, task: str) -> str:
         *played_rows(egos),
     ]
     runs = [*trained.values(), *(one.run for one in (*crossed.values(), *egos.values()))]
-    return costs(rows, [run.get("command", "") for run in runs])
+    text = costs(rows, [run.get("command", "") for run in runs])
+    return f"<details markdown>\n<summary>Minutes and commands</summary>\n\n{text}\n\n</details>"
 
 
 def _kind(human: PolicyEntry) -> tuple[str, str]:
@@ -353,9 +355,13 @@ def _cost(found: Mapping[str, Evaluated], split: Split) -> list[str]:
         for name in (f"ppo{MIRROR}", "ppo")
     ]
     if len(scores) < 2:
-        return [*told, MISSING]
-    lost = split_cost(*scores)
-    return [*told, "–" if lost is None else _interval(lost, percent=True)]
+        return [*told, MISSING, MISSING]
+    lost, share = split_cost(*scores)
+    return [
+        *told,
+        figure(vars(lost), key="value", ci="value_ci"),
+        "–" if share is None else _interval(share, percent=True),
+    ]
 
 
 def _check_alike(found: Mapping[str, Evaluated], split: Split) -> None:
