@@ -6,6 +6,7 @@ from typing import Literal
 
 from assistax_envs.versions import PAPER_TASKS
 from evaluation.bootstrap import Interval
+from tools.paper_page import markdown
 from tools.paper_page.data import METHODS, CrossPlayed, Egos, Results
 from tools.paper_page.measures import (
     improvement,
@@ -195,12 +196,8 @@ def _against(what: str, figure: Interval, threshold: float, *, above: bool) -> C
 
 
 def _told(figure: Interval) -> str:
-    interval = (
-        f" [{figure.value_ci[0]:.1%}, {figure.value_ci[1]:.1%}]"
-        if figure.value_ci
-        else ", no interval"
-    )
-    return f"{figure.value:.1%}{interval}"
+    told = markdown.figure(vars(figure), key="value", percent=True)
+    return told if figure.value_ci else f"{told}, no interval"
 
 
 def _met(true: bool) -> Outcome:

@@ -16,14 +16,15 @@ def table(
 
 
 def figure(
-    value: Mapping[str, Any] | None, digits: int = 1, key: str = "iqm", ci: str = "iqm_ci"
+    value: Mapping[str, Any] | None, digits: int = 1, key: str = "iqm", *, percent: bool = False
 ) -> str:
-    """Return a point with its 95% interval, such as `939.5 [934.0, 958.0]`."""
+    """Return a point, of whose name `key` is, with its 95% interval: `939.5 [934.0, 958.0]`."""
     if value is None:
         return MISSING
-    interval = value.get(ci)
-    ends = "" if interval is None else f" [{interval[0]:,.{digits}f}, {interval[1]:,.{digits}f}]"
-    return f"{value[key]:,.{digits}f}{ends}"
+    form = f".{digits}%" if percent else f",.{digits}f"
+    interval = value.get(f"{key}_ci")
+    ends = "" if interval is None else f" [{interval[0]:{form}}, {interval[1]:{form}}]"
+    return f"{value[key]:{form}}{ends}"
 
 
 def spoken(name: str) -> str:

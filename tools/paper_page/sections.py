@@ -229,7 +229,7 @@ def zero_shot(results: Results, picture: Picture) -> str:
             figures = [
                 figure(told["m_train"]),
                 figure(told["m_test"]),
-                figure(told["gap"], key="mean", ci="mean_ci"),
+                figure(told["gap"], key="mean"),
             ]
             rows.append(
                 [
@@ -350,7 +350,7 @@ def matrix_figures(played: CrossPlayed) -> list[object]:
     """Return a task's cells of MATRIX_HEADINGS."""
     told, order = played.summary, played.order["teams"]
     gap = told["relative_gap"]
-    lost = "–" if gap is None else "{:.1%} [{:.1%}, {:.1%}]".format(gap["value"], *gap["value_ci"])
+    lost = "–" if gap is None else figure(gap, key="value", percent=True)
     fit = "–" if order["silhouette"] is None else f"{order['silhouette']:.2f}"
     return [
         told["egos"],

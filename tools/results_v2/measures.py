@@ -122,6 +122,7 @@ def split_cost(mirror: np.ndarray, plain: np.ndarray, *, seed: int = 0) -> Split
     count = above.n + below.n
     lost = Interval(above.mean - below.mean, interval(above.means - below.means, to), count, to)
     shares = interval(1 - below.means / np.where(above.means > 0, above.means, np.nan), to)
+    # Without an interval although there were draws: in over 5% of them the mirror earned nothing.
     if above.mean <= 0 or (shares is None and lost.value_ci is not None):
         return SplitCost(lost, None)
     return SplitCost(lost, Interval(1 - below.mean / above.mean, shares, count, to))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from assistax_envs.versions import GENTLE_TASKS
-from evaluation.bootstrap import Estimate, Interval, estimate
+from evaluation.bootstrap import Estimate, estimate
 from evaluation.metrics import zero_shot
 from evaluation.strategies import FEATURES
 from tools.paper_page.making import costs, ego_rows, played_rows, team_rows
@@ -15,12 +15,13 @@ from tools.paper_page.markdown import MISSING, code, figure, image, spoken, tabl
 from tools.paper_page.sections import MATRIX_HEADINGS, matrix_figures
 from tools.results_v2.collect import REFERENCES
 from tools.results_v2.data import MIRROR, SERIES, Evaluated, Results, short
-from tools.results_v2.measures import Comparison, compare, diversity, split_cost
+from tools.results_v2.measures import Comparison, SplitCost, compare, diversity, split_cost
 from zoo.schema import PolicyEntry, Split
 
 ALIKE = 1.05  # steps of training within this ratio count as equal
 SIDE = "test"  # of the partners that methods are compared with
 ALPHA = 0.05  # below it, a p after Holm's correction counts as a difference
+TRAINED_WITH = (f"ppo{MIRROR}", "ppo")  # the test side, and the training side
 TOLD = ("ppo", "ppo-told")  # what knowing a partner's preference is worth
 RECURRENT = "ppo-gru"
 _NOTHING = f"{MISSING.capitalize()}."
@@ -35,11 +36,14 @@ def make_page(results: Results, pictures: str, command: str) -> str:
         command: The command that makes the page, for its last section.
     """
     found = {task: compared(results, task) for task in GENTLE_TASKS}
+    lost = {
+        split.id: cost(results, split) for task in GENTLE_TASKS for split in results.splits[task]
+    }
     parts = {
-        "In short": in_short(results, found),
+        "In short": in_short(results, found, lost),
         "The population": by_task(results, population),
         "Training for equally many steps": by_task(results, equal_steps),
-        "Splits, and what they cost": by_task(results, splits),
+        "Splits, and what they cost": by_task(results, partial(splits, lost)),
         "Methods": by_task(results, methods),
         "Differences between methods": by_task(results, partial(differences, found)),
         "Adaptation within a series of episodes": by_task(results, adaptation),
@@ -68,9 +72,14 @@ def by_task(results: Results, section: Callable[[Results, str], str]) -> str:
     return "\n\n".join(f"### {spoken(task).capitalize()}\n\n{text}" for task, text in texts)
 
 
-def in_short(results: Results, found: Mapping[str, Comparison]) -> str:
+def in_short(
+    results: Results, found: Mapping[str, Comparison], costs: Mapping[str, SplitCost | None]
+) -> str:
     """Return what the default splits cost, and which methods come apart on them."""
-    rows = [[spoken(task), *_in_short(results, task, found[task])] for task in GENTLE_TASKS]
+    rows: list[list[str]] = []
+    for task in GENTLE_TASKS:
+        default = [_lost(costs[split.id])[-1] for split in results.splits[task][:1]] or [MISSING]
+        rows.append([spoken(task), *default, *_in_short(results, task, found[task])])
     headings = ["task", "lost", "come apart", "do not", f"`{TOLD[0]}` - `{TOLD[1]}`"]
     headings += [f"`{RECURRENT}`: last - first"]
     return (
@@ -97,12 +106,8 @@ def _in_short(results: Results, task: str, found: Comparison) -> list[str]:
     named = ["; ".join(names) or ("–" if trained else MISSING) for names in (better, alike)]
     told = found.get(TOLD)
     worth = f"{_mean(told.difference)}, p {_p(told.adjusted)}" if told else MISSING
-    lost = [
-        _cost(results.methods(task, split, mirrored=True), split)[-1]
-        for split in results.splits[task][:1]
-    ]
     egos = results.on_default(task, series=True).get(f"{RECURRENT}{SERIES}")
-    return [*(lost or [MISSING]), *named, worth, _gain(egos) if egos else MISSING]
+    return [*named, worth, _gain(egos) if egos else MISSING]
 
 
 def population(results: Results, task: str) -> str:
@@ -136,7 +141,7 @@ def equal_steps(results: Results, task: str) -> str:
         for name in names:
             ours = [human for human in shared if human.algorithm == name]
             found = _self_play(ours)
-            cells = [figure(found), figure(found, key="mean", ci="mean_ci")]
+            cells = [figure(found), figure(found, key="mean")]
             place = ", ".join(sorted(settings, key=lambda one: (len(one), one)))
             rows.append([steps, name.upper(), place, len(ours), *cells])
     if not rows:
@@ -148,27 +153,41 @@ def equal_steps(results: Results, task: str) -> str:
     )
 
 
-def splits(results: Results, task: str) -> str:
+def splits(costs: Mapping[str, SplitCost | None], results: Results, task: str) -> str:
     """Return the splits with their rules and counts, and the share that unseen partners cost."""
     rows: list[list[object]] = []
     for split in results.splits[task]:
         found = results.methods(task, split, mirrored=True)
+        earned = [
+            _mean(estimate(found[name].scores("return", SIDE))) if name in found else MISSING
+            for name in TRAINED_WITH
+        ]
         held = ", ".join(split.preferences.get("test", ())) or "–"
         what = f"{split.rule}, {split.held_out}" if split.held_out else split.rule
         name = f"`{short(split)}`" + (" (default)" if split is results.splits[task][0] else "")
         counts = [len(split.train), len(split.test)]
-        rows.append([name, what, *counts, held, *_cost(found, split)])
+        rows.append([name, what, *counts, held, *earned, *_lost(costs[split.id])])
     if not rows:
         return _NOTHING
     headings = ["split", "rule", "training partners", "test partners", "held-out preferences"]
-    headings += [f"M_test of ppo{MIRROR}", "M_test of ppo", "lost [95%]", "share of the former"]
+    headings += [*(f"M_test of {name}" for name in TRAINED_WITH), "lost [95%]", "lost, share"]
     return (
         f"{table(headings, rows, (2, 3, 5, 6, 7, 8))}\n\n`ppo{MIRROR}` was trained with the test "
-        "side, `ppo` with the training side; both play with the test partners. The interval "
-        "resamples the seeds of either apart, and the partners together. A return that is not "
-        "surely above zero has no share. Custom splits are by "
-        "behaviour: humans fall into two groups by which robots suit them; the better is held out."
+        "side, `ppo` with the training side; both play with the test partners, and what is lost is "
+        "the former's return less the latter's, with its share of the former's where that is "
+        "surely above zero. The interval resamples the seeds of either apart, and the partners "
+        "together. Custom splits are by behaviour: humans fall into two groups by which robots "
+        "suit them; the better is held out."
     )
+
+
+def cost(results: Results, split: Split) -> SplitCost | None:
+    """Return what unseen partners cost on a split; None where either robot was not evaluated."""
+    found = results.methods(split.task, split, mirrored=True)
+    both = {name: found[name] for name in TRAINED_WITH if name in found}
+    _check_alike(both, split)
+    scores = [egos.scores("return", SIDE) for egos in both.values()]
+    return split_cost(*scores) if len(scores) == len(TRAINED_WITH) else None
 
 
 def methods(results: Results, task: str) -> str:
@@ -269,7 +288,9 @@ def diverse(results: Results) -> str:
     rows: list[list[object]] = []
     for release, task, played in found:
         one = diversity(played, size)
-        chosen = [_interval(value) for value in (one.chosen_behaviour, one.chosen_returns)]
+        chosen = [
+            figure(vars(value), 2, "value") for value in (one.chosen_behaviour, one.chosen_returns)
+        ]
         whole = [f"{value:.2f}" for value in (one.behaviour, one.returns)]
         cells = [whole[0], chosen[0], whole[1], chosen[1]]
         rows.append([release, spoken(task), len(played.teams), *cells])
@@ -346,22 +367,12 @@ def _alike(humans: Iterable[PolicyEntry]) -> list[list[PolicyEntry]]:
     return groups
 
 
-def _cost(found: Mapping[str, Evaluated], split: Split) -> list[str]:
-    both = {name: found[name] for name in (f"ppo{MIRROR}", "ppo") if name in found}
-    _check_alike(both, split)
-    scores = [egos.scores("return", SIDE) for egos in both.values()]
-    told = [
-        _mean(estimate(both[name].scores("return", SIDE))) if name in both else MISSING
-        for name in (f"ppo{MIRROR}", "ppo")
-    ]
-    if len(scores) < 2:
-        return [*told, MISSING, MISSING]
-    lost, share = split_cost(*scores)
-    return [
-        *told,
-        figure(vars(lost), key="value", ci="value_ci"),
-        "–" if share is None else _interval(share, percent=True),
-    ]
+def _lost(cost: SplitCost | None) -> list[str]:
+    """Return what a split costs, and which share that is."""
+    if cost is None:
+        return [MISSING, MISSING]
+    share = "–" if cost.share is None else figure(vars(cost.share), key="value", percent=True)
+    return [figure(vars(cost.lost), key="value"), share]
 
 
 def _check_alike(found: Mapping[str, Evaluated], split: Split) -> None:
@@ -392,7 +403,7 @@ def _gain(egos: Evaluated) -> str:
 
 
 def _mean(found: Estimate) -> str:
-    return figure(vars(found), key="mean", ci="mean_ci")
+    return figure(vars(found), key="mean")
 
 
 def _iqm(found: Estimate) -> str:
@@ -400,13 +411,7 @@ def _iqm(found: Estimate) -> str:
 
 
 def _share(found: Estimate) -> str:
-    return _interval(Interval(found.mean, found.mean_ci, found.n, ""), percent=True)
-
-
-def _interval(found: Interval, *, percent: bool = False) -> str:
-    form = ".1%" if percent else ".2f"
-    ends = "" if found.value_ci is None else " [{:{f}}, {:{f}}]".format(*found.value_ci, f=form)
-    return f"{found.value:{form}}{ends}"
+    return figure(vars(found), key="mean", percent=True)
 
 
 def _p(value: float | None) -> str:
