@@ -36,14 +36,14 @@ def make_page(results: Results, pictures: str, command: str) -> str:
         command: The command that makes the page, for its last section.
     """
     found = {task: compared(results, task) for task in GENTLE_TASKS}
-    lost = {
+    split_costs = {
         split.id: cost(results, split) for task in GENTLE_TASKS for split in results.splits[task]
     }
     parts = {
-        "In short": in_short(results, found, lost),
+        "In short": in_short(results, found, split_costs),
         "The population": by_task(results, population),
         "Training for equally many steps": by_task(results, equal_steps),
-        "Splits, and what they cost": by_task(results, partial(splits, lost)),
+        "Splits, and what they cost": by_task(results, partial(splits, split_costs)),
         "Methods": by_task(results, methods),
         "Differences between methods": by_task(results, partial(differences, found)),
         "Adaptation within a series of episodes": by_task(results, adaptation),
@@ -73,12 +73,16 @@ def by_task(results: Results, section: Callable[[Results, str], str]) -> str:
 
 
 def in_short(
-    results: Results, found: Mapping[str, Comparison], costs: Mapping[str, SplitCost | None]
+    results: Results,
+    found: Mapping[str, Comparison],
+    split_costs: Mapping[str, SplitCost | None],
 ) -> str:
     """Return what the default splits cost, and which methods come apart on them."""
     rows: list[list[str]] = []
     for task in GENTLE_TASKS:
-        default = [_lost(costs[split.id])[-1] for split in results.splits[task][:1]] or [MISSING]
+        default = [_lost(split_costs[split.id])[-1] for split in results.splits[task][:1]] or [
+            MISSING
+        ]
         rows.append([spoken(task), *default, *_in_short(results, task, found[task])])
     headings = ["task", "lost", "come apart", "do not", f"`{TOLD[0]}` - `{TOLD[1]}`"]
     headings += [f"`{RECURRENT}`: last - first"]
@@ -153,7 +157,7 @@ def equal_steps(results: Results, task: str) -> str:
     )
 
 
-def splits(costs: Mapping[str, SplitCost | None], results: Results, task: str) -> str:
+def splits(split_costs: Mapping[str, SplitCost | None], results: Results, task: str) -> str:
     """Return the splits with their rules and counts, and the share that unseen partners cost."""
     rows: list[list[object]] = []
     for split in results.splits[task]:
@@ -166,7 +170,7 @@ def splits(costs: Mapping[str, SplitCost | None], results: Results, task: str) -
         what = f"{split.rule}, {split.held_out}" if split.held_out else split.rule
         name = f"`{short(split)}`" + (" (default)" if split is results.splits[task][0] else "")
         counts = [len(split.train), len(split.test)]
-        rows.append([name, what, *counts, held, *earned, *_lost(costs[split.id])])
+        rows.append([name, what, *counts, held, *earned, *_lost(split_costs[split.id])])
     if not rows:
         return _NOTHING
     headings = ["split", "rule", "training partners", "test partners", "held-out preferences"]
@@ -367,12 +371,12 @@ def _alike(humans: Iterable[PolicyEntry]) -> list[list[PolicyEntry]]:
     return groups
 
 
-def _lost(cost: SplitCost | None) -> list[str]:
+def _lost(found: SplitCost | None) -> list[str]:
     """Return what a split costs, and which share that is."""
-    if cost is None:
+    if found is None:
         return [MISSING, MISSING]
-    share = "–" if cost.share is None else figure(vars(cost.share), key="value", percent=True)
-    return [figure(vars(cost.lost), key="value"), share]
+    share = "–" if found.share is None else figure(vars(found.share), key="value", percent=True)
+    return [figure(vars(found.lost), key="value"), share]
 
 
 def _check_alike(found: Mapping[str, Evaluated], split: Split) -> None:
