@@ -1,6 +1,7 @@
 """Environments made once a session, and rollouts that the tests of this folder share."""
 
 import functools
+from collections.abc import Iterable
 
 import jax
 import jax.numpy as jnp
@@ -13,12 +14,20 @@ from assistax_envs.physics import GIVES_CONTACT_FRAMES
 from assistax_envs.versions import GENTLE_TASKS
 
 BACKENDS = ("fused", "native", "mjx")
+# A task of the paper and a gentle one, in every run; where the others differ in the scene alone,
+# their tests are slow.
+QUICK_TASKS = ("scratch", "gentle_lift")
 
-# For tests whose compilation takes seconds a task: one gentle task in every run.
-one_gentle_task = pytest.mark.parametrize(
-    "task",
-    ["gentle_lift", *(pytest.param(task, marks=pytest.mark.slow) for task in GENTLE_TASKS[:2])],
-)
+
+def each_of(tasks: Iterable[str]) -> pytest.MarkDecorator:
+    """Test each task; those that are not quick are slow."""
+    return pytest.mark.parametrize(
+        "task",
+        [pytest.param(t, marks=() if t in QUICK_TASKS else pytest.mark.slow) for t in tasks],
+    )
+
+
+one_gentle_task = each_of(GENTLE_TASKS)
 
 
 # MJX takes ten seconds or more to compile a scene.

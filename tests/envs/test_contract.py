@@ -10,7 +10,16 @@ import pytest
 import assistax_envs
 from assistax_envs import TASKS, select
 from assistax_envs.versions import GENTLE_TASKS
-from tests.envs.conftest import backends, constant_actions, environment, play, random_actions, start
+from tests.envs.conftest import (
+    BACKENDS,
+    QUICK_TASKS,
+    backends,
+    constant_actions,
+    environment,
+    play,
+    random_actions,
+    start,
+)
 
 SETTINGS = ["d1", "d9", "d3", "d7"]  # four simulations: one compile a backend for the whole folder
 WIDTHS = {
@@ -26,21 +35,20 @@ WIDTHS = {
 # pass.
 LARGEST_DIFFERENCE, MEAN_DIFFERENCE = 3e-2, 1e-3
 
-QUICK = ("fused", "native")
+WITHOUT_MJX = ("fused", "native")
 
 
-# MJX takes ten seconds or more to compile a scene.
-each_task_and_backend = pytest.mark.parametrize(
-    ("task", "backend"),
-    [
-        pytest.param(task, backend, marks=() if backend in QUICK else pytest.mark.slow)
-        for task in TASKS
-        for backend in backends(task)
-    ],
-)
-each_quick_one = pytest.mark.parametrize(
-    ("task", "backend"), [(task, backend) for task in TASKS for backend in backends(task, QUICK)]
-)
+def each_pair(among: tuple[str, ...] = BACKENDS) -> pytest.MarkDecorator:
+    """Test tasks on the backends that play them: in every run all on `fused`, two on `native`."""
+    pairs = [(task, backend) for task in TASKS for backend in backends(task, among)]
+    quick = {(task, "fused") for task in TASKS} | {(task, "native") for task in QUICK_TASKS}
+    return pytest.mark.parametrize(
+        ("task", "backend"),
+        [pytest.param(*pair, marks=() if pair in quick else pytest.mark.slow) for pair in pairs],
+    )
+
+
+each_task_and_backend = each_pair()
 
 
 @each_task_and_backend
@@ -106,7 +114,7 @@ def test_backends_agree_over_the_first_steps(task: str, backend: str) -> None:
     assert not _agree(native, elsewhere, paid)  # the bounds tell another start apart
 
 
-@each_quick_one
+@each_pair(WITHOUT_MJX)
 def test_a_diverged_simulation_is_frozen_earns_nothing_and_leaves_the_others_alone(
     task: str, backend: str
 ) -> None:
@@ -123,7 +131,7 @@ def test_a_diverged_simulation_is_frozen_earns_nothing_and_leaves_the_others_alo
     assert not bool(jnp.any(calm.nonfinite))
 
 
-@pytest.mark.parametrize("backend", QUICK)
+@pytest.mark.parametrize("backend", WITHOUT_MJX)
 def test_an_action_that_is_not_a_number_is_counted(backend: str) -> None:
     action = {"robot": jnp.zeros((4, 7)).at[2, 0].set(jnp.nan), "human": jnp.zeros((4, 3))}
     last = play("scratch", backend, start("scratch", backend, SETTINGS), [action])[-1]
@@ -138,7 +146,7 @@ def test_the_joint_range_of_each_simulation_holds() -> None:
         backend: play("scratch", backend, start("scratch", backend, SETTINGS, seed=8), actions)[
             -1
         ].physics.qpos[:, joint.qposadr[0]]
-        for backend in QUICK
+        for backend in WITHOUT_MJX
     }
     np.testing.assert_allclose(angles["fused"], angles["native"], atol=2e-2)
     assert len({round(float(angle), 1) for angle in angles["fused"]}) > 1

@@ -42,7 +42,7 @@ from assistax_envs.tasks.gentle_base import (
     liking,
     world_force,
 )
-from assistax_envs.versions import GENTLE_TASKS, TASKS
+from assistax_envs.versions import TASKS
 from tests.envs.conftest import (
     compiled,
     environment,
@@ -53,14 +53,13 @@ from tests.envs.conftest import (
 )
 from tests.envs.fused.scenes import converged, touching_states
 
-each_gentle_task = pytest.mark.parametrize("task", GENTLE_TASKS)
 N = 64
 
 
 # Scenes.
 
 
-@each_gentle_task
+@one_gentle_task
 def test_the_scene_is_that_of_the_papers_task_with_less_torque_and_a_stiffer_trunk(
     task: str,
 ) -> None:
@@ -79,7 +78,7 @@ def test_the_scene_is_that_of_the_papers_task_with_less_torque_and_a_stiffer_tru
             assert now == pytest.approx(factor * before)
 
 
-@each_gentle_task
+@one_gentle_task
 def test_every_pair_of_robot_and_human_is_soft_and_felt_and_no_other(task: str) -> None:
     model = build_model(task)
     named = [
@@ -146,7 +145,7 @@ def felt(task: str, backend: str = "native") -> tuple[Any, np.ndarray]:
 
 
 @pytest.mark.parametrize("backend", ["native", "fused"])
-@each_gentle_task
+@one_gentle_task
 def test_the_force_is_that_of_all_the_robots_contacts_in_the_worlds_frame(
     task: str, backend: str
 ) -> None:
@@ -165,7 +164,7 @@ def test_the_force_is_that_of_all_the_robots_contacts_in_the_worlds_frame(
     assert np.median(mirrored[size.sum(axis=1) > 1.0]) > 0.1  # the sign is seen
 
 
-@each_gentle_task
+@one_gentle_task
 def test_what_touches_the_arm_is_told_from_what_touches_the_rest(task: str) -> None:
     readings, wanted = felt(task)
     model = build_model(task)
@@ -183,7 +182,7 @@ def test_what_touches_the_arm_is_told_from_what_touches_the_rest(task: str) -> N
     assert (on_arm > 0.5).any() and (np.asarray(readings.force) - on_arm > 0.5).any()
 
 
-@each_gentle_task
+@one_gentle_task
 def test_quaternions_have_w_of_at_least_zero(task: str) -> None:
     readings, _ = felt(task)
     assert float(readings.tool_orientation[:, 0].min()) >= 0.0
@@ -293,7 +292,7 @@ def test_names_go_through_all_forces_and_speeds() -> None:
         Preference(4.0, 0.0, 0.1, 0.2)
 
 
-@each_gentle_task
+@one_gentle_task
 def test_a_given_preference_is_kept_and_an_open_one_is_drawn_evenly(task: str) -> None:
     reset = compiled(task, "native")[0]
     keys = jax.random.split(jax.random.key(3), N)
@@ -313,14 +312,14 @@ def test_a_given_preference_is_kept_and_an_open_one_is_drawn_evenly(task: str) -
     assert (np.asarray(again.force) != np.asarray(drawn.force)).any()
 
 
-@each_gentle_task
+@one_gentle_task
 def test_an_episode_draws_its_preference_once(task: str) -> None:
     first = start(task, "native", ["d1"] * 8)
     last = play(task, "native", first, random_actions(8, 5))[-1]
     jax.tree.map(np.testing.assert_array_equal, first.task.likes, last.task.likes)
 
 
-@each_gentle_task
+@one_gentle_task
 def test_the_human_knows_its_preference_and_the_robot_does_not(task: str) -> None:
     """The same start under two preferences: only the human and critics can tell them apart."""
     reset, keys = compiled(task, "native")[0], jax.random.split(jax.random.key(5), 2)
@@ -341,7 +340,7 @@ def test_the_human_knows_its_preference_and_the_robot_does_not(task: str) -> Non
     np.testing.assert_allclose(middle[:, -count:], 0.0, atol=1e-6)
 
 
-@each_gentle_task
+@one_gentle_task
 def test_nothing_that_the_robot_sees_depends_on_what_is_liked(task: str) -> None:
     """Under the same touches, that is: what the human does about it is for the robot to read."""
     env = environment(task, "native")

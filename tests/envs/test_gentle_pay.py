@@ -51,6 +51,7 @@ def _between(corners: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(places, range(len(corners)), each) for each in corners.T], axis=1)
 
 
+@pytest.mark.slow
 def test_the_hook_is_drawn_below_the_forearm_on_the_hands_side() -> None:
     _, _, readings = _begun("gentle_lift", ["p1"] * 4)
     section, upper = readings.arm_position[:, 1], readings.arm_position[:, 0]
@@ -87,6 +88,7 @@ def test_rest_pays_most_with_the_hook_at_the_liked_distance_and_nothing_with_a_t
     assert all(not value.any() for name, value in still.items() if name in ("lift", "swing"))
 
 
+@pytest.mark.slow
 def test_rest_pays_at_the_liked_place_alone_and_the_robot_does_not_see_which_it_is() -> None:
     names = list(PREFERENCES)
     _, state, _ = _begun("gentle_lift", names)

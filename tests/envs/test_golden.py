@@ -51,7 +51,7 @@ def trajectory(task: str, backend: str) -> dict:
 @pytest.mark.parametrize(
     ("task", "backend"),
     [
-        pytest.param(task, each, marks=[pytest.mark.slow] * (each == "mjx" and task != "scratch"))
+        pytest.param(task, each, marks=[pytest.mark.slow] * (each == "mjx"))
         for task in TASKS
         for each in TOLERANCES
         if each in backends(task)

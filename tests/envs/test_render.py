@@ -21,7 +21,7 @@ from assistax_envs.models import build, build_dressed, build_model
 from assistax_envs.overlay import COSTS, EARNS, LEVELS, Figures, panel
 from assistax_envs.render import Renderer
 from assistax_envs.tasks import TASK_CLASSES
-from tests.envs.conftest import environment, start
+from tests.envs.conftest import each_of, environment, start
 from tests.system import needs
 
 ROOT = Path(__file__).parents[2]
@@ -45,7 +45,7 @@ def coloured(frame: np.ndarray, kind: str) -> int:
     return int((gentle | ((red - blue > 150) & (green - blue > 90))).sum())
 
 
-@pytest.mark.parametrize("task", TASK_CLASSES)
+@each_of(TASK_CLASSES)
 @pytest.mark.parametrize("camera", [None, "close"])
 def test_a_picture_is_not_blank(task: str, camera: str | None):
     frame = environment(task, "native").render(start(task, "native", ["d1"]), camera=camera, **SIZE)
