@@ -16,7 +16,9 @@ class PhysicsState:
 
     qpos: jax.Array  # [N, nq] joint positions, rad
     qvel: jax.Array  # [N, nv] joint velocities, rad/s
-    warmstart: jax.Array  # [N, nv] accelerations that start the constraint solver, rad/s^2
+    # [N, nv] accelerations that start the constraint solver, rad/s^2; what `fused` keeps here, no
+    # number depends on.
+    warmstart: jax.Array
 
 
 class Physics(Protocol):

@@ -152,9 +152,9 @@ def test_the_joint_range_of_each_simulation_holds() -> None:
     assert len({round(float(angle), 1) for angle in angles["fused"]}) > 1
 
 
-def test_the_fused_engine_does_not_look_at_the_warm_start() -> None:
+def test_no_number_of_the_fused_engine_depends_on_the_warm_start() -> None:
     state = start("scratch", "fused", SETTINGS)
-    warmstart = state.physics.warmstart + 100.0
+    warmstart = state.physics.warmstart + jnp.array([100.0, jnp.nan, 3.0, -1.0])[:, None]
     other = dataclasses.replace(
         state, physics=dataclasses.replace(state.physics, warmstart=warmstart)
     )
@@ -162,7 +162,6 @@ def test_the_fused_engine_does_not_look_at_the_warm_start() -> None:
     ours, theirs = (play("scratch", "fused", each, actions)[-1] for each in (state, other))
     np.testing.assert_array_equal(ours.physics.qpos, theirs.physics.qpos)
     np.testing.assert_array_equal(ours.obs["global"], theirs.obs["global"])
-    np.testing.assert_array_equal(theirs.physics.warmstart, warmstart)
 
 
 def test_the_engine_and_its_version_are_named() -> None:

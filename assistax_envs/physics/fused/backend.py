@@ -20,8 +20,9 @@ _REGISTERING = threading.Lock()
 class FusedPhysics:
     """Generated for one model; a simulation's result depends on its own arguments alone.
 
-    No warm start outlives a control step: the state's field passes through as it came. A simulation
-    with more contacts than the solver holds, or with forces that do not settle, becomes
+    No warm start outlives a control step. In its field stands, in column 0, how much the solver had
+    to do, by which the next step puts simulations side by side; no number depends on it. A
+    simulation with more contacts than the solver holds, or with forces that do not settle, becomes
     not-a-number: it is counted and frozen like one that diverged.
     """
 
@@ -29,7 +30,8 @@ class FusedPhysics:
         if reason := toolchain.unavailable():
             raise ValueError(f"backend 'fused' cannot run here: {reason}; use backend='native'")
         self.model = model
-        self._call = register(model, jax.default_backend())
+        self._platform = jax.default_backend()
+        self._call = register(model, self._platform)
 
     def forward(self, state: PhysicsState, joint_range: jax.Array) -> jax.Array:
         """See `Physics.forward`."""
@@ -48,13 +50,14 @@ class FusedPhysics:
         size, model = state.qpos.shape[0], self.model
         shapes = [
             jax.ShapeDtypeStruct((size, width), jnp.float32)
-            for width in (model.nq, model.nv, model.nsensordata)
+            for width in (model.nq, model.nv, model.nv, model.nsensordata)
         ]
+        operands = [state.qpos, state.qvel, state.warmstart, control, joint_range]
+        if self._platform == "gpu":
+            operands.append(gpu.hardest_first(state.warmstart[:, 0]))
         call = jax.ffi.ffi_call(self._call, shapes)
-        qpos, qvel, sensors = call(
-            state.qpos, state.qvel, control, joint_range, substeps=np.int32(substeps)
-        )
-        return PhysicsState(qpos, qvel, state.warmstart), sensors
+        *after, sensors = call(*operands, substeps=np.int32(substeps))
+        return PhysicsState(*after), sensors
 
 
 def register(model: mujoco.MjModel, platform: str) -> str:

@@ -64,7 +64,7 @@ FN int contact_ends(const Stage& now, int candidate, int l, float ends[2][2]) {
 }
 
 // List what touches in every lane; one with more than MAX_CONTACTS keeps the first, and is flagged.
-FN void list_contacts(const Stage& now, ContactList& list, int* flags) {
+FN void list_contacts(const Stage& now, ContactList& list, Report& report) {
   integer touching[(NCANDIDATE + 31) / 32 + 1];
   UNROLL for (int w = 0; w < (NCANDIDATE + 31) / 32; ++w) touching[w] = splat(0);
   UNROLL for (int c = 0; c < NCANDIDATE; ++c)
@@ -88,7 +88,8 @@ FN void list_contacts(const Stage& now, ContactList& list, int* flags) {
           ++n;
         }
       }
-    if (lost) flags[l] += OVERFLOWED;
+    if (lost) report.flags[l] += OVERFLOWED;
+    report.effort[l] += EFFORT_OF_CONTACT * n;
     for (int k = n; k < MAX_CONTACTS; ++k) list.candidate[k][l] = -1;
     list.slots = n > list.slots ? n : list.slots;
   }

@@ -23,6 +23,12 @@ struct CandidateData {
   Softness soft;
 };
 
+// What a control step says of each simulation beside its state.
+struct Report {
+  int flags[W] = {};   // OVERFLOWED and UNSETTLED, added up
+  int effort[W] = {};  // what the solver had to do, roughly: see `EFFORT_OF_CONTACT`
+};
+
 // Without limits or pairs some arrays would have no element.
 #define AT_LEAST_1(n) ((n) > 0 ? (n) : 1)
 

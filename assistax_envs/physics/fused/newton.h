@@ -120,7 +120,7 @@ FN real line_search(const Rows& rows, int n, const real* x, const real* next, Sl
 }
 
 // Find the rows' forces; lanes in which the iteration does not settle are flagged.
-FN void newton(const Rows& rows, int n, const real* products, real* forces, int* flags) {
+FN void newton(const Rows& rows, int n, const real* products, real* forces, Report& report) {
   real work[MAX_ROWS * (MAX_ROWS + 1) / 2], x[MAX_ROWS], y[MAX_ROWS], next[MAX_ROWS];
   KEEP_LOOP for (int r = 0; r < n; ++r) {
     forces[r] = splat(0.0f);
@@ -128,6 +128,7 @@ FN void newton(const Rows& rows, int n, const real* products, real* forces, int*
   }
   mask open = splat(0.0f) < 1.0f;
   KEEP_LOOP for (int iteration = 0; iteration < MAX_ITERATIONS && any(open); ++iteration) {
+    LANES(l) report.effort[l] += lane_is_set(open, l);
     solve_acting(rows, n, products, x, work, y);
     mask changed = splat(0.0f) > 1.0f;
     Slope slope = {splat(0.0f), splat(0.0f), splat(0.0f)};
@@ -165,5 +166,5 @@ FN void newton(const Rows& rows, int n, const real* products, real* forces, int*
   }
   KEEP_LOOP for (int r = 0; r < n; ++r)
     forces[r] = maximum(select(open, -x[r] / rows.slack[r], forces[r]), 0.0f);
-  LANES(l) flags[l] += lane_is_set(open, l) ? UNSETTLED : 0;
+  LANES(l) report.flags[l] += lane_is_set(open, l) ? UNSETTLED : 0;
 }

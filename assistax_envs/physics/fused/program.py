@@ -20,6 +20,8 @@ MAX_SEARCHES = 20  # steps of a line search
 PATIENCE = 6  # iterations; then one that changes accelerations by less than
 SETTLED = 1e-4  # of what constraints do to them is the last
 STUCK = 1e-3  # the same, where no share of the step lowers the cost
+# A contact, in iterations of Newton's method: what makes a substep long.
+EFFORT_OF_CONTACT = 4
 OVERFLOWED = 1  # added to a simulation's flags by each substep in which contacts were left out
 UNSETTLED = 1 << 16  # and by each in which the constraint forces did not settle
 
@@ -159,6 +161,7 @@ def _sizes(model: mujoco.MjModel, dynamics: Dynamics) -> str:
         "PATIENCE": PATIENCE,
         "SETTLED": literal(SETTLED),
         "STUCK": literal(STUCK),
+        "EFFORT_OF_CONTACT": EFFORT_OF_CONTACT,
         "OVERFLOWED": OVERFLOWED,
         "UNSETTLED": UNSETTLED,
         "IMPRATIO": literal(model.opt.impratio),
@@ -222,7 +225,7 @@ def _substep(model: mujoco.MjModel, dynamics: Dynamics) -> str:
         [
             "template <class Sensors>",
             "FN void substep(real* q, real* qd, const real* u, const real* lo, const real* hi,",
-            "                Sensors& sensors, bool last, unsigned* warm, int* flags) {",
+            "                Sensors& sensors, bool last, unsigned* warm, Report& report) {",
             *lines[: dynamics.before],
             f"real torque[NV] = {{{', '.join(map(text, dynamics.forces))}}};",
             "real sensed[9 * NFORCE + 1];",
@@ -230,7 +233,7 @@ def _substep(model: mujoco.MjModel, dynamics: Dynamics) -> str:
             f"mask acts = {text(dynamics.near)} < 0.0f;",
             "if (any(acts)) {",
             *_stage(dynamics),
-            "solve_constraints(now, torque, sensed, warm, flags);",
+            "solve_constraints(now, torque, sensed, warm, report);",
             "} else {",
             "for (int k = 0; k < NWARM * W; ++k) warm[k] = 0;",
             "}",

@@ -51,16 +51,16 @@ FN void apply_forces(const Stage& now, const Factored& f, const Rows& rows,
 
 // Add to `torque` what limits and contacts do; write the contact forces that sensors ask for.
 FN_CALLED void solve_constraints(const Stage& now, real* torque, real* sensed, unsigned* warm,
-                                 int* flags) {
+                                 Report& report) {
   Factored f;
   Rows rows;
   ContactList list;
   real products[MAX_ROWS * (MAX_ROWS + 1) / 2], forces[MAX_ROWS];
   factor(now, f);
   add_limits(now, f, rows);
-  list_contacts(now, list, flags);
+  list_contacts(now, list, report);
   add_contacts(now, f, list, warm, rows);
   row_products(rows, products);
-  newton(rows, rows.limits + 4 * rows.contacts, products, forces, flags);
+  newton(rows, rows.limits + 4 * rows.contacts, products, forces, report);
   apply_forces(now, f, rows, list, forces, warm, torque, sensed);
 }

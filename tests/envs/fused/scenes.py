@@ -170,7 +170,7 @@ class Engine:
         text = source + f"#define NSENS {program.nsensordata}\n"
         key = cache.key([text.encode(), str(lanes).encode(), *(x.encode() for x in features)])
         self._name = f"test_{key}"
-        self._widths = program.nq, program.nv, program.nsensordata
+        self._widths = program.nq, program.nv, program.nv, program.nsensordata
         self._range = model.jnt_range
         cpu.register(self._name, key, lambda: text, lanes, features)
 
@@ -182,8 +182,10 @@ class Engine:
         ranges = np.broadcast_to(self._range if ranges is None else ranges, (n, *self._range.shape))
         shapes = [jax.ShapeDtypeStruct((n, width), jnp.float32) for width in self._widths]
         call = jax.ffi.ffi_call(self._name, shapes)
-        values = states.qpos, states.qvel, states.ctrl, np.asarray(ranges, np.float32)
-        return tuple(map(np.asarray, call(*map(jnp.asarray, values), substeps=np.int32(substeps))))
+        still, ranges = np.zeros_like(states.qvel), np.asarray(ranges, np.float32)
+        values = states.qpos, states.qvel, still, states.ctrl, ranges
+        qpos, qvel, _, sensors = call(*map(jnp.asarray, values), substeps=np.int32(substeps))
+        return np.asarray(qpos), np.asarray(qvel), np.asarray(sensors)
 
 
 @functools.cache

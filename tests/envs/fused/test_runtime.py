@@ -14,7 +14,8 @@ import pytest
 
 from assistax_envs.physics.fused.runtime import cache, cpu, gpu, toolchain
 
-# A mass on a line, a motor on it and two sensors; beyond its range it "cannot be solved".
+# A mass on a line, a motor on it and three sensors, the last of which no model could have: how hard
+# the hardest of a vector is. Beyond its range it "cannot be solved"; its effort is where it is.
 TOY = """
 #if W == 1
 typedef float real;
@@ -29,20 +30,25 @@ typedef float real __attribute__((vector_size(4 * W)));
 #define LANES(l) for (int l = 0; l < W; ++l)
 FN float& lane(real& x, int l) { return ((float*)&x)[l]; }
 FN float lane(const real& x, int l) { return ((const float*)&x)[l]; }
-enum { NV = 1, NU = 1, NSENS = 2, NWARM = 1 };
+enum { NV = 1, NU = 1, NSENS = 3, NWARM = 1 };
+struct Report { int flags[W] = {}, effort[W] = {}; };
 template <class Sensors>
 FN void substep(real* q, real* qd, const real* u, const real* lo, const real* hi,
-                Sensors& sensors, bool last, unsigned* warm, int* flags) {
+                Sensors& sensors, bool last, unsigned* warm, Report& report) {
   if (last) {
     sensors[0] = q[0];
     sensors[1] = qd[0] * 1e-30f;
+    float hardest = 0.0f;
+    LANES(l) hardest = hardest < lane(q[0], l) ? lane(q[0], l) : hardest;
+    LANES(l) lane(sensors[2], l) = hardest;
   }
-  LANES(l) flags[l] |= lane(q[0], l) < lane(lo[0], l) || lane(q[0], l) > lane(hi[0], l);
+  LANES(l) report.effort[l] += (int)lane(q[0], l);
+  LANES(l) report.flags[l] |= lane(q[0], l) < lane(lo[0], l) || lane(q[0], l) > lane(hi[0], l);
   qd[0] = qd[0] + 0.5f * u[0];
   q[0] = q[0] + 0.25f * qd[0];
 }
 """
-WIDTHS = 1, 1, 2  # of what a call returns
+WIDTHS = 1, 1, 1, 3  # of what a call returns
 
 
 @pytest.fixture(scope="module")
@@ -57,11 +63,14 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "assistax-zoo" / "fused"
 
 
-def run(call: str, q, qd, u, substeps: int = 4):
+def run(call: str, q, qd, u, substeps: int = 4, effort=0.0):
+    """Return positions, velocities and the first two sensors, then efforts and the third sensor."""
     n = q.shape[0]
     shapes = [jax.ShapeDtypeStruct((n, width), jnp.float32) for width in WIDTHS]
     bounds = jnp.tile(jnp.array([[[-100.0, 100.0]]]), (n, 1, 1))
-    return jax.ffi.ffi_call(call, shapes)(q, qd, u, bounds, substeps=np.int32(substeps))
+    given = q, qd, jnp.broadcast_to(effort, (n, 1)).astype(jnp.float32), u, bounds
+    q, qd, effort, sensors = jax.ffi.ffi_call(call, shapes)(*given, substeps=np.int32(substeps))
+    return q, qd, sensors[:, :2], effort, sensors[:, 2:]
 
 
 def by_hand(q: np.ndarray, qd: np.ndarray, u: np.ndarray, substeps: int = 4):
@@ -82,7 +91,7 @@ def states(n: int) -> list[jax.Array]:
 def test_a_batch_of_any_size(call: str, n: int, substeps: int) -> None:
     given = states(n)
     found = run(call, *given, substeps=substeps)
-    for a, b in zip(found, by_hand(*map(np.asarray, given), substeps), strict=True):
+    for a, b in zip(found[:3], by_hand(*map(np.asarray, given), substeps), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
@@ -125,7 +134,7 @@ def test_what_could_not_be_solved_is_not_a_number_and_its_neighbours_are(call: s
     found = run(call, q.at[5].set(200.0), qd, u)
     expected = run(call, q, qd, u)
     assert np.isnan(found[1][5]).all()
-    for a, b in zip(found, expected, strict=True):
+    for a, b in zip(found[:3], expected[:3], strict=True):
         np.testing.assert_array_equal(np.delete(a, 5, 0), np.delete(b, 5, 0))
 
 
@@ -142,8 +151,25 @@ def test_every_width_and_processor_gives_the_same_bits(call: str, lanes: int, fe
     name = f"toy_step_{lanes}"
     cpu.register(name, "toy", lambda: TOY, lanes, features)
     given = states(37)
-    for a, b in zip(run(name, *given), run(call, *given), strict=True):
+    for a, b in zip(run(name, *given)[:3], run(call, *given)[:3], strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_simulations_that_were_as_hard_share_a_vector_and_no_number_depends_on_it(
+    call: str,
+) -> None:
+    n = 4 * cpu.LANES
+    hard = jnp.arange(n)[:, None] % 2 == 0
+    q, still = jnp.where(hard, 50.0, 1.0), jnp.zeros((n, 1))
+    *numbers, effort, hardest = run(call, q, still, still)
+    assert (hardest == 50.0).all()  # nothing is known before the first step
+    np.testing.assert_array_equal(effort, 4 * q)
+    *again, _, hardest = run(call, q, still, still, effort=effort)
+    np.testing.assert_array_equal(hardest, q)
+    for wrong in (jnp.nan, jnp.inf, -1.0, 1e30, jnp.where(hard, -jnp.inf, jnp.nan)):
+        for a, b, c in zip(run(call, q, still, still, effort=wrong), numbers, again, strict=False):
+            np.testing.assert_array_equal(a, b)
+            np.testing.assert_array_equal(b, c)
 
 
 def test_a_kernel_is_compiled_for_a_gpu_that_is_not_here(own_cache: Path) -> None:

@@ -16,6 +16,22 @@ struct FloatMode {
 #endif
 };
 
+#define MOST_EFFORT 1023
+
+static int effort_of(const Arrays& a, long long i) {
+  float effort = a.warmstart[i * NV];  // whatever the caller gave, not-a-number too
+  return effort > 0.0f ? (effort < MOST_EFFORT ? (int)effort : MOST_EFFORT) : 0;
+}
+
+// Lanes iterate together, so that a vector takes as long as its slowest simulation: those that had
+// as much to do as one another stand side by side, the hardest first (a counting sort).
+static void put_in_order(const Arrays& a, int* order) {
+  long long starts[MOST_EFFORT + 2] = {0};
+  for (long long i = 0; i < a.n; ++i) ++starts[MOST_EFFORT - effort_of(a, i) + 1];
+  for (int k = 0; k < MOST_EFFORT; ++k) starts[k + 1] += starts[k];
+  for (long long i = 0; i < a.n; ++i) order[starts[MOST_EFFORT - effort_of(a, i)]++] = (int)i;
+}
+
 struct Job {
   Arrays arrays;
   long long vectors, taken, done;
@@ -70,9 +86,12 @@ static inline void pause() {
 
 extern "C" XLA_FFI_Error* fused_step(XLA_FFI_CallFrame* frame) {
   if (answered(frame, 0)) return nullptr;
-  Job* job = (Job*)malloc(sizeof(Job));
-  if (job == nullptr) return failure(frame, "fused physics: out of memory");
   Arrays a = arrays(frame);
+  Job* job = (Job*)malloc(sizeof(Job) + a.n * sizeof(int));
+  if (job == nullptr) return failure(frame, "fused physics: out of memory");
+  int* order = (int*)(job + 1);
+  put_in_order(a, order);
+  a.order = order;
   *job = {a, (a.n + W - 1) / W, 0, 0, 1};
   int64_t threads = pool_size(frame);
   for (int64_t k = 1; k < threads && k < job->vectors; ++k) ask_for_help(frame, job);

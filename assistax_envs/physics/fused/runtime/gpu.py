@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 
 from assistax_envs.physics.fused.runtime import cache, toolchain
 from assistax_envs.physics.fused.runtime.xla import HERE, declarations, register_call
@@ -24,6 +25,15 @@ def register(name: str, key: str, source: Callable[[], str]) -> None:
     launch = ctypes.cast(_driver().cuLaunchKernel, ctypes.c_void_p)
     ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(bind)(launch, kernel)
     register_call(name, step, "CUDA")
+
+
+def hardest_first(effort: jax.Array) -> jax.Array:
+    """Return in which order [N] simulations are put into warps; CPUs sort in the call itself.
+
+    The threads of a warp wait for the slowest, and so does the end of a launch: simulations that
+    had as much to do as one another stand side by side, the hardest first.
+    """
+    return jnp.argsort(-effort).astype(jnp.int32)
 
 
 def architecture() -> int:

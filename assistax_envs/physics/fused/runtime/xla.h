@@ -17,11 +17,14 @@ static Arrays arrays(XLA_FFI_CallFrame* frame) {
   Arrays a;
   a.qpos = (const float*)in(0)->data;
   a.qvel = (const float*)in(1)->data;
-  a.control = (const float*)in(2)->data;
-  a.range = (const float*)in(3)->data;
+  a.warmstart = (const float*)in(2)->data;
+  a.control = (const float*)in(3)->data;
+  a.range = (const float*)in(4)->data;
+  a.order = frame->args.size > 5 ? (const int*)in(5)->data : nullptr;
   a.qpos_after = out(0);
   a.qvel_after = out(1);
-  a.sensors = out(2);
+  a.warmstart_after = out(2);
+  a.sensors = out(3);
   a.n = in(0)->dims[0];
   a.substeps = *(const int32_t*)((XLA_FFI_Scalar*)frame->attrs.attrs[0])->value;
   return a;
