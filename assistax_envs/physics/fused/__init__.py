@@ -36,8 +36,9 @@ Topics, in the order in which a substep needs them: `tree` (the model as constan
 `inertia` (inertia matrix and bias forces), `forces` (springs, dampers, motors), `collision` (which
 geoms touch), `factorisation`, `sensors`; `expressions` and `vectors` are what these are written in.
 The solver is C++: `lanes.h` (arithmetic), `layout.h` (what it is given), `contact.h` (points and
-frames), `rows.h` (constraint rows), `newton.h` (their forces), `solver.h`; `constraints` writes its
-tables. `checks` refuses what is not supported, and `program` puts all together.
+frames), `rows.h` (constraint rows), `newton.h` (which of them act) and `acting.h` (their forces),
+`solver.h`; `constraints` writes its tables. `checks` refuses what is not supported, and `program`
+puts all together.
 """
 
 from assistax_envs.physics.fused.checks import UnsupportedModelError

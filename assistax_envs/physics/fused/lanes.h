@@ -14,12 +14,14 @@
 #define TABLE static __device__ const
 #define UNROLL _Pragma("unroll")
 #define KEEP_LOOP _Pragma("unroll 1")
+#define READ_AHEAD _Pragma("unroll 4")  // of a sum that waits for each term to be read
 #define ALIGNED
 #else
 #define FN static inline __attribute__((always_inline))
 #define FN_CALLED static __attribute__((noinline))
 #define TABLE static const
 #define KEEP_LOOP
+#define READ_AHEAD
 #define ALIGNED alignas(64)
 #if defined(__clang__)
 #pragma clang fp contract(off)

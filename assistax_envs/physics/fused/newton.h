@@ -11,8 +11,6 @@
 // All lanes iterate together. A lane that is done is masked: nothing of it changes any more, so
 // that its result does not depend on its neighbours.
 
-FN int packed(int r, int s) { return r >= s ? r * (r + 1) / 2 + s : s * (s + 1) / 2 + r; }
-
 // Inner products of two vectors of z.
 FN real product_of(const real* a, const real* b) {
   real d = splat(0.0f);
@@ -62,39 +60,35 @@ FN void row_products(const Rows& rows, real* products) {
   }
 }
 
-// Solve (A + R) y = -b on the rows with x < 0; y = 0 on the others. A Cholesky factorisation in
-// which the others are rows of the identity; `work` keeps it, with reciprocals on the diagonal.
-FN void solve_acting(const Rows& rows, int n, const real* products, const real* x, real* work,
-                     real* y) {
-  KEEP_LOOP for (int r = 0; r < n; ++r) {
-    mask acts = x[r] < 0.0f;
-    real right = select(acts, -rows.free[r], splat(0.0f));
-    real pivot = select(acts, products[packed(r, r)] + rows.slack[r], splat(1.0f));
-    real* row = work + r * (r + 1) / 2;
-    KEEP_LOOP for (int s = 0; s < r; ++s) {
-      const real* above = work + s * (s + 1) / 2;
-      real d = select(maximum(x[r], x[s]) < 0.0f, products[packed(r, s)], splat(0.0f));
-      KEEP_LOOP for (int t = 0; t < s; ++t) d = d - row[t] * above[t];
-      d = d * above[s];
-      row[s] = d;
-      right = right - d * y[s];
-      pivot = pivot - d * d;
-    }
-    row[r] = 1.0f / square_root(maximum(pivot, 1e-12f));
-    y[r] = right * row[r];
-  }
-  KEEP_LOOP for (int r = n - 1; r >= 0; --r) {
-    real d = y[r];
-    KEEP_LOOP for (int s = r + 1; s < n; ++s) d = d - work[s * (s + 1) / 2 + r] * y[s];
-    y[r] = d * work[r * (r + 1) / 2 + r];
-  }
-}
-
 // The cost's derivatives along a step of the line search, without the rows' part.
 struct Slope {
   real at_start, per_step;
   real whole;  // what `per_step` would be for a step from no force at all
 };
+
+// Where rows r..r+B-1 would be with the forces y, and what the line search needs of them.
+template <int B>
+FN void step_rows(const Rows& rows, int n, const Acting& on, int r, const real* forces, real* next,
+                  mask& changed, Slope& slope) {
+  real d[B];
+  UNROLL for (int b = 0; b < B; ++b) d[b] = rows.free[r + b];
+  KEEP_LOOP for (int s = 0; s < r; ++s)
+    UNROLL for (int b = 0; b < B; ++b) d[b] = d[b] + on.products[row_start(r + b) + s] * on.y[s];
+  UNROLL for (int b = 0; b < B; ++b)
+    UNROLL for (int s = r; s < r + B; ++s) d[b] = d[b] + on.products[packed(r + b, s)] * on.y[s];
+  KEEP_LOOP for (int s = r + B; s < n; ++s)
+    UNROLL for (int b = 0; b < B; ++b) d[b] = d[b] + on.products[row_start(s) + r + b] * on.y[s];
+  UNROLL for (int b = 0; b < B; ++b) {
+    real x = on.x[r + b], y = on.y[r + b];
+    // On rows that act this is -R y, of which rounding leaves more.
+    next[r + b] = select(x < 0.0f, -rows.slack[r + b] * y, d[b]);
+    changed = either(changed, differ(next[r + b] < 0.0f, x < 0.0f));
+    real step = y - forces[r + b];
+    slope.at_start = slope.at_start + step * (x - rows.free[r + b]);
+    slope.per_step = slope.per_step + step * (next[r + b] - x);
+    slope.whole = slope.whole + y * (next[r + b] - rows.free[r + b]);
+  }
+}
 
 // Return the share of the step from x to next at which the cost is least; 1 where not `searching`.
 // Near the end rounding hides the slope, and Newton's method on it could go anywhere: it is held
@@ -104,7 +98,7 @@ FN real line_search(const Rows& rows, int n, const real* x, const real* next, Sl
   real share = splat(1.0f), low = splat(0.0f), high = splat(2.0f);
   KEEP_LOOP for (int k = 0; k < MAX_SEARCHES && any(searching); ++k) {
     real first = slope.at_start + share * slope.per_step, second = slope.per_step;
-    KEEP_LOOP for (int r = 0; r < n; ++r) {
+    READ_AHEAD for (int r = 0; r < n; ++r) {
       real step = next[r] - x[r], there = x[r] + share * step;
       real weighted = select(there < 0.0f, step / rows.slack[r], splat(0.0f));
       first = first + weighted * there;
@@ -121,7 +115,8 @@ FN real line_search(const Rows& rows, int n, const real* x, const real* next, Sl
 
 // Find the rows' forces; lanes in which the iteration does not settle are flagged.
 FN void newton(const Rows& rows, int n, const real* products, real* forces, Report& report) {
-  real work[MAX_ROWS * (MAX_ROWS + 1) / 2], x[MAX_ROWS], y[MAX_ROWS], next[MAX_ROWS];
+  real lower[MAX_ROWS * (MAX_ROWS + 1) / 2], x[MAX_ROWS], y[MAX_ROWS], next[MAX_ROWS];
+  Acting on = {products, x, lower, y};
   KEEP_LOOP for (int r = 0; r < n; ++r) {
     forces[r] = splat(0.0f);
     x[r] = rows.guess[r];
@@ -129,21 +124,13 @@ FN void newton(const Rows& rows, int n, const real* products, real* forces, Repo
   mask open = splat(0.0f) < 1.0f;
   KEEP_LOOP for (int iteration = 0; iteration < MAX_ITERATIONS && any(open); ++iteration) {
     LANES(l) report.effort[l] += lane_is_set(open, l);
-    solve_acting(rows, n, products, x, work, y);
+    solve_acting(rows, n, on);
     mask changed = splat(0.0f) > 1.0f;
     Slope slope = {splat(0.0f), splat(0.0f), splat(0.0f)};
-    KEEP_LOOP for (int r = 0; r < n; ++r) {
-      real d = rows.free[r];
-      KEEP_LOOP for (int s = 0; s < n; ++s) d = d + products[packed(r, s)] * y[s];
-      // On rows that act this is -R y, of which rounding leaves more.
-      d = select(x[r] < 0.0f, -rows.slack[r] * y[r], d);
-      next[r] = d;
-      changed = either(changed, differ(d < 0.0f, x[r] < 0.0f));
-      real step = y[r] - forces[r];
-      slope.at_start = slope.at_start + step * (x[r] - rows.free[r]);
-      slope.per_step = slope.per_step + step * (d - x[r]);
-      slope.whole = slope.whole + y[r] * (d - rows.free[r]);
-    }
+    KEEP_LOOP for (int r = 0; r < rows.limits; ++r)
+      step_rows<1>(rows, n, on, r, forces, next, changed, slope);
+    KEEP_LOOP for (int r = rows.limits; r < n; r += 4)
+      step_rows<4>(rows, n, on, r, forces, next, changed, slope);
     // Where rounding decides on which side a row is, rows may change sides for ever: after some
     // iterations, a step that changes accelerations by less than SETTLED of what all rows do to
     // them is the last.

@@ -75,7 +75,7 @@ def generate(model: mujoco.MjModel) -> Program:
         _header("layout.h"),
         _tables(model, dynamics),
         factor_functions(dynamics.tree.parents),
-        *map(_header, ("contact.h", "rows.h", "newton.h", "solver.h")),
+        *map(_header, ("contact.h", "rows.h", "acting.h", "newton.h", "solver.h")),
         _substep(model, dynamics),
     ]
     return Program(
