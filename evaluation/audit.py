@@ -22,6 +22,7 @@ from assistax_envs.tasks.gentle_base import FELT, HARD, Liking
 from assistax_envs.versions import GENTLE_TASKS, VERSIONS
 from evaluation.audit_gates import Gate, condition_figures, gates_of, strange_pairs
 from evaluation.audit_teams import Teams
+from evaluation.devices import share_cores
 from evaluation.evaluator import run_job
 from evaluation.jobs import Job
 from evaluation.references import passive_roster, script_roster
@@ -122,6 +123,7 @@ def audit_task(
         backend: Physics.
         on_progress: Told how far each condition is.
     """
+    share_cores()
     _check(task, teams, others, episodes)
     table = _Tables(task, folder, episodes, seed, backend, on_progress)
     env = table.env()

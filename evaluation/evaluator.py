@@ -20,6 +20,7 @@ import jax
 import polars as pl
 
 from evaluation import provenance, tables
+from evaluation.devices import devices_for
 from evaluation.jobs import Chunk, Job, plan
 from evaluation.locks import locked
 from evaluation.provenance import MANIFEST_FILE
@@ -68,7 +69,7 @@ def run_job(
             else it is played again.
         kept: The folder is a cache's: wait for another process that writes to it, and begin anew
             where it is damaged; else both are refused.
-        devices: Where to simulate; all of this process if not given.
+        devices: Where to simulate; see `evaluation.devices` if not given.
         on_progress: Told how far the run is.
 
     Raises:
@@ -79,7 +80,7 @@ def run_job(
     check_sizes(env, job)
     check_folder(folder)
     if max_envs is None:
-        share = math.ceil(job.rows / len(devices or jax.local_devices()))
+        share = math.ceil(job.rows / len(devices or devices_for(job.rows)))
         max_envs = min(share, MAX_ENVS[job.backend])
     with locked(folder, wait=kept):
         if not (job.reusable or reuse) or (kept and not provenance.is_readable(folder)):

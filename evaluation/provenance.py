@@ -151,11 +151,13 @@ def describe_machine() -> dict[str, Any]:
     """Return what decides the last bits of a value: processor, devices and versions."""
     import jax
 
+    on_cpu = jax.default_backend() == "cpu"
     return {
         "processor": processor(),
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "devices": [device.device_kind for device in jax.devices()],
+        # Of CPU devices there may be one for each core; they are one processor all the same.
+        "devices": [device.device_kind for device in jax.devices()][: 1 if on_cpu else None],
         "versions": {name: found for name in PACKAGES if (found := installed(name))},
     }
 

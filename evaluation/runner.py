@@ -20,6 +20,7 @@ import polars as pl
 from assistax_envs import disability_params
 from assistax_envs.interrupts import wait_for
 from evaluation import tables
+from evaluation.devices import devices_for
 from evaluation.egos import call_ego
 from evaluation.jobs import TILE_ENVS, Chunk, Job, Tile, plan
 from evaluation.reference_policy import ReferencePolicy, ScriptedPolicy
@@ -98,12 +99,12 @@ class Runner:
         Args:
             env: the environment.
             job: what is evaluated.
-            devices: where to run; all of this process if not given. A robot from outside is called
-                by one only.
+            devices: where to run; see `evaluation.devices` if not given. A robot from outside is
+                called by one only.
             length: steps to play, if fewer than an episode's: for measuring speed.
         """
         self._env, self._job, self._length = env, job, length
-        self._devices = tuple(devices or jax.local_devices())
+        self._devices = tuple(devices or devices_for(job.rows))
         if any(isinstance(ego, HostEgo) for ego in job.egos.stacks):
             self._devices = self._devices[:1]
         self._rollouts: dict[Any, Rollout] = {}

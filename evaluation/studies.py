@@ -18,6 +18,7 @@ from assistax_envs.versions import TASKS, VERSIONS
 from evaluation import provenance, tables
 from evaluation.blocks import BlockDone, run_block, run_blocks_on_ray
 from evaluation.derived import save_crossplay, save_evaluation
+from evaluation.devices import share_cores
 from evaluation.evaluator import Evaluation, check_folder, run_job
 from evaluation.jobs import Job
 from evaluation.references import play_references
@@ -108,6 +109,7 @@ def evaluate_policies(
         ValueError: What was asked for does not exist or does not fit the task.
         ZooError: The registry cannot give it.
     """
+    share_cores()
     if not policies:
         raise ValueError("no policy given; name at least one, for example --policy zoo:TEAM/robot")
     check_folder(folder)
@@ -181,6 +183,7 @@ def cross_play(
     missing is returned: see `evaluation.blocks.run_block`. With a `cluster` the chunks are
     spread over it, in as many blocks as it runs at once.
     """
+    share_cores()
     check_folder(folder)
     release = release or registry.release_of(settings.task)
     try:

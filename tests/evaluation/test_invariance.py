@@ -177,7 +177,9 @@ KILLED = (
     "        os.kill(os.getpid(), signal.SIGKILL)\n"
     "tables.write_bytes = deadly\n"
 ) + WHOLE
-DEVICES = "assert len(jax.local_devices()) == 2\n" + WHOLE
+DEVICES = "assert len(jax.local_devices()) == 2\n" + WHOLE.replace(
+    "max_envs=", "devices=jax.local_devices(), max_envs="
+)
 
 
 @pytest.mark.slow

@@ -1,0 +1,54 @@
+"""JAX has a CPU device for each core if an evaluation starts it; large jobs use them."""
+
+import os
+import subprocess
+import sys
+
+import jax
+import pytest
+
+from evaluation import devices
+from evaluation.devices import devices_for
+
+START = """
+import os
+os.sched_getaffinity = lambda process: set(range(3))
+{before}
+from evaluation.devices import share_cores
+share_cores()
+share_cores()
+import jax
+print(len(jax.local_devices()))
+"""
+
+
+@pytest.mark.parametrize(
+    ("told", "before", "count"),
+    [
+        ({}, "", 3),
+        ({"JAX_NUM_CPU_DEVICES": "2"}, "", 2),
+        ({"XLA_FLAGS": "--xla_force_host_platform_device_count=4"}, "", 4),
+        ({}, "import jax; jax.devices()", 1),
+    ],
+)
+def test_jax_starts_with_a_device_for_each_core_unless_it_was_told(
+    told: dict[str, str], before: str, count: int
+) -> None:
+    command = [sys.executable, "-c", START.format(before=before)]
+    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"} | told
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=True, timeout=120
+    )
+    assert done.stdout.split() == [str(count)]
+
+
+def test_a_large_job_has_more_devices_and_a_gpu_is_always_used(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = jax.local_devices()[:1] * 3
+    monkeypatch.setattr(jax, "local_devices", lambda: found)
+    most = devices.SIMULATIONS_OF_A_CORE
+    counts = [len(devices_for(size)) for size in (1, 2 * most - 1, 2 * most, 100 * most)]
+    assert counts == [1, 1, 2, 3]
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert len(devices_for(1)) == 3
