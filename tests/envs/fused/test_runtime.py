@@ -183,6 +183,14 @@ def test_the_handler_of_gpus_takes_the_drivers_functions() -> None:
     assert step
 
 
+def test_a_gpu_is_given_every_simulation_once_the_hardest_first() -> None:
+    effort = jnp.array([0.0, 5.0, jnp.nan, 2.0, 5.0, -jnp.inf])
+    order = gpu.hardest_first(effort)
+    assert order.dtype == jnp.int32
+    assert order.tolist()[:4] == [1, 4, 3, 0]
+    assert sorted(order.tolist()) == list(range(6))
+
+
 def damaged(data: bytes) -> bytes:
     return data[:100] + bytes([data[100] ^ 1]) + data[101:]
 
