@@ -9,6 +9,8 @@ import os
 
 import jax
 
+from population.devices import own_devices
+
 MOST = 8  # each has a tile of up to 32,768 simulations in memory
 # With fewer, compiling the programs once more takes longer than it saves.
 SIMULATIONS_OF_A_CORE = 8192
@@ -20,12 +22,9 @@ def share_cores() -> None:
         return
     if jax.config.values["jax_num_cpu_devices"] < 0:
         with contextlib.suppress(RuntimeError):  # it has started
-            jax.config.update("jax_num_cpu_devices", min(len(os.sched_getaffinity(0)), MOST))
+            jax.config.update("jax_num_cpu_devices", min(os.cpu_count() or 1, MOST))
 
 
 def devices_for(simulations: int) -> tuple[jax.Device, ...]:
     """Return the devices that play so many simulations."""
-    found = tuple(jax.local_devices())
-    if jax.default_backend() != "cpu":
-        return found
-    return found[: max(1, simulations // SIMULATIONS_OF_A_CORE)]
+    return own_devices(simulations // SIMULATIONS_OF_A_CORE)

@@ -24,6 +24,12 @@ SECOND_AXIS = P(None, AXIS)
 WHOLE = P()  # every device holds all of it
 
 
+def own_devices(cores: int = 1) -> tuple[jax.Device, ...]:
+    """Return all GPUs of this process, or of its CPU devices at least one, at most `cores`."""
+    found = tuple(jax.local_devices())
+    return found if jax.default_backend() != "cpu" else found[: max(1, cores)]
+
+
 class Shares:
     """Equal shares of M members, one for each device in use, in the order of the devices.
 
@@ -31,13 +37,12 @@ class Shares:
 
     Args:
         members: M.
-        devices: Those that may be used; if not given all GPUs of this process, or one CPU device,
-            since programs for shares of another size may round differently. In use are as many as
-            divide M.
+        devices: Those that may be used; if not given `own_devices`, of CPUs one, since programs for
+            shares of another size may round differently. In use are as many as divide M.
     """
 
     def __init__(self, members: int, devices: Sequence[jax.Device] | None = None) -> None:
-        allowed = tuple(_default() if devices is None else devices)
+        allowed = tuple(own_devices() if devices is None else devices)
         if not allowed or len(set(allowed)) < len(allowed):
             raise ValueError(f"devices are {list(allowed)}; give at least one, and each once")
         count = max(d for d in range(1, len(allowed) + 1) if members % d == 0)
@@ -91,11 +96,6 @@ class Shares:
     def gather(self, tree: Any) -> Any:
         """Move a pytree to the first of the devices."""
         return jax.device_put(tree, SingleDeviceSharding(self.devices[0]))
-
-
-def _default() -> list[jax.Device]:
-    found = jax.local_devices()
-    return found[:1] if found[0].platform == "cpu" else found
 
 
 def _part(device: jax.Device, leaf: jax.Array) -> jax.Array:

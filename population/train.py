@@ -85,7 +85,7 @@ def train(
         resume: Whether to go on with a run that the folder holds.
         stop_on_divergence: A loss that is not finite ends the run; else that member goes on.
         progress: Called after every dispatch to the devices.
-        devices: Those that may be used; all of this process if not given.
+        devices: Those that may be used; see `Shares` if not given.
 
     Raises:
         ValueError: Environment and configuration do not fit, or the folder holds another run.

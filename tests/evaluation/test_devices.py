@@ -12,7 +12,7 @@ from evaluation.devices import devices_for
 
 START = """
 import os
-os.sched_getaffinity = lambda process: set(range(3))
+os.cpu_count = lambda: 3
 {before}
 from evaluation.devices import share_cores
 share_cores()
