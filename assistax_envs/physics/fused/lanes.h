@@ -16,12 +16,16 @@
 #define KEEP_LOOP _Pragma("unroll 1")
 #define READ_AHEAD _Pragma("unroll 4")  // of a sum that waits for each term to be read
 #define ALIGNED
+// Warps that drift apart each fetch the straight-line part for themselves, from far: it is more code
+// than a processor keeps. So a block goes through it together, and fetches it once.
+#define TOGETHER __syncthreads();
 #else
 #define FN static inline __attribute__((always_inline))
 #define FN_CALLED static __attribute__((noinline))
 #define TABLE static const
 #define KEEP_LOOP
 #define READ_AHEAD
+#define TOGETHER
 #define ALIGNED alignas(64)
 #if defined(__clang__)
 #pragma clang fp contract(off)

@@ -22,6 +22,7 @@ SETTLED = 1e-4  # of what constraints do to them is the last
 STUCK = 1e-3  # the same, where no share of the step lowers the cost
 # A contact, in iterations of Newton's method: what makes a substep long.
 EFFORT_OF_CONTACT = 4
+STRETCH = 100  # statements that the warps of a GPU's block go through before they wait for the last
 OVERFLOWED = 1  # added to a simulation's flags by each substep in which contacts were left out
 UNSETTLED = 1 << 16  # and by each in which the constraint forces did not settle
 
@@ -226,7 +227,7 @@ def _substep(model: mujoco.MjModel, dynamics: Dynamics) -> str:
             "template <class Sensors>",
             "FN void substep(real* q, real* qd, const real* u, const real* lo, const real* hi,",
             "                Sensors& sensors, bool last, unsigned* warm, Report& report) {",
-            *lines[: dynamics.before],
+            *_in_stretches(lines[: dynamics.before]),
             f"real torque[NV] = {{{', '.join(map(text, dynamics.forces))}}};",
             "real sensed[9 * NFORCE + 1];",
             "UNROLL for (int k = 0; k < 9 * NFORCE; ++k) sensed[k] = splat(0.0f);",
@@ -241,11 +242,17 @@ def _substep(model: mujoco.MjModel, dynamics: Dynamics) -> str:
             *lines[dynamics.after :],
             *(f"sensors[{k}] = {text(x)};" for k, x in enumerate(dynamics.sensors)),
             "}",
-            *lines[dynamics.before : dynamics.after],
+            *_in_stretches(lines[dynamics.before : dynamics.after]),
             *integrate,
             "}\n",
         ]
     )
+
+
+def _in_stretches(lines: list[str]) -> list[str]:
+    """Return straight-line statements with a place to wait before each stretch of them."""
+    starts = range(0, len(lines), STRETCH)
+    return [line for start in starts for line in ("TOGETHER", *lines[start : start + STRETCH])]
 
 
 def _stage(dynamics: Dynamics) -> list[str]:

@@ -180,8 +180,59 @@ def test_a_kernel_is_compiled_for_a_gpu_that_is_not_here(own_cache: Path) -> Non
 
 def test_the_handler_of_gpus_takes_the_drivers_functions() -> None:
     step, bind = toolchain.load(gpu.build_handler(), "toy_gpu", ["fused_step", "fused_bind"])
-    ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(bind)(None, None)
+    types = ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int
+    ctypes.CFUNCTYPE(None, *types)(bind)(None, None, 132)
     assert step
+
+
+# The kernel on a CPU, a thread after the other; it writes down which thread has which simulation.
+THREADS_IN_TURN = """
+#define FN static inline
+#define __global__
+#define __launch_bounds__(n)
+struct Index { unsigned x; };
+static Index gridDim, blockDim, blockIdx, threadIdx;
+struct Arrays { long long n; };
+static int *times, *block_of;
+static void simulate(const Arrays&, long long place) {
+  ++times[place];
+  block_of[place] = (int)blockIdx.x;
+}
+"""
+PLAY = """
+extern "C" void play(long long n, int processors, int* grid, int* times_, int* block_of_) {
+  Grid g = grid_of(n, processors);
+  times = times_, block_of = block_of_;
+  gridDim.x = grid[0] = (int)g.blocks, blockDim.x = grid[1] = (int)g.threads;
+  for (blockIdx.x = 0; blockIdx.x < g.blocks; ++blockIdx.x)
+    for (threadIdx.x = 0; threadIdx.x < g.threads; ++threadIdx.x)
+      fused_kernel(Arrays{n}, processors);
+}
+"""
+
+
+def played(play: int, n: int, processors: int) -> tuple[int, int, np.ndarray, np.ndarray]:
+    """Return blocks, threads, and how often and in which block each simulation was played."""
+    grid, times, block_of = (np.zeros(size, np.int32) for size in (2, n, n))
+    pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (grid, times, block_of)]
+    types = ctypes.c_longlong, ctypes.c_int, *[ctypes.c_void_p] * 3
+    ctypes.CFUNCTYPE(None, *types)(play)(n, processors, *pointers)
+    return int(grid[0]), int(grid[1]), times, block_of
+
+
+def test_a_gpus_threads_share_out_the_simulations(tmp_path: Path) -> None:
+    texts = [(gpu.HERE / file).read_text() for file in ("grid.h", "gpu_kernel.h")]
+    text = "".join([THREADS_IN_TURN, *texts, PLAY])
+    toolchain.compile_cpp(text, tmp_path / "play.o", ["-w"])
+    (play,) = toolchain.load(tmp_path / "play.o", "toy_grid", ["play"])
+    for n in (1, 31, 33, 792, 4224, 4225, 28512, 33792, 33793, 82944):
+        blocks, threads, times, block_of = played(play, n, 132)
+        assert (times[:-1] == 1).all(), n
+        assert times[-1] == blocks * threads - n + 1  # those that are too many repeat the last
+        assert blocks <= 132 * -(-n // (132 * 256))
+        # few simulations lie on all processors, hard ones on as many as there are
+        assert len(set(block_of[: 32 * 132])) == min(-(-n // 32), blocks, 132)
+    assert (np.diff(block_of // 132) >= 0).all()  # of the largest: the hardest in the first wave
 
 
 def test_a_gpu_is_given_every_simulation_once_the_hardest_first() -> None:

@@ -11,6 +11,8 @@ import jax.numpy as jnp
 from assistax_envs.physics.fused.runtime import cache, toolchain
 from assistax_envs.physics.fused.runtime.xla import HERE, declarations, register_call
 
+_PROCESSOR_COUNT = 16  # CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT
+
 
 def register(name: str, key: str, source: Callable[[], str]) -> None:
     """Compile a program, or find it compiled, and make it the custom call `name` on GPUs.
@@ -23,7 +25,8 @@ def register(name: str, key: str, source: Callable[[], str]) -> None:
     kernel = _load_kernel(build_cubin(key, source, architecture()))
     step, bind = toolchain.load(build_handler(), f"{name}_gpu", ["fused_step", "fused_bind"])
     launch = ctypes.cast(_driver().cuLaunchKernel, ctypes.c_void_p)
-    ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(bind)(launch, kernel)
+    types = ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int
+    ctypes.CFUNCTYPE(None, *types)(bind)(launch, kernel, _processors())
     register_call(name, step, "CUDA")
 
 
@@ -31,7 +34,7 @@ def hardest_first(effort: jax.Array) -> jax.Array:
     """Return in which order [N] simulations are put into warps; CPUs sort in the call itself.
 
     The threads of a warp wait for the slowest, and so does the end of a launch: simulations that
-    had as much to do as one another stand side by side, the hardest first.
+    had as much to do as one another stand side by side, the hardest first (see `grid.h`).
     """
     return jnp.argsort(-effort).astype(jnp.int32)
 
@@ -50,7 +53,8 @@ def architecture() -> int:
 def build_cubin(key: str, source: Callable[[], str], architecture: int) -> Path:
     """Return the machine code of a program for an architecture; needs no GPU."""
     before = "#define W 1\n"
-    after = "".join((HERE / file).read_text() for file in ("arrays.h", "step.h", "gpu_kernel.h"))
+    files = "arrays.h", "step.h", "grid.h", "gpu_kernel.h"
+    after = "".join((HERE / file).read_text() for file in files)
     parts = (key, before, after, toolchain.WARP, str(architecture))
     return cache.cached(
         cache.key(part.encode() for part in parts),
@@ -61,7 +65,7 @@ def build_cubin(key: str, source: Callable[[], str], architecture: int) -> Path:
 
 def build_handler() -> Path:
     """Return the machine code, for the CPU, of what launches a kernel; it is the same for all."""
-    texts = [(HERE / file).read_text() for file in ("arrays.h", "xla.h", "gpu_handler.h")]
+    texts = [(HERE / file).read_text() for file in ("arrays.h", "xla.h", "grid.h", "gpu_handler.h")]
     text = declarations() + "".join(texts)
     return cache.cached(
         cache.key(part.encode() for part in (text, toolchain.WARP, toolchain.host_cpu())),
@@ -81,6 +85,13 @@ def _load_kernel(path: Path) -> int:
     _check(driver.cuLibraryGetKernel(ctypes.byref(kernel), library, b"fused_kernel"))
     assert kernel.value is not None
     return kernel.value
+
+
+def _processors() -> int:
+    """Return how many streaming multiprocessors the first GPU has."""
+    found = ctypes.c_int()
+    _check(_driver().cuDeviceGetAttribute(ctypes.byref(found), _PROCESSOR_COUNT, 0))
+    return found.value
 
 
 @functools.cache
