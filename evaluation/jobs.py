@@ -6,6 +6,7 @@ A plan has tiles, which are simulated together, in chunks, which are saved.
 import dataclasses
 import hashlib
 import importlib.metadata
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -16,11 +17,15 @@ from evaluation.provenance import identity_digest
 from evaluation.roster import HostEgo, Member, Roster
 
 # Goes up when the same job would give other tables. 2: columns of behaviour. 3: tiles, by which
-# values differ in the last bit. 4: disability settings by value, and the engine.
-EVALUATOR_VERSION = 4
+# values differ in the last bit. 4: disability settings by value, and the engine. 5: policies of
+# several networks in one tile.
+EVALUATOR_VERSION = 5
 # Most simulations at once, on the backends whose tiles are the job's own: on `native` more are no
 # faster on two cores; on `fused` two cores do not care either, and a large GPU is then full.
 TILE_ENVS = {"native": 512, "fused": 32768}
+# A job of so few is one tile, whatever its policies' networks are: what each program costs, its
+# compilation and the start of every step, would be most of the time.
+SMALL_JOB = 8192
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -180,25 +185,49 @@ class Job:
 
 
 @dataclasses.dataclass(frozen=True)
-class Tile:
-    """A rectangle of a job, simulated together: [E egos, P partners, K episodes], edges padded."""
+class Share:
+    """Which policies of a stack are in a tile."""
 
-    ego_stack: int
-    partner_stack: int
-    egos: range  # rows of the ego stack, padding not counted
-    partners: range
+    stack: int
+    rows: range  # padding not counted
+    width: int  # with padding, in which the last is repeated
+
+
+@dataclasses.dataclass(frozen=True)
+class Tile:
+    """A rectangle of a job, simulated together: [E egos, P partners, K episodes], edges padded.
+
+    It has a share of one ego stack and of one partner stack, or small jobs whole.
+    """
+
+    egos: tuple[Share, ...]
+    partners: tuple[Share, ...]
     episodes: range
-    # [E, P, K] at once, with padding: equal for all tiles of a pair of stacks. K is that of the
-    # series where there are any.
-    shape: tuple[int, int, int]
+    at_once: int  # K with padding; that of the series where there are any
     paired: bool = False  # the egos are the partners' own, one each, and E is 1
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Return [E, P, K] with padding."""
+        e, p = (sum(share.width for share in seat) for seat in (self.egos, self.partners))
+        return 1 if self.paired else e, p, self.at_once
 
     @property
     def rows(self) -> int:
         """Number of episodes, padding not counted."""
-        if self.paired:
-            return len(self.partners) * len(self.episodes)
-        return len(self.egos) * len(self.partners) * len(self.episodes)
+        return math.prod(self.played)
+
+    @property
+    def played(self) -> tuple[int, int, int]:
+        """Return [E, P, episodes] without padding."""
+        e, p = (sum(len(share.rows) for share in seat) for seat in (self.egos, self.partners))
+        return 1 if self.paired else e, p, len(self.episodes)
+
+    @property
+    def program(self) -> Any:
+        """Return what tiles of a job have in common that are played by the same program."""
+        shares = (*self.egos, *self.partners)
+        return tuple((share.stack, share.width) for share in shares), self.at_once
 
 
 @dataclasses.dataclass(frozen=True)
@@ -264,27 +293,45 @@ def plan(job: Job, max_envs: int) -> list[Chunk]:
 
 
 def cut_tiles(job: Job, most: int) -> list[Tile]:
-    """Cut a job into tiles of at most `most` simulations, one shape for each pair of stacks."""
+    """Cut a job into tiles of at most `most` simulations, one shape for each pair of stacks.
+
+    A small job is one tile of all its stacks.
+    """
+    rounds = job.episodes // job.series
+    egos, partners = (
+        [Share(i, range(len(stack.ids)), len(stack.ids)) for i, stack in enumerate(seat.stacks)]
+        for seat in (job.egos, job.partners)
+    )
+    if _is_small(job, most):
+        at_once = _at_once(rounds, job.rows // job.series, most)
+        return [Tile(tuple(egos), tuple(partners), range(job.episodes), at_once, job.paired)]
     tiles: list[Tile] = []
-    for i, ego in enumerate(job.egos.stacks):
-        for j, partner in enumerate(job.partners.stacks):
-            if job.paired and i != j:
-                continue
-            rounds = job.episodes // job.series
-            sizes = 1 if job.paired else len(ego.ids), len(partner.ids), rounds
-            shape = tile_shape(*sizes, most, host=isinstance(ego, HostEgo))
-            egos, partners, rounds = (
-                _cut(size, width) for size, width in zip(sizes, shape, strict=True)
-            )
-            if shape == (1, 1, 1) and most > 1:
-                shape = (1, 1, 2)  # a batch of one takes other paths, and would round differently
-            tiles += [
-                Tile(i, j, p if job.paired else e, p, k, shape, job.paired)
-                for e in egos
-                for p in partners
-                for k in (range(k.start * job.series, k.stop * job.series) for k in rounds)
-            ]
+    for ego, partner in itertools.product(egos, partners):
+        if job.paired and ego.stack != partner.stack:
+            continue
+        sizes = 1 if job.paired else ego.width, partner.width, rounds
+        host = isinstance(job.egos.stacks[ego.stack], HostEgo)
+        e, p, k = tile_shape(*sizes, most, host=host)
+        cuts = [_cut(size, width) for size, width in zip(sizes, (e, p, k), strict=True)]
+        for some, others, turns in itertools.product(*cuts):
+            robots = Share(ego.stack, others, p) if job.paired else Share(ego.stack, some, e)
+            humans = Share(partner.stack, others, p)
+            episodes = range(turns.start * job.series, turns.stop * job.series)
+            at_once = _at_once(k, e * p * k, most)
+            tiles.append(Tile((robots,), (humans,), episodes, at_once, job.paired))
     return tiles
+
+
+def _is_small(job: Job, most: int) -> bool:
+    """Return whether a job is one tile; a robot from outside shares none with other robots."""
+    hosts = any(isinstance(stack, HostEgo) for stack in job.egos.stacks)
+    alone = len(job.egos.stacks) == 1
+    return (alone or not hosts) and job.rows // job.series <= min(most, SMALL_JOB)
+
+
+def _at_once(episodes: int, simulations: int, most: int) -> int:
+    """Return K of a tile: a batch of one takes other paths, and would round differently."""
+    return 2 if simulations == 1 and most > 1 else episodes
 
 
 def _number(partner: str) -> int:

@@ -1,8 +1,8 @@
-"""Roll out a block: every ego of a stack with every partner of another, [E, P, K] at once.
+"""Roll out a block: every ego of some stacks with every partner of others, [E, P, K] at once.
 
-The environment sees one flat axis N = E * P * K. The robot's network maps over the stacked egos
-with observations [E, P * K, O], the human's over the partners with [P, E * K, O]: no simulation has
-parameters of its own.
+The environment sees one flat axis N = E * P * K. The robots' network maps over the stacked egos
+with observations [E, P * K, O], the humans' over the partners with [P, E * K, O]: no simulation has
+parameters of its own. Where egos or partners are of several networks, each has its share of E or P.
 
 Values are those of the compiled program. Which simulation stands in which row of it changes
 nothing, but XLA's CPU compiler rounds the arithmetic of another program, for a block of another
@@ -14,6 +14,7 @@ block's shape then hardly shows. Where it must not show at all, callers keep to 
 import collections
 import dataclasses
 import functools
+import itertools
 import math
 import threading
 import time
@@ -33,7 +34,21 @@ SEGMENT = 100
 # Folded into an episode's key for action noise: the environment draws from the key itself.
 _ACTION_STREAM = 2**31 - 1
 
-Shape = tuple[int, int, int]  # [E, P, K]
+
+@dataclasses.dataclass(frozen=True)
+class Shape:
+    """How large a block is."""
+
+    egos: tuple[int, ...]  # of each stack of robots; none for a robot that acts from outside
+    partners: tuple[int, ...]  # of each stack of humans
+    episodes: int
+    paired: bool = False
+
+    @property
+    def block(self) -> tuple[int, int, int]:
+        """Return [E, P, K]."""
+        e = 1 if self.paired or not self.egos else sum(self.egos)
+        return e, sum(self.partners), self.episodes
 
 
 class Environment(Protocol):
@@ -75,14 +90,14 @@ class Loop:
     """Carry of a rollout."""
 
     state: Any  # the environment's, leaves [N, ...]
-    robot: Any  # the robots' recurrent state, leaves [E, P * K, ...]
-    human: Any  # the humans', leaves [P, E * K, ...]
+    robot: tuple[Any, ...]  # each stack of robots' recurrent state, leaves [its E, P * K, ...]
+    human: tuple[Any, ...]  # of humans, leaves [its P, E * K, ...]
     tally: Tally
     time: jax.Array  # step of the episode
 
 
 class Rollout:
-    """Blocks of one pair of specs; compiles once for each shape and device.
+    """Blocks of the same specs; compiles once for each shape and device.
 
     Threads may run blocks on a device each, others prepare them. `compile_seconds` are those for
     which runs have waited.
@@ -91,8 +106,8 @@ class Rollout:
     def __init__(
         self,
         env: Environment,
-        robot: Any,
-        human: Any,
+        robots: Sequence[Any],
+        humans: Sequence[Any],
         *,
         stochastic: bool = False,
         paired: bool = False,
@@ -103,11 +118,12 @@ class Rollout:
 
         Args:
             env: the environment.
-            robot: a `population.policy.Policy`, or None for a robot that acts from outside.
-            human: a `population.policy.Policy`.
+            robots: a `population.policy.Policy` for each stack of robots; none for a robot that
+                acts from outside.
+            humans: a `population.policy.Policy` for each stack of humans.
             stochastic: whether actions are drawn.
-            paired: robot i plays with human i only: robot parameters have leaves [P, ...], and E is
-                1.
+            paired: robot i plays with human i only: robot stacks are as long as human ones, and E
+                is 1.
             length: steps to play, if fewer than the episode's: for measuring speed.
             series: episodes that a robot plays with a partner, one after the other, before it
                 forgets: its recurrent state is kept, the human's is not.
@@ -116,13 +132,14 @@ class Rollout:
         self.compile_seconds: dict[jax.Device, float] = collections.defaultdict(float)
         self._paired, self._series = paired, series
         self._length = length or env.episode_length
-        steps = 1 if robot is None else segment_length(self._length)
+        steps = segment_length(self._length) if robots else 1
         self._start = jax.jit(
-            functools.partial(_start, env, robot, human, paired=paired), static_argnames="shape"
+            functools.partial(_start, env, robots, humans),
+            static_argnames="shape",
         )
         self._advance = jax.jit(
             functools.partial(
-                _advance, env, robot, human, steps, stochastic, paired=paired, forgets=series == 1
+                _advance, env, robots, humans, steps, stochastic, forgets=series == 1
             ),
             static_argnames="shape",
         )
@@ -134,8 +151,8 @@ class Rollout:
 
     def run(
         self,
-        robot_params: Any,
-        human_params: Any,
+        robot_params: Sequence[Any],
+        human_params: Sequence[Any],
         env_params: Any,
         seeds: Sequence[int] | np.ndarray,
         *,
@@ -146,8 +163,8 @@ class Rollout:
         """Play K episodes of every pair to their end.
 
         Args:
-            robot_params: stacked, leaves [E, ...]; None where `act` plays the robot (E is 1).
-            human_params: stacked, leaves [P, ...].
+            robot_params: stacks, leaves [its E, ...]; none where `act` plays the robot (E is 1).
+            human_params: stacks, leaves [its P, ...].
             env_params: the partners' own `EnvParams`, leaves [P], or [P, K] where a partner is
                 another in each episode.
             seeds: K integers; `jax.random.key(seeds[k])` starts episode k of every pair (common
@@ -182,16 +199,16 @@ class Rollout:
                     on_steps(self._steps)
             memory = loop.robot
             tallies.append(
-                jax.tree.map(lambda leaf, shape=shape: np.asarray(leaf).reshape(shape), loop.tally)
+                jax.tree.map(lambda leaf, to=shape.block: np.asarray(leaf).reshape(to), loop.tally)
             )
         return jax.tree.map(
-            lambda *leaves: np.stack(leaves, axis=-1).reshape(*shape[:2], -1), *tallies
+            lambda *leaves: np.stack(leaves, axis=-1).reshape(*shape.block[:2], -1), *tallies
         )
 
     def prepare(
         self,
-        robot_params: Any,
-        human_params: Any,
+        robot_params: Sequence[Any],
+        human_params: Sequence[Any],
         env_params: Any,
         seeds: Sequence[int] | np.ndarray,
         device: jax.Device,
@@ -202,8 +219,8 @@ class Rollout:
 
     def _place(
         self,
-        robot_params: Any,
-        human_params: Any,
+        robot_params: Sequence[Any],
+        human_params: Sequence[Any],
         env_params: Any,
         seeds: Sequence[int] | np.ndarray,
         device: jax.Device,
@@ -213,14 +230,11 @@ class Rollout:
 
         A block is of the episodes at one place of every series.
         """
-        egos = (
-            1 if robot_params is None or self._paired else jax.tree.leaves(robot_params)[0].shape[0]
-        )
         seeds = np.asarray(seeds, np.uint32)[..., place :: self._series]
         env_params = jax.tree.map(
             lambda leaf: leaf if leaf.ndim == 1 else leaf[:, place :: self._series], env_params
         )
-        shape = egos, jax.tree.leaves(human_params)[0].shape[0], seeds.shape[-1]
+        shape = Shape(_widths(robot_params), _widths(human_params), seeds.shape[-1], self._paired)
         keys = jax.vmap(jax.random.key)(seeds.ravel()).reshape(seeds.shape)
         given = robot_params, human_params, env_params, keys, _once()
         return shape, jax.device_put(given, device)
@@ -239,15 +253,20 @@ class Rollout:
             return self._compiled[shape, device]
 
     def _lower(
-        self, shape: Shape, robot_params: Any, human_params: Any, env_params: Any, *rest: Any
+        self,
+        shape: Shape,
+        robot_params: Sequence[Any],
+        human_params: Sequence[Any],
+        env_params: Any,
+        *rest: Any,
     ) -> tuple[Any, Any]:
         """Trace the programs that start and advance a block."""
         keys, once = rest
         start = self._start.lower(env_params, keys, shape=shape)
         loop = jax.eval_shape(functools.partial(self._start, shape=shape), env_params, keys)
         action = None
-        if robot_params is None:
-            size = math.prod(shape), self.env.action_size["robot"]
+        if not robot_params:
+            size = math.prod(shape.block), self.env.action_size["robot"]
             action = jax.ShapeDtypeStruct(size, jnp.float32)
         args = loop, robot_params, human_params, keys, action, once
         return start, self._advance.lower(*args, shape=shape)
@@ -262,21 +281,20 @@ def segment_length(episode_length: int) -> int:
 
 def _start(
     env: Environment,
-    robot: Any,
-    human: Any,
+    robots: Sequence[Any],
+    humans: Sequence[Any],
     env_params: Any,
     keys: Any,
     *,
     shape: Shape,
-    paired: bool = False,
 ) -> Loop:
     """Reset a block: episode k starts from key k, under the partner's own parameters."""
-    e, p, k = shape
+    block = e, p, k = shape.block
     flat = functools.partial(jnp.reshape, shape=(e * p * k,))
     params = jax.tree.map(
-        lambda leaf: flat(jnp.broadcast_to(leaf.reshape(1, p, -1), shape)), env_params
+        lambda leaf: flat(jnp.broadcast_to(leaf.reshape(1, p, -1), block)), env_params
     )
-    state = env.reset(flat(jnp.broadcast_to(keys, shape)), params)
+    state = env.reset(flat(jnp.broadcast_to(keys, block)), params)
     zero = jnp.zeros(e * p * k)
     false = jnp.zeros(e * p * k, bool)
     tally = Tally(
@@ -297,10 +315,8 @@ def _start(
     )
     return Loop(
         state=state,
-        robot=()
-        if robot is None
-        else robot.initial_carry((p, _rows(k)) if paired else (e, _rows(p * k))),
-        human=human.initial_carry((p, _rows(e * k))),
+        robot=_carries(robots, shape.egos, k if shape.paired else p * k),
+        human=_carries(humans, shape.partners, e * k),
         tally=tally,
         time=jnp.zeros((), jnp.int32),
     )
@@ -308,8 +324,8 @@ def _start(
 
 def _advance(
     env: Environment,
-    robot: Any,
-    human: Any,
+    robots: Sequence[Any],
+    humans: Sequence[Any],
     steps: int,
     stochastic: bool,
     loop: Loop,
@@ -320,28 +336,27 @@ def _advance(
     once: jax.Array | None,
     *,
     shape: Shape,
-    paired: bool = False,
     forgets: bool = True,
 ) -> Loop:
     """Advance a block by `steps`; `action` is a robot's from outside; for `once` see `_once`.
 
     A robot that does not forget is never told that an episode begins.
     """
-    e, p, k = shape
+    e, p, k = shape.block
 
     def body(loop: Loop, _: None) -> tuple[Loop, None]:
         noise = [None, None]
         if stochastic:
             noise = _noise_keys(keys, loop.time)
         robot_action, robot_carry = action, loop.robot
-        if robot is not None:
-            obs = loop.state.obs["robot"].reshape(*((p, k) if paired else (e, p * k)), -1)
+        if robots:
+            obs = loop.state.obs["robot"].reshape(*((p, k) if shape.paired else (e, p * k)), -1)
             first = loop.time == 0 if forgets else False
-            robot_carry, acted = _act(robot, robot_params, loop.robot, obs, first, noise[0])
+            robot_carry, acted = _act_all(robots, robot_params, loop.robot, obs, first, noise[0])
             robot_action = acted.reshape(e * p * k, -1)
         obs = loop.state.obs["human"].reshape(e, p, k, -1).swapaxes(0, 1).reshape(p, e * k, -1)
         first = loop.time == 0
-        human_carry, acted = _act(human, human_params, loop.human, obs, first, noise[1])
+        human_carry, acted = _act_all(humans, human_params, loop.human, obs, first, noise[1])
         human_action = acted.reshape(p, e, k, -1).swapaxes(0, 1).reshape(e * p * k, -1)
         state = _step_alone(env, loop.state, {"robot": robot_action, "human": human_action}, once)
         travel = _travel(env.joint_positions(loop.state), env.joint_positions(state))
@@ -408,6 +423,25 @@ def _travel(before: dict[str, jax.Array], after: dict[str, jax.Array]) -> dict[s
     return {role: jnp.sum(jnp.abs(after[role] - before[role]), axis=-1) for role in after}
 
 
+def _act_all(
+    policies: Sequence[Any],
+    params: Sequence[Any],
+    carries: Sequence[Any],
+    obs: jax.Array,
+    first: jax.Array | bool,
+    keys: jax.Array | None,
+) -> tuple[tuple[Any, ...], jax.Array]:
+    """Let every stack of a seat act for its rows of obs [G, R, O]; see `_act`."""
+    starts = itertools.accumulate(_widths(params), initial=0)
+    acted = [
+        _act(policy, own, carry, obs[start:stop], first, keys)
+        for policy, own, carry, (start, stop) in zip(
+            policies, params, carries, itertools.pairwise(starts), strict=True
+        )
+    ]
+    return tuple(carry for carry, _ in acted), jnp.concatenate([action for _, action in acted])
+
+
 def _act(
     policy: Any,
     params: Any,
@@ -444,6 +478,19 @@ def _noise_keys(keys: jax.Array, time: jax.Array) -> list[jax.Array]:
         )
 
     return [jax.vmap(functools.partial(key_of, role))(keys) for role in range(2)]
+
+
+def _carries(policies: Sequence[Any], widths: Sequence[int], rows: int) -> tuple[Any, ...]:
+    """Return each stack's recurrent state at the start, leaves [G, R, ...]."""
+    return tuple(
+        policy.initial_carry((width, _rows(rows)))
+        for policy, width in zip(policies, widths, strict=True)
+    )
+
+
+def _widths(params: Sequence[Any]) -> tuple[int, ...]:
+    """Return how many policies each stack of parameters has."""
+    return tuple(jax.tree.leaves(one)[0].shape[0] for one in params)
 
 
 def _rows(rows: int) -> int:

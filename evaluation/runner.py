@@ -22,7 +22,7 @@ from assistax_envs.interrupts import wait_for
 from evaluation import tables
 from evaluation.devices import devices_for
 from evaluation.egos import call_ego
-from evaluation.jobs import TILE_ENVS, Chunk, Job, Tile, plan
+from evaluation.jobs import TILE_ENVS, Chunk, Job, Share, Tile, plan
 from evaluation.reference_policy import ReferencePolicy, ScriptedPolicy
 from evaluation.rollout import Rollout, Tally
 from evaluation.roster import HostEgo, ReferenceSpec, Roster, ScriptSpec
@@ -166,8 +166,8 @@ class Runner:
     def _run_tile(self, device: jax.Device, tile: Tile, meter: Meter) -> pl.DataFrame:
         job, act = self._job, None
         rollout, block, partners = self._block(tile)
-        if isinstance(ego := _stacks(job, tile)[0], HostEgo):
-            act = call_ego(ego, partners, tile.shape[2], self._env.action_size["robot"])
+        if host := _host(job, tile):
+            act = call_ego(host, partners, tile.at_once, self._env.action_size["robot"])
         before, counted = rollout.compile_seconds[device], 0.0
         began = time.perf_counter()
 
@@ -182,26 +182,26 @@ class Runner:
 
     def _block(self, tile: Tile) -> tuple[Rollout, tuple[Any, ...], tuple[str, ...]]:
         """Return what plays a tile, its parameters and seeds, and the ids of its partners."""
-        job, (e, p, k) = self._job, tile.shape
-        ego, partner = _stacks(job, tile)
-        humans = partner.take(_padded(tile.partners, p))
-        partners = job.partners.describe(humans.ids)
-        settings = [member.setting or str(member.disability) for member in partners]
-        episodes = _padded(tile.episodes, k * job.series)
-        wishes = job.wishes(humans.ids, episodes) if job.preferences else None
-        robots = None
-        if not isinstance(ego, HostEgo):
-            robots = ego.take(_padded(tile.egos, p if tile.paired else e))
+        job = self._job
+        robots = [] if _host(job, tile) else _taken(job.egos, tile.egos)
+        humans = _taken(job.partners, tile.partners)
+        ids = tuple(name for stack in humans for name in stack.ids)
+        settings = [
+            member.setting or str(member.disability) for member in job.partners.describe(ids)
+        ]
+        episodes = _padded(tile.episodes, tile.at_once * job.series)
+        wishes = job.wishes(ids, episodes) if job.preferences else None
         block = (
-            robots.params if robots else None,
-            humans.params,
+            [stack.params for stack in robots],
+            [stack.params for stack in humans],
             disability_params(settings, wishes),
-            job.seeds(humans.ids, episodes),
+            job.seeds(ids, episodes),
         )
-        return self._rollout(robots.spec if robots else None, humans.spec), block, humans.ids
+        specs = (tuple(stack.spec for stack in seat) for seat in (robots, humans))
+        return self._rollout(*specs), block, ids
 
-    def _rollout(self, robot: PolicySpec | None, human: PolicySpec) -> Rollout:
-        key = robot, human
+    def _rollout(self, robots: tuple[PolicySpec, ...], humans: tuple[PolicySpec, ...]) -> Rollout:
+        key = robots, humans
         with self._lock:
             if key not in self._rollouts:
                 options = {
@@ -210,7 +210,8 @@ class Runner:
                     "length": self._length,
                     "series": self._job.series,
                 }
-                self._rollouts[key] = Rollout(self._env, _policy(robot), _policy(human), **options)
+                seats = ([_policy(spec) for spec in seat] for seat in key)
+                self._rollouts[key] = Rollout(self._env, *seats, **options)
             return self._rollouts[key]
 
 
@@ -245,7 +246,7 @@ def _first_of_each_program(chunks: Sequence[Chunk]) -> list[Tile]:
     found: dict[Any, Tile] = {}
     for chunk in chunks:
         for tile in chunk.tiles:
-            found.setdefault((tile.ego_stack, tile.partner_stack, tile.shape), tile)
+            found.setdefault(tile.program, tile)
     return list(found.values())
 
 
@@ -256,7 +257,28 @@ def _policy(spec: Any) -> Any:
         return ScriptedPolicy(spec)
     if hasattr(spec, "make_policy"):  # a network that is not of this project, such as from ONNX
         return spec.make_policy()
-    return None if spec is None else Policy(spec)
+    return Policy(spec)
+
+
+def _host(job: Job, tile: Tile) -> HostEgo | None:
+    """Return the robot from outside that plays in a tile, if one does."""
+    stack = job.egos.stacks[tile.egos[0].stack]
+    return stack if isinstance(stack, HostEgo) else None
+
+
+def _taken(roster: Roster, shares: Sequence[Share]) -> list[PolicyStack]:
+    """Return the policies of a seat's shares, padded."""
+    taken = []
+    for share in shares:
+        stack = roster.stacks[share.stack]
+        assert isinstance(stack, PolicyStack)
+        taken.append(stack.take(_padded(share.rows, share.width)))
+    return taken
+
+
+def _ids(roster: Roster, shares: Sequence[Share]) -> list[str]:
+    """Return the ids of a seat's shares, without padding."""
+    return [roster.stacks[share.stack].ids[row] for share in shares for row in share.rows]
 
 
 def _padded(rows: range, width: int) -> list[int]:
@@ -266,11 +288,10 @@ def _padded(rows: range, width: int) -> list[int]:
 
 def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
     """Return the real episodes of a tile, ego by ego, partner by partner."""
-    e, p, k = 1 if tile.paired else len(tile.egos), len(tile.partners), len(tile.episodes)
+    e, p, k = tile.played
     tally = jax.tree.map(lambda leaf: leaf[:e, :p, :k].reshape(-1), tally)
-    ego, partner = _stacks(job, tile)
-    egos = _described("ego", job.egos, [ego.ids[row] for row in tile.egos])
-    partners = _described("partner", job.partners, [partner.ids[row] for row in tile.partners])
+    egos = _described("ego", job.egos, _ids(job.egos, tile.egos))
+    partners = _described("partner", job.partners, _ids(job.partners, tile.partners))
     sides = [job.sides.get(name) for name in partners["partner"]]
     partners = partners.with_columns(pl.Series("side", sides, pl.String))
     episodes = pl.DataFrame({"episode": list(tile.episodes)})
@@ -311,13 +332,6 @@ def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
     return rows.with_columns(
         pl.Series(name, value).cast(types[name]) for name, value in measured.items()
     )
-
-
-def _stacks(job: Job, tile: Tile) -> tuple[PolicyStack | HostEgo, PolicyStack]:
-    """Return who plays in a tile; only the robot may be from outside."""
-    ego, partner = job.egos.stacks[tile.ego_stack], job.partners.stacks[tile.partner_stack]
-    assert isinstance(partner, PolicyStack)
-    return ego, partner
 
 
 def _described(seat: str, roster: Roster, ids: list[str]) -> pl.DataFrame:

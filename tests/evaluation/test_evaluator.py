@@ -11,8 +11,9 @@ import jax
 import numpy as np
 import polars as pl
 import pytest
+from polars.testing import assert_frame_equal
 
-from evaluation import tables
+from evaluation import jobs, tables
 from evaluation.blocks import run_block
 from evaluation.egos import EgoError
 from evaluation.evaluator import PARTS_FOLDER, check_folder, run_job
@@ -104,6 +105,30 @@ def test_padded_chunks_drop_what_was_padded(tmp_path: Path):
     assert any(tile.rows < np.prod(tile.shape) for chunk in chunks for tile in chunk.tiles)
     assert sum(chunk.rows for chunk in chunks) == job.rows == 50
     assert run_job(MatrixGame(), job, tmp_path, max_envs=8).table.height == 50
+
+
+def test_a_small_job_of_several_networks_is_one_tile_and_a_large_one_is_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    recurrent = dataclasses.replace(HUMAN, torso="gru", hidden=(4, 4))
+    humans_ = joined(
+        random_roster(HUMAN, 3, 3), _renamed(random_roster(recurrent, 1, 4), "recurrent")
+    )
+    job = make_job(mixed_job().egos, humans_, backend="native")
+    [whole] = plan(job, 2048)
+    assert [(tile.shape, tile.rows) for tile in whole.tiles] == [((5, 4, 3), job.rows)]
+    table = run_job(MatrixGame(), job, tmp_path / "one").table
+    assert table["return"].n_unique() > 10
+    monkeypatch.setattr(jobs, "SMALL_JOB", job.rows - 1)
+    [chunk] = plan(job, 2048)
+    assert {tile.shape for tile in chunk.tiles} == {(3, 3, 3), (3, 1, 3), (2, 3, 3), (2, 1, 3)}
+    cut = run_job(MatrixGame(), job, tmp_path / "cut").table
+    assert_frame_equal(cut, table, rel_tol=1e-5, abs_tol=1e-6)
+
+
+def test_a_robot_from_outside_shares_no_tile():
+    job = make_job(joined(host(lambda obs: np.zeros((len(obs), 2))), robots(-0.5)))
+    assert [len(tile.egos) for chunk in plan(job, 2048) for tile in chunk.tiles] == [1, 1]
 
 
 @pytest.mark.parametrize("sizes", [(1, 99, 8), (198, 198, 16), (3, 5, 2), (7, 1, 40), (1, 1, 1)])

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import polars as pl
 import pytest
+from polars.testing import assert_frame_equal
 
 from evaluation import tables
 from evaluation.evaluator import run_job
@@ -52,9 +53,9 @@ def test_own_robots_earn_what_the_diagonal_of_the_matrix_has(tmp_path: Path, sto
     diagonal = whole.filter(pl.col("ego_seed") == pl.col("partner_seed"))
     for max_envs in (1000, 4):
         paired = job_of(egos, partners, paired=True, stochastic=stochastic)
-        assert run_job(
-            MatrixGame(), paired, tmp_path / str(max_envs), max_envs=max_envs
-        ).table.equals(diagonal)
+        own = run_job(MatrixGame(), paired, tmp_path / str(max_envs), max_envs=max_envs).table
+        # Another program, which XLA may round otherwise: on some processors a last bit differs.
+        assert_frame_equal(own, diagonal, rel_tol=1e-6, abs_tol=0)
     assert whole.height == 5 * diagonal.height == 75
 
 

@@ -1,3 +1,5 @@
+import dataclasses
+import itertools
 import math
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -9,7 +11,7 @@ import pytest
 
 from assistax_envs import disability_params
 from evaluation.jobs import episode_seeds
-from evaluation.rollout import GAMMA, Rollout, Tally, _start, segment_length
+from evaluation.rollout import GAMMA, Rollout, Shape, Tally, _start, segment_length
 from evaluation.roster import Roster
 from population.policy import Policy
 from population.spec import PolicySpec
@@ -26,6 +28,7 @@ from tests.evaluation.matrix_game import (
 )
 
 SETTINGS = ["d1", "d2", "d3"]
+OTHER_HUMAN = dataclasses.replace(HUMAN, hidden=(6,))
 
 
 def stack_of(roster: Roster) -> PolicyStack:
@@ -42,11 +45,10 @@ def play(
     robots: Roster, humans: Roster, episodes: int = 3, env: MatrixGame | None = None, **options: Any
 ) -> Tally:
     robot, human = stack_of(robots), stack_of(humans)
-    rollout = Rollout(env or MatrixGame(), Policy(robot.spec), Policy(human.spec), **options)
+    rollout = Rollout(env or MatrixGame(), [Policy(robot.spec)], [Policy(human.spec)], **options)
     settings = disabilities(humans)
-    return rollout.run(
-        robot.params, human.params, disability_params(settings), episode_seeds(7, range(episodes))
-    )
+    seeds = episode_seeds(7, range(episodes))
+    return rollout.run([robot.params], [human.params], disability_params(settings), seeds)
 
 
 def test_returns_of_the_matrix_game_are_its_payoffs():
@@ -114,13 +116,14 @@ def test_every_partner_plays_under_its_own_disability():
 
 
 def test_the_disability_check_sees_one_setting_for_all():
-    shape, keys = (2, 3, 2), jax.vmap(jax.random.key)(jnp.arange(2))
+    shape, keys = Shape((2,), (3,), 2), jax.vmap(jax.random.key)(jnp.arange(2))
     params = disability_params(SETTINGS)
-    right = _start(MatrixGame(), Policy(ROBOT), Policy(HUMAN), params, keys, shape=shape)
+    seats = [Policy(ROBOT)], [Policy(HUMAN)]
+    right = _start(MatrixGame(), *seats, params, keys, shape=shape)
     planted = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[:1], leaf.shape), params)
-    wrong = _start(MatrixGame(), Policy(ROBOT), Policy(HUMAN), planted, keys, shape=shape)
-    assert carries_its_own_setting(strengths(right.state, shape))
-    assert not carries_its_own_setting(strengths(wrong.state, shape))
+    wrong = _start(MatrixGame(), *seats, planted, keys, shape=shape)
+    assert carries_its_own_setting(strengths(right.state, shape.block))
+    assert not carries_its_own_setting(strengths(wrong.state, shape.block))
 
 
 def test_a_broken_episode_earns_nothing_from_then_on_and_is_marked():
@@ -140,9 +143,9 @@ def test_a_block_is_what_each_pair_gives_alone(spec: PolicySpec):
     """Oracle: a loop over pairs, episodes and steps with one policy at a time."""
     env, seeds = MatrixGame(), episode_seeds(5, range(2))
     robot, human = random_roster(spec, 2, 1), random_roster(HUMAN, 3, 2)
-    rollout = Rollout(env, Policy(spec), Policy(HUMAN))
+    rollout = Rollout(env, [Policy(spec)], [Policy(HUMAN)])
     settings = disability_params(disabilities(human))
-    params = stack_of(robot).params, stack_of(human).params
+    params = [stack_of(robot).params], [stack_of(human).params]
     block = rollout.run(*params, settings, seeds)
     for e, p, k in np.ndindex(block.returns.shape):
         mine, theirs = row_of(robot, e), row_of(human, p)
@@ -162,6 +165,49 @@ def test_a_block_is_what_each_pair_gives_alone(spec: PolicySpec):
             state = env.step(state, actions)
             total += float(state.reward[0])
         assert block.returns[e, p, k] == pytest.approx(total, rel=1e-5)
+
+
+SEVERAL = (  # of each seat: its networks, and how many policies of each
+    [stack_of(random_roster(ROBOT, 3, 1)), stack_of(random_roster(GRU, 2, 2))],
+    [stack_of(random_roster(HUMAN, 3, 3)), stack_of(random_roster(OTHER_HUMAN, 2, 4))],
+)
+THEIR_SETTINGS = ["d1", "d2", "d3", "d7", "d9"]
+
+
+def play_stacks(
+    robots: list[PolicyStack], humans: list[PolicyStack], settings: list[str], **options: Any
+) -> Tally:
+    seats = robots, humans
+    policies = ([Policy(stack.spec) for stack in seat] for seat in seats)
+    params = ([stack.params for stack in seat] for seat in seats)
+    rollout = Rollout(MatrixGame(), *policies, **options)
+    return rollout.run(*params, disability_params(settings), episode_seeds(5, range(4)))
+
+
+@pytest.mark.parametrize("options", [{}, {"stochastic": True}, {"series": 2}], ids=str)
+def test_a_block_of_several_networks_is_what_each_two_of_them_give(options: dict[str, Any]):
+    whole = play_stacks(*SEVERAL, THEIR_SETTINGS, **options)
+    assert whole.returns.shape == (5, 5, 4)
+    assert len(np.unique(whole.returns)) > 10
+    shares = slice(0, 3), slice(3, 5)
+    for (robot, e), (human, p) in itertools.product(
+        *(zip(seat, shares, strict=True) for seat in SEVERAL)
+    ):
+        alone = play_stacks([robot], [human], THEIR_SETTINGS[p], **options)
+        jax.tree.map(
+            lambda one, every, e=e, p=p: np.testing.assert_allclose(one, every[e, p], rtol=1e-5),
+            alone,
+            whole,
+        )
+
+
+def test_pairs_of_several_networks_are_each_robot_with_its_own_human():
+    own = play_stacks(*SEVERAL, THEIR_SETTINGS, paired=True)
+    every = play_stacks(*SEVERAL, THEIR_SETTINGS)
+    assert own.returns.shape == (1, 5, 4)
+    diagonal = every.returns[np.arange(5), np.arange(5)]
+    np.testing.assert_allclose(own.returns[0], diagonal, rtol=1e-5)
+    assert len(np.unique(diagonal)) > 10
 
 
 def test_drawn_actions_are_common_to_pairs_and_differ_by_episode_step_and_role():
@@ -197,13 +243,13 @@ def test_values_do_not_depend_on_the_block(stochastic: bool):
     wide = PolicySpec("robot", observation_size=3, action_size=2, hidden=(64, 64), normalise=True)
     robot, human = random_roster(wide, 3, 1), random_roster(HUMAN, 5, 2)
     whole = play(robot, human, episodes=2, stochastic=stochastic)
-    rollout = Rollout(MatrixGame(), Policy(wide), Policy(HUMAN), stochastic=stochastic)
+    rollout = Rollout(MatrixGame(), [Policy(wide)], [Policy(HUMAN)], stochastic=stochastic)
     for e, p, k in np.ndindex(3, 5, 2):
         mine, theirs = (
             stack_of(roster).take([row]).params for roster, row in ((robot, e), (human, p))
         )
         alone = rollout.run(
-            mine, theirs, disability_params([f"d{1 + p}"]), episode_seeds(7, range(k, k + 1))
+            [mine], [theirs], disability_params([f"d{1 + p}"]), episode_seeds(7, range(k, k + 1))
         )
         assert alone.returns[0, 0, 0] == whole.returns[e, p, k]
         assert alone.force_sum[0, 0, 0] == whole.force_sum[e, p, k]
@@ -227,13 +273,14 @@ def parameters_per_simulation(program: Any, simulations: int, kernel: int) -> li
 
 def test_no_simulation_has_parameters_of_its_own():
     wide = PolicySpec("robot", observation_size=3, action_size=2, hidden=(64, 64), normalise=False)
-    robot, human, shape = random_roster(wide, 2, 1), random_roster(HUMAN, 3, 2), (2, 3, 50)
-    rollout = Rollout(MatrixGame(), Policy(wide), Policy(HUMAN))
+    robot, human = random_roster(wide, 2, 1), random_roster(HUMAN, 3, 2)
+    shape = Shape((2,), (3,), 50)
+    rollout = Rollout(MatrixGame(), [Policy(wide)], [Policy(HUMAN)])
     keys = jax.vmap(jax.random.key)(jnp.arange(50))
     settings = disability_params(SETTINGS)
     loop = rollout._start(settings, keys, shape=shape)
     program = jax.make_jaxpr(lambda *a: rollout._advance(*a, None, np.int32(1), shape=shape))(
-        loop, stack_of(robot).params, stack_of(human).params, keys
+        loop, [stack_of(robot).params], [stack_of(human).params], keys
     )
     assert parameters_per_simulation(program.jaxpr, 300, 64 * 64) == []
 
@@ -255,12 +302,12 @@ def test_threads_that_want_one_program_compile_it_once(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(Rollout, "_lower", counted)
     robot, human = stack_of(robots(-0.5)), stack_of(humans(0.5))
-    rollout = Rollout(MatrixGame(), Policy(robot.spec), Policy(human.spec))
-    block = robot.params, human.params, disability_params(["d1"]), episode_seeds(7, range(3))
+    rollout = Rollout(MatrixGame(), [Policy(robot.spec)], [Policy(human.spec)])
+    block = [robot.params], [human.params], disability_params(["d1"]), episode_seeds(7, range(3))
     device = jax.local_devices()[0]
     with ThreadPoolExecutor(3) as pool:
         ahead = [pool.submit(rollout.prepare, *block, device) for _ in range(2)]
         tally = pool.submit(rollout.run, *block).result()
         assert [work.result() for work in ahead] == [None, None]
-    assert lowered == [(1, 1, 3)]
+    assert lowered == [Shape((1,), (1,), 3)]
     assert tally.returns.shape == (1, 1, 3)
