@@ -15,6 +15,7 @@ from evaluation.evaluator import (
     find_part,
     is_finished,
     open_folder,
+    plan_of,
     simulate,
 )
 from evaluation.jobs import Job, plan
@@ -126,7 +127,7 @@ def _run_remotely(
 def _check_parts(job: Job, folder: Path) -> None:
     """Check that what the workers wrote can be read here: it is not simulated a second time."""
     manifest = provenance.read_manifest(folder)
-    wanted = len(plan(job, int(manifest["max_envs"]))) if manifest else 1
+    wanted = len(plan_of(job, manifest)) if manifest else 1
     found = len(list((folder / PARTS_FOLDER).glob("part-*.parquet")))
     if found < wanted:
         raise ValueError(

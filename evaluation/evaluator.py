@@ -12,7 +12,7 @@ import errno
 import math
 import shutil
 import uuid
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ import polars as pl
 
 from evaluation import provenance, tables
 from evaluation.devices import devices_for
-from evaluation.jobs import Chunk, Job, plan
+from evaluation.jobs import Chunk, Job, plan, tile_envs
 from evaluation.locks import locked
 from evaluation.provenance import MANIFEST_FILE
 from evaluation.roster import HostEgo
@@ -142,10 +142,20 @@ def open_folder(folder: Path, job: Job, max_envs: int) -> list[Chunk]:
         told = _difference(found.get("identity", {}), job.identity())
         raise ValueError(f"{folder} holds another job ({told}); choose another --out or delete it")
     if found and (is_finished(folder) or any((folder / PARTS_FOLDER).glob("part-*"))):
-        return plan(job, int(found["max_envs"]))
-    identity = {"job": job.digest(), "identity": job.identity(), "max_envs": max_envs}
-    provenance.write_manifest(folder, identity)
-    return plan(job, max_envs)
+        return plan_of(job, found)
+    manifest = {
+        "job": job.digest(),
+        "identity": job.identity(),
+        "max_envs": max_envs,
+        "tile_envs": tile_envs(job.backend, max_envs),
+    }
+    provenance.write_manifest(folder, manifest)
+    return plan_of(job, manifest)
+
+
+def plan_of(job: Job, manifest: Mapping[str, Any]) -> list[Chunk]:
+    """Return a job's plan as it was cut where its folder was begun: a GPU's tiles are larger."""
+    return plan(job, int(manifest["max_envs"]), int(manifest["tile_envs"]))
 
 
 def is_finished(folder: Path) -> bool:

@@ -21,8 +21,10 @@ from evaluation.roster import HostEgo, Member, Roster
 # several networks in one tile.
 EVALUATOR_VERSION = 5
 # Most simulations at once, on the backends whose tiles are the job's own: on `native` more are no
-# faster on two cores; on `fused` two cores do not care either, and a large GPU is then full.
+# faster on two cores; on `fused` two cores do not care either.
 TILE_ENVS = {"native": 512, "fused": 32768}
+# On `fused` on GPUs: a launch waits for its slowest simulation, of which more then wait together.
+GPU_TILE_ENVS = 98304
 # A job of so few is one tile, whatever its policies' networks are: what each program costs, its
 # compilation and the start of every step, would be most of the time.
 SMALL_JOB = 8192
@@ -271,16 +273,30 @@ def tile_shape(
     return e, p, k
 
 
-def plan(job: Job, max_envs: int) -> list[Chunk]:
+def tile_envs(backend: str, max_envs: int) -> int:
+    """Return the most simulations of a tile on this machine.
+
+    On `native` and `fused` that is the same whatever `max_envs` is: an episode is played in the
+    same row of the same program however the job is cut, and its values are the same. On other
+    backends a chunk is one large tile.
+    """
+    import jax  # not by who only makes or reads a job
+
+    if backend == "fused" and jax.default_backend() == "gpu":
+        return GPU_TILE_ENVS
+    return TILE_ENVS.get(backend, max_envs)
+
+
+def plan(job: Job, max_envs: int, most: int | None = None) -> list[Chunk]:
     """Cut a job into tiles, and its tiles into chunks of `max_envs` simulations or one tile.
 
-    On `native` and `fused` the tiles are the job's own, whatever `max_envs` is: an episode is
-    played in the same row of the same program however the job is cut, and its values are the same.
-    On other backends a chunk is one large tile.
+    `most` is how many simulations a tile may have; if not given, what `tile_envs` says.
     """
-    if max_envs < 1:
-        raise ValueError(f"max_envs is {max_envs}; allowed is 1 or more")
-    tiles = cut_tiles(job, TILE_ENVS.get(job.backend, max_envs))
+    most = tile_envs(job.backend, max_envs) if most is None else most
+    for name, value in (("max_envs", max_envs), ("tile_envs", most)):
+        if value < 1:
+            raise ValueError(f"{name} is {value}; allowed is 1 or more")
+    tiles = cut_tiles(job, most)
     chunks: list[list[Tile]] = []
     room = 0
     for tile in tiles:

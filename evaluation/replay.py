@@ -17,7 +17,8 @@ import polars as pl
 
 from evaluation import provenance, tables
 from evaluation.egos import read_egos
-from evaluation.jobs import Chunk, Job, plan
+from evaluation.evaluator import plan_of
+from evaluation.jobs import Chunk, Job
 from evaluation.policy_reference import parse_reference
 from evaluation.roster import registry_roster
 from evaluation.runner import Runner
@@ -65,7 +66,7 @@ def replay_folder(
     manifest = provenance.read_manifest(folder) or {}
     try:
         env, job = _rebuild(manifest["identity"], registry, run_code)
-        tiles = [tile for chunk in plan(job, manifest["max_envs"]) for tile in chunk.tiles]
+        tiles = [tile for chunk in plan_of(job, manifest) for tile in chunk.tiles]
     except (KeyError, TypeError, IndexError, AttributeError) as error:
         raise ValueError(f"the manifest of {folder} names no job: {error!r}") from error
     parts: list[pl.DataFrame] = []

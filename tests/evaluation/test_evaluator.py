@@ -16,7 +16,7 @@ from polars.testing import assert_frame_equal
 from evaluation import jobs, tables
 from evaluation.blocks import run_block
 from evaluation.egos import EgoError
-from evaluation.evaluator import PARTS_FOLDER, check_folder, run_job
+from evaluation.evaluator import PARTS_FOLDER, check_folder, plan_of, run_job
 from evaluation.jobs import Job, plan, tile_shape
 from evaluation.provenance import MANIFEST_FILE, file_sha256
 from evaluation.roster import HostEgo, Member, Roster
@@ -124,6 +124,34 @@ def test_a_small_job_of_several_networks_is_one_tile_and_a_large_one_is_not(
     assert {tile.shape for tile in chunk.tiles} == {(3, 3, 3), (3, 1, 3), (2, 3, 3), (2, 1, 3)}
     cut = run_job(MatrixGame(), job, tmp_path / "cut").table
     assert_frame_equal(cut, table, rel_tol=1e-5, abs_tol=1e-6)
+
+
+def test_a_folder_is_continued_in_the_tiles_in_which_it_was_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Another machine has larger tiles, as one with a GPU has on `fused`."""
+    job = mixed_job(backend="native")
+    monkeypatch.setitem(jobs.TILE_ENVS, "native", 6)
+    whole = run_job(MatrixGame(), job, tmp_path / "whole")
+    run_block(MatrixGame(), job, tmp_path / "moved", (1, 2), max_envs=1)
+    monkeypatch.setitem(jobs.TILE_ENVS, "native", 2048)
+    assert len(plan(job, 1)) == 1
+    moved = run_job(MatrixGame(), job, tmp_path / "moved", max_envs=1)
+    assert json.loads((tmp_path / "moved" / MANIFEST_FILE).read_text())["tile_envs"] == 6
+    assert moved.table.equals(whole.table)
+
+
+@pytest.mark.parametrize("name", ["max_envs", "tile_envs"])
+def test_a_plan_of_nothing_at_once_is_refused(name: str):
+    with pytest.raises(ValueError, match=f"{name} is 0; allowed is 1 or more"):
+        plan_of(mixed_job(), {"max_envs": 9, "tile_envs": 9, name: 0})
+
+
+def test_gpus_have_larger_tiles(monkeypatch: pytest.MonkeyPatch):
+    assert jobs.tile_envs("fused", 7) == jobs.TILE_ENVS["fused"]
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert jobs.tile_envs("fused", 7) == 98304
+    assert (jobs.tile_envs("native", 7), jobs.tile_envs("mjx-warp", 7)) == (512, 7)
 
 
 def test_a_robot_from_outside_shares_no_tile():
