@@ -20,7 +20,7 @@ from evaluation import tables
 from evaluation.evaluator import run_job
 from evaluation.jobs import Job
 from evaluation.relative import COLUMN, PASSIVE, RANDOM, SCRIPT, SELF_PLAY, ZERO
-from evaluation.roster import Member, ReferenceSpec, Roster, ScriptSpec
+from evaluation.roster import Member, ReferenceSpec, Roster, ScriptSpec, joined
 from evaluation.runner import OnProgress, Progress
 from population.files import sha256
 from population.spec import PolicySpec
@@ -39,16 +39,26 @@ def reference_roster(observation_size: int, action_size: int) -> Roster:
 
 def reference_jobs(env: Any, job: Job, own: tuple[Roster, Roster] | None) -> list[Job]:
     """Return what `play_references` plays."""
-    jobs = [
-        dataclasses.replace(job, egos=reference_roster(*_sizes(env, "robot")), stochastic=False)
-    ]
+    sizes = _sizes(env, "robot")
+    scripts = [script_roster(job.task, *sizes)] if job.task in SCRIPTS else []
+    robots = joined([reference_roster(*sizes), *scripts])
+    jobs = [dataclasses.replace(job, egos=robots, stochastic=False)]
     if own:
         jobs.append(reference_job(env, job, SELF_PLAY, own))
-    if job.task in SCRIPTS:
-        script = reference_job(env, job, SCRIPT)
+    if scripts:
+        # Drawn actions are the policies' own; nothing is drawn of a script's.
+        alone = [*scripts, job.egos] if job.stochastic else [joined([job.egos, *scripts])]
         human = passive_roster(*_sizes(env, "human"))
-        alone: dict[str, Any] = {"partners": human, "sides": {}}
-        jobs += [script, *(dataclasses.replace(one, **alone) for one in (script, job))]
+        jobs += [
+            dataclasses.replace(
+                job,
+                egos=egos,
+                partners=human,
+                sides={},
+                stochastic=job.stochastic and egos is job.egos,
+            )
+            for egos in alone
+        ]
     return jobs
 
 
@@ -120,7 +130,8 @@ def play_references(
     options: dict[str, Any] = {"max_envs": max_envs, "kept": True}
     played, files = [], []
     for one in reference_jobs(env, job, own):
-        what = "policies with a passive human" if one.egos is job.egos else "reference egos"
+        passive = one.partners.ids == (PASSIVE,)
+        what = "robots with a passive human" if passive else "reference egos"
         shown = functools.partial(told, what)
         place = folder / one.digest()[:20]
         played.append(run_job(env, one, place, on_progress=shown, **options).table)

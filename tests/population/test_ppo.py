@@ -110,7 +110,9 @@ def test_an_episode_succeeds_whose_goal_held_at_any_step(paid, share):
 )
 def test_both_roles_learn_to_act_on_what_they_see(algorithm, reward, changes):
     env = ToyEnv(reward)
-    ppo, state, _ = run(env, preset(algorithm, **{**SMALL, "rollout_steps": 20, **changes}))
+    # Not 100 updates: at the optimum, advantages are noise, which large steps follow anywhere.
+    config = preset(algorithm, **{**SMALL, "rollout_steps": 20, **changes})
+    ppo, state, _ = run(env, config, updates=50)
     (figures,) = deterministic_return(env, ppo, state)
     assert figures["mean"] > 0.95 * env.episode_length
     assert figures["n"] == 8
