@@ -133,7 +133,8 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
     bounds = pl.read_parquet(tmp_path / "out" / "bounds.parquet")
     assert bounds.height == 4
     assert pl.read_parquet(tmp_path / "out" / "references.parquet").height == (4 * 4 + 2) * 2
-    assert len(list((tmp_path / "cache" / "assistax-zoo" / "references").iterdir())) == 5
+    # zero, random and the script; self-play; the robot and the script with the passive human
+    assert len(list((tmp_path / "cache" / "assistax-zoo" / "references").iterdir())) == 3
     assert json.loads((tmp_path / "out" / "run.json").read_text())["command"].startswith(
         "assistax-zoo evaluate"
     )

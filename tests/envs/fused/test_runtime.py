@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -171,6 +172,17 @@ def test_simulations_that_were_as_hard_share_a_vector_and_no_number_depends_on_i
         for a, b, c in zip(found, numbers, again, strict=True):
             np.testing.assert_array_equal(a, b)
             np.testing.assert_array_equal(b, c)
+
+
+def test_no_text_has_assembly() -> None:
+    """Warp's clang aborts the process on it where the processor is an ARM: see `tools/arm.sh`."""
+    texts = {
+        path.name: path.read_text()
+        for home in (cpu.HERE, cpu.HERE.parent)
+        for path in home.glob("*.h")
+    }
+    assert {"cpu_handler.h", "newton.h"} <= set(texts)
+    assert [name for name, text in texts.items() if re.search(r"\basm( volatile)?\(", text)] == []
 
 
 def test_a_kernel_is_compiled_for_a_gpu_that_is_not_here(own_cache: Path) -> None:

@@ -6,13 +6,10 @@ struct FloatMode {
   unsigned before = __builtin_ia32_stmxcsr();
   FloatMode() { __builtin_ia32_ldmxcsr(0x1f80); }
   ~FloatMode() { __builtin_ia32_ldmxcsr(before); }
-#else
-  unsigned long before;
-  FloatMode() {
-    asm volatile("mrs %0, fpcr" : "=r"(before));
-    asm volatile("msr fpcr, %0" : : "r"(0ul));
-  }
-  ~FloatMode() { asm volatile("msr fpcr, %0" : : "r"(before)); }
+#else  // ARM; no `asm`, which Warp's clang has no parser for there
+  unsigned long before = __builtin_arm_rsr64("fpcr");
+  FloatMode() { __builtin_arm_wsr64("fpcr", 0); }
+  ~FloatMode() { __builtin_arm_wsr64("fpcr", before); }
 #endif
 };
 
@@ -80,7 +77,7 @@ static inline void pause() {
 #ifdef __x86_64__
   __builtin_ia32_pause();
 #else
-  asm volatile("yield");
+  __builtin_arm_yield();
 #endif
 }
 
