@@ -18,7 +18,7 @@ from evaluation.evaluator import (
     plan_of,
     simulate,
 )
-from evaluation.jobs import Job, plan
+from evaluation.jobs import Chunk, Job, plan
 from evaluation.locks import LOCK_FILE, locked
 from evaluation.runner import OnProgress, Progress
 from population.ray_blocks import NOT_SHARED, RayCluster, run_blocks
@@ -48,7 +48,7 @@ def run_block(
 
     Blocks may share a folder or have one each, also on other machines; they must be cut alike, by
     the same `max_envs`. With the parts of all blocks in one folder, `run_job` merges them without
-    simulating anything.
+    simulating anything; those of another cut it does not take.
     """
     number, count = block
     if not 1 <= number <= count:
@@ -110,7 +110,7 @@ def run_blocks_on_ray(
             on_progress(Progress(done * length, job.rows * length, time.perf_counter() - began))
 
     run_blocks(cluster, names, _run_remotely, (make_env, job, folder, max_envs), advance)
-    _check_parts(job, folder)
+    _check_parts(job, folder, chunks)
 
 
 def _run_remotely(
@@ -124,12 +124,13 @@ def _run_remotely(
     run_block(make_env(), job, folder, (number + 1, count), max_envs=max_envs)
 
 
-def _check_parts(job: Job, folder: Path) -> None:
+def _check_parts(job: Job, folder: Path, planned: list[Chunk]) -> None:
     """Check that what the workers wrote can be read here: it is not simulated a second time."""
     manifest = provenance.read_manifest(folder)
-    wanted = len(plan_of(job, manifest)) if manifest else 1
-    found = len(list((folder / PARTS_FOLDER).glob("part-*.parquet")))
-    if found < wanted:
+    wanted = plan_of(job, manifest) if manifest else planned
+    found = sum(find_part(folder, chunk) is not None for chunk in wanted)
+    if found < len(wanted):
         raise ValueError(
-            f"the workers are done, but {folder} has {found} of {wanted} parts here; {NOT_SHARED}"
+            f"the workers are done, but {folder} has {found} of {len(wanted)} parts here; "
+            f"{NOT_SHARED}"
         )

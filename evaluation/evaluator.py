@@ -165,7 +165,7 @@ def is_finished(folder: Path) -> bool:
 
 def find_part(folder: Path, chunk: Chunk) -> Path | None:
     """Return a chunk's part if it is there and whole; a damaged one is removed."""
-    for path in sorted((folder / PARTS_FOLDER).glob(f"part-{chunk.index:05d}-*.parquet")):
+    for path in sorted((folder / PARTS_FOLDER).glob(f"{chunk.name}-*.parquet")):
         if path.stem.rpartition("-")[2] == provenance.file_sha256(path):
             return path
         path.unlink()
@@ -194,7 +194,7 @@ def simulate(
 def write_part(rows: pl.DataFrame, folder: Path, chunk: Chunk) -> None:
     """Write a chunk's episodes under a name that ends in their hash."""
     data = tables.parquet_bytes(rows)
-    name = f"part-{chunk.index:05d}-{sha256(data)}.parquet"
+    name = f"{chunk.name}-{sha256(data)}.parquet"
     tables.write_bytes(data, folder / PARTS_FOLDER / name)
 
 

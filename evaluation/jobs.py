@@ -236,8 +236,13 @@ class Tile:
 class Chunk:
     """Tiles whose episodes are saved together."""
 
-    index: int  # place in the plan; names the chunk's part
+    index: int  # place in the plan
     tiles: tuple[Tile, ...]
+
+    @property
+    def name(self) -> str:
+        """Return what its part's name begins with: no part of another cut has it."""
+        return f"part-{self.index:05d}-{hashlib.sha256(repr(self.tiles).encode()).hexdigest()[:8]}"
 
     @property
     def rows(self) -> int:

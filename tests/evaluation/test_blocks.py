@@ -38,6 +38,18 @@ def test_blocks_of_several_hosts_merge_to_the_table_of_one_run(tmp_path: Path):
     assert merged.table.equals(whole.table)
 
 
+def test_parts_of_another_cut_are_not_taken(tmp_path: Path):
+    """As of a machine with a GPU, whose tiles are larger, or of another --max-envs."""
+    job, whole = mixed_job(), run_job(MatrixGame(), mixed_job(), tmp_path / "whole", max_envs=7)
+    hosts = tmp_path / "host1", tmp_path / "host2"
+    for i, (host, max_envs) in enumerate(zip(hosts, (7, 4), strict=True)):
+        run_block(MatrixGame(), job, host, (i + 1, 2), max_envs=max_envs)
+    shutil.copytree(hosts[1] / PARTS_FOLDER, hosts[0] / PARTS_FOLDER, dirs_exist_ok=True)
+    merged = run_job(MatrixGame(), job, hosts[0], max_envs=7)
+    assert merged.env_steps_per_second is not None  # what block 2 should have brought
+    assert merged.table.equals(whole.table)
+
+
 def test_blocks_may_share_a_folder(tmp_path: Path):
     job = make_job()
     first, second = (run_block(MatrixGame(), job, tmp_path, (i, 2), max_envs=3) for i in (1, 2))
