@@ -134,8 +134,7 @@ class Rollout:
         self._length = length or env.episode_length
         steps = segment_length(self._length) if robots else 1
         self._start = jax.jit(
-            functools.partial(_start, env, robots, humans),
-            static_argnames="shape",
+            functools.partial(_start, env, robots, humans), static_argnames="shape"
         )
         self._advance = jax.jit(
             functools.partial(
