@@ -41,13 +41,13 @@ def reference_jobs(env: Any, job: Job, own: tuple[Roster, Roster] | None) -> lis
     """Return what `play_references` plays."""
     sizes = _sizes(env, "robot")
     scripts = [script_roster(job.task, *sizes)] if job.task in SCRIPTS else []
-    robots = joined([reference_roster(*sizes), *scripts])
+    robots = joined(reference_roster(*sizes), *scripts)
     jobs = [dataclasses.replace(job, egos=robots, stochastic=False)]
     if own:
         jobs.append(reference_job(env, job, SELF_PLAY, own))
     if scripts:
         # Drawn actions are the policies' own; nothing is drawn of a script's.
-        alone = [*scripts, job.egos] if job.stochastic else [joined([job.egos, *scripts])]
+        alone = [*scripts, job.egos] if job.stochastic else [joined(job.egos, *scripts)]
         human = passive_roster(*_sizes(env, "human"))
         jobs += [
             dataclasses.replace(

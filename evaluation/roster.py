@@ -98,10 +98,10 @@ def paired_rosters(
         [registry_roster(registry, [pair[seat] for pair in alike]) for alike in by_specs.values()]
         for seat in (0, 1)
     )
-    return joined(robots), joined(humans)
+    return joined(*robots), joined(*humans)
 
 
-def joined(rosters: Sequence[Roster]) -> Roster:
-    """Return the policies of several rosters as one seat's."""
+def joined(*rosters: Roster) -> Roster:
+    """Return the policies of several rosters as one seat's, stack by stack."""
     members = {name: member for one in rosters for name, member in one.members.items()}
     return Roster(tuple(stack for one in rosters for stack in one.stacks), members)

@@ -131,12 +131,6 @@ def roster(spec: PolicySpec, members: tuple[Member, ...], params: Any) -> Roster
     return Roster((PolicyStack(spec, tuple(by_id), params),), by_id)
 
 
-def joined(*rosters: Roster) -> Roster:
-    """Return the policies of several, stack by stack."""
-    members = {name: member for one in rosters for name, member in one.members.items()}
-    return Roster(tuple(stack for one in rosters for stack in one.stacks), members)
-
-
 def robots(*values: float) -> Roster:
     """Return egos that always act `values[e]`: row 1 where positive, else row 0."""
     members = tuple(

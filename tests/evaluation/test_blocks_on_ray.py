@@ -10,9 +10,10 @@ from assistax_zoo.main import run
 from evaluation import blocks, jobs
 from evaluation.blocks import run_blocks_on_ray
 from evaluation.jobs import Job
+from evaluation.roster import joined
 from population.ray_blocks import RayCluster
 from tests import untrained
-from tests.evaluation.matrix_game import GRU, MatrixGame, humans, joined, random_roster, robots
+from tests.evaluation.matrix_game import GRU, MatrixGame, humans, random_roster, robots
 from tests.untrained import HUMAN, ROBOT, params_of, untrained_team
 
 SMALL = dataclasses.replace(ROBOT, hidden=(4,))

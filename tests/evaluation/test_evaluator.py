@@ -19,7 +19,7 @@ from evaluation.egos import EgoError
 from evaluation.evaluator import PARTS_FOLDER, check_folder, plan_of, run_job
 from evaluation.jobs import Job, plan, tile_shape
 from evaluation.provenance import MANIFEST_FILE, file_sha256
-from evaluation.roster import HostEgo, Member, Roster
+from evaluation.roster import HostEgo, Member, Roster, joined
 from evaluation.runner import Progress
 from population.stack import PolicyStack
 from tests.evaluation.matrix_game import (
@@ -29,7 +29,6 @@ from tests.evaluation.matrix_game import (
     MatrixGame,
     constant_params,
     humans,
-    joined,
     random_roster,
     robots,
     roster,

@@ -54,8 +54,8 @@ def test_own_robots_earn_what_the_diagonal_of_the_matrix_has(tmp_path: Path, sto
     for max_envs in (1000, 4):
         paired = job_of(egos, partners, paired=True, stochastic=stochastic)
         own = run_job(MatrixGame(), paired, tmp_path / str(max_envs), max_envs=max_envs).table
-        # Another program, which XLA may round otherwise: on some processors a last bit differs.
-        assert_frame_equal(own, diagonal, rel_tol=1e-6, abs_tol=0)
+        # Another program: where actions are drawn, a last bit differs on some processors.
+        assert_frame_equal(own, diagonal, check_exact=not stochastic, rel_tol=1e-6, abs_tol=0)
     assert whole.height == 5 * diagonal.height == 75
 
 
