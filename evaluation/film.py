@@ -44,6 +44,7 @@ def play(
     *,
     episode: int = 0,
     preference: str | None = None,
+    partner: str | None = None,
 ) -> Iterator[EnvState]:
     """Yield the states of one episode, each [1], from its start on.
 
@@ -57,8 +58,9 @@ def play(
         on_step: called after each step.
         episode: which episode of that evaluation.
         preference: what the human of a gentle task likes; drawn if not given.
+        partner: the human's id, if it is a partner of the zoo: its starts are its own.
     """
-    key = jax.random.key(np.uint32(episode_seeds(seed, [episode])[0]))
+    key = jax.random.key(np.uint32(episode_seeds(seed, [episode], partner)[0]))
     likes = None if preference is None else [preference]
     reset, step = _programs(env)
     state = reset(key[None], disability_params([disability], likes))
@@ -139,7 +141,9 @@ class Pair:
 
         seats = self._seated(episode) if episode else self.seats
         acting = (heard(role, act) for role, act in seats.items())
-        options = {"episode": episode, "preference": self._preference}
+        card = getattr(self.seats["human"], "card", None)
+        partner = None if card is None else card.id
+        options = {"episode": episode, "preference": self._preference, "partner": partner}
         yield from play(
             self.env, *acting, self.setting, self._seed, self.length, stepped, **options
         )

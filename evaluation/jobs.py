@@ -137,8 +137,7 @@ class Job:
         play.
         """
         if self.apart:
-            rows = map(_number, partners)
-            seeds = np.array([episode_seeds(self.seed, episodes, row) for row in rows])
+            seeds = np.array([episode_seeds(self.seed, episodes, name) for name in partners])
         else:
             seeds = np.array(episode_seeds(self.seed, episodes))
         if self.series == 1:
@@ -255,10 +254,14 @@ def default_episodes(task: str, series: int = 1) -> int:
     return math.ceil(turns / series) * series
 
 
-def episode_seeds(seed: int, episodes: Iterable[int], *apart: int) -> list[int]:
-    """Return the seeds of episodes k, independent of how many there are: more extend fewer."""
-    drawn = (np.random.SeedSequence([seed, k, *apart]) for k in episodes)
-    return [int(one.generate_state(1)[0]) for one in drawn]
+def episode_seeds(seed: int, episodes: Iterable[int], partner: str | None = None) -> list[int]:
+    """Return the seeds of episodes k, independent of how many there are: more extend fewer.
+
+    They are a partner's own, or common to all where none is named.
+    """
+    own = [] if partner is None else [_number(partner)]
+    sequences = (np.random.SeedSequence([seed, k, *own]) for k in episodes)
+    return [int(sequence.generate_state(1)[0]) for sequence in sequences]
 
 
 def tile_shape(

@@ -31,7 +31,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def replay(table: pl.DataFrame, episode: int) -> tuple[np.ndarray, list[float]]:
     """Return observations and rewards of an episode's actions, played again."""
     env = make("scratch", "native")
-    key = jax.random.key(np.uint32(episode_seeds(4, [episode])[0]))
+    key = jax.random.key(np.uint32(episode_seeds(4, [episode], HUMAN)[0]))
     state = env.reset(key[None], disability_params(["d3"]))
     seen, rewards = [state.obs["robot"][0]], []
     rows = table.filter(episode=episode).drop_nulls("reward")

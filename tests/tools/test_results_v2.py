@@ -152,6 +152,7 @@ def episodes(
         preference=pl.col("episode").replace_strict(dict(enumerate(likes))),
         violated=pl.col("return") < 50,
         contact_peak=pl.lit(1.0),
+        key=pl.col("key") + 1000 * pl.col("partner_seed"),  # starts of each partner's own
     )
 
 

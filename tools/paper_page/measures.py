@@ -10,7 +10,7 @@ import numpy as np
 from scipy.cluster import hierarchy
 from scipy.spatial import distance
 
-from evaluation.bootstrap import Interval, draw_counts, interval, replicate_crossed
+from evaluation.bootstrap import Counts, Interval, draw_counts, interval, replicate_crossed
 from evaluation.clustering import least_members
 from evaluation.statistics import score_matrix
 
@@ -177,7 +177,9 @@ def relative_gap(
     scores, labels = score_matrix(scores), np.array(sides, object)
     counts = draw_counts(len(scores), resamples, np.random.default_rng(seed))
     train, test = (
-        replicate_crossed(part, counts, np.ones((resamples, part.shape[1]), np.int64), "seeds")
+        replicate_crossed(
+            part, Counts(counts, np.ones((resamples, part.shape[1]), np.int64), None, "seeds")
+        )
         for part in (scores[:, labels == "train"], scores[:, labels == "test"])
     )
     value = 1 - test.mean / train.mean

@@ -12,6 +12,7 @@ from scipy.stats import rankdata
 
 from evaluation.bootstrap import (
     RESAMPLES,
+    Counts,
     Interval,
     draw_counts,
     generalises_to,
@@ -114,9 +115,11 @@ def split_cost(mirror: np.ndarray, plain: np.ndarray, *, seed: int = 0) -> Split
         )
     rng = np.random.default_rng(seed)
     partners = draw_counts(mirror.shape[1], RESAMPLES, rng)
-    to = generalises_to((max(len(mirror), len(plain)), mirror.shape[1]))
+    to = generalises_to(max(len(mirror), len(plain)), mirror.shape[1])
     above, below = (
-        replicate_crossed(scores, draw_counts(len(scores), RESAMPLES, rng), partners, to)
+        replicate_crossed(
+            scores, Counts(draw_counts(len(scores), RESAMPLES, rng), partners, None, to)
+        )
         for scores in (mirror, plain)
     )
     count = above.n + below.n
