@@ -72,7 +72,7 @@ def main(
     finished = RunFolder(run).finished(learning.config)
     with contextlib.closing(TrainingLine(str(folder))) as line:
         train(learning.config, env, run, partners=learning.partners, progress=line)
-    write_egos(read_trained_run(run), learning.split)
+    write_egos(read_trained_run(run), learning)
     command = shlex.join(["python", "-m", "tools.told_egos", *sys.argv[1:]])
     record_command(run, command, filled=not finished)
     summary = evaluate(zoo, task, folder, learning.split.id, episodes, backend)
