@@ -11,14 +11,7 @@ import polars as pl
 
 from evaluation import tables
 from evaluation.bootstrap import Estimate
-from evaluation.met_partners import (
-    NOTHING_KNOWN,
-    UNKNOWN,
-    MetSummary,
-    both_met,
-    comparison_notes,
-    left_out,
-)
+from evaluation.met_partners import UNKNOWN, MetSummary, both_met, comparison_notes
 from evaluation.relative import References, Relative
 from evaluation.summary import (
     BestEgo,
@@ -338,21 +331,15 @@ def compare(
                 f"{name} is {found[0]} in {first.folder} and {found[1]} in {second.folder}; "
                 "evaluate both methods alike"
             )
-    met = both_met([_met(one) for one in (first, second)])
-    tables_of_new = (
-        one.episodes.filter(~pl.col("partner").is_in(met.left_out)) for one in (first, second)
-    )
-    summary = summarise_comparison(*tables_of_new, seed=seed)
+    met = both_met(*((one.summary.met, one.episodes) for one in (first, second)))
+    new = ~pl.col("partner").is_in(met.left_out)
+    played = [one.episodes.filter(new) for one in (first, second)]
+    if any(table.is_empty() for table in played):
+        raise ValueError("every partner was trained with a robot of either method; choose others")
+    summary = summarise_comparison(*played, seed=seed)
     notes = (*summary.notes, *comparison_notes(met))
     summary = dataclasses.replace(summary, notes=notes, met=met)
     return Comparison(**vars(summary), task=first.summary.task)
-
-
-def _met(result: EvaluationResult) -> MetSummary:
-    """Return what a result says; one of before it was recorded left out teams' own humans."""
-    if result.summary.met is not None:
-        return result.summary.met
-    return NOTHING_KNOWN.summary(left_out(result.episodes, NOTHING_KNOWN))
 
 
 def _evaluation(result: "EvaluationResult | Path | str") -> EvaluationResult:

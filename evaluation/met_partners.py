@@ -13,7 +13,7 @@ import polars as pl
 
 from evaluation.roster import Member, Roster
 from zoo.errors import listing, shorten
-from zoo.met import Humans, Met, declared_met
+from zoo.met import Met, declared_met, known_humans
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 
@@ -87,8 +87,8 @@ def met_partners(egos: Roster, partners: Iterable[PolicyEntry]) -> MetPartners:
     """Return which partners the robots met, by the sha256 of the human or by its team."""
     humans = list(partners)
     robots = egos.describe(egos.ids)
-    own = [_among(humans, robot.met.own) for robot in robots]
-    frozen = [_among(humans, robot.met.partners) for robot in robots]
+    own = [known_humans(humans, robot.met.own) for robot in robots]
+    frozen = [known_humans(humans, robot.met.partners) for robot in robots]
     return MetPartners(
         sources=tuple(sorted({robot.met.source for robot in robots})),
         own=frozenset().union(*own),
@@ -166,8 +166,8 @@ def met_notes(table: pl.DataFrame, met: MetPartners, include_own: bool) -> list[
         )
         why = f" ({'; '.join(met.reasons)})" if met.frozen & set(left) else ""
         notes.append(
-            f"{len(left)} {'partner' if len(left) == 1 else 'partners'} trained with one of the "
-            f"egos{why}, hence not new to it, {done}: {listing(left, 3)}"
+            f"{len(left)} {'partner' if len(left) == 1 else 'partners'} that one of the egos was "
+            f"trained with{why}, hence not new to it, {done}: {listing(left, 3)}"
         )
     return [*notes, *_training_notes(table, met), *source_notes(met)]
 
@@ -196,8 +196,16 @@ def crossplay_notes(met: MetPartners) -> list[str]:
     ]
 
 
-def both_met(methods: Sequence[MetSummary]) -> MetSummary:
-    """Return what holds of a comparison: it leaves out whom a robot of either method met."""
+def both_met(*results: tuple[MetSummary | None, pl.DataFrame]) -> MetSummary:
+    """Return what holds of a comparison: it leaves out whom a robot of either method met.
+
+    Args:
+        results: Of each method what its summary says, and its episodes. A summary of before it was
+            recorded left out teams' own humans.
+    """
+    methods = [
+        said or NOTHING_KNOWN.summary(left_out(table, NOTHING_KNOWN)) for said, table in results
+    ]
     sources = sorted({source for method in methods for source in method.source.split(", ")})
     names = dict.fromkeys(name for method in methods for name in method.left_out)
     return MetSummary(all(method.known for method in methods), ", ".join(sources), tuple(names))
@@ -241,11 +249,6 @@ def _declared(member: Member, declared: Met) -> Member:
     partners = {**known.partners, **declared.partners}
     met = known.model_copy(update={"partners": partners, "split": split, "source": "declared"})
     return dataclasses.replace(member, met=met)
-
-
-def _among(humans: Iterable[PolicyEntry], met: Humans) -> frozenset[str]:
-    digests = set(met.values())
-    return frozenset(one.id for one in humans if one.team in met or one.sha256 in digests)
 
 
 def _reason(met: Met) -> str:

@@ -143,6 +143,12 @@ def declared_met(registry: Registry, task: str, trained_with: str | Sequence[str
     return Met(source="declared", partners=partners, split=against)
 
 
+def known_humans(entries: Iterable[PolicyEntry], humans: Humans) -> frozenset[str]:
+    """Return the ids of the entries, humans all, that are among those a robot met."""
+    digests = set(humans.values())
+    return frozenset(one.id for one in entries if one.team in humans or one.sha256 in digests)
+
+
 def _published_splits(
     registry: Registry, first: str
 ) -> Iterator[tuple[str, Mapping[str, Team], Split]]:
