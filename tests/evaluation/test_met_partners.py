@@ -96,7 +96,7 @@ def result(registry: Registry, tmp_path_factory: pytest.TempPathFactory) -> az.E
 def test_m_test_leaves_out_whom_an_ego_was_trained_with(
     registry: Registry, result: az.EvaluationResult
 ) -> None:
-    """The ego saw half of the held-out setting; on the training side such partners are the point."""
+    """The ego saw half of the held-out setting; M_train is about such partners."""
     half = registry.split(TASK)
     met = humans(registry, half.train, "d1")
     assert len(met) == 2
@@ -201,9 +201,7 @@ def test_a_malformed_claim_is_no_knowledge(claim: Any, registry: Registry, tmp_p
 
 def test_of_an_ego_whose_split_is_elsewhere_nothing_is_known(registry: Registry) -> None:
     lost = registry.policy("scratch/ppo-ego-s2-v0/robot")
-    assert "half-s7-v0-01234567' with whose" in met_in_training(registry, lost).reason.replace(
-        ",", ""
-    )
+    assert "split 'scratch/half-s7-v0-01234567'" in met_in_training(registry, lost).reason
     _, met = left_out(registry, [lost.id], "half")
     assert not met.known and "is not in this registry" in met.unknown[0]
     half = TrainedAgainst(split=registry.split(TASK).id, sha256="0" * 64)
@@ -221,12 +219,12 @@ def test_what_is_not_known_is_said_with_every_figure(
     assert "partners met in training: not known" in unknown.report(tmp_path / "a.html").read_text()
     difference = az.compare(result, unknown)
     assert difference.met is not None and difference.met.left_out == result.met.left_out
-    assert not difference.met.known and difference.test.partners == 2
-    assert difference.train.partners == 4
+    assert not difference.met.known
+    assert difference.test is not None and difference.test.n == 2
+    assert difference.train is not None and difference.train.n == 4
     assert any("left out of both" in note for note in difference.notes)
-    declared = evaluate(
-        still, registry, split=f"{D1}:both", trained_with="half", out=tmp_path / "b"
-    )
+    options = {"trained_with": "half", "out": tmp_path / "b"}
+    declared = evaluate(still, registry, split=f"{D1}:both", **options)
     assert declared.met == dataclasses.replace(result.met, source="declared")
     assert "partners met in training: as declared" in declared.notes
     assert "not known" not in repr(declared)
@@ -279,13 +277,13 @@ def test_a_python_module_declares_it(registry: Registry, tmp_path: Path) -> None
     assert left == humans(registry, registry.split(TASK).train, "d1")
     assert met.sources == ("declared",)
     module.write_text(f"TRAINED_WITH = make = object()\n{code}")
-    with pytest.raises(EgoError, match="TRAINED_WITH of .* expected a text or a list of texts"):
+    with pytest.raises(EgoError, match=r"TRAINED_WITH of .* expected a text or a list of texts"):
         read_egos([f"python:{module}:make"], registry, TASK)
 
 
 def test_a_partner_object_is_the_robot_that_it_is(registry: Registry) -> None:
     team = registry.split(TASK).test[0]
-    robot = az.open_zoo(registry.path).partner(team, "robot")
+    robot = az.open_zoo(registry.path).partner(team, role="robot")
     assert left_out(registry, [robot], "half")[0] == [f"{team}/human"]
 
 
