@@ -11,6 +11,7 @@ import polars as pl
 
 from evaluation import tables
 from evaluation.bootstrap import Estimate
+from evaluation.met_partners import UNKNOWN, MetSummary, both_met, comparison_notes
 from evaluation.relative import References, Relative
 from evaluation.summary import (
     BestEgo,
@@ -99,7 +100,11 @@ class _Result:
 
     def __repr__(self) -> str:
         told = [f"{name} {_brief(figure)}" for name, figure in self._figures().items() if figure]
-        return f"{type(self).__name__}({self.summary.task}: {', '.join(told)})"
+        return f"{type(self).__name__}({self.summary.task}: {', '.join(told)}{self._caveat()})"
+
+    def _caveat(self) -> str:
+        """Return what is unknown of the figures, after them."""
+        return ""
 
     def _repr_html_(self) -> str:
         from evaluation.report.page import figures_html
@@ -166,6 +171,11 @@ class EvaluationResult(_Result):
         return self.summary.worst_partner
 
     @property
+    def met(self) -> MetSummary:
+        """What is known of the partners that the robots met in training, and who is left out."""
+        return self.summary.met or MetSummary(known=False, source="not known", left_out=())
+
+    @property
     def references(self) -> References | None:
         """Returns to compare with, such as the script's, if they played."""
         return self.summary.references
@@ -196,6 +206,9 @@ class EvaluationResult(_Result):
     def _figures(self) -> dict[str, Estimate | None]:
         sides = {"M_test": self.m_test, "M_train": self.m_train, "M_train - M_test": self.gap}
         return {**sides, **self.by_disability, **self.by_preference}
+
+    def _caveat(self) -> str:
+        return "" if self.met.known else f"; {UNKNOWN}"
 
 
 class CrossPlayResult(_Result):
@@ -254,7 +267,7 @@ class CrossPlayResult(_Result):
         return {**names, "self-play - cross-play": self.gap}
 
 
-@dataclasses.dataclass(frozen=True, repr=False)
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
 class Comparison(ComparisonSummary):
     """Method a minus method b: paired differences over the same partners and episodes.
 
@@ -318,7 +331,14 @@ def compare(
                 f"{name} is {found[0]} in {first.folder} and {found[1]} in {second.folder}; "
                 "evaluate both methods alike"
             )
-    summary = summarise_comparison(first.episodes, second.episodes, seed=seed)
+    met = both_met(*((one.summary.met, one.episodes) for one in (first, second)))
+    new = ~pl.col("partner").is_in(met.left_out)
+    played = [one.episodes.filter(new) for one in (first, second)]
+    if any(table.is_empty() for table in played):
+        raise ValueError("every partner was trained with a robot of either method; choose others")
+    summary = summarise_comparison(*played, seed=seed)
+    notes = (*summary.notes, *comparison_notes(met))
+    summary = dataclasses.replace(summary, notes=notes, met=met)
     return Comparison(**vars(summary), task=first.summary.task)
 
 

@@ -40,6 +40,7 @@ def evaluate(
     preferences: str | Sequence[str] | None = None,
     series: int = 1,
     include_own: bool = False,
+    trained_with: str | Sequence[str] | None = None,
     references: bool = True,
     crossplay: "Path | CrossPlayResult | None" = None,
     reuse: bool = False,
@@ -77,6 +78,8 @@ def evaluate(
             the partner stays as it is for so long. `by_place` then says how the return grows.
         include_own: Count partners that were trained with one of the robots; else they are played
             and kept in the tables, and no figure is about them.
+        trained_with: Whom the robots met in training, where neither the zoo nor their file says it:
+            "nobody"; or split ids, each for its training side, and globs over partners.
         references: Compare with zero and random actions, the task's script and each partner's own
             robot, and play with a human that does nothing.
         crossplay: A finished cross-play, whose best robots may be the partners' best responses.
@@ -123,6 +126,7 @@ def evaluate(
             split=split,
             partners=partners or None,
             include_own=include_own,
+            trained_with=trained_with or None,
             references=cache_root() / "references" if references else None,
             crossplay=crossplay.folder if isinstance(crossplay, CrossPlayResult) else crossplay,
             reuse=reuse,

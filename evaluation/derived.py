@@ -9,6 +9,15 @@ import polars as pl
 
 from evaluation import tables
 from evaluation.bootstrap import estimate, profile_band
+from evaluation.met_partners import (
+    NOTHING_KNOWN,
+    MetPartners,
+    check_new,
+    crossplay_notes,
+    left_out,
+    met_notes,
+    without_met,
+)
 from evaluation.relative import summarise_references
 from evaluation.statistics import performance_profile
 from evaluation.summary import (
@@ -17,7 +26,6 @@ from evaluation.summary import (
     EvaluationSummary,
     summarise_crossplay,
     summarise_evaluation,
-    without_own,
 )
 from evaluation.tables import dense_block
 
@@ -101,6 +109,7 @@ def save_evaluation(
     *,
     include_own: bool = False,
     references: tuple[pl.DataFrame, pl.DataFrame] | None = None,
+    met: MetPartners = NOTHING_KNOWN,
 ) -> EvaluationSummary:
     """Write every table drawn from an evaluation's episodes, and its summary.
 
@@ -110,15 +119,18 @@ def save_evaluation(
         context: What they do not say of themselves.
         include_own: Whether figures count partners that were trained with one of the egos.
         references: Episodes of the reference egos and the bounds drawn from them, if they played.
+        met: Which partners the egos met in training.
+
+    Raises:
+        ValueError: The egos met all partners, or all of the test side.
     """
-    counted = table if include_own else without_own(table)
-    if counted.is_empty():
-        raise ValueError(
-            "every partner was trained with one of the egos, hence is not new to it; choose "
-            "others, or count them with --include-own"
-        )
+    left = left_out(table, met)
+    check_new(dict(table.select("partner", "side").unique().rows()), left, include_own)
+    counted = table if include_own else without_met(table, met)
     summary = summarise_evaluation(counted, context)
-    summary = dataclasses.replace(summary, notes=(*summary.notes, *_own_notes(table, include_own)))
+    notes = (*summary.notes, *met_notes(table, met, include_own))
+    told = met.summary([] if include_own else left)
+    summary = dataclasses.replace(summary, notes=notes, met=told)
     tables.write_parquet(partner_table(table), folder / tables.PARTNERS_FILE)
     tables.write_parquet(profile_table(counted), folder / tables.PROFILE_FILE)
     if references is not None:
@@ -131,11 +143,14 @@ def save_evaluation(
     return summary
 
 
-def save_crossplay(folder: Path, table: pl.DataFrame, context: Context) -> CrossPlaySummary:
+def save_crossplay(
+    folder: Path, table: pl.DataFrame, context: Context, met: MetPartners = NOTHING_KNOWN
+) -> CrossPlaySummary:
     """Write pairs, their clustered order, the partners' strategies, and the summary."""
     from evaluation.strategies import summarise_strategies
 
     summary = summarise_crossplay(table, context)
+    summary = dataclasses.replace(summary, notes=(*summary.notes, *crossplay_notes(met)))
     pairs, order = crossplay_matrix(table)
     tables.write_parquet(pairs, folder / tables.PAIRS_FILE)
     if set(tables.BEHAVIOUR) <= set(pairs.columns):
@@ -143,13 +158,3 @@ def save_crossplay(folder: Path, table: pl.DataFrame, context: Context) -> Cross
     tables.write_json(order, folder / tables.ORDER_FILE)
     tables.write_json(summary, folder / tables.SUMMARY_FILE)
     return summary
-
-
-def _own_notes(table: pl.DataFrame, include_own: bool) -> list[str]:
-    """Say which partners are not new to the egos: M_test is about partners that they never met."""
-    new = set(without_own(table)["partner"])
-    own = [name for name in table["partner"].unique(maintain_order=True) if name not in new]
-    if not own:
-        return []
-    done = "counted all the same" if include_own else "left out of the figures, kept in the tables"
-    return [f"trained with one of the egos, hence not new to it, {done}: {', '.join(own)}"]

@@ -18,6 +18,7 @@ from population.config import (
 from population.files import atomic_write
 from population.run_folder import TrainedRun
 from population.team_training import run_training
+from zoo.met import Met, side_met
 from zoo.registry import Registry
 from zoo.schema import Split
 from zoo.storage import load_stacks, write_policy_file
@@ -37,6 +38,7 @@ class EgoTraining:
     config: TrainConfig
     partners: "FrozenPartners"
     split: Split
+    met: Met  # the split's training side, which the robots' files say
     preset_envs: int  # simulations of a member in the preset, before they were shared out
 
     @property
@@ -117,7 +119,7 @@ def prepare(
         partners=partners.ids,
         preferences=preferences or chosen.preferences.get("train", ()),
     )
-    return EgoTraining(config, partners, chosen, trainer.num_envs)
+    return EgoTraining(config, partners, chosen, side_met(registry, chosen), trainer.num_envs)
 
 
 def train_egos(
@@ -151,7 +153,7 @@ def train_egos(
         tensorboard=tensorboard,
         progress=progress,
     )
-    return write_egos(run, training.split)
+    return write_egos(run, training)
 
 
 def shared_out(trainer: TrainerConfig, partners: int, *, keep: bool) -> TrainerConfig:
@@ -187,8 +189,9 @@ def load_partners(registry: Registry, split: Split) -> "FrozenPartners":
     return FrozenPartners(load_stacks(registry, entries), settings)
 
 
-def write_egos(run: TrainedRun, split: Split) -> TrainedEgos:
+def write_egos(run: TrainedRun, training: EgoTraining) -> TrainedEgos:
     """Write the split of a finished run, and a policy file for each of its robots."""
+    split = training.split
     # What publishing reads: an ego's entry names the split it was trained with, and its sha256.
     atomic_write(run.folder / SPLIT, split.model_dump_json().encode())
     [(_, robots)] = run.policies.items()
@@ -201,6 +204,7 @@ def write_egos(run: TrainedRun, split: Split) -> TrainedEgos:
             "seed": member.seed,
             "split": split.id,
             "training": {"run": run.folder.resolve().name, **run.training},
+            **training.met.claim,
         }
         write_policy_file(files[-1], robots.spec, robots.row(row), metadata)
     return TrainedEgos(run, split, tuple(files))

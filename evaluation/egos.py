@@ -16,8 +16,12 @@ from evaluation.robot_forms import as_robot
 from evaluation.roster import HostEgo, Member, Roster, registry_roster
 from population.spec import PolicySpec
 from population.stack import PolicyStack, stack_policies
+from zoo.met import NOT_KNOWN, Met, claimed_met, declared_met, met_in_training
 from zoo.registry import Registry
+from zoo.schema import PolicyEntry
 from zoo.storage import read_policy_file
+from zoo.tensors import flatten, row_sha256
+from zoo.untrusted import parse_json
 
 
 class EgoError(ValueError):
@@ -43,16 +47,16 @@ def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> Roster:
     host: list[tuple[Member, HostEgo]] = []
     for place, robot in enumerate(robots):
         if not isinstance(robot, str | Path):
-            host.append(_from_object(robot, place))
+            host.append(_from_object(robot, place, registry))
             continue
         reference = parse_reference(str(robot))
         reference.check(task, "robot")
         if reference.kind == "zoo":
             single += _from_zoo(reference.source, registry, task)
         elif reference.kind == "file":
-            single += _from_files(reference.text)
+            single += _from_files(reference.text, registry)
         elif reference.kind in ("python", "onnx"):
-            host.append(_from_outside(reference))
+            host.append(_from_outside(reference, registry, task))
         else:
             raise ValueError(
                 f"policy {reference.text!r} is no robot to evaluate; references play it beside "
@@ -112,40 +116,51 @@ def _from_zoo(
             yield found.members[name], stack.spec, stack.row(row)
 
 
-def _from_files(text: str) -> Iterable[tuple[Member, PolicySpec, Any]]:
+def _from_files(text: str, registry: Registry) -> Iterable[tuple[Member, PolicySpec, Any]]:
     """Yield the robot of a file, or of each file that a glob names, s2 before s10."""
     globbed = glob.escape(text) != text and not Path(text).exists()
     names = sorted(glob.glob(text), key=lambda name: (len(name), name)) if globbed else [text]
     if not names:
         raise ValueError(f"policy {text!r} matches no file; see what is there with ls")
     for name in names:
-        spec, params, _ = read_policy_file(name)
-        yield _of_file(name, Path(name)), spec, params
+        spec, params, metadata = read_policy_file(name)
+        digest = row_sha256(flatten(params))
+        same = [one for one in registry.policies if (one.sha256, one.role) == (digest, "robot")]
+        # A published robot's parameters are that robot, whatever else their file claims.
+        met = met_in_training(registry, same[0]) if same else claimed_met(registry, metadata)
+        yield _of_file(name, Path(name), met), spec, params
 
 
-def _from_object(robot: Any, place: int) -> tuple[Member, HostEgo]:
+def _from_object(robot: Any, place: int, registry: Registry) -> tuple[Member, HostEgo]:
     """Take a robot of this process; no digest covers what it depends on."""
     kind = getattr(robot, "__qualname__", type(robot).__qualname__)
     name = f"object:{kind}-{place}"
-    return Member(name, identity_digest([name]), reusable=False), HostEgo(name, as_robot(robot))
+    card = getattr(robot, "card", None)  # of a `Partner`
+    met = met_in_training(registry, card) if isinstance(card, PolicyEntry) else NOT_KNOWN
+    member = Member(name, identity_digest([name]), reusable=False, met=met)
+    return member, HostEgo(name, as_robot(robot))
 
 
-def _from_outside(reference: PolicyReference) -> tuple[Member, HostEgo]:
+def _from_outside(
+    reference: PolicyReference, registry: Registry, task: str
+) -> tuple[Member, HostEgo]:
     """Start the process of a robot from a Python module or an ONNX file."""
     try:
         if reference.kind == "onnx":
             path = Path(reference.source)
             robot = PolicyProcess(*onnx_ego.factory(path))
-            member = _of_file(reference.text, path)
+            member = _of_file(reference.text, path, _onnx_met(registry, robot.metadata))
         else:
             robot = PolicyProcess(reference.source, reference.factory, reference.arguments)
-            member = _python_member(reference, robot)
+            declared = robot.trained_with
+            met = NOT_KNOWN if declared is None else declared_met(registry, task, declared)
+            member = _python_member(reference, robot, met)
     except (PolicyError, OSError) as error:
         raise EgoError(f"policy {reference.text!r}: {error}") from None
     return member, HostEgo(member.id, robot)
 
 
-def _python_member(reference: PolicyReference, robot: PolicyProcess) -> Member:
+def _python_member(reference: PolicyReference, robot: PolicyProcess, met: Met) -> Member:
     """Describe a robot by all that its result is known to depend on.
 
     That is its code, the files that its arguments name, and those that its module declares, such as
@@ -162,11 +177,21 @@ def _python_member(reference: PolicyReference, robot: PolicyProcess) -> Member:
         identity_digest([reference.text, hashes]),
         reusable=robot.depends is not None,
         files=tuple(paths),
+        met=met,
     )
 
 
-def _of_file(text: str, path: Path) -> Member:
-    return Member(text, file_sha256(path), files=(path,))
+def _onnx_met(registry: Registry, metadata: str | None) -> Met:
+    """Return whom an ONNX robot met, as its metadata claims in JSON."""
+    try:
+        content = parse_json(metadata or "{}")
+    except (ValueError, RecursionError):
+        content = None
+    return claimed_met(registry, content if isinstance(content, dict) else {})
+
+
+def _of_file(text: str, path: Path, met: Met) -> Member:
+    return Member(text, file_sha256(path), files=(path,), met=met)
 
 
 def _span(partners: Sequence[str]) -> str:

@@ -102,6 +102,8 @@ class OnnxEgo:
         self._session = onnxruntime.InferenceSession(
             data, options, providers=["CPUExecutionProvider"]
         )
+        # What `assistax-zoo export` says of the policy, as JSON.
+        self.metadata = self._session.get_modelmeta().custom_metadata_map.get("assistax")
         self._inputs, self._outputs = self._session.get_inputs(), self._session.get_outputs()
         self.recurrent = len(self._inputs) > 1  # whether it carries a state from step to step
         _check_form(self._inputs, self._outputs)

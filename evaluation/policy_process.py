@@ -62,6 +62,8 @@ class PolicyProcess:
         )
         self.files: list[str] = made["files"]  # its own code
         self.depends: list[str] | None = made["depends"]  # what its module declares, if it does
+        self.trained_with: Any = made["trained_with"]  # likewise, whom it met in training
+        self.metadata: str | None = made["metadata"]  # of an ONNX file, as JSON of a stranger
 
     def reset(self, rows: int) -> None:
         """Begin `rows` episodes."""

@@ -131,7 +131,20 @@ def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         kind = type(made).__name__
         raise LoadError(f"{factory}() returned {kind}; expected {forms.FORMS}") from error
     depends = getattr(module, "DEPENDS", None)
-    return robot, {"files": _own_files(module, header["foreign"]), "depends": depends}
+    trained_with = getattr(module, "TRAINED_WITH", None)
+    names = [trained_with] if isinstance(trained_with, str) else trained_with
+    if names is not None and not (
+        isinstance(names, list | tuple) and all(isinstance(name, str) for name in names)
+    ):
+        kind = type(trained_with).__name__
+        raise LoadError(f"TRAINED_WITH of {name} is {kind}; expected a text or a list of texts")
+    metadata = getattr(made, "metadata", None) if header["plain"] else None  # of our ONNX robot
+    return robot, {
+        "files": _own_files(module, header["foreign"]),
+        "depends": depends,
+        "trained_with": trained_with,
+        "metadata": metadata,
+    }
 
 
 def _import(path: str, name: str) -> ModuleType:

@@ -8,6 +8,7 @@ from typing import Any
 from assistax_envs.disability import Disability
 from population.spec import PolicySpec
 from population.stack import PolicyStack
+from zoo.met import NOT_KNOWN, Met, met_in_training
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 from zoo.storage import load_stacks
@@ -26,6 +27,7 @@ class Member:
     setting: Disability | None = None  # what a human's setting is; the installed one of its name
     reusable: bool = True  # False where the digest does not cover all that the policy depends on
     files: tuple[Path, ...] = ()  # outside any registry, that the digest is of
+    met: Met = NOT_KNOWN  # whom a robot met in training; no part of a job's identity
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -81,6 +83,7 @@ def registry_roster(registry: Registry, entries: Sequence[PolicyEntry]) -> Roste
             disability=one.disability if one.setting else None,  # an ego has no human
             seed=one.seed,
             setting=one.setting,
+            met=met_in_training(registry, one) if one.role == "robot" else NOT_KNOWN,
         )
         for one in entries
     }

@@ -21,6 +21,7 @@ from evaluation.derived import save_crossplay, save_evaluation
 from evaluation.devices import share_cores
 from evaluation.evaluator import Evaluation, check_folder, run_job
 from evaluation.jobs import Job, default_episodes
+from evaluation.met_partners import check_new, declare, describe_met, met_partners
 from evaluation.references import play_references
 from evaluation.relative import bounds_table
 from evaluation.roster import Roster, paired_rosters, registry_roster
@@ -82,6 +83,7 @@ def evaluate_policies(
     split: str | None = None,
     partners: str | Sequence[str] | None = None,
     include_own: bool = False,
+    trained_with: str | Sequence[str] | None = None,
     references: Path | None = None,
     crossplay: Path | None = None,
     reuse: bool = False,
@@ -97,6 +99,7 @@ def evaluate_policies(
         split: "test" (default), "train" or "both" sides of the default split, or ID:SIDE.
         partners: Globs over partners, to play only some of those sides; see `choose_partners`.
         include_own: Count partners that were trained with one of the robots.
+        trained_with: Whom the robots met in training, see `zoo.met.declared_met`.
         references: Folder that keeps the episodes of reference egos, see `evaluation.references`;
             None plays none.
         crossplay: Finished cross-play, whose best robots may be the partners' best responses.
@@ -116,7 +119,10 @@ def evaluate_policies(
     pairs = None if crossplay is None else _crossplay_pairs(crossplay, settings.task)
     manifest, chosen = choose_partners(registry, settings.task, split, partners)
     egos = _read_egos(registry, policies, settings.task)
-    _check_new(egos, chosen, include_own)
+    egos = declare(egos, registry, settings.task, trained_with)
+    met = met_partners(egos, chosen)
+    sides = {entry.id: manifest.side(entry.team) for entry in chosen}
+    check_new(sides, met.left_out(sides), include_own)
     env, job = make_job(registry, egos, chosen, settings, manifest)
     if manifest.preferences and settings.preferences is None:
         job = job.following(manifest.preferences)
@@ -129,10 +135,10 @@ def evaluate_policies(
         played, files = (episodes, bounds_table(episodes, pairs)), files + kept
     context = context_of(registry, job, manifest, manifest.release, result)
     summary = save_evaluation(
-        folder, result.table, context, include_own=include_own, references=played
+        folder, result.table, context, include_own=include_own, references=played, met=met
     )
     robots = set() if references is None else {entry.team for entry in chosen}
-    _seal(registry, folder, egos, chosen, manifest, robots, files)
+    _seal(registry, folder, egos, chosen, manifest, robots, files, trained_with=trained_with)
     return summary
 
 
@@ -201,7 +207,7 @@ def cross_play(
     result = run_job(env, job, folder, **options)
     releases = ", ".join(sorted({entry.release for entry in (*robots, *humans)}))
     context = context_of(registry, job, manifest, releases, result)
-    summary = save_crossplay(folder, result.table, context)
+    summary = save_crossplay(folder, result.table, context, met_partners(job.egos, humans))
     _draw(folder, summary)
     _seal(registry, folder, job.egos, humans, manifest)
     return summary
@@ -272,16 +278,6 @@ def _check_split_name(registry: Registry, task: str, name: str) -> None:
             f"split {name!r} is neither a side (test, train, both) nor a split's id{told}; "
             "`assistax-zoo split list` prints the ids"
         ) from None
-
-
-def _check_new(egos: Roster, partners: Sequence[PolicyEntry], include_own: bool) -> None:
-    """Refuse partners of whom no figure could speak, before they are played."""
-    teams = {member.team for member in egos.members.values()}
-    if not include_own and all(entry.team in teams for entry in partners):
-        raise ValueError(
-            f"every partner that matches was trained with one of the robots ({partners[0].id}), "
-            "hence is not new to it; choose others, or count them with --include-own"
-        )
 
 
 def _read_egos(registry: Registry, policies: Sequence[Any], task: str) -> Roster:
@@ -362,6 +358,7 @@ def _seal(
     split: Split | None,
     own_robots_of: Collection[str] = (),
     files: Iterable[Path] = (),
+    trained_with: str | Sequence[str] | None = None,
 ) -> None:
     """Write the hashes of all files, of what they were drawn from, and the releases' roots."""
     names = {*egos.members, *(entry.id for entry in partners)}
@@ -374,6 +371,7 @@ def _seal(
     provenance.seal(
         folder,
         registry={"roots": roots, "lock": registry.lock},
+        met=describe_met(egos, trained_with),
         sources=describe_sources(registry, entries, split.id if split else None, files),
     )
 

@@ -12,6 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from evaluation import tables
 from evaluation.bootstrap import Draws, Estimate, Interval, estimate
+from evaluation.met_partners import MetSummary
 from evaluation.metrics import (
     CrossPlay,
     Difference,
@@ -107,6 +108,7 @@ class EvaluationSummary(Summary, ZeroShot):
     partners: dict[str, int]  # how many are counted, by side
     references: References | None = None  # None where no reference egos were played
     relative: Relative | None = None
+    met: MetSummary | None = None  # None of a folder of before it was recorded
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,6 +136,7 @@ class ComparisonSummary:
     test: Difference | None
     train: Difference | None
     notes: tuple[str, ...]
+    met: MetSummary | None = None  # of both methods: no side counts whom either met
 
 
 def read_summary(folder: Path) -> EvaluationSummary | CrossPlaySummary:
@@ -161,12 +164,6 @@ def read_summary(folder: Path) -> EvaluationSummary | CrossPlaySummary:
             f"{folder / tables.SUMMARY_FILE} is damaged, or of another version: {place}: "
             f"{first['msg']}; run again"
         ) from None
-
-
-def without_own(table: pl.DataFrame) -> pl.DataFrame:
-    """Leave out the partners that were trained with one of the egos: they are not new to it."""
-    own = pl.col("partner_team").is_in(table["ego_team"].drop_nulls().unique().to_list())
-    return table.filter(~own.fill_null(value=False))
 
 
 def summarise_evaluation(table: pl.DataFrame, context: Context) -> EvaluationSummary:

@@ -25,6 +25,7 @@ from evaluation.audit_teams import read_robots
 from evaluation.derived import save_evaluation
 from evaluation.ego_training import prepare, write_egos
 from evaluation.evaluator import run_job
+from evaluation.met_partners import declare, met_partners
 from evaluation.provenance import record_command, write_run
 from evaluation.studies import Settings, choose_partners, context_of, make_job
 from evaluation.summary import EvaluationSummary
@@ -72,7 +73,7 @@ def main(
     finished = RunFolder(run).finished(learning.config)
     with contextlib.closing(TrainingLine(str(folder))) as line:
         train(learning.config, env, run, partners=learning.partners, progress=line)
-    write_egos(read_trained_run(run), learning.split)
+    write_egos(read_trained_run(run), learning)
     command = shlex.join(["python", "-m", "tools.told_egos", *sys.argv[1:]])
     record_command(run, command, filled=not finished)
     summary = evaluate(zoo, task, folder, learning.split.id, episodes, backend)
@@ -96,7 +97,8 @@ def evaluate(
     env = make(task, usual.backend, told=BOTH)
     result = run_job(env, job, folder / "evaluation")
     context = context_of(registry, job, manifest, manifest.release, result)
-    return save_evaluation(folder / "evaluation", result.table, context)
+    met = met_partners(declare(robots, registry, task, split), partners)
+    return save_evaluation(folder / "evaluation", result.table, context, met=met)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from typing import Any, Literal
 from population.files import atomic_write, sha256
 from population.spec import PolicySpec
 from zoo.errors import ExportError
+from zoo.met import met_in_training
 from zoo.registry import Registry
 from zoo.storage import load_stacks, policy_bytes, read_policy_file
 
@@ -62,11 +63,13 @@ def _read_policy(
     loaded = registry()
     entry = loaded.policy(name)
     [stack] = load_stacks(loaded, [entry])
+    met = met_in_training(loaded, entry).claim if entry.role == "robot" else {}
     metadata = {
         "id": entry.id,
         "sha256": entry.sha256,
         "disability": entry.disability,
         "env_version": loaded.env_version(entry),
         "self_play": entry.self_play.model_dump(mode="json") if entry.self_play else None,
+        **met,
     }
     return stack.spec, stack.row(0), metadata

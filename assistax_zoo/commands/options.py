@@ -73,6 +73,8 @@ class Against:
             repeat it for more. Where all that match are of one release, its default split is meant.
         include_own: Count partners that were trained with one of the robots; else they are played
             and kept in the tables, and no figure is about them.
+        trained_with: Whom the robots met in training, where neither the zoo nor their file says it:
+            nobody; or a split's id, for its training side, or a glob over partners; repeat it.
         references: Compare with zero and random actions, the task's script and each partner's own
             robot, and play with a human that does nothing; kept for the next time.
         crossplay: Folder of a finished cross-play, whose best robots may be the partners' best
@@ -82,6 +84,7 @@ class Against:
     split: str | None = None
     partners: tuple[str, ...] = ()
     include_own: bool = False
+    trained_with: tuple[str, ...] = ()
     references: bool = True
     crossplay: Path | None = None
 

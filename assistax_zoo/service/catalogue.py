@@ -93,15 +93,26 @@ class ZooCatalogue:
         }
 
     def references(self, task: str) -> dict[str, str]:
-        """Return the reference egos, self-play where all partners have robots, published egos."""
+        """Return the reference egos, self-play where all partners have robots, published egos.
+
+        An ego that was trained with partners of the panel measures nothing there.
+        """
         from evaluation.relative import REFERENCE_ROWS, SELF_PLAY
         from zoo.ids import EGO
+        from zoo.met import known_humans, met_in_training
 
         robots = self._registry.of_task(task, "robot")
         found = {name: name for name in REFERENCE_ROWS}
         if not {entry.team for entry in self._entries(task)} <= {entry.team for entry in robots}:
             del found[SELF_PLAY]
-        egos = [entry for entry in robots if entry.disability == EGO]
+        egos = [
+            entry
+            for entry in robots
+            if entry.disability == EGO
+            and not known_humans(
+                self._entries(task), met_in_training(self._registry, entry).partners
+            )
+        ]
         return found | {one.team.partition("/")[2]: f"{one.algorithm} ego" for one in egos}
 
     def _entries(self, task: str) -> list[Any]:

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, StrMethodFormatter
 
 from evaluation.bootstrap import scope
+from evaluation.met_partners import UNKNOWN
 from evaluation.plots import style
 
 _DASHES = ("--", ":", "-.", (0, (5, 1)), (0, (1, 3)), (0, (3, 1, 1, 1)), (0, (8, 3)), (0, (2, 2)))
@@ -194,7 +195,10 @@ def _whole_decades(axes: Axes, values: pl.Series) -> None:
 
 
 def provenance(summaries: Summaries) -> str:
-    """Say how many robots, partners and episodes are behind a figure, of which release."""
+    """Say how many robots, partners and episodes are behind a figure, of which release.
+
+    Also where it is not known which partners the robots met in training.
+    """
     lines = []
     for name, summary in summaries.items():
         partners = ", ".join(
@@ -202,11 +206,12 @@ def provenance(summaries: Summaries) -> str:
         )
         split = f", split {summary['split']['id']}" if summary["split"] else ""
         broken = f", {summary['nonfinite']} episodes non-finite" if summary["nonfinite"] else ""
+        known = (summary.get("met") or {}).get("known")
         lines.append(
             f"{name}: {style.counted(len(summary['egos']), 'seed')} × {partners} partners × "
             f"{style.counted(summary['episodes_per_pair'], 'episode')}"
             f"{broken}; {summary['task']}, release {summary['release']}{split}, "
-            f"{summary['backend']}"
+            f"{summary['backend']}{'' if known else f'; {UNKNOWN}'}"
         )
     return "\n".join(lines)
 

@@ -73,6 +73,10 @@ def test_trained_robots_are_policy_files_that_can_be_evaluated(tmp_path, capfd):
     spec, _, metadata = storage.read_policy_file(result["policies"][1])
     assert (spec.role, metadata["seed"], metadata["training"]["steps"]) == ("robot", 1, 128)
     assert metadata["split"].startswith("scratch/half-s0-v0")
+    assert metadata["met"]["split"]["split"] == metadata["split"]
+    half = load_registry().split("scratch", metadata["split"])
+    humans = {team: load_registry().policy(f"{team}/human").sha256 for team in half.train}
+    assert metadata["met"]["partners"] == humans and not metadata["met"]["own"]
     words = [
         "publish",
         str(tmp_path / "ego"),

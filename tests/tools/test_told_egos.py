@@ -38,6 +38,7 @@ def test_told_robots_learn_with_a_half_and_play_as_the_split_says(tmp_path: Path
     assert "p1" not in run.preferences and len(run.preferences) == 8
     summary = tables.read_json(tmp_path / "told" / "evaluation" / tables.SUMMARY_FILE)
     assert summary["engine"]["condition"] == "told" and summary["split"]["id"] == split.id
+    assert summary["met"] == {"known": True, "source": "declared", "left_out": []}
     played = tables.read_episodes(tmp_path / "told" / "evaluation" / tables.EPISODES_FILE)
     liked = {side: set(rows["preference"]) for (side,), rows in played.group_by("side")}
     assert liked == {"train": set(run.preferences), "test": {"p1"}}
