@@ -103,6 +103,16 @@ def seal(folder: Path, **context: Any) -> None:
     write_manifest(folder, {**(read_manifest(folder) or {}), **context, "files": files})
 
 
+def table_hashes(folder: Path) -> dict[str, str]:
+    """Return what a folder's manifest says of its tables: the same job and options give the same.
+
+    Not of what tells how a run went: the summary, the command, and the matrix's picture.
+    """
+    files = (read_manifest(folder) or {}).get("files", {})
+    run = (tables.SUMMARY_FILE, tables.RUN_FILE, tables.MATRIX_FIGURE)
+    return {name: digest for name, digest in files.items() if name not in run}
+
+
 def has_whole(folder: Path, name: str) -> bool:
     """Return whether a finished folder's file has the hash that the manifest holds of it."""
     path = folder / name

@@ -51,8 +51,8 @@ def read_parquet(path: Path) -> pl.DataFrame:
     for name, dtype in table.schema.items():
         if dtype in _UNREADABLE:
             raise ValueError(
-                f"{path}: column {name!a} is {dtype}; integers of at most 64 bits are allowed; take "
-                "the file from where it was made"
+                f"{path}: column {name!a} is {dtype}; integers of at most 64 bits are allowed; "
+                "take the file from where it was made"
             )
     return table
 
@@ -76,7 +76,8 @@ def check_readable(paths: Sequence[Path]) -> None:
     if not unread:
         return
     room = _ROOM + 30 * sum(path.stat().st_size for path in unread)
-    command = [sys.executable, "-P", "-c", _TRY, str(room), *(str(one.absolute()) for one in unread)]
+    names = [str(path.absolute()) for path in unread]
+    command = [sys.executable, "-P", "-c", _TRY, str(room), *names]
     done = subprocess.run(command, capture_output=True, check=False)
     read = len(done.stdout.splitlines())
     if read < len(unread):

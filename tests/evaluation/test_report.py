@@ -115,6 +115,24 @@ def test_a_crossplay_is_told_with_command_versions_and_hashes(crossplay: Path, t
     assert page_of(crossplay, tmp_path) == text
 
 
+def test_tables_of_other_options_go(evaluation: Path, crossplay: Path, tmp_path: Path):
+    """The same job without references has no regret; an evaluation is no cross-play."""
+    folder = Path(shutil.copytree(evaluation, tmp_path / "mine"))
+    shutil.copy(crossplay / tables.PAIRS_FILE, folder)
+    assert "regret" in page_of(folder, tmp_path)
+    table = tables.read_episodes(folder / tables.EPISODES_FILE)
+    derived.save_evaluation(folder, table, CONTEXT)
+    seal(folder)
+    assert "regret" not in page_of(folder, tmp_path)
+    gone = {tables.REFERENCES_FILE, tables.BOUNDS_FILE, tables.PAIRS_FILE}
+    assert gone.isdisjoint(path.name for path in folder.iterdir())
+    played = Path(shutil.copytree(crossplay, tmp_path / "xp"))
+    shutil.copy(evaluation / tables.PROFILE_FILE, played)
+    derived.save_crossplay(played, tables.read_episodes(played / tables.EPISODES_FILE), CONTEXT)
+    assert not (played / tables.PROFILE_FILE).exists()
+    assert (played / tables.STRATEGIES_FILE).exists()
+
+
 def test_an_evaluation_is_told_with_its_references(evaluation: Path, tmp_path: Path):
     text = page_of(evaluation, tmp_path)
     for told in ("M_test", "zero action", "Unscorable", "source of B", "data:image/svg+xml"):
