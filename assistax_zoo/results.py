@@ -11,7 +11,7 @@ import polars as pl
 
 from evaluation import tables
 from evaluation.bootstrap import Estimate
-from evaluation.provenance import table_hashes
+from evaluation.provenance import table_hashes, unchecked
 from evaluation.relative import References, Relative
 from evaluation.summary import (
     BestEgo,
@@ -336,6 +336,8 @@ def compare(
                 "evaluate both methods alike"
             )
     summary = summarise_comparison(first.episodes, second.episodes, seed=seed)
+    notes = [*summary.notes, *unchecked(first.folder), *unchecked(second.folder)]
+    summary = dataclasses.replace(summary, notes=tuple(dict.fromkeys(notes)))
     return Comparison(**vars(summary), task=first.summary.task)
 
 
