@@ -208,8 +208,10 @@ def test_a_list_are_seeds_of_one_method(zoo: az.Zoo) -> None:
 def test_a_crossplay_clusters_and_draws(zoo: az.Zoo, tmp_path: Path) -> None:
     teams = "scratch/ippo-d?-s[01]-v0"
     globs = f"{teams}/robot", f"{teams}/human"
-    options: dict[str, Any] = {"episodes": 1, "backend": "native", "progress": False}
+    options: dict[str, Any] = {"episodes": 1, "backend": "native", "progress": False, "seed": 5}
     found = az.cross_play(*globs, task="scratch", zoo=zoo, **options)
+    film = "assistax-zoo render --task scratch --seed 5"  # though nobody typed a seed
+    assert film in found.report(tmp_path / "xp.html").read_text()
     assert found.pairs.height == 16 and told(found.self_play).n == 4
     found.plot(tmp_path / "xp.png")
     assert (tmp_path / "xp.png").stat().st_size > 1000

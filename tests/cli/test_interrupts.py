@@ -157,7 +157,6 @@ class Lost:
         press()
 work = lambda: Lost() and None
 """,
-    "after the answer": "work = lambda: threading.Thread(target=press).start()",
     "on the way out": "main.ended_by_interrupts = leaving; work = lambda: None",
     "at exit": "work = lambda: atexit.register(press)",
     "at exit, twice": "work = lambda: atexit.register(lambda: (press(), press()))",
@@ -169,7 +168,7 @@ work = lambda: Lost() and None
 def test_ctrl_c_in_the_last_moments_is_one_line(moment: str) -> None:
     """The work is done, the answer printed, and the interpreter on its way out."""
     program = """
-import atexit, contextlib, os, signal, sys, threading
+import atexit, os, signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
 from assistax_zoo import main
 
