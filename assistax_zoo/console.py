@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import shlex
 import sys
 import time
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assistax_envs.stdout import stdout_is_data as stdout_is_data
+from zoo.errors import printable
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -33,16 +35,24 @@ def command_line() -> str:
 
 
 def print_json(value: Any) -> None:
-    """Print one JSON document on standard output; NaN and infinities become null."""
-    print(json.dumps(_plain(value), indent=2, ensure_ascii=False), flush=True)
+    """Print one JSON document on standard output; NaN and infinities become null.
+
+    What a terminal would obey, or could not show, is escaped as JSON escapes it.
+    """
+    text = json.dumps(_plain(value), indent=2, ensure_ascii=False)
+    print("\n".join(_escaped(line) for line in text.split("\n")), flush=True)
 
 
 def answer(json: bool, content: Any, *lines: str) -> None:
-    """Print what a command found: one JSON document, or lines for a reader."""
+    """Print what a command found: one JSON document, or lines for a reader.
+
+    Received text may be in a line: a terminal obeys none of it. What may hold line breaks is made
+    `printable` where it enters a line.
+    """
     if json:
         print_json(content)
     else:
-        print("\n".join(lines))
+        print("\n".join(map(_harmless, lines)))
 
 
 def new_table(title: str) -> "Table":
@@ -213,6 +223,19 @@ def _duration(seconds: float) -> str:
     if seconds >= 3600:
         return f"{seconds // 3600:.0f} h {seconds % 3600 // 60:.0f} min"
     return f"{seconds // 60:.0f} min" if seconds >= 120 else f"{seconds:.0f} s"
+
+
+def _harmless(text: str) -> str:
+    """Replace what a terminal obeys, but for line breaks, and bold, which our tables have."""
+    parts = re.split("(\n|\033\\[[01]m)", text)
+    return "".join(part if i % 2 else printable(part) for i, part in enumerate(parts))
+
+
+def _escaped(line: str) -> str:
+    """Escape what is not printable in a line of JSON: only its strings have such characters."""
+    if line.isprintable():
+        return line
+    return "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in line)
 
 
 def _plain(value: Any) -> Any:

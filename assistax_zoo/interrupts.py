@@ -8,12 +8,14 @@ import threading
 import time
 from collections.abc import Generator
 from types import FrameType
+from typing import NoReturn
 
 EXIT_INTERRUPT = 130
 GRACE = 1.0  # seconds for the command to stop by itself; a compilation may take ten times that
 
 _interrupted = threading.Event()
-_ending = threading.Lock()
+_ending = threading.RLock()
+_said = threading.Event()
 
 
 def interrupted() -> bool:
@@ -27,7 +29,8 @@ def ended_by_interrupts() -> Generator[None]:
 
     The main thread gets its KeyboardInterrupt as always, but not before XLA's or MuJoCo's C++ code
     returns. So a thread is told of the signal too, through a pipe that C code writes to. What is
-    finished is kept: every file is written beside its place, then renamed.
+    finished is kept: every file is written beside its place, then renamed. This holds to the end:
+    also for an interrupt that was lost, and while the interpreter shuts down.
 
     Raises:
         OSError: This process may open no more files.
@@ -42,23 +45,31 @@ def ended_by_interrupts() -> Generator[None]:
         signal.signal(signal.SIGINT, _interrupt)
     sys.unraisablehook = _hide_interrupts
     try:
-        yield
+        try:
+            yield
+        finally:
+            if remembers:
+                signal.signal(signal.SIGINT, _end)
+    except KeyboardInterrupt:
+        end_now()
     finally:
-        if remembers:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+        if interrupted():
+            end_now()
         signal.set_wakeup_fd(before)
         sys.unraisablehook = sys.__unraisablehook__
         os.close(tell)  # the thread reads the pipe's end, and is gone
 
 
-def end_now() -> None:
+def end_now() -> NoReturn:
     """End this process as interrupted, without the interpreter's shutdown.
 
     That would unload modules under XLA's threads, which still call into them: a crash.
     """
     _ending.acquire()  # never released: one line, whoever is first
-    with contextlib.suppress(OSError, ValueError):
-        print("error: interrupted", file=sys.stderr, flush=True)
+    if not _said.is_set():  # else Ctrl-C struck again in here
+        _said.set()
+        with contextlib.suppress(OSError, ValueError):
+            print("error: interrupted", file=sys.stderr, flush=True)
     os._exit(EXIT_INTERRUPT)
 
 
@@ -66,6 +77,11 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     """Remember Ctrl-C before anybody's handler can make another error of it."""
     _interrupted.set()
     raise KeyboardInterrupt
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    """End the process once its work is done: nothing is left to be stopped."""
+    end_now()
 
 
 def _hide_interrupts(unraisable: "sys.UnraisableHookArgs") -> None:

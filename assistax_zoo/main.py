@@ -15,7 +15,7 @@ from cyclopts import App, CycloptsError, Parameter
 
 from assistax_zoo.console import remember_command
 from assistax_zoo.interrupts import EXIT_INTERRUPT, end_now, ended_by_interrupts, interrupted
-from zoo.errors import ZooError
+from zoo.errors import ZooError, printable
 from zoo.locations import cache_root
 
 DEBUG_VARIABLE = "ASSISTAX_ZOO_DEBUG"
@@ -125,18 +125,18 @@ def run(arguments: Sequence[str] | None = None) -> int:
     if arguments is not None:
         code = _run(arguments)
         return _fail("interrupted", code) if code == EXIT_INTERRUPT else code
-    with contextlib.ExitStack() as stack:
-        try:
-            stack.enter_context(ended_by_interrupts())
-        except (OSError, RuntimeError) as error:  # no more files, no more threads
-            return _fail(_message(error), EXIT_ERROR)
-        try:
+    try:
+        with contextlib.ExitStack() as stack:
+            try:
+                stack.enter_context(ended_by_interrupts())
+            except (OSError, RuntimeError) as error:  # no more files, no more threads
+                return _fail(_message(error), EXIT_ERROR)
             code = _run(sys.argv[1:])
-        except KeyboardInterrupt:  # in the midst of telling an error
-            code = EXIT_INTERRUPT
-        if code == EXIT_INTERRUPT:
-            end_now()
-        return code
+            if code == EXIT_INTERRUPT:
+                end_now()
+            return code
+    except KeyboardInterrupt:  # in the midst of telling an error, or on the way out
+        end_now()
 
 
 def _run(arguments: Sequence[str]) -> int:
@@ -223,12 +223,12 @@ def _version() -> str:
 
 def _message(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror and error.filename:
-        return f"{error.strerror}: {error.filename}"
+        return printable(f"{error.strerror}: {error.filename}")
     if isinstance(error, ZooError | ValueError | TypeError | OSError):
-        return str(error)
+        return printable(str(error))  # it may name what a stranger wrote
     if isinstance(error, MemoryError) or "can't start new thread" in str(error):
         return "this process may take no more memory, or start no more threads; see `ulimit -a`"
-    first_line = str(error).partition("\n")[0]
+    first_line = printable(str(error).partition("\n")[0])
     hint = f"this is unexpected: {DEBUG_VARIABLE}=1 shows where it happened"
     return f"{type(error).__name__}: {first_line}\n{hint}"
 

@@ -146,7 +146,7 @@ def _who(name: str, seat: Any) -> dict[str, Any]:
 
 def _write(table: "pl.DataFrame", path: Path, pair: "Pair", facts: Mapping[str, Any]) -> None:
     from evaluation.provenance import describe_machine
-    from population.files import atomic_path
+    from population.parquet import write_parquet
 
     env, setting = pair.env, pair.setting
     about = {
@@ -159,5 +159,4 @@ def _write(table: "pl.DataFrame", path: Path, pair: "Pair", facts: Mapping[str, 
         **{role: _who(name, pair.seats[role]) for role, name in pair.references.items()},
         "machine": describe_machine(),
     }
-    with atomic_path(path) as temporary:
-        table.write_parquet(temporary, metadata={METADATA: json.dumps(about)}, compression="zstd")
+    write_parquet(table, path, metadata={METADATA: json.dumps(about)}, compression="zstd")

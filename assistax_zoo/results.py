@@ -12,6 +12,7 @@ import polars as pl
 from evaluation import tables
 from evaluation.bootstrap import Estimate
 from evaluation.met_partners import UNKNOWN, MetSummary, both_met, comparison_notes
+from evaluation.provenance import table_hashes, unchecked
 from evaluation.relative import References, Relative
 from evaluation.summary import (
     BestEgo,
@@ -46,6 +47,22 @@ class _Result:
     summary: Any  # every figure, as docs/evaluation.md lists them
     folder: Path  # holds the tables
     keep: TemporaryFolder | None = dataclasses.field(default=None, compare=False)
+    _hashes: dict[str, str] = dataclasses.field(init=False, compare=False)  # of its tables
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_hashes", table_hashes(self.folder))
+
+    def _own(self, *names: str) -> Path:
+        """Return the folder, if these tables of it, or all, are still those of this result."""
+        found = table_hashes(self.folder)
+        names = names or tuple({*self._hashes, *found})
+        if any(found.get(name) != self._hashes.get(name) for name in names):
+            raise ValueError(
+                f"{self.folder} no longer holds this result: its tables were replaced, or written "
+                "again with other options; load_result reads what it holds now, and `out` gives "
+                "each result a folder of its own"
+            )
+        return self.folder
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -55,7 +72,7 @@ class _Result:
     @property
     def episodes(self) -> pl.DataFrame:
         """Every episode, one row each; docs/evaluation.md lists the columns and their units."""
-        return tables.read_episodes(self.folder / tables.EPISODES_FILE)
+        return tables.read_episodes(self._own(tables.EPISODES_FILE) / tables.EPISODES_FILE)
 
     def to_pandas(self) -> Any:
         """Return `episodes` as a pandas.DataFrame.
@@ -67,7 +84,7 @@ class _Result:
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures as `--json` prints them."""
-        return tables.read_json(self.folder / tables.SUMMARY_FILE)
+        return tables.to_json(self.summary)
 
     def report(self, path: Path | str) -> Path:
         """Write one page for a browser, .html: figures, tables, versions, hashes; return its path.
@@ -77,7 +94,7 @@ class _Result:
         """
         from evaluation.report import write_report
 
-        write_report(self.folder, Path(path))
+        write_report(self._own(), Path(path))
         return Path(path)
 
     def save(self, folder: Path | str) -> Path:
@@ -91,7 +108,7 @@ class _Result:
             raise FileExistsError(f"{target} exists; choose another folder")
         partial = target.with_name(f".{target.name}.partial")
         shutil.rmtree(partial, ignore_errors=True)
-        shutil.copytree(self.folder, partial)
+        shutil.copytree(self._own(), partial)
         return partial.rename(target)
 
     def _figures(self) -> dict[str, Estimate | None]:
@@ -188,7 +205,7 @@ class EvaluationResult(_Result):
     @property
     def partners(self) -> pl.DataFrame:
         """One row a partner: means over robots and episodes."""
-        return tables.read_parquet(self.folder / tables.PARTNERS_FILE)
+        return tables.read_parquet(self._own(tables.PARTNERS_FILE) / tables.PARTNERS_FILE)
 
     def plot(self, path: Path | str, kind: FigureKind = "zsc") -> "Figure":
         """Draw the result, write it as .png, .pdf or .svg, and return the figure.
@@ -201,7 +218,7 @@ class EvaluationResult(_Result):
         """
         from evaluation.plots.figures import evaluation_figure
 
-        return evaluation_figure([self.folder], kind, Path(path))
+        return evaluation_figure([self._own()], kind, Path(path))
 
     def _figures(self) -> dict[str, Estimate | None]:
         sides = {"M_test": self.m_test, "M_train": self.m_train, "M_train - M_test": self.gap}
@@ -246,7 +263,7 @@ class CrossPlayResult(_Result):
     @property
     def pairs(self) -> pl.DataFrame:
         """The matrix in long form: one row a robot and human, means over episodes."""
-        return tables.read_parquet(self.folder / tables.PAIRS_FILE)
+        return tables.read_parquet(self._own(tables.PAIRS_FILE) / tables.PAIRS_FILE)
 
     def plot(
         self, path: Path | str, order: Literal["shared", "separate"] | None = None
@@ -260,7 +277,7 @@ class CrossPlayResult(_Result):
         """
         from evaluation.plots.figures import crossplay_figure
 
-        return crossplay_figure(self.folder, Path(path), order)
+        return crossplay_figure(self._own(), Path(path), order)
 
     def _figures(self) -> dict[str, Estimate | None]:
         names = {"self-play": self.self_play, "cross-play": self.cross_play}
@@ -325,7 +342,7 @@ def compare(
     """
     first, second = (_evaluation(one) for one in (a, b))
     for name in ("task", "env_version", "backend", "engine"):
-        found = [one.to_json().get(name) for one in (first, second)]
+        found = [getattr(one.summary, name) for one in (first, second)]
         if found[0] != found[1]:
             raise ValueError(
                 f"{name} is {found[0]} in {first.folder} and {found[1]} in {second.folder}; "
@@ -337,8 +354,9 @@ def compare(
     if any(table.is_empty() for table in played):
         raise ValueError("every partner was trained with a robot of either method; choose others")
     summary = summarise_comparison(*played, seed=seed)
-    notes = (*summary.notes, *comparison_notes(met))
-    summary = dataclasses.replace(summary, notes=notes, met=met)
+    notes = [*summary.notes, *comparison_notes(met)]
+    notes += [*unchecked(first.folder), *unchecked(second.folder)]
+    summary = dataclasses.replace(summary, notes=tuple(dict.fromkeys(notes)), met=met)
     return Comparison(**vars(summary), task=first.summary.task)
 
 

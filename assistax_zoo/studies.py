@@ -44,6 +44,7 @@ def evaluate(
     references: bool = True,
     crossplay: "Path | CrossPlayResult | None" = None,
     reuse: bool = False,
+    replace: bool = False,
     fetch: bool = False,
     zoo: "str | Path | Zoo | None" = None,
     lock: Path | str | None = None,
@@ -84,7 +85,9 @@ def evaluate(
             robot, and play with a human that does nothing.
         crossplay: A finished cross-play, whose best robots may be the partners' best responses.
         reuse: Take what `out` holds of a robot from code though nothing declares what it depends
-            on; else it is played again.
+            on, so that it may have changed; else it is refused.
+        replace: Remove the result that `out` holds, of whichever job, and play anew; else another
+            job is refused.
         fetch: Bring policies that are missing here from the zoo's remote.
         zoo: Where partners and ids come from, as in `open_zoo`.
         lock: Lock file of a paper; other bytes and splits than those it pins are refused.
@@ -130,6 +133,7 @@ def evaluate(
             references=cache_root() / "references" if references else None,
             crossplay=crossplay.folder if isinstance(crossplay, CrossPlayResult) else crossplay,
             reuse=reuse,
+            replace=replace,
             on_progress=on_progress,
         )
     write_run(folder, command_line(), simulated=summary.env_steps_per_second is not None)
@@ -151,6 +155,7 @@ def cross_play(
     zoo: "str | Path | Zoo | None" = None,
     lock: Path | str | None = None,
     out: Path | str | None = None,
+    replace: bool = False,
     cluster: RayCluster | None = None,
     progress: Shown = True,
 ) -> CrossPlayResult:
@@ -172,6 +177,7 @@ def cross_play(
         zoo: Where policies come from, as in `open_zoo`.
         lock: Lock file of a paper; other bytes than those it pins are refused.
         out: As in `evaluate`.
+        replace: As in `evaluate`.
         cluster: Ray's, over which the blocks are spread; its workers need `out` too.
         progress: Show it, or a function that is told of it.
 
@@ -188,9 +194,11 @@ def cross_play(
     registry = _locked(open_zoo(zoo), lock, task, None).registry
     folder, keep = _folder(out)
     with chosen_progress(progress, study_progress(f"crossplay {task}")) as on_progress:
-        given: dict[str, Any] = {"cluster": cluster, "on_progress": on_progress}
+        given: dict[str, Any] = {"release": release, "cluster": cluster, "replace": replace}
         chosen = egos or f"{task}/*", partners or f"{task}/*"
-        summary = play_population(registry, *chosen, settings, folder, release=release, **given)
+        summary = play_population(
+            registry, *chosen, settings, folder, on_progress=on_progress, **given
+        )
     assert isinstance(summary, CrossPlaySummary)  # no block was asked for
     write_run(folder, command_line(), simulated=summary.env_steps_per_second is not None)
     return CrossPlayResult(summary, folder, keep)

@@ -133,13 +133,16 @@ def save_evaluation(
     summary = dataclasses.replace(summary, notes=notes, met=told)
     tables.write_parquet(partner_table(table), folder / tables.PARTNERS_FILE)
     tables.write_parquet(profile_table(counted), folder / tables.PROFILE_FILE)
+    written = [tables.PARTNERS_FILE, tables.PROFILE_FILE, tables.SUMMARY_FILE]
     if references is not None:
         played, bounds = references
+        written += [tables.REFERENCES_FILE, tables.BOUNDS_FILE]
         tables.write_parquet(played, folder / tables.REFERENCES_FILE)
         tables.write_parquet(bounds, folder / tables.BOUNDS_FILE)
         found, relative = summarise_references(counted, played, bounds)
         summary = dataclasses.replace(summary, references=found, relative=relative)
     tables.write_json(summary, folder / tables.SUMMARY_FILE)
+    tables.remove_derived(folder, but=written)  # drawn from these episodes with other options
     return summary
 
 
@@ -151,10 +154,13 @@ def save_crossplay(
 
     summary = summarise_crossplay(table, context)
     summary = dataclasses.replace(summary, notes=(*summary.notes, *crossplay_notes(met)))
+    written = [tables.PAIRS_FILE, tables.ORDER_FILE, tables.SUMMARY_FILE]
     pairs, order = crossplay_matrix(table)
     tables.write_parquet(pairs, folder / tables.PAIRS_FILE)
     if set(tables.BEHAVIOUR) <= set(pairs.columns):
         tables.write_json(summarise_strategies(pairs), folder / tables.STRATEGIES_FILE)
+        written.append(tables.STRATEGIES_FILE)
     tables.write_json(order, folder / tables.ORDER_FILE)
     tables.write_json(summary, folder / tables.SUMMARY_FILE)
+    tables.remove_derived(folder, but=written)
     return summary

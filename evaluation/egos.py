@@ -54,7 +54,7 @@ def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> Roster:
         if reference.kind == "zoo":
             single += _from_zoo(reference.source, registry, task)
         elif reference.kind == "file":
-            single += _from_files(reference.text, registry)
+            single += _from_files(reference.text, registry, isinstance(robot, str))
         elif reference.kind in ("python", "onnx"):
             host.append(_from_outside(reference, registry, task))
         else:
@@ -116,10 +116,13 @@ def _from_zoo(
             yield found.members[name], stack.spec, stack.row(row)
 
 
-def _from_files(text: str, registry: Registry) -> Iterable[tuple[Member, PolicySpec, Any]]:
+def _from_files(
+    text: str, registry: Registry, may_match: bool
+) -> Iterable[tuple[Member, PolicySpec, Any]]:
     """Yield the robot of a file, or of each file that a glob names, s2 before s10."""
-    globbed = glob.escape(text) != text and not Path(text).exists()
-    names = sorted(glob.glob(text), key=lambda name: (len(name), name)) if globbed else [text]
+    globbed = may_match and glob.escape(text) != text and not Path(text).exists()
+    found = glob.glob(_with_folders_as_spelled(text)) if globbed else [text]
+    names = sorted(found, key=lambda name: (len(name), name))
     if not names:
         raise ValueError(f"policy {text!r} matches no file; see what is there with ls")
     for name in names:
@@ -129,6 +132,14 @@ def _from_files(text: str, registry: Registry) -> Iterable[tuple[Member, PolicyS
         # A published robot's parameters are that robot, whatever else their file claims.
         met = met_in_training(registry, same[0]) if same else claimed_met(registry, metadata)
         yield _of_file(name, Path(name), met), spec, params
+
+
+def _with_folders_as_spelled(pattern: str) -> str:
+    """Escape the folders of a glob that are there: "run[1]/*" is about "run[1]", not "run1"."""
+    slashes = (place for place, letter in enumerate(pattern) if letter == "/")
+    there = [place for place in slashes if Path(pattern[: place + 1]).is_dir()]
+    end = max(there, default=0)
+    return glob.escape(pattern[:end]) + pattern[end:]
 
 
 def _from_object(robot: Any, place: int, registry: Registry) -> tuple[Member, HostEgo]:

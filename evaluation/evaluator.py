@@ -66,15 +66,15 @@ def run_job(
         max_envs: Most simulations in a chunk; if not given, that of `MAX_ENVS`, or fewer to have
             one for each device.
         reuse: Take what the folder holds though a robot is code whose dependencies nobody declared;
-            else it is played again.
+            else it is refused.
         kept: The folder is a cache's: wait for another process that writes to it, and begin anew
-            where it is damaged; else both are refused.
+            where it is damaged or of such a robot; else all three are refused.
         devices: Where to simulate; see `evaluation.devices` if not given.
         on_progress: Told how far the run is.
 
     Raises:
-        ValueError: the folder holds another job, or a policy reads other observations than the task
-            gives.
+        ValueError: the folder holds another job, or one of a robot that may have changed, or a
+            policy reads other observations than the task gives.
         EgoError: a robot from outside failed; finished chunks are kept.
     """
     check_sizes(env, job)
@@ -83,8 +83,9 @@ def run_job(
         share = math.ceil(job.rows / len(devices or devices_for(job.rows)))
         max_envs = min(share, MAX_ENVS[job.backend])
     with locked(folder, wait=kept):
-        if not (job.reusable or reuse) or (kept and not provenance.is_readable(folder)):
+        if kept and not (job.reusable and provenance.is_readable(folder)):
             forget(folder)
+        _check_reusable(folder, job, reuse)
         return _run_and_merge(env, job, folder, max_envs, devices, on_progress)
 
 
@@ -122,10 +123,21 @@ def check_folder(folder: Path, advice: str = "choose another --out") -> None:
         raise OSError(f"cannot write to {folder} ({error.strerror or error}); {advice}") from error
 
 
+def make_way(env: Any, job: Job, folder: Path) -> None:
+    """Remove whatever job a folder holds, and all that was drawn from it, for one that can be run.
+
+    Raises:
+        ValueError: a policy is not this task's, or another process writes to the folder.
+    """
+    check_sizes(env, job)
+    with locked(folder):
+        forget(folder)
+
+
 def forget(folder: Path) -> None:
-    """Remove what a folder holds of a job, so that it is played again."""
+    """Remove what a folder holds of a job, and all that was drawn from it; other files stay."""
     shutil.rmtree(folder / PARTS_FOLDER, ignore_errors=True)
-    for name in (tables.EPISODES_FILE, MANIFEST_FILE):
+    for name in (*tables.FILES, MANIFEST_FILE):
         (folder / name).unlink(missing_ok=True)
 
 
@@ -140,8 +152,11 @@ def open_folder(folder: Path, job: Job, max_envs: int) -> list[Chunk]:
             )
     elif found.get("job") != job.digest():
         told = _difference(found.get("identity", {}), job.identity())
-        raise ValueError(f"{folder} holds another job ({told}); choose another --out or delete it")
-    if found and (is_finished(folder) or any((folder / PARTS_FOLDER).glob("part-*"))):
+        raise ValueError(
+            f"{folder} holds another job ({told}); choose another --out, or replace it (--replace, "
+            "replace=True)"
+        )
+    if found and (is_finished(folder) or _has_parts(folder)):
         return plan_of(job, found)
     manifest = {
         "job": job.digest(),
@@ -223,9 +238,29 @@ def _run_and_merge(
         parts = [path for chunk in chunks if (path := find_part(folder, chunk))]
         merged = pl.concat([tables.read_parquet(path) for path in parts])
         tables.write_episodes(in_order(merged, job), target)
+        tables.remove_derived(folder)  # of what was there before
         provenance.seal(folder, made_with=provenance.describe_machine())
     shutil.rmtree(folder / PARTS_FOLDER, ignore_errors=True)
     return Evaluation(tables.read_episodes(target), speed, compile_seconds)
+
+
+def _check_reusable(folder: Path, job: Job, reuse: bool) -> None:
+    """Refuse episodes of a robot of this name that may since be another one."""
+    began = (folder / tables.EPISODES_FILE).exists() or _has_parts(folder)
+    if reuse or job.reusable or not began:
+        return
+    if (provenance.read_manifest(folder) or {}).get("job") != job.digest():
+        return  # another job, which is refused as such
+    unsure = next(name for name in job.egos.ids if not job.egos.members[name].reusable)
+    raise ValueError(
+        f"{folder} holds episodes of {unsure}, and nothing says whether that is still the same "
+        "robot; take them as they are (--reuse, reuse=True), replace them (--replace, "
+        "replace=True), or choose another --out"
+    )
+
+
+def _has_parts(folder: Path) -> bool:
+    return any((folder / PARTS_FOLDER).glob("part-*"))
 
 
 def _difference(found: dict[str, Any], expected: dict[str, Any]) -> str:

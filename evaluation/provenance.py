@@ -18,6 +18,7 @@ from typing import Any
 from evaluation import tables
 from population.files import sha256
 from population.parquet import check_readable
+from zoo.errors import printable, shorten
 
 MANIFEST_FILE = "manifest.json"
 PACKAGES = (
@@ -103,6 +104,16 @@ def seal(folder: Path, **context: Any) -> None:
     write_manifest(folder, {**(read_manifest(folder) or {}), **context, "files": files})
 
 
+def table_hashes(folder: Path) -> dict[str, str]:
+    """Return what a folder's manifest says of its tables: the same job and options give the same.
+
+    Not of what tells how a run went: the summary, the command, and the matrix's picture.
+    """
+    files = (read_manifest(folder) or {}).get("files", {})
+    run = (tables.SUMMARY_FILE, tables.RUN_FILE, tables.MATRIX_FIGURE)
+    return {name: digest for name, digest in files.items() if name not in run}
+
+
 def has_whole(folder: Path, name: str) -> bool:
     """Return whether a finished folder's file has the hash that the manifest holds of it."""
     path = folder / name
@@ -128,6 +139,17 @@ def check_whole(folder: Path) -> None:
         if problem := _file_problem(folder, name, digest):
             raise ValueError(f"{problem}; take the folder from where it was made, or run again")
     check_readable(sorted(folder.glob("*.parquet")))
+
+
+def unchecked(folder: Path) -> list[str]:
+    """Say which files of ours no manifest speaks of, so that `check_whole` checked nothing."""
+    names = [path.name for path in _files(folder)]
+    manifest = read_manifest(folder)
+    if manifest is None:
+        return [f"{folder} has no {MANIFEST_FILE}: nothing of it was checked"]
+    unknown = [name for name in names if name not in manifest.get("files", {})]
+    told = f"not in the {MANIFEST_FILE} of {folder}, hence not checked: {', '.join(unknown)}"
+    return [told] if unknown else []
 
 
 def verify_folder(folder: Path) -> FolderReport:
@@ -192,11 +214,12 @@ def _files(folder: Path) -> list[Path]:
 def _file_problem(folder: Path, name: str, digest: str) -> str | None:
     path = folder / name
     if Path(name).name != name:  # a received manifest: nothing outside its folder is read
-        return f"the manifest names {name!r}, which is no file of {folder}"
+        return f"the manifest names {shorten(name)}, which is no file of {folder}"
+    shown = folder / printable(name)
     if not path.is_file():
-        return f"{path} is missing"
+        return f"{shown} is missing"
     found = file_sha256(path)
-    return None if found == digest else f"{path}: expected sha256 {digest}, found {found}"
+    return None if found == digest else f"{shown}: expected sha256 {shorten(digest)}, found {found}"
 
 
 def _table_problems(folder: Path, manifest: Mapping[str, Any]) -> list[str]:

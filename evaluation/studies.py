@@ -3,10 +3,11 @@
 Here registry, job and summary meet; each study fills a folder.
 """
 
+import contextlib
 import dataclasses
 import difflib
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Generator, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,8 +20,9 @@ from evaluation import provenance, tables
 from evaluation.blocks import BlockDone, run_block, run_blocks_on_ray
 from evaluation.derived import save_crossplay, save_evaluation
 from evaluation.devices import share_cores
-from evaluation.evaluator import Evaluation, check_folder, run_job
+from evaluation.evaluator import Evaluation, check_folder, make_way, run_job
 from evaluation.jobs import Job, default_episodes
+from evaluation.locks import locked
 from evaluation.met_partners import check_new, declare, describe_met, met_partners
 from evaluation.references import play_references
 from evaluation.relative import bounds_table
@@ -87,6 +89,7 @@ def evaluate_policies(
     references: Path | None = None,
     crossplay: Path | None = None,
     reuse: bool = False,
+    replace: bool = False,
     on_progress: OnProgress = None,
 ) -> EvaluationSummary:
     """Evaluate robots, seeds of one method, against the partners of a split.
@@ -95,7 +98,8 @@ def evaluate_policies(
         registry: The published partners.
         policies: The robots, see `evaluation.egos.read_egos`.
         settings: Task, episodes and the rest.
-        folder: Filled with the episodes and their tables; a run that was stopped goes on.
+        folder: Filled with the episodes and their tables; a run that was stopped goes on, and
+            another job is refused.
         split: "test" (default), "train" or "both" sides of the default split, or ID:SIDE.
         partners: Globs over partners, to play only some of those sides; see `choose_partners`.
         include_own: Count partners that were trained with one of the robots.
@@ -104,6 +108,7 @@ def evaluate_policies(
             None plays none.
         crossplay: Finished cross-play, whose best robots may be the partners' best responses.
         reuse: See `evaluation.evaluator.run_job`.
+        replace: Remove the job that the folder holds, whichever it is, and all drawn from it.
         on_progress: Told how far the run is.
 
     Raises:
@@ -113,6 +118,8 @@ def evaluate_policies(
     share_cores()
     if not policies:
         raise ValueError("no policy given; name at least one, for example --policy zoo:TEAM/robot")
+    if reuse and replace:
+        raise ValueError("reuse takes what the folder holds, replace removes it; choose one")
     check_folder(folder)
     if references is not None:
         check_folder(references, "leave reference egos out with --no-references")
@@ -127,6 +134,8 @@ def evaluate_policies(
     if manifest.preferences and settings.preferences is None:
         job = job.following(manifest.preferences)
     playing: dict[str, Any] = {"max_envs": settings.max_envs, "on_progress": on_progress}
+    if replace:
+        make_way(env, job, folder)
     result = run_job(env, job, folder, reuse=reuse, **playing)
     played, files = None, _own_files(egos, crossplay)
     if references is not None:
@@ -134,11 +143,12 @@ def evaluate_policies(
         episodes, kept = play_references(env, job, own, references, **playing)
         played, files = (episodes, bounds_table(episodes, pairs)), files + kept
     context = context_of(registry, job, manifest, manifest.release, result)
-    summary = save_evaluation(
-        folder, result.table, context, include_own=include_own, references=played, met=met
-    )
     robots = set() if references is None else {entry.team for entry in chosen}
-    _seal(registry, folder, egos, chosen, manifest, robots, files, trained_with=trained_with)
+    with _still_of(job, folder):
+        summary = save_evaluation(
+            folder, result.table, context, include_own=include_own, references=played, met=met
+        )
+        _seal(registry, folder, egos, chosen, manifest, robots, files, trained_with=trained_with)
     return summary
 
 
@@ -177,6 +187,7 @@ def cross_play(
     release: str | None = None,
     block: tuple[int, int] | None = None,
     cluster: RayCluster | None = None,
+    replace: bool = False,
     on_progress: OnProgress = None,
 ) -> CrossPlaySummary | BlockDone:
     """Evaluate the robots of a population with its humans.
@@ -199,6 +210,8 @@ def cross_play(
     check_env_version(registry, robots)
     env, job = make_job(registry, registry_roster(registry, robots), humans, settings, manifest)
     options: dict[str, Any] = {"max_envs": settings.max_envs, "on_progress": on_progress}
+    if replace:
+        make_way(env, job, folder)
     if block is not None:
         return run_block(env, job, folder, block, **options)
     if cluster is not None:
@@ -207,10 +220,28 @@ def cross_play(
     result = run_job(env, job, folder, **options)
     releases = ", ".join(sorted({entry.release for entry in (*robots, *humans)}))
     context = context_of(registry, job, manifest, releases, result)
-    summary = save_crossplay(folder, result.table, context, met_partners(job.egos, humans))
-    _draw(folder, summary)
-    _seal(registry, folder, job.egos, humans, manifest)
+    with _still_of(job, folder):
+        summary = save_crossplay(folder, result.table, context, met_partners(job.egos, humans))
+        _draw(folder, summary)
+        _seal(registry, folder, job.egos, humans, manifest)
     return summary
+
+
+@contextlib.contextmanager
+def _still_of(job: Job, folder: Path) -> Generator[None]:
+    """Hold a folder, unless another process has replaced its job: no table joins other episodes."""
+
+    def check() -> None:
+        if (provenance.read_manifest(folder) or {}).get("job") != job.digest():
+            raise ValueError(
+                f"the job of {folder} was replaced while this command ran; repeat it into another "
+                "folder"
+            )
+
+    check()  # before waiting for who replaced it
+    with locked(folder, wait=True):
+        check()
+        yield
 
 
 def _draw(folder: Path, summary: CrossPlaySummary) -> None:

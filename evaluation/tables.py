@@ -4,7 +4,7 @@ import dataclasses
 import errno
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,8 @@ FILES = (
     *(EPISODES_FILE, PAIRS_FILE, REFERENCES_FILE, BOUNDS_FILE, PARTNERS_FILE, PROFILE_FILE),
     *(ORDER_FILE, STRATEGIES_FILE, RUN_FILE, SUMMARY_FILE, MATRIX_FIGURE),
 )
+# Drawn from the episodes, with the options of the command that drew them.
+DERIVED_FILES = tuple(name for name in FILES if name not in (EPISODES_FILE, RUN_FILE))
 
 SIDES = ("train", "test")
 TERM_PREFIX = "term_"
@@ -283,6 +285,12 @@ def write_bytes(data: bytes, path: Path) -> None:
             f"the disk is full: {path} needs {len(data)} bytes; make room, then the same command "
             "goes on"
         ) from None
+
+
+def remove_derived(folder: Path, but: Collection[str] = ()) -> None:
+    """Remove tables and figures that were drawn from a folder's episodes, but for some."""
+    for name in set(DERIVED_FILES).difference(but):
+        (folder / name).unlink(missing_ok=True)
 
 
 def to_json(value: Any) -> Any:

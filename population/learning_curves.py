@@ -9,7 +9,7 @@ from pathlib import Path
 import polars as pl
 
 from population.config import TrainConfig
-from population.files import atomic_path
+from population.parquet import read_parquet, write_parquet
 
 POINTS = 100
 _MEMBER = ["task", "algorithm", "disability", "seed"]
@@ -66,11 +66,10 @@ def write_curves(path: Path, runs: Sequence[tuple[pl.DataFrame, TrainConfig]]) -
         runs: Metrics and configuration of each run.
     """
     new = pl.concat([thin(metrics, config) for metrics, config in runs], how="diagonal")
-    old = pl.read_parquet(path) if path.is_file() else new.clear()
+    old = read_parquet(path) if path.is_file() else new.clear()
     table = pl.concat([old.join(new, on=_MEMBER, how="anti"), new], how="diagonal").sort(
         *_MEMBER, "steps"
     )
     if not path.is_file() or not table.equals(old):
-        with atomic_path(path) as temporary:
-            table.write_parquet(temporary, compression="zstd", statistics=False)
+        write_parquet(table, path, compression="zstd", statistics=False)
     return table

@@ -1,11 +1,17 @@
-"""Parquet files that anybody may have damaged: read, or refused in one line."""
+"""The one reader and the one writer of Parquet files. No path is a pattern, a home or an address.
+
+Anybody may have damaged a file: it is read, or refused in one line.
+"""
 
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import polars as pl
+
+from population.files import atomic_path
 
 # Of a process that only reads: what Polars has taken by then, and this much beside.
 _ROOM = 1 << 30
@@ -19,25 +25,42 @@ try:
 except OSError:
     pass
 for path in sys.argv[2:]:
-    polars.read_parquet(path)
-    print(path, flush=True)
+    polars.read_parquet(path, glob=False)
+    print("read", flush=True)
 """
+_UNREADABLE = (pl.Int128, pl.UInt128)  # NumPy has no such numbers
 _readable: set[tuple[str, int, int]] = set()  # paths, sizes and times of files that were read
 
 
 def read_parquet(path: Path) -> pl.DataFrame:
     """Return a table.
 
+    Polars would take "run[1]" for a pattern, which another folder matches, and a relative path that
+    begins with "~" for a home: the path is made absolute, and read as it is spelled.
+
     Raises:
-        ValueError: The file is damaged, or no Parquet.
+        ValueError: The file is damaged, no Parquet, or has a column type that nothing of ours has.
     """
     try:
-        return pl.read_parquet(path)
+        table = pl.read_parquet(path.absolute(), glob=False)
     except BaseException as error:
         # Polars' reader can panic on damaged bytes: a BaseException, which no handler expects.
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
         raise _damaged(path, (str(error).splitlines() or [type(error).__name__])[0]) from None
+    for name, dtype in table.schema.items():
+        if dtype in _UNREADABLE:
+            raise ValueError(
+                f"{path}: column {name!a} is {dtype}; integers of at most 64 bits are allowed; "
+                "take the file from where it was made"
+            )
+    return table
+
+
+def write_parquet(table: pl.DataFrame, path: Path, **options: Any) -> None:
+    """Write a table, whole or not at all; `options` are those of Polars' method of this name."""
+    with atomic_path(path) as temporary:
+        table.write_parquet(temporary.absolute(), **options)
 
 
 def check_readable(paths: Sequence[Path]) -> None:
@@ -53,7 +76,8 @@ def check_readable(paths: Sequence[Path]) -> None:
     if not unread:
         return
     room = _ROOM + 30 * sum(path.stat().st_size for path in unread)
-    command = [sys.executable, "-P", "-c", _TRY, str(room), *map(str, unread)]
+    names = [str(path.absolute()) for path in unread]
+    command = [sys.executable, "-P", "-c", _TRY, str(room), *names]
     done = subprocess.run(command, capture_output=True, check=False)
     read = len(done.stdout.splitlines())
     if read < len(unread):

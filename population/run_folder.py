@@ -19,8 +19,8 @@ import polars as pl
 import safetensors.numpy
 
 from population.config import Member, PPOConfig, TrainConfig, TrainerConfig
-from population.files import atomic_path, atomic_write, write_json
-from population.parquet import check_readable, read_parquet
+from population.files import atomic_write, write_json
+from population.parquet import check_readable, read_parquet, write_parquet
 from population.spec import PolicySpec
 from population.stack import PolicyStack, flatten, unflatten
 
@@ -118,8 +118,7 @@ class RunFolder:
 
     def write_metrics(self, metrics: pl.DataFrame) -> None:
         """Replace the metrics."""
-        with atomic_path(self._metrics) as temporary:
-            metrics.write_parquet(temporary)
+        write_parquet(metrics, self._metrics)
 
     def write_teams(
         self,

@@ -21,7 +21,8 @@ from pydantic import Field, PositiveInt, TypeAdapter, ValidationError
 from population.checked import checked, first_problem
 from population.config import Member, TrainConfig, check_names, make_run, preset
 from population.environment import Environment
-from population.files import atomic_path, write_json
+from population.files import write_json
+from population.parquet import read_parquet, write_parquet
 from population.ray_blocks import NOT_SHARED, RayCluster, run_blocks
 from population.train import Progress, train
 
@@ -270,7 +271,7 @@ def _collect(sweep: Sweep, folder: Path) -> pl.DataFrame:
     """Write and return the results of blocks that are all done."""
     points, tables = sweep.points(), []
     for number, (indices, _) in enumerate(sweep.blocks()):
-        scores = score(pl.read_parquet(folder / _block(number) / "metrics.parquet"))
+        scores = score(read_parquet(folder / _block(number) / "metrics.parquet"))
         rows = [
             {"configuration": index, "seed": seed, **points[index]}
             for index in indices
@@ -282,8 +283,7 @@ def _collect(sweep: Sweep, folder: Path) -> pl.DataFrame:
             )
         )
     results = pl.concat(tables).sort("configuration", "seed")
-    with atomic_path(folder / RESULTS) as temporary:
-        results.write_parquet(temporary)
+    write_parquet(results, folder / RESULTS)
     content = {
         "algorithm": sweep.algorithm,
         "hyperparameters": {**sweep.fixed, **best(results, points)},

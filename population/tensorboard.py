@@ -13,6 +13,7 @@ import polars as pl
 
 from population.config import TrainConfig
 from population.extras import optional
+from population.parquet import read_parquet
 from population.run_folder import OF_EPISODES
 from population.train import Progress
 
@@ -75,7 +76,7 @@ class EventFiles:
             return
         self._files = [self._begin(folder) for folder in self._folders]
         if self._metrics.exists():
-            rows = pl.read_parquet(self._metrics)
+            rows = read_parquet(self._metrics)
             self._write(rows if before is None else rows.filter(pl.col("update") < before), {})
 
     def close(self) -> None:

@@ -19,6 +19,7 @@ def evaluate(
     series: int = 1,
     fetch: bool = False,
     reuse: bool = False,
+    replace: bool = False,
     out: Path | None = None,
     source: Source = Source(),
     json: bool = False,
@@ -40,7 +41,9 @@ def evaluate(
             its recurrent state is kept, and the partner's preference stays.
         fetch: Bring partners and robots of the zoo that are missing here from the remote.
         reuse: Take what --out holds of a robot from Python code though its module does not declare
-            what it depends on; else it is played again.
+            what it depends on, so that it may have changed; else it is refused.
+        replace: Remove the result that --out holds, of whichever job, and play anew; else another
+            job is refused.
         out: Folder for the tables.
         source: Where policies come from.
         json: Print JSON.
@@ -58,6 +61,7 @@ def evaluate(
             series=series,
             fetch=fetch,
             reuse=reuse,
+            replace=replace,
             out=out,
             **vars(against),
             **vars(playing),
@@ -81,6 +85,7 @@ def crossplay(
     release: str | None = None,
     playing: Playing = Playing(),
     block: str | None = None,
+    replace: bool = False,
     engine: Engine = Engine(),
     source: Source = Source(),
     json: bool = False,
@@ -101,6 +106,8 @@ def crossplay(
         playing: How they play.
         block: Simulate only a share, such as 2/4; with the parts of all, the command without
             --block merges them.
+        replace: Remove the result that --out holds, of whichever job, and play anew; else another
+            job is refused.
         engine: What runs the blocks.
         source: Where policies come from.
         json: Print JSON.
@@ -114,6 +121,8 @@ def crossplay(
         raise ValueError(
             "--block is one share of a run by hand, --engine ray spreads all of them; leave one out"
         )
+    if block and replace:
+        raise ValueError("--replace would remove the parts of the other blocks; leave it out")
     with stdout_is_data():
         from assistax_zoo.studies import cross_play, play_block
 
@@ -123,7 +132,8 @@ def crossplay(
             done = play_block(_block(block), egos, partners, **given)
             summary = {**vars(done), "block": block}
         else:
-            summary = cross_play(egos, partners, cluster=cluster, **given).to_json()
+            given |= {"cluster": cluster, "replace": replace}
+            summary = cross_play(egos, partners, **given).to_json()
     if block:
         answer(json, summary, *_block_lines(summary, out))
     elif json:

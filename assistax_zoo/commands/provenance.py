@@ -4,6 +4,7 @@ from pathlib import Path
 
 from assistax_zoo.commands.options import Source
 from assistax_zoo.console import answer, stdout_is_data
+from zoo.errors import printable
 from zoo.registry import load_registry
 
 
@@ -26,7 +27,7 @@ def verify_results(folder: Path, registry: Path | None, json: bool) -> bool:
     lines += [f"problem: {problem}" for problem in problems]
     told = f"{len(problems)} problems in" if problems else "verified"
     files = f"{report.files} files of {folder}, and {sources.sources} that they depend on"
-    answer(json, content, *lines, f"{told} {files}")
+    answer(json, content, *map(printable, lines), f"{told} {files}")
     return not problems
 
 
@@ -67,6 +68,6 @@ def replay(
         reach = f"{'within' if report.ok else 'beyond'} {report.tolerance:.1f}"
         how, told = "in the mean", f"{report.difference:+.1f} in the mean return, {reach}"
     again = f"{report.episodes} episodes of {folder} played again: {told}"
-    answer(json, vars(report), f"compared {how}: {report.why}", again)
+    answer(json, vars(report), printable(f"compared {how}: {report.why}"), again)
     if not report.ok:
         raise SystemExit(1)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from assistax_zoo.console import answer, progress
+from zoo.errors import printable
 from zoo.ids import release_number
 from zoo.locations import default_remote, registry_path, set_default_remote
 from zoo.lock import locked_entries, make_lock, read_lock, write_lock
@@ -132,7 +133,7 @@ def config_remote(remote: str | None = None, *, forget: bool = False) -> None:
     """
     if remote or forget:
         set_default_remote(open_remote(remote).name if remote else None)
-    print(default_remote() or "no remote")
+    print(printable(default_remote() or "no remote"))
 
 
 def publish(

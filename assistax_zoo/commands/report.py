@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assistax_zoo.console import answer, new_table, print_json, print_table
+from zoo.errors import printable
 
 if TYPE_CHECKING:
     from evaluation.metrics import Difference
@@ -30,7 +31,7 @@ def compare(a: Path, b: Path, /, *, seed: int = 0, json: bool = False) -> None:
         {"a": str(a), "b": str(b), **found.to_json()},
         f"{found.task}: return of {a} minus return of {b}",
         *(_difference_line(side, difference) for side, difference in sides if difference),
-        *(f"note: {note}" for note in found.notes),
+        *(printable(f"note: {note}") for note in found.notes),
     )
 
 
@@ -89,6 +90,8 @@ def _difference_line(side: str, found: "Difference") -> str:
 
 
 def _print_strategies(found: dict[str, Any]) -> None:
+    from rich.text import Text
+
     table = new_table("partners by behaviour with their best robot")
     for name in ("cluster", "medoid"):
         table.add_column(name, no_wrap=True)
@@ -97,7 +100,8 @@ def _print_strategies(found: dict[str, Any]) -> None:
         table.add_column(f"{name.replace('_', ' ')}\n{unit}", justify="right")
     for i, cluster in enumerate(found["clusters"]):
         figures = [f"{cluster['mean'][name]:.3g}" for name in found["features"]]
-        table.add_row(chr(ord("A") + i), cluster["medoid"], str(len(cluster["members"])), *figures)
+        medoid = Text(printable(cluster["medoid"]))  # not rich's markup either
+        table.add_row(chr(ord("A") + i), medoid, str(len(cluster["members"])), *figures)
     print_table(table)
     if len(found["clusters"]) == 1:
         print("no clear clusters: all partners are one")
@@ -106,11 +110,9 @@ def _print_strategies(found: dict[str, Any]) -> None:
         f"BR-Div: rank {diversity['rank']} of {diversity['n']}, participation "
         f"{diversity['participation_ratio']:.2f}"
     )
-    print(f"a diverse subset: {', '.join(found['diverse_subset'])}")
+    print(printable(f"a diverse subset: {', '.join(found['diverse_subset'])}"))
     if pair := found["incompatible"]:
         exchanged = " and ".join(f"{value:.0f}" for value in pair["returns_exchanged"])
         own = " and ".join(f"{value:.0f}" for value in pair["returns"])
-        print(
-            f"most incompatible: {' and '.join(pair['partners'])}: {own} with their robots, "
-            f"{exchanged} exchanged"
-        )
+        names = printable(" and ".join(pair["partners"]))
+        print(f"most incompatible: {names}: {own} with their robots, {exchanged} exchanged")

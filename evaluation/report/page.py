@@ -7,7 +7,7 @@ careless with an id shows its tags to the reader, and runs nothing.
 import base64
 import functools
 import io
-import re
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -24,7 +24,7 @@ from evaluation import tables
 from evaluation.plots.charts import performance_profile, provenance, trait_points, zsc_dots
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import arrange, short_names
-from evaluation.provenance import file_sha256, read_manifest
+from evaluation.provenance import file_sha256, read_manifest, unchecked
 from evaluation.report.matrix_data import matrix_data
 from evaluation.summary import EvaluationSummary, read_summary
 
@@ -97,6 +97,7 @@ def _page(folder: Path) -> str:
     found, manifest = read_summary(folder), read_manifest(folder) or {}
     kind = "evaluation" if isinstance(found, EvaluationSummary) else "crossplay"
     summary = tables.to_json(found)
+    summary["notes"] = [*summary["notes"], *unchecked(folder)]
     hashes = {}
     if found.split:
         hashes[f"split {found.split.id}"] = found.split.sha256
@@ -174,7 +175,7 @@ def _crossplay(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     strategies = _read(folder, tables.STRATEGIES_FILE)
     listed = strategies["partners"] if strategies else ()
     return {
-        "data": matrix_data(pairs, order, strategies) | {"film": _film(folder, summary["task"])},
+        "data": matrix_data(pairs, order, strategies) | {"film": _film(folder)},
         "strategies": strategies,
         "short": _short([one["partner"] for one in listed])
         | _short([one["robot"] for one in listed]),
@@ -182,11 +183,25 @@ def _crossplay(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _film(folder: Path, task: str) -> str:
-    """Return the beginning of the command that films an episode of a pair, the first it played."""
-    command = (_read(folder, tables.RUN_FILE) or {}).get("command")
-    seed = re.search(r"--seed[ =](\d+)", str(command))
-    return f"assistax-zoo render --task {task}{f' --seed {seed[1]}' if seed else ''}"
+def _film(folder: Path) -> dict[str, Any] | None:
+    """Return what films the first episode of a pair, by the manifest: command, and humans' wishes.
+
+    None where no manifest names the episodes, or where each human has starts of its own, which no
+    command films.
+    """
+    identity = (read_manifest(folder) or {}).get("identity")
+    if not identity or identity.get("apart"):
+        return None
+    wishes = _first_wishes(folder) if "preferences" in identity else {}
+    words = ["render", "--task", str(identity["task"]), "--seed", str(int(identity["seed"]))]
+    return {"command": shlex.join(["assistax-zoo", *words]), "wishes": wishes}
+
+
+def _first_wishes(folder: Path) -> dict[str, str]:
+    """Return under which preference each human of a gentle task played its first episode."""
+    table = tables.read_episodes(folder / tables.EPISODES_FILE)
+    first = table.filter(pl.col("episode") == 0)
+    return dict(first.select("partner", "preference").unique().sort("partner").rows())
 
 
 def _short(names: Sequence[str]) -> dict[str, str]:

@@ -1,5 +1,6 @@
 """Evaluations and cross-plays from Python: typed figures, tables, pages and figures of them."""
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 import assistax_zoo as az
-from evaluation import tables
+from evaluation import evaluator, studies, tables
 from evaluation.robot_forms import as_robot
 from population.onnx_export import to_onnx
 from tests import untrained
@@ -96,6 +97,58 @@ def test_a_saved_result_is_loaded_and_compared(
         az.compare(other, saved)
 
 
+def test_two_results_in_one_folder(zoo: az.Zoo, tmp_path: Path) -> None:
+    """The second replaces the first if that is asked for, and the first then answers no more."""
+    options: dict[str, Any] = {"out": tmp_path / "C", "split": "both"}
+    first = evaluate(lambda obs: np.zeros((len(obs), 7)), zoo, episodes=2, **options)
+    apart = evaluate(lambda obs: np.ones((len(obs), 7)), zoo, split="both")
+
+    def again(**more: Any) -> az.EvaluationResult:
+        return evaluate(lambda obs: np.ones((len(obs), 7)), zoo, **options, **more)
+
+    for reuse in (False, True):
+        with pytest.raises(ValueError, match=r"episodes 2 there, 1 here.*replace=True"):
+            again(reuse=reuse)
+    with pytest.raises(ValueError, match="choose one"):
+        again(reuse=True, replace=True)
+    assert first.episodes.height == 16
+    second = again(replace=True)
+    assert told(second.m_test).mean == told(apart.m_test).mean != told(first.m_test).mean
+    assert az.compare(apart, second).test == az.compare(apart, apart).test
+    for answer in (
+        lambda: az.compare(first, second),
+        lambda: first.episodes,
+        lambda: first.partners,
+        lambda: first.report(tmp_path / "page.html"),
+        lambda: first.plot(tmp_path / "zsc.png"),
+        lambda: first.save(tmp_path / "saved"),
+    ):
+        with pytest.raises(ValueError, match="no longer holds this result"):
+            answer()
+    assert first.to_json()["m_test"]["mean"] == told(first.m_test).mean
+    with pytest.raises(ValueError, match="still the same robot"):
+        again()
+    assert again(reuse=True).episodes.equals(second.episodes)
+
+
+def test_a_job_that_was_replaced_meanwhile_draws_nothing(
+    zoo: az.Zoo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another process gives the folder to another job while this one plays its references."""
+    run = studies.run_job
+
+    def replaced(env: Any, job: Any, folder: Path, **options: Any) -> Any:
+        result = run(env, job, folder, **options)
+        evaluator.forget(folder)
+        run(env, dataclasses.replace(job, seed=1), folder)
+        return result
+
+    monkeypatch.setattr(studies, "run_job", replaced)
+    with pytest.raises(ValueError, match="was replaced while this command ran"):
+        evaluate("scratch/ippo-d1-s0-v0/robot", zoo, out=tmp_path)
+    assert not (tmp_path / tables.SUMMARY_FILE).exists()
+
+
 def test_what_is_missing_is_named_or_fetched(
     zoo: az.Zoo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -155,8 +208,10 @@ def test_a_list_are_seeds_of_one_method(zoo: az.Zoo) -> None:
 def test_a_crossplay_clusters_and_draws(zoo: az.Zoo, tmp_path: Path) -> None:
     teams = "scratch/ippo-d?-s[01]-v0"
     globs = f"{teams}/robot", f"{teams}/human"
-    options: dict[str, Any] = {"episodes": 1, "backend": "native", "progress": False}
+    options: dict[str, Any] = {"episodes": 1, "backend": "native", "progress": False, "seed": 5}
     found = az.cross_play(*globs, task="scratch", zoo=zoo, **options)
+    film = "assistax-zoo render --task scratch --seed 5"  # though nobody typed a seed
+    assert film in found.report(tmp_path / "xp.html").read_text()
     assert found.pairs.height == 16 and told(found.self_play).n == 4
     found.plot(tmp_path / "xp.png")
     assert (tmp_path / "xp.png").stat().st_size > 1000

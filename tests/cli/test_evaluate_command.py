@@ -144,6 +144,32 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
     assert "reference egos" not in told.err  # played once for all policies
 
 
+def test_a_robot_of_unknown_code_is_replaced_only_if_that_is_asked_for(
+    registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
+    code, policy = tmp_path / "mine.py", f"python:{tmp_path / 'mine.py'}:make"
+    text = "import numpy as np\ndef make():\n    return lambda obs: np.{}((len(obs), 7))\n"
+    code.write_text(text.format("zeros"))
+    out = ["--out", tmp_path / "out", "--json"]
+    assert evaluate(registry, *out, policy=policy) == 0
+    first = json.loads(capfd.readouterr().out)
+    assert "--reuse" in failure(capfd, evaluate(registry, *out, policy=policy))
+    assert evaluate(registry, *out, "--reuse", policy=policy) == 0
+    assert json.loads(capfd.readouterr().out)["m_test"] == first["m_test"]
+    code.write_text(text.format("ones"))
+    for words in ([], ["--reuse"]):
+        refused = failure(capfd, evaluate(registry, *out, *words, policy=policy))
+        assert "another job (other egos)" in refused and "--replace" in refused
+    assert evaluate(registry, *out, "--replace", policy=policy) == 0
+    assert json.loads(capfd.readouterr().out)["m_test"] != first["m_test"]
+    assert call("verify", tmp_path / "out") == 0
+
+
+def test_a_block_does_not_replace_the_others(tmp_path: Path, capfd: Any):
+    words = ["--task", "scratch", "--out", tmp_path, "--block", "1/2", "--replace"]
+    assert "parts of the other blocks" in failure(capfd, call("crossplay", *words))
+
+
 @pytest.mark.parametrize("block", ["0/2", "3/2", "1", "a/b"])
 def test_a_block_is_one_of_n(
     registry: Path, tmp_path: Path, block: str, capfd: pytest.CaptureFixture[str]

@@ -238,3 +238,11 @@ def test_an_onnx_robot_of_release_v0_reaches_what_its_original_does(
         next(one[side]["mean"] for side in ("m_train", "m_test") if one[side]) for one in means
     )
     assert theirs == pytest.approx(ours, rel=0.02)
+
+
+def test_a_remotes_name_commands_no_terminal(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ASSISTAX_ZOO_REMOTE", "hf://a\x1b]0;owned\x07/b")
+    assert run(["config", "remote"]) == 0
+    assert capfd.readouterr().out == "hf://a ]0;owned /b\n"

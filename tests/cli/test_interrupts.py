@@ -150,6 +150,51 @@ def test_a_function_raises_and_leaves_the_interpreter_alive(tmp_path: Path) -> N
     assert done.stdout == "interrupted\n" * 2 + "3 0\n"
 
 
+LAST_MOMENTS = {
+    "lost in a destructor": """
+class Lost:
+    def __del__(self):
+        press()
+work = lambda: Lost() and None
+""",
+    "on the way out": "main.ended_by_interrupts = leaving; work = lambda: None",
+    "at exit": "work = lambda: atexit.register(press)",
+    "at exit, twice": "work = lambda: atexit.register(lambda: (press(), press()))",
+    "at exit after a refusal": "work = lambda: (atexit.register(press), sys.exit(1))",
+}
+
+
+@pytest.mark.parametrize("moment", LAST_MOMENTS)
+def test_ctrl_c_in_the_last_moments_is_one_line(moment: str) -> None:
+    """The work is done, the answer printed, and the interpreter on its way out."""
+    program = """
+import atexit, os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
+from assistax_zoo import main
+
+def press():
+    os.kill(os.getpid(), signal.SIGINT)
+
+ended = main.ended_by_interrupts
+
+class leaving:
+    def __enter__(self):
+        self.inner = ended()
+        self.inner.__enter__()
+    def __exit__(self, *error):
+        press()
+        return self.inner.__exit__(*error)
+
+{moment}
+main.build_app = lambda: type("App", (), {{"__call__": lambda *words, **options: work()}})()
+main._complete_help = lambda app, arguments: None
+sys.exit(main.run())
+"""
+    words = [sys.executable, "-c", program.format(moment=LAST_MOMENTS[moment])]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "error: interrupted\n")
+
+
 def test_ctrl_c_while_the_command_line_is_imported_is_one_line() -> None:
     press = """
 import os, signal, sys

@@ -8,9 +8,11 @@ import polars as pl
 import pytest
 
 from assistax_zoo.main import run
-from evaluation import tables
+from evaluation import provenance, tables
 from evaluation.derived import save_crossplay, save_evaluation
 from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, teams
+
+HOSTILE = "\x1b]0;owned\x07\x9b31m[red]\nverified 9 files\u202e"
 
 
 def call(*words: Any) -> int:
@@ -45,6 +47,48 @@ def test_compare_prints_the_paired_difference(tmp_path: Path, capfd: pytest.Capt
         assert (found[side]["p_positive"], found[side]["partners_better"]) == (1.0, 1.0)
     assert call("compare", b, a) == 0
     assert "test  partners: mean -10.0" in capfd.readouterr().out
+
+
+def test_what_nobody_checked_is_said(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    a, b = evaluated(tmp_path / "a", 10.0), evaluated(tmp_path / "b")
+    assert call("compare", a, b) == 0
+    told = capfd.readouterr().out
+    assert all(f"note: {folder} has no manifest.json: nothing of it" in told for folder in (a, b))
+    provenance.seal(a)
+    assert call("compare", a, b) == 0
+    told = capfd.readouterr().out
+    assert f"{b} has no manifest.json" in told and f"{a} has no" not in told
+    manifest = provenance.read_manifest(b := a) or {}
+    files = {name: manifest["files"][name] for name in manifest["files"] if "episodes" not in name}
+    provenance.write_manifest(b, {"files": files})
+    assert call("compare", a, b) == 0
+    assert "hence not checked: episodes.parquet\n" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize("column", ["key", "steps", "episode"])
+def test_numbers_that_numpy_lacks_get_one_line(tmp_path: Path, column: str, capfd: Any):
+    a = evaluated(tmp_path / "a")
+    table = pl.read_parquet(a / tables.EPISODES_FILE).with_columns(pl.col(column).cast(pl.Int128))
+    tables.write_parquet(table, a / tables.EPISODES_FILE)
+    for words in (("compare", a, a), ("strategies", a)):
+        (a / tables.PAIRS_FILE).write_bytes((a / tables.EPISODES_FILE).read_bytes())
+        assert call(*words) == 1
+        error = capfd.readouterr().err
+        assert f"column '{column}' is Int128; integers of at most 64 bits" in error
+        assert error.count("\n") == 1
+
+
+def test_names_of_a_received_folder_command_no_terminal(
+    tmp_path: Path, crossplay: Path, capfd: pytest.CaptureFixture[str]
+):
+    table = episode_table(clustered_matrix(6, 2)[:, :, None], teams(6), teams(6))
+    evil = pl.col("partner") + HOSTILE
+    table = table.with_columns(partner=evil, partner_team=evil)
+    save_crossplay(tmp_path / "evil", table, CONTEXT)
+    assert call("strategies", tmp_path / "evil") == 0
+    told = capfd.readouterr().out
+    assert "[red]" in told and not set(HOSTILE) & set("\x1b\x9b\x07") & set(told)
+    assert "\nverified" not in told
 
 
 def test_methods_evaluated_unlike_are_not_compared(tmp_path: Path, crossplay: Path, capfd: Any):

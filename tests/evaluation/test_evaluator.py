@@ -16,7 +16,7 @@ from polars.testing import assert_frame_equal
 from evaluation import jobs, tables
 from evaluation.blocks import run_block
 from evaluation.egos import EgoError
-from evaluation.evaluator import PARTS_FOLDER, check_folder, plan_of, run_job
+from evaluation.evaluator import PARTS_FOLDER, check_folder, make_way, plan_of, run_job
 from evaluation.jobs import Job, plan, tile_shape
 from evaluation.provenance import MANIFEST_FILE, file_sha256
 from evaluation.roster import HostEgo, Member, Roster, joined
@@ -287,7 +287,7 @@ def test_a_manifest_that_was_changed_is_refused(tmp_path: Path):
         run_job(MatrixGame(), make_job(seed=1), tmp_path)
 
 
-def test_code_whose_dependencies_are_unknown_is_played_again(tmp_path: Path):
+def test_code_whose_dependencies_are_unknown_neither_answers_nor_replaces(tmp_path: Path):
     """Its source is the same, but a file of weights that it reads may not be."""
     weights = -0.5
 
@@ -297,11 +297,62 @@ def test_code_whose_dependencies_are_unknown_is_played_again(tmp_path: Path):
     job = make_job(host(act, reusable=False))
     first = run_job(MatrixGame(), job, tmp_path)
     weights = 0.5
+    with pytest.raises(ValueError, match=r"python:mine:robot.*reuse=True.*replace=True"):
+        run_job(MatrixGame(), job, tmp_path)
+    assert run_job(MatrixGame(), job, tmp_path, reuse=True).table.equals(first.table)
+    for reuse in (False, True):
+        with pytest.raises(ValueError, match=r"holds another job \(episodes 3 there, 1 here\)"):
+            other = make_job(host(act, reusable=False), episodes=1)
+            run_job(MatrixGame(), other, tmp_path, reuse=reuse)
+    assert tables.read_episodes(tmp_path / tables.EPISODES_FILE).equals(first.table)
+    make_way(MatrixGame(), job, tmp_path)
     second = run_job(MatrixGame(), job, tmp_path)
-    assert second.env_steps_per_second is not None
     assert not second.table["return"].equals(first.table["return"])
+
+
+def test_code_whose_dependencies_are_unknown_does_not_join_parts_of_another(tmp_path: Path):
+    def breaks(obs: np.ndarray) -> np.ndarray:
+        raise RuntimeError("boom")
+
+    egos = joined(robots(-0.5), host(breaks, reusable=False))
+    with pytest.raises(EgoError):
+        run_job(MatrixGame(), make_job(egos), tmp_path, max_envs=3)
+    assert any((tmp_path / PARTS_FOLDER).glob("part-*"))  # of the other robot
+    with pytest.raises(ValueError, match="whether that is still the same robot"):
+        run_job(MatrixGame(), make_job(egos), tmp_path, max_envs=3)
+
+
+def test_a_cache_plays_such_code_again(tmp_path: Path):
     weights = -0.5
-    assert run_job(MatrixGame(), job, tmp_path, reuse=True).table.equals(second.table)
+
+    def act(obs: np.ndarray) -> np.ndarray:
+        return np.full((len(obs), 2), weights)
+
+    job = make_job(host(act, reusable=False))
+    first = run_job(MatrixGame(), job, tmp_path, kept=True)
+    weights = 0.5
+    second = run_job(MatrixGame(), job, tmp_path, kept=True)
+    assert not second.table["return"].equals(first.table["return"])
+
+
+def test_what_makes_way_goes_with_all_that_was_drawn_from_it(tmp_path: Path):
+    run_job(MatrixGame(), make_job(), tmp_path)
+    for name in (*tables.DERIVED_FILES, tables.RUN_FILE, "mine.html"):
+        (tmp_path / name).write_text("{}")
+    with pytest.raises(ValueError, match="is a human policy"):  # nothing is lost to a mistake
+        make_way(MatrixGame(), make_job(humans(0.5)), tmp_path)
+    assert tables.read_episodes(tmp_path / tables.EPISODES_FILE).height == make_job().rows
+    make_way(MatrixGame(), make_job(seed=1), tmp_path)
+    assert [path.name for path in tmp_path.iterdir() if path.name[0] != "."] == ["mine.html"]
+    assert run_job(MatrixGame(), make_job(seed=1), tmp_path).table.height == make_job().rows
+
+
+def test_new_episodes_stand_beside_no_table_of_others(tmp_path: Path):
+    """Of a folder whose manifest was lost: a new one would say that the tables are its own."""
+    (tmp_path / tables.BOUNDS_FILE).write_text("another's")
+    run_job(MatrixGame(), make_job(), tmp_path)
+    manifest = json.loads((tmp_path / MANIFEST_FILE).read_text())
+    assert list(manifest["files"]) == [tables.EPISODES_FILE]
 
 
 def test_a_finished_folder_is_read_not_run_again(tmp_path: Path):

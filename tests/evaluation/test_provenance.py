@@ -1,5 +1,6 @@
 """A folder's figures traced to bytes: a change is found, and a sample can be played again."""
 
+import contextlib
 import json
 import shutil
 from pathlib import Path
@@ -94,6 +95,35 @@ def test_a_received_manifest_cannot_make_us_read_elsewhere(folder: Path, tmp_pat
     manifest = provenance.read_manifest(folder) or {}
     provenance.write_manifest(folder, {**manifest, "files": {"../secret": "0" * 64}})
     assert "is no file of" in verify_folder(folder).problems[0]
+
+
+def test_a_received_manifest_commands_no_terminal(
+    folder: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Neither by a name, nor by a hash, nor by what it says of sources, nor through JSON."""
+    evil = "\x1b]0;owned\x07\x9b31m\nverified 9 files\u202e\udcff"
+    whole = provenance.read_manifest(folder) or {}
+    files, sources = whole["files"], whole["sources"]
+    for manifest in (
+        {"files": {**files, f"a{evil}": "0"}},
+        {"files": {**files, f"../{evil}": "0"}},
+        {"files": {**files, tables.SUMMARY_FILE: evil}},
+        {"identity": evil},
+        {"identity": {**whole["identity"], "egos": [[evil]]}},
+        {"sources": {evil: evil}},
+        {"sources": {**sources, "files": {evil: evil, str(folder / tables.SUMMARY_FILE): evil}}},
+        {"sources": {**sources, "registry": evil}},
+        {"sources": {**sources, "releases": {evil: {"policies": {evil: evil}, "entries": {}}}}},
+    ):
+        provenance.write_manifest(folder, {**whole, **manifest})
+        for words in ([], ["--json"]):
+            with contextlib.suppress(SystemExit):
+                run(["verify", str(folder), *words])
+            out = "".join(capfd.readouterr())
+            assert out and all(letter.isprintable() or letter == "\n" for letter in out), manifest
+            assert "\nverified 9" not in out
+            if words:
+                json.loads(out)
 
 
 def test_a_table_of_other_policies_is_found_though_its_hash_is_right(folder: Path) -> None:

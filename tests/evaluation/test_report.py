@@ -12,11 +12,12 @@ from urllib.parse import urlencode
 
 import jinja2
 import numpy as np
+import polars as pl
 import pytest
 from playwright.sync_api import Browser
 
 from evaluation import derived, relative, tables
-from evaluation.provenance import seal, write_run
+from evaluation.provenance import MANIFEST_FILE, seal, write_manifest, write_run
 from evaluation.report import write_report
 from evaluation.report.matrix_data import matrix_data
 from evaluation.report.page import templates
@@ -26,7 +27,8 @@ from tests.system import CHROMIUM, needs
 
 ROOT = Path(__file__).parents[2]
 HOSTILE = "python:my</script><script>alert(1)</script>&amp;:f"
-COMMAND = "assistax-zoo crossplay --task scratch --seed 5 --out 'x & <y>'"
+COMMAND = "assistax-zoo crossplay --task scratch --seed 7 --out 'x & <y>'"
+IDENTITY = {"task": "scratch", "seed": 5, "apart": False, "egos": [], "partners": []}
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +40,7 @@ def crossplay(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
     derived.save_crossplay(folder, table, CONTEXT)
+    write_manifest(folder, {"identity": IDENTITY})
     write_run(folder, COMMAND, simulated=True)
     return folder
 
@@ -101,7 +104,7 @@ def test_a_report_loads_nothing_from_elsewhere(crossplay: Path, evaluation: Path
 
 def test_a_crossplay_is_told_with_command_versions_and_hashes(crossplay: Path, tmp_path: Path):
     text = page_of(crossplay, tmp_path)
-    assert "--task scratch --seed 5 --out &#39;x &amp; &lt;y&gt;&#39;" in text
+    assert "--task scratch --seed 7 --out &#39;x &amp; &lt;y&gt;&#39;" in text
     for told in (
         "Cross-play: scratch",
         "scratch-half-v0",
@@ -113,6 +116,24 @@ def test_a_crossplay_is_told_with_command_versions_and_hashes(crossplay: Path, t
         assert told in text
     assert text.count("<tr>") > 20
     assert page_of(crossplay, tmp_path) == text
+
+
+def test_tables_of_other_options_go(evaluation: Path, crossplay: Path, tmp_path: Path):
+    """The same job without references has no regret; an evaluation is no cross-play."""
+    folder = Path(shutil.copytree(evaluation, tmp_path / "mine"))
+    shutil.copy(crossplay / tables.PAIRS_FILE, folder)
+    assert "regret" in page_of(folder, tmp_path)
+    table = tables.read_episodes(folder / tables.EPISODES_FILE)
+    derived.save_evaluation(folder, table, CONTEXT)
+    seal(folder)
+    assert "regret" not in page_of(folder, tmp_path)
+    gone = {tables.REFERENCES_FILE, tables.BOUNDS_FILE, tables.PAIRS_FILE}
+    assert gone.isdisjoint(path.name for path in folder.iterdir())
+    played = Path(shutil.copytree(crossplay, tmp_path / "xp"))
+    shutil.copy(evaluation / tables.PROFILE_FILE, played)
+    derived.save_crossplay(played, tables.read_episodes(played / tables.EPISODES_FILE), CONTEXT)
+    assert not (played / tables.PROFILE_FILE).exists()
+    assert (played / tables.STRATEGIES_FILE).exists()
 
 
 def test_an_evaluation_is_told_with_its_references(evaluation: Path, tmp_path: Path):
@@ -280,6 +301,40 @@ def test_a_browser_draws_the_matrix_and_finds_a_pair(crossplay: Path, tmp_path: 
         (tmp_path / "report.html").read_text().replace("const data =", "throw 1; const data =")
     )
     assert coloured(broken.as_uri(), tmp_path) < 0.05
+
+
+def film_of(page: str) -> dict[str, Any] | None:
+    data = re.search(r'id="matrix-data">(.*?)</script>', page)
+    assert data is not None
+    return json.loads(data[1])["film"]
+
+
+def test_a_film_is_of_the_episode_that_the_manifest_names(crossplay: Path, tmp_path: Path):
+    """Not of what somebody typed: from Python, nothing was."""
+    film = {"command": "assistax-zoo render --task scratch --seed 5", "wishes": {}}
+    assert film_of(page_of(crossplay, tmp_path)) == film
+    folder = Path(shutil.copytree(crossplay, tmp_path / "xp"))
+    table = tables.read_episodes(folder / tables.EPISODES_FILE)
+    wish = pl.when(pl.col("partner_seed") == 0).then(pl.lit("p3")).otherwise(pl.lit("p5"))
+    likes = pl.when(pl.col("episode") == 0).then(wish).otherwise(pl.lit("p1"))
+    tables.write_episodes(table.with_columns(preference=likes), folder / tables.EPISODES_FILE)
+    gentle = {**IDENTITY, "task": "x; rm -r .", "preferences": ["p1", "p3", "p5"]}
+    write_manifest(folder, {"identity": gentle})
+    seal(folder)
+    found = film_of(page_of(folder, tmp_path))
+    assert found is not None and "--task 'x; rm -r .' --seed 5" in found["command"]
+    assert sorted(found["wishes"]) == sorted(set(table["partner"]))
+    assert {found["wishes"][f"{team_id(('ippo', 'd1', 0))}/human"]} == {"p3"}
+    assert set(found["wishes"].values()) == {"p3", "p5"}
+    write_manifest(folder, {"identity": {**IDENTITY, "apart": True}})
+    seal(folder)
+    assert film_of(page_of(folder, tmp_path)) is None
+    assert "nothing of it was checked" not in page_of(folder, tmp_path)
+    (folder / MANIFEST_FILE).unlink()
+    page = page_of(folder, tmp_path)
+    assert film_of(page) is None and "nothing of it was checked" in page
+    write_manifest(folder, {"identity": IDENTITY, "files": {}})
+    assert "hence not checked: episodes.parquet, pairs.parquet" in page_of(folder, tmp_path)
 
 
 @pytest.fixture(scope="module")

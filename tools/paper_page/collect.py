@@ -165,8 +165,7 @@ def how_it_ran(
     `steps` are those of the simulation; without them, those of its episodes.
     """
     if steps is None:
-        episodes = pl.scan_parquet(folder / tables.EPISODES_FILE)
-        steps = int(episodes.select(pl.col("steps").sum()).collect().item())
+        steps = int(tables.read_parquet(folder / tables.EPISODES_FILE)["steps"].sum())
     rate = summary["env_steps_per_second"]
     return {
         **_run_of(folder),

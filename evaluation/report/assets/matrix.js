@@ -316,8 +316,12 @@ function crossPlayMatrix(data, options = {}) {
     const names = { robot: robot(pair[0]).name, human: human(pair[1]).name };
     history.replaceState(null, "", `#${new URLSearchParams(names)}`);
     byId("pair-address").textContent = location.href;
+    byId("pair-command").parentElement.hidden = !data.film;
+    if (!data.film) return;
     const seats = `--robot ${quoted(names.robot)} --human ${quoted(names.human)}`;
-    byId("pair-command").textContent = `${data.film} ${seats} --out pair.mp4`;
+    const wish = data.film.wishes[names.human];
+    const likes = wish ? ` --preference ${quoted(wish)}` : "";
+    byId("pair-command").textContent = `${data.film.command} ${seats}${likes} --out pair.mp4`;
   }
 
   async function copy(button) {
