@@ -285,7 +285,7 @@ def _table_problems(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
     doubled = table.height - table.select("ego", "partner", "episode").n_unique()
     if not problems and (doubled or table.height != rows):
         problems = [
-            f"{path} has {table.height} rows, {doubled} of them twice; the manifest's job has {rows}"
+            f"{path} has {table.height} rows, {doubled} of them twice; the manifest's job: {rows}"
         ]
     return problems
 
