@@ -209,11 +209,15 @@ def describe_machine() -> dict[str, Any]:
 
 
 def processor() -> str:
-    """Return the processor's name, as Linux tells it, or the machine's type elsewhere."""
+    """Return the processor's name, as Linux tells it, or the machine's type elsewhere.
+
+    XLA's own options of what it may use of a processor make another one of it.
+    """
     told = Path("/proc/cpuinfo")
     lines = told.read_text().splitlines() if told.is_file() else []
     names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(names, platform.machine())
+    options = [word for word in os.environ.get("XLA_FLAGS", "").split() if "xla_cpu" in word]
+    return " ".join([next(names, platform.machine()), *sorted(options)])
 
 
 def write_run(folder: Path, command: str, simulated: bool) -> None:
