@@ -100,7 +100,7 @@ def test_no_false_figure_passes(honest: Path, zoo: Registry, tmp_path: Path, of:
         for trial in range(count):
             kind = kinds[trial % len(kinds)]
             rng = random.Random(f"{of} {trial}")
-            with ledger.trial(f"{kind.__name__} {trial}"):
+            with ledger.trial(f"{getattr(kind, '__name__', kind)} {trial}"):
                 place = tmp_path / f"{of}{trial}"
                 folder = forging.forged(
                     honest / of, place, kind, zoo, rng=rng, better=honest / "better"
