@@ -167,6 +167,8 @@ def _robots(names: Sequence[str], registry: Registry, task: str, run_code: bool)
 def _job_of(
     identity: Mapping[str, Any], env: Any, egos: Roster, partners: Roster, sides: Mapping[str, str]
 ) -> Job:
+    preferences = tuple(identity.get("preferences", ()))
+    by_side = identity.get("side_preferences", {}) if preferences else {}
     return Job(
         task=identity["task"],
         env_version=env.version,
@@ -180,10 +182,8 @@ def _job_of(
         sides=sides,
         paired=False,  # of references alone
         apart=identity["apart"],
-        preferences=tuple(identity.get("preferences", ())),
-        side_preferences={
-            side: tuple(names) for side, names in identity.get("side_preferences", {}).items()
-        },
+        preferences=preferences,
+        side_preferences={side: tuple(names) for side, names in by_side.items()},
         series=identity.get("series", 1),
     )
 

@@ -31,6 +31,7 @@ pytestmark = pytest.mark.attack
 REFUSALS = (ZooError, ValueError, OSError)
 ROBOTS = [f"scratch/ippo-d1-s{seed}-v1/robot" for seed in (0, 1, 2, 3)]
 HUMANS = "scratch/ippo-d[239]-s[0-2]-v1/human"
+PLAYING = 600.0  # seconds of a trial: programs are compiled, and episodes are a thousand steps
 SETTINGS = Settings("scratch", 6, backend="fused")
 
 
@@ -95,7 +96,7 @@ def test_no_false_figure_passes(honest: Path, zoo: Registry, tmp_path: Path, of:
     kinds = forging.EVALUATION if of == "evaluation" else forging.CROSSPLAY
     true = judged(honest / of, zoo)
     assert true is not None and true.ok and true.exact, true
-    with attack(f"forged folders: {of}") as ledger:
+    with attack(f"forged folders: {of}", PLAYING) as ledger:
         count = ledger.wanted(12 * len(kinds)) if of == "evaluation" else ledger.wanted(96)
         for trial in range(count):
             kind = kinds[trial % len(kinds)]
@@ -139,7 +140,7 @@ for trial in range(int(sys.argv[2])):
 
 def test_honest_folders_of_another_processor_pass(zoo: Registry, tmp_path: Path) -> None:
     """Played without fused multiply-adds and with half the vectors, as the XLA option has it."""
-    with attack("honest folders of another processor") as ledger:
+    with attack("honest folders of another processor", PLAYING) as ledger:
         count = ledger.wanted(20)
         words = [sys.executable, "-c", OTHER, str(tmp_path), str(count)]
         environment = {**os.environ, "XLA_FLAGS": "--xla_cpu_max_isa=AVX"}

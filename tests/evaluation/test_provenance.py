@@ -275,6 +275,7 @@ def test_what_cannot_be_replayed_says_why(folder: Path, registry: Registry) -> N
     refused("egos differ", egos=[[robot, "0" * 64]])
     refused("env_version differ", env_version=7)
     refused("extra differ", extra=1)
+    refused("side_preferences differ", side_preferences={"test": ["p1"]})
     refused(
         "partners differ", partners=[[*row[:2], "train", *row[3:]] for row in identity["partners"]]
     )
