@@ -33,6 +33,7 @@ FILES = (
 # Drawn from the episodes, with the options of the command that drew them.
 DERIVED_FILES = tuple(name for name in FILES if name not in (EPISODES_FILE, RUN_FILE))
 
+LARGEST_JSON = 1 << 26  # bytes of a file that is read; a matrix of all teams has less than a 30th
 SIDES = ("train", "test")
 TERM_PREFIX = "term_"
 
@@ -312,8 +313,10 @@ def read_json(path: Path) -> dict:
     """Read a JSON object; a missing or damaged file is reported with its path."""
     _check_there(path)
     try:
+        if (size := path.stat().st_size) > LARGEST_JSON:
+            raise ValueError(f"it has {size} bytes; at most {LARGEST_JSON} are read")
         content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(
             f"{path} is not readable JSON ({error}); delete it and run again"
         ) from error

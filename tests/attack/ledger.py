@@ -23,8 +23,8 @@ SECONDS, MEMORY = 30.0, 1 << 30  # that a trial may take
 class Ledger:
     """The trials of one family; a failed one does not stop those after it."""
 
-    def __init__(self, family: str) -> None:
-        self.family, self.trials = family, 0
+    def __init__(self, family: str, seconds: float = SECONDS) -> None:
+        self.family, self.trials, self.seconds = family, 0, seconds
         self.slowest = self.largest = 0.0  # seconds without waiting for a processor; MiB
         self.struck = 0  # trials whose kill or interrupt came before the command's end
         self.failures: list[str] = []
@@ -64,7 +64,7 @@ class Ledger:
     def _bounded(self, seconds: float, memory: int) -> None:
         self.slowest = max(self.slowest, seconds)
         self.largest = max(self.largest, memory / (1 << 20))
-        assert seconds < SECONDS, f"took {seconds:.0f} s"
+        assert seconds < self.seconds, f"took {seconds:.0f} s"
         assert memory < MEMORY, f"took {memory >> 20} MiB"
 
     def close(self) -> None:
@@ -86,9 +86,9 @@ class Ledger:
 
 
 @contextlib.contextmanager
-def attack(family: str) -> Generator[Ledger]:
-    """Lend a ledger, and close it."""
-    ledger = Ledger(family)
+def attack(family: str, seconds: float = SECONDS) -> Generator[Ledger]:
+    """Lend a ledger, and close it; a trial may take so many seconds."""
+    ledger = Ledger(family, seconds)
     yield ledger
     ledger.close()
 

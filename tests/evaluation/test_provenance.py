@@ -2,18 +2,24 @@
 
 import contextlib
 import json
+import random
 import shutil
+import tracemalloc
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 import pytest
 
 from assistax_zoo.main import run
-from evaluation import provenance, replay, tables
+from evaluation import provenance, rederive, replay, tables
 from evaluation.provenance import verify_folder
 from evaluation.replay import replay_folder
+from evaluation.replay_job import rebuild_job
 from evaluation.studies import Settings, evaluate_policies
 from tests import untrained
+from tests.attack import forging
+from tests.attack.forging import Forger
 from zoo.registry import Registry, load_registry
 
 STEPS = 20
@@ -126,6 +132,46 @@ def test_a_received_manifest_commands_no_terminal(
                 json.loads(out)
 
 
+def reidentified(folder: Path, **changes: Any) -> None:
+    """Write another identity into a manifest, consistently, as whoever sends a folder can."""
+    manifest = provenance.read_manifest(folder) or {}
+    identity = {**manifest["identity"], **changes}
+    job = provenance.identity_digest(identity)
+    provenance.write_manifest(folder, {**manifest, "identity": identity, "job": job})
+
+
+@pytest.mark.parametrize("episodes", [10**6, 2.0, True, -1, "2", None])
+def test_a_received_number_takes_no_memory(folder: Path, episodes: Any) -> None:
+    reidentified(folder, episodes=episodes)
+    tracemalloc.start()
+    report = verify_folder(folder)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert "other episodes than the manifest" in report.problems[0] and most < 1 << 22
+
+
+def test_links_in_place_of_files_are_not_followed(folder: Path) -> None:
+    """One to a pipe or to `/proc/kmsg` would never end."""
+    for name in (tables.SUMMARY_FILE, tables.EPISODES_FILE, provenance.MANIFEST_FILE):
+        whole = (folder / name).read_bytes()
+        (folder / name).unlink()
+        (folder / name).symlink_to("/proc/self/environ")
+        assert "no regular file" in verify_folder(folder).problems[0]
+        with pytest.raises(ValueError, match="no regular file"):
+            provenance.check_whole(folder)
+        (folder / name).unlink()
+        (folder / name).write_bytes(whole)
+    assert verify_folder(folder).ok
+
+
+def test_missing_and_doubled_rows_are_found(folder: Path) -> None:
+    table = tables.read_episodes(folder / tables.EPISODES_FILE)
+    for rows in (table.head(-1), pl.concat([table, table.head(1)])):
+        tables.write_episodes(rows, folder / tables.EPISODES_FILE)
+        provenance.seal(folder)
+        assert "rows" in verify_folder(folder).problems[0]
+
+
 def test_a_table_of_other_policies_is_found_though_its_hash_is_right(folder: Path) -> None:
     table = tables.read_episodes(folder / tables.EPISODES_FILE)
     other = table.with_columns(pl.lit("scratch/ippo-d1-s1-v0/robot").alias("ego"))
@@ -142,42 +188,135 @@ def test_a_sample_played_again_is_the_same_to_the_last_bit(
     assert (report.episodes, report.differing) == (8, 0)
 
 
-def changed(folder: Path, factor: float) -> None:
-    """Change every return, and seal the folder as if it had been written so."""
-    table = tables.read_episodes(folder / tables.EPISODES_FILE)
-    tables.write_episodes(
-        table.with_columns(pl.col("return") * factor), folder / tables.EPISODES_FILE
-    )
-    provenance.seal(folder)
+def changed(folder: Path, registry: Registry, factor: float) -> None:
+    """Change every return, draw all figures from them, and seal the folder."""
+    forger = Forger(folder, registry, random.Random(0), folder)
+    forger.scale(pl.lit(value=True), factor)
+    forger.close()
 
 
 def test_figures_that_nobody_played_are_found(
     folder: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Planted: consistent hashes over returns that are a millionth, or a half, too high."""
-    changed(folder, 1.000001)
-    assert not replay_folder(folder, registry).ok
+    """Planted: consistent hashes over returns that nobody played, and figures drawn of them."""
+    changed(folder, registry, 1.00001)
+    report = replay_folder(folder, registry, sample=1)
+    assert not report.ok and report.differing == 8 and "other values" in report.problems[0]
     monkeypatch.setattr(replay.provenance, "processor", lambda: "another")
-    elsewhere = replay_folder(folder, registry)
+    elsewhere = replay_folder(folder, registry, sample=1)
     assert elsewhere.ok and not elsewhere.exact and "other processor" in elsewhere.why
-    changed(folder, 1.5)
-    assert not replay_folder(folder, registry).ok
+    assert (elsewhere.differing, elsewhere.tolerance > 0) == (8, True)
+    changed(folder, registry, 1000)
+    assert "return of " in " ".join(replay_folder(folder, registry, sample=1).problems)
+
+
+def test_the_same_bits_are_taken_whatever_machine_is_named(
+    folder: Path, registry: Registry
+) -> None:
+    manifest = provenance.read_manifest(folder) or {}
+    for made in ({}, None, [7], {"versions": None, "processor": {}}):
+        provenance.write_manifest(folder, {**manifest, "made_with": made})
+        report = replay_folder(folder, registry, sample=1)
+        assert report.ok and report.exact and "the same bits, though" in report.why
+
+
+def test_references_are_played_again_too(folder: Path, registry: Registry) -> None:
+    report = replay_folder(folder, registry, sample=1)
+    assert report.references == report.of_references == 36
+    forger = Forger(folder, registry, random.Random(0), folder)
+    forging.bounds_moved(forger)
+    report = replay_folder(folder, registry, sample=1)
+    assert not report.ok and "other values" in report.problems[0]
+
+
+def test_the_sample_is_another_each_time_and_can_be_repeated(
+    folder: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A forger who knew it would leave those episodes as they were."""
+    monkeypatch.setattr(rederive, "derived_problems", lambda *args, **options: [])
+    chosen: list[Any] = []
+
+    class Seen(replay.Runner):
+        def run(self, chunks: Any, save: Any, meter: Any = None) -> None:
+            chosen.append([chunk.tiles for chunk in chunks])
+            raise ValueError("seen")
+
+    monkeypatch.setattr(replay, "Runner", Seen)
+    monkeypatch.setattr("evaluation.jobs.SMALL_JOB", 1)
+    monkeypatch.setattr("evaluation.replay_job._tile_envs", lambda backend, manifest: 1)
+    for seed in (*[None] * 20, 3, 3):
+        with pytest.raises(ValueError, match="seen"):
+            replay_folder(folder, registry, sample=1, seed=seed)
+    assert len({repr(tiles) for tiles in chosen[:20]}) > 1 and chosen[20] == chosen[21]
+
+
+def test_every_figure_is_drawn_again(folder: Path, registry: Registry) -> None:
+    """Of each kind of file, one number that is another, sealed."""
+    manifest = (folder / provenance.MANIFEST_FILE).read_bytes()
+    for name in (tables.SUMMARY_FILE, *DERIVED):
+        path = folder / name
+        whole = path.read_bytes()
+        if name.endswith(".json"):
+            content = tables.read_json(path)
+            content["m_test"]["mean"] *= 1.01
+            tables.write_json(content, path)
+        else:
+            table = tables.read_parquet(path)
+            last = [name for name, kind in table.schema.items() if kind.is_float()][-1]
+            tables.write_parquet(table.with_columns(pl.col(last).fill_null(0) + 0.1), path)
+        provenance.seal(folder)
+        report = replay_folder(folder, registry)
+        assert not report.ok and name in report.problems[0] and not report.episodes, report
+        path.write_bytes(whole)
+        (folder / provenance.MANIFEST_FILE).write_bytes(manifest)
+
+
+DERIVED = (tables.PARTNERS_FILE, tables.PROFILE_FILE, tables.BOUNDS_FILE)
+
+
+def test_a_column_that_no_episode_has_is_found(folder: Path, registry: Registry) -> None:
+    forger = Forger(folder, registry, random.Random(0), folder)
+    forger.table = forger.table.with_columns(pl.lit(1, pl.Float32).alias("term_bonus"))
+    forger.close()
+    report = replay_folder(folder, registry, sample=1)
+    assert not report.ok and "term_bonus" in report.problems[0]
+
+
+def test_a_part_of_the_partners_is_said(folder: Path, registry: Registry) -> None:
+    forger = Forger(folder, registry, random.Random(0), folder)
+    forging.partner_dropped(forger)
+    report = replay_folder(folder, registry, sample=1)
+    assert "3 of 4 test partners" in report.unchecked[0]
 
 
 def test_what_cannot_be_replayed_says_why(folder: Path, registry: Registry) -> None:
     manifest = provenance.read_manifest(folder) or {}
     identity = manifest["identity"]
-    code = {**identity, "egos": [["python:evil.py:make", "0"]]}
-    with pytest.raises(ValueError, match="is code, and the folder names it"):
-        replay._rebuild(code, registry, run_code=False)
-    other = {**identity, "egos": [[identity["egos"][0][0], "0" * 64]]}
-    provenance.write_manifest(
-        folder, {**manifest, "identity": other, "job": provenance.identity_digest(other)}
+    robot = identity["egos"][0][0]
+
+    def refused(reason: str, cut: Any = None, **changes: Any) -> None:
+        other = {**identity, **changes}
+        with pytest.raises(ValueError, match=reason):
+            rebuild_job(folder, {**manifest, "identity": other, **(cut or {})}, registry)
+
+    refused("is code, and the folder names it", egos=[["python:evil.py:make", "0"]])
+    refused("nobody else has it", egos=[["object:Robot-0", "0"]])
+    refused("is not here", egos=[["/gone/mine.safetensors", "0"]])
+    refused("egos differ", egos=[[robot, "0" * 64]])
+    refused("env_version differ", env_version=7)
+    refused("extra differ", extra=1)
+    refused("side_preferences differ", side_preferences={"test": ["p1"]})
+    refused(
+        "partners differ", partners=[[*row[:2], "train", *row[3:]] for row in identity["partners"]]
     )
+    for cut in (1, 511, 98304, 10**12, None, "x", True, -1):
+        refused("tile_envs is", {"tile_envs": cut})
+    refused("max_envs is", {"max_envs": 10**12})
+    reidentified(folder, egos=[[robot, "0" * 64]])
     with pytest.raises(ValueError, match="egos differ"):
         replay_folder(folder, registry)
     provenance.write_manifest(folder, {**manifest, "max_envs": None})
-    with pytest.raises(ValueError, match="names no job"):
+    with pytest.raises(ValueError, match="max_envs is None"):
         replay_folder(folder, registry)
     (folder / tables.SUMMARY_FILE).write_text("{}")
     with pytest.raises(ValueError, match="is not replayed"):
@@ -192,9 +331,10 @@ def test_the_commands_say_what_they_found(
     given = ["--registry", str(registry.path)]
     assert run(["verify", str(folder)]) == 0
     assert "verified 6 files" in capfd.readouterr().out
-    assert run(["replay", str(folder), *given]) == 0
-    assert "8 episodes" in capfd.readouterr().out
-    changed(folder, 1.5)
+    assert run(["replay", str(folder), *given, "--seed", "5"]) == 0
+    told = capfd.readouterr().out
+    assert "sample of seed 5: 8 of 8 episodes and 36 of 36 of the references" in told
+    changed(folder, load_registry(registry.path), 1.5)
     with pytest.raises(SystemExit, match="1"):
         run(["replay", str(folder), *given, "--json"])
     assert json.loads(capfd.readouterr().out)["differing"] == 8

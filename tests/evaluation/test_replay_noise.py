@@ -1,0 +1,116 @@
+"""What another processor may make of episodes passes, and what a forger would gain does not."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from assistax_envs.versions import TASKS
+from evaluation.replay_noise import (
+    QUANTILES,
+    mean_tolerance,
+    measure_noise,
+    measured_columns,
+    noise_problems,
+    read_noise,
+)
+
+EGOS, PARTNERS, EPISODES = 2, 9, 8
+
+
+@pytest.fixture
+def found() -> pl.DataFrame:
+    """Episodes of two robots that earn what published ones do, with what a scratch table has."""
+    rng = np.random.default_rng(0)
+    size = EGOS * PARTNERS * EPISODES
+    row = np.arange(size)
+    columns = {name: rng.normal(10, 1, size) for name in read_noise("scratch")}
+    flags = {name: np.ones(size, bool) for name in ("success", "nonfinite")}
+    return pl.DataFrame(
+        {
+            "ego": [f"robot{place}" for place in row // (PARTNERS * EPISODES)],
+            "partner": [f"human{place}" for place in row // EPISODES % PARTNERS],
+            "episode": row % EPISODES,
+            "ego_seed": 0,
+            "key": 7,
+            **columns,
+            **flags,
+            "steps": 1000,
+            "return": rng.normal(950, 100, size),
+        }
+    )
+
+
+def raised(table: pl.DataFrame, rows: pl.Expr, by: float) -> pl.DataFrame:
+    value = pl.when(rows).then(pl.col("return") * by).otherwise(pl.col("return"))
+    return table.with_columns(value.alias("return"))
+
+
+def test_every_task_was_measured_and_every_column_of_it() -> None:
+    for task in TASKS:
+        noise = read_noise(task)
+        assert {"return", "success", "force_mean", "steps", "nonfinite"} <= set(noise)
+        for scale in noise.values():
+            assert len(scale["quantiles"]) == len(QUANTILES)
+            assert sorted(scale["quantiles"]) == scale["quantiles"]
+            assert scale["rms"] <= scale["largest"]
+    with pytest.raises(ValueError, match="never measured"):
+        read_noise("juggling")
+
+
+def test_what_processors_do_passes(found: pl.DataFrame) -> None:
+    """Last bits everywhere, a little in a tenth of the episodes, one that is wholly another."""
+    rng = np.random.default_rng(1)
+    gaps = rng.normal(0, 0.5, found.height)
+    some = rng.random(found.height) < 0.1
+    gaps[some] += rng.normal(0, 30, some.sum())
+    gaps[5] = 450
+    kept = found.with_columns(pl.col("return") + pl.Series(gaps))
+    assert noise_problems("scratch", kept, found) == []
+
+
+@pytest.mark.parametrize(
+    ("rows", "by"),
+    [
+        (pl.col("ego") == "robot0", 1.05),
+        (pl.col("ego") == "robot0", 0.95),
+        (pl.col("episode") < 5, 1.08),  # of most episodes
+        (pl.col("episode") < 3, 1.3),  # of some, by much
+        (pl.col("partner") == "human3", 1.25),
+        ((pl.col("partner") == "human3") & (pl.col("ego") == "robot1"), 1.4),
+    ],
+)
+def test_a_bias_is_found(found: pl.DataFrame, rows: pl.Expr, by: float) -> None:
+    problems = noise_problems("scratch", raised(found, rows, by), found)
+    assert problems and all(problem.startswith("return of ") for problem in problems)
+
+
+def test_every_column_is_compared(found: pl.DataFrame) -> None:
+    for name in measured_columns(found):
+        column = ~pl.col(name) if found[name].dtype == pl.Boolean else pl.col(name) * 1.5 + 400
+        problems = noise_problems("scratch", found.with_columns(column), found)
+        assert any(problem.startswith(f"{name} of ") for problem in problems), name
+    strange = found.with_columns(term_bonus=pl.lit(1.0))
+    assert "never measured" in noise_problems("scratch", strange, strange)[0]
+
+
+def test_the_scale_is_that_of_the_wildest_robot(found: pl.DataFrame) -> None:
+    """So that a robot which differs as those that were measured is not taken for forged."""
+    other = raised(found, pl.col("ego") == "robot1", 1.1)
+    scale = measure_noise(found, other)["return"]
+    gaps = (other["return"] - found["return"]).filter(found["ego"] == "robot1").to_numpy()
+    assert scale["largest"] == pytest.approx(gaps.max(), rel=0.1)
+    assert scale["rms"] == pytest.approx(np.sqrt(np.mean(gaps**2)), rel=0.1)
+    assert scale["quantiles"][0] == pytest.approx(np.median(gaps), rel=0.1)
+    assert measure_noise(found, found)["return"]["rms"] == 0
+
+
+def test_the_detectable_bias_is_what_the_docs_say() -> None:
+    """Of the mean return of one robot with 486 episodes, 27 partners times 18."""
+    told = {"scratch": 926, "bed_bath": 814, "arm_assist": 4232, "gentle_lift": 473}
+    shares = {
+        task: mean_tolerance(read_noise(task)["return"], 486) / mean for task, mean in told.items()
+    }
+    assert {task: round(100 * share, 1) for task, share in shares.items()} == SHARES
+
+
+SHARES = {"scratch": 2.6, "bed_bath": 2.5, "arm_assist": 0.9, "gentle_lift": 9.7}
