@@ -103,17 +103,21 @@ def test_every_page_is_there_and_holds_nothing_inline(
 def test_of_robots_that_were_handed_in_it_is_said_that_training_is_not_known(
     client: TestClient,
 ) -> None:
-    """Rows to measure by have partners met in training that are known: none."""
+    """The rows to measure by were trained with no partner of the panel."""
     board = client.get("/tasks/scratch").text
     assert "Partners met in training: not known" in board
-    rows = re.findall(r'<tr role="row"( class="reference")?>.*?href="([^"]+)"', board, re.DOTALL)
+    rows = [row for row in board.split('<tr role="row"')[1:] if 'href="/submissions/' in row]
     handed_in, measure = (
-        [address for reference, address in rows if bool(reference) is wanted]
+        [
+            re.findall(r'href="(/submissions/[^"]+)"', row)[0]
+            for row in rows
+            if row.startswith(' class="reference"') is wanted
+        ]
         for wanted in (False, True)
     )
     line = "partners met in training: not known"
     assert handed_in and all(line in client.get(address).text for address in handed_in)
-    assert all(line not in client.get(address).text for address in measure)
+    assert measure and all(line not in client.get(address).text for address in measure)
 
 
 def test_a_hostile_name_stays_a_text(client: TestClient) -> None:
