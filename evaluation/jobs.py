@@ -19,8 +19,8 @@ from evaluation.roster import HostEgo, Member, Roster
 
 # Goes up when the same job would give other tables. 2: columns of behaviour. 3: tiles, by which
 # values differ in the last bit. 4: disability settings by value, and the engine. 5: policies of
-# several networks in one tile.
-EVALUATOR_VERSION = 5
+# several networks in one tile. 6: the intervals of partners' means are of new starts too.
+EVALUATOR_VERSION = 6
 # Most simulations at once, on the backends whose tiles are the job's own: on `native` more are no
 # faster on two cores; on `fused` two cores do not care either.
 TILE_ENVS = {"native": 512, "fused": 32768}

@@ -16,6 +16,7 @@ from evaluation import tables
 from evaluation.derived import save_crossplay, save_evaluation
 from evaluation.evaluator import in_order
 from evaluation.jobs import Job, Tile
+from evaluation.met_partners import MetPartners
 from evaluation.relative import COLUMN, CROSS_PLAY, bounds_table
 from evaluation.runner import planned_rows
 from evaluation.summary import Context
@@ -46,6 +47,7 @@ def derived_problems(
     folder: Path,
     table: pl.DataFrame,
     context: Context,
+    met: MetPartners,
     *,
     is_crossplay: bool,
     references: pl.DataFrame | None,
@@ -57,6 +59,7 @@ def derived_problems(
         folder: A verified folder.
         table: Its episodes.
         context: What they do not say, from the registry and the job.
+        met: Which partners the robots met in training.
         is_crossplay: Whether the folder is one.
         references: The reference egos' episodes, if the folder has them.
         crossplay: Pairs of the cross-play whose robots may be best responses.
@@ -64,13 +67,14 @@ def derived_problems(
     with tempfile.TemporaryDirectory() as name:
         fresh = Path(name)
         if is_crossplay:
-            save_crossplay(fresh, table, context)
+            save_crossplay(fresh, table, context, met)
             return list(_file_problems(folder, fresh))
         drawn = None if references is None else (references, bounds_table(references, crossplay))
         found: list[str] = []
         for include_own in (False, True):  # a note of the summary says which
+            options = {"include_own": include_own, "references": drawn, "met": met}
             try:
-                save_evaluation(fresh, table, context, include_own=include_own, references=drawn)
+                save_evaluation(fresh, table, context, **options)
             except ValueError as error:  # all partners are the robots' own
                 found = found or [str(error)]
                 continue

@@ -168,6 +168,7 @@ def _written_problems(
             folder,
             parts[0].kept,
             rebuilt.context,
+            rebuilt.met,
             is_crossplay=is_crossplay,
             references=references,
             crossplay=pairs,

@@ -13,6 +13,7 @@ from typing import Any
 from evaluation.egos import read_egos
 from evaluation.evaluator import Evaluation
 from evaluation.jobs import GPU_TILE_ENVS, TILE_ENVS, Job
+from evaluation.met_partners import MetPartners, declare, met_partners
 from evaluation.policy_reference import parse_reference
 from evaluation.provenance import received_sha256
 from evaluation.roster import Roster, registry_roster
@@ -36,6 +37,7 @@ class RebuiltJob:
     split: Split | None
     partners: Sequence[PolicyEntry]  # in the registry's order
     context: Context
+    met: MetPartners
     tile_envs: int
     unchecked: tuple[str, ...]
 
@@ -56,6 +58,8 @@ def rebuild_job(
     partners = [registry.policy(row[0]) for row in identity["partners"]]
     split = _split_of(summary, registry, task)
     egos = _robots([row[0] for row in identity["egos"]], registry, task, run_code)
+    declared = manifest.get("met", {}).get("declared")
+    egos = declare(egos, registry, task, declared)
     played = [*partners, *(entry for entry in registry.policies if entry.id in egos.members)]
     check_env_version(registry, played)
     env = make(task, backend=identity["backend"])
@@ -77,8 +81,9 @@ def rebuild_job(
         split,
         partners,
         dataclasses.replace(context, engine=identity["engine"]),
+        met_partners(egos, partners),
         _tile_envs(job.backend, manifest),
-        tuple(_parts(summary, registry, job, split, partners)),
+        (*_parts(summary, registry, job, split, partners), *_claims(declared)),
     )
 
 
@@ -236,6 +241,11 @@ def _parts(
             for role, seat in (("robot", job.egos), ("human", job.partners))
         ]
     return [f"{few} of {all_} {what} were played" for what, few, all_ in counts if few != all_]
+
+
+def _claims(declared: Any) -> list[str]:
+    """Say that whom the robots met in training was declared."""
+    return ["partners met in training: as declared"] if declared else []
 
 
 def _count(job: Job, side: str) -> int:
