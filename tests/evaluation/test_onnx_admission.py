@@ -11,10 +11,9 @@ import onnxruntime
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from assistax_zoo.service import onnx_admission, onnx_program
-from assistax_zoo.service.onnx_admission import ATTRIBUTES, admit_onnx
-from assistax_zoo.service.problems import Refusal
-from evaluation import onnx_ego
+from evaluation import onnx_admission, onnx_ego, onnx_program
+from evaluation.onnx_admission import ATTRIBUTES, admit_onnx
+from evaluation.onnx_ego import StrangerError
 from population.onnx_export import to_onnx
 from population.policy import Policy
 from population.spec import PolicySpec
@@ -199,7 +198,7 @@ def _loop(proto: Any) -> None:
     ],
 )
 def test_what_is_not_on_the_list_is_refused(change: Any, code: str) -> None:
-    with pytest.raises(Refusal) as refusal:
+    with pytest.raises(StrangerError) as refusal:
         admit_onnx(changed(change), OBS, ACT)
     assert refusal.value.code == code
 
@@ -209,7 +208,7 @@ def test_a_graph_that_would_fill_the_memory_is_refused_before_it_does() -> None:
     bomb = model(
         [("MatMul", "x w", {}), ("Mul", "a b", {}), ("Mul", "y1 a", {})], {"w": (6, 3), **wide}
     )
-    with pytest.raises(Refusal) as refusal:
+    with pytest.raises(StrangerError) as refusal:
         admit_onnx(bomb, OBS, ACT)
     assert refusal.value.code == "graph_too_large"
 
@@ -217,7 +216,7 @@ def test_a_graph_that_would_fill_the_memory_is_refused_before_it_does() -> None:
 def test_a_graph_that_would_take_for_ever_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(onnx_admission, "MAX_PRODUCTS", 1000)
     squares = [("MatMul", "x w", {}), *[("MatMul", f"y{i} w", {}) for i in range(50)]]
-    with pytest.raises(Refusal) as refusal:
+    with pytest.raises(StrangerError) as refusal:
         admit_onnx(model(squares, {"w": (6, 6)}), OBS, 6)
     assert refusal.value.code == "graph_too_large"
 
@@ -230,7 +229,7 @@ def test_damaged_bytes_are_refused_or_play(seed: int) -> None:
     for place in rng.integers(0, len(data), 3):
         data[place] = rng.integers(256)
     for bytes_ in (bytes(data), bytes(data[: rng.integers(len(data))])):
-        with contextlib.suppress(Refusal):
+        with contextlib.suppress(StrangerError):
             admit_onnx(bytes_, OBS, ACT)
 
 
