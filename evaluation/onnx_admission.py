@@ -6,14 +6,23 @@ computed without values, so that a graph that would fill the memory is refused b
 allocated.
 """
 
+import dataclasses
 import math
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from evaluation.onnx_ego import StrangerError, read_plain
+from evaluation.onnx_ego import (
+    ROWS,
+    StrangerError,
+    mixes_rows,
+    mixing_error,
+    read_plain,
+    reductions_over_rows,
+)
 
+PROGRAM = "onnx_program 1"  # in the digest of a robot; raise it where a program's values change
 MAX_NODES = 2000
 MAX_TENSORS = 2000
 MAX_INTEGERS = 4096  # in all shapes and indices together
@@ -44,6 +53,20 @@ def admit_onnx(data: bytes, observation_size: int, action_size: int) -> tuple[An
     """Return the program of an ONNX file and its parameters.
 
     Raises:
+        StrangerError: It is not a graph of the form and the operators that are allowed, or not one
+            of these widths.
+    """
+    program, params = read_program(data)
+    if (program.observation_size, program.action_size) != (observation_size, action_size):
+        found = f"{program.observation_size} numbers, and gives {program.action_size}"
+        raise StrangerError("wrong_sizes", f"reads {found}")
+    return program, params
+
+
+def read_program(data: bytes) -> tuple[Any, dict[str, Any]]:
+    """Return the program of an ONNX file, whatever its widths are, and its parameters.
+
+    Raises:
         StrangerError: It is not a graph of the form and the operators that are allowed.
     """
     from evaluation.onnx_program import OPERATORS
@@ -51,8 +74,10 @@ def admit_onnx(data: bytes, observation_size: int, action_size: int) -> tuple[An
     model = read_plain(data, {*OPERATORS, "Constant"})
     _check_model(model)
     graph = _Graph(model.graph)
-    program, params = graph.program(action_size)
-    _check_sizes(program, params, observation_size, action_size)
+    program, params = graph.program()
+    action_size = _check_shapes(program, params)
+    program = dataclasses.replace(program, action_size=action_size)
+    _check_rows(model.graph, program, params)
     return program, params
 
 
@@ -89,7 +114,7 @@ class _Graph:
         self._count = 0  # of integers
         self._nodes: list[Any] = []
 
-    def program(self, action_size: int) -> tuple[Any, dict[str, Any]]:
+    def program(self) -> tuple[Any, dict[str, Any]]:
         """Return the program and its parameters."""
         from evaluation.onnx_program import OnnxProgram
 
@@ -106,7 +131,7 @@ class _Graph:
         program = OnnxProgram(
             role="robot",
             observation_size=widths[0],
-            action_size=action_size,  # held against the graph's own with all other shapes
+            action_size=1,  # not known before its shapes are computed
             carry_size=widths[1] if len(widths) > 1 else 0,
             inputs=tuple(value.name for value in inputs),
             outputs=outputs,
@@ -220,10 +245,22 @@ def _check_inputs(inputs: list[Any]) -> list[int]:
     return widths
 
 
-def _check_sizes(
-    program: Any, params: dict[str, Any], observation_size: int, action_size: int
-) -> None:
-    """Compute all shapes without values; refuse what does not fit, or is too large."""
+def _check_shapes(program: Any, params: dict[str, Any]) -> int:
+    """Refuse what does not fit, or is too large; return the actions' width."""
+    try:
+        shapes = _shapes(program, params, 1)
+    except StrangerError:
+        raise
+    except Exception as error:  # whatever a tracer makes of shapes that do not fit
+        raise StrangerError("shape_unknown", type(error).__name__) from None
+    widths = [shape[1] for shape in shapes if len(shape) == 2 and shape[0] == 1]
+    if len(widths) < len(shapes) or not widths[0] or widths[1:] not in ([], [program.carry_size]):
+        raise StrangerError("wrong_sizes", f"gives {shapes}")
+    return widths[0]
+
+
+def _shapes(program: Any, params: dict[str, Any], rows: int) -> list[tuple[int, ...]]:
+    """Compute the outputs' shapes for a batch, without values; refuse values that are too large."""
     import jax
     import jax.numpy as jnp
 
@@ -233,30 +270,43 @@ def _check_sizes(
 
     def watch(node: Any, given: list[Any], output: Any) -> None:
         nonlocal products
-        if output.size > MAX_ELEMENTS and node.operator not in ("Identity", "Transpose"):
+        if output.size > MAX_ELEMENTS * rows and node.operator not in ("Identity", "Transpose"):
             raise StrangerError("graph_too_large", f"{node.operator} makes {output.size} numbers")
         if node.operator in ("Gemm", "MatMul"):
             products += output.size * given[0].shape[-1]
         products += output.size
-        if products > MAX_PRODUCTS:
+        if products > MAX_PRODUCTS * rows:
             raise StrangerError("graph_too_large", "too many operations for one observation")
 
-    shapes = [(1, program.observation_size), (1, program.carry_size)]
-    rows = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
-    rows.append(jax.ShapeDtypeStruct((1,), jnp.bool_))
+    shapes = [(rows, program.observation_size), (rows, program.carry_size)]
+    inputs = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
+    inputs.append(jax.ShapeDtypeStruct((rows,), jnp.bool_))
     weights = {name: jax.ShapeDtypeStruct(w.shape, w.dtype) for name, w in params.items()}
+    outputs = jax.eval_shape(
+        lambda weights, inputs: onnx_program.run(program, weights, inputs, watch),
+        weights,
+        inputs[: len(program.inputs)],
+    )
+    return [output.shape for output in outputs]
+
+
+def _check_rows(graph: Any, program: Any, params: dict[str, Any]) -> None:
+    """Refuse reductions over the rows of a batch, of which a program sees one at a time."""
+    from evaluation import onnx_program
+
+    [rows] = [v.type.tensor_type.shape.dim[0] for v in graph.input if v.name == program.inputs[0]]
+    reducing = reductions_over_rows(graph)
+    if rows.HasField("dim_value") or not reducing:
+        return
+    widths = [program.observation_size, program.carry_size][: min(len(program.inputs), 2)]
+
+    def answer(inputs: list[Any]) -> list[np.ndarray]:
+        return [np.asarray(out) for out in onnx_program.run(program, params, inputs)]
+
     try:
-        outputs = jax.eval_shape(
-            lambda weights, rows: onnx_program.run(program, weights, rows, watch),
-            weights,
-            rows[: len(program.inputs)],
-        )
-    except StrangerError:
-        raise
-    except Exception as error:  # whatever a tracer makes of shapes that do not fit
-        raise StrangerError("shape_unknown", type(error).__name__) from None
-    if program.observation_size != observation_size:
-        raise StrangerError("wrong_sizes", f"reads {program.observation_size} numbers")
-    expected = [(1, action_size), (1, program.carry_size)][: len(outputs)]
-    if [out.shape for out in outputs] != expected:
-        raise StrangerError("wrong_sizes", f"gives {[out.shape for out in outputs]}")
+        _shapes(program, params, ROWS)  # before anything is allocated for so many
+        mixed = mixes_rows(answer, widths, len(program.inputs) == 3)
+    except Exception:  # shapes that hold for one row alone, though the file does not say so
+        return
+    if mixed:
+        raise mixing_error(reducing)
