@@ -86,12 +86,8 @@ def call_ego(
             raise EgoError(f"{place}: {error}") from error
         except (Exception, SystemExit, GeneratorExit) as error:  # its code does not end a run
             raise EgoError(f"{place}: {told(error)}") from error
-        if answer.shape != (len(obs), action_size) or answer.dtype.kind not in "fiu":
-            raise EgoError(
-                f"{place}: returned {answer.dtype} of shape {answer.shape}; expected floats of "
-                f"shape {(len(obs), action_size)}: one action in [-1, 1] for each row of "
-                "observations"
-            )
+        if problem := _problem(answer, (len(obs), action_size)):
+            raise EgoError(f"{place}: {problem}")
         broken = np.flatnonzero(~np.isfinite(answer).all(axis=1))
         if broken.size:
             partner, episode = divmod(int(broken[0]), episodes)
@@ -103,6 +99,67 @@ def call_ego(
         return answer.astype(np.float32)
 
     return act
+
+
+class Clipping:
+    """Lets a robot from outside act, and counts what the environment will clip.
+
+    Args:
+        act: Of `call_ego`.
+        length: Steps of an episode.
+    """
+
+    def __init__(self, act: Callable[[np.ndarray, int], np.ndarray], length: int) -> None:
+        self._act, self._length = act, length
+        self._beyond: list[np.ndarray] = []  # at each place of a series: sum over steps [N]
+
+    def __call__(self, obs: np.ndarray, step: int) -> np.ndarray:
+        """Return the actions [N, A] for observations [N, O]."""
+        action = self._act(obs, step)
+        if step % self._length == 0:
+            self._beyond.append(np.zeros(len(obs)))
+        self._beyond[-1] += (np.abs(action) > 1.0).mean(axis=1)
+        return action
+
+    def shares(self, shape: tuple[int, int, int]) -> np.ndarray:
+        """Return the share of numbers beyond [-1, 1] of each episode [E, P, K]."""
+        return (np.stack(self._beyond, axis=-1) / self._length).reshape(shape)
+
+
+def probe_egos(roster: Roster, task: str, observation_size: int, action_size: int) -> None:
+    """Let every robot from outside answer two rows of zeros, before programs are compiled for it.
+
+    Raises:
+        EgoError: It failed, or answered with another number of actions.
+    """
+    for ego in roster.stacks:
+        if not isinstance(ego, HostEgo):
+            continue
+        robot, obs = as_robot(ego.act), np.zeros((2, observation_size), np.float32)
+        try:
+            robot.reset(len(obs))
+            problem = _problem(robot(obs), (len(obs), action_size))
+            robot.reset(len(obs))
+        except PolicyError as error:
+            problem = f"failed: {error}"
+        except (Exception, SystemExit, GeneratorExit) as error:  # its code does not end a run
+            problem = f"failed: {told(error)}"
+        if problem:
+            raise EgoError(
+                f"{ego.id} cannot play: given two rows of zeros it {problem}; the robot of task "
+                f"{task} reads observations [N, {observation_size}] and gives actions "
+                f"[N, {action_size}]"
+            )
+
+
+def _problem(answer: np.ndarray, shape: tuple[int, ...]) -> str:
+    """Say what is wrong with a robot's answer; empty if nothing is."""
+    if answer.shape == shape and answer.dtype.kind in "fiu":
+        return ""
+    return (
+        f"returned {answer.dtype} of shape {answer.shape}; expected floats of shape {shape}: one "
+        "action in [-1, 1] for each row of observations"
+    )
 
 
 def _from_zoo(

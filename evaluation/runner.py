@@ -21,7 +21,7 @@ from assistax_envs import disability_params
 from assistax_envs.interrupts import wait_for
 from evaluation import tables
 from evaluation.devices import devices_for
-from evaluation.egos import call_ego
+from evaluation.egos import Clipping, call_ego
 from evaluation.jobs import TILE_ENVS, Chunk, Job, Share, Tile, plan
 from evaluation.players import make_player
 from evaluation.rollout import Rollout, Tally
@@ -166,7 +166,8 @@ class Runner:
         job, act = self._job, None
         rollout, block, partners = self._block(tile)
         if host := _host(job, tile):
-            act = call_ego(host, partners, tile.at_once, self._env.action_size["robot"])
+            asked = call_ego(host, partners, tile.at_once, self._env.action_size["robot"])
+            act = Clipping(asked, self._length or self._env.episode_length)
         before, counted = rollout.compile_seconds[device], 0.0
         began = time.perf_counter()
 
@@ -177,7 +178,7 @@ class Runner:
             meter.add(device, steps * tile.rows // job.series, seconds)
 
         tally = _run(job, rollout, tile, *block, act=act, on_steps=on_steps, device=device)
-        return _rows(job, tile, tally)
+        return _rows(job, tile, tally, act)
 
     def _block(self, tile: Tile) -> tuple[Rollout, tuple[Any, ...], tuple[str, ...]]:
         """Return what plays a tile, its parameters and seeds, and the ids of its partners."""
@@ -275,9 +276,14 @@ def _padded(rows: range, width: int) -> list[int]:
     return [rows[min(i, len(rows) - 1)] for i in range(width)]
 
 
-def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
+def _rows(job: Job, tile: Tile, tally: Tally, act: Clipping | None) -> pl.DataFrame:
     """Return the real episodes of a tile, ego by ego, partner by partner."""
     e, p, k = tile.played
+    clipped = {}
+    if act is not None:
+        clipped = {"clipped": act.shares(tally.steps.shape)[:e, :p, :k].ravel()}
+    elif any(isinstance(ego, HostEgo) for ego in job.egos.stacks):
+        clipped = {"clipped": np.full(e * p * k, None)}
     tally = jax.tree.map(lambda leaf: leaf[:e, :p, :k].reshape(-1), tally)
     egos = _described("ego", job.egos, _ids(job.egos, tile.egos))
     partners = _described("partner", job.partners, _ids(job.partners, tile.partners))
@@ -316,6 +322,7 @@ def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
         **{f"{role}_travel": value for role, value in tally.travel.items()},
         "nonfinite": tally.nonfinite,
         "steps": tally.steps,
+        **clipped,
     }
     types = {name: tables.SCHEMA.get(name, pl.Float32()) for name in measured}
     return rows.with_columns(

@@ -120,6 +120,7 @@ def evaluate_policies(
     egos = _read_egos(registry, policies, settings.task)
     _check_new(egos, chosen, include_own)
     env, job = make_job(registry, egos, chosen, settings, manifest)
+    _probe(egos, env)
     if manifest.preferences and settings.preferences is None:
         job = job.following(manifest.preferences)
     playing: dict[str, Any] = {"max_envs": settings.max_envs, "on_progress": on_progress}
@@ -292,6 +293,12 @@ def _read_egos(registry: Registry, policies: Sequence[Any], task: str) -> Roster
     egos = read_egos(policies, registry, task)
     check_env_version(registry, [one for one in registry.policies if one.id in egos.members])
     return egos
+
+
+def _probe(egos: Roster, env: "Env") -> None:
+    from evaluation.egos import probe_egos
+
+    probe_egos(egos, env.task, env.observation_size["robot"], env.action_size["robot"])
 
 
 def make_job(

@@ -204,6 +204,7 @@ def summarise_evaluation(table: pl.DataFrame, context: Context) -> EvaluationSum
             *_group_notes(focus),
             *_preference_notes(block, context.split),
             *_episode_notes(block),
+            *_clipping_notes(table),
         ),
     )
 
@@ -354,6 +355,16 @@ def _team_notes(block: Block) -> list[str]:
 
 def _few(count: int, what: str, of: str = "") -> list[str]:
     return [f"{what}: intervals over fewer than {ENOUGH}{of} are too narrow"] * (count < ENOUGH)
+
+
+def _clipping_notes(table: pl.DataFrame) -> list[str]:
+    """Say how much of what robots from outside did was beyond what there is."""
+    if "clipped" not in table.columns or not (shares := table["clipped"].drop_nulls()).sum():
+        return []
+    return [
+        f"actions went beyond [-1, 1] and were clipped in {(shares > 0).sum()} of {len(shares)} "
+        f"episodes: {shares.to_numpy().mean():.1%} of their numbers"
+    ]
 
 
 def _episode_notes(block: Block) -> Sequence[str]:
