@@ -230,6 +230,9 @@ def _python_member(reference: PolicyReference, robot: PolicyProcess) -> Member:
     folder = Path(robot.files[0]).parent
     named = [path for value in reference.arguments.values() if (path := Path(value)).is_file()]
     declared = [folder / name for name in robot.depends or ()]
+    for path in declared:
+        if path.exists() and not path.is_file():  # a device or a pipe would never end
+            raise PolicyError(f"DEPENDS names {path}, which is no regular file")
     paths = [*map(Path, robot.files), *named, *declared]
     hashes = [[path.name, file_sha256(path)] for path in paths]
     return Member(
