@@ -121,7 +121,7 @@ class Clipping:
         self._beyond[-1] += (np.abs(action) > 1.0).mean(axis=1)
         return action
 
-    def shares(self, shape: tuple[int, int, int]) -> np.ndarray:
+    def shares(self, shape: tuple[int, ...]) -> np.ndarray:
         """Return the share of numbers beyond [-1, 1] of each episode [E, P, K]."""
         return (np.stack(self._beyond, axis=-1) / self._length).reshape(shape)
 

@@ -84,14 +84,13 @@ class _Predicting:
 
 
 def _is_torch_module(robot: Any) -> bool:
-    torch = sys.modules.get("torch")  # whoever has a module of it has imported it
+    torch: Any = sys.modules.get("torch")  # whoever has a module of it has imported it
     return torch is not None and isinstance(robot, torch.nn.Module)
 
 
 def _torch(module: Any) -> Callable[[np.ndarray], Any]:
     """Return a module's forward pass on arrays; puts the module into evaluation mode."""
-    import torch
-
+    torch: Any = sys.modules["torch"]
     module.eval()  # a training mode would draw, or look at other episodes
     like = next(module.parameters(), torch.zeros(0))
 
@@ -108,7 +107,7 @@ def _one_torch_thread() -> Generator[None]:
 
     Nothing changes where PyTorch is not loaded, or OMP_NUM_THREADS says how many there are.
     """
-    torch = None if "OMP_NUM_THREADS" in os.environ else sys.modules.get("torch")
+    torch: Any = None if "OMP_NUM_THREADS" in os.environ else sys.modules.get("torch")
     threads = 1 if torch is None else torch.get_num_threads()
     if threads == 1:
         yield

@@ -6,11 +6,12 @@ import struct
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 import pytest
 import wandb
-from wandb.proto.wandb_internal_pb2 import Record
+from wandb.proto import wandb_internal_pb2
 
 from population.config import make_members
 from population.team_training import _log
@@ -20,6 +21,7 @@ from population.wandb_runs import WandbRuns
 from tests.population.test_train import CONFIG, Killed, kill_after
 from tests.population.toy_env import ToyEnv, match
 
+Record: Any = vars(wandb_internal_pb2)["Record"]  # made by protobuf, unseen by type checkers
 TWO = dataclasses.replace(CONFIG, members=make_members([0], ["d1", "d9"]))
 
 
@@ -35,7 +37,7 @@ def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     wandb.teardown()
 
 
-def kept(folder: Path) -> dict[str, list[Record]]:
+def kept(folder: Path) -> dict[str, list[Any]]:
     """Return what W&B keeps of each run in a folder, by the run's id."""
     records = {}
     for file in sorted(folder.glob("wandb/offline-run-*/run-*.wandb")):
@@ -60,7 +62,7 @@ def logged(data: bytes, block: int = 32768) -> Iterator[bytes]:
             whole = b""
 
 
-def history(records: list[Record]) -> list[dict[str, float]]:
+def history(records: list[Any]) -> list[dict[str, float]]:
     rows = [record.history for record in records if record.HasField("history")]
     return [
         {"/".join(item.nested_key) or item.key: json.loads(item.value_json) for item in row.item}
