@@ -1,5 +1,6 @@
 """Find the robots that a job is about: in the registry, in files, in anybody's Python code."""
 
+import dataclasses
 import glob
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from evaluation import onnx_ego
+from evaluation import onnx_admission, onnx_ego
 from evaluation.policy_process import PolicyError, PolicyProcess
 from evaluation.policy_reference import PolicyReference, parse_reference
 from evaluation.policy_worker import told
@@ -55,6 +56,8 @@ def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> Roster:
             single += _from_zoo(reference.source, registry, task)
         elif reference.kind == "file":
             single += _from_files(reference.text, registry, isinstance(robot, str))
+        elif reference.kind == "onnx" and (program := _program(reference, registry)):
+            single.append(program)
         elif reference.kind in ("python", "onnx"):
             host.append(_from_outside(reference, registry, task))
         else:
@@ -87,12 +90,8 @@ def call_ego(
             raise EgoError(f"{place}: {error}") from error
         except (Exception, SystemExit, GeneratorExit) as error:  # its code does not end a run
             raise EgoError(f"{place}: {told(error)}") from error
-        if answer.shape != (len(obs), action_size) or answer.dtype.kind not in "fiu":
-            raise EgoError(
-                f"{place}: returned {answer.dtype} of shape {answer.shape}; expected floats of "
-                f"shape {(len(obs), action_size)}: one action in [-1, 1] for each row of "
-                "observations"
-            )
+        if problem := _problem(answer, (len(obs), action_size)):
+            raise EgoError(f"{place}: {problem}")
         broken = np.flatnonzero(~np.isfinite(answer).all(axis=1))
         if broken.size:
             partner, episode = divmod(int(broken[0]), episodes)
@@ -104,6 +103,67 @@ def call_ego(
         return answer.astype(np.float32)
 
     return act
+
+
+class Clipping:
+    """Lets a robot from outside act, and counts what the environment will clip.
+
+    Args:
+        act: Of `call_ego`.
+        length: Steps of an episode.
+    """
+
+    def __init__(self, act: Callable[[np.ndarray, int], np.ndarray], length: int) -> None:
+        self._act, self._length = act, length
+        self._beyond: list[np.ndarray] = []  # at each place of a series: sum over steps [N]
+
+    def __call__(self, obs: np.ndarray, step: int) -> np.ndarray:
+        """Return the actions [N, A] for observations [N, O]."""
+        action = self._act(obs, step)
+        if step % self._length == 0:
+            self._beyond.append(np.zeros(len(obs)))
+        self._beyond[-1] += (np.abs(action) > 1.0).mean(axis=1)
+        return action
+
+    def shares(self, shape: tuple[int, ...]) -> np.ndarray:
+        """Return the share of numbers beyond [-1, 1] of each episode [E, P, K]."""
+        return (np.stack(self._beyond, axis=-1) / self._length).reshape(shape)
+
+
+def probe_egos(roster: Roster, task: str, observation_size: int, action_size: int) -> None:
+    """Let every robot from outside answer two rows of zeros, before programs are compiled for it.
+
+    Raises:
+        EgoError: It failed, or answered with another number of actions.
+    """
+    for ego in roster.stacks:
+        if not isinstance(ego, HostEgo):
+            continue
+        robot, obs = as_robot(ego.act), np.zeros((2, observation_size), np.float32)
+        try:
+            robot.reset(len(obs))
+            problem = _problem(robot(obs), (len(obs), action_size))
+            robot.reset(len(obs))
+        except PolicyError as error:
+            problem = f"failed: {error}"
+        except (Exception, SystemExit, GeneratorExit) as error:  # its code does not end a run
+            problem = f"failed: {told(error)}"
+        if problem:
+            raise EgoError(
+                f"{ego.id} cannot play: given two rows of zeros it {problem}; the robot of task "
+                f"{task} reads observations [N, {observation_size}] and gives actions "
+                f"[N, {action_size}]"
+            )
+
+
+def _problem(answer: np.ndarray, shape: tuple[int, ...]) -> str:
+    """Say what is wrong with a robot's answer; empty if nothing is."""
+    if answer.shape == shape and answer.dtype.kind in "fiu":
+        return ""
+    return (
+        f"returned {answer.dtype} of shape {answer.shape}; expected floats of shape {shape}: one "
+        "action in [-1, 1] for each row of observations"
+    )
 
 
 def _from_zoo(
@@ -152,6 +212,24 @@ def _from_object(robot: Any, place: int, registry: Registry) -> tuple[Member, Ho
     return member, HostEgo(name, as_robot(robot))
 
 
+def _program(
+    reference: PolicyReference, registry: Registry
+) -> tuple[Member, PolicySpec, Any] | None:
+    """Return an ONNX file as the program that a service makes of it; None where it makes none.
+
+    Its digest names the program too: onnxruntime, which plays the others, rounds differently.
+    """
+    try:
+        data = onnx_ego.read_bytes(Path(reference.source))
+        spec, params = onnx_admission.read_program(data)
+        met = _onnx_met(registry, onnx_ego.read_metadata(data))
+    except (ImportError, ValueError):  # the process says in its own words what is wrong
+        return None
+    member = _of_file(reference.text, Path(reference.source), met)
+    digest = identity_digest([onnx_admission.PROGRAM, member.digest])
+    return dataclasses.replace(member, digest=digest), spec, params
+
+
 def _from_outside(
     reference: PolicyReference, registry: Registry, task: str
 ) -> tuple[Member, HostEgo]:
@@ -181,6 +259,9 @@ def _python_member(reference: PolicyReference, robot: PolicyProcess, met: Met) -
     folder = Path(robot.files[0]).parent
     named = [path for value in reference.arguments.values() if (path := Path(value)).is_file()]
     declared = [folder / name for name in robot.depends or ()]
+    for path in declared:
+        if path.exists() and not path.is_file():  # a device or a pipe would never end
+            raise PolicyError(f"DEPENDS names {path}, which is no regular file")
     paths = [*map(Path, robot.files), *named, *declared]
     hashes = [[path.name, file_sha256(path)] for path in paths]
     return Member(

@@ -21,6 +21,7 @@ _THREADS = {
     **dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"),
     "OMP_WAIT_POLICY": "PASSIVE",
 }
+_UNKNOWN_FORM = "the robot's process answers in no form that is known"
 
 
 class PolicyError(Exception):
@@ -72,7 +73,8 @@ class PolicyProcess:
     def __call__(self, obs: np.ndarray) -> np.ndarray:
         """Return the robot's actions."""
         _, answer = self._ask({"do": "act"}, obs)
-        assert answer is not None
+        if answer is None:
+            raise PolicyError(_UNKNOWN_FORM)
         return answer
 
     def close(self) -> None:
@@ -93,11 +95,17 @@ class PolicyProcess:
             self.close()
             code = self._process.returncode
             raise PolicyError(f"the robot's process ended by itself, with code {code}") from None
+        except (ValueError, TypeError, KeyError):
+            self.close()
+            raise PolicyError(_UNKNOWN_FORM) from None
         except BaseException:  # Ctrl-C in the middle of a message: no other can follow
             self.close()
             raise
+        if not isinstance(reply, dict):
+            self.close()
+            raise PolicyError(_UNKNOWN_FORM)
         if "error" in reply:
-            raise PolicyError(reply["error"])
+            raise PolicyError(policy_worker.one_line(str(reply["error"])))
         return reply, answer
 
 

@@ -6,6 +6,8 @@ nothing of this project by name: `zoo` and `evaluation` may be somebody else's m
 A message is two lengths, a JSON object and the bytes of an array: nothing is unpickled.
 """
 
+import contextlib
+import ctypes
 import importlib
 import importlib.util
 import json
@@ -16,6 +18,7 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
 from typing import Any, BinaryIO
@@ -25,6 +28,7 @@ import numpy as np
 _LENGTHS = struct.Struct("<IQ")  # bytes of the JSON object, bytes of the array
 
 
+_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
 LONGEST_MESSAGE = 1000  # characters
 LARGEST_ANSWER = 64 << 20  # bytes: the actions of a million simulations
 
@@ -80,6 +84,7 @@ def serve() -> None:
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)  # what the robot prints is for people
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's, who ends this process
+    _die_with_parent()
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     robot: Any = None
     while True:
@@ -131,6 +136,10 @@ def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         kind = type(made).__name__
         raise LoadError(f"{factory}() returned {kind}; expected {forms.FORMS}") from error
     depends = getattr(module, "DEPENDS", None)
+    if depends is not None:
+        if isinstance(depends, str) or not isinstance(depends, Iterable):
+            raise LoadError(f"DEPENDS of {name} is {depends!r}; expected a list of paths")
+        depends = [str(path) for path in depends]
     trained_with = getattr(module, "TRAINED_WITH", None)
     names = [trained_with] if isinstance(trained_with, str) else trained_with
     if names is not None and not (
@@ -176,6 +185,12 @@ def _read(stream: BinaryIO, count: int) -> bytes:
     if len(data) < count:
         raise EOFError
     return data
+
+
+def _die_with_parent() -> None:
+    """Let Linux kill this process when its parent ends: a stopped process cannot end itself."""
+    with contextlib.suppress(OSError, AttributeError):  # elsewhere
+        ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
 
 
 def _end_with(parent: int) -> None:

@@ -4,15 +4,18 @@ Imports nothing of this project: it also runs in a robot's own process, where `z
 may be somebody else's modules.
 """
 
-from collections.abc import Callable
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Generator
 from typing import Any
 
 import numpy as np
 
 FORMS = (
     "a callable from observations [N, O] to actions [N, A], an object with act(obs) and "
-    "reset(n), one with predict(obs, state=, episode_start=, deterministic=), or a Flax module "
-    "with its parameters: (module, params)"
+    "reset(n), one with predict(obs, state=, episode_start=, deterministic=), a PyTorch module, or "
+    "a Flax module with its parameters: (module, params)"
 )
 
 
@@ -33,7 +36,8 @@ class Robot:
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
         """Return the answer as NumPy sees it."""
-        answer = self._act(obs)
+        with _one_torch_thread():
+            answer = self._act(obs)
         return np.asarray(answer.detach().cpu() if hasattr(answer, "detach") else answer)
 
 
@@ -52,7 +56,9 @@ def as_robot(robot: Any) -> Robot:
     if callable(getattr(robot, "predict", None)):
         predicting = _Predicting(robot)
         return Robot(predicting.act, predicting.reset)
-    act = getattr(robot, "act", robot)
+    act = getattr(robot, "act", None)
+    if act is None:
+        act = _torch(robot) if _is_torch_module(robot) else robot
     if not callable(act) or hasattr(robot, "unbind"):
         raise TypeError(f"{type(robot).__name__} is no robot; expected {FORMS}")
     reset = getattr(robot, "reset", None)
@@ -75,6 +81,42 @@ class _Predicting:
             obs, state=self._state, episode_start=starts, deterministic=True
         )
         return action
+
+
+def _is_torch_module(robot: Any) -> bool:
+    torch: Any = sys.modules.get("torch")  # whoever has a module of it has imported it
+    return torch is not None and isinstance(robot, torch.nn.Module)
+
+
+def _torch(module: Any) -> Callable[[np.ndarray], Any]:
+    """Return a module's forward pass on arrays; puts the module into evaluation mode."""
+    torch: Any = sys.modules["torch"]
+    module.eval()  # a training mode would draw, or look at other episodes
+    like = next(module.parameters(), torch.zeros(0))
+
+    def act(obs: np.ndarray) -> Any:
+        with torch.inference_mode():
+            return module(torch.tensor(obs, dtype=like.dtype, device=like.device))
+
+    return act
+
+
+@contextlib.contextmanager
+def _one_torch_thread() -> Generator[None]:
+    """Keep PyTorch to one thread: others would spin while the simulation runs.
+
+    Nothing changes where PyTorch is not loaded, or OMP_NUM_THREADS says how many there are.
+    """
+    torch: Any = None if "OMP_NUM_THREADS" in os.environ else sys.modules.get("torch")
+    threads = 1 if torch is None else torch.get_num_threads()
+    if threads == 1:
+        yield
+        return
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def _flax(module: Any, params: Any) -> Callable[[np.ndarray], Any]:

@@ -21,12 +21,11 @@ from assistax_envs import disability_params
 from assistax_envs.interrupts import wait_for
 from evaluation import tables
 from evaluation.devices import devices_for
-from evaluation.egos import call_ego
+from evaluation.egos import Clipping, call_ego
 from evaluation.jobs import TILE_ENVS, Chunk, Job, Share, Tile, plan
-from evaluation.reference_policy import ReferencePolicy, ScriptedPolicy
+from evaluation.players import make_player
 from evaluation.rollout import Rollout, Tally
-from evaluation.roster import HostEgo, ReferenceSpec, Roster, ScriptSpec
-from population.policy import Policy
+from evaluation.roster import HostEgo, Roster
 from population.spec import PolicySpec
 from population.stack import PolicyStack
 
@@ -167,7 +166,8 @@ class Runner:
         job, act = self._job, None
         rollout, block, partners = self._block(tile)
         if host := _host(job, tile):
-            act = call_ego(host, partners, tile.at_once, self._env.action_size["robot"])
+            asked = call_ego(host, partners, tile.at_once, self._env.action_size["robot"])
+            act = Clipping(asked, self._length or self._env.episode_length)
         before, counted = rollout.compile_seconds[device], 0.0
         began = time.perf_counter()
 
@@ -178,7 +178,7 @@ class Runner:
             meter.add(device, steps * tile.rows // job.series, seconds)
 
         tally = _run(job, rollout, tile, *block, act=act, on_steps=on_steps, device=device)
-        return _rows(job, tile, tally)
+        return _rows(job, tile, tally, act)
 
     def _block(self, tile: Tile) -> tuple[Rollout, tuple[Any, ...], tuple[str, ...]]:
         """Return what plays a tile, its parameters and seeds, and the ids of its partners."""
@@ -210,7 +210,7 @@ class Runner:
                     "length": self._length,
                     "series": self._job.series,
                 }
-                seats = ([_policy(spec) for spec in seat] for seat in key)
+                seats = ([make_player(spec) for spec in seat] for seat in key)
                 self._rollouts[key] = Rollout(self._env, *seats, **options)
             return self._rollouts[key]
 
@@ -248,16 +248,6 @@ def _first_of_each_program(chunks: Sequence[Chunk]) -> list[Tile]:
         for tile in chunk.tiles:
             found.setdefault(tile.program, tile)
     return list(found.values())
-
-
-def _policy(spec: Any) -> Any:
-    if isinstance(spec, ReferenceSpec):
-        return ReferencePolicy(spec)
-    if isinstance(spec, ScriptSpec):
-        return ScriptedPolicy(spec)
-    if hasattr(spec, "make_policy"):  # a network that is not of this project, such as from ONNX
-        return spec.make_policy()
-    return Policy(spec)
 
 
 def _host(job: Job, tile: Tile) -> HostEgo | None:
@@ -314,9 +304,14 @@ def planned_rows(job: Job, tile: Tile) -> pl.DataFrame:
     return _with(rows, {**places, **wishes, "key": keys.ravel()})
 
 
-def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
+def _rows(job: Job, tile: Tile, tally: Tally, act: Clipping | None) -> pl.DataFrame:
     """Return the real episodes of a tile, as planned and with what was measured."""
     e, p, k = tile.played
+    clipped = {}
+    if act is not None:
+        clipped = {"clipped": act.shares(tally.steps.shape)[:e, :p, :k].ravel()}
+    elif any(isinstance(ego, HostEgo) for ego in job.egos.stacks):
+        clipped = {"clipped": np.full(e * p * k, None)}
     tally = jax.tree.map(lambda leaf: leaf[:e, :p, :k].reshape(-1), tally)
     touches = {}
     if tally.violated is not None:
@@ -334,6 +329,7 @@ def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
         **{f"{role}_travel": value for role, value in tally.travel.items()},
         "nonfinite": tally.nonfinite,
         "steps": tally.steps,
+        **clipped,
     }
     return _with(planned_rows(job, tile), measured)
 

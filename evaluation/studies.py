@@ -131,6 +131,7 @@ def evaluate_policies(
     sides = {entry.id: manifest.side(entry.team) for entry in chosen}
     check_new(sides, met.left_out(sides), include_own)
     env, job = make_job(registry, egos, chosen, settings, manifest)
+    _probe(egos, env)
     if manifest.preferences and settings.preferences is None:
         job = job.following(manifest.preferences)
     playing: dict[str, Any] = {"max_envs": settings.max_envs, "on_progress": on_progress}
@@ -317,6 +318,12 @@ def _read_egos(registry: Registry, policies: Sequence[Any], task: str) -> Roster
     egos = read_egos(policies, registry, task)
     check_env_version(registry, [one for one in registry.policies if one.id in egos.members])
     return egos
+
+
+def _probe(egos: Roster, env: "Env") -> None:
+    from evaluation.egos import probe_egos
+
+    probe_egos(egos, env.task, env.observation_size["robot"], env.action_size["robot"])
 
 
 def make_job(

@@ -205,6 +205,7 @@ def summarise_evaluation(table: pl.DataFrame, context: Context) -> EvaluationSum
             *_preference_notes(block, context.split),
             *_start_notes(block),
             *_episode_notes(block),
+            *_clipping_notes(table),
         ),
     )
 
@@ -366,6 +367,16 @@ def _start_notes(block: Block) -> list[str]:
     return [
         f"all partners played the same {block.returns.shape[2]} starts: intervals by preference, "
         "by place, of relative figures and of the profile leave their luck out"
+    ]
+
+
+def _clipping_notes(table: pl.DataFrame) -> list[str]:
+    """Say how much of what robots from outside did was beyond what there is."""
+    if "clipped" not in table.columns or not (shares := table["clipped"].drop_nulls()).sum():
+        return []
+    return [
+        f"actions went beyond [-1, 1] and were clipped in {(shares > 0).sum()} of {len(shares)} "
+        f"episodes: {shares.to_numpy().mean():.1%} of their numbers"
     ]
 
 

@@ -67,6 +67,8 @@ SCHEMA: dict[str, pl.DataType] = {
     "human_travel": pl.Float32(),
     "nonfinite": pl.Boolean(),
     "steps": pl.Int64(),
+    # Share of the numbers of a robot from outside that were beyond [-1, 1]; null of other robots.
+    "clipped": pl.Float32(),
 }
 BEHAVIOUR = (
     "first_contact",
@@ -77,7 +79,7 @@ BEHAVIOUR = (
 GENTLE = ("preference", "contact_peak", "violated")  # of the gentle tasks alone
 EGO_COLUMNS = tuple(name for name in SCHEMA if name.startswith("ego"))
 PARTNER_COLUMNS = (*(name for name in SCHEMA if name.startswith("partner")), "side")
-_NULLABLE = (*EGO_COLUMNS[1:], *PARTNER_COLUMNS[1:])  # of an ego from outside the zoo
+_NULLABLE = (*EGO_COLUMNS[1:], *PARTNER_COLUMNS[1:], "clipped")  # of an ego from outside the zoo
 
 
 _GENTLE = ("preferences", "safe", "violated")  # fields of a block that only gentle tasks fill
@@ -156,7 +158,7 @@ def outcome_columns(table: pl.DataFrame) -> tuple[str, ...]:
 
 def validate_episodes(table: pl.DataFrame) -> pl.DataFrame:
     """Return the table, or raise `ValueError` saying what is wrong with it and where."""
-    needed = [name for name in SCHEMA if name not in (*BEHAVIOUR, *GENTLE, "place")]
+    needed = [name for name in SCHEMA if name not in (*BEHAVIOUR, *GENTLE, "place", "clipped")]
     missing = [name for name in needed if name not in table.columns]
     if missing:
         raise ValueError(

@@ -23,7 +23,12 @@ __all__ = [
 
 
 def resolve_backend(backend: str) -> str:
-    """Return the backend that `backend` names: "auto" is the fastest one that runs here."""
+    """Return the backend that `backend` names: "auto" is the fastest one that runs here.
+
+    Raises:
+        ValueError: There is no such backend, or JAX was told to use devices that are not here.
+    """
+    _check_platforms(jax.config.values["jax_platforms"])
     if backend == "auto":
         return _fastest_backend()
     if backend not in BACKENDS:
@@ -44,6 +49,19 @@ def make_physics(model: mujoco.MjModel, backend: str) -> Physics:
     from assistax_envs.physics.mjx import MjxPhysics
 
     return MjxPhysics(model, "warp" if backend == "mjx-warp" else "jax")
+
+
+def _check_platforms(platforms: str | None) -> None:
+    if platforms in (None, "", "cpu"):
+        return
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError) as error:  # without a GPU "cuda" fails an assertion
+        reason = str(error).partition("\n")[0].partition(" (set JAX_PLATFORMS")[0]
+        raise ValueError(
+            f"JAX has no device of JAX_PLATFORMS={platforms}{f' ({reason})' if reason else ''}; "
+            "unset JAX_PLATFORMS to take what is here, or set it to cpu"
+        ) from None
 
 
 def _fastest_backend() -> str:

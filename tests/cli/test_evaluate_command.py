@@ -402,3 +402,29 @@ def test_standard_output_of_a_process_is_one_json_object(published: Path, tmp_pa
         check=True,
     )
     assert json.loads(done.stdout)["episodes"] == 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("platform", "backend"), [("tpu", "native"), ("cuda", "auto")])
+def test_devices_that_are_not_here_are_told_in_one_line(
+    published: Path, tmp_path: Path, platform: str, backend: str
+) -> None:
+    words = ["evaluate", "--task", "scratch", "--policy", "scratch/ippo-d9-s2-v0/robot"]
+    words += ["--registry", str(published), "--backend", backend]
+    root = Path(__file__).parents[2]
+    done = subprocess.run(
+        [sys.executable, "-m", "assistax_zoo", *words],
+        cwd=tmp_path,
+        env={
+            **os.environ,
+            "PYTHONPATH": str(root),
+            "JAX_PLATFORMS": platform,
+            "CUDA_VISIBLE_DEVICES": "",
+        },
+        capture_output=True,
+        text=True,
+    )
+    [line] = [line for line in done.stderr.splitlines() if not line.startswith("WARNING")]
+    assert done.returncode == 1
+    assert line.startswith(f"error: JAX has no device of JAX_PLATFORMS={platform}")
+    assert line.endswith("; unset JAX_PLATFORMS to take what is here, or set it to cpu")

@@ -5,7 +5,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from evaluation.egos import EgoError, call_ego, read_egos
+from evaluation.egos import EgoError, call_ego, probe_egos, read_egos
 from evaluation.roster import HostEgo
 from population.spec import PolicySpec
 from population.stack import PolicyStack
@@ -142,6 +142,40 @@ def test_answers_of_any_framework_become_float32():
     for answer in (np.ones((4, 2)), [[1, 1]] * 4, Tensor()):
         assert ask(answer).dtype == np.float32
         assert ask(answer).tolist() == [[1.0, 1.0]] * 4
+
+
+def probed(robot: Any) -> None:
+    roster = read_egos([robot], EMPTY, "scratch")
+    probe_egos(roster, "scratch", 34, 7)
+
+
+@pytest.mark.parametrize(
+    ("robot", "told"),
+    [
+        (lambda obs: obs @ np.zeros((30, 7)), "failed: ValueError: matmul"),
+        (lambda obs: np.zeros((len(obs), 3)), r"returned float64 of shape \(2, 3\)"),
+        (lambda obs: sys.exit(3), "failed: SystemExit: 3"),
+    ],
+)
+def test_a_robot_that_cannot_play_is_told_both_sizes_and_the_task(robot: Any, told: str):
+    sizes = r"robot of task scratch reads observations \[N, 34\] and gives actions \[N, 7\]"
+    with pytest.raises(EgoError, match=f"given two rows of zeros it {told}.*{sizes}"):
+        probed(robot)
+
+
+def test_a_robot_is_reset_before_and_after_it_is_probed():
+    class Robot:
+        told: list[int] = []  # noqa: RUF012
+
+        def reset(self, rows: int) -> None:
+            self.told.append(rows)
+
+        def act(self, obs: np.ndarray) -> np.ndarray:
+            self.told.append(-len(obs))
+            return np.full((len(obs), 7), np.nan)  # what zeros are to it need not be an action
+
+    probed(Robot())
+    assert Robot.told == [2, -2, 2]
 
 
 @pytest.mark.parametrize(

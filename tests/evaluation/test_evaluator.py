@@ -466,6 +466,20 @@ def test_a_stateful_host_ego_is_reset_at_episode_starts(tmp_path: Path):
     assert first["term_payoff"].to_list() == pytest.approx([2 * (PAYOFF[0, 0] + PAYOFF[1, 0])] * 3)
 
 
+def test_actions_beyond_the_range_are_counted_by_episode(tmp_path: Path):
+    def beyond(obs: np.ndarray) -> np.ndarray:
+        actions = np.full((len(obs), 2), [1.0, -1.0])
+        actions[4, 0], actions[8] = 1.5, [-2.0, 2.0]  # the fifth and the ninth of the nine episodes
+        return actions
+
+    job = make_job(joined(host(beyond), robots(-0.5)))
+    table = run_job(MatrixGame(), job, tmp_path).table
+    mine = table.filter(pl.col("ego") == "python:mine:robot")
+    assert mine["clipped"].to_list() == [0, 0, 0, 0, 0.5, 0, 0, 0, 1]
+    assert table["clipped"].null_count() == 9  # nobody asked the other robot in between
+    assert "clipped" not in run_job(MatrixGame(), make_job(), tmp_path / "own").table.columns
+
+
 def test_errors_of_a_host_ego_name_partner_and_step_and_keep_chunks(tmp_path: Path):
     calls = 0
 

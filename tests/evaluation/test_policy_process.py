@@ -98,6 +98,58 @@ def test_without_a_declaration_it_is_not_taken_for_known(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("depends", "told"),
+    [
+        ("['/dev/zero']", "DEPENDS names /dev/zero, which is no regular file"),
+        ("['.']", "DEPENDS names .*, which is no regular file"),
+        ("'weights.pt'", "DEPENDS of mine.py is 'weights.pt'; expected a list of paths"),
+        ("3", "DEPENDS of mine.py is 3; expected a list of paths"),
+    ],
+)
+def test_what_it_declares_is_a_list_of_regular_files(folder: Path, depends: str, told: str) -> None:
+    write(folder / "mine.py", f"DEPENDS = {depends}\ndef make(): return lambda obs: obs")
+    with pytest.raises(EgoError, match=told):
+        digest("python:mine.py:make")
+
+
+def test_it_may_declare_paths_as_objects(folder: Path) -> None:
+    (folder / "a.pt").write_bytes(b"0")
+    code = "import pathlib\nDEPENDS = (pathlib.Path('a.pt'),)\ndef make(): return lambda obs: obs"
+    write(folder / "mine.py", code)
+    assert digest("python:mine.py:make")[1]
+
+
+@pytest.mark.parametrize(
+    ("message", "told"),
+    [
+        (rb'{"error": "\u001b[31mred\u001b[0m\nline"}', r"step 0: \[31mred \[0m line"),
+        (b"{]", "step 0: the robot's process answers in no form that is known"),
+        (b"[]", "step 0: the robot's process answers in no form that is known"),
+        (b"{}", "step 0: the robot's process answers in no form that is known"),
+    ],
+)
+def test_what_its_process_says_beside_the_protocol_is_one_line(
+    folder: Path, message: bytes, told: str
+) -> None:
+    """A robot may write to the pipe itself."""
+    code = f"""\
+        import os, struct
+        def act(obs):
+            for number in range(3, 10):  # the pipe is one of these
+                try:
+                    os.write(number, struct.pack("<IQ", {len(message)}, 0) + {message!r})
+                except OSError:
+                    pass
+            return obs
+        def make(): return act
+        """
+    write(folder / "mine.py", code)
+    with pytest.raises(EgoError, match=told) as caught:
+        ask(read("python:mine.py:make"))
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(
     ("line", "told"),
     [
         ("sys.exit(0)", "SystemExit: 0"),
@@ -160,8 +212,10 @@ def gone(pid: int) -> bool:
     return False
 
 
-def test_its_process_ends_with_it_and_with_its_parent(folder: Path) -> None:
-    write(folder / "mine.py", "import time\nmake = lambda: lambda obs: time.sleep(100)")
+@pytest.mark.parametrize("line", ["time.sleep(100)", "os.kill(os.getpid(), signal.SIGSTOP)"])
+def test_its_process_ends_with_it_and_with_its_parent(folder: Path, line: str) -> None:
+    code = f"import os, signal, time\nmake = lambda: lambda obs: {line}"
+    write(folder / "mine.py", code)
     robot = PolicyProcess("mine.py", "make", {})
     pid = robot._process.pid
     robot.close()
@@ -181,6 +235,7 @@ def test_its_process_ends_with_it_and_with_its_parent(folder: Path) -> None:
         capture_output=True,
         text=True,
         check=True,
+        timeout=60,
     )
     assert gone(int(done.stdout))
 

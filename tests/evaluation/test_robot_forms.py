@@ -80,3 +80,43 @@ def test_state_and_resets_arrive() -> None:
 def test_what_is_no_robot_is_told_what_one_is(robot: Any) -> None:
     with pytest.raises(TypeError, match="is no robot; expected a callable from observations"):
         as_robot(robot)
+
+
+def test_a_torch_module_is_a_robot_in_evaluation_mode_on_one_thread(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    torch = pytest.importorskip("torch", reason="PyTorch, where it is installed")
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    threads: list[int] = []
+
+    class Net(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.layers = torch.nn.Sequential(torch.nn.Linear(2, 3), torch.nn.Dropout(0.5))
+
+        def forward(self, obs: Any) -> Any:
+            threads.append(torch.get_num_threads())
+            return self.layers(obs.double())
+
+    net, before = Net().double(), torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        robot = as_robot(net)
+        first, second = robot(OBS), robot(OBS)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+    assert first.shape == (4, 3) and threads == [1, 1]
+    np.testing.assert_array_equal(first, second)
+
+
+def test_a_user_who_says_how_many_threads_has_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    torch = pytest.importorskip("torch", reason="PyTorch, where it is installed")
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        robot = as_robot(lambda obs: np.full((len(obs), 1), torch.get_num_threads()))
+        assert robot(OBS)[0, 0] == 2
+    finally:
+        torch.set_num_threads(before)

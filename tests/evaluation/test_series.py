@@ -133,6 +133,22 @@ def test_a_robot_from_outside_is_reset_when_a_series_starts() -> None:
     assert Host.told == [2, *[-1] * 12]  # two series at once, of three episodes of four steps
 
 
+def test_what_is_clipped_is_counted_at_its_place() -> None:
+    class Growing:
+        """Beyond the range from its second episode on."""
+
+        def reset(self, rows: int) -> None:
+            self.steps = 0
+
+        def act(self, obs: np.ndarray) -> np.ndarray:
+            self.steps += 1
+            return np.full((len(obs), 2), 2.0 if self.steps > 4 else 0.5)
+
+    egos = Roster((HostEgo("host", Growing()),), {"host": Member("host", "0")})
+    table = played(job_of(egos, humans(0.5), episodes=6, series=3))
+    assert set(table.select("place", "clipped").rows()) == {(1, 0.0), (2, 1.0), (3, 1.0)}
+
+
 def test_each_partner_begins_with_another_start_and_stays_one_person() -> None:
     names = [f"matrix/hand-d1-s{seed}-v0/human" for seed in range(60)]
     job = job_of(robots(0.5), episodes=15, series=5, preferences=("p1", "p5", "p9"))

@@ -1,8 +1,19 @@
 """Which policies a cross-play takes, on the published registry."""
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
-from evaluation.studies import check_env_version, choose_partners, in_release
+from evaluation import studies
+from evaluation.egos import EgoError
+from evaluation.studies import (
+    Settings,
+    check_env_version,
+    choose_partners,
+    evaluate_policies,
+    in_release,
+)
 from zoo.errors import RegistryVersionError, UnknownIdError
 from zoo.registry import load_registry
 
@@ -41,6 +52,17 @@ def test_policies_of_another_environment_version_are_refused_with_the_releases_t
         RegistryVersionError, match=r"version 2 .* trained on version 1; .* \(here v1\)"
     ):
         check_env_version(registry, registry.select("arm_assist/*", release="v0"))
+
+
+def test_a_robot_that_cannot_play_is_told_before_anything_compiles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(studies, "run_job", lambda *_, **__: pytest.fail("it was played"))
+    settings = Settings("scratch", 1, backend="native")
+    with pytest.raises(EgoError, match="task scratch reads observations"):
+        evaluate_policies(
+            load_registry(), [lambda obs: obs @ np.zeros((30, 7))], settings, tmp_path
+        )
 
 
 def test_partners_bring_the_default_split_of_their_release() -> None:

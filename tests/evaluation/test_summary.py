@@ -77,6 +77,14 @@ def test_one_ego_and_one_episode_are_said_to_be_so():
     assert any("groups of partners have as few as" in note for note in found["notes"])
 
 
+def test_clipped_actions_are_said():
+    table = evaluation_table()
+    shares = pl.Series("clipped", [0.0, 0.5] * (table.height // 2), pl.Float32())
+    [note] = [note for note in summarised(table.with_columns(shares))["notes"] if "clip" in note]
+    assert note.endswith("were clipped in 72 of 144 episodes: 25.0% of their numbers")
+    assert not [note for note in summarised(table)["notes"] if "clip" in note]
+
+
 def test_nonfinite_episodes_are_counted_and_never_left_out():
     table = evaluation_table().with_columns(
         (pl.col("episode").eq(0) & pl.col("partner_seed").eq(0)).alias("nonfinite"),
