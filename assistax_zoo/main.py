@@ -222,10 +222,10 @@ def _tell_once_of_a_cache_that_cannot_be_written() -> None:
     """Replace JAX's warnings, one a program, which name neither a remedy nor us."""
     shown, told = warnings.showwarning, False
 
-    def show(message: Warning | str, *where: Any, **more: Any) -> None:
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
         nonlocal told
         if "persistent compilation cache entry" not in str(message):
-            shown(message, *where, **more)
+            shown(message, category, *where, **more)
         elif not told:
             told = True
             place = os.environ["JAX_COMPILATION_CACHE_DIR"]
@@ -236,7 +236,7 @@ def _tell_once_of_a_cache_that_cannot_be_written() -> None:
                 file=sys.stderr,
             )
 
-    warnings.showwarning = show
+    warnings.showwarning = show  # ty: ignore[invalid-assignment]
 
 
 def _version() -> str:
