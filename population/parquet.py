@@ -23,7 +23,7 @@ for path in sys.argv[2:]:
     print(path, flush=True)
 """
 # Of a table: so many values, and so many more for each byte of its file; ours have ten at most.
-_VALUES, _VALUES_PER_BYTE = 20_000_000, 200
+_VALUES, _VALUES_PER_BYTE = 20_000_000, 100
 _readable: set[tuple[str, int, int]] = set()  # paths, sizes and times of files that were read
 
 
