@@ -23,10 +23,9 @@ from evaluation import tables
 from evaluation.devices import devices_for
 from evaluation.egos import call_ego
 from evaluation.jobs import TILE_ENVS, Chunk, Job, Share, Tile, plan
-from evaluation.reference_policy import ReferencePolicy, ScriptedPolicy
+from evaluation.players import make_player
 from evaluation.rollout import Rollout, Tally
-from evaluation.roster import HostEgo, ReferenceSpec, Roster, ScriptSpec
-from population.policy import Policy
+from evaluation.roster import HostEgo, Roster
 from population.spec import PolicySpec
 from population.stack import PolicyStack
 
@@ -210,7 +209,7 @@ class Runner:
                     "length": self._length,
                     "series": self._job.series,
                 }
-                seats = ([_policy(spec) for spec in seat] for seat in key)
+                seats = ([make_player(spec) for spec in seat] for seat in key)
                 self._rollouts[key] = Rollout(self._env, *seats, **options)
             return self._rollouts[key]
 
@@ -248,16 +247,6 @@ def _first_of_each_program(chunks: Sequence[Chunk]) -> list[Tile]:
         for tile in chunk.tiles:
             found.setdefault(tile.program, tile)
     return list(found.values())
-
-
-def _policy(spec: Any) -> Any:
-    if isinstance(spec, ReferenceSpec):
-        return ReferencePolicy(spec)
-    if isinstance(spec, ScriptSpec):
-        return ScriptedPolicy(spec)
-    if hasattr(spec, "make_policy"):  # a network that is not of this project, such as from ONNX
-        return spec.make_policy()
-    return Policy(spec)
 
 
 def _host(job: Job, tile: Tile) -> HostEgo | None:
