@@ -22,6 +22,8 @@ for path in sys.argv[2:]:
     polars.read_parquet(path)
     print(path, flush=True)
 """
+# Of a table: so many values, and so many more for each byte of its file; ours have ten at most.
+_VALUES, _VALUES_PER_BYTE = 20_000_000, 200
 _readable: set[tuple[str, int, int]] = set()  # paths, sizes and times of files that were read
 
 
@@ -29,9 +31,10 @@ def read_parquet(path: Path) -> pl.DataFrame:
     """Return a table.
 
     Raises:
-        ValueError: The file is damaged, or no Parquet.
+        ValueError: The file is damaged, no Parquet, or a small one that becomes gigabytes.
     """
     try:
+        _refuse_bomb(path)
         return pl.read_parquet(path)
     except BaseException as error:
         # Polars' reader can panic on damaged bytes: a BaseException, which no handler expects.
@@ -59,6 +62,14 @@ def check_readable(paths: Sequence[Path]) -> None:
     if read < len(unread):
         raise _damaged(unread[read], "another process could not read it")
     _readable.update(map(_state, unread))
+
+
+def _refuse_bomb(path: Path) -> None:
+    """Refuse a file that says of itself that it holds far more than its size allows."""
+    rows = pl.scan_parquet(path, glob=False).select(pl.len()).collect().item()
+    columns, size = len(pl.read_parquet_schema(path)), path.stat().st_size
+    if rows * columns > _VALUES + _VALUES_PER_BYTE * size:
+        raise ValueError(f"{rows} rows of {columns} columns in {size} bytes")
 
 
 def _state(path: Path) -> tuple[str, int, int]:

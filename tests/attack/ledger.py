@@ -72,6 +72,7 @@ class Ledger:
         line = {
             "family": self.family,
             "trials": self.trials,
+            "share": SHARE,
             "failures": len(self.failures),
             **({"struck": self.struck} if self.struck else {}),
             "slowest_seconds": round(self.slowest, 1),

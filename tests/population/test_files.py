@@ -1,4 +1,5 @@
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -41,6 +42,22 @@ def test_a_device_is_not_replaced() -> None:
     with pytest.raises(OSError, match="no regular file"):
         atomic_write(Path(os.devnull), b"")
     assert not Path(os.devnull).is_file()
+
+
+def test_a_write_that_fails_names_the_file_and_leaves_the_old_one(tmp_path: Path) -> None:
+    """As on a full disk: the error of a write names no file by itself."""
+    path = tmp_path / "policy.safetensors"
+    atomic_write(path, b"old")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        with pytest.raises(OSError, match=r"policy\.safetensors'") as caught:
+            atomic_write(path, bytes(2000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert caught.value.filename == str(path)
+    assert path.read_bytes() == b"old"
+    assert [path.name for path in tmp_path.iterdir()] == ["policy.safetensors"]
 
 
 class Disk:
