@@ -31,6 +31,7 @@ FILES = (
     *(ORDER_FILE, STRATEGIES_FILE, RUN_FILE, SUMMARY_FILE, MATRIX_FIGURE),
 )
 
+LARGEST_JSON = 1 << 26  # bytes of a file that is read; a matrix of all teams has less than a 30th
 SIDES = ("train", "test")
 TERM_PREFIX = "term_"
 
@@ -304,8 +305,10 @@ def read_json(path: Path) -> dict:
     """Read a JSON object; a missing or damaged file is reported with its path."""
     _check_there(path)
     try:
+        if (size := path.stat().st_size) > LARGEST_JSON:
+            raise ValueError(f"it has {size} bytes; at most {LARGEST_JSON} are read")
         content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(
             f"{path} is not readable JSON ({error}); delete it and run again"
         ) from error
