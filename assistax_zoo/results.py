@@ -330,5 +330,5 @@ def _evaluation(result: "EvaluationResult | Path | str") -> EvaluationResult:
 
 
 def _brief(figure: Estimate) -> str:
-    ends = figure.iqm_ci
-    return f"{figure.iqm:.1f}" + (f" [{ends[0]:.1f}, {ends[1]:.1f}]" if ends else "")
+    ends = figure.mean_ci
+    return f"{figure.mean:.1f}" + (f" [{ends[0]:.1f}, {ends[1]:.1f}]" if ends else "")

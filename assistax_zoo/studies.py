@@ -32,7 +32,7 @@ def evaluate(
     task: str,
     split: str | None = None,
     partners: str | Sequence[str] | None = None,
-    episodes: int = 8,
+    episodes: int | None = None,
     seed: int = 0,
     backend: str = "auto",
     stochastic: bool = False,
@@ -51,7 +51,8 @@ def evaluate(
 ) -> EvaluationResult:
     """Compute M_test: the return of a robot with partners that it never met.
 
-    Each partner plays under its own disability setting, and all pairs play the same episodes.
+    Each partner plays under its own disability setting and in episodes of its own, which are the
+    same for every robot.
 
     Args:
         robot: A callable from observations [N, O] to actions [N, A], float32, called with one row
@@ -63,8 +64,9 @@ def evaluate(
         split: Partners: "test" (default), "train" or "both" sides of the default split, or another
             split's id (ID:both).
         partners: Globs over partners, to play only some of those sides.
-        episodes: Of each pair.
-        seed: Of the episodes, the same for every pair.
+        episodes: Of each pair; default 18 in the gentle tasks, where nine preferences take turns,
+            and 8 in the others.
+        seed: Of the episodes: each partner has its own, the same for every robot.
         backend: Physics: "auto" for the fastest one here, or its name.
         stochastic: Draw actions instead of taking each policy's most likely one.
         max_envs: Most simulations in a saved part; lower it if memory runs out.
@@ -136,7 +138,7 @@ def cross_play(
     *,
     task: str,
     release: str | None = None,
-    episodes: int = 8,
+    episodes: int | None = None,
     seed: int = 0,
     backend: str = "auto",
     stochastic: bool = False,
@@ -156,8 +158,9 @@ def cross_play(
         task: Task, such as "scratch".
         release: Release of both, where a glob names none; default the newest whole one
             that has the task.
-        episodes: Of each pair.
-        seed: Of the episodes, the same for every pair.
+        episodes: Of each pair; default 18 in the gentle tasks, where nine preferences take turns,
+            and 8 in the others.
+        seed: Of the episodes: each partner has its own, the same for every robot.
         backend: Physics: "auto" for the fastest one here, or its name.
         stochastic: Draw actions instead of taking each policy's most likely one.
         max_envs: Most simulations in a saved part; lower it if memory runs out.

@@ -13,7 +13,7 @@ from assistax_zoo.console import print_json, stdout_is_data
 def run(arguments: Sequence[str]) -> int:
     """Run one benchmark and return its exit code: 0 done, 1 error, 2 wrong usage."""
     app = App(name="python -m benchmarks", help="Speed on this machine.")
-    for command in (env, evaluate, train, fetch, ladder, pages, service):
+    for command in (env, evaluate, train, fetch, ladder, pages, service, starts):
         app.command(command)
     try:
         app(arguments, print_error=False, exit_on_error=False, result_action="return_value")
@@ -313,6 +313,45 @@ def service(
         f"{found['seconds_to_score']:.1f} s; {found['requests']} requests, the server worked "
         f"{found['server_cpu_ms']:.1f} ms for each"
     )
+
+
+def starts(
+    *,
+    task: str = "gentle_scratch",
+    robot: str = "gentle_scratch/ppo-ego-s0-v2/robot",
+    seeds: int = 20,
+    backend: str = "auto",
+    json: bool = False,
+) -> None:
+    """Play one robot under many seeds: does M_test's interval hold the luck of the starts?
+
+    Args:
+        task: Task.
+        robot: Id of the robot.
+        seeds: How many seeds' episodes it plays with the test partners.
+        backend: fused, native or auto.
+        json: Print JSON.
+
+    Example:
+        python -m benchmarks starts --task gentle_scratch --seeds 20
+    """
+    with stdout_is_data():
+        from benchmarks.starts import measure_luck
+
+        rows = [
+            dataclasses.asdict(row) for row in measure_luck(task, robot, seeds, backend=backend)
+        ]
+    if json:
+        print_json(rows)
+        return
+    print(f"{robot} under {seeds} seeds; M_test and its 95% interval")
+    for row in rows:
+        covered = "" if row["covered"] is None else f", of drawn ones {row['covered']:.1%}"
+        kind = f"{row['starts']} starts" + ", resampled" * row["resampled"]
+        print(
+            f"{kind:26} SD over seeds {row['sd']:7.2f}, half-width {row['half_width']:7.2f}, holds "
+            f"the mean: {row['held']:.0%}{covered}"
+        )
 
 
 def _print_pages(rows: Sequence[dict[str, Any]]) -> None:

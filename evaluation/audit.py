@@ -230,6 +230,7 @@ class _Tables:
             episodes=times * self.episodes,
             seed=self.seed,
             paired=paired,
+            apart=True,
             preferences=preferences_of(self.task),
         )
 

@@ -145,7 +145,7 @@ def _cross_play(table: pl.DataFrame) -> Gate:
         Traits(*(who[f"{seat}_{t}"].to_list() for t in ("team", "algorithm", "disability")))
         for who, seat in seats
     ]
-    found = cross_play(block.scores, *traits)
+    found = cross_play(block.returns, *traits, common_starts=block.common_starts)
     gap, own, strange = found.relative_gap, found.self_play, found.cross_play
     told = f"return {strange.mean:.1f}, own teams {own.mean:.1f}" if own and strange else ""
     if gap is None:

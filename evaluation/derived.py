@@ -27,7 +27,7 @@ POINTS = 101  # of a performance profile
 def partner_table(table: pl.DataFrame) -> pl.DataFrame:
     """Average over egos and episodes: one row a partner.
 
-    `return_low` and `return_high` are the ends of its mean's 95% interval over seeds.
+    `return_low` and `return_high` are the ends of its mean's 95% interval over seeds and starts.
     """
     block, table = dense_block(table), tables.with_safety(table)
     measures = tables.outcome_columns(table)
@@ -36,7 +36,7 @@ def partner_table(table: pl.DataFrame) -> pl.DataFrame:
         pl.len().cast(pl.Int64).alias("episodes"),
         pl.col("nonfinite").sum().cast(pl.Int64),
     )
-    figures = [estimate(column) for column in block.scores.T]
+    figures = [estimate(block.returns[:, [place]]) for place in range(block.partners.height)]
     intervals = [figure.mean_ci or (None, None) for figure in figures]
     returns = pl.DataFrame(
         {

@@ -1,5 +1,6 @@
 """Find the robots that a job is about: in the registry, in files, in anybody's Python code."""
 
+import dataclasses
 import glob
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from evaluation import onnx_ego
+from evaluation import onnx_admission, onnx_ego
 from evaluation.policy_process import PolicyError, PolicyProcess
 from evaluation.policy_reference import PolicyReference, parse_reference
 from evaluation.policy_worker import told
@@ -51,6 +52,8 @@ def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> Roster:
             single += _from_zoo(reference.source, registry, task)
         elif reference.kind == "file":
             single += _from_files(reference.text)
+        elif reference.kind == "onnx" and (program := _program(reference)):
+            single.append(program)
         elif reference.kind in ("python", "onnx"):
             host.append(_from_outside(reference))
         else:
@@ -128,6 +131,21 @@ def _from_object(robot: Any, place: int) -> tuple[Member, HostEgo]:
     kind = getattr(robot, "__qualname__", type(robot).__qualname__)
     name = f"object:{kind}-{place}"
     return Member(name, identity_digest([name]), reusable=False), HostEgo(name, as_robot(robot))
+
+
+def _program(reference: PolicyReference) -> tuple[Member, PolicySpec, Any] | None:
+    """Return an ONNX file as the program that a service makes of it; None where it makes none.
+
+    Its digest names the program too: onnxruntime, which plays the others, rounds differently.
+    """
+    try:
+        data = onnx_ego.read_bytes(Path(reference.source))
+        spec, params = onnx_admission.read_program(data)
+    except (ImportError, ValueError):  # the process says in its own words what is wrong
+        return None
+    member = _of_file(reference.text, Path(reference.source))
+    digest = identity_digest([onnx_admission.PROGRAM, member.digest])
+    return dataclasses.replace(member, digest=digest), spec, params
 
 
 def _from_outside(reference: PolicyReference) -> tuple[Member, HostEgo]:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from assistax_envs.preferences import preferences_of
 from evaluation.provenance import identity_digest
 from evaluation.roster import HostEgo, Member, Roster
 
@@ -55,9 +56,7 @@ class Job:
 
     def __post_init__(self) -> None:
         if self.episodes < 1:
-            raise ValueError(
-                f"episodes is {self.episodes}; each pair needs at least 1 (--episodes 8)"
-            )
+            raise ValueError(f"episodes is {self.episodes}; each pair needs at least 1")
         if self.seed < 0:
             raise ValueError(f"seed is {self.seed}; allowed is 0 or more")
         if self.series < 1 or self.episodes % self.series:
@@ -73,11 +72,6 @@ class Job:
                 raise ValueError(
                     f"{seat} {twice[0]} is given {ids.count(twice[0])} times; give each {seat} once"
                 )
-        if (self.apart or self.series > 1) and self.stochastic:
-            raise ValueError(
-                "actions are drawn by the episodes that all partners play at once; leave out "
-                "--stochastic, or apart and --series"
-            )
         sizes = [[len(one.ids) for one in seat.stacks] for seat in (self.egos, self.partners)]
         if self.paired and sizes[0] != sizes[1]:
             raise ValueError(
@@ -135,10 +129,12 @@ class Job:
         return identity_digest(self.identity())
 
     def seeds(self, partners: Sequence[str], episodes: Sequence[int]) -> np.ndarray:
-        """Return the seeds of episodes, [K] for every partner, or [P, K] where each has its own.
+        """Return the seeds of episodes, [K] for all partners, or [P, K] where each has its own.
 
-        With its own, a partner's luck is its own too: means over partners then vary as little as
-        those of as many independent episodes. In series they are in the order of play.
+        With its own, a partner's luck is its own too: a mean over partners then varies as little as
+        that of as many independent episodes, and partners that are resampled bring their starts
+        along. All egos meet a partner in the same episodes. In series they are in the order of
+        play.
         """
         if self.apart:
             rows = map(_number, partners)
@@ -248,6 +244,15 @@ class Chunk:
     def rows(self) -> int:
         """Number of episodes, padding not counted."""
         return sum(tile.rows for tile in self.tiles)
+
+
+def default_episodes(task: str, series: int = 1) -> int:
+    """Return how many episodes a pair plays if nothing else is asked for: whole series.
+
+    Where the partner's preferences take turns, every partner likes each of them equally often.
+    """
+    turns = 2 * len(preferences_of(task)) or 8
+    return math.ceil(turns / series) * series
 
 
 def episode_seeds(seed: int, episodes: Iterable[int], *apart: int) -> list[int]:

@@ -1,13 +1,12 @@
 """A robot from an ONNX file of any exporter, run by onnxruntime in a process of its own.
 
-This is for one's own evaluations, with any plain network that onnxruntime runs. A service, which
-plays the networks of strangers, makes JAX of them instead and takes fewer operators. Both read a
-file by `read_plain`: a model is data from a stranger, checked operator by operator before anything
-else sees it.
+This is for networks with operators that `evaluation.onnx_program` lacks; all others are played by
+it. Both read a file by `read_plain`: a model is data from a stranger, checked operator by operator
+before anything else sees it.
 """
 
 import resource
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,12 @@ ReduceSum Relu Reshape Round Selu Shape Sigmoid Sign Sin Slice Softmax Softplus 
 Sqrt Squeeze Sub Sum Swish Tanh Transpose Unsqueeze Where
 """
 OPERATORS = frozenset(_PLAIN.split())
+# What may reduce, or pick, along the first axis.
+_REDUCING = frozenset(
+    ["ArgMax", "Gather", "LogSoftmax", "Softmax"]
+    + [f"Reduce{how}" for how in ("Max", "Mean", "Min", "Sum")]
+)
+ROWS = 4  # of the batch that shows whether rows are apart
 
 
 def factory(path: Path) -> tuple[str, str, dict[str, str]]:
@@ -43,20 +48,28 @@ def make(path: str) -> "OnnxEgo":
         import onnxruntime
     except ImportError:
         raise ValueError("needs onnxruntime: pip install 'assistax-zoo[export]'") from None
-    file = Path(path)
-    if not file.is_file() or file.stat().st_size > MAX_BYTES:
-        raise ValueError(f"no file of at most {MAX_BYTES} bytes there")
+    data = read_bytes(Path(path))
     taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (taken + MEMORY, taken + MEMORY))
-    data = file.read_bytes()
     try:
-        read_plain(data)
-        return OnnxEgo(data, onnxruntime)
+        reducing = reductions_over_rows(read_plain(data).graph)
+        return OnnxEgo(data, onnxruntime, reducing)
     except (ValueError, MemoryError):
         raise
     except Exception as error:  # each library has an exception class for each of its status codes
         message = " ".join(str(error).split())
         raise ValueError(f"is not an ONNX model that onnxruntime runs: {message[:300]}") from None
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the bytes of a model's file.
+
+    Raises:
+        ValueError: There is no such file, or it is too large.
+    """
+    if not path.is_file() or path.stat().st_size > MAX_BYTES:
+        raise ValueError(f"no file of at most {MAX_BYTES} bytes there")
+    return path.read_bytes()
 
 
 class StrangerError(ValueError):
@@ -86,6 +99,74 @@ def read_plain(data: bytes, operators: Collection[str] = OPERATORS) -> Any:
     return model
 
 
+def reductions_over_rows(graph: Any) -> list[str]:
+    """Return the operators that reduce or pick along the first axis, which is that of the rows.
+
+    The axis of a transposed value may be another one: `mixes_rows` says whether it matters.
+    """
+    import onnx
+
+    constants, names = _constants(graph), set()
+    for node in graph.node:
+        if node.op_type not in _REDUCING:
+            continue
+        reduces = node.op_type.startswith("Reduce")  # over all axes, if it names none
+        axes = [0 if reduces or node.op_type in ("ArgMax", "Gather") else -1]
+        for attribute in node.attribute:
+            if attribute.name in ("axis", "axes"):
+                axes = [*attribute.ints] or [attribute.i]
+        if reduces and len(node.input) > 1 and node.input[1] in constants:
+            axes = onnx.numpy_helper.to_array(constants[node.input[1]]).reshape(-1).tolist()
+        if 0 in axes:
+            names.add(node.op_type)
+    return sorted(names)
+
+
+def mixes_rows(
+    answer: Callable[[list[np.ndarray]], Sequence[np.ndarray]], widths: Sequence[int], told: bool
+) -> bool:
+    """Return whether a row of answers depends on other rows than its own.
+
+    A row is held bit by bit against itself in other company, at the same place of a batch of the
+    same size; and, within rounding, against itself alone.
+
+    Args:
+        answer: Maps inputs, the observations [N, O] and perhaps carry [N, H] and first [N], to
+            outputs of N rows each.
+        widths: O, or O and H.
+        told: Whether `first` is an input.
+    """
+    rng = np.random.default_rng(0)
+
+    def batch() -> list[np.ndarray]:
+        rows = [rng.normal(size=(ROWS, width)).astype(np.float32) for width in widths]
+        return [*rows, rng.random(ROWS) < 0.5] if told else rows
+
+    inputs = batch()
+    usual = answer(inputs)
+    for row in range(ROWS):
+        company = batch()
+        for other, value in zip(company, inputs, strict=True):
+            other[row] = value[row]
+        alone = answer([value[row : row + 1] for value in inputs])
+        for one, two, three in zip(usual, answer(company), alone, strict=True):
+            if not np.array_equal(one[row], two[row], equal_nan=True):
+                return True
+            if not np.allclose(one[row], three[0], rtol=1e-3, atol=1e-3, equal_nan=True):
+                return True
+    return False
+
+
+def mixing_error(reducing: Sequence[str]) -> StrangerError:
+    """Return the refusal of a model whose rows are not apart."""
+    names = f" ({', '.join(reducing)} over axis 0)" if reducing else ""
+    return StrangerError(
+        "operator_not_allowed",
+        f"mixes the rows of a batch{names}, which are different episodes; an action may depend on "
+        "its own row of observations alone: reduce over the last axis",
+    )
+
+
 class OnnxEgo:
     """A callable from observations [B, O] to actions [B, A].
 
@@ -95,7 +176,7 @@ class OnnxEgo:
     `assistax-zoo export --format onnx` writes.
     """
 
-    def __init__(self, data: bytes, onnxruntime: Any) -> None:
+    def __init__(self, data: bytes, onnxruntime: Any, reducing: Sequence[str] = ()) -> None:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 4
@@ -105,6 +186,9 @@ class OnnxEgo:
         self._inputs, self._outputs = self._session.get_inputs(), self._session.get_outputs()
         self.recurrent = len(self._inputs) > 1  # whether it carries a state from step to step
         _check_form(self._inputs, self._outputs)
+        self._reducing, self._rows_are_apart = reducing, False
+        if isinstance(width := self._inputs[0].shape[1], int):
+            self._check_rows(width)
         self.reset(1)
 
     def reset(self, rows: int) -> None:
@@ -120,16 +204,27 @@ class OnnxEgo:
             raise ValueError(
                 f"the model reads {width} observations, the environment gives {obs.shape[1]}"
             )
+        if not self._rows_are_apart:
+            self._check_rows(obs.shape[1])
         values: list[Any] = [obs.astype(np.float32, copy=False)]
         if self.recurrent:
             values += [self._carry, np.full(len(obs), self._first)]
-        fed = {value.name: array for value, array in zip(self._inputs, values, strict=False)}
-        names = [value.name for value in self._outputs[: 1 + self.recurrent]]
-        answer = self._session.run(names, fed)
+        answer = self._run(values)
         self._first = False
         if self.recurrent:
             self._carry = answer[1]
         return answer[0]
+
+    def _run(self, values: list[Any]) -> Any:
+        fed = {value.name: array for value, array in zip(self._inputs, values, strict=False)}
+        names = [value.name for value in self._outputs[: 1 + self.recurrent]]
+        return self._session.run(names, fed)
+
+    def _check_rows(self, width: int) -> None:
+        widths = [width, self._inputs[1].shape[1]] if self.recurrent else [width]
+        if mixes_rows(self._run, widths, len(self._inputs) == 3):
+            raise mixing_error(self._reducing)
+        self._rows_are_apart = True
 
 
 def _refuse_strangers(model: Any, operators: Collection[str], onnx: Any) -> None:
@@ -146,6 +241,8 @@ def _refuse_strangers(model: Any, operators: Collection[str], onnx: Any) -> None
                 inner.add(name)
         if node.domain not in ("", "ai.onnx") or node.op_type not in operators:
             unknown.add(name)
+        elif _is_training(node, graph):
+            unknown.add(f"{name} in training mode")
     if found := inner | unknown:
         raise StrangerError(
             "subgraph" if inner else "operator_not_allowed",
@@ -158,6 +255,27 @@ def _refuse_strangers(model: Any, operators: Collection[str], onnx: Any) -> None
             "external_data",
             "keeps weights in other files, which its sha256 does not cover; save it as one file",
         )
+
+
+def _is_training(node: Any, graph: Any) -> bool:
+    """Return whether a node draws, or normalises by the batch that it meets."""
+    if node.op_type == "BatchNormalization":
+        modes = [each.i for each in node.attribute if each.name == "training_mode"]
+        return any(modes) or sum(map(bool, node.output)) > 1
+    if node.op_type != "Dropout" or len(node.input) < 3 or not node.input[2]:
+        return False
+    mode = _constants(graph).get(node.input[2])
+    return mode is None or any(mode.raw_data) or any(mode.int32_data)
+
+
+def _constants(graph: Any) -> dict[str, Any]:
+    """Return a graph's own tensors by name."""
+    constants = {tensor.name: tensor for tensor in graph.initializer}
+    for node in graph.node:
+        if node.op_type == "Constant":
+            tensors = [each.t for each in node.attribute if each.HasField("t")]
+            constants |= {name: tensor for name in node.output for tensor in tensors}
+    return constants
 
 
 def _check_form(inputs: Any, outputs: Any) -> None:

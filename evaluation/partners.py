@@ -12,9 +12,9 @@ import numpy as np
 
 from assistax_envs.disability import DISABILITY_SETTINGS, Disability
 from evaluation.egos import call_ego, read_egos
+from evaluation.players import make_player
 from evaluation.policy_reference import parse_reference
 from evaluation.roster import HostEgo
-from population.policy import Policy
 from population.spec import PolicySpec
 from zoo.errors import UnknownIdError
 from zoo.registry import Registry
@@ -88,8 +88,9 @@ class Partner:
         # the CPU.
         batch = np.broadcast_to(obs, (2, *obs.shape)) if obs.ndim == 1 else obs
         first = np.full(batch.shape[:-1], self._carry is None)
-        carry = Policy(self.spec).initial_carry(first.shape) if self._carry is None else self._carry
-        self._carry, action = _acting(self.spec)(self._params, carry, batch, first)
+        if self._carry is None:
+            self._carry = make_player(self.spec).initial_carry(first.shape)
+        self._carry, action = _acting(self.spec)(self._params, self._carry, batch, first)
         return np.array(action[0] if obs.ndim == 1 else action)
 
     __call__ = act
@@ -148,7 +149,7 @@ def seat_policy(
         rng = np.random.default_rng([seed, list(env.action_size).index(role)])
         return lambda obs: rng.uniform(-1.0, 1.0, size).astype(np.float32)
     if named.kind in ("python", "onnx"):
-        return _outside(reference, role, registry(), task, size)
+        return _outside(reference, role, env, registry(), task)
     if named.kind == "zoo":
         policy = zoo_partner(registry(), named.source, role)
     else:
@@ -178,7 +179,7 @@ def _check_seat(policy: Partner, role: str, env: Seats) -> None:
 
 
 def _outside(
-    reference: str, role: str, registry: Registry, task: str, size: int
+    reference: str, role: str, env: Seats, registry: Registry, task: str
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Return a robot from outside, which takes batches, as a callable on one observation."""
     if role != "robot":
@@ -186,14 +187,17 @@ def _outside(
             f"policy {reference!r} cannot play the {role}; code and ONNX files play the robot"
         )
     [ego] = read_egos([reference], registry, task).stacks
-    assert isinstance(ego, HostEgo)
-    act, steps = call_ego(ego, ["its partner"], 1, size), itertools.count()
+    if not isinstance(ego, HostEgo):  # an ONNX file that is played as a program
+        policy = Partner(reference, ego.spec, ego.row(0))
+        _check_seat(policy, role, env)
+        return policy
+    act, steps = call_ego(ego, ["its partner"], 1, env.action_size[role]), itertools.count()
     return lambda obs: act(obs[None], next(steps))[0]
 
 
 @functools.cache
 def _acting(spec: PolicySpec) -> Callable[..., tuple[Any, jax.Array]]:
-    policy = Policy(spec)
+    policy = make_player(spec)
     return jax.jit(
         lambda params, carry, obs, first: policy.act(params, carry, jnp.asarray(obs), first)
     )

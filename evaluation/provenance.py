@@ -7,10 +7,13 @@ drawn from it. It has a hash of its own, so that no bit of it can change unseen 
 
 import dataclasses
 import datetime
+import functools
 import hashlib
 import importlib.metadata
 import json
+import os
 import platform
+import stat
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,6 +23,7 @@ from population.files import sha256
 from population.parquet import check_readable
 
 MANIFEST_FILE = "manifest.json"
+LARGEST = 1 << 30  # bytes of a file that is hashed: a received manifest may name any
 PACKAGES = (
     "assistax-zoo",
     "jax",
@@ -53,6 +57,45 @@ def file_sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def check_regular(status: os.stat_result) -> None:
+    """Refuse a link, a pipe, a device, what the kernel makes up, and what is larger than ours.
+
+    Raises:
+        OSError: Says which.
+    """
+    if not stat.S_ISREG(status.st_mode) or status.st_dev in _made_up():
+        raise OSError("no regular file")
+    if status.st_size > LARGEST:
+        raise OSError(f"larger than {LARGEST} bytes")
+
+
+@functools.cache
+def _made_up() -> set[int]:
+    """Return the file systems whose files are written while they are read, some without end."""
+    places = [place for place in ("/proc", "/sys") if os.path.ismount(place)]
+    return {os.stat(place).st_dev for place in places}
+
+
+def received_sha256(path: Path) -> str:
+    """Return the sha256 of a file that somebody else may have named or sent.
+
+    It is read for as long as its size says, and no further.
+
+    Raises:
+        OSError: It is no regular file (a link, a pipe, a device), or larger than `LARGEST`.
+    """
+    check_regular(path.lstat())  # opening a device may do something
+    flags = (getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOFOLLOW", "O_BINARY"))
+    with os.fdopen(os.open(path, os.O_RDONLY | sum(flags)), "rb") as file:
+        status = os.fstat(file.fileno())
+        check_regular(status)
+        digest, left = hashlib.sha256(), status.st_size
+        while left and (data := file.read(min(left, 1 << 20))):
+            digest.update(data)
+            left -= len(data)
+    return digest.hexdigest()
+
+
 def identity_digest(identity: Any) -> str:
     """Return the sha256 of what decides a result, JSON-ready, such as a job's identity."""
     return sha256(json.dumps(identity, sort_keys=True).encode())
@@ -71,8 +114,9 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
         ValueError: it is not what was written.
     """
     path = folder / MANIFEST_FILE
-    if not path.is_file():
+    if not os.path.lexists(path):
         return None
+    _check_ours(path)
     found = tables.read_json(path)
     bare = {name: value for name, value in found.items() if name != "sha256"}
     if found.get("sha256") != identity_digest(bare):
@@ -120,14 +164,16 @@ def check_whole(folder: Path) -> None:
     Raises:
         ValueError: A file was changed, damaged or lost.
     """
-    files = (read_manifest(folder) or {}).get("files", {})
-    if not isinstance(files, dict):
+    listed = (read_manifest(folder) or {}).get("files", {})
+    if not isinstance(listed, dict):
         raise ValueError(f"{folder / MANIFEST_FILE} is damaged; run again")
-    sources = {name: one for name, one in files.items() if name != tables.MATRIX_FIGURE}
+    sources = {name: digest for name, digest in listed.items() if name != tables.MATRIX_FIGURE}
     for name, digest in sources.items():
         if problem := _file_problem(folder, name, digest):
             raise ValueError(f"{problem}; take the folder from where it was made, or run again")
-    check_readable(sorted(folder.glob("*.parquet")))
+    for path in (files := _files(folder)):
+        _check_ours(path)
+    check_readable([path for path in files if path.suffix == ".parquet"])
 
 
 def verify_folder(folder: Path) -> FolderReport:
@@ -163,11 +209,15 @@ def describe_machine() -> dict[str, Any]:
 
 
 def processor() -> str:
-    """Return the processor's name, as Linux tells it, or the machine's type elsewhere."""
+    """Return the processor's name, as Linux tells it, or the machine's type elsewhere.
+
+    XLA's own options of what it may use of a processor make another one of it.
+    """
     told = Path("/proc/cpuinfo")
     lines = told.read_text().splitlines() if told.is_file() else []
     names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(names, platform.machine())
+    options = [word for word in os.environ.get("XLA_FLAGS", "").split() if "xla_cpu" in word]
+    return " ".join([next(names, platform.machine()), *sorted(options)])
 
 
 def write_run(folder: Path, command: str, simulated: bool) -> None:
@@ -186,39 +236,62 @@ def record_command(folder: Path, command: str, filled: bool) -> None:
 
 def _files(folder: Path) -> list[Path]:
     """Return the files of ours that are there; a report or a figure of the user's is not."""
-    return [path for name in tables.FILES if (path := folder / name).is_file()]
+    return [path for name in tables.FILES if os.path.lexists(path := folder / name)]
+
+
+def _check_ours(path: Path) -> None:
+    """Refuse what stands in place of a file of ours, such as a link to a pipe.
+
+    Raises:
+        ValueError: It is no regular file.
+    """
+    try:
+        check_regular(path.lstat())
+    except OSError as error:
+        raise ValueError(f"{path} is {error}; put the file itself there") from None
 
 
 def _file_problem(folder: Path, name: str, digest: str) -> str | None:
     path = folder / name
     if Path(name).name != name:  # a received manifest: nothing outside its folder is read
         return f"the manifest names {name!r}, which is no file of {folder}"
-    if not path.is_file():
+    try:
+        found = received_sha256(path)
+    except FileNotFoundError:
         return f"{path} is missing"
-    found = file_sha256(path)
+    except (OSError, ValueError) as error:
+        return f"{path} cannot be checked: {error}"
     return None if found == digest else f"{path}: expected sha256 {digest}, found {found}"
 
 
 def _table_problems(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
     """Hold the episodes against the job that the manifest names: same policies, same episodes."""
+    path = folder / tables.EPISODES_FILE
     try:
-        check_readable([folder / tables.EPISODES_FILE])
+        check_readable([path])
         identity = manifest["identity"]
         if manifest["job"] != identity_digest(identity):
             return [f"{folder / MANIFEST_FILE} names another job than the identity it holds"]
-        table = tables.read_episodes(folder / tables.EPISODES_FILE)
-        wanted = {
-            "ego": {row[0] for row in identity["egos"]},
-            "partner": {row[0] for row in identity["partners"]},
-            "episode": set(range(identity["episodes"])),
-        }
+        table = tables.read_episodes(path)
+        egos, partners = ([row[0] for row in identity[seat]] for seat in ("egos", "partners"))
+        episodes, paired = identity["episodes"], identity["paired"]
+        if type(episodes) is not int or not 0 < episodes <= table.height:
+            return [f"{path} has other episodes than the manifest"]
+        wanted = {"ego": set(egos), "partner": set(partners), "episode": set(range(episodes))}
     except (ValueError, OSError, KeyError, TypeError, IndexError) as error:
         return [f"{folder}: {type(error).__name__}: {error}"]
-    return [
-        f"{folder / tables.EPISODES_FILE} has other {name}s than the manifest"
+    problems = [
+        f"{path} has other {name}s than the manifest"
         for name, values in wanted.items()
         if set(table[name]) != values
     ]
+    rows = (1 if paired else len(egos)) * len(partners) * episodes
+    doubled = table.height - table.select("ego", "partner", "episode").n_unique()
+    if not problems and (doubled or table.height != rows):
+        problems = [
+            f"{path} has {table.height} rows, {doubled} of them twice; the manifest's job: {rows}"
+        ]
+    return problems
 
 
 def installed(name: str) -> str | None:

@@ -136,6 +136,11 @@ def play_references(
         place = folder / one.digest()[:20]
         played.append(run_job(env, one, place, on_progress=shown, **options).table)
         files.append(place / tables.EPISODES_FILE)
+    return with_names(pl.concat(played)), files
+
+
+def with_names(played: pl.DataFrame) -> pl.DataFrame:
+    """Add the column `reference`: whose the episodes are."""
     names = (
         pl.when(pl.col("partner") == PASSIVE)
         .then("partner")
@@ -143,4 +148,4 @@ def play_references(
         .then("ego")
         .otherwise(pl.lit(SELF_PLAY))
     )
-    return pl.concat(played).with_columns(names.alias(COLUMN)), files
+    return played.with_columns(names.alias(COLUMN))

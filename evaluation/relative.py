@@ -120,9 +120,9 @@ def summarise_references(
         return figure(played.agg(pl.col("return").cast(pl.Float64).mean())["return"])
 
     def alone(egos: pl.Expr) -> Estimate | None:
-        rows = references.filter((pl.col("partner") == PASSIVE) & egos).group_by("ego")
-        means = rows.agg(pl.col("return").cast(pl.Float64).mean()).sort("ego")["return"]
-        return estimate(means.to_numpy()[:, None]) if means.len() else None
+        rows = references.filter((pl.col("partner") == PASSIVE) & egos).sort("ego", "episode")
+        shape = rows["ego"].n_unique(), 1, -1
+        return estimate(rows["return"].to_numpy().reshape(shape)) if rows.height else None
 
     played = (returns_of(ZERO), returns_of(RANDOM), returns_of(SELF_PLAY))
     found = References(

@@ -344,9 +344,7 @@ def _advance(
     e, p, k = shape.block
 
     def body(loop: Loop, _: None) -> tuple[Loop, None]:
-        noise = [None, None]
-        if stochastic:
-            noise = _noise_keys(keys, loop.time)
+        noise = _noise_keys(keys, loop.time, shape) if stochastic else (None, None)
         robot_action, robot_carry = action, loop.robot
         if robots:
             obs = loop.state.obs["robot"].reshape(*((p, k) if shape.paired else (e, p * k)), -1)
@@ -433,7 +431,7 @@ def _act_all(
     """Let every stack of a seat act for its rows of obs [G, R, O]; see `_act`."""
     starts = itertools.accumulate(_widths(params), initial=0)
     acted = [
-        _act(policy, own, carry, obs[start:stop], first, keys)
+        _act(policy, own, carry, obs[start:stop], first, None if keys is None else keys[start:stop])
         for policy, own, carry, (start, stop) in zip(
             policies, params, carries, itertools.pairwise(starts), strict=True
         )
@@ -451,8 +449,7 @@ def _act(
 ) -> tuple[Any, jax.Array]:
     """Map a policy over its stacked parameters: obs [G, R, O] -> actions [G, R, A].
 
-    With `keys` [K], row r draws with the key of its episode, r modulo K: every pair sees the same
-    noise.
+    With `keys` [G, R] every row draws its action with its key, else it takes the mode.
     """
     rows = obs.shape[1]
     # A product with one row takes another path on the CPU, which rounds differently: values would
@@ -463,20 +460,30 @@ def _act(
         carry, action = member_map(policy.act)(params, carry, obs, first)
         return carry, action[:, :rows]
     carry, gaussian = member_map(policy.step)(params, carry, obs, first)
-    tiled = keys[jnp.arange(obs.shape[1]) % keys.shape[0]]
-    draw = jax.vmap(jax.vmap(lambda gaussian, key: gaussian.sample(key)), in_axes=(0, None))
-    return carry, gaussian.action(draw(gaussian, tiled))[:, :rows]
+    keys = jnp.broadcast_to(keys, obs.shape[:2])
+    draw = jax.vmap(jax.vmap(lambda gaussian, key: gaussian.sample(key)))
+    return carry, gaussian.action(draw(gaussian, keys))[:, :rows]
 
 
-def _noise_keys(keys: jax.Array, time: jax.Array) -> list[jax.Array]:
-    """Return a key for each role and episode [K] at a step, apart from the environment's stream."""
+def _noise_keys(keys: jax.Array, time: jax.Array, shape: Shape) -> tuple[jax.Array, jax.Array]:
+    """Return the keys of the robots' rows and of the humans' at a step, both [G, R].
 
-    def key_of(role: int, key: jax.Array) -> jax.Array:
-        return jax.random.fold_in(
-            jax.random.fold_in(jax.random.fold_in(key, _ACTION_STREAM), role), time
+    They are of the episode, [K] or [P, K], and apart from the environment's stream: every pair of
+    an episode sees the same noise.
+    """
+    e, p, k = shape.block
+
+    def keys_of(role: int) -> jax.Array:
+        streams = (_ACTION_STREAM, role, time)
+        flat = jax.vmap(lambda key: functools.reduce(jax.random.fold_in, streams, key))(
+            keys.ravel()
         )
+        return jnp.broadcast_to(flat.reshape(keys.shape), (p, k))
 
-    return [jax.vmap(functools.partial(key_of, role))(keys) for role in range(2)]
+    robot, human = keys_of(0), keys_of(1)
+    if not shape.paired:
+        robot = jnp.broadcast_to(robot.reshape(1, p * k), (e, p * k))
+    return robot, jnp.broadcast_to(human[:, None], (p, e, k)).reshape(p, e * k)
 
 
 def _carries(policies: Sequence[Any], widths: Sequence[int], rows: int) -> tuple[Any, ...]:

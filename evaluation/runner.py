@@ -10,7 +10,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -23,10 +23,9 @@ from evaluation import tables
 from evaluation.devices import devices_for
 from evaluation.egos import call_ego
 from evaluation.jobs import TILE_ENVS, Chunk, Job, Share, Tile, plan
-from evaluation.reference_policy import ReferencePolicy, ScriptedPolicy
+from evaluation.players import make_player
 from evaluation.rollout import Rollout, Tally
-from evaluation.roster import HostEgo, ReferenceSpec, Roster, ScriptSpec
-from population.policy import Policy
+from evaluation.roster import HostEgo, Roster
 from population.spec import PolicySpec
 from population.stack import PolicyStack
 
@@ -210,7 +209,7 @@ class Runner:
                     "length": self._length,
                     "series": self._job.series,
                 }
-                seats = ([_policy(spec) for spec in seat] for seat in key)
+                seats = ([make_player(spec) for spec in seat] for seat in key)
                 self._rollouts[key] = Rollout(self._env, *seats, **options)
             return self._rollouts[key]
 
@@ -250,16 +249,6 @@ def _first_of_each_program(chunks: Sequence[Chunk]) -> list[Tile]:
     return list(found.values())
 
 
-def _policy(spec: Any) -> Any:
-    if isinstance(spec, ReferenceSpec):
-        return ReferencePolicy(spec)
-    if isinstance(spec, ScriptSpec):
-        return ScriptedPolicy(spec)
-    if hasattr(spec, "make_policy"):  # a network that is not of this project, such as from ONNX
-        return spec.make_policy()
-    return Policy(spec)
-
-
 def _host(job: Job, tile: Tile) -> HostEgo | None:
     """Return the robot from outside that plays in a tile, if one does."""
     stack = job.egos.stacks[tile.egos[0].stack]
@@ -286,10 +275,12 @@ def _padded(rows: range, width: int) -> list[int]:
     return [rows[min(i, len(rows) - 1)] for i in range(width)]
 
 
-def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
-    """Return the real episodes of a tile, ego by ego, partner by partner."""
+def planned_rows(job: Job, tile: Tile) -> pl.DataFrame:
+    """Return what is known of a tile's real episodes before they are played.
+
+    Who plays, which episode, from which start: ego by ego, partner by partner.
+    """
     e, p, k = tile.played
-    tally = jax.tree.map(lambda leaf: leaf[:e, :p, :k].reshape(-1), tally)
     egos = _described("ego", job.egos, _ids(job.egos, tile.egos))
     partners = _described("partner", job.partners, _ids(job.partners, tile.partners))
     sides = [job.sides.get(name) for name in partners["partner"]]
@@ -301,7 +292,7 @@ def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
     else:
         rows = egos.join(partners, how="cross", maintain_order="left_right")
     rows = rows.join(episodes, how="cross", maintain_order="left_right")
-    places, wishes, touches = {}, {}, {}
+    places, wishes = {}, {}
     if job.series > 1:
         played = tile.episodes.start + job.order(partners["partner"].to_list(), k)
         order = {"episode": played, "place": 1 + np.arange(k) % job.series}
@@ -309,12 +300,17 @@ def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
     if job.preferences:
         names = job.wishes(partners["partner"].to_list(), tile.episodes)
         wishes = {"preference": np.broadcast_to(names, (e, p, k)).ravel()}
+    return _with(rows, {**places, **wishes, "key": keys.ravel()})
+
+
+def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
+    """Return the real episodes of a tile, as planned and with what was measured."""
+    e, p, k = tile.played
+    tally = jax.tree.map(lambda leaf: leaf[:e, :p, :k].reshape(-1), tally)
+    touches = {}
     if tally.violated is not None:
         touches = {"contact_peak": tally.contact_peak, "violated": tally.violated}
     measured = {
-        **places,
-        **wishes,
-        "key": keys.ravel(),
         "return": tally.returns,
         "discounted_return": tally.discounted,
         **{tables.TERM_PREFIX + name: value for name, value in tally.terms.items()},
@@ -328,9 +324,14 @@ def _rows(job: Job, tile: Tile, tally: Tally) -> pl.DataFrame:
         "nonfinite": tally.nonfinite,
         "steps": tally.steps,
     }
-    types = {name: tables.SCHEMA.get(name, pl.Float32()) for name in measured}
+    return _with(planned_rows(job, tile), measured)
+
+
+def _with(rows: pl.DataFrame, columns: Mapping[str, Any]) -> pl.DataFrame:
+    """Return rows with columns of the table's types."""
     return rows.with_columns(
-        pl.Series(name, value).cast(types[name]) for name, value in measured.items()
+        pl.Series(name, value).cast(tables.SCHEMA.get(name, pl.Float32()))
+        for name, value in columns.items()
     )
 
 

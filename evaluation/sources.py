@@ -6,7 +6,6 @@ comes from another machine: what is not here is told, and is no problem.
 """
 
 import dataclasses
-import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from zoo.registry import Registry, load_registry
 from zoo.schema import PolicyEntry
 from zoo.storage import load_leaves
 
-LARGEST = 1 << 30  # bytes of a file that is hashed: a received manifest may name any
+LARGEST_SUM = 1 << 32  # bytes of all files that are hashed: a received manifest may name any
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +69,7 @@ def check_sources(folder: Path, registry: Path | None = None) -> SourceReport:
     if sources is None:
         return SourceReport(0, ("what it was drawn from: its manifest does not name it",), ())
     try:
-        found = [*_check_files(sources["files"]), *_check_releases(sources, registry)]
+        found = [*_check_files(sources["files"]), *_check_releases(folder, sources, registry)]
     except (KeyError, TypeError, AttributeError) as error:
         return SourceReport(0, (), (f"{folder}: its manifest names no sources: {error!r}",))
     absent = tuple(text for kind, text in found if kind == "absent")
@@ -82,25 +81,46 @@ Finding = tuple[str, str]  # "whole", "absent" or "problem", and of what
 
 
 def _check_files(files: Mapping[str, str]) -> Iterator[Finding]:
+    """Hold own robots' and other folders' files against their hashes; each is read once.
+
+    They may lie anywhere. Of a file that is another than expected the hash is not shown: a received
+    manifest may name a secret.
+    """
+    hashes: dict[tuple[int, int], str] = {}
+    left = LARGEST_SUM
     for name, digest in files.items():
         path = Path(name)
         try:
-            status = path.stat()  # not opened before: a pipe would never end
-        except (OSError, ValueError):
-            yield "absent", f"file {shorten(name)}"
+            provenance.check_regular(status := path.lstat())
+            if (file := (status.st_dev, status.st_ino)) not in hashes:
+                left -= status.st_size
+                if left < 0:
+                    raise OSError(f"beyond the {LARGEST_SUM} bytes that are read")
+                hashes[file] = provenance.received_sha256(path)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            yield "absent", f"file {shorten(name)} ({shorten(str(reason))})"
             continue
-        if not stat.S_ISREG(status.st_mode) or status.st_size > LARGEST:
-            yield "absent", f"file {shorten(name)}, which is none, or too large"
-        elif (found := provenance.file_sha256(path)) != digest:
-            expected = shorten(digest)
-            yield "problem", f"{shorten(name)}: expected sha256 {expected}, found {found}"
-        else:
+        if hashes[file] == digest:
             yield "whole", name
+        else:
+            yield "problem", f"{shorten(name)} is not what the figures are of: another sha256"
 
 
-def _check_releases(sources: Mapping[str, Any], given: Path | None) -> Iterator[Finding]:
+def _is_registry(folder: Path, path: Path) -> bool:
+    """Return whether a manifest names a registry of this machine's, none that came with it."""
+    try:
+        provenance.check_regular(path.lstat())
+        return path.suffix == ".json" and folder.resolve() not in path.resolve().parents
+    except (OSError, ValueError):
+        return False
+
+
+def _check_releases(
+    folder: Path, sources: Mapping[str, Any], given: Path | None
+) -> Iterator[Finding]:
     recorded = Path(sources["registry"])
-    chosen = given or (recorded if recorded.is_file() else None)
+    chosen = given or (recorded if _is_registry(folder, recorded) else None)
     try:
         registry = load_registry(chosen)
     except ZooError as error:

@@ -45,17 +45,18 @@ def tail_weights(values: np.ndarray, counts: np.ndarray, alpha: float) -> np.nda
 
 
 def weighted_mean(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Mean [B] of values [n] under counts [B, n]; NaN where a row of counts is empty."""
+    """Mean [B] of values [n] or [B, n] under counts [B, n]; NaN where a row of counts is empty."""
     total = counts.sum(axis=1)
-    return np.divide(counts @ values, total, out=np.full(len(total), np.nan), where=total > 0)
+    sums = _row_products(counts, values)
+    return np.divide(sums, total, out=np.full(len(total), np.nan), where=total > 0)
 
 
 def weighted_iqm(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Interquartile mean [B] of values [n] under whole-number counts [B, n].
 
-    NaN where a row of counts is empty.
+    NaN where a row of counts is empty. Values may also be [B, n], each row sorted.
     """
-    if np.any(np.diff(values) < 0):
+    if values.ndim == 1 and np.any(np.diff(values) < 0):
         order = np.argsort(values, kind="stable")
         values, counts = values[order], counts[:, order]
     centre = values.mean()  # subtracting it keeps the sums by parts below small
@@ -67,11 +68,16 @@ def weighted_iqm(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
     # Entry i keeps reached[i] - reached[i - 1] of its counts; summed by parts, this needs no second
     # array.
     kept = (
-        high * (values[-1] - centre)
-        - low * (values[0] - centre)
-        - reached[:, :-1] @ np.diff(values)
+        high * (values[..., -1] - centre)
+        - low * (values[..., 0] - centre)
+        - _row_products(reached[:, :-1], np.diff(values))
     )
     return np.divide(kept, high - low, out=np.full(len(total), np.nan), where=total > 0) + centre
+
+
+def _row_products(counts: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return sums [B] of counts [B, n] times values [n], or times each row's own, [B, n]."""
+    return counts @ values if values.ndim == 1 else np.einsum("bn,bn->b", counts, values)
 
 
 def entries(values: np.ndarray) -> np.ndarray:
@@ -98,3 +104,12 @@ def score_matrix(scores: np.ndarray) -> np.ndarray:
         )
     entries(scores)
     return scores[:, None] if scores.ndim == 1 else scores
+
+
+def returns_of(scores: np.ndarray) -> np.ndarray:
+    """Return returns [S, P, K] or scores [S, P] as floats; [S] counts as seeds with one partner."""
+    scores = np.asarray(scores, float)
+    if scores.ndim != 3:
+        return score_matrix(scores)
+    entries(scores)
+    return scores

@@ -20,7 +20,7 @@ from evaluation.blocks import BlockDone, run_block, run_blocks_on_ray
 from evaluation.derived import save_crossplay, save_evaluation
 from evaluation.devices import share_cores
 from evaluation.evaluator import Evaluation, check_folder, run_job
-from evaluation.jobs import Job
+from evaluation.jobs import Job, default_episodes
 from evaluation.references import play_references
 from evaluation.relative import bounds_table
 from evaluation.roster import Roster, paired_rosters, registry_roster
@@ -44,8 +44,8 @@ class Settings:
     """What both jobs have in common."""
 
     task: str
-    episodes: int  # of each pair
-    seed: int = 0  # of the episodes; the same for every pair
+    episodes: int | None = None  # of each pair; None is `default_episodes`
+    seed: int = 0  # of the episodes: each partner has its own, the same for every robot
     backend: str = "auto"
     stochastic: bool = False  # draw actions instead of taking each policy's mode
     max_envs: int | None = None  # simulations at once; None is the backend's default
@@ -56,10 +56,8 @@ class Settings:
     def __post_init__(self) -> None:
         if self.task not in TASKS:
             raise ValueError(f"task is {self.task!r}; allowed are {', '.join(TASKS)}")
-        if self.episodes < 1:
-            raise ValueError(
-                f"episodes is {self.episodes}; each pair needs at least 1 (--episodes 8)"
-            )
+        if self.episodes is not None and self.episodes < 1:
+            raise ValueError(f"episodes is {self.episodes}; each pair needs at least 1")
         if self.seed < 0:
             raise ValueError(f"seed is {self.seed}; allowed is 0 or more")
         if self.max_envs is not None and self.max_envs < 1:
@@ -316,10 +314,11 @@ def make_job(
         engine=getattr(env, "engine", {}),
         egos=egos,
         partners=humans,
-        episodes=settings.episodes,
+        episodes=settings.episodes or default_episodes(settings.task, settings.series),
         seed=settings.seed,
         stochastic=settings.stochastic,
         series=settings.series,
+        apart=True,
         sides={entry.id: side for entry in partners if split and (side := split.side(entry.team))},
         preferences=settings.wishes,
     )

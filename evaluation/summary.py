@@ -66,6 +66,8 @@ class Summary(Context):
 
     episodes: int
     episodes_per_pair: int
+    # Whether all partners played the same starts, as all did before each had starts of its own.
+    common_starts: bool = True
     nonfinite: int  # episodes whose physics became non-finite; they count
     notes: tuple[str, ...]
 
@@ -177,14 +179,15 @@ def summarise_evaluation(table: pl.DataFrame, context: Context) -> EvaluationSum
     block = dense_block(table)
     sides = block.partners["side"].to_list()
     focus = block.evaluated_side()
+    starts = {"common_starts": block.common_starts}
     by_algorithm, by_disability = (
-        group_draws(focus.scores, focus.partners[f"partner_{trait}"].to_list())
+        group_draws(focus.returns, focus.partners[f"partner_{trait}"].to_list(), **starts)
         for trait in ("algorithm", "disability")
     )
     by_preference = _preference_draws(focus)
     several = focus.returns.shape[2] > 1
     return EvaluationSummary(
-        **vars(zero_shot(block.scores, sides)),
+        **vars(zero_shot(block.returns, sides, **starts)),
         **_common(block, context),
         side=focus.partners["side"][0],
         by_algorithm=_estimates(by_algorithm),
@@ -193,16 +196,17 @@ def summarise_evaluation(table: pl.DataFrame, context: Context) -> EvaluationSum
         by_preference=_estimates(by_preference),
         preference_fairness=fairness(by_preference) if len(by_preference) > 1 else None,
         by_place=_by_place(table, focus),
-        safe_success=_share(focus.safe),
-        violations=_share(focus.violated),
+        safe_success=_share(focus.safe, **starts),
+        violations=_share(focus.violated, **starts),
         worst_partner=_worst_partner(focus),
-        cvar_10=cvar_crossfit(focus.returns, 0.1) if several else None,
+        cvar_10=cvar_crossfit(focus.returns, 0.1, **starts) if several else None,
         egos=tuple(block.egos["ego"]),
         partners={name: sides.count(name) for name in tables.SIDES},
         notes=(
             *_seed_notes(block.egos.height),
             *_group_notes(focus),
             *_preference_notes(block, context.split),
+            *_start_notes(block),
             *_episode_notes(block),
         ),
     )
@@ -214,7 +218,7 @@ def summarise_crossplay(table: pl.DataFrame, context: Context) -> CrossPlaySumma
     rows, columns = _traits(block.egos, "ego"), _traits(block.partners, "partner")
     means = block.scores.mean(axis=1)
     return CrossPlaySummary(
-        **vars(cross_play(block.scores, rows, columns)),
+        **vars(cross_play(block.returns, rows, columns, common_starts=block.common_starts)),
         **_common(block, context),
         best_ego=BestEgo(block.egos["ego"][int(means.argmax())], float(means.max())),
         rank_stability=_rank_stability(block.scores),
@@ -247,7 +251,8 @@ def summarise_comparison(a: pl.DataFrame, b: pl.DataFrame, *, seed: int = 0) -> 
         mask = (first.partners["side"] == side).fill_null(value=False).to_numpy()
         if not mask.any():
             return None
-        return paired_difference(first.scores[:, mask], second.scores[:, mask], seed=seed)
+        returns = first.returns[:, mask], second.returns[:, mask]
+        return paired_difference(*returns, common_starts=first.common_starts, seed=seed)
 
     test, train = difference("test"), difference("train")
     if test is None and train is None:
@@ -264,6 +269,7 @@ def _common(block: Block, context: Context) -> dict:
         **vars(context),
         "episodes": block.returns.size,
         "episodes_per_pair": block.returns.shape[2],
+        "common_starts": block.common_starts,
         "nonfinite": int(block.nonfinite.sum()),
     }
 
@@ -292,9 +298,9 @@ def _by_place(table: pl.DataFrame, block: Block) -> dict[str, Estimate]:
     return {str(place): estimate(score) for place, score in enumerate(scores, 1)}
 
 
-def _share(happened: np.ndarray | None) -> Estimate | None:
+def _share(happened: np.ndarray | None, *, common_starts: bool) -> Estimate | None:
     """Return in which share of episodes [E, P, K] it happened."""
-    return None if happened is None else estimate(happened.mean(axis=2))
+    return None if happened is None else estimate(happened, common_starts=common_starts)
 
 
 def _estimates(draws: dict[str, Draws]) -> dict[str, Estimate]:
@@ -356,6 +362,16 @@ def _few(count: int, what: str, of: str = "") -> list[str]:
     return [f"{what}: intervals over fewer than {ENOUGH}{of} are too narrow"] * (count < ENOUGH)
 
 
+def _start_notes(block: Block) -> list[str]:
+    """Say which intervals leave out the luck of starts that all partners have in common."""
+    if not block.common_starts:
+        return []
+    return [
+        f"all partners played the same {block.returns.shape[2]} starts: intervals by preference, "
+        "by place, of relative figures and of the profile leave their luck out"
+    ]
+
+
 def _episode_notes(block: Block) -> Sequence[str]:
     broken = int(block.nonfinite.sum())
     notes = []
@@ -365,5 +381,5 @@ def _episode_notes(block: Block) -> Sequence[str]:
             "they count"
         )
     if block.keys is None:
-        notes.append("pairs played different episode keys: their differences are not paired")
+        notes.append("egos played different episodes: their differences are not paired")
     return notes

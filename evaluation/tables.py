@@ -26,12 +26,12 @@ STRATEGIES_FILE = "strategies.json"  # partners of a cross-play by behaviour
 RUN_FILE = "run.json"  # command, machine and versions
 SUMMARY_FILE = "summary.json"  # the object that --json prints
 MATRIX_FIGURE = "crossplay.png"  # the clustered matrix, drawn
-LARGEST_JSON = 1 << 26  # bytes of a file that somebody may have sent
 FILES = (
     *(EPISODES_FILE, PAIRS_FILE, REFERENCES_FILE, BOUNDS_FILE, PARTNERS_FILE, PROFILE_FILE),
     *(ORDER_FILE, STRATEGIES_FILE, RUN_FILE, SUMMARY_FILE, MATRIX_FIGURE),
 )
 
+LARGEST_JSON = 1 << 26  # bytes of a file that is read; a matrix of all teams has less than a 30th
 SIDES = ("train", "test")
 TERM_PREFIX = "term_"
 
@@ -295,8 +295,8 @@ def read_json(path: Path) -> dict:
     """Read a JSON object; a missing or damaged file is reported with its path."""
     _check_there(path)
     try:
-        if path.stat().st_size > LARGEST_JSON:
-            raise ValueError(f"{path.stat().st_size} bytes; at most {LARGEST_JSON} are read")
+        if (size := path.stat().st_size) > LARGEST_JSON:
+            raise ValueError(f"it has {size} bytes; at most {LARGEST_JSON} are read")
         content = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise ValueError(

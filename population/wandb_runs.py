@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 
@@ -17,7 +18,9 @@ PREFIX = "wandb:"  # before a project, where else a folder for event files is na
 class WandbRuns:
     """Sends what a run reports.
 
-    A run that goes on goes on there too, from what it reports next: its `metrics.parquet` has all.
+    Runs begin there with the first report, when training has taken its folder: W&B keeps its own
+    files in it. A run that goes on goes on there too, from what it reports next: its
+    `metrics.parquet` has all.
 
     Args:
         config: The run.
@@ -25,30 +28,18 @@ class WandbRuns:
         project: Of W&B, to whose service `WANDB_MODE=offline` sends nothing.
 
     Raises:
-        ValueError: wandb is not installed.
+        ValueError: wandb is not installed, or, with the first report, nobody is logged in.
     """
 
     def __init__(self, config: TrainConfig, folder: Path, project: str) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        names = [name.replace("/", "-") for name in config.names]
-        place = str(folder.resolve())
-        init = optional("wandb", "sending to Weights & Biases", "wandb").init
-        self._runs = [
-            init(
-                project=project,
-                name=name,
-                group=folder.name,
-                id=hashlib.sha256(f"{place} {name}".encode()).hexdigest()[:16],
-                resume="allow",
-                reinit="create_new",
-                dir=place,
-                config={"task": config.task, **dataclasses.asdict(config.trainer)},
-            )
-            for name in names
-        ]
+        self._wandb = optional("wandb", "sending to Weights & Biases", "wandb")
+        self._config, self._folder, self._project = config, folder, project
+        self._runs: list[Any] = []
 
     def __call__(self, progress: Progress) -> None:
         """Send the newest updates."""
+        if not self._runs:
+            self._begin()
         speed = {"speed/steps_per_second": progress.steps_per_second / len(self._runs)}
         rows: pl.DataFrame = progress.rows
         for row in rows.iter_rows(named=True):
@@ -61,3 +52,25 @@ class WandbRuns:
         """Send what is still on its way."""
         for run in self._runs:
             run.finish()
+
+    def _begin(self) -> None:
+        place, trainer = str(self._folder.resolve()), dataclasses.asdict(self._config.trainer)
+        for name in (name.replace("/", "-") for name in self._config.names):
+            try:
+                run = self._wandb.init(
+                    project=self._project,
+                    name=name,
+                    group=self._folder.name,
+                    id=hashlib.sha256(f"{place} {name}".encode()).hexdigest()[:16],
+                    resume="allow",
+                    reinit="create_new",
+                    dir=place,
+                    settings=self._wandb.Settings(console="off"),  # several share one
+                    config={"task": self._config.task, **trainer},
+                )
+            except self._wandb.errors.Error as error:
+                raise ValueError(
+                    f"Weights & Biases took no run: {' '.join(str(error).split())}; log in with "
+                    "`wandb login`, or keep the run in its folder with WANDB_MODE=offline"
+                ) from None
+            self._runs.append(run)

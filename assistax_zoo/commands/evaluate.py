@@ -25,8 +25,9 @@ def evaluate(
 ) -> None:
     """Compute M_test: the return of robot policies with partners of the zoo that they never met.
 
-    Each partner plays under its own disability setting, and all pairs play the same episodes. With
-    --out, every episode is kept there as Parquet, and a run that was stopped goes on where it was.
+    Each partner plays under its own disability setting and in episodes of its own, which are the
+    same for every robot. With --out, every episode is kept there as Parquet, and a run that was
+    stopped goes on where it was.
 
     Args:
         task: Task, such as scratch.
@@ -222,11 +223,11 @@ def _print_figures(
     """Print a table of the figures that there are."""
     table = new_table(title)
     table.add_column(what, overflow="fold")
-    for name in ("mean", "IQM", "its 95% interval", "pairs"):
+    for name in ("mean", "95% interval", "IQM", "pairs"):
         table.add_column(name, justify="right", no_wrap=True)
     for name, figure in rows:
         if figure is not None:
             mean, iqm = (f"{figure[key]:.{digits}f}" for key in ("mean", "iqm"))
-            interval = " to ".join(f"{end:.{digits}f}" for end in figure["iqm_ci"] or ())
-            table.add_row(name, mean, iqm, interval or "-", str(figure["n"]))
+            interval = " to ".join(f"{end:.{digits}f}" for end in figure["mean_ci"] or ())
+            table.add_row(name, mean, interval or "-", iqm, str(figure["n"]))
     print_table(table)

@@ -23,8 +23,9 @@ class Playing:
     """How egos play with partners.
 
     Attributes:
-        episodes: Episodes of each pair.
-        seed: Seed of the episodes, the same for every pair.
+        episodes: Episodes of each pair; default 18 in the gentle tasks, where nine preferences take
+            turns, and 8 in the others.
+        seed: Seed of the episodes: each partner has its own, the same for every robot.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
         stochastic: Draw actions instead of taking each policy's most likely one.
         max_envs: Most simulations in a saved part, and on a GPU at once; lower it if memory runs
@@ -34,7 +35,7 @@ class Playing:
             where it holds none out.
     """
 
-    episodes: int = 8
+    episodes: int | None = None
     seed: int = 0
     backend: str = "auto"
     stochastic: bool = False

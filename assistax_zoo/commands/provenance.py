@@ -1,10 +1,17 @@
 """Whether a finished folder can be believed: its hashes, and a sample of it played again."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from assistax_zoo.commands.options import Source
 from assistax_zoo.console import answer, stdout_is_data
+from zoo.errors import printable
 from zoo.registry import load_registry
+
+if TYPE_CHECKING:
+    from evaluation.replay import ReplayReport
+
+SHOWN = 8  # problems; --json has all
 
 
 def verify_results(folder: Path, registry: Path | None, json: bool) -> bool:
@@ -35,21 +42,26 @@ def replay(
     /,
     *,
     sample: int = 20,
-    seed: int = 0,
+    seed: int | None = None,
     run_code: bool = False,
+    crossplay: Path | None = None,
     source: Source = Source(),
     json: bool = False,
 ) -> None:
-    """Play a sample of a finished folder's episodes again; exit code 1 if they are others.
+    """Check a finished folder: exit code 1 if it holds other figures than its job gives.
 
-    Where processor, jaxlib and engine are those that made it, every bit must be the same; elsewhere
-    the mean return must be, within what rounding makes. It says which.
+    The job is made again from the registry, every table and figure is drawn again from the
+    episodes, and a sample of the episodes, references' among them, is played again. Where the
+    folder says that such a machine made it, every bit must be the same; else each robot, partner
+    and pair is held to how far processors were measured to differ. It says which, and what is not
+    checked.
 
     Args:
         folder: Folder that `assistax-zoo evaluate --out` or `crossplay --out` filled.
         sample: Episodes; what was simulated together is played together, so there may be more.
-        seed: Seed of the choice.
+        seed: Seed of the choice, to repeat one; if not given, a new one, which is printed.
         run_code: Run a robot from Python code that the folder names; read it first.
+        crossplay: Folder of the cross-play that was given to evaluate; it is checked as well.
         source: Where policies come from.
         json: Print JSON.
 
@@ -60,13 +72,38 @@ def replay(
         from evaluation.replay import replay_folder
 
         registry = load_registry(source.registry)
-        report = replay_folder(folder, registry, sample=sample, seed=seed, run_code=run_code)
-    if report.exact:
-        how, told = "bit by bit", "the same" if report.ok else f"{report.differing} differ"
-    else:
-        reach = f"{'within' if report.ok else 'beyond'} {report.tolerance:.1f}"
-        how, told = "in the mean", f"{report.difference:+.1f} in the mean return, {reach}"
-    again = f"{report.episodes} episodes of {folder} played again: {told}"
-    answer(json, vars(report), f"compared {how}: {report.why}", again)
+        report = replay_folder(
+            folder,
+            registry,
+            sample=sample,
+            seed=seed,
+            run_code=run_code,
+            lock=source.lock,
+            crossplay=crossplay,
+        )
+    answer(json, vars(report), *_replay_lines(report))
     if not report.ok:
         raise SystemExit(1)
+
+
+def _replay_lines(report: "ReplayReport") -> list[str]:
+    """Return what was found, what was not checked, and how to choose the same sample again."""
+    lines = [f"not checked: {what}" for what in report.unchecked]
+    lines += [f"problem: {printable(problem)}" for problem in report.problems[:SHOWN]]
+    if len(report.problems) > SHOWN:
+        lines.append(f"and {len(report.problems) - SHOWN} more problems")
+    if not report.episodes:
+        return [*lines, f"{report.folder}: {report.why}; nothing was played"]
+    if report.exact:
+        told = "the same to the last bit" if report.ok else f"{report.differing} differ"
+    else:
+        reach = "within" if report.ok else "not all within"
+        told = f"{report.difference:+.1f} in the mean return, {reach} what processors differ by"
+    return [
+        *lines,
+        f"compared {'bit by bit' if report.exact else 'with measured noise'}: {report.why}",
+        f"sample of seed {report.seed}: {report.episodes} of {report.of_episodes} episodes and "
+        f"{report.references} of {report.of_references} of the references",
+        f"every figure of {report.folder} drawn again, {report.episodes} episodes played again: "
+        f"{told}",
+    ]

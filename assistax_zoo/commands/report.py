@@ -78,11 +78,13 @@ def report(folder: Path, /, *, out: Path) -> None:
 
 
 def _difference_line(side: str, found: "Difference") -> str:
+    from evaluation.bootstrap import scope
+
     interval = "" if found.mean_ci is None else " [{:+.1f}, {:+.1f}]".format(*found.mean_ci)
     chance = "" if found.p_positive is None else f", P(A > B) {found.p_positive:.3f}"
     return (
-        f"  {side:5} partners: mean {found.mean:+.1f}{interval}, 95% for new "
-        f"{found.generalises_to}{chance}; better with {found.partners_better:.0%} of partners"
+        f"  {side:5} partners: mean {found.mean:+.1f}{interval}, {scope(found.generalises_to)}"
+        f"{chance}; better with {found.partners_better:.0%} of partners"
     )
 
 

@@ -49,10 +49,7 @@ class Admission:
             if is_safetensors(data):
                 robot = _read_safetensors(data, observation_size, action_size)
             elif is_onnx(data):
-                from assistax_zoo.service.onnx_admission import admit_onnx
-
-                spec, params = admit_onnx(data, observation_size, action_size)
-                robot = Robot(ONNX, spec, params)
+                robot = _read_onnx(data, observation_size, action_size)
             else:
                 raise Refusal("unknown_format")
             _check_finite(robot)
@@ -109,6 +106,16 @@ def _read_safetensors(data: bytes, observation_size: int, action_size: int) -> R
     except (ZooError, ValueError, TypeError) as error:
         raise Refusal("wrong_parameters", str(error)[:300]) from None
     return Robot(SAFETENSORS, spec, params)
+
+
+def _read_onnx(data: bytes, observation_size: int, action_size: int) -> Robot:
+    from evaluation.onnx_admission import admit_onnx
+    from evaluation.onnx_ego import StrangerError
+
+    try:
+        return Robot(ONNX, *admit_onnx(data, observation_size, action_size))
+    except StrangerError as error:
+        raise Refusal(error.code, str(error)) from None
 
 
 def _check_finite(robot: Robot) -> None:

@@ -113,6 +113,7 @@ def submit(
     licence: str = "evaluation-only",
     live: str | None = None,
     check: bool = False,
+    all: bool = False,
     watch: bool = False,
     url: str | None = None,
     token_file: Path | None = None,
@@ -129,6 +130,7 @@ def submit(
         licence: What others may do with the file: evaluation-only, or a licence such as MIT.
         live: A robot that stays here instead of a file, such as python:mine:make.
         check: Only check: the server's own admission, and a few episodes with public partners.
+        all: With `--check`: play the whole public half as the server does, and print its figures.
         watch: Wait for the end: print place in the queue and time left, then place on the board.
         url: Address of the server; default $ASSISTAX_ZOO_SERVER, else this machine's.
         token_file: File with your token; default the token in $ASSISTAX_ZOO_TOKEN.
@@ -140,11 +142,13 @@ def submit(
     """
     if (file is None) == (live is None):
         raise ValueError("give a file, or --live with a robot such as python:mine:make")
+    if all and not check:
+        raise ValueError("--all is about a check at home; give it with --check")
     submitting = _module("submitting")
     if check:
         if file is None:
             raise ValueError("--check is about a file; a live robot is tried with `evaluate`")
-        answer = submitting.check_file(file, task, registry)
+        answer = submitting.check_file(file, task, registry, whole=all)
     else:
         fields = {"task": task, "method": method, "season": season, "licence": licence}
         client = _client(url, token_file)

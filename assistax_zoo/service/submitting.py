@@ -7,15 +7,23 @@ import time
 from pathlib import Path
 from typing import Any
 
+import polars as pl
+
 from assistax_envs.preferences import preferences_of
-from assistax_zoo.service import seasons
+from assistax_zoo.service import results, seasons
 from assistax_zoo.service.admission import Admission, robot_sizes
-from assistax_zoo.service.catalogue import PUBLIC_SEED, ZooCatalogue
+from assistax_zoo.service.catalogue import (
+    CHUNK,
+    EPISODES,
+    PUBLIC_SEED,
+    ZooCatalogue,
+    version_id,
+)
 from assistax_zoo.service.client import Client
 from assistax_zoo.service.commands import BACKEND
 from assistax_zoo.service.ids import new_id
 from assistax_zoo.service.problems import Refusal
-from assistax_zoo.service.scoring import Work
+from assistax_zoo.service.scoring import Work, cut
 from assistax_zoo.service.submissions import MAX_BYTES
 from assistax_zoo.service.vocabulary import FINAL_STATES
 from assistax_zoo.service.zoo_scorer import ZooScorer
@@ -45,8 +53,16 @@ def _robot_of_zoo(id: str) -> bytes:
         return path.read_bytes()
 
 
-def check_file(path: Path, task: str, registry: Path | None = None) -> dict[str, Any]:
+def check_file(
+    path: Path, task: str, registry: Path | None = None, *, whole: bool = False
+) -> dict[str, Any]:
     """Run the server's admission here, and a few episodes with public partners.
+
+    Args:
+        path: The robot's file, or the id of a robot of the zoo.
+        task: Task.
+        registry: Registry of the public partners instead of the installed one.
+        whole: Play the public half as the server does, job by job, and return its figures.
 
     Raises:
         Refusal: What the server would say.
@@ -61,18 +77,27 @@ def check_file(path: Path, task: str, registry: Path | None = None) -> dict[str,
     format = Admission(sizes)(data, task)
     catalogue = ZooCatalogue(loaded, BACKEND)
     panel = catalogue.public_panel(task)
-    partners = tuple(each.id for each in panel[:: max(1, len(panel) // CHECK_PARTNERS)])
-    work = _try_work(task, format, partners[:CHECK_PARTNERS])
-    table = ZooScorer(loaded, catalogue, BACKEND).play(work, data, None)
-    return {
+    if whole:
+        works = _server_works(catalogue, task, format)
+    else:
+        few = panel[:: max(1, len(panel) // CHECK_PARTNERS)][:CHECK_PARTNERS]
+        works = [_try_work(task, format, tuple(partner.id for partner in few))]
+    scorer = ZooScorer(loaded, catalogue, BACKEND)
+    tables = [scorer.play(work, data, None) for work in works]
+    table = pl.concat([table.sort("partner", "episode") for table in tables])
+    answer = {
         "check": "admitted",
         "format": format,
-        "partners": len(work.partners),
+        "partners": sum(len(work.partners) for work in works),
         "episodes": table.height,
         "mean_return": round(float(table["return"].to_numpy().mean()), 1),
         "nonfinite": int(table["nonfinite"].sum()),
-        "note": "a few episodes say that it plays, not how well",
     }
+    if not whole:
+        return answer | {"note": "a few episodes say that it plays, not how well"}
+    note = "on a processor of the server's kind these are its figures of the public half"
+    version = version_id(catalogue.identity(task))
+    return answer | {"version": version, "figures": results.figures(table), "note": note}
 
 
 def hand_in(
@@ -149,3 +174,18 @@ def _try_work(task: str, format: str, partners: tuple[str, ...]) -> Work:
     fields |= {"partners": partners, "episodes": CHECK_EPISODES, "seed": f"{PUBLIC_SEED + 1:x}"}
     fields["preferences"] = preferences_of(task)
     return Work(**fields)
+
+
+def _server_works(catalogue: ZooCatalogue, task: str, format: str) -> list[Work]:
+    """Return the jobs of a server's public half."""
+    played = {
+        "episodes": EPISODES,
+        "seed": f"{PUBLIC_SEED:x}",
+        "preferences": tuple(catalogue.identity(task).get("preferences", ())),
+    }
+    return [
+        dataclasses.replace(
+            _try_work(task, format, tuple(partner.id for partner in partners)), **played
+        )
+        for partners in cut(catalogue.public_panel(task), CHUNK)
+    ]

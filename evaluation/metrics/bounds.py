@@ -11,9 +11,8 @@ from evaluation.bootstrap import (
     RESAMPLES,
     Estimate,
     Interval,
-    cluster_counts,
+    crossed_counts,
     estimate,
-    generalises_to,
     interval,
 )
 from evaluation.statistics import score_matrix
@@ -63,7 +62,7 @@ def normalised_return(scores: np.ndarray, bounds: Bounds) -> np.ndarray:
 
 
 def br_prox(scores: np.ndarray, bounds: Bounds) -> Estimate | None:
-    """BR-Prox: min(1, (J - L) / (B - L)) over scores [S, P]; its figure is the IQM.
+    """BR-Prox: min(1, (J - L) / (B - L)) over scores [S, P].
 
     ZSC-Eval (arXiv 2310.05208) has J / B; subtracting L makes it independent of a constant in the
     reward. None where no partner is scorable.
@@ -89,13 +88,12 @@ def coverage(scores: np.ndarray, bounds: Bounds, epsilon: float = 0.1) -> Covera
     if not regrets.size:
         return None
     seeds, partners = regrets.shape
-    seed_counts, partner_counts = cluster_counts(regrets.shape, RESAMPLES, seed=0)
-    covered = (seed_counts @ regrets / seeds <= epsilon) * partner_counts
-    to = generalises_to((seeds, partners))
+    counts = crossed_counts(regrets.shape, False, RESAMPLES, seed=0)
+    covered = (counts.seeds @ regrets / seeds <= epsilon) * counts.partners
     return Coverage(
         value=float((regrets.mean(axis=0) <= epsilon).mean()),
-        value_ci=interval(covered.sum(axis=1) / partners, to),
+        value_ci=interval(covered.sum(axis=1) / partners, counts.generalises_to),
         n=regrets.size,
-        generalises_to=to,
+        generalises_to=counts.generalises_to,
         epsilon=epsilon,
     )

@@ -7,12 +7,14 @@ import numpy as np
 from evaluation.bootstrap import (
     NOTHING,
     RESAMPLES,
+    Counts,
     Estimate,
     draw_counts,
+    draw_starts,
     generalises_to,
     replicate_crossed,
 )
-from evaluation.statistics import score_matrix
+from evaluation.statistics import returns_of, score_matrix
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,25 +37,30 @@ class Stability:
     halvings: int
 
 
-def paired_difference(a: np.ndarray, b: np.ndarray, *, seed: int = 0) -> Difference:
-    """Difference of scores a [S, P] and b [S', P]; seeds of either and the partners are resampled.
+def paired_difference(
+    a: np.ndarray, b: np.ndarray, *, common_starts: bool = False, seed: int = 0
+) -> Difference:
+    """Difference of returns a [S, P, K] and b [S', P, K], or of scores [S, P] and [S', P].
 
-    Each score averages the same episode keys, so noise of the environment common to both cancels.
+    Seeds of either, the partners and, where they are common to all, the starts are resampled. Both
+    met the same partners in the same episodes, so the luck of a start cancels.
     """
-    a, b = score_matrix(a), score_matrix(b)
-    if a.shape[1] != b.shape[1]:
-        raise ValueError(
-            f"a has {a.shape[1]} partners and b has {b.shape[1]}; give both the same partners"
-        )
+    a, b = returns_of(a), returns_of(b)
+    if a.shape[1:] != b.shape[1:]:
+        x, y = (" x ".join(map(str, scores.shape[1:])) for scores in (a, b))
+        axes = "partners x episodes" if a.ndim == b.ndim == 3 else "partners"
+        raise ValueError(f"a has {x} {axes} and b has {y}; give both the same")
     rng = np.random.default_rng(seed)
-    a_counts, b_counts, partner_counts = (
+    a_counts, b_counts, partners = (
         draw_counts(n, RESAMPLES, rng) for n in (len(a), len(b), a.shape[1])
     )
-    to = generalises_to((max(len(a), len(b)), a.shape[1]))
-    draws = replicate_crossed(a, a_counts, partner_counts, to) - replicate_crossed(
-        b, b_counts, partner_counts, to
+    starts = draw_starts(a.shape, common_starts, RESAMPLES, rng)
+    units = 1 if starts is None else starts.shape[1]
+    to = generalises_to(min(len(a), len(b)), a.shape[1], units)
+    draws = replicate_crossed(a, Counts(a_counts, partners, starts, to)) - replicate_crossed(
+        b, Counts(b_counts, partners, starts, to)
     )
-    difference = a.mean(axis=0) - b.mean(axis=0)
+    difference = (a.mean(axis=0) - b.mean(axis=0)).reshape(a.shape[1], -1).mean(axis=1)
     return Difference(
         **vars(draws.estimate()),
         p_positive=_share_positive(draws.means) if to != NOTHING else None,

@@ -8,15 +8,17 @@ import numpy as np
 from evaluation.bootstrap import (
     NOTHING,
     RESAMPLES,
+    Counts,
     Draws,
     Estimate,
     Interval,
     draw_counts,
+    draw_starts,
     interval,
     replicate,
     replicate_crossed,
 )
-from evaluation.statistics import score_matrix
+from evaluation.statistics import returns_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,16 +47,32 @@ class CrossPlay:
 
 
 def cross_play(
-    scores: np.ndarray, rows: Traits, columns: Traits, *, resamples: int = RESAMPLES, seed: int = 0
+    scores: np.ndarray,
+    rows: Traits,
+    columns: Traits,
+    *,
+    common_starts: bool = False,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
 ) -> CrossPlay:
     """SP = mean_a X[a, a], XP = mean_{a != b} X[a, b] of X [R, C], with intervals over teams.
 
     A team on both axes is one unit: resampled with its robot and its human. A pair of a team with
     itself is self-play, however often the team is drawn, and never enters XP.
+
+    Args:
+        scores: Returns [R, C, K], or their means X [R, C].
+        rows: The robots.
+        columns: The humans.
+        common_starts: Whether all humans played the same K starts.
+        resamples: How many.
+        seed: Of the resamples.
     """
-    scores = score_matrix(scores)
-    counts = _team_counts(rows.teams, columns.teams, resamples, np.random.default_rng(seed))
-    to = _generalises_to(rows.teams, columns.teams)
+    scores, rng = returns_of(scores), np.random.default_rng(seed)
+    row_counts, column_counts = _team_counts(rows.teams, columns.teams, resamples, rng)
+    starts = draw_starts(scores.shape, common_starts, resamples, rng)
+    to = _generalises_to(rows.teams, columns.teams, starts is not None)
+    counts = Counts(row_counts, column_counts, starts, to)
     own = _equal(rows.teams, columns.teams)  # robot and human were trained together
     same_algorithm = _equal(rows.algorithms, columns.algorithms)
     same_disability = _equal(rows.disabilities, columns.disabilities)
@@ -63,9 +81,9 @@ def cross_play(
 
     def apart(mask: np.ndarray) -> Draws | None:
         cells = ~own & mask
-        return replicate_crossed(scores, *counts, to, cells) if cells.any() else None
+        return replicate_crossed(scores, counts, cells) if cells.any() else None
 
-    sp, xp = _self_play(scores, own, counts[0], to), apart(~own)
+    sp, xp = _self_play(scores, own, counts), apart(~own)
     draws = {
         "self_play": sp,
         "cross_play": xp,
@@ -81,12 +99,13 @@ def cross_play(
     )
 
 
-def _self_play(
-    scores: np.ndarray, own: np.ndarray, team_counts: np.ndarray, to: str
-) -> Draws | None:
+def _self_play(scores: np.ndarray, own: np.ndarray, counts: Counts) -> Draws | None:
     """Replicate self-play: a team drawn twice counts twice, not four times."""
     rows, columns = np.nonzero(own)
-    return replicate(scores[rows, columns], [team_counts[:, rows]], to) if rows.size else None
+    if not rows.size:
+        return None
+    values = scores[rows, columns]
+    return replicate(values, counts.seeds[:, rows], counts.generalises_to, counts.starts)
 
 
 def _relative(sp: Draws, xp: Draws) -> Interval | None:
@@ -125,11 +144,13 @@ def _team_counts(
     return counts[0], counts[1]
 
 
-def _generalises_to(rows: Sequence[str | None], columns: Sequence[str | None]) -> str:
+def _generalises_to(rows: Sequence[str | None], columns: Sequence[str | None], starts: bool) -> str:
     if len(_shared(rows, columns)) > 1:
-        return "teams"
-    several = (("egos", rows), ("partners", columns))
-    return " and ".join(name for name, axis in several if len(axis) > 1) or NOTHING
+        names = ["teams"]
+    else:
+        axes = (("egos", rows), ("partners", columns))
+        names = [name for name, axis in axes if len(axis) > 1]
+    return " and ".join([*names, "starts"] if starts else names) or NOTHING
 
 
 def _shared(rows: Sequence[str | None], columns: Sequence[str | None]) -> set[str]:

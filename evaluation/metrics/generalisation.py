@@ -7,16 +7,18 @@ import numpy as np
 
 from evaluation.bootstrap import (
     RESAMPLES,
+    Counts,
     Draws,
     Estimate,
     Interval,
-    cluster_counts,
+    crossed_counts,
     draw_counts,
+    draw_starts,
     generalises_to,
     interval,
     replicate_crossed,
 )
-from evaluation.statistics import score_matrix, tail_weights
+from evaluation.statistics import returns_of, tail_weights
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,16 +50,18 @@ class WorstPartner:
     )  # chosen on even episodes and valued on odd ones, and the reverse; None with one episode
 
 
-def zero_shot(scores: np.ndarray, sides: Sequence[str | None]) -> ZeroShot:
+def zero_shot(
+    scores: np.ndarray, sides: Sequence[str | None], *, common_starts: bool = False
+) -> ZeroShot:
     """M(s) = mean over partners p of J[s, p], separately for the partners of each side.
 
     Args:
-        scores: mean returns J [S, P].
+        scores: Returns [S, P, K], or mean returns J [S, P].
         sides: "test", "train" or None (in neither) for each partner [P].
+        common_starts: Whether all partners played the same K starts.
     """
-    draws = {
-        side: draw for side, draw in group_draws(scores, sides).items() if side in ("test", "train")
-    }
+    groups = group_draws(scores, sides, common_starts=common_starts)
+    draws = {side: draw for side, draw in groups.items() if side in ("test", "train")}
     if not draws:
         raise ValueError("no partner is on the test or the train side; evaluate against a split")
     test, train = draws.get("test"), draws.get("train")
@@ -66,16 +70,26 @@ def zero_shot(scores: np.ndarray, sides: Sequence[str | None]) -> ZeroShot:
 
 
 def group_draws(
-    scores: np.ndarray, groups: Sequence[str | None], *, resamples: int = RESAMPLES, seed: int = 0
+    scores: np.ndarray,
+    groups: Sequence[str | None],
+    *,
+    common_starts: bool = False,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
 ) -> dict[str, Draws]:
-    """Replicate mean and IQM of scores [S, P] for each group of partners [P], in order of names.
+    """Replicate mean and IQM for each group of partners [P], in order of names; None is left out.
 
-    None is left out.
+    Seeds are resampled once for all groups, and so are starts that all partners have in common;
+    partners are resampled within each group: groups subtract to paired differences.
 
-    Seeds are resampled once for all groups, partners within each group: groups subtract to paired
-    differences.
+    Args:
+        scores: Returns [S, P, K], or mean returns [S, P].
+        groups: The group of each partner.
+        common_starts: Whether all partners played the same K starts.
+        resamples: How many.
+        seed: Of the resamples.
     """
-    scores = score_matrix(scores)
+    scores = returns_of(scores)
     if len(groups) != scores.shape[1]:
         raise ValueError(
             f"there are {len(groups)} groups for {scores.shape[1]} partners; give one for each "
@@ -83,11 +97,23 @@ def group_draws(
         )
     labels, rng = np.array(groups, object), np.random.default_rng(seed)
     seed_counts = draw_counts(len(scores), resamples, rng)
+    members = {
+        name: labels == name for name in sorted({name for name in groups if name is not None})
+    }
+    partner_counts = {
+        name: draw_counts(int(mask.sum()), resamples, rng) for name, mask in members.items()
+    }
+    shared = draw_starts(scores.shape, True, resamples, rng) if common_starts else None
     draws = {}
-    for name in sorted({group for group in groups if group is not None}):
-        part = scores[:, labels == name]
-        counts = draw_counts(part.shape[1], resamples, rng)
-        draws[name] = replicate_crossed(part, seed_counts, counts, generalises_to(part.shape))
+    for name, mask in members.items():
+        part = scores[:, mask]
+        starts = shared
+        if not common_starts:
+            starts = draw_starts(part.shape, False, resamples, rng)
+        units = 1 if starts is None else starts.shape[1]
+        to = generalises_to(*part.shape[:2], units)
+        counts = Counts(seed_counts, partner_counts[name], starts, to)
+        draws[name] = replicate_crossed(part, counts)
     return draws
 
 
@@ -116,13 +142,18 @@ def worst_partner(returns: np.ndarray) -> WorstPartner:
 
 
 def cvar_crossfit(
-    returns: np.ndarray, alpha: float = 0.1, *, resamples: int = RESAMPLES, seed: int = 0
+    returns: np.ndarray,
+    alpha: float = 0.1,
+    *,
+    common_starts: bool = False,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
 ) -> Interval:
     """CVaR_alpha: mean of the lowest share alpha of partner means, of returns [S, P, K].
 
     The tail is chosen on even episodes and valued on odd ones, and the other way round, because the
     lowest of noisy means are low by chance too; the boundary partner counts with the fraction that
-    is left.
+    is left. Starts that all partners have in common are resampled within each half.
     """
     if returns.shape[2] < 2:
         raise ValueError(
@@ -130,20 +161,39 @@ def cvar_crossfit(
             "it"
         )
     seeds, partners, _ = returns.shape
-    even, odd = _halves(returns)
+    halves = returns[:, :, 0::2], returns[:, :, 1::2]
 
-    def evaluate(seed_counts: np.ndarray, partner_counts: np.ndarray) -> np.ndarray:
-        means = [seed_counts @ half / seeds for half in (even, odd)]
+    def evaluate(means: Sequence[np.ndarray], partner_counts: np.ndarray) -> np.ndarray:
         tails = [
             (tail_weights(a, partner_counts, alpha) * b).sum(axis=1)
             for a, b in (means, reversed(means))
         ]
         return (tails[0] + tails[1]) / 2
 
-    point = float(evaluate(np.ones((1, seeds)), np.ones((1, partners)))[0])
-    to = generalises_to((seeds, partners))
-    replicates = evaluate(*cluster_counts((seeds, partners), resamples, seed))
+    even, odd = (half.mean(axis=(0, 2))[None] for half in halves)
+    point = float(evaluate((even, odd), np.ones((1, partners)))[0])
+    counts = crossed_counts(returns.shape, common_starts, resamples, seed)
+    rng = np.random.default_rng([seed, 1])
+    means = []
+    for half in halves:
+        starts = None
+        if counts.starts is not None:
+            starts = draw_counts(half.shape[2], resamples, rng)
+        means.append(_partner_means(half, counts.seeds, starts))
+    replicates = evaluate(means, counts.partners)
+    to = counts.generalises_to
     return Interval(point, interval(replicates, to), seeds * partners, to)
+
+
+def _partner_means(
+    returns: np.ndarray, seed_counts: np.ndarray, starts: np.ndarray | None
+) -> np.ndarray:
+    """Return each partner's mean [B, P] of returns [S, P, K] under counts of seeds and starts."""
+    seeds, _, episodes = returns.shape
+    if starts is None:
+        return seed_counts @ returns.mean(axis=2) / seeds
+    summed = np.einsum("bs,spk,bk->bp", seed_counts, returns, starts, optimize=True)
+    return summed / (seeds * episodes)
 
 
 def _halves(returns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, StrMethodFormatter
 
+from evaluation.bootstrap import scope
 from evaluation.plots import style
 
 _DASHES = ("--", ":", "-.", (0, (5, 1)), (0, (1, 3)), (0, (3, 1, 1, 1)), (0, (8, 3)), (0, (2, 2)))
@@ -20,7 +21,7 @@ Summaries = Mapping[str, Mapping[str, Any]]  # what `evaluate` saved, by the met
 def zsc_dots(
     summaries: Summaries, lines: Mapping[str, float] = types.MappingProxyType({})
 ) -> Figure:
-    """Draw M_train beside M_test of each method, IQM and 95% interval (paper, Figures 6, 14).
+    """Draw M_train beside M_test of each method, mean and 95% interval (paper, Figures 6, 14).
 
     The axis holds the dots and what they are compared with; it need not begin at zero.
 
@@ -37,11 +38,11 @@ def zsc_dots(
             if value := one[key]:
                 _whisker(axes, i + shift, value, colours[name])
                 axes.plot(
-                    [i + shift], [value["iqm"]], "o", color=colours[name], markerfacecolor=fill
+                    [i + shift], [value["mean"]], "o", color=colours[name], markerfacecolor=fill
                 )
                 axes.annotate(
-                    f"{value['iqm']:.0f}",
-                    (i + shift, value["iqm"]),
+                    f"{value['mean']:.0f}",
+                    (i + shift, value["mean"]),
                     (7, 0),
                     textcoords="offset points",
                     va="center",
@@ -68,24 +69,24 @@ def zsc_dots(
 def _limits(summaries: Summaries, references: Mapping[str, float]) -> tuple[float, float]:
     """Return limits that hold the dots with their intervals, and the references."""
     values = [one[key] for one in summaries.values() for key in ("m_train", "m_test") if one[key]]
-    ends = [end for value in values for end in (value["iqm_ci"] or [value["iqm"]])]
+    ends = [end for value in values for end in (value["mean_ci"] or [value["mean"]])]
     low, high = min([*ends, *references.values()]), max([*ends, *references.values()])
     room = 0.15 * max(high - low, 0.02 * max(abs(low), abs(high)), 1e-6)
     return low - room, high + room
 
 
 def _references(summaries: Summaries, lines: Mapping[str, float]) -> dict[str, float]:
-    """Return what to compare with: references' IQM, of several methods their mean."""
+    """Return what to compare with: references' means, of several methods their mean."""
     found: dict[str, list[float]] = {name: [value] for name, value in lines.items()}
     for summary in summaries.values():
         for name, value in (summary.get("references") or {}).items():
             if value is not None:
-                found.setdefault(name.replace("_", " "), []).append(value["iqm"])
+                found.setdefault(name.replace("_", " "), []).append(value["mean"])
     return {name: sum(values) / len(values) for name, values in found.items()}
 
 
 def trait_points(summaries: Summaries, trait: str = "disability") -> Figure:
-    """Draw each method's return by a trait of the partners: IQM with its 95% interval.
+    """Draw each method's return by a trait of the partners: mean with its 95% interval.
 
     The trait is their "disability" setting or, of a gentle task, their "preference".
     """
@@ -100,7 +101,7 @@ def trait_points(summaries: Summaries, trait: str = "disability") -> Figure:
         shift = (i - (len(summaries) - 1) / 2) * min(0.2, 0.7 / len(summaries))
         groups = summary.get(f"by_{trait}", {})
         found = {x + shift: groups[name] for x, name in enumerate(settings) if groups.get(name)}
-        heights, colour = [value["iqm"] for value in found.values()], colours[label]
+        heights, colour = [value["mean"] for value in found.values()], colours[label]
         mark = style.MARKERS[i % len(style.MARKERS)]
         axes.plot(list(found), heights, mark, color=colour, markersize=5, label=label)
         for place, value in found.items():
@@ -225,11 +226,8 @@ def _returns(
             f"the folders are of several tasks, {', '.join(sorted(tasks))}; draw one task at a time"
         )
     figures = [summary[key] for summary in summaries.values() for key in ("m_test", "m_train")]
-    about = sorted({figure["generalises_to"] for figure in figures if figure})
-    caption = (
-        f"IQM and 95% bootstrap interval, which generalises to new {'; new '.join(about)}.\n"
-        f"{provenance(summaries)}"
-    )
+    scopes = sorted({scope(figure["generalises_to"]) for figure in figures if figure})
+    caption = f"Mean; {'; '.join(scopes)} (bootstrap).\n{provenance(summaries)}"
     size = max(width, 6.2), 3.35 + head, 0.42
     figure, axes = _axes(f"{title}: {tasks.pop()}", caption, size, (0.15, 2.5), "returns")
     axes.set_ylabel("return of an episode", fontsize=9, color=style.INK)
@@ -268,10 +266,8 @@ def _axes(
 
 
 def _whisker(axes: Axes, place: float, value: Mapping[str, Any], colour: str) -> None:
-    if value["iqm_ci"]:
-        axes.plot(
-            [place, place], value["iqm_ci"], color=colour, linewidth=1.3, solid_capstyle="butt"
-        )
+    if ends := value["mean_ci"]:
+        axes.plot([place, place], ends, color=colour, linewidth=1.3, solid_capstyle="butt")
 
 
 def _name_places(axes: Axes, names: list[str]) -> None:

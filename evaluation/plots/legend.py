@@ -84,7 +84,7 @@ def headline(summary: Mapping[str, Any]) -> str:
         "cross-play": summary["cross_play"],
         "gap": summary["gap"],
     }
-    return "IQM and 95% interval: " + ",  ".join(
+    return "mean and 95% interval: " + ",  ".join(
         f"{name} {_figure(value)}" for name, value in named.items() if value
     )
 
@@ -111,8 +111,8 @@ def caption(matrix: Matrix, summary: Mapping[str, Any], marked: str) -> str:
 
 
 def _figure(value: Mapping[str, Any]) -> str:
-    interval = "" if value["iqm_ci"] is None else " [{:.0f}, {:.0f}]".format(*value["iqm_ci"])
-    return f"{value['iqm']:.0f}{interval}"
+    interval = "" if value["mean_ci"] is None else " [{:.0f}, {:.0f}]".format(*value["mean_ci"])
+    return f"{value['mean']:.0f}{interval}"
 
 
 def _meaning(name: str) -> str:

@@ -2,10 +2,12 @@
 
 import itertools
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import polars as pl
 
+from evaluation import provenance, tables
 from evaluation.summary import Context, SplitName
 
 Team = tuple[str, str, int]  # algorithm, disability, seed
@@ -29,6 +31,21 @@ def teams(
     """Return teams with every algorithm and disability in turn."""
     kinds = itertools.cycle(itertools.product(algorithms, disabilities))
     return [(*next(kinds), seed) for seed in range(count)]
+
+
+def sealed(folder: Path) -> Path:
+    """Write the manifest that fits a folder's episodes and files, and return the folder."""
+    table = tables.read_episodes(folder / tables.EPISODES_FILE)
+    identity = {
+        "egos": [[name] for name in table["ego"].unique()],
+        "partners": [[name] for name in table["partner"].unique()],
+        "episodes": table["episode"].n_unique(),
+        "paired": False,
+    }
+    job = provenance.identity_digest(identity)
+    provenance.write_manifest(folder, {"identity": identity, "job": job})
+    provenance.seal(folder)
+    return folder
 
 
 def episode_table(

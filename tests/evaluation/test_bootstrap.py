@@ -33,7 +33,7 @@ def stratified_counts(shape: tuple[int, int], resamples: int, seed: int) -> np.n
 def stratified(scores: np.ndarray, resamples: int, seed: int = 0) -> Estimate:
     """What `estimate` must not do for an ego that meets every partner."""
     counts = stratified_counts(scores.shape, resamples, seed)
-    return bootstrap.replicate(scores, [counts], "seeds").estimate()
+    return bootstrap.replicate(scores.ravel(), counts, "seeds").estimate()
 
 
 def coverage(
@@ -73,17 +73,37 @@ def test_the_interval_is_of_the_iqm_and_the_means_has_its_own():
 
 def test_cluster_draws_equal_resampling_whole_seeds_then_partners():
     scores = np.random.default_rng(0).normal(size=(4, 6))
-    seed_counts, partner_counts = bootstrap.cluster_counts(scores.shape, 50, seed=3)
-    draws = bootstrap.replicate_crossed(scores, seed_counts, partner_counts, "seeds and partners")
+    counts = bootstrap.crossed_counts(scores.shape, False, 50, seed=3)
+    draws = bootstrap.replicate_crossed(scores, counts)
     for b in range(50):
         rows, columns = (
-            np.repeat(np.arange(4), seed_counts[b]),
-            np.repeat(np.arange(6), partner_counts[b]),
+            np.repeat(np.arange(4), counts.seeds[b]),
+            np.repeat(np.arange(6), counts.partners[b]),
         )
         assert (len(rows), len(columns)) == (4, 6)
         resampled = scores[np.ix_(rows, columns)].ravel()
         assert draws.means[b] == pytest.approx(resampled.mean())
         assert draws.iqms[b] == pytest.approx(scipy.stats.trim_mean(resampled, 0.25))
+
+
+@pytest.mark.parametrize(("partners", "common"), [(6, True), (1, False)])
+def test_starts_that_all_share_are_resampled_like_seeds_and_partners(partners: int, common: bool):
+    returns = np.random.default_rng(0).normal(size=(4, partners, 5))
+    counts = bootstrap.crossed_counts(returns.shape, common, 50, seed=3)
+    draws = bootstrap.replicate_crossed(returns, counts)
+    assert counts.starts is not None
+    for b in range(50):
+        axes = (counts.seeds[b], counts.partners[b], counts.starts[b])
+        resampled = returns[np.ix_(*(np.repeat(np.arange(len(axis)), axis) for axis in axes))]
+        assert resampled.shape == returns.shape
+        scores = resampled.mean(axis=2).ravel()
+        assert draws.means[b] == pytest.approx(scores.mean())
+        assert draws.iqms[b] == pytest.approx(scipy.stats.trim_mean(scores, 0.25))
+
+
+def test_partners_bring_starts_of_their_own_along():
+    returns = np.random.default_rng(0).normal(size=(4, 6, 5))
+    assert bootstrap.estimate(returns) == bootstrap.estimate(returns.mean(axis=2))
 
 
 def test_stratified_draws_resample_the_seeds_of_each_partner():
@@ -120,11 +140,15 @@ def test_the_same_seed_gives_the_same_interval_however_draws_are_chunked(
     [
         ((3, 4), "seeds and partners"),
         ((1, 4), "partners"),
+        ((1, 4, 2), "partners"),
         ((3, 1), "seeds"),
+        ((3, 1, 2), "seeds and starts"),
+        ((1, 1, 2), "starts"),
+        ((1, 1, 1), "nothing"),
         ((1, 1), "nothing"),
     ],
 )
-def test_every_figure_says_what_it_generalises_to(shape: tuple[int, int], generalises_to: str):
+def test_every_figure_says_what_it_generalises_to(shape: tuple[int, ...], generalises_to: str):
     figure = bootstrap.estimate(np.random.default_rng(0).normal(size=shape))
     assert figure.generalises_to == generalises_to
     assert (figure.iqm_ci is None) == (figure.mean_ci is None) == (generalises_to == "nothing")
@@ -141,19 +165,16 @@ def test_of_a_single_seed_only_partners_are_resampled():
 
 def test_wrong_use_is_refused():
     with pytest.raises(
-        ValueError, match=r"shape \(2, 3, 4\); expected \[seeds, partners\].*episodes are not seeds"
+        ValueError, match=r"shape \(2, 3, 4, 5\); expected \[seeds, partners\].*not seeds"
     ):
-        bootstrap.estimate(np.zeros((2, 3, 4)))
+        bootstrap.estimate(np.zeros((2, 3, 4, 5)))
 
 
 def test_draws_on_the_same_resamples_subtract_to_a_paired_difference():
     rng = np.random.default_rng(0)
     scores = rng.normal(size=(10, 20))
-    counts = bootstrap.cluster_counts(scores.shape, 500, seed=0)
-    base, better = (
-        bootstrap.replicate_crossed(x, *counts, "seeds and partners")
-        for x in (scores, scores + 1.0)
-    )
+    counts = bootstrap.crossed_counts(scores.shape, False, 500, seed=0)
+    base, better = (bootstrap.replicate_crossed(x, counts) for x in (scores, scores + 1.0))
     figure = (better - base).estimate()
     assert figure.mean_ci == pytest.approx((1.0, 1.0))
     assert figure.mean == pytest.approx(1.0)
@@ -199,6 +220,47 @@ def test_stratified_intervals_cover_for_fixed_tasks_with_independent_runs(repeti
     margin = 0.0 if repetitions == 2000 else 0.02
     for name, covered in coverage(figure, repetitions).items():
         assert 0.93 - margin <= covered <= 0.97 + margin, name
+
+
+def with_starts(
+    rng: np.random.Generator, shape: tuple[int, int, int], common: bool, start: float = 3.0
+) -> np.ndarray:
+    """Returns [S, P, K] about 0, whose starts matter more than seeds, partners and pairs.
+
+    A single seed or partner has no effect: an interval that does not resample it is about it.
+    """
+    seeds, partners, episodes = shape
+    starts = rng.normal(size=(1 if common else partners, episodes))
+    noise = rng.normal(size=shape)
+    spread = 0.3 * (seeds > 1), 0.3 * (partners > 1), 0.3 * (seeds * partners > 1)
+    return crossed(rng, seeds, partners, spread)[:, :, None] + start * starts + noise
+
+
+@pytest.mark.parametrize(
+    ("shape", "common"),
+    [((1, 64, 2), False), ((24, 32, 9), False), ((8, 32, 32), True), ((1, 1, 32), False)],
+)
+@pytest.mark.parametrize("repetitions", [300, pytest.param(2000, marks=pytest.mark.slow)])
+def test_intervals_cover_the_luck_of_the_starts(
+    shape: tuple[int, int, int], common: bool, repetitions: int
+):
+    def figure(rng: np.random.Generator, seed: int) -> Estimate:
+        returns = with_starts(rng, shape, common)
+        return bootstrap.estimate(returns, common_starts=common, resamples=300, seed=seed)
+
+    margin = 0.01 if repetitions == 2000 else 0.03
+    for name, covered in coverage(figure, repetitions).items():
+        assert 0.92 - margin <= covered <= 0.98 + margin, name
+
+
+def test_planted_defect_common_starts_that_are_not_resampled_are_caught():
+    """Nine starts that all 32 partners share are nine draws, however many partners there are."""
+
+    def wrong(rng: np.random.Generator, seed: int) -> Estimate:
+        returns = with_starts(rng, (4, 32, 9), common=True)
+        return bootstrap.estimate(returns.mean(axis=2), resamples=200, seed=seed)
+
+    assert max(coverage(wrong, 200).values()) < 0.6
 
 
 def test_few_seeds_are_covered_too_little_as_documented():

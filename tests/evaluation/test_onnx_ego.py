@@ -9,7 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from evaluation import onnx_ego
 from evaluation.egos import EgoError, call_ego, read_egos
+from evaluation.onnx_admission import admit_onnx
+from evaluation.policy_process import PolicyError, PolicyProcess
+from evaluation.provenance import file_sha256
 from evaluation.roster import HostEgo, Member
 from population.onnx_export import to_onnx
 from population.policy import Policy
@@ -25,9 +29,16 @@ GRU = PolicySpec("robot", 5, 2, "gru", hidden=(8, 4))
 
 
 def load(path: Path) -> HostEgo:
-    (ego,) = read_egos([f"onnx:{path}"], EMPTY, "scratch").stacks
-    assert isinstance(ego, HostEgo)
-    return ego
+    """Start the process, which would not be needed for most files of these tests."""
+    try:
+        return HostEgo(f"onnx:{path}", PolicyProcess(*onnx_ego.factory(path)))
+    except PolicyError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def read(path: Path) -> Any:
+    [stack] = read_egos([f"onnx:{path}"], EMPTY, "scratch").stacks
+    return stack
 
 
 def described(path: Path) -> Member:
@@ -54,6 +65,37 @@ def test_two_episodes_are_those_of_the_policy(tmp_path: Path, spec: PolicySpec) 
                 params, carry, jnp.asarray(obs), jnp.full(6, step == 0)
             )
             np.testing.assert_allclose(act(obs, step), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("spec", [MLP, GRU])
+def test_a_file_that_a_service_takes_is_the_program_that_it_plays(
+    tmp_path: Path, spec: PolicySpec
+) -> None:
+    write(tmp_path / "robot.onnx", spec)
+    stack = read(tmp_path / "robot.onnx")
+    program, params = admit_onnx((tmp_path / "robot.onnx").read_bytes(), 5, 2)
+    assert stack.spec == program
+    assert stack.ids == (f"onnx:{tmp_path / 'robot.onnx'}",)
+    for name, value in params.items():
+        np.testing.assert_array_equal(stack.row(0)[name], value)
+
+
+def test_other_files_play_in_their_process(tmp_path: Path) -> None:
+    save(tmp_path / "robot.onnx", [onnx.helper.make_node("Erf", ["x"], ["y"])])
+    ego = read(tmp_path / "robot.onnx")
+    assert isinstance(ego, HostEgo)
+    obs = np.full((3, 5), 0.5, np.float32)
+    np.testing.assert_allclose(call_ego(ego, ("a",), 3, 5)(obs, 0), 0.5204999, rtol=1e-5)
+
+
+def test_its_digest_names_what_plays_it(tmp_path: Path) -> None:
+    """A result by onnxruntime is not that of the program: their folders are of two jobs."""
+    write(tmp_path / "program.onnx", MLP)
+    save(tmp_path / "process.onnx", [onnx.helper.make_node("Erf", ["x"], ["y"])])
+    for name, same in (("process.onnx", True), ("program.onnx", False)):
+        path = tmp_path / name
+        assert (described(path).digest == file_sha256(path)) is same
+        assert described(path).files == (path,)
 
 
 def test_its_digest_is_that_of_its_bytes(tmp_path: Path) -> None:
@@ -155,6 +197,90 @@ def test_what_is_no_plain_network_is_refused_by_name(
     save(tmp_path / "robot.onnx", nodes())
     with pytest.raises(ValueError, match=f"uses {named}; allowed are the operators of plain"):
         load(tmp_path / "robot.onnx")
+
+
+TRUE, FALSE = np.array(True), np.array(False)
+AXIS = np.array([0], np.int64)
+
+
+def dropout(mode: Any) -> tuple[list[Any], dict[str, Any]]:
+    node = onnx.helper.make_node("Dropout", ["x", "ratio", "mode"], ["y"])
+    return [node], {"ratio": np.array(0.5, np.float32), "mode": mode}
+
+
+def batch_norm(**training: Any) -> tuple[list[Any], dict[str, Any]]:
+    names = ["scale", "bias", "mean", "variance"]
+    outputs = ["y", "new_mean", "new_variance"] if training else ["y"]
+    node = onnx.helper.make_node("BatchNormalization", ["x", *names], outputs, **training)
+    return [node], dict.fromkeys(names, np.ones(5, np.float32))
+
+
+def over_rows(operator: str, **attributes: Any) -> tuple[list[Any], dict[str, Any]]:
+    inputs, constants = ["x"], {}
+    if operator == "ReduceSum":
+        inputs, constants = ["x", "axes"], {"axes": AXIS}
+    reduced = onnx.helper.make_node(operator, inputs, ["reduced"], **attributes)
+    return [reduced, onnx.helper.make_node("Sub", ["x", "reduced"], ["y"])], constants
+
+
+def sequence() -> tuple[list[Any], dict[str, Any]]:
+    """The rows of a batch as the steps of a sequence, as an unbatched RNN has them."""
+    shapes = {"w": (1, 5, 5), "r": (1, 5, 5)}
+    nodes = [
+        onnx.helper.make_node("Unsqueeze", ["x", "one"], ["steps"]),
+        onnx.helper.make_node("RNN", ["steps", "w", "r"], ["hidden"], hidden_size=5),
+        onnx.helper.make_node("Squeeze", ["hidden", "both"], ["y"]),
+    ]
+    weights = {name: np.full(shape, 0.1, np.float32) for name, shape in shapes.items()}
+    return nodes, {**weights, "one": np.array([1]), "both": np.array([1, 2])}
+
+
+def tensors(constants: dict[str, Any]) -> list[Any]:
+    return [onnx.numpy_helper.from_array(value, name) for name, value in constants.items()]
+
+
+@pytest.mark.parametrize(
+    ("made", "named"),
+    [
+        (dropout(TRUE), "uses ai.onnx.Dropout in training mode"),
+        (batch_norm(training_mode=1), "uses ai.onnx.BatchNormalization in training mode"),
+        (over_rows("ReduceMean", axes=[0]), r"mixes the rows .*\(ReduceMean over axis 0\)"),
+        (over_rows("ReduceMax"), r"mixes the rows .*\(ReduceMax over axis 0\)"),
+        (over_rows("ReduceSum"), r"mixes the rows .*\(ReduceSum over axis 0\)"),
+        (over_rows("Softmax", axis=0), r"mixes the rows .*\(Softmax over axis 0\)"),
+        (sequence(), "mixes the rows of a batch, which are different episodes"),
+    ],
+)
+def test_what_draws_or_looks_at_other_episodes_is_refused_by_name(
+    tmp_path: Path, made: Any, named: str
+) -> None:
+    nodes, constants = made
+    save(tmp_path / "robot.onnx", nodes, initializer=tensors(constants))
+    with pytest.raises(EgoError, match=named):
+        read(tmp_path / "robot.onnx")
+
+
+@pytest.mark.parametrize("operator", ["Bernoulli", "Multinomial", "RandomNormal", "RandomUniform"])
+def test_random_operators_are_refused_by_name(tmp_path: Path, operator: str) -> None:
+    attributes = {"shape": [1, 5]} if operator.startswith("Random") else {}
+    inputs = [] if attributes else ["x"]
+    node = onnx.helper.make_node(operator, inputs, ["drawn"], **attributes)
+    add = onnx.helper.make_node("Add", ["x", "drawn"], ["y"])
+    save(tmp_path / "robot.onnx", [node, add])
+    with pytest.raises(EgoError, match=f"uses ai.onnx.{operator}"):
+        read(tmp_path / "robot.onnx")
+
+
+@pytest.mark.parametrize(
+    "made", [dropout(FALSE), batch_norm(), over_rows("ReduceMax", axes=[1], keepdims=1)]
+)
+def test_what_is_apart_plays(tmp_path: Path, made: Any) -> None:
+    nodes, constants = made
+    save(tmp_path / "robot.onnx", nodes, initializer=tensors(constants))
+    ego = read(tmp_path / "robot.onnx")
+    obs = np.random.default_rng(0).normal(size=(4, 5)).astype(np.float32)
+    act = call_ego(ego, ("a",), 4, 5)
+    np.testing.assert_array_equal(act(obs, 0)[1:3], act(obs, 0)[1:3])
 
 
 def test_functions_are_refused(tmp_path: Path) -> None:

@@ -389,26 +389,29 @@ def evaluations() -> dict[str, dict[str, Any]]:
     }
 
 
-def test_dots_stand_at_the_iqm_with_whiskers_as_long_as_the_interval():
+def test_dots_stand_at_the_mean_with_whiskers_as_long_as_the_interval():
     found = evaluations()
     figure = zsc_dots(found)
     axes = axes_by_label(figure)["returns"]
     dots = sorted(line.get_ydata()[0] for line in axes.lines if len(line.get_ydata()) == 1)
     values = [one[key] for one in found.values() for key in ("m_test", "m_train")]
-    assert dots == pytest.approx(sorted(value["iqm"] for value in values))
+    assert dots == pytest.approx(sorted(value["mean"] for value in values))
     whiskers = sorted(tuple(line.get_ydata()) for line in axes.lines if len(line.get_ydata()) == 2)
-    np.testing.assert_allclose(whiskers, sorted(tuple(value["iqm_ci"]) for value in values))
+    np.testing.assert_allclose(whiskers, sorted(tuple(value["mean_ci"]) for value in values))
     written = " ".join("\n".join(texts(figure)).split())
     assert "ppo: 3 seeds × 4 train, 4 test partners × 2 episodes; scratch, release v0" in written
-    assert "new partners; new seeds and partners" in written
+    assert (
+        "95% interval for new partners and starts; 95% interval for new seeds, partners and starts"
+        in written
+    )
 
 
 @pytest.mark.parametrize("zero_action", [3.0, 990.0])
 def test_the_axis_holds_robots_and_references_however_far_apart(zero_action):
     found = evaluations()
-    found["ppo"]["references"] = {"zero_action": {"iqm": zero_action}, "script": None}
+    found["ppo"]["references"] = {"zero_action": {"mean": zero_action}, "script": None}
     axes = axes_by_label(zsc_dots(found, {"self-play": 510.0}))["returns"]
-    ends = [end for one in found.values() for end in (*one["m_test"]["iqm_ci"],)]
+    ends = [end for one in found.values() for end in (*one["m_test"]["mean_ci"],)]
     low, high = axes.get_ylim()
     assert low < min([*ends, zero_action]) and max([*ends, zero_action]) < high
     legend = [text.get_text() for text in axes.get_legend().get_texts()]
@@ -420,7 +423,10 @@ def test_the_axis_is_zoomed_where_references_are_near():
     found = evaluations()
     low, high = axes_by_label(zsc_dots(found, {"self-play": 510.0}))["returns"].get_ylim()
     ends = [
-        end for one in found.values() for key in ("m_test", "m_train") for end in one[key]["iqm_ci"]
+        end
+        for one in found.values()
+        for key in ("m_test", "m_train")
+        for end in one[key]["mean_ci"]
     ]
     assert min(ends) - 40 < low < min(ends) and max(ends) < high < max(ends) + 40
 

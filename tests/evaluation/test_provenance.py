@@ -2,7 +2,9 @@
 
 import json
 import shutil
+import tracemalloc
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 import pytest
@@ -94,6 +96,46 @@ def test_a_received_manifest_cannot_make_us_read_elsewhere(folder: Path, tmp_pat
     manifest = provenance.read_manifest(folder) or {}
     provenance.write_manifest(folder, {**manifest, "files": {"../secret": "0" * 64}})
     assert "is no file of" in verify_folder(folder).problems[0]
+
+
+def reidentified(folder: Path, **changes: Any) -> None:
+    """Write another identity into a manifest, consistently, as whoever sends a folder can."""
+    manifest = provenance.read_manifest(folder) or {}
+    identity = {**manifest["identity"], **changes}
+    job = provenance.identity_digest(identity)
+    provenance.write_manifest(folder, {**manifest, "identity": identity, "job": job})
+
+
+@pytest.mark.parametrize("episodes", [10**6, 2.0, True, -1, "2", None])
+def test_a_received_number_takes_no_memory(folder: Path, episodes: Any) -> None:
+    reidentified(folder, episodes=episodes)
+    tracemalloc.start()
+    report = verify_folder(folder)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert "other episodes than the manifest" in report.problems[0] and most < 1 << 22
+
+
+def test_links_in_place_of_files_are_not_followed(folder: Path) -> None:
+    """One to a pipe or to `/proc/kmsg` would never end."""
+    for name in (tables.SUMMARY_FILE, tables.EPISODES_FILE, provenance.MANIFEST_FILE):
+        whole = (folder / name).read_bytes()
+        (folder / name).unlink()
+        (folder / name).symlink_to("/proc/self/environ")
+        assert "no regular file" in verify_folder(folder).problems[0]
+        with pytest.raises(ValueError, match="no regular file"):
+            provenance.check_whole(folder)
+        (folder / name).unlink()
+        (folder / name).write_bytes(whole)
+    assert verify_folder(folder).ok
+
+
+def test_missing_and_doubled_rows_are_found(folder: Path) -> None:
+    table = tables.read_episodes(folder / tables.EPISODES_FILE)
+    for rows in (table.head(-1), pl.concat([table, table.head(1)])):
+        tables.write_episodes(rows, folder / tables.EPISODES_FILE)
+        provenance.seal(folder)
+        assert "rows" in verify_folder(folder).problems[0]
 
 
 def test_a_table_of_other_policies_is_found_though_its_hash_is_right(folder: Path) -> None:

@@ -42,12 +42,17 @@ def disabilities(roster: Roster) -> list[str]:
 
 
 def play(
-    robots: Roster, humans: Roster, episodes: int = 3, env: MatrixGame | None = None, **options: Any
+    robots: Roster,
+    humans: Roster,
+    episodes: int = 3,
+    env: MatrixGame | None = None,
+    seeds: np.ndarray | None = None,
+    **options: Any,
 ) -> Tally:
     robot, human = stack_of(robots), stack_of(humans)
     rollout = Rollout(env or MatrixGame(), [Policy(robot.spec)], [Policy(human.spec)], **options)
     settings = disabilities(humans)
-    seeds = episode_seeds(7, range(episodes))
+    seeds = episode_seeds(7, range(episodes)) if seeds is None else seeds
     return rollout.run([robot.params], [human.params], disability_params(settings), seeds)
 
 
@@ -232,6 +237,17 @@ def test_drawn_actions_are_common_to_pairs_and_differ_by_episode_step_and_role()
         )
         == 8
     )
+
+
+def test_drawn_actions_are_a_partners_own_where_its_episodes_are():
+    env = MatrixGame(episode_length=1)
+    seeds = np.arange(128).reshape(2, 64)
+    own = play(robots(0.0, 0.0), humans(0.0, 0.0), seeds=seeds, env=env, stochastic=True).force_sum
+    np.testing.assert_array_equal(own[0], own[1])  # both robots meet a partner in the same episodes
+    assert len(set(own[0].ravel().tolist())) == 128
+    for partner, row in enumerate(seeds):
+        common = play(robots(0.0), humans(0.0), seeds=row, env=env, stochastic=True)
+        np.testing.assert_allclose(common.force_sum[0, 0], own[0, partner], rtol=1e-6)
 
 
 def test_segments_divide_the_episode():

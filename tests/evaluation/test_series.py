@@ -156,7 +156,6 @@ def test_the_identity_knows_of_series_only_where_there_are_any() -> None:
     [
         ({"series": 4}, "series is 4 of 6 episodes; give 1 or more, and a multiple of it"),
         ({"series": 0}, "series is 0"),
-        ({"series": 3, "stochastic": True}, "leave out --stochastic, or apart and --series"),
     ],
 )
 def test_series_that_cannot_be_played_are_refused(changes: dict, told: str) -> None:

@@ -178,6 +178,40 @@ def test_a_received_manifest_cannot_make_us_wait_or_read_on(home: Path, tmp_path
         assert check_sources(folder).problems
 
 
+def test_what_the_kernel_makes_up_is_not_read(home: Path, tmp_path: Path) -> None:
+    """`/proc/kmsg` never ends, and `/proc/self/pagemap` is terabytes long; a link may name both."""
+    folder = Path(shutil.copytree(home / "out", tmp_path / "out"))
+    (tmp_path / "link").symlink_to("/proc/self/environ")
+    names = ["/proc/self/environ", str(tmp_path / "link"), "/sys/kernel/profiling"]
+    resealed(folder, files=dict.fromkeys(names, "0" * 64), registry="/proc/self/environ")
+    report = check_sources(folder)
+    assert report.problems == () and len(report.absent) == len(names) + 1
+
+
+def test_a_file_that_is_named_often_is_read_once(
+    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = Path(shutil.copytree(home / "out", tmp_path / "out"))
+    (tmp_path / "large").write_bytes(b"x")
+    names = [f"{tmp_path}{'/' * count}large" for count in range(1, 41)]
+    read: list[Path] = []
+    hashed = provenance.received_sha256
+    monkeypatch.setattr(
+        provenance, "received_sha256", lambda path: read.append(path) or hashed(path)
+    )
+    resealed(folder, files=dict.fromkeys(names, provenance.file_sha256(tmp_path / "large")))
+    assert not check_sources(folder).problems and len(read) == 1
+    monkeypatch.setattr(sources, "LARGEST_SUM", 0)
+    assert len(check_sources(folder).absent) == 40
+
+
+def test_a_registry_that_came_with_the_folder_is_not_believed(home: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(home / "out", tmp_path / "out"))
+    zoo = Path(shutil.copytree(home / "zoo", folder / "zoo"))
+    resealed(folder, registry=str((zoo / "registry.json").resolve()))
+    assert "policies of" in check_sources(folder).absent[0]
+
+
 def resealed(folder: Path, **changes: Any) -> None:
     """Write other sources into a manifest, consistently, as whoever sends a folder can."""
     manifest = provenance.read_manifest(folder) or {}

@@ -33,7 +33,8 @@ def test_evaluation_has_the_promised_figures_and_is_json():
     assert found["m_train"]["mean"] == pytest.approx(by_side["train"])
     assert found["gap"]["mean"] == pytest.approx(by_side["train"] - by_side["test"])
     assert (found["m_test"]["n"], found["m_train"]["n"]) == (24, 12)
-    assert found["m_test"]["generalises_to"] == "seeds and partners"
+    assert found["m_test"]["generalises_to"] == "seeds, partners and starts"
+    assert found["common_starts"]
     assert found["split"] == tables.to_json(CONTEXT.split)
     assert (found["episodes"], found["episodes_per_pair"], found["nonfinite"]) == (144, 4, 0)
     for name in ("release", "env_version", "backend", "env_steps_per_second", "task"):
@@ -155,6 +156,21 @@ def test_comparison_is_paired_and_refuses_other_partners_or_keys():
         summary.summarise_comparison(better.filter(pl.col("partner_seed") > 0), table)
     with pytest.raises(ValueError, match="different episode keys"):
         summary.summarise_comparison(better.with_columns(pl.col("key") + 1), table)
+
+
+def test_starts_of_each_partners_own_are_in_the_interval_without_being_resampled():
+    rng = np.random.default_rng(0)
+    returns = rng.normal(size=(4, 12, 9)) + 5 * rng.normal(size=9)
+    common = episode_table(returns, teams(4), teams(12), ["test"] * 12)
+    own = common.with_columns(key=pl.col("key") + 1000 * pl.col("partner_seed"))
+    first, second = (summary.summarise_evaluation(table, CONTEXT) for table in (common, own))
+    assert first.m_test is not None and second.m_test is not None
+    assert first.m_test.mean == second.m_test.mean
+    assert second.m_test.generalises_to == "seeds and partners"
+    assert first.m_test.mean_ci is not None and second.m_test.mean_ci is not None
+    assert np.ptp(first.m_test.mean_ci) > 3 * np.ptp(second.m_test.mean_ci)
+    assert any("the same 9 starts" in note for note in first.notes)
+    assert not any("starts" in note for note in second.notes)
 
 
 def test_profile_falls_from_one_to_nothing():

@@ -29,7 +29,8 @@ def test_dense_block_puts_every_return_in_its_cell_whatever_the_order_of_rows():
     np.testing.assert_allclose(block.scores, returns.mean(axis=2))
     assert block.egos["ego_seed"].to_list() == [0, 1, 2]
     assert block.keys is not None
-    assert block.keys.tolist() == [100, 101, 102, 103, 104]
+    assert block.keys.tolist() == [[100, 101, 102, 103, 104]] * 4
+    assert block.common_starts
 
 
 def test_seeds_are_ordered_as_numbers_and_external_egos_come_last():
@@ -47,6 +48,18 @@ def test_keys_that_differ_between_pairs_are_noticed():
         pl.when(pl.col("ego_seed") == 1).then(7).otherwise("key").alias("key")
     )
     assert tables.dense_block(table).keys is None
+
+
+def test_starts_of_each_partners_own_are_told_from_common_ones():
+    own = small().with_columns(key=pl.col("key") + 10 * pl.col("partner_seed"))
+    block = tables.dense_block(own)
+    assert block.keys is not None
+    assert block.keys[:, 0].tolist() == [100, 110, 120]
+    assert not block.common_starts
+    assert tables.dense_block(small()).common_starts
+    alone = block.select_partners(np.array([True, False, False]))
+    assert alone.keys is not None and alone.keys.shape[0] == 1
+    assert not alone.common_starts
 
 
 def test_missing_and_doubled_episodes_are_refused():

@@ -1,71 +1,131 @@
-"""What is sent to Weights & Biases is what the metrics hold; a stand-in takes it here."""
+"""What is sent to Weights & Biases is what the metrics hold; the real package keeps it offline."""
 
+import dataclasses
+import json
+import struct
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import polars as pl
 import pytest
+import wandb
+from wandb.proto.wandb_internal_pb2 import Record
 
+from population.config import make_members
 from population.team_training import _log
 from population.tensorboard import scalars
 from population.train import train
 from population.wandb_runs import WandbRuns
-from tests.population.test_train import CONFIG
+from tests.population.test_train import CONFIG, Killed, kill_after
 from tests.population.toy_env import ToyEnv, match
 
-
-class Run:
-    """Keeps what it is given."""
-
-    def __init__(self, **given: Any) -> None:
-        self.given, self.logged, self.finished = given, [], False
-
-    def log(self, values: dict[str, float], step: int) -> None:
-        self.logged.append((step, values))
-
-    def finish(self) -> None:
-        self.finished = True
+TWO = dataclasses.replace(CONFIG, members=make_members([0], ["d1", "d9"]))
 
 
-@pytest.fixture
-def runs(monkeypatch: pytest.MonkeyPatch) -> list[Run]:
-    made: list[Run] = []
+@pytest.fixture(autouse=True)
+def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Keep W&B offline, and away from the user's own settings and key."""
+    for name in ("HOME", "WANDB_CONFIG_DIR", "WANDB_CACHE_DIR", "WANDB_DATA_DIR"):
+        monkeypatch.setenv(name, str(tmp_path / "home"))
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    monkeypatch.setenv("WANDB_SILENT", "true")
+    monkeypatch.delenv("WANDB_API_KEY", raising=False)
+    yield
+    wandb.teardown()
 
-    def init(**given: Any) -> Run:
-        made.append(Run(**given))
-        return made[-1]
 
-    monkeypatch.setitem(sys.modules, "wandb", SimpleNamespace(init=init))
-    return made
+def kept(folder: Path) -> dict[str, list[Record]]:
+    """Return what W&B keeps of each run in a folder, by the run's id."""
+    records = {}
+    for file in sorted(folder.glob("wandb/offline-run-*/run-*.wandb")):
+        run = records.setdefault(file.stem.removeprefix("run-"), [])
+        run += map(Record.FromString, logged(file.read_bytes()))
+    return records
 
 
-def test_every_member_has_a_run_with_its_metrics(runs: list[Run], tmp_path: Path) -> None:
-    log = _log(CONFIG, tmp_path / "run", "wandb:study")
-    train(CONFIG, ToyEnv(match), tmp_path / "run", progress=log)
+def logged(data: bytes, block: int = 32768) -> Iterator[bytes]:
+    """Yield the records of a log: of LevelDB's format, behind a header of seven bytes."""
+    assert data.startswith(b":W&B")
+    place, whole = 7, b""
+    while place < len(data):
+        if block - place % block < 7:  # no header fits behind the last record of a block
+            place += block - place % block
+            continue
+        _, size, part = struct.unpack_from("<IHB", data, place)
+        whole += data[place + 7 : place + 7 + size]
+        place += 7 + size
+        if part in (1, 4):  # a whole record, or the last part of one
+            yield whole
+            whole = b""
+
+
+def history(records: list[Record]) -> list[dict[str, float]]:
+    rows = [record.history for record in records if record.HasField("history")]
+    return [
+        {"/".join(item.nested_key) or item.key: json.loads(item.value_json) for item in row.item}
+        for row in rows
+    ]
+
+
+@pytest.mark.slow
+def test_every_member_has_a_run_with_its_metrics(tmp_path: Path) -> None:
+    log = _log(TWO, tmp_path / "run", "wandb:study")
+    train(TWO, ToyEnv(match), tmp_path / "run", progress=log)
     log.catch_up()
     log.close()
     table = pl.read_parquet(tmp_path / "run" / "metrics.parquet")
-    assert len(runs) == len(CONFIG.members) == len({run.given["id"] for run in runs})
-    for member, run in enumerate(runs):
-        assert run.finished and run.given["project"] == "study"
-        assert run.given["name"].endswith(CONFIG.members[member].label)
-        rows = table.filter(member=member)
-        assert [step for step, _ in run.logged] == rows["steps"].to_list()
-        for (_, sent), row in zip(run.logged, rows.iter_rows(named=True), strict=True):
+    runs = kept(tmp_path / "run").values()
+    assert len(runs) == len(TWO.members)
+    for records in runs:
+        [started] = [record.run for record in records if record.HasField("run")]
+        assert (started.project, started.run_group) == ("study", "run")
+        [member] = [i for i, m in enumerate(TWO.members) if started.display_name.endswith(m.label)]
+        rows = list(table.filter(member=member).iter_rows(named=True))
+        for sent, row in zip(history(records), rows, strict=True):
             assert sent.pop("speed/steps_per_second") > 0
+            assert sent.pop("_step") == row["steps"]
+            sent = {name: value for name, value in sent.items() if not name.startswith("_")}
             assert sent == pytest.approx(scalars(row))
-        assert "episode/return" in sent and not any("seed" in name for name in sent)
+            assert "episode/reward" in sent and not any("seed" in name for name in sent)
 
 
-def test_a_run_that_goes_on_is_the_same_there(runs: list[Run], tmp_path: Path) -> None:
-    for folder in ("run", "run", "other"):
-        WandbRuns(CONFIG, tmp_path / folder, "study")
-    ids = [run.given["id"] for run in runs]
-    n = len(CONFIG.members)
-    assert ids[:n] == ids[n : 2 * n] and not {*ids[:n]} & {*ids[2 * n :]}
-    assert runs[0].given["resume"] == "allow"
+@pytest.mark.slow
+def test_a_run_that_goes_on_is_the_same_there(tmp_path: Path) -> None:
+    def stopped(progress) -> None:
+        log(progress)
+        kill_after(4)(progress)
+
+    log = _log(TWO, tmp_path / "run", "wandb:study")
+    with pytest.raises(Killed):
+        train(TWO, ToyEnv(match), tmp_path / "run", progress=stopped)
+    log.close()
+    before = set(kept(tmp_path / "run"))
+    log = _log(TWO, tmp_path / "run", "wandb:study")
+    train(TWO, ToyEnv(match), tmp_path / "run", progress=log)
+    log.close()
+    assert len(before) == len(TWO.members)
+    assert set(kept(tmp_path / "run")) == before
+
+
+def test_a_folder_of_another_run_gets_no_run_there(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "notes.txt").write_text("mine")
+    log = _log(TWO, tmp_path / "run", "wandb:study")
+    with pytest.raises(ValueError, match="is not the folder of a run"):
+        train(TWO, ToyEnv(match), tmp_path / "run", progress=log)
+    log.close()
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.slow
+def test_without_a_key_it_says_how_to_log_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("WANDB_MODE")
+    log = _log(TWO, tmp_path / "run", "wandb:study")
+    with pytest.raises(ValueError, match=r"`wandb login`.*WANDB_MODE=offline"):
+        train(TWO, ToyEnv(match), tmp_path / "run", progress=log)
 
 
 def test_without_the_package_it_says_what_to_install(

@@ -36,10 +36,12 @@ def missing(text: str) -> list[str]:
 
 
 def _is_there(file: str, test: str = "") -> bool:
-    path = f"tests.service.{file}"
-    if not (Path(__file__).parent / f"{file}.py").is_file():
+    tests = Path(__file__).parents[1]
+    rooms = [room for room in ("service", "evaluation") if (tests / room / f"{file}.py").is_file()]
+    if not rooms:
         return False
-    return not test or inspect.isfunction(getattr(importlib.import_module(path), test, None))
+    module = importlib.import_module(f"tests.{rooms[0]}.{file}")
+    return not test or inspect.isfunction(getattr(module, test, None))
 
 
 def test_every_threat_has_a_test() -> None:

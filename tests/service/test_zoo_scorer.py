@@ -1,11 +1,13 @@
 """With the real evaluator: both formats, a private release, and values that do not move."""
 
 import dataclasses
+import json
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import polars as pl
 import pytest
@@ -14,8 +16,9 @@ import assistax_envs
 from assistax_envs import Env
 from assistax_envs.preferences import PREFERENCES
 from assistax_envs.versions import FUSED_VERSION
+from assistax_zoo.service import submitting
 from assistax_zoo.service.admission import Admission, robot_sizes
-from assistax_zoo.service.catalogue import ZooCatalogue, version_id
+from assistax_zoo.service.catalogue import EPISODES, PUBLIC_SEED, ZooCatalogue, version_id
 from assistax_zoo.service.problems import Refusal
 from assistax_zoo.service.release_pack import hidden_partners, ordinal, pack
 from assistax_zoo.service.results import figures
@@ -25,9 +28,10 @@ from assistax_zoo.service.zoo_scorer import ZooScorer
 from evaluation.evaluator import run_job
 from evaluation.references import reference_jobs, reference_roster
 from evaluation.relative import RANDOM, SCRIPT, SELF_PLAY, ZERO
-from evaluation.studies import Settings, make_job, own_robots
+from evaluation.studies import Settings, evaluate_policies, make_job, own_robots
 from population.onnx_export import to_onnx
 from population.spec import PolicySpec
+from tests.service.fakes import draft, new_service, new_submitter
 from tests.untrained import HUMAN, ROBOT, params_of, published, untrained_team
 from zoo.registry import Registry, load_registry
 from zoo.runs import TrainedTeam
@@ -95,6 +99,47 @@ def test_a_robot_scores_the_same_in_both_formats_and_every_time(
     returns = [table.sort("partner", "episode")["return"].to_numpy() for table in tables]
     # The networks round differently in the last bit, and contacts amplify that.
     np.testing.assert_allclose(returns[0], returns[2], rtol=0.05, atol=1.0)
+
+
+@pytest.mark.slow
+def test_onnx_at_home_is_onnx_at_the_server_bit_for_bit(
+    registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(submitting, "BACKEND", "native")
+    spec, path = dataclasses.replace(ROBOT, torso="gru", hidden=(64, 64)), tmp_path / "robot.onnx"
+    # Large and recurrent, so that another rounding would show within so few steps.
+    params = jax.tree.map(lambda leaf: 4 * leaf, params_of(spec, 7))
+    path.write_bytes(to_onnx(spec, params))
+    table, score = _at_a_server(registry, path.read_bytes(), tmp_path / "server")
+
+    checked = submitting.check_file(path, TASK, registry.path, whole=True)
+    assert json.loads(json.dumps(checked["figures"])) == score
+    assert (checked["partners"], checked["episodes"]) == (table["partner"].n_unique(), table.height)
+
+    played = evaluate_policies(
+        registry, [path], Settings(TASK, EPISODES, PUBLIC_SEED, "native"), tmp_path / "home"
+    )
+    assert played.m_test is not None
+    home = pl.read_parquet(tmp_path / "home" / "episodes.parquet").sort("partner", "episode")
+    for column in ("partner", "episode", "return", "success", "nonfinite"):
+        assert home[column].equals(table[column]), column
+
+
+def _at_a_server(
+    registry: Registry, data: bytes, folder: Path
+) -> tuple[pl.DataFrame, dict[str, Any]]:
+    """Return what a server keeps of a file's public half: its episodes and its figures."""
+    catalogue = ZooCatalogue(registry, "native")
+    admission = Admission(robot_sizes(registry))
+    service = dataclasses.replace(new_service(folder), catalogue=catalogue, admit=admission)
+    id = service.submit(new_submitter(service), draft(data=data))
+    scorer, tables = scorer_of(registry), []
+    while asked := service.lease("w", scorer.versions()):
+        played = encode_table(scorer.play(asked, service.artefacts.get(asked.artefact), None))
+        tables.append(decode_table(played, asked.partners, asked.episodes, asked.preferences))
+        service.result(asked.job, asked.lease, played, 1.0)
+    [score] = service.queries.scores(submission=id)
+    return pl.concat(tables).sort("partner", "episode"), score.figures
 
 
 def test_a_score_names_the_engine_that_made_it(registry: Registry) -> None:

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from tests.evaluation.episode_tables import (
     Team,
     clustered_matrix,
     episode_table,
+    sealed,
     team_id,
     teams,
 )
@@ -368,7 +370,7 @@ def crossplay_folder(tmp_path: Path) -> Path:
         },
         folder / "run.json",
     )
-    return folder
+    return sealed(folder)
 
 
 def evaluation_folder(
@@ -384,7 +386,24 @@ def evaluation_folder(
         ["assistax-zoo evaluate --split both", *(f"--policy {name}" for name in names)]
     )
     tables.write_json({"command": command}, folder / "run.json")
-    return folder
+    return sealed(folder)
+
+
+def resealed(folder: Path, change: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
+    """Write another summary into a folder, as if the folder had been written so."""
+    tables.write_json(change(tables.read_json(folder / "summary.json")), folder / "summary.json")
+    sealed(folder)
+
+
+def test_a_changed_folder_is_not_collected(crossplay_folder: Path, tmp_path: Path) -> None:
+    """Without the manifest's hashes a changed return would enter a release's data."""
+    for folder in (crossplay_folder, evaluation_folder(tmp_path, "ppo", 0)):
+        table = tables.read_episodes(folder / "episodes.parquet")
+        changed = table.with_columns(pl.col("return") * 1.5)
+        tables.write_episodes(changed, folder / "episodes.parquet")
+        with pytest.raises(ValueError, match=r"expected sha256 .*nothing was collected"):
+            collect(folder, tmp_path / "data")
+    assert not (tmp_path / "data").exists()
 
 
 def test_a_cross_play_is_condensed_and_read_back(crossplay_folder: Path, tmp_path: Path):
@@ -467,10 +486,11 @@ def test_training_of_egos_is_condensed(tmp_path: Path):
     [
         (lambda folder: (folder / "summary.json").unlink(), "holds no summary.json"),
         (
-            lambda folder: tables.write_json({"task": "scratch"}, folder / "summary.json"),
+            lambda folder: resealed(folder, lambda told: {"task": told["task"]}),
             "neither crossplay nor",
         ),
-        (lambda folder: (folder / "strategies.json").unlink(), "strategies.json does not exist"),
+        (lambda folder: (folder / "strategies.json").unlink(), "strategies.json is missing"),
+        (lambda folder: (folder / "manifest.json").unlink(), "has no manifest.json"),
     ],
 )
 def test_a_folder_that_is_no_finished_one_is_refused(
@@ -489,8 +509,7 @@ def test_a_received_folder_cannot_write_outside(
     data = tmp_path / "a" / "b" / "data"
     played = evaluation_folder(tmp_path, "ppo", 0)
     for folder in (crossplay_folder, played):
-        told = tables.read_json(folder / "summary.json")
-        tables.write_json({**told, "task": task}, folder / "summary.json")
+        resealed(folder, lambda told: {**told, "task": task})
     trained = tmp_path / "run" / "policies"
     trained.mkdir(parents=True)
     metadata = {"task": task, "algorithm": "ppo", "training": {}}
@@ -518,10 +537,7 @@ def test_one_side_or_several_methods_are_refused(tmp_path: Path):
     with pytest.raises(ValueError, match="--split both"):
         collect(evaluation_folder(tmp_path, "ppo", 0, ("test", "test")), tmp_path / "data")
     folder = evaluation_folder(tmp_path, "sac", 0)
-    told = tables.read_json(folder / "summary.json")
-    tables.write_json(
-        {**told, "egos": ["zoo:scratch/ippo-d1-s0-v0/robot"]}, folder / "summary.json"
-    )
+    resealed(folder, lambda told: {**told, "egos": ["zoo:scratch/ippo-d1-s0-v0/robot"]})
     with pytest.raises(ValueError, match="expected the policies of one train-ego run"):
         collect(folder, tmp_path / "data")
 

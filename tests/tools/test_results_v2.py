@@ -18,7 +18,7 @@ from assistax_envs.versions import VERSIONS
 from evaluation import derived, tables
 from evaluation.metrics import paired_difference
 from evaluation.summary import SplitName
-from tests.evaluation.episode_tables import CONTEXT, Team, episode_table
+from tests.evaluation.episode_tables import CONTEXT, Team, episode_table, sealed
 from tests.zoo.conftest import SELF_PLAY, SPECS, put, random_params, trained_team
 from tools.results_v2 import measures
 from tools.results_v2.__main__ import run
@@ -170,7 +170,7 @@ def evaluated(
     tables.write_json(
         {"command": command, "devices": ["cpu"], "home": "/home/me"}, folder / tables.RUN_FILE
     )
-    return folder
+    return sealed(folder)
 
 
 def noisy(egos: int, count: int = 3) -> np.ndarray:
@@ -232,6 +232,7 @@ def test_series_references_and_named_methods(tmp_path: Path, split: Split):
         for name, shift in (("script", 500.0), ("uniform-random", -500.0))
     ]
     tables.write_parquet(pl.concat(played), folder / tables.REFERENCES_FILE)
+    sealed(folder)
     for method, low, high in (("script", 300, 700), ("random", -700, -300)):
         out = collect(folder, tmp_path / "v2", method)
         assert out.name == method
@@ -280,9 +281,20 @@ def test_a_received_folder_cannot_name_a_place(tmp_path: Path, split: Split):
                 collect(folder, data)
         for change in ({"task": name}, {"split": {"id": name}}, {"split": name}):
             tables.write_json({**summary, **change}, played / tables.SUMMARY_FILE)
+            sealed(played)
             with pytest.raises(ValueError, match=r"names the task|the split is"):
                 collect(played, data)
         assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_changed_folder_is_not_collected(tmp_path: Path, split: Split):
+    """Without the manifest's hashes a changed return would enter a release's data."""
+    table = episodes(split, noisy(2), FILES)
+    folder = evaluated(tmp_path / "ev", table, split)
+    changed = table.with_columns(pl.col("return") * 1.5)
+    tables.write_episodes(changed, folder / tables.EPISODES_FILE)
+    with pytest.raises(ValueError, match=r"expected sha256 .*nothing was collected"):
+        collect(folder, tmp_path / "v2")
 
 
 @pytest.mark.parametrize("name", ["../x", "/x", "ppo/../..", "", "PPO", "-x", "ppo--x"])
@@ -304,6 +316,7 @@ def test_one_side_and_other_tasks_are_refused(tmp_path: Path, split: Split):
         collect(evaluated(tmp_path / "sc", table, split, {"task": "scratch"}), tmp_path / "v2")
     plain = table.drop("preference")
     tables.write_episodes(plain, tmp_path / "ev" / tables.EPISODES_FILE)
+    sealed(tmp_path / "ev")
     with pytest.raises(ValueError, match="lacks preference"):
         collect(tmp_path / "ev", tmp_path / "v2")
 
@@ -580,7 +593,7 @@ def played(tmp_path: Path, split: Split, matrix: np.ndarray) -> Path:
     context = dataclasses.replace(CONTEXT, task=TASK, release="v2", split=None)
     derived.save_crossplay(folder, table, context)
     tables.write_json({"command": "assistax-zoo crossplay"}, folder / tables.RUN_FILE)
-    return folder
+    return sealed(folder)
 
 
 def test_a_cross_play_is_drawn_and_its_diversity_told(

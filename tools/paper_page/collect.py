@@ -20,6 +20,7 @@ import polars.selectors as cs
 
 from assistax_envs.versions import PAPER_TASKS
 from evaluation import tables
+from evaluation.provenance import verify_folder
 from evaluation.tables import EGO_COLUMNS, PARTNER_COLUMNS
 
 TRAINING_FILE = "training.json"
@@ -46,6 +47,7 @@ def collect(folder: Path, data: Path) -> Path:
             f"{folder} holds no {tables.SUMMARY_FILE} and no policies; give a finished folder of "
             "crossplay, of evaluate --split both, or of train-ego"
         )
+    check_unchanged(folder)
     summary = tables.read_json(folder / tables.SUMMARY_FILE)
     if "self_play" in summary:
         return collect_crossplay(folder, summary, data)
@@ -55,6 +57,16 @@ def collect(folder: Path, data: Path) -> Path:
         f"{folder / tables.SUMMARY_FILE} is of neither crossplay nor evaluate; give a finished "
         "folder of one"
     )
+
+
+def check_unchanged(folder: Path) -> None:
+    """Refuse a folder that is not what its manifest says, before a release's data take it in.
+
+    Raises:
+        ValueError: A file was changed, damaged or lost, or the folder has no manifest.
+    """
+    if problems := verify_folder(folder).problems:
+        raise ValueError(f"{problems[0]}; nothing was collected from {folder}")
 
 
 def collect_crossplay(

@@ -72,5 +72,5 @@ def _bars(results: Results, task: str) -> Figure:
         name: egos.summary for name, egos in found.items() if egos
     }
     played = results.crossplay.get(task)
-    lines = {"self-play of all teams": played.summary["self_play"]["iqm"]} if played else {}
+    lines = {"self-play of all teams": played.summary["self_play"]["mean"]} if played else {}
     return zsc_dots(summaries, lines)

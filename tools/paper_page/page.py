@@ -81,5 +81,6 @@ def _head(results: Results) -> str:
         f"# Release {results.release} beside the paper\n\n"
         f"Our figures beside those of *{results.paper['source']}*. IQM and 95% bootstrap interval "
         "unless it says otherwise. This page is made from committed tables by the command at its "
-        "end; only what begins with **Why** or **Note** is written by hand."
+        "end; only what begins with **Why** or **Note** is written by hand. In these tables all "
+        "partners played the same starts, so no interval here speaks of other starts."
     )

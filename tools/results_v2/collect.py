@@ -26,6 +26,7 @@ from tools.paper_page.collect import (
     EGO_FILE,
     EGOS,
     TRAINING_FILE,
+    check_unchanged,
     collect_crossplay,
     how_it_ran,
     known_task,
@@ -63,6 +64,7 @@ def collect(folder: Path, data: Path, method: str | None = None, split: str | No
         out = _place(data, first["task"], split or first.get("split"), name)
         tables.write_json(content, out / TRAINING_FILE)
         return out
+    check_unchanged(folder)
     summary = tables.read_json(folder / tables.SUMMARY_FILE)
     known_task(summary, folder, GENTLE_TASKS)
     if "self_play" in summary:

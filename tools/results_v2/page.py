@@ -56,7 +56,8 @@ def make_page(results: Results, pictures: str, command: str) -> str:
         "Returns with their 95% bootstrap intervals. This page is made from the registry and "
         "committed tables by the command at its end. A *team* is a robot and a human that learned "
         "together; an *ego* is a robot that learned with the training partners of a split. "
-        "Intervals of fewer than 16 seeds or partners are too narrow."
+        "Intervals of fewer than 16 seeds or partners are too narrow. In these tables all partners "
+        "played the same starts, so no interval here speaks of other starts."
     )
     return "\n\n".join([head, *(f"## {name}\n\n{text}" for name, text in parts.items())]) + "\n"
 

@@ -11,10 +11,9 @@ import onnxruntime
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from assistax_zoo.service import onnx_admission, onnx_program
-from assistax_zoo.service.onnx_admission import ATTRIBUTES, admit_onnx
-from assistax_zoo.service.problems import Refusal
-from evaluation import onnx_ego
+from evaluation import onnx_admission, onnx_ego, onnx_program
+from evaluation.onnx_admission import ATTRIBUTES, admit_onnx
+from evaluation.onnx_ego import StrangerError
 from population.onnx_export import to_onnx
 from population.policy import Policy
 from population.spec import PolicySpec
@@ -104,11 +103,41 @@ def test_our_own_exports_play_as_the_policies_they_are_of(torso: Any, squash: An
 
 
 def test_rows_cannot_see_each_other() -> None:
-    """A softmax over the batch would tell a robot about other episodes."""
-    data = model([("Softmax", "x", {"axis": 0})], {})
+    """A product of the batch with itself would tell a robot about other episodes."""
+    data = model([("Transpose", "x", {}), ("MatMul", "x y0", {}), ("MatMul", "y1 x", {})], {})
     program, params = admit_onnx(data, OBS, OBS)
-    _, action = program.make_policy().act(params, (), jnp.ones((4, OBS)), jnp.ones(4, bool))
-    np.testing.assert_array_equal(action, np.ones((4, OBS)))
+    rows = jnp.asarray([np.full(OBS, value, np.float32) for value in (0.1, 0.2, 0.3)])
+    _, action = program.make_policy().act(params, (), rows, jnp.ones(3, bool))
+    np.testing.assert_allclose(action, OBS * rows**3, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("operator", "attributes"), [("Softmax", {"axis": 0}), ("ReduceMean", {"axes": [0]})]
+)
+def test_a_reduction_over_the_batch_is_refused_by_name(operator: str, attributes: Any) -> None:
+    with pytest.raises(StrangerError, match=rf"mixes the rows .*\({operator} over axis 0\)"):
+        admit_onnx(model([(operator, "x", attributes)], {}), OBS, OBS)
+
+
+def test_a_reduction_over_the_first_axis_that_is_not_of_rows_is_let_in() -> None:
+    turned = [("Transpose", "x", {}), ("Softmax", "y0", {"axis": 0}), ("Transpose", "y1", {})]
+    admit_onnx(model(turned, {}), OBS, OBS)
+
+
+def test_what_grows_with_the_batch_is_not_run_to_see_whether_rows_are_apart(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """From four rows 4^32 numbers would come; from the one that is played comes one."""
+    monkeypatch.setattr(onnx_admission, "mixes_rows", lambda *_: pytest.fail("it was run"))
+    grow = [("Slice", "x s e a", {}), ("Softmax", "y0", {"axis": 0})]
+    for _ in range(5):
+        last = f"y{len(grow) - 1}"
+        grow += [("Reshape", f"{last} c", {}), ("Reshape", f"{last} r", {})]
+        grow.append(("Mul", f"y{len(grow) - 2} y{len(grow) - 1}", {}))
+    grow.append(("Reshape", f"y{len(grow) - 1} c", {}))
+    shapes = {"s": [0], "e": [1], "a": [1], "c": [-1, 1], "r": [1, -1]}
+    program, _ = admit_onnx(model(grow, shapes), OBS, 1)
+    assert program.action_size == 1
 
 
 def test_robots_of_one_graph_share_a_program() -> None:
@@ -199,7 +228,7 @@ def _loop(proto: Any) -> None:
     ],
 )
 def test_what_is_not_on_the_list_is_refused(change: Any, code: str) -> None:
-    with pytest.raises(Refusal) as refusal:
+    with pytest.raises(StrangerError) as refusal:
         admit_onnx(changed(change), OBS, ACT)
     assert refusal.value.code == code
 
@@ -209,7 +238,7 @@ def test_a_graph_that_would_fill_the_memory_is_refused_before_it_does() -> None:
     bomb = model(
         [("MatMul", "x w", {}), ("Mul", "a b", {}), ("Mul", "y1 a", {})], {"w": (6, 3), **wide}
     )
-    with pytest.raises(Refusal) as refusal:
+    with pytest.raises(StrangerError) as refusal:
         admit_onnx(bomb, OBS, ACT)
     assert refusal.value.code == "graph_too_large"
 
@@ -217,7 +246,7 @@ def test_a_graph_that_would_fill_the_memory_is_refused_before_it_does() -> None:
 def test_a_graph_that_would_take_for_ever_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(onnx_admission, "MAX_PRODUCTS", 1000)
     squares = [("MatMul", "x w", {}), *[("MatMul", f"y{i} w", {}) for i in range(50)]]
-    with pytest.raises(Refusal) as refusal:
+    with pytest.raises(StrangerError) as refusal:
         admit_onnx(model(squares, {"w": (6, 6)}), OBS, 6)
     assert refusal.value.code == "graph_too_large"
 
@@ -230,7 +259,7 @@ def test_damaged_bytes_are_refused_or_play(seed: int) -> None:
     for place in rng.integers(0, len(data), 3):
         data[place] = rng.integers(256)
     for bytes_ in (bytes(data), bytes(data[: rng.integers(len(data))])):
-        with contextlib.suppress(Refusal):
+        with contextlib.suppress(StrangerError):
             admit_onnx(bytes_, OBS, ACT)
 
 

@@ -1,0 +1,104 @@
+"""Measure how far episodes of published teams lie apart on two kinds of processor.
+
+The same episodes are played in two processes: as this processor computes, and without fused
+multiply-adds, as processors without them or with other vectors round. What `replay` needs of it is
+written to `evaluation/replay_noise.json`: `python -m tools.replay_noise scratch bed_bath`.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+from cyclopts import App
+
+from evaluation.replay_noise import FILE, measure_noise
+from population.files import atomic_write
+
+OTHER = "--xla_cpu_max_isa=AVX"  # an x86 without fused multiply-adds and with half the vectors
+
+
+def measure(
+    tasks: tuple[str, ...], /, *, backends: tuple[str, ...] = ("fused", "native"), teams: int = 16
+) -> None:
+    """Measure tasks; where a backend's figure is larger than another's, it is taken.
+
+    Args:
+        tasks: Tasks, such as scratch.
+        backends: Physics, one after the other.
+        teams: Robots, and as many humans, spread over the task's release; eight episodes a pair.
+    """
+    for task in tasks:
+        measured = [_measure(task, backend, teams) for backend in backends]
+        noise = json.loads(FILE.read_text()) if FILE.is_file() else {}
+        rows = {name: largest([one[name] for one in measured]) for name in measured[0]}
+        write({**noise, task: rows})
+
+
+def largest(scales: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the larger of several measurements of a column, figure by figure."""
+    return {
+        "quantiles": [max(row) for row in zip(*(one["quantiles"] for one in scales), strict=True)],
+        "rms": max(one["rms"] for one in scales),
+        "largest": max(one["largest"] for one in scales),
+    }
+
+
+def write(noise: dict[str, Any]) -> None:
+    """Write all tasks' figures, a line a column."""
+    lines = ",\n".join(
+        f"  {json.dumps(task)}: {{\n"
+        + ",\n".join(f"    {json.dumps(name)}: {json.dumps(row)}" for name, row in rows.items())
+        + "\n  }"
+        for task, rows in sorted(noise.items())
+    )
+    atomic_write(FILE, f"{{\n{lines}\n}}\n".encode())
+
+
+def play(task: str, backend: str, teams: int, out: Path) -> None:
+    """Play, in a process of its own, and write the episodes.
+
+    Args:
+        task: Task.
+        backend: Physics.
+        teams: Robots, and as many humans.
+        out: File for the episodes.
+    """
+    from evaluation.evaluator import MAX_ENVS
+    from evaluation.roster import registry_roster
+    from evaluation.runner import play as play_job
+    from evaluation.studies import Settings, in_release, make_job
+    from zoo.registry import load_registry
+
+    registry = load_registry()
+    release = registry.release_of(task)
+    robots, humans = (
+        in_release(registry, f"{task}/*", release, task=task, role=role)
+        for role in ("robot", "human")
+    )
+    egos, partners = (seat[:: max(1, len(seat) // teams)][:teams] for seat in (robots, humans))
+    settings = Settings(task, 8, backend=backend)
+    env, job = make_job(registry, registry_roster(registry, egos), partners, settings)
+    play_job(env, job, MAX_ENVS[backend]).write_parquet(out)
+
+
+def _measure(task: str, backend: str, teams: int) -> dict[str, dict[str, Any]]:
+    """Play in two processes, and compare."""
+    with tempfile.TemporaryDirectory() as folder:
+        tables = []
+        for place, flags in enumerate(("", OTHER)):
+            out = Path(folder, f"{place}.parquet")
+            words = [sys.executable, "-m", "tools.replay_noise", "play", task, backend, str(teams)]
+            subprocess.run([*words, str(out)], env={**os.environ, "XLA_FLAGS": flags}, check=True)
+            tables.append(pl.read_parquet(out))
+        return measure_noise(*tables)
+
+
+if __name__ == "__main__":
+    app = App(name="python -m tools.replay_noise", help=__doc__, default_command=measure)
+    app.command(play)
+    app()
