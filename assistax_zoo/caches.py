@@ -9,12 +9,15 @@ import dataclasses
 import os
 import re
 import shutil
+import sys
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from assistax_envs import compiled
 from zoo.errors import listing
-from zoo.locations import cache_root
+from zoo.locations import CACHE_VARIABLE, cache_root
 
 _HIDDEN = r"\..+\.(partial|tmp)"  # what a killed process left
 
@@ -121,6 +124,30 @@ def clean(kind: str) -> tuple[Held, list[str]]:
     after = held(kind)
     removed = {"files": before.files - after.files, "bytes": before.bytes - after.bytes}
     return dataclasses.replace(before, **removed), busy
+
+
+def warn_once() -> None:
+    """Say in one line of our own that this process cannot keep what JAX compiles.
+
+    JAX warns of every program, and names neither a remedy nor us.
+    """
+    shown, warned = warnings.showwarning, False
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        nonlocal warned
+        if "persistent compilation cache entry" not in str(message):
+            shown(message, category, *where, **more)
+        elif not warned:
+            warned = True
+            place = os.environ.get("JAX_COMPILATION_CACHE_DIR")
+            reason = str(message).rpartition("] ")[2].partition(":")[0]
+            print(
+                f"warning: compiled programs are not kept in {place} ({reason}); choose another "
+                f"cache with ${CACHE_VARIABLE}",
+                file=sys.stderr,
+            )
+
+    warnings.showwarning = show  # ty: ignore[invalid-assignment]
 
 
 def _remove_folder(path: Path) -> bool:

@@ -9,16 +9,14 @@ import inspect
 import os
 import re
 import sys
-import warnings
 from collections.abc import Sequence
-from typing import Any
 
 from cyclopts import App, CycloptsError, Parameter
 
 from assistax_zoo.console import remember_command
 from assistax_zoo.interrupts import EXIT_INTERRUPT, end_now, ended_by_interrupts, interrupted
 from zoo.errors import ZooError
-from zoo.locations import CACHE_VARIABLE, cache_root
+from zoo.locations import cache_root
 
 DEBUG_VARIABLE = "ASSISTAX_ZOO_DEBUG"
 EXIT_ERROR, EXIT_USAGE, EXIT_BROKEN_PIPE = 1, 2, 141
@@ -136,7 +134,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
         except (OSError, RuntimeError) as error:  # no more files, no more threads
             return _fail(_message(error), EXIT_ERROR)
         try:
-            _tell_once_of_a_cache_that_cannot_be_written()
             code = _run(sys.argv[1:])
         except KeyboardInterrupt:  # in the midst of telling an error
             code = EXIT_INTERRUPT
@@ -216,27 +213,6 @@ def _use_compilation_cache() -> None:
     """Tell JAX, before a command imports it, to keep what it compiles for the next process."""
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache_root() / "xla"))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
-
-
-def _tell_once_of_a_cache_that_cannot_be_written() -> None:
-    """Replace JAX's warnings, one a program, which name neither a remedy nor us."""
-    shown, told = warnings.showwarning, False
-
-    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-        nonlocal told
-        if "persistent compilation cache entry" not in str(message):
-            shown(message, category, *where, **more)
-        elif not told:
-            told = True
-            place = os.environ["JAX_COMPILATION_CACHE_DIR"]
-            reason = str(message).rpartition("] ")[2].partition(":")[0]
-            print(
-                f"warning: compiled programs are not kept in {place} ({reason}); choose another "
-                f"cache with ${CACHE_VARIABLE}",
-                file=sys.stderr,
-            )
-
-    warnings.showwarning = show  # ty: ignore[invalid-assignment]
 
 
 def _version() -> str:

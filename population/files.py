@@ -27,7 +27,7 @@ def atomic_path(path: Path) -> Generator[Path]:
     """Lend a hidden sibling of `path` to write; on leaving without an error it becomes `path`.
 
     Raises:
-        OSError: The folder or the file cannot be written; `path` is as it was.
+        OSError: The folder or the file, which it names, cannot be written; `path` is as it was.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.exists() and not path.is_file():
@@ -39,7 +39,7 @@ def atomic_path(path: Path) -> Generator[Path]:
         _flush(temporary)
         os.replace(temporary, path)
     except OSError as error:
-        if error.filename in (None, str(temporary)):  # a full disk's error names no file
+        if error.errno and not error.filename:  # as from a full disk
             error.filename = str(path)
         raise
     finally:

@@ -85,8 +85,8 @@ DEFECTS = {
         "::test_only_files_of_ours_go_and_no_kind_that_must_be_named",
     ),
     "a small table may claim gigabytes": Defect(
-        "population/parquet.py",
-        r"    _refuse_bomb\(path\)\n",
+        "evaluation/tables.py",
+        r"    parquet\.check_size\(path\)\n",
         "",
         "tests/evaluation/test_tables.py::test_a_small_file_that_claims_gigabytes_is_refused",
     ),
