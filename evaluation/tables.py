@@ -90,7 +90,8 @@ class Block:
     egos: pl.DataFrame  # E rows of EGO_COLUMNS, in the order of the first axis
     partners: pl.DataFrame  # P rows of PARTNER_COLUMNS, in the order of the second axis
     episodes: np.ndarray  # [K] episode numbers
-    keys: np.ndarray | None  # [K] seeds of the episode keys; None if pairs had different ones
+    # [P, K] seeds of each partner's episodes; None where its egos met different ones.
+    keys: np.ndarray | None
     # Of a gentle task: under which preference each episode was played, and whether the goal was
     # reached and nobody hurt.
     preferences: np.ndarray | None = None  # [E, P, K]
@@ -112,6 +113,11 @@ class Block:
         return self.select_partners((sides == side).fill_null(value=False).to_numpy())
 
     @property
+    def common_starts(self) -> bool:
+        """Whether all partners played the same starts, so that their luck is common to all."""
+        return self.keys is not None and len(self.keys) > 1 and not np.ptp(self.keys, axis=0).any()
+
+    @property
     def scores(self) -> np.ndarray:
         """Mean return J of each pair over its episodes, [E, P]."""
         return self.returns.mean(axis=2)
@@ -122,6 +128,7 @@ class Block:
             self,
             returns=self.returns[:, mask],
             nonfinite=self.nonfinite[:, mask],
+            keys=None if self.keys is None else self.keys[mask],
             **{name: one[:, mask] for name in _GENTLE if (one := getattr(self, name)) is not None},
             partners=self.partners.filter(pl.Series(mask)),
         )
@@ -190,6 +197,9 @@ def dense_block(table: pl.DataFrame) -> Block:
     cells = _cells(table, egos["ego"], partners["partner"], episodes, shape)
     returns, nonfinite = np.empty(np.prod(shape)), np.empty(np.prod(shape), bool)
     returns[cells], nonfinite[cells] = table["return"].to_numpy(), table["nonfinite"].to_numpy()
+    keys = np.empty(np.prod(shape), np.int64)
+    keys[cells] = table["key"].to_numpy()
+    keys = keys.reshape(shape)
 
     def laid_out(name: str) -> np.ndarray | None:
         if name not in table.columns:
@@ -208,7 +218,7 @@ def dense_block(table: pl.DataFrame) -> Block:
         egos=egos,
         partners=partners,
         episodes=episodes,
-        keys=_common_keys(table),
+        keys=None if np.ptp(keys, axis=0).any() else keys[0],
     )
 
 
@@ -386,8 +396,3 @@ def _cells(
             f"{counts[wrong[0]]} times, expected once; finish the run, or remove the doubled rows"
         )
     return cells
-
-
-def _common_keys(table: pl.DataFrame) -> np.ndarray | None:
-    keys = table.select("episode", "key").unique().sort("episode")
-    return keys["key"].to_numpy() if keys["episode"].is_unique().all() else None
