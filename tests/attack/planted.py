@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -123,15 +124,15 @@ def plant(defect: Defect, copy: Path) -> str:
     return text
 
 
-def run_test(test: str, copy: Path) -> tuple[int, str]:
-    """Run a test of a copy; return pytest's exit code, and the end of what it prints."""
+def run_tests(tests: Iterable[str], copy: Path) -> tuple[int, str]:
+    """Run tests of a copy; return pytest's exit code, and the end of what it prints."""
     options = ["-q", "-x", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestWarning"]
     done = subprocess.run(
-        [sys.executable, "-B", "-m", "pytest", *options, test],
+        [sys.executable, "-B", "-m", "pytest", *options, *sorted(tests)],
         cwd=copy,
         env={**os.environ, "PYTHONPATH": str(copy)},
         capture_output=True,
         text=True,
-        timeout=600,
+        timeout=1800,
     )
     return done.returncode, done.stdout[-2000:]
