@@ -61,6 +61,7 @@ def test_names_of_folders(results: Path, tmp_path: Path) -> None:
     ]
     other = results / "b"
     true = {name: read(results / source, other, tmp_path) for name, source, read in readers}
+    assert all(true.values())
     with attack("odd names of folders") as ledger:
         cases = [(folder, reader) for folder in NAMES for reader in readers]
         ledger.random.shuffle(cases)
