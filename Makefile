@@ -49,10 +49,12 @@ test: lint types
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -n 2 -m "slow or attack"
 
-# Counts go to attack.jsonl, one line a family. One process at a time, since times are measured.
+# Counts go to attack.jsonl, one line a family, and from there into docs/reliability.md, failures too.
+# One process at a time, since times are measured.
 attack: $(STAMP)
 	rm -f attack.jsonl
-	ASSISTAX_ATTACK=1 ASSISTAX_ATTACK_LOG=attack.jsonl $(BIN)/python -m pytest -m attack -s tests/attack
+	ASSISTAX_ATTACK=1 ASSISTAX_ATTACK_LOG=attack.jsonl $(BIN)/python -m pytest -m attack -s tests/attack; \
+	status=$$?; $(BIN)/python -m tools.attack_table attack.jsonl && exit $$status
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -20,8 +20,10 @@ def start() -> int:
         refuse_shadows()  # `-m` puts the working folder first on the module path
     except ImportError as error:
         sys.exit(f"error: {error}")
+    from assistax_zoo.caches import warn_once
     from assistax_zoo.main import run
 
+    warn_once()
     if heard:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     return run()

@@ -44,6 +44,8 @@ COMMANDS = {
     "sweep": "assistax_zoo.commands.sweep:sweep",
     "render": "assistax_zoo.commands.render:render",
     "trajectories": "assistax_zoo.commands.trajectories:trajectories",
+    "doctor": "assistax_zoo.commands.doctor:doctor",
+    "cache": "assistax_zoo.commands.cache:cache",
     "serve": "assistax_zoo.service.commands:serve",
     "worker": "assistax_zoo.service.commands:worker",
     "submit": "assistax_zoo.service.commands:submit",
@@ -107,9 +109,10 @@ GROUPS = {
         },
     ),
 }
-SUBCOMMANDS = {
-    "train": {"population": "assistax_zoo.commands.population:population"}
-}  # of commands of their own
+SUBCOMMANDS = {  # of commands of their own
+    "train": {"population": "assistax_zoo.commands.population:population"},
+    "cache": {"clean": "assistax_zoo.commands.cache:clean_cache"},
+}
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

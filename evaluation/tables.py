@@ -274,6 +274,7 @@ def parquet_bytes(table: pl.DataFrame) -> bytes:
 def read_parquet(path: Path) -> pl.DataFrame:
     """Read a Parquet file; a missing or damaged one is reported with its path."""
     _check_there(path)
+    parquet.check_size(path)
     return parquet.read_parquet(path)
 
 

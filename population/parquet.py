@@ -85,6 +85,30 @@ def check_readable(paths: Sequence[Path]) -> None:
     _readable.update(map(_state, unread))
 
 
+# Of a table: so many values, and so many more for each byte of its file; ours have ten at most.
+_VALUES, _VALUES_PER_BYTE = 20_000_000, 100
+
+
+def check_size(path: Path) -> None:
+    """Refuse a file that says of itself that it holds far more than its size allows.
+
+    A run of one value is some kilobytes as a file, and gigabytes as a table.
+
+    Raises:
+        ValueError: It is one.
+    """
+    try:
+        whole = path.absolute()
+        rows = pl.scan_parquet(whole, glob=False).select(pl.len()).collect().item()
+        columns, size = len(pl.read_parquet_schema(whole)), path.stat().st_size
+    except BaseException as error:
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+            raise
+        return  # whoever reads it says what is wrong
+    if rows * columns > _VALUES + _VALUES_PER_BYTE * size:
+        raise _damaged(path, f"{rows} rows of {columns} columns in {size} bytes")
+
+
 def _state(path: Path) -> tuple[str, int, int]:
     status = path.stat()
     return str(path.resolve()), status.st_size, status.st_mtime_ns

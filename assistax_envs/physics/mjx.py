@@ -121,7 +121,7 @@ def _check_warp() -> None:
     except ImportError as error:
         raise ValueError(
             "backend 'mjx-warp' needs the package warp-lang, which is not installed; "
-            "install it with: pip install 'assistax-zoo[warp]', or use backend='native'"
+            "install it with: pip install warp-lang, or use backend='native'"
         ) from error
     if not any(device.platform == "gpu" for device in jax.devices()):
         raise ValueError(

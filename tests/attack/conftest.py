@@ -7,6 +7,7 @@ import pytest
 
 from tests.attack.commands import Command, commands, small_zoo
 from tests.attack.process import call
+from tests.attack.readers import make_results
 
 
 @pytest.fixture(scope="session")
@@ -24,6 +25,12 @@ def made(registry_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert done.code == 0, done.err
         shutil.move(home / name / "out", home / target)
     return home
+
+
+@pytest.fixture(scope="session")
+def results(registry_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two evaluations, `a` and `b`, and the cross-play `xp`."""
+    return make_results(registry_path, tmp_path_factory.mktemp("results"))
 
 
 @pytest.fixture(scope="session")

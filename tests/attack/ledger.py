@@ -53,6 +53,13 @@ class Ledger:
             self.failures.append(f"{name}: {type(error).__name__}: {str(error)[:500]}")
         self._excused = 0.0
 
+    @contextlib.contextmanager
+    def excused(self) -> Generator[None]:
+        """Leave the time of what happens within out of a trial's: nobody waits for it."""
+        began, waited = time.monotonic(), _waited()
+        yield
+        self._excused += time.monotonic() - began - (_waited() - waited)
+
     def judge(self, outcome: Outcome) -> None:
         """Hold a command's end against what holds for every command, however it was struck."""
         self._excused += outcome.seconds
@@ -72,6 +79,7 @@ class Ledger:
         line = {
             "family": self.family,
             "trials": self.trials,
+            "share": SHARE,
             "failures": len(self.failures),
             **({"struck": self.struck} if self.struck else {}),
             "slowest_seconds": round(self.slowest, 1),

@@ -60,9 +60,16 @@ Press = tuple[int, float]  # a signal, and after how much computing it is sent, 
 
 
 def call(
-    words: Sequence[str], home: Path, attack: Attack | None = None, press: Press | None = None
+    words: Sequence[str],
+    home: Path,
+    attack: Attack | None = None,
+    press: Press | None = None,
+    longest: float = 300.0,
 ) -> Outcome:
-    """Run one command whose files all lie in `home`, and return how it ended."""
+    """Run one command whose files all lie in `home`, and return how it ended.
+
+    After the `longest` time in seconds it is killed.
+    """
     home.mkdir(parents=True, exist_ok=True)
     ready, pressed = home / "ready", None
     ready.unlink(missing_ok=True)
@@ -70,7 +77,7 @@ def call(
     began = time.monotonic()
     child.start()
     seen = _Seen(child.pid)
-    while child.is_alive() and time.monotonic() - began < 300:
+    while child.is_alive() and time.monotonic() - began < longest:
         if seen.ready is None and ready.exists():
             seen.ready = seen.computed
         if press and pressed is None and seen.ready is not None and seen.since() >= press[1]:

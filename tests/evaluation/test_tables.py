@@ -246,6 +246,29 @@ def test_a_panic_or_an_abort_of_the_reader_is_a_damaged_file(tmp_path: Path):
     assert outcomes(path, "ours", panics[:1]) == (0, ["refused", "ValueError"])
 
 
+def test_json_that_is_deep_or_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = tmp_path / "summary.json"
+    path.write_text('{"a":' * 100_000 + "1" + "}" * 100_000)
+    with pytest.raises(ValueError, match=r"summary\.json is not readable JSON"):
+        tables.read_json(path)
+    monkeypatch.setattr(tables, "LARGEST_JSON", 100)
+    path.write_text(" " * 99 + "{}")
+    with pytest.raises(ValueError, match="101 bytes; at most 100 are read"):
+        tables.read_json(path)
+
+
+def test_a_small_file_that_claims_gigabytes_is_refused(tmp_path: Path):
+    """A run of one value is some kilobytes, and 400 MB once it is read."""
+    path = tmp_path / "t.parquet"
+    tables.write_parquet(pl.select(pl.repeat(1.0, 50_000_000).alias("return")), path)
+    assert path.stat().st_size < 250_000
+    with pytest.raises(ValueError, match=r"50000000 rows of 1 columns in \d+ bytes"):
+        tables.read_parquet(path)
+    large = pl.DataFrame({f"c{n}": np.zeros(200_000, np.float32) for n in range(40)})
+    tables.write_parquet(large, path)  # nothing but zeros, as a robot that does nothing may earn
+    assert tables.read_parquet(path).shape == (200_000, 40)
+
+
 def test_ctrl_c_in_the_reader_is_no_damaged_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     def read(path: Path) -> None:
         raise KeyboardInterrupt

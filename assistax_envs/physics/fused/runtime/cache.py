@@ -6,24 +6,23 @@ themselves away, are removed, and are compiled anew. Files appear whole, by rena
 build the same one at the same time, and the last one's stays.
 """
 
+import contextlib
 import hashlib
 import os
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Generator, Iterable
 from pathlib import Path
+
+from assistax_envs import compiled
 
 
 def folder() -> Path:
     """Return this user's folder; others must not write to it, since what lies there is executed."""
-    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    path = Path(home, "assistax-zoo", "fused")
-    path.mkdir(parents=True, exist_ok=True, mode=0o700)
-    found = path.stat()
-    if found.st_uid != os.getuid() or found.st_mode & 0o022:
-        raise ValueError(
-            f"{path} belongs to another user or may be written by others, and machine code is run "
-            "from there; remove it, or set XDG_CACHE_HOME to a folder of your own"
-        )
+    path = compiled.folder()
+    with _writing(path):
+        path.mkdir(parents=True, exist_ok=True, mode=0o700)
+    if reason := compiled.refused(path):
+        raise ValueError(reason)
     return path
 
 
@@ -42,12 +41,24 @@ def cached(key: str, suffix: str, build: Callable[[Path], None]) -> Path:
         if path.name == _name(key, suffix, path.read_bytes()):
             return path
         path.unlink(missing_ok=True)
-    with tempfile.TemporaryDirectory(dir=home) as scratch:
+    with _writing(home), tempfile.TemporaryDirectory(dir=home) as scratch:
         made = Path(scratch, f"made{suffix}")
         build(made)
         path = home / _name(key, suffix, made.read_bytes())
         os.replace(made, path)
     return path
+
+
+@contextlib.contextmanager
+def _writing(path: Path) -> Generator[None]:
+    """Say of a folder that is read-only or full where it is, and how to have another."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(
+            f"cannot keep compiled programs in {path} ({error.strerror or error}); set "
+            f"{compiled.VARIABLE} to a folder that can be written, or choose another backend"
+        ) from error
 
 
 def _name(key: str, suffix: str, data: bytes) -> str:

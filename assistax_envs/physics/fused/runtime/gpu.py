@@ -50,6 +50,15 @@ def architecture() -> int:
     return int(found.pop().replace(".", ""))
 
 
+def check_driver() -> None:
+    """Refuse a machine without an NVIDIA driver that can load the kernel.
+
+    Raises:
+        ValueError: Says what it lacks.
+    """
+    _check(_driver().cuInit(0))
+
+
 def build_cubin(key: str, source: Callable[[], str], architecture: int) -> Path:
     """Return the machine code of a program for an architecture; needs no GPU."""
     before = "#define W 1\n"
@@ -78,8 +87,8 @@ def _load_kernel(path: Path) -> int:
     """Return a handle of the kernel, for every GPU: the driver copies it there on first use."""
     library, kernel = ctypes.c_void_p(), ctypes.c_void_p()
     image = path.read_bytes()
+    check_driver()
     driver = _driver()
-    _check(driver.cuInit(0))
     options = [None, None, 0, None, None, 0]
     _check(driver.cuLibraryLoadData(ctypes.byref(library), image, *options))
     _check(driver.cuLibraryGetKernel(ctypes.byref(kernel), library, b"fused_kernel"))

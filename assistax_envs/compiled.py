@@ -1,0 +1,27 @@
+"""Where the fused engine's machine code lies, and whether it may be run. Imports nothing heavy."""
+
+import os
+from pathlib import Path
+
+VARIABLE = "XDG_CACHE_HOME"
+
+
+def folder() -> Path:
+    """Return this user's folder of compiled programs, which need not exist.
+
+    It is not where partners are cached: that cache may be shared by many users, and nobody may run
+    machine code that others can write.
+    """
+    home = os.environ.get(VARIABLE) or os.path.expanduser("~/.cache")
+    return Path(home, "assistax-zoo", "fused")
+
+
+def refused(path: Path) -> str | None:
+    """Return why nothing in an existing folder is run, None where it is this user's alone."""
+    status = path.stat()
+    if status.st_uid == os.getuid() and not status.st_mode & 0o022:
+        return None
+    return (
+        f"{path} belongs to another user or may be written by others, and machine code is run "
+        f"from there; remove it, or set {VARIABLE} to a folder of your own"
+    )

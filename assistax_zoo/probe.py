@@ -1,0 +1,92 @@
+"""What JAX and the compilers do on this machine, found out in a process of its own.
+
+A driver may hang, and XLA ends the whole process on a flag that it does not know: `doctor` runs
+this module and reads one JSON object from its standard output.
+"""
+
+import ctypes
+import json
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from assistax_envs.stdout import stdout_is_data
+
+
+def probe() -> dict[str, Any]:
+    """Return what runs here; an error stands, as text, in the place of what it prevented."""
+    return {name: _tried(work) for name, work in PARTS.items()}
+
+
+def _jax() -> dict[str, Any]:
+    import jax
+
+    kinds = [device.device_kind for device in jax.devices()]
+    return {"platform": jax.default_backend(), "devices": kinds}
+
+
+def _backend() -> str:
+    from assistax_envs.physics import resolve_backend
+
+    return resolve_backend("auto")
+
+
+def _fused() -> str | None:
+    from assistax_envs.physics.fused.runtime import toolchain
+
+    return toolchain.unavailable()
+
+
+def _clang() -> float:
+    """Return the seconds in which a small program was compiled, linked and called."""
+    from assistax_envs.physics.fused.runtime import cpu, toolchain
+
+    began = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "trial.o")
+        text = 'extern "C" int trial() { return 42; }'
+        toolchain.compile_cpp(text, path, (*cpu.FLAGS, *cpu.NATIVE))
+        [address] = toolchain.load(path, Path(folder).name, ["trial"])
+    if ctypes.CFUNCTYPE(ctypes.c_int)(address)() != 42:
+        raise RuntimeError("a compiled program gave another number than it should")
+    return time.perf_counter() - began
+
+
+def _nvrtc() -> float | None:
+    """Return the seconds of a small program for this machine's GPU, None where JAX has none."""
+    import jax
+
+    from assistax_envs.physics.fused.runtime import gpu, toolchain
+
+    if jax.default_backend() != "gpu":
+        return None
+    began = time.perf_counter()
+    gpu.check_driver()
+    with tempfile.TemporaryDirectory() as folder:
+        text = 'extern "C" __global__ void trial() {}'
+        toolchain.compile_cuda(text, Path(folder, "trial.cubin"), gpu.architecture())
+    return time.perf_counter() - began
+
+
+PARTS: dict[str, Callable[[], Any]] = {
+    "jax": _jax,
+    "backend": _backend,
+    "fused": _fused,
+    "clang": _clang,
+    "nvrtc": _nvrtc,
+}
+
+
+def _tried(work: Callable[[], Any]) -> dict[str, Any]:
+    try:
+        return {"found": work()}
+    except Exception as error:
+        return {"error": f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"}
+
+
+if __name__ == "__main__":
+    with stdout_is_data():
+        answer = probe()
+    print(json.dumps(answer))

@@ -1,0 +1,74 @@
+"""What this installation says that it needs, held against what is installed."""
+
+import dataclasses
+from importlib.metadata import PackageNotFoundError, metadata, requires, version
+
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+
+NAME = "assistax-zoo"
+
+
+@dataclasses.dataclass(frozen=True)
+class Missing:
+    """A package that is not installed, or of a version that does not do."""
+
+    name: str
+    requirement: str  # as pip takes it
+    installed: str | None
+
+    @property
+    def told(self) -> str:
+        """What is wrong, in some words."""
+        return f"{self.name} {self.installed}" if self.installed else self.name
+
+
+def version_of(name: str) -> str | None:
+    """Return the version of a package, None where it is not installed."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def required_python() -> SpecifierSet | None:
+    """Return the versions of Python that this package allows, None where it does not say."""
+    try:
+        text = metadata(NAME)["Requires-Python"]
+    except PackageNotFoundError:
+        return None
+    return SpecifierSet(text) if text else None
+
+
+def extras() -> list[str]:
+    """Return the names of the optional parts; none of a checkout that is not installed."""
+    try:
+        return metadata(NAME).get_all("Provides-Extra") or []
+    except PackageNotFoundError:
+        return []
+
+
+def missing_of(extra: str) -> list[Missing]:
+    """Return what an extra needs and is not there; "" is what is always needed.
+
+    Raises:
+        ValueError: This is a checkout that is not installed, and nothing says what it needs.
+    """
+    try:
+        needs = requires(NAME) or ()
+    except PackageNotFoundError:
+        raise ValueError(f"{NAME} is not installed; install it with: pip install -e .") from None
+    found = []
+    for text in needs:
+        wanted = Requirement(text)
+        always = wanted.marker is None or wanted.marker.evaluate({"extra": ""})
+        needed = always if not extra else _only_with(wanted, extra)
+        have = version_of(wanted.name)
+        if needed and (have is None or not wanted.specifier.contains(have, prereleases=True)):
+            found.append(Missing(wanted.name, f"{wanted.name}{wanted.specifier}", have))
+    return found
+
+
+def _only_with(wanted: Requirement, extra: str) -> bool:
+    marker = wanted.marker
+    return marker is not None and marker.evaluate({"extra": extra}) > marker.evaluate({"extra": ""})

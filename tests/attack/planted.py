@@ -1,0 +1,138 @@
+"""Defects of one line that are planted in a copy of this project, and the test that catches each.
+
+A guard that nobody would miss is no guard: with its line off, the test named beside it must fail.
+"""
+
+import dataclasses
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+CODE = ("assistax_envs", "population", "zoo", "evaluation", "assistax_zoo", "tools", "tests")
+LINKED = ("zoo/shards", "docs")  # too large to be copied, and not changed
+COPIED = ("pyproject.toml", "registry.json", "README.md", "CHANGELOG.md")
+
+
+@dataclasses.dataclass(frozen=True)
+class Defect:
+    """A guard that is off."""
+
+    file: str
+    line: str  # a regular expression; it stands in the file, or the table is out of date
+    instead: str
+    test: str  # which must fail with it
+
+
+DEFECTS = {
+    "the hash of a shard is not checked": Defect(
+        "zoo/tensors.py",
+        r"if digest is not None and sha256\(data\) != digest:",
+        "if False:",
+        "tests/zoo/test_storage.py::test_a_flipped_byte_is_refused_with_both_hashes",
+    ),
+    "the hash of a policy is not checked": Defect(
+        "zoo/storage.py",
+        r"if found != entry\.sha256:",
+        "if False:",
+        "tests/zoo/test_storage.py::test_a_row_that_is_not_the_registrys_is_refused",
+    ),
+    "roots are not checked": Defect(
+        "zoo/roots.py",
+        r"if \(found := release_root\(data, name\)\) != release\.root",
+        "if (found := release_root(data, name)) is None",
+        "tests/zoo/test_roots.py::test_a_changed_entry_no_longer_passes_verify",
+    ),
+    "what was published may change": Defect(
+        "zoo/roots.py",
+        r"if lost := lost_leaves\(old, new\):",
+        "if lost := []:",
+        "tests/zoo/test_roots.py::test_what_was_published_cannot_be_saved_away",
+    ),
+    "the hashes of a folder's files are not checked": Defect(
+        "evaluation/provenance.py",
+        r"return None if found == digest else",
+        "return None if True else",
+        "tests/evaluation/test_provenance.py::test_one_bit_of_any_file_is_found",
+    ),
+    "a manifest's own hash is not checked": Defect(
+        "evaluation/provenance.py",
+        r'if found\.get\("sha256"\) != identity_digest\(bare\):',
+        "if False:",
+        "tests/evaluation/test_provenance.py::test_one_bit_of_any_file_is_found",
+    ),
+    "a folder's manifest is not read by what draws figures": Defect(
+        "evaluation/summary.py",
+        r"    check_whole\(folder\)\n",
+        "",
+        "tests/evaluation/test_report.py"
+        "::test_no_figure_is_drawn_from_a_file_that_is_not_what_was_written",
+    ),
+    "another job is not refused": Defect(
+        "evaluation/evaluator.py",
+        r'elif found\.get\("job"\) != job\.digest\(\):',
+        "elif False:",
+        "tests/evaluation/test_evaluator.py::test_a_folder_of_another_job_is_refused",
+    ),
+    "the cache's clean takes what is not ours": Defect(
+        "assistax_zoo/caches.py",
+        r" if kind\.names\.fullmatch\(path\.name\)",
+        "",
+        "tests/cli/test_cache_command.py"
+        "::test_only_files_of_ours_go_and_no_kind_that_must_be_named",
+    ),
+    "a small table may claim gigabytes": Defect(
+        "evaluation/tables.py",
+        r"    parquet\.check_size\(path\)\n",
+        "",
+        "tests/evaluation/test_tables.py::test_a_small_file_that_claims_gigabytes_is_refused",
+    ),
+}
+
+
+def copy_project(target: Path) -> Path:
+    """Copy the code; link what is large."""
+
+    def skip(folder: str, names: list[str]) -> set[str]:
+        inner = Path(folder).relative_to(ROOT).as_posix()
+        return {name for name in names if f"{inner}/{name}" in LINKED or name == "__pycache__"}
+
+    for name in CODE:
+        shutil.copytree(ROOT / name, target / name, ignore=skip)
+    for name in COPIED:
+        shutil.copy(ROOT / name, target / name)
+    for name in LINKED:
+        (target / name).symlink_to(ROOT / name)
+    return target
+
+
+def plant(defect: Defect, copy: Path) -> str:
+    """Plant a defect in a copy; return the file's text before.
+
+    Raises:
+        AssertionError: The line is not there.
+    """
+    path = copy / defect.file
+    text = path.read_text(encoding="utf-8")
+    changed, count = re.subn(defect.line, lambda _: defect.instead, text)
+    assert count, f"{defect.file} has no line like {defect.line!r}: correct the table"
+    path.write_text(changed, encoding="utf-8")
+    return text
+
+
+def run_tests(tests: Iterable[str], copy: Path) -> tuple[int, str]:
+    """Run tests of a copy; return pytest's exit code, and the end of what it prints."""
+    options = ["-q", "-x", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestWarning"]
+    done = subprocess.run(
+        [sys.executable, "-B", "-m", "pytest", *options, *sorted(tests)],
+        cwd=copy,
+        env={**os.environ, "PYTHONPATH": str(copy)},
+        capture_output=True,
+        text=True,
+        timeout=1800,
+    )
+    return done.returncode, done.stdout[-2000:]

@@ -1,0 +1,297 @@
+"""`doctor` finds what is broken and names what mends it, and says so by its exit code."""
+
+import json
+import os
+import re
+import shutil
+import tomllib
+from importlib.metadata import PackageNotFoundError
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from assistax_envs import compiled
+from assistax_zoo import doctor, main, requirements
+from tests.zoo.conftest import put, trained_teams
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+WELL = {
+    "jax": {"found": {"platform": "cpu", "devices": ["cpu"]}},
+    "backend": {"found": "fused"},
+    "fused": {"found": None},
+    "clang": {"found": 0.1},
+    "nvrtc": {"found": None},
+}
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A registry of eight teams and empty folders, on a machine whose JAX runs."""
+    put(trained_teams(), tmp_path / "registry.json")
+    for variable in ("CACHE", "DATA"):
+        monkeypatch.setenv(f"ASSISTAX_ZOO_{variable}", str(tmp_path / variable.lower()))
+    monkeypatch.setenv("ASSISTAX_ZOO_REGISTRY", str(tmp_path / "registry.json"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    monkeypatch.delenv("ASSISTAX_ZOO_REMOTE", raising=False)
+    monkeypatch.setattr(doctor, "_probe", lambda: WELL)
+    return tmp_path
+
+
+def examined(capsys: pytest.CaptureFixture[str], code: int = 0) -> dict[str, list[dict[str, Any]]]:
+    """Run `doctor --json`; return its findings by topic."""
+    try:
+        found = main.run(["doctor", "--json"])
+    except SystemExit as ended:
+        found = ended.code
+    answer = json.loads(capsys.readouterr().out)
+    assert (found, answer["ok"]) == (code, code == 0), answer["findings"][:3]
+    topics: dict[str, list[dict[str, Any]]] = {}
+    for finding in answer["findings"]:
+        assert "\n" not in finding["text"]
+        topics.setdefault(finding["topic"], []).append(finding)
+    return topics
+
+
+def test_a_sound_installation_has_nothing_broken(capsys: pytest.CaptureFixture[str]) -> None:
+    found = examined(capsys)
+    assert found.keys() >= {"python", "packages", "extras", "jax", "backend", "compilers"}
+    assert found.keys() >= {"cache", "disk", "registry", "added", "remote"}
+    assert found["backend"][0]["details"] == {"auto": "fused"}
+    registry = found["registry"][0]["details"]
+    assert (registry["roots"], registry["absent_shards"]) == (True, 0)
+    assert registry["releases"] == ["v0"]
+    kinds = [finding["details"]["kind"] for finding in found["cache"] if finding["details"]]
+    assert kinds == ["shards", "registries", "references", "xla", "fused"]
+
+
+def test_it_changes_nothing(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = {path: path.stat().st_mtime_ns for path in here.rglob("*")}
+    examined(capsys)
+    assert {path: path.stat().st_mtime_ns for path in here.rglob("*")} == before
+
+
+def test_problems_come_first_and_end_with_1(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(doctor, "_probe", lambda: {"jax": {"error": "no devices"}})
+    with pytest.raises(SystemExit) as ended:
+        main.run(["doctor"])
+    lines = capsys.readouterr().out.splitlines()
+    assert ended.value.code == 1
+    assert re.fullmatch(r"broken +jax +no devices.*", lines[0])
+    assert lines[-1] == "1 broken"
+    states = [line.split()[0] for line in lines[:-1]]
+    assert states == sorted(states, key=doctor.STATES.index)
+
+
+@pytest.mark.parametrize("name", sorted(PROJECT["optional-dependencies"]))
+def test_a_missing_extra_is_named_with_the_line_that_installs_it(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    package = re.match(r"[\w-]+", PROJECT["optional-dependencies"][name][-1])
+    assert package is not None
+    version_of = requirements.version_of
+    monkeypatch.setattr(
+        requirements,
+        "version_of",
+        lambda wanted: None if wanted.lower() == package[0].lower() else version_of(wanted),
+    )
+    missing = {
+        finding["details"]["extra"]: finding["text"]
+        for finding in examined(capsys)["extras"]
+        if finding["state"] == "advice"
+    }
+    if name in doctor.NOT_FOR_USERS:
+        assert name not in missing
+    else:
+        assert missing[name].endswith(f"pip install 'assistax-zoo[{name}]'")
+        assert package[0].lower() in missing[name].lower()
+
+
+def test_every_extra_that_is_named_exists() -> None:
+    """In messages, docs and docstrings."""
+    known = set(PROJECT["optional-dependencies"])
+    files = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
+    for package in ("assistax_envs", "population", "zoo", "evaluation", "assistax_zoo"):
+        files += (ROOT / package).rglob("*.py")
+    named = re.compile(r"assistax-zoo\[([\w,]+)\]|'\.\[([\w,]+)\]|\bextra `(\w+)`|`(\w+)` extra\b")
+    wrong = [
+        f"{path.relative_to(ROOT)}: {match[0]}"
+        for path in files
+        for match in named.finditer(path.read_text(encoding="utf-8"))
+        for name in next(filter(None, match.groups())).split(",")
+        if name not in known
+    ]
+    assert wrong == []
+
+
+def test_a_package_that_is_too_old_is_broken(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    version_of = requirements.version_of
+    old = {"polars": "1.0.0", "mujoco-mjx": "3.16.0"}
+    for module in (requirements, doctor):
+        monkeypatch.setattr(module, "version_of", lambda name: old.get(name) or version_of(name))
+    broken = [one["text"] for one in examined(capsys, 1)["packages"] if one["state"] == "broken"]
+    assert broken[0] == "mujoco-mjx 3.16.0; install it with: pip install 'mujoco-mjx>=3.17'"
+    assert broken[1] == "polars 1.0.0; install it with: pip install 'polars>=2'"
+    assert broken[2].endswith("mujoco-mjx 3.16.0 must be of the same minor release")
+
+
+def test_a_checkout_that_is_not_installed_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def unknown(name: str) -> None:
+        raise PackageNotFoundError(name)
+
+    for name in ("metadata", "requires"):
+        monkeypatch.setattr(requirements, name, unknown)
+    found = examined(capsys, 1)
+    assert "pip install -e ." in found["packages"][0]["text"]
+
+
+def test_a_registry_that_was_changed_is_broken(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = here / "registry.json"
+    path.write_text(path.read_text().replace("950.5", "951.5", 1))
+    assert "expected root" in examined(capsys, 1)["registry"][0]["text"]
+
+
+def test_an_added_zoo_that_was_changed_is_broken(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(here / "zoo", here / "lab/zoo")
+    shutil.copy(here / "registry.json", here / "lab/registry.json")
+    assert main.run(["add", str(here / "lab"), "--as", "lab"]) == 0
+    capsys.readouterr()
+    assert examined(capsys)["added"][0]["details"]["policies"] == 16
+    path = here / "data/added/lab/registry.json"
+    path.write_text(path.read_text().replace("950.5", "951.5", 1))
+    assert "expected root" in examined(capsys, 1)["added"][0]["text"]
+    path.write_text("{")
+    assert "assistax-zoo remove lab" in examined(capsys, 1)["added"][0]["text"]
+
+
+def test_a_remote_matters_where_shards_are_missing(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert examined(capsys)["remote"][0]["state"] == "ok"
+    shutil.move(here / "zoo", here / "elsewhere")
+    found = examined(capsys, 1)["remote"][0]
+    assert "assistax-zoo config remote" in found["text"]
+    monkeypatch.setenv("ASSISTAX_ZOO_REMOTE", str(here / "nothing"))
+    assert examined(capsys, 1)["remote"][0]["details"]["answers"] is False
+    monkeypatch.setenv("ASSISTAX_ZOO_REMOTE", str(here))
+    assert examined(capsys)["remote"][0]["details"]["answers"] is True
+
+
+def test_a_remote_that_hangs_is_left(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import socket
+
+    monkeypatch.setattr(doctor, "REMOTE_SECONDS", 0.3)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"http://127.0.0.1:{silent.getsockname()[1]}"
+        monkeypatch.setenv("ASSISTAX_ZOO_REMOTE", address)
+        [found] = examined(capsys)["remote"]
+    assert found["state"] == "advice" and "no answer within" in found["text"]
+
+
+def test_a_folder_that_cannot_be_written_names_its_variable(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / "cache").write_text("a file in the place of a folder")
+    [broken] = [one for one in examined(capsys, 1)["disk"] if one["state"] == "broken"]
+    assert "$ASSISTAX_ZOO_CACHE" in broken["text"]
+
+
+@pytest.mark.parametrize(("free", "state", "code"), [(10**9, "advice", 0), (10**7, "broken", 1)])
+def test_a_disk_with_little_room_is_named(
+    free: int,
+    state: str,
+    code: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    usage = type("Usage", (), {"free": free})
+    monkeypatch.setattr(doctor.shutil, "disk_usage", lambda path: usage)
+    assert {one["state"] for one in examined(capsys, code)["disk"]} == {state}
+
+
+def test_programs_that_others_may_write_are_broken(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = compiled.folder()
+    folder.mkdir(parents=True)
+    folder.chmod(0o777)
+    found = examined(capsys, 1)["compilers"]
+    assert "XDG_CACHE_HOME" in found[0]["text"]
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "words"),
+    [
+        ("JAX_PLATFORMS", "nothing", "JAX_PLATFORMS is 'nothing'"),
+        ("XLA_FLAGS", "--xla_of_no_kind=1", "xla_of_no_kind"),
+    ],
+)
+def test_a_jax_that_does_not_start_is_one_line(
+    variable: str,
+    value: str,
+    words: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """XLA ends the process: not this one."""
+    monkeypatch.undo()
+    monkeypatch.setenv(variable, value)
+    found = list(doctor._machine())
+    assert [(one.topic, one.state) for one in found] == [("jax", "broken")]
+    assert words in found[0].text
+
+
+def test_a_driver_that_hangs_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    monkeypatch.setattr(doctor, "PROBE_SECONDS", 0.01)
+    [found] = doctor._machine()
+    assert found.state == "broken" and found.text.startswith("JAX did not start within 0 s")
+
+
+def test_compilers_really_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Planted: a compiler whose program gives another number."""
+    from assistax_envs.physics.fused.runtime import toolchain
+    from assistax_zoo.probe import PARTS
+
+    assert PARTS["clang"]() < 60
+    compile_cpp = toolchain.compile_cpp
+    monkeypatch.setattr(
+        toolchain,
+        "compile_cpp",
+        lambda text, *rest: compile_cpp(text.replace("42", "41"), *rest),
+    )
+    with pytest.raises(RuntimeError, match="another number"):
+        PARTS["clang"]()
+
+
+def test_a_gpu_that_jax_does_not_use_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(doctor, "_GPU", Path("/proc/self/status"))
+    monkeypatch.delenv("JAX_PLATFORMS", raising=False)
+    [found] = examined(capsys)["jax"]
+    assert found["state"] == "advice" and "jax[cuda12]" in found["text"]
+
+
+def test_no_secret_is_printed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("ASSISTAX_ZOO_TOKEN", "HF_TOKEN"):
+        monkeypatch.setenv(name, "azt_secret")
+    examined(capsys)
+    main.run(["doctor"])
+    assert "azt_secret" not in capsys.readouterr().out
+    assert os.environ["HF_TOKEN"] == "azt_secret"
