@@ -78,7 +78,7 @@ def fetch(
         policies.setdefault(split_namespace(entry.shard)[0], []).append(entry)
     counts, sources = [0, 0, 0], []  # shards, of them present, bytes
     for namespace, members in policies.items():
-        source = open_remote(added_remote(namespace)) if namespace else remote
+        source = _source(namespace, remote)
         shards = list(dict.fromkeys(split_namespace(entry.shard)[1] for entry in members))
         sources += [source.name] if source else []
         found = _fetch_part(registry.part(namespace), shards, source, on_total)
@@ -159,6 +159,12 @@ def check_history(old: Registry, new: Registry, remote: Remote) -> None:
         f"another history: {listing(lost)} gone or changed",
         f"ask its owner; to believe the new one, delete {old.path}",
     )
+
+
+def _source(namespace: str, remote: Remote | None) -> Remote | None:
+    """Return where parameters of a zoo come from; the user's own are nowhere else."""
+    name = added_remote(namespace) if namespace else None
+    return open_remote(name) if name else None if namespace else remote
 
 
 def _fetch_part(

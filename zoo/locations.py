@@ -4,6 +4,8 @@
               registries/<remote>/registry.json     what remotes published
               references/, xla/                     episodes to compare with, compiled programs
     data      added/<namespace>/                    zoos of `assistax-zoo add`
+              added/own/                            what the user published without naming a place
+              splits.json                           the user's splits of official partners
     settings  config.json                           the default remote
 
 The cache may be deleted at any time. What was added lies in the user's data folder: not in the
@@ -28,6 +30,7 @@ REGISTRY_VARIABLE = "ASSISTAX_ZOO_REGISTRY"
 CACHE_VARIABLE = "ASSISTAX_ZOO_CACHE"
 REMOTE_VARIABLE = "ASSISTAX_ZOO_REMOTE"
 DATA_VARIABLE = "ASSISTAX_ZOO_DATA"
+OWN = "own"  # namespace of what the user published without naming a place
 BUILT_IN_REMOTE: str | None = None  # where a wheel's parameters are published; packagers set it
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -38,6 +41,11 @@ def registry_path(path: Path | str | None = None) -> Path:
         return Path(path)
     if os.environ.get(REGISTRY_VARIABLE):
         return Path(os.environ[REGISTRY_VARIABLE])
+    return shipped_registry()
+
+
+def shipped_registry() -> Path:
+    """Return the registry that came with this code: the checkout's, or the wheel's."""
     checkout = _PACKAGE.parent / "registry.json"
     if checkout.is_file() or (_PACKAGE.parent / "pyproject.toml").is_file():
         return checkout
@@ -55,7 +63,7 @@ def cache_root() -> Path:
 
 
 def data_root() -> Path:
-    """Return where added zoos lie: `$ASSISTAX_ZOO_DATA`, or a folder of the user's data."""
+    """Return where the user's own and added zoos lie: `$ASSISTAX_ZOO_DATA`, or a folder of the user's data."""
     return _user_folder(DATA_VARIABLE, "XDG_DATA_HOME", "~/.local/share")
 
 
@@ -80,6 +88,16 @@ def added_registries() -> dict[str, Path]:
     """Return the registries of all added zoos by namespace, in order."""
     found = sorted((data_root() / "added").glob("[a-z]*/registry.json"))
     return {path.parent.name: path for path in found}
+
+
+def own_registry() -> Path:
+    """Return where the user's own zoo lies: beside the zoos that were added, as one of them."""
+    return added_registry(OWN)
+
+
+def own_splits_file() -> Path:
+    """Return where the user's splits of official partners lie."""
+    return data_root() / "splits.json"
 
 
 def default_remote() -> str | None:

@@ -21,6 +21,7 @@ from population.spec import PolicySpec, Role
 from zoo.errors import ImmutableError, PublishError, listing
 from zoo.ids import EGO, TeamId, check_name, same_team
 from zoo.locations import shard_root
+from zoo.official import writable_registry
 from zoo.registry import Registry, load_registry, save_registry
 from zoo.release import completed, signed
 from zoo.runs import TrainedTeam
@@ -108,9 +109,11 @@ def publish(
     Raises:
         ImmutableError: An id, a figure or an environment version that is already published would
             change.
-        PublishError: A team lacks provenance, occurs twice, or has the parameters of another.
+        PublishError: A team lacks provenance, occurs twice, or has the parameters of another; or
+            the registry is official.
     """
     path = Path(registry_path)
+    writable_registry(path)
     check_name("release", release)
     created = Release(date=_day(date), description=description, environments={})
     candidates = [_candidate(team, release, check) for team in teams]

@@ -81,19 +81,19 @@ def root_problems(data: RegistryFile) -> list[str]:
     ]
 
 
-def check_roots(data: RegistryFile) -> None:
-    """Check that every release is what its root says.
+def check_roots(data: RegistryFile, source: str) -> None:
+    """Check that every release is what its root says; `source` names the registry in the error.
 
     Raises:
         IntegrityError: An entry was changed, added or removed.
     """
     if problems := root_problems(data):
         raise IntegrityError(
-            "registry",
+            f"registry {source}",
             "releases with the roots that it records",
             problems[0],
-            "restore the registry; `assistax-zoo verify` says all that is wrong",
-            "nothing was listed",
+            "restore the registry; `assistax-zoo verify` lists all that is wrong",
+            "nothing was read",
         )
 
 

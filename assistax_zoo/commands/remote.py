@@ -1,6 +1,7 @@
 """Commands between this machine and others: fetch, add, remove, publish, lock, config."""
 
 import contextlib
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -8,8 +9,9 @@ from cyclopts import Parameter
 
 from assistax_zoo.console import answer, progress
 from zoo.ids import release_number
-from zoo.locations import default_remote, registry_path, set_default_remote
+from zoo.locations import OWN, default_remote, own_registry, set_default_remote
 from zoo.lock import locked_entries, make_lock, read_lock, write_lock
+from zoo.official import writable_registry
 from zoo.registry import load_registry
 from zoo.remotes import open_remote
 
@@ -147,14 +149,15 @@ def publish(
 ) -> None:
     """Publish the teams or egos of run folders in a release: shards, registry, split and card.
 
-    What is published never changes; the same run again is a no-op. A hub gets one commit, then a
-    tag.
+    Where no place is named, they join your own zoo, and are own:scratch/... everywhere from then
+    on. What is published never changes; the same run again is a no-op. A hub gets one commit, then
+    a tag.
 
     Args:
         runs: Run folders that `assistax-zoo train` or `train-ego` wrote.
         release: Release that the teams join, such as v0; it is made if it does not exist.
         to: Folder, or hf://org/name, to publish to; it is made if it does not exist.
-        registry: Registry to publish to instead, without a card; default the installed one.
+        registry: Registry to publish to instead, without a card.
         date: ISO date of a new release; default today.
         description: One sentence on a new release.
         key: Ed25519 private key, PEM, to sign the release with.
@@ -173,10 +176,14 @@ def publish(
             "both --to and --registry given; --to takes a folder or hf://org/name, and is enough"
         )
     teams = [team for run in runs for team in read_run(run)]
-    place = to or str(registry_path(registry))
-    done = publish_to(teams, place, release, date=date, description=description, key=key)
-    told = f"published {len(done.added)} new policies in release {release} of {done.registry}"
-    answer(json, vars(done), f"{told}; it holds {done.policies}")
+    place = to or writable_registry(registry) or own_registry()
+    done = publish_to(teams, str(place), release, date=date, description=description, key=key)
+    published = f"published {len(done.added)} new policies in release {release} of {done.registry}"
+    lines = [f"{published}; it holds {done.policies}"]
+    if place == own_registry():
+        done = dataclasses.replace(done, added=tuple(f"{OWN}:{id}" for id in done.added))
+        lines.append(f"they are {OWN}:... everywhere: assistax-zoo list '{OWN}:*'")
+    answer(json, vars(done), *lines)
 
 
 def lock(
