@@ -63,7 +63,7 @@ def cache_root() -> Path:
 
 
 def data_root() -> Path:
-    """Return where the user's own and added zoos lie: `$ASSISTAX_ZOO_DATA`, or a folder of the user's data."""
+    """Return where own and added zoos lie: `$ASSISTAX_ZOO_DATA`, or a folder of the user's data."""
     return _user_folder(DATA_VARIABLE, "XDG_DATA_HOME", "~/.local/share")
 
 

@@ -55,9 +55,11 @@ class Registry:
         """Name of the newest whole release."""
         return self.data.release
 
-    def release_of(self, task: str) -> str:
-        """Return a task's default release: the newest whole one that has it."""
-        return self.data.release_of(task)
+    def release_of(self, task: str, namespace: str = "") -> str:
+        """Return a task's default release, of one zoo: the newest whole one that has it."""
+        if not namespace or self.lock:
+            return self.data.release_of(task)
+        return f"{namespace}:{self.part(namespace).data.release_of(task)}"
 
     @property
     def splits(self) -> tuple[Split, ...]:

@@ -58,7 +58,9 @@ def create_split(
     path = writable_registry(registry_path)
     with exclusive(path or own_splits_file()):
         registry = load_registry(path).part("")
-        split = _checked_split(registry, task, rule, release or registry.release_of(task), arguments)
+        split = _checked_split(
+            registry, task, rule, release or registry.release_of(task), arguments
+        )
         if path is None:
             _keep_own(registry, split, default)
         else:

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+from itertools import starmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,6 +12,7 @@ from assistax_zoo.console import answer, progress
 from zoo.ids import release_number
 from zoo.locations import OWN, default_remote, own_registry, set_default_remote
 from zoo.lock import locked_entries, make_lock, read_lock, write_lock
+from zoo.namespaces import split_namespace
 from zoo.official import writable_registry
 from zoo.registry import load_registry
 from zoo.remotes import open_remote
@@ -205,7 +207,8 @@ def lock(
         pattern: Glob over policy ids to pin; all of the release if not given.
         task: Only this task.
         release: Release to pin; default the newest that one of the tasks has by default.
-        split: Id of a split to pin instead of a task's default one; repeat it for more tasks.
+        split: Split to pin instead of a task's default one, as TASK/NAME, or NAME with --task;
+            repeat it for more tasks.
         out: File to write.
         registry: Registry to read instead of the installed one.
         json: Print JSON.
@@ -216,9 +219,11 @@ def lock(
     loaded = load_registry(registry)
     if release is None:
         found = loaded.select(pattern, task=task)
-        release = max({loaded.release_of(entry.task) for entry in found}, key=release_number)
+        own = [entry for entry in found if ":" not in entry.release] or found
+        zoos = {(entry.task, split_namespace(entry.release)[0]) for entry in own}
+        release = max(starmap(loaded.release_of, zoos), key=release_number)
     entries = loaded.select(pattern, task=task, release=release)
-    made = make_lock(loaded, entries, {name.partition("/")[0]: name for name in split})
+    made = make_lock(loaded, entries, dict(_task_split(name, task) for name in split))
     write_lock(made, out)
     lines = [f"locked {len(made.policies)} policies of release {made.release} in {out}"]
     for name in made.environments:
@@ -226,6 +231,15 @@ def lock(
         told = f"split {pinned.id}" if pinned else "no split: not all its partners are locked"
         lines.append(f"  {name}: {told}")
     answer(json, {"lock": out, **made.model_dump(mode="json")}, *lines)
+
+
+def _task_split(name: str, task: str | None) -> tuple[str, str]:
+    """Return the task that a split's name says, or `task`, and the name."""
+    rest = split_namespace(name)[1]
+    said, slash, _ = rest.partition("/")
+    if not slash and task is None:
+        raise ValueError(f"split is {name!r}; name its task too, as TASK/{rest}")
+    return (said if slash else task or ""), name
 
 
 def _report_lines(report: "Report") -> list[str]:

@@ -141,7 +141,7 @@ def verify(id: str | None = None, *, registry: Path | None = None, json: bool = 
     """
     from zoo.behaviour import similar_leak, similar_pairs
 
-    loaded = load_registry(registry)
+    loaded = load_registry(registry, roots=False)
     named = [loaded.split(id.partition("/")[0], id)] if id else loaded.splits
     names = [split.id for split in named]
     problems: dict[str, str] = {}

@@ -80,7 +80,7 @@ def cluster(
             installed one.
 
     Example:
-        ASSISTAX_ZOO_MAKER=1 python -m tools.results_v2 cluster gentle_bath --release v2 --data docs/data/v2
+        python -m tools.results_v2 cluster gentle_bath --release v2 --data docs/data/v2
     """
     from assistax_zoo.commands.options import parse_names
     from tools.paper_page.collect import CROSSPLAY
