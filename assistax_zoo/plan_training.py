@@ -14,6 +14,7 @@ from population.files import exclusive
 from population.learning_curves import write_curves
 from population.plan import Block, Group, Plan, find_blocks
 from population.run_folder import RunFolder
+from zoo.official import writable_registry
 from zoo.publish import publish
 from zoo.registry import Registry, load_registry
 from zoo.release import complete_release
@@ -38,8 +39,13 @@ class PlanTraining:
     errors: dict[str, str] = dataclasses.field(default_factory=dict)  # by run, or adopting group
 
     def do(self, *, train: bool, publish: bool, curves: Path | None) -> None:
-        """Adopt, train and publish what is missing; what is turned off is left out."""
+        """Adopt, train and publish what is missing; what is turned off is left out.
+
+        Raises:
+            PublishError: It is to be published to an official registry.
+        """
         if publish:
+            writable_registry(self.registry)  # before hours of training
             self.publish_ready()
         if train:
             self.train_missing(publish)

@@ -13,6 +13,7 @@ from zoo.locations import (
     cache_root,
     cached_registry,
     cached_shard,
+    check_room,
     shard_root,
     write_errors,
 )
@@ -26,10 +27,11 @@ from zoo.registry import (
     parse_registry,
 )
 from zoo.remotes import Remote, open_remote, read_file
-from zoo.roots import lost_leaves, root_problems
+from zoo.roots import root_problems
 from zoo.schema import PolicyEntry
 from zoo.storage import read_shard
 from zoo.transfer import Item, download
+from zoo.updates import Accept, check_update, take_none
 
 WORKERS = 4  # shards at once
 PARTIAL_SECONDS = 7 * 24 * 3600.0  # after which a partial file is not gone on from, but removed
@@ -70,7 +72,7 @@ def fetch(
     Raises:
         RemoteError: Shards are missing and the remote does not have them, or there is no remote.
         IntegrityError: The remote's bytes are not those of the registry.
-        CacheError: The cache cannot take them.
+        CacheError: The cache cannot take them, or has no room for as many bytes as they say.
     """
     began = time.perf_counter()
     policies: dict[str, list[PolicyEntry]] = {}
@@ -78,7 +80,7 @@ def fetch(
         policies.setdefault(split_namespace(entry.shard)[0], []).append(entry)
     counts, sources = [0, 0, 0], []  # shards, of them present, bytes
     for namespace, members in policies.items():
-        source = open_remote(added_remote(namespace)) if namespace else remote
+        source = _source(namespace, remote)
         shards = list(dict.fromkeys(split_namespace(entry.shard)[1] for entry in members))
         sources += [source.name] if source else []
         found = _fetch_part(registry.part(namespace), shards, source, on_total)
@@ -113,12 +115,17 @@ def check_local(registry: Registry, entries: Iterable[PolicyEntry]) -> None:
         )
 
 
-def remote_registry(remote: Remote) -> Registry:
+def remote_registry(remote: Remote, accept: Accept = take_none) -> Registry:
     """Return a remote's registry, kept in the cache; in offline mode, the one that was kept.
+
+    Args:
+        remote: Where it is.
+        accept: See `zoo.updates.check_update`.
 
     Raises:
         IntegrityError: It lost or changed something that it published before, or its content is
             not what its roots say.
+        UpdateError: It changed what its users get by default, and nobody accepted that.
         RemoteError: The remote has no registry, or cannot be reached.
         RegistryError: What it has is no registry.
     """
@@ -135,30 +142,20 @@ def remote_registry(remote: Remote) -> Registry:
         text = ""  # refused as any other text that is no registry
     registry = build_registry(parse_registry(text, f"registry.json of {remote.name}"), path)
     if problems := root_problems(registry.data):
-        raise _refusal(remote, "content of its own roots", problems[0], "ask its owner")
+        kept = "nothing was fetched; the registry of before is kept"
+        where, expected = f"registry.json of {remote.name}", "content of its own roots"
+        raise IntegrityError(where, expected, problems[0], "ask its owner", kept)
     if path.is_file():
-        check_history(load_registry(path), registry, remote)
+        check_update(load_registry(path), registry, remote.name, accept)
     with write_errors(path, len(content)):
         atomic_write(path, content)
     return registry
 
 
-def check_history(old: Registry, new: Registry, remote: Remote) -> None:
-    """Check that a remote still has all that it published before.
-
-    Raises:
-        IntegrityError: Its history was rewritten.
-    """
-    if not (lost := lost_leaves(old.data, new.data)):
-        return
-    roots = {release: old.root(release) for release in old.data.releases}
-    told = ", ".join(f"{release} {root[:12]}" for release, root in roots.items())
-    raise _refusal(
-        remote,
-        f"all that it published before (roots {told}): published bytes never change",
-        f"another history: {listing(lost)} gone or changed",
-        f"ask its owner; to believe the new one, delete {old.path}",
-    )
+def _source(namespace: str, remote: Remote | None) -> Remote | None:
+    """Return where parameters of a zoo come from; the user's own are nowhere else."""
+    name = added_remote(namespace) if namespace else None
+    return open_remote(name) if name else None if namespace else remote
 
 
 def _fetch_part(
@@ -174,6 +171,7 @@ def _fetch_part(
     if remote is None:
         raise _no_remote(registry, missing)
     source, sizes = remote, {shard: registry.data.shards[shard].bytes for shard in missing}
+    check_room(cache_root(), sum(sizes.values()))
     advance, lock = on_total(sum(sizes.values())), threading.Lock()
 
     def count(number: int) -> None:
@@ -206,11 +204,6 @@ def _is_here(registry: Registry, shard: str) -> bool:
     with write_errors(path, 0):
         path.unlink(missing_ok=True)
     return False
-
-
-def _refusal(remote: Remote, expected: str, found: str, next_step: str) -> IntegrityError:
-    kept = "nothing was fetched; the registry of before is kept"
-    return IntegrityError(f"registry.json of {remote.name}", expected, found, next_step, kept)
 
 
 def _no_remote(registry: Registry, missing: Sequence[str]) -> RemoteError:

@@ -4,6 +4,8 @@
               registries/<remote>/registry.json     what remotes published
               references/, xla/                     episodes to compare with, compiled programs
     data      added/<namespace>/                    zoos of `assistax-zoo add`
+              added/own/                            what the user published without naming a place
+              splits.json                           the user's splits of official partners
     settings  config.json                           the default remote
 
 The cache may be deleted at any time. What was added lies in the user's data folder: not in the
@@ -28,6 +30,7 @@ REGISTRY_VARIABLE = "ASSISTAX_ZOO_REGISTRY"
 CACHE_VARIABLE = "ASSISTAX_ZOO_CACHE"
 REMOTE_VARIABLE = "ASSISTAX_ZOO_REMOTE"
 DATA_VARIABLE = "ASSISTAX_ZOO_DATA"
+OWN = "own"  # namespace of what the user published without naming a place
 BUILT_IN_REMOTE: str | None = None  # where a wheel's parameters are published; packagers set it
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -38,6 +41,11 @@ def registry_path(path: Path | str | None = None) -> Path:
         return Path(path)
     if os.environ.get(REGISTRY_VARIABLE):
         return Path(os.environ[REGISTRY_VARIABLE])
+    return shipped_registry()
+
+
+def shipped_registry() -> Path:
+    """Return the registry that came with this code: the checkout's, or the wheel's."""
     checkout = _PACKAGE.parent / "registry.json"
     if checkout.is_file() or (_PACKAGE.parent / "pyproject.toml").is_file():
         return checkout
@@ -55,7 +63,7 @@ def cache_root() -> Path:
 
 
 def data_root() -> Path:
-    """Return where added zoos lie: `$ASSISTAX_ZOO_DATA`, or a folder of the user's data."""
+    """Return where own and added zoos lie: `$ASSISTAX_ZOO_DATA`, or a folder of the user's data."""
     return _user_folder(DATA_VARIABLE, "XDG_DATA_HOME", "~/.local/share")
 
 
@@ -82,6 +90,16 @@ def added_registries() -> dict[str, Path]:
     return {path.parent.name: path for path in found}
 
 
+def own_registry() -> Path:
+    """Return where the user's own zoo lies: beside the zoos that were added, as one of them."""
+    return added_registry(OWN)
+
+
+def own_splits_file() -> Path:
+    """Return where the user's splits of official partners lie."""
+    return data_root() / "splits.json"
+
+
 def default_remote() -> str | None:
     """Return `$ASSISTAX_ZOO_REMOTE`, what `config remote` set, or the wheel's own, if any."""
     return os.environ.get(REMOTE_VARIABLE) or _settings().get("remote") or BUILT_IN_REMOTE
@@ -97,17 +115,37 @@ def set_default_remote(remote: str | None) -> None:
 @contextmanager
 def write_errors(path: Path, size: int) -> Generator[None]:
     """Turn an OSError while the cache or the data folder is written into a `CacheError`."""
+    own = path.is_relative_to(data_root())
+    what, variable = ("data folder", DATA_VARIABLE) if own else ("cache", CACHE_VARIABLE)
     try:
         yield
     except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
         raise CacheError(
-            f"cache {path.parent}",
+            f"{what} {path.parent}",
             f"room for {size} bytes" if full else "a folder that can be written",
             f"{error.strerror or error}{_room(path) if full else ''}",
             f"{'free some space' if full else 'allow writing'}, or choose another folder with "
-            f"${CACHE_VARIABLE}",
+            f"${variable}",
         ) from None
+
+
+def check_room(folder: Path, size: int) -> None:
+    """Check that a folder's disk has room for so many bytes, before anything is reserved for them.
+
+    Raises:
+        CacheError: It has not.
+    """
+    present = next(path for path in (folder, *folder.absolute().parents) if path.is_dir())
+    free = shutil.disk_usage(present).free
+    if size > free:
+        raise CacheError(
+            f"cache {folder}",
+            f"room for {size} bytes",
+            f"{free} bytes free",
+            f"fetch fewer policies, free some space, or choose another folder with "
+            f"${CACHE_VARIABLE}",
+        )
 
 
 def _settings() -> dict[str, str]:

@@ -1,8 +1,9 @@
 """The lock file of a paper: which release, partners, bytes and splits its figures were made with.
 
 It holds, each by sha256, the splits, shards and policies that were pinned, the environment
-versions, and a digest of itself. A registry that has grown since is as good as the one that the
-lock was made of; one in which anything pinned differs is refused.
+versions, and a digest of itself. A split that the release does not publish, such as one of the
+user's own, stands in it whole, so that others have it too. A registry that has grown since is as
+good as the one that the lock was made of; one in which anything pinned differs is refused.
 """
 
 import dataclasses
@@ -18,12 +19,14 @@ from zoo.errors import LockError, ZooError, listing, shorten
 from zoo.namespaces import split_namespace
 from zoo.registry import Registry, build_registry
 from zoo.roots import leaves
-from zoo.schema import Name, PolicyEntry, Sha256, StrictModel, Team, first_problem
-from zoo.splits import content_sha256, parse_split
+from zoo.schema import Name, PolicyEntry, Sha256, Split, StrictModel, Team, first_problem
+from zoo.splits import check_split, content_sha256, parse_split
 from zoo.untrusted import parse_json, read_text
 
-LOCK_VERSION = 2  # 1: without the root and the leaves
+LOCK_VERSION = 3  # 2: one digest of all disability settings; 1: without the root and the leaves
 MAX_LOCK_BYTES = 16 * 1024 * 1024
+# By version, which of the fields that came and went a lock has: the version is not in its sha256.
+_FIELDS = {1: {"disability_settings"}, 2: {"root", "disability_settings"}, 3: {"root"}}
 _WORDS = {
     "environments": "environment version of",
     "disability_settings": "disability settings",
@@ -44,16 +47,18 @@ class PinnedSplit(StrictModel):
 class Lock(StrictModel):
     """What a lock file holds."""
 
-    lock_version: Literal[1, 2]
+    lock_version: Literal[1, 2, 3]
     sha256: Sha256  # of all the rest
     release: str
     root: Sha256 | None = None  # of the release when the lock was made; it may have grown since
     # Of what is pinned, provenance and figures too: see `zoo.roots`.
     leaves: dict[str, Sha256] = Field(default={})
     registry: Sha256  # of the registry.json that it was made of, to tell it from a grown one
-    disability_settings: Sha256
+    # Of all that the registry had; later locks pin those that are used, among the leaves.
+    disability_settings: Sha256 | None = None
     environments: dict[Name, Annotated[int, Field(ge=1)]]
     splits: dict[Name, PinnedSplit]  # by task
+    own_splits: tuple[Split, ...] = ()  # those of them that the release does not publish
     shards: dict[str, Sha256]
     policies: Annotated[dict[str, Sha256], Field(min_length=1)]
 
@@ -84,21 +89,23 @@ def make_lock(
     (release,) = releases
     tables = _tables(registry, release)
     pinned = _splits(registry, entries, release, splits or {})
-    splits_used = [split["id"] for split in pinned.values()]
+    splits_used = [split.id for split in pinned.values()]
+    part = registry.part(split_namespace(release)[0])
+    published = {split_namespace(split)[1] for split in (one.id for one in part.splits)}
+    own = [split for split in pinned.values() if split_namespace(split.id)[1] not in published]
     content: dict[str, Any] = {
         "release": release,
         "root": registry.root(release),
         "leaves": used_leaves(registry, release, entries, splits_used),
-        "registry": sha256(registry.path.read_bytes()),
-        "disability_settings": tables["disability_settings"][""],
+        "registry": sha256(part.path.read_bytes()),
         "environments": {task: tables["environments"][task] for task in _tasks(entries)},
-        "splits": pinned,
+        "splits": {task: {"id": one.id, "sha256": one.sha256} for task, one in pinned.items()},
+        **({"own_splits": [split.model_dump(mode="json") for split in own]} if own else {}),
         "shards": {shard: tables["shards"][shard] for shard in sorted({e.shard for e in entries})},
         "policies": {entry.id: entry.sha256 for entry in entries},
     }
-    return Lock.model_validate(
-        {"lock_version": LOCK_VERSION, "sha256": content_sha256(content), **content}
-    )
+    content = {"lock_version": LOCK_VERSION, "sha256": content_sha256(content), **content}
+    return Lock.model_validate_json(json.dumps(content))
 
 
 def write_lock(lock: Lock, path: Path) -> None:
@@ -121,7 +128,7 @@ def read_lock(path: Path) -> Lock:
         raise LockError(
             source, "a lock file", f"{type(error).__name__}: {shorten(str(error))}", remedy
         ) from None
-    if version not in (1, LOCK_VERSION):
+    if version not in _FIELDS:
         raise LockError(
             source,
             f"lock version {LOCK_VERSION} or older",
@@ -132,7 +139,8 @@ def read_lock(path: Path) -> Lock:
         lock = Lock.model_validate_json(text)
     except ValidationError as error:
         raise LockError(source, "a lock file", first_problem(error), remedy) from None
-    if (lock.lock_version == LOCK_VERSION) != (lock.root is not None):  # it is not in the sha256
+    fields = {name for name in ("root", "disability_settings") if getattr(lock, name) is not None}
+    if fields != _FIELDS[lock.lock_version]:
         raise LockError(source, f"content of version {version}", "another's: it was edited", remedy)
     dumped = lock.model_dump(mode="json", exclude={"lock_version", "sha256"}, exclude_unset=True)
     found = content_sha256(dumped)
@@ -156,6 +164,7 @@ def apply_lock(registry: Registry, lock: Lock, *, task: str, split: str | None =
         LockError: The registry differs in something pinned, or another task or split is asked for.
     """
     _check(registry, lock)
+    registry = _with_own_splits(registry, lock)
     if task not in lock.environments:
         raise LockError(
             f"task {shorten(task)}",
@@ -208,10 +217,13 @@ def _check(registry: Registry, lock: Lock) -> None:
     if lock.release not in registry.data.releases:
         found = f"releases {listing(registry.data.releases)}"
         raise _differs(registry, f"release {lock.release}", found)
+    for split in lock.own_splits:
+        check_split(split)
+    own = {split.id for split in lock.own_splits}
     pinned = {
         **lock.model_dump(),
-        "disability_settings": {"": lock.disability_settings},
-        "splits": {split.id: split.sha256 for split in lock.splits.values()},
+        "disability_settings": {"": lock.disability_settings} if lock.lock_version == 1 else {},
+        "splits": {split.id: split.sha256 for split in lock.splits.values() if split.id not in own},
     }
     for table, found in _tables(registry, lock.release).items():
         for name, value in pinned[table].items():
@@ -233,6 +245,14 @@ def _tables(registry: Registry, release: str) -> dict[str, Mapping[str, Any]]:
         "policies": {entry.id: entry.sha256 for entry in registry.policies},
         "leaves": leaves(part, name),
     }
+
+
+def _with_own_splits(registry: Registry, lock: Lock) -> Registry:
+    """Return the registry with the splits that stand in the lock whole, beside its own."""
+    known = {split.id for split in registry.splits}
+    splits = [split for split in lock.own_splits if split.id not in known]
+    data = registry.data.model_copy(update={"splits": (*registry.splits, *splits)})
+    return dataclasses.replace(registry, data=data, parts=registry.parts or {"": registry})
 
 
 def _differs(registry: Registry, expected: str, found: str) -> LockError:
@@ -257,8 +277,12 @@ def _check_split(registry: Registry, lock: Lock, task: str, split: str | None) -
 
 def _splits(
     registry: Registry, entries: Sequence[PolicyEntry], release: str, chosen: Mapping[str, str]
-) -> dict[str, dict[str, str]]:
+) -> dict[str, Split]:
     """Return the splits to pin: those chosen, and the defaults of which every partner is pinned."""
+    if foreign := sorted(set(chosen) - set(_tasks(entries))):
+        found = f"splits of {listing(foreign)}"
+        advice = "name splits of these tasks, as TASK/NAME"
+        raise LockError("lock", f"splits of {listing(_tasks(entries))}", found, advice)
     teams = {entry.team for entry in entries if entry.role == "human"}
     pinned = {}
     for task in _tasks(entries):
@@ -272,7 +296,7 @@ def _splits(
                 f"lock of {split.id}", "every partner of the split in the selection", found, advice
             )
         if not absent:
-            pinned[task] = {"id": split.id, "sha256": split.sha256}
+            pinned[task] = split
     return pinned
 
 

@@ -21,11 +21,13 @@ from population.spec import PolicySpec, Role
 from zoo.errors import ImmutableError, PublishError, listing
 from zoo.ids import EGO, TeamId, check_name, same_team
 from zoo.locations import shard_root
+from zoo.official import writable_registry
 from zoo.registry import Registry, load_registry, save_registry
 from zoo.release import completed, signed
 from zoo.runs import TrainedTeam
 from zoo.schema import (
     SCHEMA_VERSION,
+    Citation,
     DisabilitySetting,
     Ego,
     PolicyRow,
@@ -81,6 +83,7 @@ def publish(
     environments: Mapping[str, int] | None = None,
     date: str | None = None,
     description: str = "",
+    citation: Citation | None = None,
     complete: bool = True,
     check: Check = check_params,
     key: Path | None = None,
@@ -100,6 +103,7 @@ def publish(
             not given.
         date: ISO date of a new release; today if not given.
         description: What a new release is, in one sentence.
+        citation: How the release is to be cited; a later one takes the place of an earlier one.
         complete: Whether the release is whole with these teams.
         check: Called with spec, leaves and policy id; raises if the parameters are not those of the
             spec.
@@ -108,19 +112,23 @@ def publish(
     Raises:
         ImmutableError: An id, a figure or an environment version that is already published would
             change.
-        PublishError: A team lacks provenance, occurs twice, or has the parameters of another.
+        PublishError: A team lacks provenance, occurs twice, or has the parameters of another; or
+            the registry is official.
     """
     path = Path(registry_path)
+    writable_registry(path)
     check_name("release", release)
-    created = Release(date=_day(date), description=description, environments={})
+    created = Release(date=_day(date), description=description, environments={}, citation=citation)
     candidates = [_candidate(team, release, check) for team in teams]
     with exclusive(path):
         old = load_registry(path) if path.exists() else None
         base = old.data if old else _empty(release, created)
         fresh = _fresh(base, candidates)
-        if old and not fresh and not key:
+        if old and not fresh and not key and not citation:
             return old
         data = _with_release(base, release, created, fresh, environments or VERSIONS)
+        if old and not fresh and not key and data == old.data:
+            return old
         _check_sizes(data, release, fresh)
         data, files = _with_members(data, release, fresh)
         data = completed(data, release) if complete else data
@@ -266,7 +274,7 @@ def _with_release(
     fresh: Sequence[_Candidate],
     environments: Mapping[str, int],
 ) -> RegistryFile:
-    """Return the registry with the release's environment versions, new tasks' added."""
+    """Return the registry with the release, its new tasks' environment versions added."""
     if data.disability_settings != installed_settings():
         found = f"{installed_settings()} in the installed environments"
         raise ImmutableError(
@@ -291,10 +299,11 @@ def _with_release(
                 f"training on {task} version {versions[task]}",
                 f"on {trained}",
             )
-    releases = {
-        **data.releases,
-        release: entry.model_copy(update={"environments": dict(sorted(versions.items()))}),
+    now = {
+        "environments": dict(sorted(versions.items())),
+        "citation": created.citation or entry.citation,
     }
+    releases = {**data.releases, release: entry.model_copy(update=now)}
     return data.model_copy(update={"releases": releases})
 
 

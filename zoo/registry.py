@@ -19,7 +19,9 @@ from zoo.locations import (
     shard_root,
 )
 from zoo.namespaces import merge, qualify_split, split_namespace
-from zoo.roots import check_grown, release_root, with_roots
+from zoo.official import check_writable
+from zoo.own_splits import own_splits
+from zoo.roots import check_grown, check_roots, release_root, with_roots
 from zoo.schema import (
     SCHEMA_VERSION,
     Ego,
@@ -32,9 +34,7 @@ from zoo.schema import (
 )
 from zoo.selection import refuse_unknown, select
 from zoo.splits import check_split, refuse_leak, shared_parameters
-from zoo.untrusted import parse_json, read_text
-
-MAX_REGISTRY_BYTES = 16 * 1024 * 1024  # of 30 times the paper's teams
+from zoo.untrusted import MAX_REGISTRY_BYTES, parse_json, read_text
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,9 +55,11 @@ class Registry:
         """Name of the newest whole release."""
         return self.data.release
 
-    def release_of(self, task: str) -> str:
-        """Return a task's default release: the newest whole one that has it."""
-        return self.data.release_of(task)
+    def release_of(self, task: str, namespace: str = "") -> str:
+        """Return a task's default release, of one zoo: the newest whole one that has it."""
+        if not namespace or self.lock:
+            return self.data.release_of(task)
+        return f"{namespace}:{self.part(namespace).data.release_of(task)}"
 
     @property
     def splits(self) -> tuple[Split, ...]:
@@ -189,23 +191,32 @@ class Registry:
         return next(split for split in self.splits if split.id == defaults[task])
 
 
-def load_registry(path: Path | str | None = None) -> Registry:
-    """Return the registry at `path`, alone; or the default one, with the zoos that were added.
+def load_registry(path: Path | str | None = None, *, roots: bool = True) -> Registry:
+    """Return the registry at `path`, alone; or the default one, with all that the user added.
 
     The default is `$ASSISTAX_ZOO_REGISTRY`, else the checkout's `registry.json`, else the one in
     the wheel.
 
+    Args:
+        path: Registry to read instead of the default one.
+        roots: Refuse a registry whose entries are not those of its roots; False is for who reports
+            what is wrong with it.
+
     Raises:
         RegistryError: A file is missing or is not of the schema.
         RegistryVersionError: A file is of a newer schema.
+        IntegrityError: An entry of a release was changed, added or removed.
     """
-    own = _read(registry_path(path))
-    found = added_registries() if path is None else {}
-    if not found:
-        return own
-    added = {namespace: _read(file) for namespace, file in found.items()}
-    data = merge(own.data, {namespace: one.data for namespace, one in added.items()})
-    return dataclasses.replace(build_registry(data, own.path), parts={"": own, **added})
+    base = _read(registry_path(path), roots)
+    if path is not None:
+        return base
+    added = {namespace: _read(file, roots) for namespace, file in added_registries().items()}
+    splits = own_splits(base.data)
+    if not added and not splits:
+        return base
+    data = merge(base.data, {namespace: part.data for namespace, part in added.items()})
+    data = data.model_copy(update={"splits": (*data.splits, *splits)})
+    return dataclasses.replace(build_registry(data, base.path), parts={"": base, **added})
 
 
 def parse_registry(text: str, source: str) -> RegistryFile:
@@ -286,17 +297,24 @@ def save_registry(data: RegistryFile, path: Path) -> Registry:
     Raises:
         RegistryError: It would not load.
         ImmutableError: Something that was published is gone or changed.
+        PublishError: What the file published before is an official release.
     """
     data = with_roots(data)
     text = dump_registry(data)
     registry = build_registry(parse_registry(text, str(path)), path)
     if path.exists():
-        check_grown(_read(path).data, registry.data)
+        before = _read(path).data
+        check_writable(before, path)
+        check_grown(before, registry.data)
     atomic_write(path, text.encode())
     return registry
 
 
-def _read(path: Path) -> Registry:
+def _read(path: Path, roots: bool = True) -> Registry:
     remedy = f"give its path with --registry or ${REGISTRY_VARIABLE}, or restore it"
-    text = read_text(path, MAX_REGISTRY_BYTES, RegistryError, "registry", remedy)
-    return build_registry(parse_registry(text, str(path)), path)
+    data = parse_registry(
+        read_text(path, MAX_REGISTRY_BYTES, RegistryError, "registry", remedy), str(path)
+    )
+    if roots:
+        check_roots(data, str(path))
+    return build_registry(data, path)

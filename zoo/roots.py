@@ -81,26 +81,32 @@ def root_problems(data: RegistryFile) -> list[str]:
     ]
 
 
-def check_roots(data: RegistryFile) -> None:
-    """Check that every release is what its root says.
+def check_roots(data: RegistryFile, source: str) -> None:
+    """Check that every release is what its root says; `source` names the registry in the error.
 
     Raises:
         IntegrityError: An entry was changed, added or removed.
     """
     if problems := root_problems(data):
         raise IntegrityError(
-            "registry",
+            f"registry {source}",
             "releases with the roots that it records",
             problems[0],
-            "restore the registry; `assistax-zoo verify` says all that is wrong",
-            "nothing was listed",
+            "restore the registry; `assistax-zoo verify` lists all that is wrong",
+            "nothing was read",
         )
 
 
 def lost_leaves(old: RegistryFile, new: RegistryFile) -> list[str]:
     """Return what the old registry published and the new one lacks or has otherwise."""
     lost = []
-    for release in old.releases:
+    for release, record in old.releases.items():
+        versions = new.releases[release].environments if release in new.releases else {}
+        lost += [
+            f"version {version} of {task} in {release}"
+            for task, version in record.environments.items()
+            if versions.get(task) != version
+        ]
         now: Mapping[str, str] = leaves(new, release) if release in new.releases else {}
         lost += [
             name

@@ -11,6 +11,7 @@ from typing import Any
 
 from zoo.errors import ZooError
 
+MAX_REGISTRY_BYTES = 16 * 1024 * 1024  # of 30 times the paper's teams
 MAX_VALUES = 250_000  # commas; the registry of the 434 teams of the paper has a tenth
 
 

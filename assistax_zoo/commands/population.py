@@ -13,7 +13,8 @@ from assistax_zoo.console import answer
 from assistax_zoo.plan_status import Status
 from assistax_zoo.plan_training import PlanTraining
 from population.plan import Block, read_plan
-from zoo.locations import registry_path
+from zoo.locations import own_registry
+from zoo.official import writable_registry
 
 
 def population(
@@ -40,7 +41,7 @@ def population(
     Args:
         plan: JSON file of the plan, such as zoo/plans/v1.json; docs/population.md describes it.
         out: Folder of the runs, one folder for each.
-        registry: Registry to publish to; default the installed one.
+        registry: Registry to publish to; default your own zoo, as for `publish`.
         groups: Only these groups: comma-separated globs over their names, such as 'scratch-*'.
         backend: Physics: fused, native, mjx, mjx-warp, or auto for the fastest one.
         dry_run: Print what is there, what is missing and what it will cost, and do nothing.
@@ -61,7 +62,7 @@ def population(
         groups=content.select(groups),
         path=plan,
         out=out,
-        registry=registry_path(registry),
+        registry=registry or writable_registry() or own_registry(),
         backend=backend,
         shown=partial(_shown, json_lines),
     )

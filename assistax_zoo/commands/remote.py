@@ -1,18 +1,25 @@
 """Commands between this machine and others: fetch, add, remove, publish, lock, config."""
 
 import contextlib
+import dataclasses
+from collections.abc import Callable, Sequence
+from itertools import starmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
+from pydantic import ValidationError
 
-from assistax_zoo.console import answer, progress
+from assistax_zoo.console import answer, confirm, progress
 from zoo.errors import printable
 from zoo.ids import release_number
-from zoo.locations import default_remote, registry_path, set_default_remote
+from zoo.locations import OWN, default_remote, own_registry, set_default_remote
 from zoo.lock import locked_entries, make_lock, read_lock, write_lock
+from zoo.namespaces import split_namespace
+from zoo.official import writable_registry
 from zoo.registry import load_registry
 from zoo.remotes import open_remote
+from zoo.schema import Citation, first_problem
 
 if TYPE_CHECKING:
     from zoo.fetch import Report
@@ -29,6 +36,7 @@ def fetch(
     release: str | None = None,
     lock: Path | None = None,
     registry: Path | None = None,
+    yes: bool = False,
     json: bool = False,
 ) -> None:
     """Fetch partners from a remote into the cache; what is here already is only verified.
@@ -48,6 +56,7 @@ def fetch(
         lock: Only what this lock file pins.
         registry: Registry that says which bytes; default the remote's with --from, else the
             installed one.
+        yes: Accept another default split or release than the remote had before; else it is asked.
         json: Print JSON.
 
     Example:
@@ -59,7 +68,9 @@ def fetch(
     text = from_ or default_remote()
     remote = open_remote(text) if text else None
     theirs = remote if from_ and not registry else None
-    loaded = remote_registry(theirs) if theirs else load_registry(registry)
+    loaded = (
+        remote_registry(theirs, _accept(theirs.name, yes)) if theirs else load_registry(registry)
+    )
     fields = {"algorithm": algorithm, "disability": disability, "role": role, "release": release}
     entries = loaded.select(pattern, task=task, **fields)
     if lock:
@@ -83,16 +94,18 @@ def add(
     remote: str,
     *,
     as_: Annotated[str, Parameter(name="--as")],
+    yes: bool = False,
     json: bool = False,
 ) -> None:
     """Add another zoo beside the installed one: its policies are then NAME:scratch/... everywhere.
 
-    The same again brings it up to date. Its parameters are fetched as any others:
-    `assistax-zoo fetch 'NAME:*'`.
+    The same again brings it up to date, and shows what changed. Its parameters are fetched as any
+    others: `assistax-zoo fetch 'NAME:*'`.
 
     Args:
         remote: Folder, https://..., hf://org/name or hf://org/name@revision.
         as_: Name, in lower case, that stands before the ids.
+        yes: Accept another default split or release than the zoo had before; else it is asked.
         json: Print JSON.
 
     Example:
@@ -100,7 +113,7 @@ def add(
     """
     from zoo.added import add as add_zoo
 
-    added = add_zoo(remote, as_)
+    added = add_zoo(remote, as_, _accept(remote, yes))
     count = len(added.policies)
     told = f"{count} policies as {as_}:...; next: assistax-zoo fetch '{as_}:*'"
     answer(json, {"name": as_, "policies": count, "registry": added.path}, told)
@@ -143,21 +156,28 @@ def publish(
     registry: Path | None = None,
     date: str | None = None,
     description: str = "",
+    author: tuple[str, ...] = (),
+    title: str = "",
+    url: str = "",
     key: Path | None = None,
     json: bool = False,
 ) -> None:
     """Publish the teams or egos of run folders in a release: shards, registry, split and card.
 
-    What is published never changes; the same run again is a no-op. A hub gets one commit, then a
-    tag.
+    Where no place is named, they join your own zoo, and are own:scratch/... everywhere from then
+    on. What is published never changes; the same run again is a no-op. A hub gets one commit, then
+    a tag.
 
     Args:
         runs: Run folders that `assistax-zoo train` or `train-ego` wrote.
         release: Release that the teams join, such as v0; it is made if it does not exist.
         to: Folder, or hf://org/name, to publish to; it is made if it does not exist.
-        registry: Registry to publish to instead, without a card; default the installed one.
+        registry: Registry to publish to instead, without a card.
         date: ISO date of a new release; default today.
         description: One sentence on a new release.
+        author: Whom `cite` names as the release's author; repeat it for more, in order.
+        title: Title by which `cite` calls the release.
+        url: Address of the release or its paper, for `cite`.
         key: Ed25519 private key, PEM, to sign the release with.
         json: Print JSON.
 
@@ -174,10 +194,15 @@ def publish(
             "both --to and --registry given; --to takes a folder or hf://org/name, and is enough"
         )
     teams = [team for run in runs for team in read_run(run)]
-    place = to or str(registry_path(registry))
-    done = publish_to(teams, place, release, date=date, description=description, key=key)
-    told = f"published {len(done.added)} new policies in release {release} of {done.registry}"
-    answer(json, vars(done), f"{told}; it holds {done.policies}")
+    place = to or writable_registry(registry) or own_registry()
+    about = {"date": date, "description": description, "citation": _citation(author, title, url)}
+    done = publish_to(teams, str(place), release, **about, key=key)
+    published = f"published {len(done.added)} new policies in release {release} of {done.registry}"
+    lines = [f"{published}; it holds {done.policies}"]
+    if place == own_registry():
+        done = dataclasses.replace(done, added=tuple(f"{OWN}:{id}" for id in done.added))
+        lines.append(f"they are {OWN}:... everywhere: assistax-zoo list '{OWN}:*'")
+    answer(json, vars(done), *lines)
 
 
 def lock(
@@ -199,7 +224,8 @@ def lock(
         pattern: Glob over policy ids to pin; all of the release if not given.
         task: Only this task.
         release: Release to pin; default the newest that one of the tasks has by default.
-        split: Id of a split to pin instead of a task's default one; repeat it for more tasks.
+        split: Split to pin instead of a task's default one, as TASK/NAME, or NAME with --task;
+            repeat it for more tasks.
         out: File to write.
         registry: Registry to read instead of the installed one.
         json: Print JSON.
@@ -210,9 +236,11 @@ def lock(
     loaded = load_registry(registry)
     if release is None:
         found = loaded.select(pattern, task=task)
-        release = max({loaded.release_of(entry.task) for entry in found}, key=release_number)
+        own = [entry for entry in found if ":" not in entry.release] or found
+        zoos = {(entry.task, split_namespace(entry.release)[0]) for entry in own}
+        release = max(starmap(loaded.release_of, zoos), key=release_number)
     entries = loaded.select(pattern, task=task, release=release)
-    made = make_lock(loaded, entries, {name.partition("/")[0]: name for name in split})
+    made = make_lock(loaded, entries, dict(_task_split(name, task) for name in split))
     write_lock(made, out)
     lines = [f"locked {len(made.policies)} policies of release {made.release} in {out}"]
     for name in made.environments:
@@ -220,6 +248,29 @@ def lock(
         told = f"split {pinned.id}" if pinned else "no split: not all its partners are locked"
         lines.append(f"  {name}: {told}")
     answer(json, {"lock": out, **made.model_dump(mode="json")}, *lines)
+
+
+def _accept(remote: str, yes: bool) -> Callable[[Sequence[str]], bool]:
+    return lambda changes: confirm(f"{remote} changed; take it?", changes, yes)
+
+
+def _citation(authors: tuple[str, ...], title: str, url: str) -> Citation | None:
+    """Return how a release is to be cited, where anything of it is given."""
+    if not (authors or title or url):
+        return None
+    try:
+        return Citation(authors=authors, title=title, url=url)
+    except ValidationError as error:
+        raise ValueError(f"citation: {first_problem(error)}") from None
+
+
+def _task_split(name: str, task: str | None) -> tuple[str, str]:
+    """Return the task that a split's name says, or `task`, and the name."""
+    rest = split_namespace(name)[1]
+    said, slash, _ = rest.partition("/")
+    if not slash and task is None:
+        raise ValueError(f"split is {name!r}; name its task too, as TASK/{rest}")
+    return (said if slash else task or ""), name
 
 
 def _report_lines(report: "Report") -> list[str]:

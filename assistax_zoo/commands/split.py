@@ -77,14 +77,16 @@ def create(
     registry: Path | None = None,
     json: bool = False,
 ) -> None:
-    """Make a split of a release's partners and write it to the registry.
+    """Make a split of a release's partners, which other commands then know.
 
+    It is kept among your own: an official registry is never changed.
     Where one is held out, training partners that act nearly as a test partner does are left out.
 
     Args:
         task: Task of the split.
         rule: How the partners are divided.
-        release: Release of the partners; default the newest that has the task.
+        release: Release of the partners; default the newest that has the task. own:v0 is one of
+            teams that you published.
         seed: Seed of the rules half and small-train.
         held_out: Algorithm or disability setting that a leave-one-out rule tests on.
         n: Training partners of small-train.
@@ -92,8 +94,8 @@ def create(
         test: Team ids or globs of a custom split's test side.
         train_preferences: What its humans like, such as p2,p3; those that the test side lacks.
         test_preferences: What those of the test side like, such as p1,p5,p9, held out by any rule.
-        default: Make it the release's default split of the task.
-        registry: Registry to write to instead of the installed one.
+        default: Make it the release's default split of the task, in a registry of your own.
+        registry: Registry of your own to write to, for a split of its partners.
         json: Print JSON.
 
     Example:
@@ -102,7 +104,7 @@ def create(
     loaded = load_registry(registry)
     sides = {"train": _teams(loaded, train), "test": _teams(loaded, test)}
     split = create_split(
-        loaded.path,
+        registry,
         task=task,
         release=release,
         rule=rule,
@@ -115,7 +117,7 @@ def create(
         **sides,
     )
     counts = f"{len(split.train)} train, {len(split.test)} test"
-    lines = [f"split {split.id}: {counts}, in {loaded.path}"]
+    lines = [f"split {split.id}: {counts}"]
     rest = {*partner_teams(loaded.data, task, split.release)} - {*split.train, *split.test}
     if rest and rule in LEAVE_ONE_OUT:
         twins = ", ".join(sorted(rest))
@@ -139,7 +141,7 @@ def verify(id: str | None = None, *, registry: Path | None = None, json: bool = 
     """
     from zoo.behaviour import similar_leak, similar_pairs
 
-    loaded = load_registry(registry)
+    loaded = load_registry(registry, roots=False)
     named = [loaded.split(id.partition("/")[0], id)] if id else loaded.splits
     names = [split.id for split in named]
     problems: dict[str, str] = {}

@@ -13,6 +13,9 @@ from assistax_zoo.main import run
 from population.spec import PolicySpec
 from tests import untrained
 from tests.untrained import ROBOT, params_of
+from zoo.registry import parse_registry
+from zoo.roots import with_roots
+from zoo.schema import dump_registry
 from zoo.storage import write_policy_file
 
 STEPS = 20
@@ -351,7 +354,7 @@ def test_a_release_of_another_environment_version_is_refused(
     text = registry.read_text()
     changed = text.replace('"environments": {"scratch": 1}', '"environments": {"scratch": 2}')
     assert changed != text
-    registry.write_text(changed)
+    registry.write_text(dump_registry(with_roots(parse_registry(changed, "edited"))))
     told = failure(capfd, evaluate(registry))
     assert "expected version 1 of environment scratch" in told
     assert "release v0, trained on version 2" in told

@@ -9,9 +9,12 @@ from assistax_zoo.main import run
 from zoo.errors import LockError, SplitError, UnknownIdError
 from zoo.fetch import remote_registry
 from zoo.lock import Lock, apply_lock, locked_entries, make_lock, read_lock, write_lock
-from zoo.registry import Registry, load_registry
+from zoo.registry import Registry, load_registry, parse_registry
 from zoo.release import create_split
 from zoo.remotes import open_remote
+from zoo.roots import check_roots, with_roots
+from zoo.schema import dump_registry
+from zoo.splits import content_sha256
 from zoo.storage import load_stacks
 
 
@@ -27,7 +30,7 @@ def changed(registry: Registry, table: str, edit: Callable[[dict[str, Any]], Any
     data = json.loads(registry.path.read_text())
     edit(data[table])
     registry.path.write_text(json.dumps(data))
-    return load_registry(registry.path)
+    return load_registry(registry.path, roots=False)
 
 
 def test_a_lock_pins_bytes_and_split(registry: Registry, lock: Lock) -> None:
@@ -53,6 +56,48 @@ def test_a_registry_that_grew_is_as_good(registry: Registry, lock: Lock, teams, 
     assert narrowed.split("scratch") == split
     with pytest.raises(UnknownIdError):
         narrowed.select("scratch/mappo-*")
+
+
+def unused_setting(table: dict[str, Any]) -> None:
+    table["d42"] = {**table["d1"], "tremor": 0.5}
+
+
+def earlier(lock: Lock, registry: Registry, version: int, path: Path) -> Lock:
+    """Return the lock as an earlier version of this package wrote it."""
+    content = lock.model_dump(mode="json", exclude={"lock_version", "sha256"}, exclude_unset=True)
+    settings = {name: one.model_dump() for name, one in registry.data.disability_settings.items()}
+    content["disability_settings"] = content_sha256(settings)
+    if version == 1:
+        del content["root"], content["leaves"]
+    content = {"lock_version": version, "sha256": content_sha256(content), **content}
+    path.write_text(json.dumps(content))
+    return read_lock(path)
+
+
+def test_a_setting_that_nobody_uses_changes_no_lock(
+    registry: Registry, lock: Lock, tmp_path: Path
+) -> None:
+    second = earlier(lock, registry, 2, tmp_path / "second.lock")
+    grown = changed(registry, "disability_settings", unused_setting)
+    check_roots(grown.data, "grown")
+    for known in (lock, second):
+        assert apply_lock(grown, known, task="scratch").policies == registry.policies
+
+
+def test_locks_of_earlier_versions_are_read(registry: Registry, lock: Lock, tmp_path: Path) -> None:
+    for version in (1, 2):
+        known = earlier(lock, registry, version, tmp_path / "earlier.lock")
+        assert apply_lock(registry, known, task="scratch").policies == registry.policies
+        weaker = changed(
+            registry, "disability_settings", lambda table: table["d9"].update(tremor=0.1)
+        )
+        with pytest.raises(LockError, match="as locked"):
+            apply_lock(weaker, known, task="scratch")
+        changed(
+            registry,
+            "disability_settings",
+            lambda table: table.update(d9=registry.data.disability_settings["d9"].model_dump()),
+        )
 
 
 def test_the_same_lock_loads_the_same_bytes_elsewhere(
@@ -98,7 +143,7 @@ def test_a_registry_that_differs_is_refused(
     for table, edit, told in (
         ("teams", other_row, f"policy {team}/human"),
         ("shards", other_shard, "shard zoo/shards/v0/"),
-        ("disability_settings", other_settings, "disability settings"),
+        ("disability_settings", other_settings, "entry setting d9"),
         ("releases", other_version, "environment version of scratch 1"),
     ):
         registry.path.write_text(original)
@@ -133,7 +178,8 @@ def test_a_lock_that_was_edited_or_damaged(registry: Registry, lock: Lock, tmp_p
     digest = lock.policies["scratch/ippo-d1-s0-v0/human"]
     for damage, told in (
         (text.replace(digest, "0" * 64), "it was edited"),
-        (text.replace('"lock_version": 2', '"lock_version": 3'), "version 3"),
+        (text.replace('"lock_version": 3', '"lock_version": 4'), "version 4"),
+        (text.replace('"lock_version": 3', '"lock_version": 2'), "content of version 2"),
         (text.replace('"release"', '"relaese"'), "relaese|release"),
         (text[:-20], "JSONDecodeError"),
         ("[1]", "TypeError"),
@@ -162,7 +208,7 @@ def test_commands(registry: Registry, cache: Path, tmp_path: Path, capsys, monke
     assert "expected the locked one" in capsys.readouterr().err
     data = json.loads(registry.path.read_text())
     data["splits"], data["releases"]["v0"]["splits"] = [], {}
-    registry.path.write_text(json.dumps(data))
+    registry.path.write_text(dump_registry(with_roots(parse_registry(json.dumps(data), "edited"))))
     assert run(["evaluate", *words]) == 1
     assert "as locked, found none" in capsys.readouterr().err
     assert (

@@ -55,7 +55,7 @@ def test_entries_carry_the_numbers_of_their_setting_not_the_installed_ones(
     def weaken(data: dict) -> None:
         data["disability_settings"]["d9"]["strength"] = 0.125
 
-    changed = load_registry(edit(registry, weaken))
+    changed = load_registry(edit(registry, weaken), roots=False)
     assert changed.policy("scratch/ippo-d9-s2-v0/human").partner_setting.strength == 0.125
     assert changed.policy("scratch/ippo-d1-s2-v0/human").setting == DISABILITY_SETTINGS["d1"]
 

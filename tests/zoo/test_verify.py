@@ -16,7 +16,7 @@ def replant(registry: Registry, change: Callable[[dict[str, Any]], object]) -> R
     data = json.loads(registry.path.read_text())
     change(data)
     registry.path.write_text(json.dumps(data))
-    return load_registry(registry.path)
+    return load_registry(registry.path, roots=False)
 
 
 def flip(path: Path) -> None:

@@ -76,7 +76,8 @@ def cluster(
         test_preferences: What the test side's humans like, such as p1,p5,p9; the others like the
             rest.
         default: Make it the release's default split of the task.
-        registry: Registry to write to instead of the installed one.
+        registry: Registry to write to; default your own splits, or with $ASSISTAX_ZOO_MAKER the
+            installed one.
 
     Example:
         python -m tools.results_v2 cluster gentle_bath --release v2 --data docs/data/v2
@@ -86,10 +87,8 @@ def cluster(
     from tools.paper_page.data import read_crossplay
     from tools.results_v2.measures import conventions
     from zoo.ids import parse_team
-    from zoo.registry import load_registry
     from zoo.release import create_split
 
-    path = load_registry(registry).path
     for task in tasks:
         played = read_crossplay(data / CROSSPLAY / task)
         held = conventions(played.matrix)
@@ -103,7 +102,7 @@ def cluster(
             for side in (False, True)
         )
         split = create_split(
-            path,
+            registry,
             task=task,
             release=release,
             rule="custom",
