@@ -104,7 +104,7 @@ def source_problems(
     split = rebuilt.split.id if rebuilt.split else None
     expected = describe_sources(registry, entries, split, ())
     kept, said = manifest.get("sources"), manifest.get("registry")
-    if kept is None or said is None:
+    if not (isinstance(kept, dict) and isinstance(said, dict)):
         return [], ["what the folder was drawn from: its manifest does not name it"]
     problems = [
         f"the manifest's {name} are not those of the registry"

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import polars as pl
 
 from evaluation import derived, provenance, tables
+from evaluation.jobs import _number as number_of
 from evaluation.jobs import episode_seeds
 from evaluation.relative import COLUMN, bounds_table
 from evaluation.summary import Context, EvaluationSummary, read_summary
@@ -65,6 +65,16 @@ class Forger:
         for name in names:
             value = pl.when(rows).then(pl.col(name) * factor).otherwise(pl.col(name))
             self.table = self.table.with_columns(value.cast(pl.Float32).alias(name))
+
+    def with_keys(self, table: pl.DataFrame) -> pl.DataFrame:
+        """Return a table with the keys that the identity gives its episodes."""
+        seed, apart = self.identity["seed"], self.identity["apart"]
+        rows = table.select("partner", "episode").iter_rows()
+        keys = [
+            episode_seeds(seed, [episode], *[number_of(partner)] * apart)[0]
+            for partner, episode in rows
+        ]
+        return table.with_columns(pl.Series("key", keys, pl.Int64))
 
     def measured(self) -> list[str]:
         """Return the columns that come of playing."""
@@ -214,12 +224,10 @@ def seed_changed(forger: Forger) -> None:
     """Say that the episodes are those of another seed, with its keys."""
     seed = forger.rng.randrange(1, 3)  # of few, so that few jobs are played
     forger.identity["seed"] = seed
-    keys = np.array(episode_seeds(seed, range(forger.identity["episodes"])))
     for name in ("table", "references"):
         table = getattr(forger, name)
         if table is not None:
-            drawn = pl.Series("key", keys[table["episode"].to_numpy()])
-            setattr(forger, name, table.with_columns(drawn))
+            setattr(forger, name, forger.with_keys(table))
     forger.close()
 
 
@@ -241,15 +249,13 @@ def episode_left_out(forger: Forger) -> None:
     """Leave out one episode of all pairs, and number the others anew."""
     last = forger.identity["episodes"] - 1
     gone = forger.rng.randrange(last)
-    keys = dict(enumerate(episode_seeds(forger.identity["seed"], range(last + 1))))
     forger.identity["episodes"] = last
     number = pl.col("episode") - (pl.col("episode") > gone).cast(pl.Int64)
     for name in ("table", "references"):
         table = getattr(forger, name)
         if table is not None:
             table = table.filter(pl.col("episode") != gone).with_columns(number.alias("episode"))
-            drawn = table["episode"].replace_strict(keys, return_dtype=pl.Int64)
-            setattr(forger, name, table.with_columns(drawn.alias("key")))
+            setattr(forger, name, forger.with_keys(table))
     forger.close()
 
 

@@ -242,7 +242,7 @@ def evaluated(home: Path, robot: str, folder: Path) -> list[float]:
 def test_a_robot_whose_weights_changed_is_not_answered_from_a_finished_folder(
     home: Path, tmp_path: Path
 ) -> None:
-    """With the files declared it is another robot; undeclared, the folder is played again."""
+    """With the files declared it is another robot; undeclared, it may be, and is refused too."""
     robot, _ = write_robots(tmp_path / "mine")
     weights = tmp_path / "mine" / "weights.npy"
     first = evaluated(home, robot, tmp_path / "declared")
@@ -257,4 +257,6 @@ def test_a_robot_whose_weights_changed_is_not_answered_from_a_finished_folder(
     robot = robot.partition("?")[0]
     second = evaluated(home, robot, tmp_path / "undeclared")
     np.save(weights, np.full(4, 0.1, np.float32))
-    assert evaluated(home, robot, tmp_path / "undeclared") == first != second
+    with pytest.raises(ValueError, match="whether that is still the same robot"):
+        evaluated(home, robot, tmp_path / "undeclared")
+    assert evaluated(home, robot, tmp_path / "elsewhere") == first != second
