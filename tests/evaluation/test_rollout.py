@@ -52,7 +52,8 @@ def play(
     robot, human = stack_of(robots), stack_of(humans)
     rollout = Rollout(env or MatrixGame(), [Policy(robot.spec)], [Policy(human.spec)], **options)
     settings = disabilities(humans)
-    seeds = episode_seeds(7, range(episodes)) if seeds is None else seeds
+    if seeds is None:
+        seeds = np.array(episode_seeds(7, range(episodes)))
     return rollout.run([robot.params], [human.params], disability_params(settings), seeds)
 
 
