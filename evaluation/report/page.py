@@ -186,11 +186,11 @@ def _crossplay(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
 def _film(folder: Path) -> dict[str, Any] | None:
     """Return what films the first episode of a pair, by the manifest: command, and humans' wishes.
 
-    None where no manifest names the episodes, or where each human has starts of its own, which no
-    command films.
+    None where no manifest names the episodes, or where all humans had the same starts, as before
+    each had starts of its own: no command films those.
     """
     identity = (read_manifest(folder) or {}).get("identity")
-    if not identity or identity.get("apart"):
+    if not identity or not identity.get("apart"):
         return None
     wishes = _first_wishes(folder) if "preferences" in identity else {}
     words = ["render", "--task", str(identity["task"]), "--seed", str(int(identity["seed"]))]

@@ -11,8 +11,9 @@ from typing import Any
 import polars as pl
 
 from evaluation import derived, provenance, tables
-from evaluation.jobs import _number as number_of
+from evaluation.egos import read_egos
 from evaluation.jobs import episode_seeds
+from evaluation.met_partners import MetPartners, met_partners
 from evaluation.relative import COLUMN, bounds_table
 from evaluation.summary import Context, EvaluationSummary, read_summary
 from zoo.registry import Registry
@@ -42,12 +43,21 @@ class Forger:
         """Draw every figure from the forged episodes, and write hashes that fit."""
         tables.write_episodes(self.table, self.folder / tables.EPISODES_FILE)
         if self.is_crossplay:
-            derived.save_crossplay(self.folder, self.table, self.context)
+            derived.save_crossplay(self.folder, self.table, self.context, self.met())
         else:
             played = self.references
             drawn = None if played is None else (played, bounds_table(played))
-            derived.save_evaluation(self.folder, self.table, self.context, references=drawn)
+            options = {"references": drawn, "met": self.met()}
+            derived.save_evaluation(self.folder, self.table, self.context, **options)
         self.seal()
+
+    def met(self) -> MetPartners:
+        """Return whom the robots that the folder names now met in training."""
+        names = [row[0] for row in self.identity["egos"]]
+        egos = read_egos(names, self.registry, self.identity["task"])
+        return met_partners(
+            egos, [self.registry.policy(row[0]) for row in self.identity["partners"]]
+        )
 
     def seal(self) -> None:
         """Write a manifest that fits the identity and the files."""
@@ -71,7 +81,7 @@ class Forger:
         seed, apart = self.identity["seed"], self.identity["apart"]
         rows = table.select("partner", "episode").iter_rows()
         keys = [
-            episode_seeds(seed, [episode], *[number_of(partner)] * apart)[0]
+            episode_seeds(seed, [episode], partner if apart else None)[0]
             for partner, episode in rows
         ]
         return table.with_columns(pl.Series("key", keys, pl.Int64))
