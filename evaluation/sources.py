@@ -13,6 +13,7 @@ from typing import Any
 
 from evaluation import provenance
 from zoo.errors import ZooError, shorten
+from zoo.locations import registry_path
 from zoo.lock import used_leaves
 from zoo.registry import Registry, load_registry
 from zoo.schema import PolicyEntry
@@ -101,8 +102,9 @@ def _check_files(files: Mapping[str, str]) -> Iterator[Finding]:
 def _check_releases(sources: Mapping[str, Any], given: Path | None) -> Iterator[Finding]:
     recorded = Path(sources["registry"])
     chosen = given or (recorded if recorded.is_file() else None)
+    in_use = given is None and recorded == registry_path().resolve()  # with what the user added
     try:
-        registry = load_registry(chosen)
+        registry = load_registry(None if in_use else chosen)
     except ZooError as error:
         yield "problem", str(error)
         return

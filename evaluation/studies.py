@@ -30,6 +30,7 @@ from evaluation.summary import Context, CrossPlaySummary, EvaluationSummary, Spl
 from population.ray_blocks import RayCluster
 from zoo.errors import RegistryVersionError, SplitError, listing
 from zoo.ids import EGO
+from zoo.namespaces import split_namespace
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
 from zoo.splits import SIDES, parse_split
@@ -185,13 +186,15 @@ def cross_play(
     """
     share_cores()
     check_folder(folder)
-    release = release or registry.release_of(settings.task)
-    try:
-        manifest = registry.split(settings.task, release=release)
-    except SplitError:
-        manifest = None  # a population without a split has cross-play all the same
     robots = in_release(registry, egos, release, task=settings.task, role="robot")
     humans = in_release(registry, partners, release, task=settings.task, role="human")
+    zoos = {split_namespace(entry.release)[0] for entry in humans}
+    namespace = zoos.pop() if len(zoos) == 1 else ""
+    try:
+        named = _release(registry, settings.task, release, namespace)
+        manifest = registry.split(settings.task, release=named)
+    except SplitError:
+        manifest = None  # a population without a split has cross-play all the same
     check_env_version(registry, robots)
     env, job = make_job(registry, registry_roster(registry, robots), humans, settings, manifest)
     options: dict[str, Any] = {"max_envs": settings.max_envs, "on_progress": on_progress}
@@ -224,20 +227,29 @@ def _draw(folder: Path, summary: CrossPlaySummary) -> None:
 
 
 def in_release(
-    registry: Registry, patterns: str | Sequence[str], release: str, *, task: str, role: str
+    registry: Registry, patterns: str | Sequence[str], release: str | None, *, task: str, role: str
 ) -> list[PolicyEntry]:
-    """Return the policies of a release that match.
+    """Return the policies of a release that match, by default the task's of the pattern's zoo.
 
     A pattern that names a release is looked up in all. One that matches teams means them alone:
     egos, which have no human, are taken where nothing else matches, as in "scratch/*-ego-*".
     """
     found: dict[str, PolicyEntry] = {}
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
+        namespace = split_namespace(pattern)[0]
+        wanted = _release(registry, task, release, namespace if namespace in registry.parts else "")
         named = re.search(r"-v\d+(/|$)", pattern)
-        chosen = registry.select(pattern, task=task, role=role, release=None if named else release)
+        chosen = registry.select(pattern, task=task, role=role, release=None if named else wanted)
         teams = [entry for entry in chosen if entry.disability != EGO]
         found |= {entry.id: entry for entry in teams or chosen}
     return [entry for entry in registry.policies if entry.id in found]
+
+
+def _release(registry: Registry, task: str, release: str | None, namespace: str) -> str:
+    """Return the release that is meant in one zoo; the task's default one if none was named."""
+    if release is None:
+        return registry.release_of(task, namespace)
+    return f"{namespace}:{release}" if namespace and ":" not in release else release
 
 
 def check_env_version(registry: Registry, entries: Sequence[PolicyEntry]) -> None:

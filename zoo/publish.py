@@ -27,6 +27,7 @@ from zoo.release import completed, signed
 from zoo.runs import TrainedTeam
 from zoo.schema import (
     SCHEMA_VERSION,
+    Citation,
     DisabilitySetting,
     Ego,
     PolicyRow,
@@ -82,6 +83,7 @@ def publish(
     environments: Mapping[str, int] | None = None,
     date: str | None = None,
     description: str = "",
+    citation: Citation | None = None,
     complete: bool = True,
     check: Check = check_params,
     key: Path | None = None,
@@ -101,6 +103,7 @@ def publish(
             not given.
         date: ISO date of a new release; today if not given.
         description: What a new release is, in one sentence.
+        citation: How the release is to be cited; a later one takes the place of an earlier one.
         complete: Whether the release is whole with these teams.
         check: Called with spec, leaves and policy id; raises if the parameters are not those of the
             spec.
@@ -115,15 +118,18 @@ def publish(
     path = Path(registry_path)
     writable_registry(path)
     check_name("release", release)
-    created = Release(date=_day(date), description=description, environments={})
+    fields = {"description": description, "citation": citation}
+    created = Release(date=_day(date), environments={}, **fields)
     candidates = [_candidate(team, release, check) for team in teams]
     with exclusive(path):
         old = load_registry(path) if path.exists() else None
         base = old.data if old else _empty(release, created)
         fresh = _fresh(base, candidates)
-        if old and not fresh and not key:
+        if old and not fresh and not key and not citation:
             return old
         data = _with_release(base, release, created, fresh, environments or VERSIONS)
+        if old and data == old.data and not key:
+            return old
         _check_sizes(data, release, fresh)
         data, files = _with_members(data, release, fresh)
         data = completed(data, release) if complete else data
@@ -269,7 +275,7 @@ def _with_release(
     fresh: Sequence[_Candidate],
     environments: Mapping[str, int],
 ) -> RegistryFile:
-    """Return the registry with the release's environment versions, new tasks' added."""
+    """Return the registry with the release, its new tasks' environment versions added."""
     if data.disability_settings != installed_settings():
         found = f"{installed_settings()} in the installed environments"
         raise ImmutableError(
@@ -294,10 +300,11 @@ def _with_release(
                 f"training on {task} version {versions[task]}",
                 f"on {trained}",
             )
-    releases = {
-        **data.releases,
-        release: entry.model_copy(update={"environments": dict(sorted(versions.items()))}),
+    now = {
+        "environments": dict(sorted(versions.items())),
+        "citation": created.citation or entry.citation,
     }
+    releases = {**data.releases, release: entry.model_copy(update=now)}
     return data.model_copy(update={"releases": releases})
 
 

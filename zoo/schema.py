@@ -98,6 +98,16 @@ class Training(StrictModel):
     notes: dict[str, Scalar] = {}  # whatever else the trainer recorded
 
 
+class Citation(StrictModel):
+    """How those who made a release wish to be cited."""
+
+    authors: Annotated[
+        tuple[Annotated[str, Field(max_length=200)], ...], Field(max_length=100)
+    ] = ()
+    title: Annotated[str, Field(max_length=300)] = ""
+    url: Annotated[str, Field(pattern=r"^(https?://[^\s{}\\]{1,300})?$")] = ""
+
+
 class Release(StrictModel):
     """A release: its date, the versions of its environments, its default splits, and its root."""
 
@@ -106,6 +116,7 @@ class Release(StrictModel):
     environments: dict[Name, Annotated[int, Field(ge=1)]]
     # By task, the id of the default split; it moves to a new split when the release grows.
     splits: dict[Name, str] = {}
+    citation: Citation | None = None
     root: Sha256 | None = None  # over all of the release, see `zoo.roots`
     signature: Annotated[str, Field(pattern=r"^[0-9a-f]{128}$")] | None = None  # Ed25519, hex
 

@@ -5,7 +5,10 @@ from pathlib import Path
 from assistax_zoo.commands.options import Source
 from assistax_zoo.console import answer
 from population.files import sha256
+from zoo.errors import printable
 from zoo.lock import read_lock
+from zoo.namespaces import split_namespace
+from zoo.official import is_official
 from zoo.registry import Registry, load_registry
 
 PAPER = """@inproceedings{hinckeldey2025assistax,
@@ -26,7 +29,8 @@ def cite(*, release: str | None = None, source: Source = Source(), json: bool = 
     """Print BibTeX of the paper, of this software, and of the partners that were used.
 
     The partners' entry names their release, its root, the splits, and the registry's sha256: who
-    has these has the same bytes. With --lock it names what the lock pins.
+    has these has the same bytes. With --lock it names what the lock pins. Releases of others are
+    cited by the authors, title and address that they were published with.
 
     Args:
         release: Release of the partners; default the lock's, else the newest.
@@ -63,17 +67,36 @@ def _partners(registry: Registry, release: str | None, lock: Path | None) -> str
     name = release or (pinned.release if pinned else registry.release)
     registry.select(release=name)  # refuses an unknown one
     published = registry.data.releases[name]
+    namespace, plain = split_namespace(name)
+    part = registry.part(namespace)
     splits, facts = published.splits.values(), [f"root {registry.root(name)}"]
     if pinned and lock:
         if pinned.release != name:
             raise ValueError(f"{lock} pins release {pinned.release}, not {name}; leave --release")
         splits = [split.id for split in pinned.splits.values()]
         facts = [f"root {pinned.root}", f"lock {pinned.sha256}"]
-    facts += [f"registry {sha256(registry.path.read_bytes())}"]
-    facts += [f"split {split}" for split in sorted(splits)]
-    return f"""@misc{{assistax_zoo_{name},
-  title = {{assistax-zoo Partners, Release {name}}},
-  author = {{{{The assistax-zoo authors}}}},
-  year = {{{published.date[:4]}}},
-  note = {{{"; ".join(facts)}}}
-}}"""
+    facts += [f"registry {sha256(part.path.read_bytes())}"]
+    facts += [f"split {split_namespace(split)[1]}" for split in sorted(splits)]
+    fields = {"title": f"assistax-zoo Partners, Release {plain}", **_authorship(part, plain)}
+    fields |= {"year": published.date[:4], "note": "; ".join(facts)}
+    lines = ",\n".join(f"  {field} = {{{value}}}" for field, value in fields.items())
+    unnamed = "" if "author" in fields else f"% release {name} names no authors: ask its makers\n"
+    key = "_".join(filter(None, ("assistax_zoo", namespace, plain)))
+    return f"{unnamed}@misc{{{key},\n{lines}\n}}"
+
+
+def _authorship(registry: Registry, release: str) -> dict[str, str]:
+    """Return title, authors and address of a release, as far as it names them."""
+    citation = registry.data.releases[release].citation
+    if citation is None:
+        return {"author": "{The assistax-zoo authors}"} if is_official(registry.data) else {}
+    fields = {"title": citation.title, "author": " and ".join(citation.authors)}
+    return {name: _plain(value) for name, value in fields.items() if value} | (
+        {"url": citation.url} if citation.url else {}
+    )
+
+
+def _plain(text: str) -> str:
+    """Return text without what BibTeX and TeX read as their own."""
+    kept = printable(text).translate(str.maketrans("", "", "{}\\$%#^~"))
+    return kept.replace("&", "\\&").replace("_", "\\_")

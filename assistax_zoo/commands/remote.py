@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
+from pydantic import ValidationError
 
 from assistax_zoo.console import answer, progress
 from zoo.ids import release_number
@@ -16,6 +17,7 @@ from zoo.namespaces import split_namespace
 from zoo.official import writable_registry
 from zoo.registry import load_registry
 from zoo.remotes import open_remote
+from zoo.schema import Citation, first_problem
 
 if TYPE_CHECKING:
     from zoo.fetch import Report
@@ -146,6 +148,9 @@ def publish(
     registry: Path | None = None,
     date: str | None = None,
     description: str = "",
+    author: tuple[str, ...] = (),
+    title: str = "",
+    url: str = "",
     key: Path | None = None,
     json: bool = False,
 ) -> None:
@@ -162,6 +167,9 @@ def publish(
         registry: Registry to publish to instead, without a card.
         date: ISO date of a new release; default today.
         description: One sentence on a new release.
+        author: Whom `cite` names as the release's author; repeat it for more, in order.
+        title: Title by which `cite` calls the release.
+        url: Address of the release or its paper, for `cite`.
         key: Ed25519 private key, PEM, to sign the release with.
         json: Print JSON.
 
@@ -179,7 +187,8 @@ def publish(
         )
     teams = [team for run in runs for team in read_run(run)]
     place = to or writable_registry(registry) or own_registry()
-    done = publish_to(teams, str(place), release, date=date, description=description, key=key)
+    about = {"date": date, "description": description, "citation": _citation(author, title, url)}
+    done = publish_to(teams, str(place), release, **about, key=key)
     published = f"published {len(done.added)} new policies in release {release} of {done.registry}"
     lines = [f"{published}; it holds {done.policies}"]
     if place == own_registry():
@@ -231,6 +240,16 @@ def lock(
         told = f"split {pinned.id}" if pinned else "no split: not all its partners are locked"
         lines.append(f"  {name}: {told}")
     answer(json, {"lock": out, **made.model_dump(mode="json")}, *lines)
+
+
+def _citation(authors: tuple[str, ...], title: str, url: str) -> Citation | None:
+    """Return how a release is to be cited, where anything of it is given."""
+    if not (authors or title or url):
+        return None
+    try:
+        return Citation(authors=authors, title=title, url=url)
+    except ValidationError as error:
+        raise ValueError(f"citation: {first_problem(error)}") from None
 
 
 def _task_split(name: str, task: str | None) -> tuple[str, str]:

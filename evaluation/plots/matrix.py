@@ -7,6 +7,8 @@ from typing import Any, Literal
 import numpy as np
 import polars as pl
 
+from assistax_envs.versions import TASKS
+
 Order = Literal["shared", "separate"]
 ORDERS: tuple[Order, ...] = ("shared", "separate")
 _LONGEST = 26  # characters of a name
@@ -102,10 +104,14 @@ def arrange(pairs: pl.DataFrame, order: Mapping[str, Any], how: Order | None = N
 
 
 def short_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Shorten ids by what they share: task, role, and the release if it is the same."""
+    """Shorten ids by what they share: task, role, and the release if it is the same.
+
+    The namespace of another zoo's policies stays.
+    """
     parts = [name.split("/") for name in names]
     short = [
-        part[1] if len(part) in (2, 3) else name for name, part in zip(names, parts, strict=True)
+        _namespace(part[0]) + part[1] if len(part) in (2, 3) else name
+        for name, part in zip(names, parts, strict=True)
     ]
     endings = {name.rpartition("-")[2] for name in short}
     if len(endings) == 1 and len(short) > 1 and endings.pop().startswith("v"):
@@ -113,6 +119,12 @@ def short_names(names: Sequence[str]) -> tuple[str, ...]:
     if len(set(short)) < len(set(names)):
         short = list(names)
     return tuple(name if len(name) <= _LONGEST else f"...{name[3 - _LONGEST :]}" for name in short)
+
+
+def _namespace(text: str) -> str:
+    """Return "lab:" of "lab:scratch"; what stands before the colon of other names is none."""
+    namespace, colon, task = text.rpartition(":")
+    return namespace + colon if task in TASKS else ""
 
 
 def _policies(

@@ -10,7 +10,9 @@ import yaml
 
 from assistax_zoo.main import run
 from population.files import sha256
+from tests.cli.test_zoo_commands import write_run
 from zoo.registry import load_registry
+from zoo.verify import verify
 
 ROOT = Path(__file__).parents[2]
 
@@ -64,6 +66,33 @@ def test_it_names_what_a_lock_pins(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "scratch/half-s0-v0-f4c7b97d" in note and "bed_bath/" not in note
     assert run(["cite", "--lock", str(lock), "--release", "v1"]) == 1
     assert "pins release v0, not v1" in capsys.readouterr().err
+
+
+def test_a_zoo_of_others_is_cited_as_it_asks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ASSISTAX_ZOO_DATA", str(tmp_path / "data"))
+    lab, folder = tmp_path / "lab", str(write_run(tmp_path / "run"))
+    words = ["publish", folder, "--release", "v0", "--to", str(lab)]
+    assert run(words) == 0 and run(["add", str(lab), "--as", "lab"]) == 0
+    capsys.readouterr()
+    assert run(["cite", "--release", "lab:v0", "--json"]) == 0
+    unnamed = json.loads(capsys.readouterr().out)["partners"]
+    assert "names no authors" in unnamed and "author =" not in unnamed
+    names = ["--author", "Curie, Marie", "--author", "Noether, {Emmy}"]
+    names += ["--title", "Partners & More", "--url", "https://lab.example/zoo"]
+    assert run([*words, *names]) == 0 and run([*words, *names]) == 0
+    assert verify(load_registry(lab / "registry.json")).ok
+    assert run(["add", str(lab), "--as", "lab", "--yes"]) == 0
+    capsys.readouterr()
+    entry = cited(capsys, "--release", "lab:v0")["assistax_zoo_lab_v0"]
+    assert entry["author"] == "Curie, Marie and Noether, Emmy"
+    assert (entry["title"], entry["url"]) == (r"Partners \& More", "https://lab.example/zoo")
+    registry = load_registry(lab / "registry.json")
+    assert f"root {registry.root('v0')}" in entry["note"]
+    assert f"registry {sha256(registry.path.read_bytes())}" in entry["note"]
+    assert run([*words, "--url", "lab.example/{zoo}"]) == 1
+    assert "citation" in capsys.readouterr().err
 
 
 def test_an_unknown_release_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
