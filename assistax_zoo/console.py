@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assistax_envs.stdout import stdout_is_data as stdout_is_data
+from zoo.errors import printable
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -43,6 +44,16 @@ def answer(json: bool, content: Any, *lines: str) -> None:
         print_json(content)
     else:
         print("\n".join(lines))
+
+
+def confirm(question: str, changes: Sequence[str], yes: bool) -> bool:
+    """Show changes and return whether the user takes them; only a terminal is asked."""
+    lines = [printable(f"  {change}") for change in changes]
+    print(*lines, sep="\n", file=sys.stderr)
+    if yes or not sys.stdin.isatty():
+        return yes
+    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
 def new_table(title: str) -> "Table":

@@ -115,15 +115,21 @@ class Zoo:
         return f"Zoo({str(self.registry.path)!r}, {len(self.registry.policies)} policies)"
 
 
-def open_zoo(source: "str | Path | Zoo | Registry | None" = None) -> Zoo:
+def open_zoo(
+    source: "str | Path | Zoo | Registry | None" = None, *, accept_changes: bool = False
+) -> Zoo:
     """Open a zoo.
 
     Args:
         source: A folder with a registry.json, that file, https://..., hf://org/name[@revision], or
             another address that fsspec knows, such as s3://bucket/zoo; None is the installed one.
+        accept_changes: Go on where an address has another default split or release than when it
+            was last opened.
 
     Raises:
         RegistryError: There is no registry, or it is of a newer schema.
+        IntegrityError: Its entries are not those of its roots, or what it published before is gone.
+        UpdateError: It changed what its users get by default; the error lists the changes.
         RemoteError: The remote cannot be reached.
 
     Examples:
@@ -137,7 +143,7 @@ def open_zoo(source: "str | Path | Zoo | Registry | None" = None) -> Zoo:
         return Zoo(source)
     if isinstance(source, str) and "://" in source:
         remote = open_remote(source)
-        return Zoo(remote_registry(remote), remote)
+        return Zoo(remote_registry(remote, lambda changes: accept_changes), remote)
     if source is not None and Path(source).is_dir():
         source = Path(source) / "registry.json"
     remote = default_remote()

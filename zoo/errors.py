@@ -150,6 +150,15 @@ class OfflineError(
     """Something that only a remote has, asked for in offline mode."""
 
 
+class UpdateError(
+    ZooError,
+    done="nothing was fetched; the registry of before is kept",
+    next_step="if they are meant, accept them: `assistax-zoo fetch --from REMOTE --yes`, `add` "
+    "with --yes, or open_zoo(..., accept_changes=True)",
+):
+    """Another zoo that changed what its users get by default."""
+
+
 class CacheError(
     ZooError,
     done="nothing was added; complete files are untouched",

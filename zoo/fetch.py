@@ -26,10 +26,11 @@ from zoo.registry import (
     parse_registry,
 )
 from zoo.remotes import Remote, open_remote, read_file
-from zoo.roots import lost_leaves, root_problems
+from zoo.roots import root_problems
 from zoo.schema import PolicyEntry
 from zoo.storage import read_shard
 from zoo.transfer import Item, download
+from zoo.updates import Accept, check_update, take_none
 
 WORKERS = 4  # shards at once
 PARTIAL_SECONDS = 7 * 24 * 3600.0  # after which a partial file is not gone on from, but removed
@@ -113,12 +114,17 @@ def check_local(registry: Registry, entries: Iterable[PolicyEntry]) -> None:
         )
 
 
-def remote_registry(remote: Remote) -> Registry:
+def remote_registry(remote: Remote, accept: Accept = take_none) -> Registry:
     """Return a remote's registry, kept in the cache; in offline mode, the one that was kept.
+
+    Args:
+        remote: Where it is.
+        accept: See `zoo.updates.check_update`.
 
     Raises:
         IntegrityError: It lost or changed something that it published before, or its content is
             not what its roots say.
+        UpdateError: It changed what its users get by default, and nobody accepted that.
         RemoteError: The remote has no registry, or cannot be reached.
         RegistryError: What it has is no registry.
     """
@@ -135,30 +141,14 @@ def remote_registry(remote: Remote) -> Registry:
         text = ""  # refused as any other text that is no registry
     registry = build_registry(parse_registry(text, f"registry.json of {remote.name}"), path)
     if problems := root_problems(registry.data):
-        raise _refusal(remote, "content of its own roots", problems[0], "ask its owner")
+        kept = "nothing was fetched; the registry of before is kept"
+        where, expected = f"registry.json of {remote.name}", "content of its own roots"
+        raise IntegrityError(where, expected, problems[0], "ask its owner", kept)
     if path.is_file():
-        check_history(load_registry(path), registry, remote)
+        check_update(load_registry(path), registry, remote.name, accept)
     with write_errors(path, len(content)):
         atomic_write(path, content)
     return registry
-
-
-def check_history(old: Registry, new: Registry, remote: Remote) -> None:
-    """Check that a remote still has all that it published before.
-
-    Raises:
-        IntegrityError: Its history was rewritten.
-    """
-    if not (lost := lost_leaves(old.data, new.data)):
-        return
-    roots = {release: old.root(release) for release in old.data.releases}
-    told = ", ".join(f"{release} {root[:12]}" for release, root in roots.items())
-    raise _refusal(
-        remote,
-        f"all that it published before (roots {told}): published bytes never change",
-        f"another history: {listing(lost)} gone or changed",
-        f"ask its owner; to believe the new one, delete {old.path}",
-    )
 
 
 def _source(namespace: str, remote: Remote | None) -> Remote | None:
@@ -212,11 +202,6 @@ def _is_here(registry: Registry, shard: str) -> bool:
     with write_errors(path, 0):
         path.unlink(missing_ok=True)
     return False
-
-
-def _refusal(remote: Remote, expected: str, found: str, next_step: str) -> IntegrityError:
-    kept = "nothing was fetched; the registry of before is kept"
-    return IntegrityError(f"registry.json of {remote.name}", expected, found, next_step, kept)
 
 
 def _no_remote(registry: Registry, missing: Sequence[str]) -> RemoteError:

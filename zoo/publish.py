@@ -128,7 +128,7 @@ def publish(
         if old and not fresh and not key and not citation:
             return old
         data = _with_release(base, release, created, fresh, environments or VERSIONS)
-        if old and data == old.data and not key:
+        if old and not fresh and not key and data == old.data:
             return old
         _check_sizes(data, release, fresh)
         data, files = _with_members(data, release, fresh)

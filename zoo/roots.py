@@ -100,7 +100,13 @@ def check_roots(data: RegistryFile, source: str) -> None:
 def lost_leaves(old: RegistryFile, new: RegistryFile) -> list[str]:
     """Return what the old registry published and the new one lacks or has otherwise."""
     lost = []
-    for release in old.releases:
+    for release, record in old.releases.items():
+        versions = new.releases[release].environments if release in new.releases else {}
+        lost += [
+            f"version {version} of {task} in {release}"
+            for task, version in record.environments.items()
+            if versions.get(task) != version
+        ]
         now: Mapping[str, str] = leaves(new, release) if release in new.releases else {}
         lost += [
             name

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+from collections.abc import Callable, Sequence
 from itertools import starmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 from pydantic import ValidationError
 
-from assistax_zoo.console import answer, progress
+from assistax_zoo.console import answer, confirm, progress
 from zoo.ids import release_number
 from zoo.locations import OWN, default_remote, own_registry, set_default_remote
 from zoo.lock import locked_entries, make_lock, read_lock, write_lock
@@ -34,6 +35,7 @@ def fetch(
     release: str | None = None,
     lock: Path | None = None,
     registry: Path | None = None,
+    yes: bool = False,
     json: bool = False,
 ) -> None:
     """Fetch partners from a remote into the cache; what is here already is only verified.
@@ -53,6 +55,7 @@ def fetch(
         lock: Only what this lock file pins.
         registry: Registry that says which bytes; default the remote's with --from, else the
             installed one.
+        yes: Accept another default split or release than the remote had before; else it is asked.
         json: Print JSON.
 
     Example:
@@ -64,7 +67,9 @@ def fetch(
     text = from_ or default_remote()
     remote = open_remote(text) if text else None
     theirs = remote if from_ and not registry else None
-    loaded = remote_registry(theirs) if theirs else load_registry(registry)
+    loaded = (
+        remote_registry(theirs, _accept(theirs.name, yes)) if theirs else load_registry(registry)
+    )
     fields = {"algorithm": algorithm, "disability": disability, "role": role, "release": release}
     entries = loaded.select(pattern, task=task, **fields)
     if lock:
@@ -88,16 +93,18 @@ def add(
     remote: str,
     *,
     as_: Annotated[str, Parameter(name="--as")],
+    yes: bool = False,
     json: bool = False,
 ) -> None:
     """Add another zoo beside the installed one: its policies are then NAME:scratch/... everywhere.
 
-    The same again brings it up to date. Its parameters are fetched as any others:
-    `assistax-zoo fetch 'NAME:*'`.
+    The same again brings it up to date, and shows what changed. Its parameters are fetched as any
+    others: `assistax-zoo fetch 'NAME:*'`.
 
     Args:
         remote: Folder, https://..., hf://org/name or hf://org/name@revision.
         as_: Name, in lower case, that stands before the ids.
+        yes: Accept another default split or release than the zoo had before; else it is asked.
         json: Print JSON.
 
     Example:
@@ -105,7 +112,7 @@ def add(
     """
     from zoo.added import add as add_zoo
 
-    added = add_zoo(remote, as_)
+    added = add_zoo(remote, as_, _accept(remote, yes))
     count = len(added.policies)
     told = f"{count} policies as {as_}:...; next: assistax-zoo fetch '{as_}:*'"
     answer(json, {"name": as_, "policies": count, "registry": added.path}, told)
@@ -240,6 +247,10 @@ def lock(
         told = f"split {pinned.id}" if pinned else "no split: not all its partners are locked"
         lines.append(f"  {name}: {told}")
     answer(json, {"lock": out, **made.model_dump(mode="json")}, *lines)
+
+
+def _accept(remote: str, yes: bool) -> Callable[[Sequence[str]], bool]:
+    return lambda changes: confirm(f"{remote} changed; take it?", changes, yes)
 
 
 def _citation(authors: tuple[str, ...], title: str, url: str) -> Citation | None:

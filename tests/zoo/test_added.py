@@ -1,23 +1,38 @@
 """Another zoo beside one's own: `add`, its ids everywhere, `remove`; and what is fetched when."""
 
 import json
+import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from assistax_zoo.main import run
-from evaluation.studies import choose_partners
+from assistax_zoo.zoos import open_zoo
+from evaluation.studies import choose_partners, in_release
+from population.files import sha256
 from tests.zoo.hub_server import Hub
-from zoo.added import add, remove
-from zoo.errors import IdError, IntegrityError, RemoteError, SplitError, UnknownIdError
-from zoo.fetch import fetch
+from zoo.added import add, added_remote, remove
+from zoo.errors import (
+    IdError,
+    ImmutableError,
+    IntegrityError,
+    RemoteError,
+    SplitError,
+    UnknownIdError,
+    UpdateError,
+)
+from zoo.fetch import fetch, remote_registry
 from zoo.locations import default_remote, set_default_remote
-from zoo.lock import apply_lock, make_lock
+from zoo.lock import apply_lock, make_lock, read_lock
 from zoo.publish import publish
 from zoo.registry import Registry, load_registry
+from zoo.release import create_split
 from zoo.remotes import open_remote
+from zoo.roots import check_grown, with_roots
 from zoo.runs import TrainedTeam
+from zoo.schema import dump_registry
 from zoo.storage import load_stacks
 from zoo.verify import verify
 
@@ -128,7 +143,7 @@ def test_what_was_added_is_followed_but_not_rewritten(
 ) -> None:
     add(str(lab.path.parent), "lab")
     publish_to(teams(("mappo",), seeds=range(1)), lab.path)
-    assert len(add(str(lab.path.parent), "lab").policies) == 7
+    assert len(add(str(lab.path.parent), "lab", take_all).policies) == 7
     lab.path.unlink()
     publish_to([team()], lab.path)
     for path in (cache / "registries").rglob("registry.json"):
@@ -138,6 +153,91 @@ def test_what_was_added_is_followed_but_not_rewritten(
     assert len(load_registry().select("lab:*")) == 7
     with pytest.raises(IdError, match="namespace"):
         add(str(lab.path.parent), "My Lab")
+
+
+def take_all(changes: Sequence[str]) -> bool:
+    return True
+
+
+def one_partner(registry: Registry) -> None:
+    """Give the registry a default split with one partner a side, as its owner may."""
+    teams = [e.team for e in registry.policies if e.role == "human"]
+    sides = {"train": teams[:1], "test": teams[1:2]}
+    create_split(registry.path, task="scratch", rule="custom", default=True, **sides)
+
+
+def test_another_default_split_is_shown_and_asked_for(
+    registry: Registry, lab: Registry, teams, publish_to, tmp_path: Path, monkeypatch, capsys
+) -> None:
+    publish_to(teams(("mappo",)), lab.path)
+    remote = str(lab.path.parent)
+    add(remote, "lab")
+    address = f"file://{remote}"
+    open_zoo(address)
+    before = load_registry().split("scratch", "lab:")
+    one_partner(load_registry(lab.path))
+    told = r"default split of scratch in v0 is .*custom.* \(1 train, 1 test\), was scratch/half"
+    with pytest.raises(UpdateError, match=told):
+        add(remote, "lab")
+    with pytest.raises(UpdateError, match=told):
+        remote_registry(open_remote(remote))
+    with pytest.raises(UpdateError, match=told):
+        open_zoo(address)
+    assert open_zoo(address, accept_changes=True).registry.split("scratch").rule == "custom"
+    for words in (["add", remote, "--as", "lab"], ["fetch", "--from", remote]):
+        assert run(words) == 1
+        assert "(1 train, 1 test)" in capsys.readouterr().err
+    assert load_registry().split("scratch", "lab:") == before
+    asked: list[list[str]] = []
+    add(remote, "lab", lambda changes: not asked.append(list(changes)))
+    assert len(asked) == 1 and load_registry().split("scratch", "lab:").rule == "custom"
+    publish_to(teams(("isac",)), lab.path, "v1")
+    assert run(["add", remote, "--as", "lab", "--yes"]) == 0
+    assert "the default release is v1, was v0" in capsys.readouterr().err
+
+
+def test_a_zoo_that_comes_from_elsewhere_is_asked_for(
+    lab: Registry, tmp_path: Path, monkeypatch
+) -> None:
+    add(str(lab.path.parent), "lab")
+    shutil.copytree(lab.path.parent, tmp_path / "moved")
+    with pytest.raises(UpdateError, match=r"comes from .*moved, not from"):
+        add(str(tmp_path / "moved"), "lab")
+    assert added_remote("lab") == str(lab.path.parent)
+    add(str(tmp_path / "moved"), "lab", take_all)
+    assert added_remote("lab") == str(tmp_path / "moved")
+
+
+def test_another_environment_version_is_another_history(lab: Registry, cache: Path) -> None:
+    remote = str(lab.path.parent)
+    add(remote, "lab")
+    record = lab.data.releases["v0"].model_copy(update={"environments": {"scratch": 7}})
+    forged = with_roots(lab.data.model_copy(update={"releases": {"v0": record}}))
+    lab.path.write_text(dump_registry(forged))
+    with pytest.raises(IntegrityError, match="another history: version 1 of scratch in v0"):
+        add(remote, "lab", take_all)
+    with pytest.raises(ImmutableError, match="version 1 of scratch in v0"):
+        check_grown(lab.data, forged)
+    assert load_registry().data.releases["lab:v0"].environments == {"scratch": 1}
+
+
+def test_their_teams_are_locked_and_cross_played_by_a_glob(
+    lab: Registry, teams, publish_to, tmp_path: Path, capsys
+) -> None:
+    publish_to(teams(("mappo",)), lab.path)
+    publish_to(teams(("isac",)), lab.path, "v1")
+    add(str(lab.path.parent), "lab")
+    out = tmp_path / "lab.lock"
+    assert run(["lock", "lab:*", "--out", str(out)]) == 0
+    lock = read_lock(out)
+    assert lock.release == "lab:v1" and lock.registry == sha256(lab.path.read_bytes())
+    assert lock.splits["scratch"].id.startswith("lab:scratch/half-s0-v1")
+    assert run(["lock", "lab:*", "--release", "lab:v0", "--out", str(out)]) == 0
+    assert read_lock(out).release == "lab:v0"
+    both = load_registry()
+    for release, expected in ((None, "lab:v1"), ("v0", "lab:v0"), ("lab:v0", "lab:v0")):
+        found = in_release(both, "lab:*", release, task="scratch", role="robot")
+        assert {entry.release for entry in found} == {expected}
 
 
 def test_the_default_remote_is_set_once(
