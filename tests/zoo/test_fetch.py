@@ -22,7 +22,7 @@ FILES = "GET /org/zoo/resolve/.*safetensors"
 def get(name: str | Path, pattern: str | None = None, **arguments: Any) -> tuple[Registry, Report]:
     """Fetch as the command does, and return the registry in the cache as well."""
     remote = open_remote(name)
-    registry = remote_registry(remote)
+    registry = remote_registry(remote, lambda changes: True)
     return registry, fetch(registry, registry.select(pattern), remote, **arguments)
 
 
