@@ -30,6 +30,7 @@ from evaluation.summary import Context, CrossPlaySummary, EvaluationSummary, Spl
 from population.ray_blocks import RayCluster
 from zoo.errors import RegistryVersionError, SplitError, listing
 from zoo.ids import EGO
+from zoo.locations import CACHE_VARIABLE
 from zoo.namespaces import split_namespace
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
@@ -115,7 +116,8 @@ def evaluate_policies(
         raise ValueError("no policy given; name at least one, for example --policy zoo:TEAM/robot")
     check_folder(folder)
     if references is not None:
-        check_folder(references, "leave reference egos out with --no-references")
+        advice = f"choose another cache with ${CACHE_VARIABLE}, or leave reference egos out"
+        check_folder(references, f"{advice} with --no-references")
     pairs = None if crossplay is None else _crossplay_pairs(crossplay, settings.task)
     manifest, chosen = choose_partners(registry, settings.task, split, partners)
     egos = _read_egos(registry, policies, settings.task)

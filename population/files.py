@@ -27,7 +27,7 @@ def atomic_path(path: Path) -> Generator[Path]:
     """Lend a hidden sibling of `path` to write; on leaving without an error it becomes `path`.
 
     Raises:
-        OSError: The folder or the file cannot be written; `path` is as it was.
+        OSError: The folder or the file, which it names, cannot be written; `path` is as it was.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.exists() and not path.is_file():
@@ -38,6 +38,10 @@ def atomic_path(path: Path) -> Generator[Path]:
         yield temporary
         _flush(temporary)
         os.replace(temporary, path)
+    except OSError as error:
+        if error.errno and not error.filename:  # as from a full disk
+            error.filename = str(path)
+        raise
     finally:
         temporary.unlink(missing_ok=True)
     with contextlib.suppress(OSError):  # Windows cannot open folders; there is nothing to flush

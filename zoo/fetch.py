@@ -13,6 +13,7 @@ from zoo.locations import (
     cache_root,
     cached_registry,
     cached_shard,
+    check_room,
     shard_root,
     write_errors,
 )
@@ -71,7 +72,7 @@ def fetch(
     Raises:
         RemoteError: Shards are missing and the remote does not have them, or there is no remote.
         IntegrityError: The remote's bytes are not those of the registry.
-        CacheError: The cache cannot take them.
+        CacheError: The cache cannot take them, or has no room for as many bytes as they say.
     """
     began = time.perf_counter()
     policies: dict[str, list[PolicyEntry]] = {}
@@ -170,6 +171,7 @@ def _fetch_part(
     if remote is None:
         raise _no_remote(registry, missing)
     source, sizes = remote, {shard: registry.data.shards[shard].bytes for shard in missing}
+    check_room(cache_root(), sum(sizes.values()))
     advance, lock = on_total(sum(sizes.values())), threading.Lock()
 
     def count(number: int) -> None:

@@ -115,17 +115,37 @@ def set_default_remote(remote: str | None) -> None:
 @contextmanager
 def write_errors(path: Path, size: int) -> Generator[None]:
     """Turn an OSError while the cache or the data folder is written into a `CacheError`."""
+    own = path.is_relative_to(data_root())
+    what, variable = ("data folder", DATA_VARIABLE) if own else ("cache", CACHE_VARIABLE)
     try:
         yield
     except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
         raise CacheError(
-            f"cache {path.parent}",
+            f"{what} {path.parent}",
             f"room for {size} bytes" if full else "a folder that can be written",
             f"{error.strerror or error}{_room(path) if full else ''}",
             f"{'free some space' if full else 'allow writing'}, or choose another folder with "
-            f"${CACHE_VARIABLE}",
+            f"${variable}",
         ) from None
+
+
+def check_room(folder: Path, size: int) -> None:
+    """Check that a folder's disk has room for so many bytes, before anything is reserved for them.
+
+    Raises:
+        CacheError: It has not.
+    """
+    present = next(path for path in (folder, *folder.absolute().parents) if path.is_dir())
+    free = shutil.disk_usage(present).free
+    if size > free:
+        raise CacheError(
+            f"cache {folder}",
+            f"room for {size} bytes",
+            f"{free} bytes free",
+            f"fetch fewer policies, free some space, or choose another folder with "
+            f"${CACHE_VARIABLE}",
+        )
 
 
 def _settings() -> dict[str, str]:

@@ -37,6 +37,19 @@ def test_what_a_killed_writer_left_is_removed_once_it_is_old(tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == [target] and target.read_bytes() == b"whole"
 
 
+def test_a_disk_that_is_full_names_the_file(tmp_path: Path) -> None:
+    code = (
+        "import resource, sys; from pathlib import Path\n"
+        "from population.files import atomic_write\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (8, 8))\n"
+        "atomic_write(Path(sys.argv[1]), b'more than eight bytes')"
+    )
+    words = [sys.executable, "-c", code, str(tmp_path / "figures.json")]
+    done = subprocess.run(words, timeout=60, capture_output=True, text=True)
+    assert done.stderr.strip().endswith(f"File too large: '{tmp_path / 'figures.json'}'")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_device_is_not_replaced() -> None:
     with pytest.raises(OSError, match="no regular file"):
         atomic_write(Path(os.devnull), b"")

@@ -1,6 +1,7 @@
 """What can go wrong between a remote and the cache: nothing half-written, and clear errors."""
 
 import contextlib
+import dataclasses
 import os
 import resource
 import signal
@@ -236,6 +237,23 @@ def test_a_full_disk(bare: Registry, cache: Path, hub: Hub) -> None:
     with mounted(cache, "size=256k"):
         refused(bare, cache, CacheError, "room for", "bytes free", "free some space")
         assert leftovers(cache, "*") == []
+
+
+@pytest.mark.parametrize("size", [10**15, 10**400])
+def test_a_shard_that_says_it_is_huge(bare: Registry, cache: Path, hub: Hub, size: int) -> None:
+    shards = {
+        path: shard.model_copy(update={"bytes": size}) for path, shard in bare.data.shards.items()
+    }
+    data = bare.data.model_copy(update={"shards": shards})
+    totals: list[int] = []
+    with pytest.raises(CacheError, match=f"room for {2 * size} bytes, found .* bytes free"):
+        fetch(
+            dataclasses.replace(bare, data=data),
+            bare.policies,
+            open_remote("hf://org/zoo"),
+            on_total=lambda total: totals.append(total) or (lambda count: None),
+        )
+    assert totals == [] and hub.count(SHARDS) == 0 and not leftovers(cache, "*")
 
 
 def test_a_file_that_may_not_grow(bare: Registry, cache: Path) -> None:
