@@ -298,6 +298,8 @@ def test_names_are_shortened_by_what_they_share_and_stay_apart():
     assert short_names(same) == ("ippo-d1-s0", "ippo-d1-s1")
     releases = ["scratch/ippo-d1-s0-v0/robot", "scratch/ippo-d1-s0-v1/robot"]
     assert short_names(releases) == ("ippo-d1-s0-v0", "ippo-d1-s0-v1")
+    both = ["lab:scratch/ippo-d1-s0-v0/robot", "scratch/ippo-d1-s0-v0/robot"]
+    assert short_names(both) == ("lab:ippo-d1-s0", "ippo-d1-s0")
     assert short_names(["a/x/robot", "b/x/robot"]) == ("a/x/robot", "b/x/robot")
     (long,) = short_names(["python:some.package.of.mine:make_robot"])
     assert long == "...kage.of.mine:make_robot"

@@ -1,8 +1,16 @@
 """Which policies a cross-play takes, on the published registry."""
 
+from pathlib import Path
+
 import pytest
 
-from evaluation.studies import check_env_version, choose_partners, in_release
+from evaluation.studies import (
+    Settings,
+    check_env_version,
+    choose_partners,
+    evaluate_policies,
+    in_release,
+)
 from zoo.errors import RegistryVersionError, UnknownIdError
 from zoo.registry import load_registry
 
@@ -32,6 +40,13 @@ def test_egos_join_a_cross_play_only_where_they_are_meant() -> None:
     assert len(robots("scratch/*")) == 198 and ego not in robots("scratch/*")
     assert robots("scratch/*-ego-*") == robots(ego) == robots("scratch/ppo-*") == {ego}
     assert robots(["scratch/ippo-d1-s0-v1/robot", ego]) == {"scratch/ippo-d1-s0-v1/robot", ego}
+
+
+def test_a_cache_that_cannot_be_written_is_named_with_its_variable(tmp_path: Path) -> None:
+    (tmp_path / "cache").write_text("a file")
+    settings, kept = Settings("scratch", 1), tmp_path / "cache" / "references"
+    with pytest.raises(OSError, match=r"cannot write to .*references .*\$ASSISTAX_ZOO_CACHE"):
+        evaluate_policies(load_registry(), ["zero"], settings, tmp_path / "out", references=kept)
 
 
 def test_policies_of_another_environment_version_are_refused_with_the_releases_that_fit() -> None:
