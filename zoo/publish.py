@@ -118,8 +118,7 @@ def publish(
     path = Path(registry_path)
     writable_registry(path)
     check_name("release", release)
-    fields = {"description": description, "citation": citation}
-    created = Release(date=_day(date), environments={}, **fields)
+    created = Release(date=_day(date), description=description, environments={}, citation=citation)
     candidates = [_candidate(team, release, check) for team in teams]
     with exclusive(path):
         old = load_registry(path) if path.exists() else None

@@ -228,7 +228,7 @@ def test_bad_splits_are_refused(zoo: Path, capsys) -> None:
     with pytest.raises(SystemExit, match="1"):
         run(["split", "verify"])
     assert "expected sha256" in capsys.readouterr().out
-    assert "expected sha256" in refusal(capsys, "split", "show", "scratch")
+    assert "expected releases with the roots" in refusal(capsys, "split", "show", "scratch")
 
 
 def test_a_registry_that_is_not_there_gives_one_line(tmp_path: Path, capsys) -> None:

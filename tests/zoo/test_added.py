@@ -189,7 +189,12 @@ def test_another_default_split_is_shown_and_asked_for(
         assert "(1 train, 1 test)" in capsys.readouterr().err
     assert load_registry().split("scratch", "lab:") == before
     asked: list[list[str]] = []
-    add(remote, "lab", lambda changes: not asked.append(list(changes)))
+
+    def take(changes: Sequence[str]) -> bool:
+        asked.append(list(changes))
+        return True
+
+    add(remote, "lab", take)
     assert len(asked) == 1 and load_registry().split("scratch", "lab:").rule == "custom"
     publish_to(teams(("isac",)), lab.path, "v1")
     assert run(["add", remote, "--as", "lab", "--yes"]) == 0

@@ -112,14 +112,14 @@ def test_a_copy_of_an_official_registry_is_read_only_too(
     attempts = [
         lambda: create_split(copy, **SMALL),
         lambda: publish_to(teams(("mappo",)), copy, "v1"),
-        lambda: complete_release(copy, "v0"),
         lambda: save_registry(load_registry(copy).data, copy),
     ]
     before = copy.read_bytes()
-    for attempt in attempts[:2] + attempts[3:]:
+    for attempt in attempts:
         with pytest.raises(PublishError, match="found releases of this project"):
             attempt()
-    assert attempts[2]().data == official.data and copy.read_bytes() == before
+    assert complete_release(copy, "v0").data == official.data  # whole already: nothing to write
+    assert copy.read_bytes() == before
     assert (
         run(["split", "create", "--task", "scratch", "--registry", str(copy), "--seed", "1"]) == 1
     )
