@@ -47,15 +47,28 @@ CHANGES: dict[str, Callable[[dict[str, Any]], object]] = {
 
 
 @pytest.mark.parametrize("what", CHANGES)
-def test_a_changed_entry_no_longer_passes_verify(registry: Registry, what: str, capsys) -> None:
+def test_a_changed_entry_no_longer_passes_verify(
+    registry: Registry, what: str, tmp_path: Path, capsys
+) -> None:
     root = registry.root("v0")
     assert registry.data.releases["v0"].root == root and verify(registry).ok
     changed = replant(registry, CHANGES[what])
     assert (changed.root("v0") != root) == (what != "no root")
     assert any("expected root" in problem for problem in verify(changed).problems)
-    for command in ("list", "show"):
-        words = [command, *([TEAM] if command == "show" else []), "--registry", str(registry.path)]
-        assert run(words) == 1 and "expected root" in capsys.readouterr().err
+    out, task = ["--out", str(tmp_path / "out")], ["--task", "scratch"]
+    for words in (
+        ["list"],
+        ["show", TEAM],
+        ["evaluate", *task, "--policy", "zero", *out],
+        ["crossplay", *task, *out],
+        ["lock", *out],
+        ["export", f"{TEAM}/robot", "--format", "safetensors", *out],
+        ["split", "create", *task, "--seed", "1"],
+        ["cite"],
+    ):
+        assert run([*words, "--registry", str(registry.path)]) == 1
+        assert "expected root" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_verify_that_believes_the_recorded_root_would_be_caught(
