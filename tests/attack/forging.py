@@ -293,7 +293,7 @@ def other_processor_column(forger: Forger) -> None:
     """Claim another processor, and change a column beside the return."""
     forger.manifest["made_with"] = forger.rng.choice(({}, None, [], {"versions": 7}))
     name = forger.rng.choice(("force_mean", "distance_mean", "robot_travel", "success"))
-    column = pl.lit(value=True) if name == "success" else pl.col(name) * 1.3
+    column = pl.lit(value=False) if name == "success" else pl.col(name) * 1.3
     forger.table = forger.table.with_columns(column.cast(forger.table.schema[name]).alias(name))
     forger.close()
 

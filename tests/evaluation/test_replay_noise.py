@@ -73,6 +73,7 @@ def test_what_processors_do_passes(found: pl.DataFrame) -> None:
     [
         (pl.col("ego") == "robot0", 1.05),
         (pl.col("ego") == "robot0", 0.95),
+        (pl.col("ego") == "robot0", 1.0001),  # all to one side
         (pl.col("episode") < 5, 1.08),  # of most episodes
         (pl.col("episode") < 3, 1.3),  # of some, by much
         (pl.col("partner") == "human3", 1.25),
