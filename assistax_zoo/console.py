@@ -65,16 +65,6 @@ def confirm(question: str, changes: Sequence[str], yes: bool) -> bool:
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
-def confirm(question: str, changes: Sequence[str], yes: bool) -> bool:
-    """Show changes and return whether the user takes them; only a terminal is asked."""
-    lines = [printable(f"  {change}") for change in changes]
-    print(*lines, sep="\n", file=sys.stderr)
-    if yes or not sys.stdin.isatty():
-        return yes
-    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
-    return sys.stdin.readline().strip().lower() in ("y", "yes")
-
-
 def new_table(title: str) -> "Table":
     """Return an empty table that fits 80 columns."""
     from rich import box

@@ -10,9 +10,8 @@ from evaluation.bootstrap import (
     RESAMPLES,
     Estimate,
     Interval,
-    cluster_counts,
+    crossed_counts,
     estimate,
-    generalises_to,
     interval,
 )
 from evaluation.metrics import (
@@ -116,10 +115,10 @@ def _standing(
 def worst_tenth(scores: np.ndarray, *, resamples: int = RESAMPLES, seed: int = 0) -> Interval:
     """Return that one partner in ten does not exceed: the 10% quantile over P of scores [S, P]."""
     seeds, partners = scores.shape
-    seed_counts, partner_counts = cluster_counts((seeds, partners), resamples, seed)
-    replicates = _lower_quantile(seed_counts @ scores / seeds, partner_counts)
+    counts = crossed_counts((seeds, partners), False, resamples, seed)
+    replicates = _lower_quantile(counts.seeds @ scores / seeds, counts.partners)
     point = _lower_quantile(scores.mean(axis=0)[None], np.ones((1, partners), int))
-    to = generalises_to((seeds, partners))
+    to = counts.generalises_to
     return Interval(float(point[0]), interval(replicates, to), seeds * partners, to)
 
 

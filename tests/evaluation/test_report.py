@@ -28,7 +28,7 @@ from tests.system import CHROMIUM, needs
 ROOT = Path(__file__).parents[2]
 HOSTILE = "python:my</script><script>alert(1)</script>&amp;:f"
 COMMAND = "assistax-zoo crossplay --task scratch --seed 7 --out 'x & <y>'"
-IDENTITY = {"task": "scratch", "seed": 5, "apart": False, "egos": [], "partners": []}
+IDENTITY = {"task": "scratch", "seed": 5, "apart": True, "egos": [], "partners": []}
 
 
 @pytest.fixture(scope="module")
@@ -326,7 +326,7 @@ def test_a_film_is_of_the_episode_that_the_manifest_names(crossplay: Path, tmp_p
     assert sorted(found["wishes"]) == sorted(set(table["partner"]))
     assert {found["wishes"][f"{team_id(('ippo', 'd1', 0))}/human"]} == {"p3"}
     assert set(found["wishes"].values()) == {"p3", "p5"}
-    write_manifest(folder, {"identity": {**IDENTITY, "apart": True}})
+    write_manifest(folder, {"identity": {**IDENTITY, "apart": False}})
     seal(folder)
     assert film_of(page_of(folder, tmp_path)) is None
     assert "nothing of it was checked" not in page_of(folder, tmp_path)
