@@ -91,6 +91,37 @@ DEFECTS = {
         "",
         "tests/evaluation/test_tables.py::test_a_small_file_that_claims_gigabytes_is_refused",
     ),
+    "paths are patterns": Defect(
+        "population/parquet.py",
+        r"pl\.read_parquet\(path\.absolute\(\), glob=False\)",
+        "pl.read_parquet(path)",
+        "tests/evaluation/test_folder_names.py::test_a_result_is_that_of_its_folder",
+    ),
+    "an official registry can be written": Defect(
+        "zoo/official.py",
+        r"_recorded_roots\(shipped_registry\(\)\)",
+        "frozenset()",
+        "tests/zoo/test_own.py::test_an_own_split_leaves_the_official_registry_and_its_root",
+    ),
+    "nobody reads what an ego was trained against": Defect(
+        "zoo/met.py",
+        r"against = robot\.trained_against",
+        "against = None",
+        "tests/evaluation/test_met_partners.py::test_m_test_leaves_out_whom_an_ego_was_trained_with",
+    ),
+    "replay believes the figures of a folder": Defect(
+        "evaluation/rederive.py",
+        r"    with tempfile\.TemporaryDirectory\(\) as name:\n",
+        "    return []\n    with tempfile.TemporaryDirectory() as name:\n",
+        "tests/evaluation/test_provenance.py::test_every_figure_is_drawn_again",
+    ),
+    "starts that all partners share are not resampled": Defect(
+        "evaluation/tables.py",
+        r"return self\.keys is not None and len\(self\.keys\) > 1",
+        "return False",
+        "tests/evaluation/test_summary.py"
+        "::test_starts_of_each_partners_own_are_in_the_interval_without_being_resampled",
+    ),
 }
 
 
