@@ -9,13 +9,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 
 from assistax_zoo.main import run
 from evaluation import provenance, sources
+from evaluation.replay import replay_folder
 from evaluation.sources import check_sources
 from evaluation.studies import Settings, cross_play, evaluate_policies
-from evaluation.tables import EPISODES_FILE, read_episodes
+from evaluation.tables import (
+    BOUNDS_FILE,
+    EPISODES_FILE,
+    PAIRS_FILE,
+    read_episodes,
+    read_parquet,
+    write_parquet,
+)
 from tests.attack.commands import ROBOT, small_zoo
 from tests.population.toy_env import ToyEnv, match
 from tests.untrained import params_of
@@ -225,6 +234,32 @@ def test_the_registry_is_the_one_that_is_given(home: Path, tmp_path: Path) -> No
     other.shard_path(other.policies[0].shard).unlink()
     report = check_sources(home / "out", other.path)
     assert not report.problems and "parameters, in" in report.absent[0]
+
+
+def test_a_folder_of_code_files_and_a_cross_play_is_replayed_with_them(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its best responses rest on the cross-play, which is checked as well."""
+    monkeypatch.setattr("assistax_envs.make", toy)
+    monkeypatch.setattr("evaluation.references.SCRIPTS", {})
+    registry = load_registry(home / "zoo" / "registry.json")
+    bounds = read_parquet(home / "out" / BOUNDS_FILE)
+    assert "cross-play" in bounds["source"].to_list()
+    with pytest.raises(ValueError, match="is code, and the folder names it"):
+        replay_folder(home / "out", registry)
+    with pytest.raises(ValueError, match="give its folder as well"):
+        replay_folder(home / "out", registry, run_code=True)
+    given: dict[str, Any] = {"run_code": True, "crossplay": home / "crossplay"}
+    report = replay_folder(home / "out", registry, **given)
+    assert report.ok and report.exact and not report.unchecked, report
+    path = home / "crossplay" / PAIRS_FILE
+    whole, manifest = path.read_bytes(), (home / "crossplay" / "manifest.json").read_bytes()
+    write_parquet(read_parquet(path).with_columns(pl.col("return") + 1), path)
+    provenance.seal(home / "crossplay")
+    report = replay_folder(home / "out", registry, **given)
+    assert not report.ok and "pairs.parquet is not what its episodes give" in report.problems[0]
+    path.write_bytes(whole)
+    (home / "crossplay" / "manifest.json").write_bytes(manifest)
 
 
 SETTINGS = Settings("scratch", 1, backend="native")
