@@ -13,11 +13,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import polars as pl
 from cyclopts import App
 
 from evaluation.replay_noise import FILE, measure_noise
 from population.files import atomic_write
+from population.parquet import read_parquet
 
 OTHER = "--xla_cpu_max_isa=AVX"  # an x86 without fused multiply-adds and with half the vectors
 
@@ -94,7 +94,7 @@ def _measure(task: str, backend: str, teams: int) -> dict[str, dict[str, Any]]:
             out = Path(folder, f"{place}.parquet")
             words = [sys.executable, "-m", "tools.replay_noise", "play", task, backend, str(teams)]
             subprocess.run([*words, str(out)], env={**os.environ, "XLA_FLAGS": flags}, check=True)
-            tables.append(pl.read_parquet(out))
+            tables.append(read_parquet(out))
         return measure_noise(*tables)
 
 
