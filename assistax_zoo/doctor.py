@@ -197,7 +197,7 @@ def _registry() -> Iterator[Finding]:
 def _added() -> Iterator[Finding]:
     for namespace, path in added_registries().items():
         try:
-            source = printable(added_remote(namespace))
+            source = printable(added_remote(namespace) or "no recorded address")
             yield from _roots("added", f"{namespace} of {source}", load_registry(path))
         except (ZooError, OSError, ValueError) as error:
             text = f"{namespace}: {printable(str(error))}; add it again, or: assistax-zoo remove"
