@@ -16,7 +16,6 @@ from evaluation.runner import play
 from evaluation.tables import dense_block
 
 REPETITIONS = 2000  # of drawn partners and starts
-RESAMPLES = 500  # of each interval: enough, since shares of intervals are averaged
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,7 +101,7 @@ def _drawn(blocks: np.ndarray) -> Iterator[np.ndarray]:
 
 
 def _estimate(returns: np.ndarray, resampled: bool) -> Estimate:
-    return estimate(returns, common_starts=resampled, resamples=RESAMPLES)
+    return estimate(returns, common_starts=resampled)
 
 
 def _holds(figure: Estimate, truth: float) -> bool:
