@@ -23,6 +23,7 @@ from typing import Any
 
 import uvicorn
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from assistax_zoo.service import tokens
 from assistax_zoo.service.artefacts import Artefacts
@@ -39,6 +40,7 @@ SETTLED_SECONDS = 120.0  # until references are queued
 STOP_SECONDS = 20  # for requests and jobs that are under way
 SILENT_SECONDS = 10.0  # a connection may say nothing, or half a request
 TAKING_LOOKS = 30  # times that long, a client may take for an answer
+CLOSE_SECONDS = 10.0  # for a live client to take the last message
 PARENT_VARIABLE = "ASSISTAX_ZOO_PARENT"  # a local worker ends when this process is gone
 
 
@@ -134,7 +136,7 @@ def config_of(app: Any, host: str, port: int) -> uvicorn.Config:
         timeout_graceful_shutdown=STOP_SECONDS,
         limit_concurrency=1000,
         http=_Impatient,
-        ws="websockets-sansio",  # the one of uvicorn's implementations that is not deprecated
+        ws=_Brief,
         ws_max_size=4 * 1024 * 1024,
         server_header=False,
     )
@@ -157,6 +159,16 @@ class _Impatient(AutoHTTPProtocol):  # ty: ignore[unsupported-base]
             self.transport.abort()
         else:
             self.loop.call_later(SILENT_SECONDS, self._look, self.cycle, looks)
+
+
+class _Brief(WebSocketsSansIOProtocol):
+    """Hangs up when a conversation is over: a peer that takes nothing would keep it for ever."""
+
+    async def run_asgi(self) -> None:
+        try:
+            await super().run_asgi()
+        finally:
+            self.loop.call_later(CLOSE_SECONDS, self.transport.abort)
 
 
 class _Server(uvicorn.Server):

@@ -20,7 +20,7 @@ from assistax_zoo.service.catalogue import (
 )
 from assistax_zoo.service.clock import Clock, system_clock
 from assistax_zoo.service.database import Database
-from assistax_zoo.service.live.rooms import GONE_SECONDS, Rooms
+from assistax_zoo.service.live.rooms import GONE_SECONDS, LIFE_SECONDS, Rooms
 from assistax_zoo.service.problems import Problem
 from assistax_zoo.service.queries import Queries
 from assistax_zoo.service.receipts import Signer
@@ -179,12 +179,14 @@ class Service:
     def _end_absent(self, rooms: Rooms) -> None:
         """End live submissions whose clients have not come for too long."""
         s = t.submissions.c
-        query = sa.select(s.id).where(s.kind == "live", s.state.not_in(FINAL_STATES))
+        columns = s.id, s.created_at
+        query = sa.select(*columns).where(s.kind == "live", s.state.not_in(FINAL_STATES))
         with self.database.read() as connection:
-            waiting = connection.execute(query).scalars().all()
-        for submission in waiting:
-            if rooms.away_for(submission) > GONE_SECONDS:
-                self._fail(submission, "client_gone")
+            waiting = connection.execute(query).all()
+        for row in waiting:
+            is_old = self.clock() - row.created_at > LIFE_SECONDS
+            if is_old or rooms.away_for(row.id) > GONE_SECONDS:
+                self._fail(row.id, "client_gone")
 
     def _fail(self, submission: str, reason: str) -> None:
         with self.database.write() as connection:

@@ -18,6 +18,7 @@ MAX_BODY = MAX_BYTES + 64 * 1024  # a file and the fields of a form
 BODY_SECONDS = 120.0  # for a whole body to arrive: a client may be slow, but not for ever
 
 READ, SUBMIT, SIGN_IN = parse("1200/minute"), parse("60/hour"), parse("30/minute")
+UPGRADE = parse("120/minute")  # live connections: a client that lost one tries once a second
 
 
 class Limiter:
