@@ -30,6 +30,7 @@ from assistax_zoo.service.artefacts import Artefacts
 from assistax_zoo.service.catalogue import ZooCatalogue
 from assistax_zoo.service.commands import BACKEND, TOKEN_VARIABLE
 from assistax_zoo.service.database import Database
+from assistax_zoo.service.limited import stop_limited
 from assistax_zoo.service.receipts import load_signer
 from assistax_zoo.service.service import Service
 
@@ -184,6 +185,7 @@ class _Server(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         await asyncio.to_thread(self._stop_workers)
+        stop_limited()
         await super().shutdown(sockets)
 
 

@@ -50,6 +50,8 @@ class Service:
     def submit(self, submitter: str, draft: Draft) -> str:
         """Take a submission in and return its id; `submitter` is an id."""
         submissions.check_draft(draft, self.catalogue)
+        if known := submissions.known(self.database, submitter, draft.request):
+            return known
         draft = submissions.admitted(self.admit, draft)
         args = self.database, self.artefacts, self.catalogue, submitter, draft
         return submissions.submit(*args, self.clock())

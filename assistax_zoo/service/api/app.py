@@ -6,6 +6,7 @@ from typing import Any
 from fastapi import FastAPI
 
 from assistax_zoo.service.api import operations, public, submitting, working
+from assistax_zoo.service.api.desk import Desk
 from assistax_zoo.service.api.errors import add_error_handlers
 from assistax_zoo.service.api.guards import BodyLimit, Limiter
 from assistax_zoo.service.live.routes import add_live
@@ -17,7 +18,7 @@ DESCRIPTION = "Submit a robot, and be scored on partners that nobody has."
 def create_app(service: Service, **pages: Any) -> FastAPI:
     """Return the application that serves the API and the pages; `pages` go to `add_pages`."""
     app = FastAPI(title="assistax-zoo", description=DESCRIPTION, docs_url=None, redoc_url=None)
-    app.state.service, app.state.limiter = service, Limiter()
+    app.state.service, app.state.limiter, app.state.desk = service, Limiter(), Desk()
     for module in (public, submitting, working, operations):
         app.include_router(module.router)
     add_live(app)

@@ -7,6 +7,7 @@ in, so no other site can act for its owner; the form itself is answered only to 
 from typing import Annotated, Any
 
 from fastapi import APIRouter, File, Form, Request
+from starlette.concurrency import run_in_threadpool
 from starlette.responses import RedirectResponse, Response
 
 from assistax_zoo.service.api.guards import sign_in
@@ -30,7 +31,7 @@ def submit_router(site: Site) -> APIRouter:
         return site.form(request, "submit.html", **form_values(site, chosen))
 
     @router.post("/submit")
-    def submit(
+    async def submit(
         request: Request,
         request_id: Field = "",
         account_token: Field = "",
@@ -44,18 +45,24 @@ def submit_router(site: Site) -> APIRouter:
         if not site.tokens.accepts(request, form_token):
             return site.fresh("error.html", request.url.path, 403, message=security.NOT_OURS)
         try:
-            owner = sign_in(request, account_token.strip(), "submit")
+            owner = await run_in_threadpool(sign_in, request, account_token.strip(), "submit")
             if not file:
                 raise Problem("invalid", "choose a file that is not empty")
             draft = Draft(task, method.strip(), request_id, licence, season or None, data=file)
-            found = hand_in(request, owner, draft)
+            with request.app.state.desk.place(str(owner.submitter)):
+                found = await hand_in(request, owner, draft)
         except Problem as problem:
             given = {"task": task, "method": method, "licence": licence, "season": season}
-            values = form_values(site, given, "Nothing was handed in: " + problem.message)
-            return site.form(request, "submit.html", CODES[problem.code], **values)
+            return await run_in_threadpool(come_back, site, request, given, problem)
         return RedirectResponse(f"/submissions/{found.id}", 303)
 
     return router
+
+
+def come_back(site: Site, request: Request, given: dict[str, str], problem: Problem) -> Response:
+    """Answer with the form as it was filled in, and why nothing was handed in."""
+    values = form_values(site, given, "Nothing was handed in: " + problem.message)
+    return site.form(request, "submit.html", CODES[problem.code], **values)
 
 
 def form_values(site: Site, given: dict[str, str], message: str = "") -> dict[str, Any]:
