@@ -9,6 +9,7 @@ import numpy as np
 
 from assistax_zoo.service.limited import BusyError, DiedError, OverBudgetError, run_limited
 from assistax_zoo.service.problems import Problem, Refusal
+from assistax_zoo.service.robot_cost import MOST, nanoseconds
 from assistax_zoo.service.submissions import MAX_BYTES
 
 SAFETENSORS, ONNX = "safetensors", "onnx"
@@ -74,6 +75,7 @@ class Admission:
             robot = Robot(ONNX, spec, params)
         else:
             raise Refusal("unknown_format")
+        _check_cost(robot)
         _check_finite(robot)
         return robot
 
@@ -144,6 +146,13 @@ def _read_safetensors(data: bytes, observation_size: int, action_size: int) -> R
     except (ZooError, ValueError, TypeError) as error:
         raise Refusal("wrong_parameters", str(error)[:300]) from None
     return Robot(SAFETENSORS, spec, params)
+
+
+def _check_cost(robot: Robot) -> None:
+    """Refuse what a worker would play for hours, or need gigabytes for."""
+    cost = nanoseconds(make_policy(robot.spec), robot.params, robot.spec.observation_size)
+    if cost > MOST:
+        raise Refusal("too_slow", f"{cost:.3g} of {MOST:.3g} nanoseconds for an observation")
 
 
 def _check_finite(robot: Robot) -> None:

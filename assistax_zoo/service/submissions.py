@@ -145,7 +145,8 @@ def refuse(database: Database, connection: sa.Connection, id: str, code: str, no
     if row is None or row.state in FINAL_STATES:
         return
     if row.season is not None and _met_hidden(connection, id):
-        end(database, connection, row, "failed", "broke_down", "spent", now)
+        reason = code if code == "too_slow" else "broke_down"
+        end(database, connection, row, "failed", reason, "spent", now)
     else:
         end(database, connection, row, "refused", code, "refunded", now)
 
