@@ -147,3 +147,39 @@ def test_the_server_imports_nothing_heavy() -> None:
     from tests.test_layers import heavy_imports
 
     assert heavy_imports("assistax_zoo.service.api.app", "assistax_zoo.service.worker") == []
+
+
+@pytest.mark.parametrize("path", ["/api/work/lease", "/api/work/x/refused"])
+def test_who_asks_comes_before_what_is_asked(http: TestClient, path: str) -> None:
+    """Nothing of a body is parsed for somebody without a token."""
+    answer = http.post(path, content=b"[" * 1000, headers={"X-Lease": "x"})
+    assert (answer.status_code, answer.json()["error"]["code"]) == (401, "not_signed_in")
+
+
+@pytest.mark.parametrize(
+    ("path", "most"),
+    [
+        ("/api/work/lease", 64 * 1024),
+        ("/api/work/x/refused", 64 * 1024),
+        (f"/pairs/{TASK}/a/b", 64 * 1024),
+        ("/api/nothing", 64 * 1024),
+        ("/api/work/x/result", 4 * 1024 * 1024 + 64 * 1024),
+        ("/api/submissions", MAX_BODY),
+        ("/submit", MAX_BODY),
+    ],
+)
+def test_a_body_is_as_large_as_its_route_needs(http: TestClient, path: str, most: int) -> None:
+    answers = [
+        http.post(path, content=bytes(8), headers={"Content-Length": str(size)}).status_code
+        for size in (most, most + 1)
+    ]
+    assert answers[0] != 413 and answers[1] == 413
+
+
+def test_a_wrong_body_is_told_by_its_field(service: Service, http: TestClient) -> None:
+    headers = {"Authorization": f"Bearer {service.create_token(('work',))}"}
+    answer = http.post("/api/work/lease", json={"worker": "", "versions": []}, headers=headers)
+    assert answer.status_code == 422
+    assert answer.json()["error"]["message"].startswith("body.worker:")
+    schema = http.get("/openapi.json").json()["paths"]["/api/work/lease"]["post"]["requestBody"]
+    assert "worker" in schema["content"]["application/json"]["schema"]["properties"]

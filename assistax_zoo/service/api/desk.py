@@ -11,6 +11,7 @@ from assistax_zoo.service.problems import Problem
 
 AT_ONCE = 2  # files that are looked at
 WAITING = 16  # files that are looked at or wait for it
+FORMS = 4  # forms with files that arrive, whoever sends them
 OF_OWNER = 4  # requests of one lab, those whose bodies still arrive too
 
 
@@ -20,7 +21,22 @@ class Desk:
     def __init__(self) -> None:
         self._threads = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="desk")
         self._owners: Counter[str] = Counter()
-        self._waiting = 0
+        self._waiting = self._forms = 0
+
+    @contextlib.contextmanager
+    def form(self) -> Generator[None]:
+        """Keep a place for a form whose sender is not known before it was read.
+
+        Raises:
+            Problem: Too many arrive now.
+        """
+        if self._forms >= FORMS:
+            raise Problem("unavailable", "many forms are being sent; try again soon")
+        self._forms += 1
+        try:
+            yield
+        finally:
+            self._forms -= 1
 
     @contextlib.contextmanager
     def place(self, owner: str) -> Generator[None]:
