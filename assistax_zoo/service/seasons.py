@@ -236,9 +236,10 @@ def _stratify(entries: Sequence["PolicyEntry"]) -> list[str]:
 
 
 def _play_b(connection: sa.Connection, season: Any, submission: Any, now: float) -> None:
-    s = t.scores.c
-    newest = sa.select(s.version).where(s.submission == submission.id, s.panel == "A")
-    version = connection.execute(newest.order_by(s.created_at.desc()).limit(1)).scalar_one()
+    # The version that it was planned under last: after an upgrade no worker plays another.
+    j = t.jobs.c
+    newest = sa.select(j.version).where(j.submission == submission.id)
+    version = connection.execute(newest.order_by(j.created_at.desc()).limit(1)).scalar_one()
     chunks = submissions.count_chunks(season.panel_sizes["B"])
     jobs.add_jobs(connection, submission.id, version, "B", chunks, turn=0, now=now)
 

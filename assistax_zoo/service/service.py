@@ -279,8 +279,13 @@ def adopt_version(service: Service) -> int:
 
     Unfinished jobs of older versions are dropped, since no worker of today can do them. Scores of
     older versions stay.
+
+    Raises:
+        Problem: A season is closing under another version; nothing was changed.
     """
     now, s, changed = service.clock(), t.submissions.c, 0
+    for task in service.catalogue.tasks:
+        _check_closing(service, task)
     for task in service.catalogue.tasks:
         version = version_id(service.catalogue.identity(task))
         with service.database.write() as connection:
@@ -298,6 +303,34 @@ def adopt_version(service: Service) -> int:
                 submissions.plan_jobs(connection, service.catalogue, row, season, now)
                 changed += 1
     return changed
+
+
+def _check_closing(service: Service, task: str) -> None:
+    """Refuse another version while panel B of a season is played: it is played once, by one."""
+    identity = service.catalogue.identity(task)
+    j, s, v = t.jobs.c, t.submissions.c, t.versions.c
+    query = (
+        sa.select(t.seasons.c.name, v.identity)
+        .join(t.submissions, s.season == t.seasons.c.id)
+        .join(t.jobs, j.submission == s.id)
+        .join(t.versions, v.id == j.version)
+        .where(s.task == task, j.panel == "B", j.state.in_(("waiting", "leased")))
+        .where(j.version != version_id(identity))
+    )
+    with service.database.read() as connection:
+        row = connection.execute(query.limit(1)).first()
+    if row is not None:
+        names = sorted(row.identity.keys() | identity.keys())
+        changed = [n for n in names if row.identity.get(n) != identity.get(n)]
+        differences = "; ".join(
+            f"{n} {row.identity.get(n)}, now {identity.get(n)}" for n in changed
+        )
+        raise Problem(
+            "conflict",
+            f"season {row.name} is closing, and its last panel is played by one version alone "
+            f"({differences}); start the installation and the options that it began to close with, "
+            "wait until the season is closed, then change them",
+        )
 
 
 def _season_of(connection: sa.Connection, submission: str) -> Any:
