@@ -29,6 +29,7 @@ def serve(
     registry: Path | None = None,
     backend: str = BACKEND,
     references: bool = True,
+    proxy: str | None = None,
 ) -> None:
     """Run the evaluation service: a web server, its data in a folder, and a local worker.
 
@@ -45,11 +46,14 @@ def serve(
         backend: Backend that plays, the same for every worker.
         references: Play zero and random actions, scripts, published egos and the partners' own
             robots whenever nobody waits: the rows that a board measures by.
+        proxy: Address of the proxy before the server, such as 127.0.0.1: whose word is taken for
+            where a request comes from; default nobody's.
 
     Example:
         assistax-zoo serve --data board
     """
     serving = _module("serve")
+    serving.check_proxy(proxy)
     with serving.stopped_by_signals():
         service = serving.open_service(
             data, database=database, artefacts=artefacts, registry=registry, backend=backend
@@ -67,7 +71,7 @@ def serve(
         local = address.replace("0.0.0.0", "127.0.0.1")
         with serving.local_workers(workers, local, own, options) as stop_workers:
             pages = serving.page_folders(data, registry)
-            serving.run_server(service, host, port, stop_workers, **pages)
+            serving.run_server(service, host, port, stop_workers, proxy, **pages)
 
 
 def worker(

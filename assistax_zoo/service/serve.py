@@ -10,6 +10,7 @@ DIR/worker-token    of the local workers; only the owner can read it
 
 import asyncio
 import contextlib
+import ipaddress
 import os
 import signal
 import socket
@@ -116,18 +117,41 @@ def worker_token(service: Service, data: Path) -> str:
 
 
 def run_server(
-    service: Service, host: str, port: int, stop_workers: Callable[[], None], **pages: Any
+    service: Service,
+    host: str,
+    port: int,
+    stop_workers: Callable[[], None],
+    proxy: str | None = None,
+    **pages: Any,
 ) -> None:
     """Serve until SIGINT or SIGTERM, ending requests first; `pages` go to `add_pages`."""
     from assistax_zoo.service.api.app import create_app
     from assistax_zoo.service.api.operations import log_to_stderr
 
     log_to_stderr()
-    _Server(config_of(create_app(service, **pages), host, port), stop_workers).run()
+    _Server(config_of(create_app(service, **pages), host, port, proxy), stop_workers).run()
 
 
-def config_of(app: Any, host: str, port: int) -> uvicorn.Config:
-    """Return how an application is served."""
+def check_proxy(proxy: str | None) -> None:
+    """Refuse a name for whom to believe that is not the address of a proxy.
+
+    Raises:
+        ValueError: It is none: a wider one would let clients choose their own addresses.
+    """
+    for part in (proxy or "").split(",") if proxy is not None else ():
+        try:
+            network = ipaddress.ip_network(part.strip())
+        except ValueError:
+            network = None
+        if network is None or network.prefixlen == 0:
+            raise ValueError(
+                f"the proxy is {part.strip()!r}; give its address as the server sees it, such as "
+                "127.0.0.1, or a network such as 10.0.0.0/24"
+            )
+
+
+def config_of(app: Any, host: str, port: int, proxy: str | None = None) -> uvicorn.Config:
+    """Return how an application is served; `proxy` is whose X-Forwarded-For is believed."""
     return uvicorn.Config(
         app,
         host=host,
@@ -140,6 +164,8 @@ def config_of(app: Any, host: str, port: int) -> uvicorn.Config:
         ws=_Brief,
         ws_max_size=4 * 1024 * 1024,
         server_header=False,
+        proxy_headers=proxy is not None,
+        forwarded_allow_ips=proxy or "",
     )
 
 

@@ -262,7 +262,9 @@ def erase_submitter(service: Service, submitter: str) -> None:
         for each in mine:
             submissions.fail(service.database, connection, each.id, "withdrawn", now)
             update = sa.update(t.submissions).where(s.id == each.id)
-            connection.execute(update.values(method="erased"))
+            # The request too: its client chose it, and may have written anything.
+            connection.execute(update.values(method="erased", request=each.id))
+            _sign_anew(service, connection, each.id)
         others = sa.select(s.artefact).where(s.submitter != submitter, s.artefact.is_not(None))
         kept = set(connection.execute(others).scalars())
         gone = {each.artefact for each in mine if each.artefact} - kept
@@ -272,6 +274,17 @@ def erase_submitter(service: Service, submitter: str) -> None:
         ledger.append(service.database, connection, now, "erase", {"submitter": submitter})
     for name in gone:
         service.artefacts.erase(name)
+
+
+def _sign_anew(service: Service, connection: sa.Connection, submission: str) -> None:
+    """Sign receipts without the method's name: the same score, at the same place of the ledger."""
+    r = t.receipts.c
+    where = r.submission == submission
+    for row in connection.execute(sa.select(r.version, r.content).where(where)).all():
+        content = row.content | {"method": "erased"}
+        values = {"content": content, "signature": service.signer.sign(content)}
+        update = sa.update(t.receipts).where(where, r.version == row.version)
+        connection.execute(update.values(values))
 
 
 def adopt_version(service: Service) -> int:

@@ -25,6 +25,8 @@ _LARGE_WORK = ("/result", "/ask")
 BODY_SECONDS = 120.0  # for a whole body to arrive: a client may be slow, but not for ever
 
 READ, SUBMIT, SIGN_IN = parse("1200/minute"), parse("60/hour"), parse("30/minute")
+PAGES = parse("3000/minute")  # one address may be a whole institute's
+FILMS = parse("20/hour")  # that are asked for: each takes a core for half a minute
 FORM = parse("20/minute")  # forms with files, whose token can be read only with the file
 UPGRADE = parse("120/minute")  # live connections: a client that lost one tries once a second
 
@@ -116,6 +118,11 @@ def client_of(request: Request) -> str:
 def count_read(request: Request) -> None:
     """Count a request that needs no token, by its address."""
     request.app.state.limiter.hit(READ, client_of(request))
+
+
+def count_page(request: Request) -> None:
+    """Count a page, by the address of its reader."""
+    request.app.state.limiter.hit(PAGES, client_of(request))
 
 
 def signed_in(scope: Scope) -> Any:

@@ -8,9 +8,10 @@ import functools
 from pathlib import Path
 from typing import Protocol
 
-from fastapi import FastAPI, Request
+from fastapi import Depends, FastAPI, Request
 from starlette.responses import Response
 
+from assistax_zoo.service.api.guards import count_page
 from assistax_zoo.service.pages.board_routes import board_router
 from assistax_zoo.service.pages.boards import Boards
 from assistax_zoo.service.pages.cache import PageCache, respond
@@ -85,7 +86,7 @@ def add_pages(
     )
     routers = board_router, season_router, submit_router, partner_router, pair_router
     for router in (*routers, explorer_router):
-        app.include_router(router(site))
+        app.include_router(router(site), dependencies=[Depends(count_page)])
 
     @app.get("/static/{name}", include_in_schema=False)
     def static(request: Request, name: str) -> Response:
