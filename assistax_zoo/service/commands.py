@@ -343,6 +343,42 @@ def receipt_verify(file: Path, /, *, key: str, json: bool = False) -> None:
     _print(_module("receipts").verify_receipt(receipt, key), json)
 
 
+def ledger_verify(*, url: str | None = None, json: bool = False) -> None:
+    """Check that a server's ledger is an unbroken chain, and print its end.
+
+    Keep what it prints: a later ledger that has another hash at this number was changed.
+
+    Args:
+        url: Address of the server; default $ASSISTAX_ZOO_SERVER, else this machine's.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo ledger verify --url https://board.example.org
+    """
+    _print(_module("checking").check_ledger(_client(url, None)), json)
+
+
+def service_check(
+    *,
+    data: Path,
+    database: str | None = None,
+    artefacts: str | None = None,
+    json: bool = False,
+) -> None:
+    """Check that what a service keeps is whole: database, ledger, artefacts and receipts.
+
+    Args:
+        data: Folder of the service, or one that a backup was restored to.
+        database: URL, where it is not the folder's.
+        artefacts: Address, where it is not the folder's.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo service check --data board
+    """
+    _print(_module("checking").check_service(_service(data, database, artefacts)), json)
+
+
 def service_backup(target: Path, /, *, data: Path) -> None:
     """Write a service's folder to one file, while it runs.
 
