@@ -76,8 +76,8 @@ def _copy_database(source: Path, target: Path) -> None:
             found = str(error)
     if found != "ok":
         raise ValueError(
-            f"{source} is damaged ({' '.join(found.split())}); restore the newest backup to a new folder, or see "
-            "`.recover` of SQLite's command line"
+            f"{source} is damaged ({' '.join(found.split())}); restore the newest backup to a new "
+            "folder, or see `.recover` of SQLite's command line"
         )
 
 

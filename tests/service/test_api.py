@@ -11,7 +11,15 @@ from assistax_zoo.service.api.guards import MAX_BODY
 from assistax_zoo.service.client import Client
 from assistax_zoo.service.service import Service
 from assistax_zoo.service.worker import Worker
-from tests.service.fakes import TASK, FakeScorer, new_service
+from tests.service.fakes import (
+    TASK,
+    FakeScorer,
+    draft,
+    new_service,
+    new_submitter,
+    work_off,
+)
+from tests.service.test_season import open_season
 
 FIELDS = {"task": TASK, "method": "mine", "request_id": "request-1"}
 
@@ -183,3 +191,66 @@ def test_a_wrong_body_is_told_by_its_field(service: Service, http: TestClient) -
     assert answer.json()["error"]["message"].startswith("body.worker:")
     schema = http.get("/openapi.json").json()["paths"]["/api/work/lease"]["post"]["requestBody"]
     assert "worker" in schema["content"]["application/json"]["schema"]["properties"]
+
+
+@pytest.mark.parametrize("path", ["/", "/api/health", f"/tasks/{TASK}", "/openapi.json"])
+def test_head_is_get_without_a_body(http: TestClient, path: str) -> None:
+    head, get = http.head(path), http.get(path)
+    assert (head.status_code, head.content) == (200, b"")
+    assert head.headers["content-type"] == get.headers["content-type"]
+    assert head.headers["content-length"] == get.headers["content-length"]
+
+
+@pytest.mark.parametrize("path", ["/nope", "/ledger?after=x", "/submissions/x/receipt.json"])
+def test_a_browser_gets_a_page_of_an_error(http: TestClient, path: str) -> None:
+    page = http.get(path, headers={"Accept": "text/html,*/*;q=0.8"})
+    assert 404 <= page.status_code <= 422 and "That did not work" in page.text
+    assert page.headers["content-security-policy"]
+
+
+@pytest.mark.parametrize("path", ["/nope", "/api/nope"])
+def test_a_program_gets_json_of_an_error(http: TestClient, path: str) -> None:
+    assert http.get(path).json()["error"]["code"] == "not_found"
+    answer = http.get("/api/nope", headers={"Accept": "text/html"})
+    assert answer.json()["error"]["code"] == "not_found"
+
+
+@pytest.mark.parametrize("after", ["1" + 23 * "0", "-5", "7"])
+def test_any_number_is_a_place_in_the_ledger(http: TestClient, after: str) -> None:
+    assert http.get(f"/ledger?after={after}").status_code == 200
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/api/boards/dance",
+        f"/api/boards/{TASK}?season=never",
+        "/api/submissions?season=never",
+        "/api/submissions?task=dance",
+        "/api/seasons?task=dance",
+    ],
+)
+def test_what_is_not_there_is_said(http: TestClient, path: str) -> None:
+    assert http.get(path).status_code == 404
+
+
+def test_a_season_may_be_given_by_its_name(service: Service, http: TestClient) -> None:
+    season, lab = open_season(service), new_submitter(service)
+    id = service.submit(lab, draft(season=season))
+    work_off(service)
+    for name in ("spring", season):
+        assert http.get(f"/api/submissions?season={name}").json()[0]["id"] == id
+        assert len(http.get(f"/api/boards/{TASK}?season={name}").json()["scores"]) == 2
+
+
+def test_who_asked_too_often_is_told_when_to_come_back(http: TestClient) -> None:
+    answers = [http.post("/api/work/lease") for _ in range(31)]
+    assert answers[-1].status_code == 429
+    assert 1 <= int(answers[-1].headers["retry-after"]) <= 60
+
+
+def test_the_schema_says_who_needs_a_token(http: TestClient) -> None:
+    schema = http.get("/openapi.json").json()
+    assert schema["components"]["securitySchemes"]["token"]["scheme"] == "bearer"
+    assert schema["paths"]["/api/submissions"]["post"]["security"] == [{"token": []}]
+    assert "security" not in schema["paths"]["/api/submissions"]["get"]

@@ -8,7 +8,7 @@ from fastapi import FastAPI
 from assistax_zoo.service.api import operations, public, submitting, working
 from assistax_zoo.service.api.desk import Desk
 from assistax_zoo.service.api.errors import add_error_handlers
-from assistax_zoo.service.api.guards import BodyLimit, Limiter
+from assistax_zoo.service.api.guards import BodyLimit, HeadAsGet, Limiter
 from assistax_zoo.service.live.routes import add_live
 from assistax_zoo.service.service import Service
 
@@ -25,6 +25,7 @@ def create_app(service: Service, **pages: Any) -> FastAPI:
     add_error_handlers(app)
     operations.add_observation(app)
     app.add_middleware(BodyLimit)
+    app.add_middleware(HeadAsGet)
     if importlib.util.find_spec("assistax_zoo.service.pages"):
         importlib.import_module("assistax_zoo.service.pages").add_pages(app, service, **pages)
     return app

@@ -31,7 +31,7 @@ class Desk:
             Problem: Too many arrive now.
         """
         if self._forms >= FORMS:
-            raise Problem("unavailable", "many forms are being sent; try again soon")
+            raise Problem("unavailable", "many forms are being sent; try again soon", 5)
         self._forms += 1
         try:
             yield
@@ -46,7 +46,7 @@ class Desk:
             Problem: Too many wait; whoever asks again soon has a turn.
         """
         if self._owners[owner] >= OF_OWNER or self._waiting >= WAITING:
-            raise Problem("unavailable", "many robots are being handed in; try again soon")
+            raise Problem("unavailable", "many robots are being handed in; try again soon", 5)
         self._owners[owner] += 1
         try:
             yield

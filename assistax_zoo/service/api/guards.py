@@ -1,11 +1,14 @@
 """What stands before every request: size, rate, and who asks."""
 
 import asyncio
+import math
+import time
 from collections.abc import Callable
 from typing import Annotated, Any
 
-from fastapi import Depends, Request
+from fastapi import Depends, Request, Security
 from fastapi.exceptions import RequestValidationError
+from fastapi.security import HTTPBearer
 from limits import RateLimitItem, parse
 from limits.storage import MemoryStorage
 from limits.strategies import MovingWindowRateLimiter
@@ -44,7 +47,29 @@ class Limiter:
             Problem: It is one too many.
         """
         if not self._windows.hit(rate, str(rate), who):
-            raise Problem("too_many_requests", f"more than {rate}; wait and try again")
+            wait = self._windows.get_window_stats(rate, str(rate), who).reset_time - time.time()
+            message = f"more than {rate}; wait and try again"
+            raise Problem("too_many_requests", message, max(1, math.ceil(wait)))
+
+
+class HeadAsGet:
+    """ASGI middleware: HEAD is answered as GET is, without the body."""
+
+    def __init__(self, app: Any) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        """Pass a request on."""
+        if scope["type"] != "http" or scope["method"] != "HEAD":
+            await self._app(scope, receive, send)
+            return
+
+        async def without_body(message: Any) -> None:
+            if message["type"] == "http.response.body":
+                message = {**message, "body": b""}
+            await send(message)
+
+        await self._app({**scope, "method": "GET"}, receive, without_body)
 
 
 class BodyLimit:
@@ -120,6 +145,11 @@ def count_read(request: Request) -> None:
     request.app.state.limiter.hit(READ, client_of(request))
 
 
+_BEARER = HTTPBearer(
+    auto_error=False, scheme_name="token", description="From the organiser, such as azt_..."
+)
+
+
 def count_page(request: Request) -> None:
     """Count a page, by the address of its reader."""
     request.app.state.limiter.hit(PAGES, client_of(request))
@@ -128,9 +158,8 @@ def count_page(request: Request) -> None:
 def signed_in(scope: Scope) -> Any:
     """Return a dependency: the owner of the token in the header, if it may do this."""
 
-    def check(request: Request) -> Principal:
-        kind, _, token = request.headers.get("authorization", "").partition(" ")
-        return sign_in(request, token if kind.lower() == "bearer" else "", scope)
+    def check(request: Request, sent: Annotated[Any, Security(_BEARER)]) -> Principal:
+        return sign_in(request, sent.credentials if sent else "", scope)
 
     return Depends(check)
 

@@ -64,7 +64,9 @@ async def live(socket: WebSocket, submission: str) -> None:
         owner = await run_in_threadpool(_check_owner, socket, submission)
         seat = rooms.take_seat(submission, owner)
     except Problem as problem:
-        await socket.send_denial_response(Response(problem.message, CODES[problem.code]))
+        headers = {"Retry-After": str(problem.retry_after or 10)}
+        answer = Response(problem.message, CODES[problem.code], headers)
+        await socket.send_denial_response(answer)
         return
     try:
         await socket.accept()

@@ -94,6 +94,11 @@ def add_pages(
             raise NotFoundError("There is no such file.")
         return respond(request, static_files()[name], immutable=True)
 
+    def error_page(request: Request, status: int, message: str) -> Response:
+        return site.fresh("error.html", request.url.path, status, message=message)
+
+    app.state.error_page = error_page
+
     def not_found(request: Request, error: Exception) -> Response:
         return site.fresh("error.html", request.url.path, 404, message=str(error))
 
