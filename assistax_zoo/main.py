@@ -100,9 +100,14 @@ GROUPS = {
         "Signed scores.",
         {"verify": "assistax_zoo.service.commands:receipt_verify"},
     ),
+    "ledger": (
+        "Everything that happened on an evaluation service.",
+        {"verify": "assistax_zoo.service.commands:ledger_verify"},
+    ),
     "service": (
         "Care of an evaluation service's data.",
         {
+            "check": "assistax_zoo.service.commands:service_check",
             "backup": "assistax_zoo.service.commands:service_backup",
             "restore": "assistax_zoo.service.commands:service_restore",
             "erase": "assistax_zoo.service.commands:service_erase",

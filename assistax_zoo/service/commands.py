@@ -29,6 +29,7 @@ def serve(
     registry: Path | None = None,
     backend: str = BACKEND,
     references: bool = True,
+    proxy: str | None = None,
 ) -> None:
     """Run the evaluation service: a web server, its data in a folder, and a local worker.
 
@@ -45,11 +46,14 @@ def serve(
         backend: Backend that plays, the same for every worker.
         references: Play zero and random actions, scripts, published egos and the partners' own
             robots whenever nobody waits: the rows that a board measures by.
+        proxy: Address of the proxy before the server, such as 127.0.0.1: whose word is taken for
+            where a request comes from; default nobody's.
 
     Example:
         assistax-zoo serve --data board
     """
     serving = _module("serve")
+    serving.check_proxy(proxy)
     with serving.stopped_by_signals():
         service = serving.open_service(
             data, database=database, artefacts=artefacts, registry=registry, backend=backend
@@ -67,7 +71,7 @@ def serve(
         local = address.replace("0.0.0.0", "127.0.0.1")
         with serving.local_workers(workers, local, own, options) as stop_workers:
             pages = serving.page_folders(data, registry)
-            serving.run_server(service, host, port, stop_workers, **pages)
+            serving.run_server(service, host, port, stop_workers, proxy, **pages)
 
 
 def worker(
@@ -341,6 +345,42 @@ def receipt_verify(file: Path, /, *, key: str, json: bool = False) -> None:
     receipt = decoder.loads(file.read_text(encoding="utf-8"))
     receipt = receipt.get("receipt", receipt) if isinstance(receipt, dict) else receipt
     _print(_module("receipts").verify_receipt(receipt, key), json)
+
+
+def ledger_verify(*, url: str | None = None, json: bool = False) -> None:
+    """Check that a server's ledger is an unbroken chain, and print its end.
+
+    Keep what it prints: a later ledger that has another hash at this number was changed.
+
+    Args:
+        url: Address of the server; default $ASSISTAX_ZOO_SERVER, else this machine's.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo ledger verify --url https://board.example.org
+    """
+    _print(_module("checking").check_ledger(_client(url, None)), json)
+
+
+def service_check(
+    *,
+    data: Path,
+    database: str | None = None,
+    artefacts: str | None = None,
+    json: bool = False,
+) -> None:
+    """Check that what a service keeps is whole: database, ledger, artefacts and receipts.
+
+    Args:
+        data: Folder of the service, or one that a backup was restored to.
+        database: URL, where it is not the folder's.
+        artefacts: Address, where it is not the folder's.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo service check --data board
+    """
+    _print(_module("checking").check_service(_service(data, database, artefacts)), json)
 
 
 def service_backup(target: Path, /, *, data: Path) -> None:

@@ -151,6 +151,12 @@ class Queries:
             row = connection.execute(_submission_query().where(t.submissions.c.id == id)).first()
             return None if row is None else _Queue(connection).describe(row)
 
+    def state(self, id: str) -> SubmissionState | None:
+        """Return the state of a submission alone: cheap enough to be asked every second."""
+        c = t.submissions.c
+        with self._database.read() as connection:
+            return connection.execute(sa.select(c.state).where(c.id == id)).scalar()
+
     def scores(
         self,
         *,

@@ -91,6 +91,7 @@ def create_season(
     with database.write() as connection:
         if connection.execute(sa.select(c.id).where(c.name == plan.name)).first():
             raise Problem("conflict", f"there is a season {plan.name!r}; choose another name")
+        _check_unseen(connection, row["id"], leaves)
         record_artefact(connection, row["release"], len(packed), now)
         connection.execute(sa.insert(t.seasons).values(row))
     return row["id"]
@@ -100,6 +101,7 @@ def open_season(database: Database, name: str, now: float) -> str:
     """Publish the Merkle root and let labs submit; return the root."""
     with database.write() as connection:
         row = _season(database, connection, name, "draft")
+        _check_unseen(connection, row.id, row.secret["leaves"])
         root = merkle_root(row.secret["leaves"])
         values = {"state": "open", "root": root, "opened_at": now}
         connection.execute(sa.update(t.seasons).where(c.id == row.id).values(values))
@@ -205,6 +207,19 @@ def panel_seed(leaves: Sequence[dict[str, Any]], panel: str) -> str:
     return next(leaf["seeds"][panel] for leaf in leaves if "seeds" in leaf)
 
 
+def _check_unseen(connection: sa.Connection, id: str, leaves: Sequence[dict[str, Any]]) -> None:
+    """Refuse partners of a season that was opened: they are known, or will be when it closes."""
+    mine = {leaf["sha256"] for leaf in leaves if "policy" in leaf}
+    others = sa.select(c.name, c.secret).where(c.id != id, c.state != "draft")
+    for name, secret in connection.execute(others):
+        if any(leaf.get("sha256") in mine for leaf in secret["leaves"] if "policy" in leaf):
+            raise Problem(
+                "conflict",
+                f"partners of this release were in season {name}, which reveals them when it "
+                "closes; train a new release (`season plan` draws new seeds)",
+            )
+
+
 def _leaves(entries: Sequence["PolicyEntry"]) -> list[dict[str, Any]]:
     """Return a salted leaf for the seeds, then one for each partner by its ordinal."""
     panels = _stratify(entries)
@@ -236,9 +251,10 @@ def _stratify(entries: Sequence["PolicyEntry"]) -> list[str]:
 
 
 def _play_b(connection: sa.Connection, season: Any, submission: Any, now: float) -> None:
-    s = t.scores.c
-    newest = sa.select(s.version).where(s.submission == submission.id, s.panel == "A")
-    version = connection.execute(newest.order_by(s.created_at.desc()).limit(1)).scalar_one()
+    # The version that it was planned under last: after an upgrade no worker plays another.
+    j = t.jobs.c
+    newest = sa.select(j.version).where(j.submission == submission.id)
+    version = connection.execute(newest.order_by(j.created_at.desc()).limit(1)).scalar_one()
     chunks = submissions.count_chunks(season.panel_sizes["B"])
     jobs.add_jobs(connection, submission.id, version, "B", chunks, turn=0, now=now)
 

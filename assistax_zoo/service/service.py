@@ -20,7 +20,7 @@ from assistax_zoo.service.catalogue import (
 )
 from assistax_zoo.service.clock import Clock, system_clock
 from assistax_zoo.service.database import Database
-from assistax_zoo.service.live.rooms import GONE_SECONDS, Rooms
+from assistax_zoo.service.live.rooms import GONE_SECONDS, LIFE_SECONDS, Rooms
 from assistax_zoo.service.problems import Problem
 from assistax_zoo.service.queries import Queries
 from assistax_zoo.service.receipts import Signer
@@ -50,6 +50,8 @@ class Service:
     def submit(self, submitter: str, draft: Draft) -> str:
         """Take a submission in and return its id; `submitter` is an id."""
         submissions.check_draft(draft, self.catalogue)
+        if known := submissions.known(self.database, submitter, draft.request):
+            return known
         draft = submissions.admitted(self.admit, draft)
         args = self.database, self.artefacts, self.catalogue, submitter, draft
         return submissions.submit(*args, self.clock())
@@ -179,12 +181,14 @@ class Service:
     def _end_absent(self, rooms: Rooms) -> None:
         """End live submissions whose clients have not come for too long."""
         s = t.submissions.c
-        query = sa.select(s.id).where(s.kind == "live", s.state.not_in(FINAL_STATES))
+        columns = s.id, s.created_at
+        query = sa.select(*columns).where(s.kind == "live", s.state.not_in(FINAL_STATES))
         with self.database.read() as connection:
-            waiting = connection.execute(query).scalars().all()
-        for submission in waiting:
-            if rooms.away_for(submission) > GONE_SECONDS:
-                self._fail(submission, "client_gone")
+            waiting = connection.execute(query).all()
+        for row in waiting:
+            is_old = self.clock() - row.created_at > LIFE_SECONDS
+            if is_old or rooms.away_for(row.id) > GONE_SECONDS:
+                self._fail(row.id, "client_gone")
 
     def _fail(self, submission: str, reason: str) -> None:
         with self.database.write() as connection:
@@ -258,7 +262,9 @@ def erase_submitter(service: Service, submitter: str) -> None:
         for each in mine:
             submissions.fail(service.database, connection, each.id, "withdrawn", now)
             update = sa.update(t.submissions).where(s.id == each.id)
-            connection.execute(update.values(method="erased"))
+            # The request too: its client chose it, and may have written anything.
+            connection.execute(update.values(method="erased", request=each.id))
+            _sign_anew(service, connection, each.id)
         others = sa.select(s.artefact).where(s.submitter != submitter, s.artefact.is_not(None))
         kept = set(connection.execute(others).scalars())
         gone = {each.artefact for each in mine if each.artefact} - kept
@@ -270,13 +276,29 @@ def erase_submitter(service: Service, submitter: str) -> None:
         service.artefacts.erase(name)
 
 
+def _sign_anew(service: Service, connection: sa.Connection, submission: str) -> None:
+    """Sign receipts without the method's name: the same score, at the same place of the ledger."""
+    r = t.receipts.c
+    where = r.submission == submission
+    for row in connection.execute(sa.select(r.version, r.content).where(where)).all():
+        content = row.content | {"method": "erased"}
+        values = {"content": content, "signature": service.signer.sign(content)}
+        update = sa.update(t.receipts).where(where, r.version == row.version)
+        connection.execute(update.values(values))
+
+
 def adopt_version(service: Service) -> int:
     """Cut everything into jobs of the current version that has none: after an upgrade.
 
     Unfinished jobs of older versions are dropped, since no worker of today can do them. Scores of
     older versions stay.
+
+    Raises:
+        Problem: A season is closing under another version; nothing was changed.
     """
     now, s, changed = service.clock(), t.submissions.c, 0
+    for task in service.catalogue.tasks:
+        _check_closing(service, task)
     for task in service.catalogue.tasks:
         version = version_id(service.catalogue.identity(task))
         with service.database.write() as connection:
@@ -294,6 +316,34 @@ def adopt_version(service: Service) -> int:
                 submissions.plan_jobs(connection, service.catalogue, row, season, now)
                 changed += 1
     return changed
+
+
+def _check_closing(service: Service, task: str) -> None:
+    """Refuse another version while panel B of a season is played: it is played once, by one."""
+    identity = service.catalogue.identity(task)
+    j, s, v = t.jobs.c, t.submissions.c, t.versions.c
+    query = (
+        sa.select(t.seasons.c.name, v.identity)
+        .join(t.submissions, s.season == t.seasons.c.id)
+        .join(t.jobs, j.submission == s.id)
+        .join(t.versions, v.id == j.version)
+        .where(s.task == task, j.panel == "B", j.state.in_(("waiting", "leased")))
+        .where(j.version != version_id(identity))
+    )
+    with service.database.read() as connection:
+        row = connection.execute(query.limit(1)).first()
+    if row is not None:
+        names = sorted(row.identity.keys() | identity.keys())
+        changed = [n for n in names if row.identity.get(n) != identity.get(n)]
+        differences = "; ".join(
+            f"{n} {row.identity.get(n)}, now {identity.get(n)}" for n in changed
+        )
+        raise Problem(
+            "conflict",
+            f"season {row.name} is closing, and its last panel is played by one version alone "
+            f"({differences}); start the installation and the options that it began to close with, "
+            "wait until the season is closed, then change them",
+        )
 
 
 def _season_of(connection: sa.Connection, submission: str) -> Any:

@@ -63,6 +63,12 @@ def check_draft(draft: Draft, catalogue: Catalogue) -> None:
         raise Problem("too_large", f"a file has at most {MAX_BYTES} bytes")
 
 
+def known(database: Database, submitter: str, request: str) -> str | None:
+    """Return the submission that a request made when it came before."""
+    with database.read() as connection:
+        return _known(connection, submitter, request)
+
+
 def submit(
     database: Database,
     artefacts: Artefacts,
@@ -78,9 +84,8 @@ def submit(
     with database.write() as connection:
         # Two requests at once must not both take the last attempt.
         database.one_at_a_time(connection, f"submitter {submitter}")
-        before = sa.select(c.id).where(c.submitter == submitter, c.request == draft.request)
-        if known := connection.execute(before).scalar():
-            return known
+        if before := _known(connection, submitter, draft.request):
+            return before
         season = _open_season(connection, draft) if draft.season else None
         if season is not None and draft.refusal is None:
             _check_budget(connection, season, submitter)
@@ -140,7 +145,8 @@ def refuse(database: Database, connection: sa.Connection, id: str, code: str, no
     if row is None or row.state in FINAL_STATES:
         return
     if row.season is not None and _met_hidden(connection, id):
-        end(database, connection, row, "failed", "broke_down", "spent", now)
+        reason = code if code == "too_slow" else "broke_down"
+        end(database, connection, row, "failed", reason, "spent", now)
     else:
         end(database, connection, row, "refused", code, "refunded", now)
 
@@ -178,6 +184,11 @@ def lock_submission(database: Database, connection: sa.Connection, id: str) -> A
     """Return a submission's row, which no other transaction changes until this one ends."""
     query = sa.select(t.submissions).where(c.id == id)
     return connection.execute(query if database.is_sqlite else query.with_for_update()).first()
+
+
+def _known(connection: sa.Connection, submitter: str, request: str) -> str | None:
+    where = c.submitter == submitter, c.request == request
+    return connection.execute(sa.select(c.id).where(*where)).scalar()
 
 
 def _row(

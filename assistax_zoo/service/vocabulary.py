@@ -36,6 +36,7 @@ REFUSALS = {
     "subgraph": "it has functions or subgraphs",
     "graph_too_large": "it has too many nodes, or values that are too large",
     "shape_unknown": "a shape depends on something other than the number of rows",
+    "too_slow": "it takes more seconds or memory than a robot may",
 }
 
 # Why a submission failed.

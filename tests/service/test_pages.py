@@ -1,6 +1,8 @@
 """Pages: all are there, none runs what a name holds, forms are answered to their writers."""
 
+import dataclasses
 import json
+import os
 import re
 import subprocess
 import threading
@@ -12,8 +14,11 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from limits import parse
 from starlette.testclient import TestClient
 
+from assistax_zoo.service.api import guards
+from assistax_zoo.service.pages import partner_routes
 from assistax_zoo.service.pages.cache import PageCache
 from assistax_zoo.service.pages.charts import axis_over
 from assistax_zoo.service.pages.crossplays import PUBLISHED
@@ -282,6 +287,40 @@ def test_a_film_that_fails_may_be_asked_for_again(tmp_path: Path) -> None:
     videos.ask(ONE)
     videos.wait()
     assert videos.state(ONE) == "ready"
+
+
+def test_films_have_so_much_room_on_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The one that nobody has looked at for longest goes."""
+    pairs = [dataclasses.replace(ONE, env_version=number) for number in range(4)]
+    videos = Videos(tmp_path, Films())
+    for place, pair in enumerate(pairs[:3]):
+        videos.ask(pair)
+        videos.wait()
+        os.utime(tmp_path / pair.key, (place, place))
+    size = sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file()) // 3
+    monkeypatch.setattr("assistax_zoo.service.pages.videos.MOST_BYTES", 3 * size)
+    assert videos.film(pairs[0].key)  # somebody looks at the oldest
+    videos.ask(pairs[3])
+    videos.wait()
+    assert [videos.state(pair) for pair in pairs] == ["ready", "none", "ready", "ready"]
+
+
+def test_pages_and_films_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guards, "PAGES", parse("40/minute"))
+    monkeypatch.setattr(partner_routes, "FILMS", parse("2/hour"))
+    monkeypatch.setattr(Videos, "ask", lambda self, pair: "waiting")
+    with TestClient(make_app(tmp_path), follow_redirects=False) as reader:
+        pairs = [f"/pairs/scratch/ippo-d1-s0-v1/ippo-d{d}-s1-v1" for d in (1, 3, 5)]
+        codes = []
+        for pair in pairs:
+            token = re.search(rf'name="{FIELD}" value="(\w+)"', reader.get(pair).text)
+            assert token
+            codes.append(reader.post(pair, data={FIELD: token[1]}).status_code)
+        assert codes == [303, 303, 429]
+        found = [reader.get("/").status_code for _ in range(40)]
+        assert (found[0], found[-1]) == (200, 429)
 
 
 def test_no_other_file_is_served_as_a_film(tmp_path: Path) -> None:

@@ -1,7 +1,10 @@
 """The hidden half: what leaves the server, what an attempt costs, and that a reveal is proof."""
 
+import dataclasses
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import polars as pl
 import pytest
@@ -25,6 +28,7 @@ from tests.service.fakes import (
     take,
     work_off,
 )
+from tests.untrained import published, teams_of
 
 SIZE = 30  # partners of each panel
 
@@ -208,3 +212,75 @@ def test_another_root_proves_nothing(tmp_path: Path) -> None:
     told["leaves"][3]["panel"] = "B"
     with pytest.raises(ValueError, match="not those whose root"):
         seasons.verify_season(told, b"", told["root"], tmp_path)
+
+
+def closing(folder: Path) -> tuple[Service, str]:
+    """Return a service whose season is closing: panel B waits."""
+    service = new_service(folder)
+    season = open_season(service)
+    id = service.submit(new_submitter(service), draft(2.0, season=season))
+    work_off(service)
+    service.close_season("spring")
+    return service, id
+
+
+def state_of_season(service: Service) -> str:
+    season = service.queries.season("spring")
+    assert season is not None
+    return season.state
+
+
+def test_a_closing_season_keeps_its_version(tmp_path: Path) -> None:
+    service, id = closing(tmp_path)
+    upgraded = new_service(tmp_path, version=2)
+    with pytest.raises(Problem, match=r"spring is closing.*version': '1'.*now.*'2'.*start the"):
+        upgraded.adopt_version()
+    assert work_off(upgraded, version=2) == 0
+    assert service.adopt_version() == 0
+    assert work_off(service) == 2
+    assert "B" in {score.panel for score in service.queries.scores(submission=id)}
+    assert state_of_season(service) == "closed"
+    assert upgraded.adopt_version() == 1
+
+
+def test_a_season_that_closes_after_an_upgrade_is_played_by_the_new_version(
+    tmp_path: Path,
+) -> None:
+    service = new_service(tmp_path)
+    season = open_season(service)
+    id = service.submit(new_submitter(service), draft(2.0, season=season))
+    work_off(service)
+    upgraded = new_service(tmp_path, version=2)
+    advance(upgraded, 60.0)
+    assert upgraded.adopt_version() == 1
+    upgraded.close_season("spring")
+    work_off(upgraded, version=2)
+    assert "B" in {score.panel for score in upgraded.queries.scores(submission=id)}
+    assert state_of_season(upgraded) == "closed"
+
+
+def test_a_release_that_a_season_had_is_in_no_other(tmp_path: Path) -> None:
+    """Its partners are revealed, or will be."""
+    service = new_service(tmp_path)
+    season = open_season(service)
+    with service.database.write() as connection:
+        row = connection.execute(sa.select(t.seasons)).mappings().one()
+        again = {"id": "season2", "name": "summer", "state": "draft", "root": None}
+        connection.execute(sa.insert(t.seasons).values({**row, **again}))
+    for _ in range(2):
+        with pytest.raises(Problem, match=r"were in season spring.*new seeds"):
+            service.open_season("summer")
+        service.close_season("spring") if state_of_season(service) == "open" else None
+    assert seasons.revealed(service.database, season)["root"]
+
+
+def test_no_season_is_made_of_a_release_that_another_had(tmp_path: Path) -> None:
+    service = new_service(tmp_path / "board")
+    private = published(teams_of(3), tmp_path / "private").parent
+    public: Any = SimpleNamespace(policies=())
+    plan = seasons.Plan("spring", TASK, small=True)
+    service.create_season(plan, private, public)
+    service.create_season(dataclasses.replace(plan, name="a draft is none"), private, public)
+    service.open_season("spring")
+    with pytest.raises(Problem, match="were in season spring"):
+        service.create_season(dataclasses.replace(plan, name="summer"), private, public)

@@ -8,9 +8,10 @@ import functools
 from pathlib import Path
 from typing import Protocol
 
-from fastapi import FastAPI, Request
+from fastapi import Depends, FastAPI, Request
 from starlette.responses import Response
 
+from assistax_zoo.service.api.guards import count_page
 from assistax_zoo.service.pages.board_routes import board_router
 from assistax_zoo.service.pages.boards import Boards
 from assistax_zoo.service.pages.cache import PageCache, respond
@@ -85,13 +86,18 @@ def add_pages(
     )
     routers = board_router, season_router, submit_router, partner_router, pair_router
     for router in (*routers, explorer_router):
-        app.include_router(router(site))
+        app.include_router(router(site), dependencies=[Depends(count_page)])
 
     @app.get("/static/{name}", include_in_schema=False)
     def static(request: Request, name: str) -> Response:
         if name not in static_files():
             raise NotFoundError("There is no such file.")
         return respond(request, static_files()[name], immutable=True)
+
+    def error_page(request: Request, status: int, message: str) -> Response:
+        return site.fresh("error.html", request.url.path, status, message=message)
+
+    app.state.error_page = error_page
 
     def not_found(request: Request, error: Exception) -> Response:
         return site.fresh("error.html", request.url.path, 404, message=str(error))

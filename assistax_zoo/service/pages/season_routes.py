@@ -13,6 +13,7 @@ from assistax_zoo.service.pages.site import LIVE, NotFoundError, Site
 from assistax_zoo.service.queries import PartnerScore, Score, Submission
 
 _ENTRIES = 200  # of the ledger on one page
+LAST_ENTRY = 2**31 - 1  # that a database counts to
 
 
 def season_router(site: Site) -> APIRouter:
@@ -57,11 +58,13 @@ def season_router(site: Site) -> APIRouter:
 
     @router.get("/ledger")
     def ledger(request: Request, after: int = 0) -> Response:
-        def values() -> dict[str, Any]:
-            entries = site.queries.ledger(max(after, 0), _ENTRIES)
-            return {"entries": entries, "after": max(after, 0), "page_size": _ENTRIES}
+        start = min(max(after, 0), LAST_ENTRY)
 
-        return site.page(request, str(after), LIVE, "ledger.html", values)
+        def values() -> dict[str, Any]:
+            entries = site.queries.ledger(start, _ENTRIES)
+            return {"entries": entries, "after": start, "page_size": _ENTRIES}
+
+        return site.page(request, str(start), LIVE, "ledger.html", values)
 
     return router
 
