@@ -14,13 +14,15 @@ import polars as pl
 import pytest
 from starlette.testclient import TestClient
 
+from assistax_zoo.service.pages import boards
 from assistax_zoo.service.pages.cache import PageCache
 from assistax_zoo.service.pages.charts import axis_over
-from assistax_zoo.service.pages.crossplays import PUBLISHED
+from assistax_zoo.service.pages.crossplays import PUBLISHED, CrossPlays
 from assistax_zoo.service.pages.security import FIELD
 from assistax_zoo.service.pages.videos import Pair, Videos, run_command
 from assistax_zoo.service.queries import STATEMENT
 from tests.service.board_data import HOSTILE, make_app
+from tests.service.fakes import TASK, draft, new_service, new_submitter, work_off
 from tests.untrained import published, teams_of
 
 PAIR = "/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1"
@@ -378,3 +380,48 @@ def test_a_measure_of_the_explorer_is_json_without_nan(client: TestClient) -> No
     assert numbers
     text = client.get(f"{numbers[1]}/matrix.json").text
     assert json.loads(text, parse_constant=lambda name: pytest.fail(name))
+
+
+def test_a_new_score_costs_its_own_methods_figures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[str] = []
+    real = boards.unplaced
+    monkeypatch.setattr(
+        boards, "unplaced", lambda method, panel: made.append(method.name) or real(method, panel)
+    )
+    service = new_service(tmp_path)
+    kept = boards.Boards(service.queries, CrossPlays(tmp_path))
+    for turn, lab in enumerate(("ada", "bob", "eve")):
+        service.submit(new_submitter(service, lab), draft(float(turn)))
+        work_off(service)
+        board = kept.of(TASK)
+        assert board is not None
+        assert len(board.rows) == turn + 1
+        assert len(made) == turn + 1
+    assert board is not None
+    assert [row.place for row, _ in board.rows] == [1, 2, 3]
+
+
+def test_nobody_waits_for_a_board_of_which_there_is_an_older_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service = new_service(tmp_path)
+    kept = boards.Boards(service.queries, CrossPlays(tmp_path))
+    service.submit(new_submitter(service, "ada"), draft(1.0))
+    work_off(service)
+    assert kept.of(TASK)
+    go_on, real = threading.Event(), boards.unplaced
+    monkeypatch.setattr(boards, "PATIENCE", 0.01)
+    monkeypatch.setattr(boards, "unplaced", lambda *args: go_on.wait(60) and real(*args))
+    service.submit(new_submitter(service, "bob"), draft(2.0))
+    work_off(service)
+    old = kept.of(TASK)
+    assert old is not None
+    assert len(old.rows) == 1
+    assert kept.is_behind(TASK)
+    go_on.set()
+    monkeypatch.setattr(boards, "PATIENCE", 60.0)
+    new = kept.of(TASK)
+    assert new is not None
+    assert len(new.rows) == 2

@@ -59,6 +59,7 @@ def board_values(site: Site, task: str) -> dict[str, Any]:
     return {
         "task": task,
         "board": board,
+        "is_behind": site.boards.is_behind(task),
         "axis": axis_over(ends),
         "waiting": sorted(waiting, key=lambda one: one.place or 0),
         "seasons": site.queries.seasons(task),
