@@ -69,8 +69,7 @@ def standings(
     Args:
         methods: what is ranked, and what it is measured by.
         panel: the partners that all of them met.
-        figures: makes a method's row without its place, such as one that keeps what was made; default
-            `unplaced`.
+        figures: makes a method's row without its place; default `unplaced`.
 
     Raises:
         ValueError: there are no methods, or one has not played the whole panel.

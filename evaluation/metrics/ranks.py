@@ -13,29 +13,29 @@ seeds, and V_p that of the paired differences between partners, divided by P, a 
 
     (mean_a - mean_b)^2 > t(f)^2 (s_a^2 / S_a + s_b^2 / S_b) + t(P - 1)^2 V_p        (Cochran, 1964)
 
-where t are two-sided quantiles of Student and f are the degrees of freedom of the sum of the two seed
-variances: Satterthwaite's, with 1 added to each before and taken off after, as Welch (1947) does with 2,
-and no more than their sum. A quantile for each source keeps the level where two seeds happen to be
-alike; with one quantile for the sum of all three, 10 to 20% of lists are wrong then.
+where t are two-sided quantiles of Student and f are the degrees of freedom of the sum of the two
+seed variances: Satterthwaite's, with 1 added to each before and taken off after, as Welch (1947)
+does with 2, and no more than their sum. A quantile for each source keeps the level where two seeds
+happen to be alike; with one quantile for the sum of all three, 10 to 20% of lists are wrong then.
 
-**All pairs at once.** A pair is tested at 5% divided by the number of pairs that may still be equal:
-first all, then fewer, since equal methods form groups and every pair of a group must still be open
-(Shaffer, 1986; the number is bounded from above by the cores of the graph of open pairs).
+**All pairs at once.** A pair is tested at 5% divided by the number of pairs that may still be
+equal: first all, then fewer, since equal methods form groups and every pair of a group must still
+be open (Shaffer, 1986; the number is bounded from above by the cores of the graph of open pairs).
 
 **Few seeds.** Two or three seeds hardly tell how far a method's seeds differ. `seed_sd` says it
 beforehand, from measurements of other methods, and is lent to methods with fewer than five seeds
-while their own seeds do not contradict it. It counts as many degrees of freedom as their seeds do, 2 at
-most: with n = min(S - 1, 2) and r = min(1, seed_sd^2 / s^2), the variance is max(s^2, (n seed_sd^2 +
-(S - 1) s^2) / (n + S - 1)) at S - 1 + r n degrees. `SEED_SDS` has the values of the zoo's egos. No row of
-the list is looked at for it, so that no row can spoil it.
+while their own seeds do not contradict it. It counts as many degrees of freedom as their seeds do,
+2 at most: with n = min(S - 1, 2) and r = min(1, seed_sd^2 / s^2), the variance is max(s^2, (n
+seed_sd^2 + (S - 1) s^2) / (n + S - 1)) at S - 1 + r n degrees. `SEED_SDS` has the values of the
+zoo's egos. No row of the list is looked at for it, so that no row can spoil it.
 
 **Assumptions.** Means of seeds are about normal, robots and partners are drawn independently, and
 `seed_sd`, where it is given, is no less than half of the truth for most methods. A method with one
 seed is that robot: its rank speaks of new partners, not of new seeds of its training.
 
-**Measured** by `python -m benchmarks ranks`; docs/board.md has the whole table. Six methods, seeds of
-standard deviation 40; true orders found with methods 100 apart, and lists with a wrong rank with equal
-ones, the worst of several worlds:
+**Measured** by `python -m benchmarks ranks`; docs/board.md has the whole table. Six methods, seeds
+of standard deviation 40; true orders found with methods 100 apart, and lists with a wrong rank with
+equal ones, the worst of several worlds:
 
 | seeds                                        | 2  | 3  | 4  | 5  | 10  |
 | -------------------------------------------- | -- | -- | -- | -- | --- |
@@ -60,8 +60,8 @@ _ODD_ROWS = 10  # left out, at most, where the pairs that may be equal are count
 _INVERSE_DF = np.linspace(1e-4, 1.0, 400)  # where Student's quantiles are computed
 
 
-# How far the means over partners of two seeds of one method differ, as a standard deviation: root mean
-# square over the zoo's PPO and SAC egos of each task (`python -m benchmarks ranks --seed-sds`).
+# Standard deviation between seeds of one method of their means over partners: root mean square over
+# the zoo's PPO and SAC egos of each task (`python -m benchmarks ranks --seed-sds`).
 SEED_SDS: Mapping[str, float] = {
     "scratch": 5.8,
     "bed_bath": 15.7,
@@ -105,7 +105,8 @@ def rank_methods(
         confidence: that no claim of the result is wrong.
 
     Raises:
-        ValueError: fewer than two partners, a `seed_sd` that is not positive, or methods with different numbers of them.
+        ValueError: fewer than two partners, methods with different numbers of them, or a `seed_sd`
+            that is not positive.
     """
     matrices = _check(scores)
     if seed_sd is not None and not 0 < seed_sd < np.inf:

@@ -81,8 +81,8 @@ class Boards:
     def of(self, task: str) -> Board | None:
         """Return the board of a task under its newest version, or None while it is empty.
 
-        It is computed by a thread of its own. Who asks waits a moment for it, then gets the board as it
-        was before the last score.
+        It is computed by a thread of its own. Who asks waits a moment for it, then gets the board
+        as it was before the last score.
         """
         with self._lock:
             kept = self._tasks.setdefault(task, _TaskBoard())
