@@ -3,7 +3,8 @@
 A score is mean + ease of the partner + luck of the seed + what the method has with the partner +
 what the seed has with it. In `even` worlds all methods are equal, and a list is wrong if any
 method's range excludes rank 1; in the `order` world they are 100 apart, and the share of true
-orders is counted. """
+orders is counted.
+"""
 
 import dataclasses
 import glob

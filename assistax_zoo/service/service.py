@@ -7,7 +7,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from assistax_zoo.service import jobs, ledger, results, seasons, submissions, tokens
+from assistax_zoo.service import closing, jobs, ledger, results, seasons, submissions, tokens
 from assistax_zoo.service import schema as t
 from assistax_zoo.service.artefacts import Artefacts
 from assistax_zoo.service.catalogue import (
@@ -55,13 +55,16 @@ class Service:
         return submissions.submit(*args, self.clock())
 
     def withdraw(self, submission: str, submitter: str) -> None:
-        """End a submission because its submitter wants so."""
+        """End a submission because its submitter wants so; a scored one leaves its board."""
         submissions.withdraw(self.database, submission, submitter, self.clock())
+        with self.database.write() as connection:
+            self._reveal(connection, submission)
 
     def lease(
         self, worker: str, versions: Sequence[str], rooms: Rooms | None = None
     ) -> Work | None:
         """Give a worker the next job that it can do; `rooms` say which live clients are there."""
+        closing.close_due(self.database, self.clock())
         connected = () if rooms is None else rooms.connected()
         if rooms is not None:
             self._end_absent(rooms)
@@ -147,13 +150,21 @@ class Service:
         args = self.database, self.artefacts, plan, folder, public
         return seasons.create_season(*args, self.clock())
 
-    def open_season(self, name: str) -> str:
-        """Open a season and return its Merkle root."""
-        return seasons.open_season(self.database, name, self.clock())
+    def open_season(self, name: str, closes_at: float | None = None) -> str:
+        """Open a season until a date, and return its Merkle root."""
+        return seasons.open_season(self.database, name, self.clock(), closes_at)
+
+    def enter(self, season: str, submitter: str, chosen: Sequence[str]) -> None:
+        """Choose what a lab plays panel B with; see `closing`."""
+        closing.enter(self.database, season, submitter, chosen, self.clock())
 
     def close_season(self, name: str) -> None:
-        """Close a season: panel B is played, then everything is revealed."""
-        seasons.close_season(self.database, name, self.clock())
+        """Close a season before its date: panel B is played, then everything is revealed."""
+        closing.close_season(self.database, name, self.clock())
+
+    def panel_b(self, season: str) -> list[tuple[str, Any]]:
+        """Return the episodes of every submission on the panel B of a closed season."""
+        return results.panel_b(self.database, self.artefacts, season)
 
     def create_token(self, scopes: Sequence[Any], **options: Any) -> str:
         """Make a token; see `tokens.create_token`."""
@@ -192,10 +203,10 @@ class Service:
             self._reveal(connection, submission)
 
     def _reveal(self, connection: sa.Connection, submission: str) -> None:
-        """Reveal a closing season whose last job was given up."""
+        """Take a closing season on whose last job was given up."""
         season = _season_of(connection, submission)
         if season is not None:
-            seasons.reveal_if_done(self.database, connection, season.id, self.clock())
+            closing.go_on(self.database, connection, season.id, self.clock())
 
     def _work(self, lease: jobs.Lease) -> Work:
         with self.database.read() as connection:

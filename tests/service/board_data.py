@@ -49,7 +49,8 @@ def make_app(folder: Path, robots: tuple[Robot, ...] = ROBOTS, **options: Any) -
     """Return an application of pages alone, over a new database."""
     app = FastAPI()
     catalogue = SimpleNamespace(tasks=("scratch", "bed_bath", "arm_assist"))
-    service = SimpleNamespace(queries=Queries(fill(folder, robots)), catalogue=catalogue)
+    queries = Queries(fill(folder, robots))
+    service = SimpleNamespace(queries=queries, catalogue=catalogue, panel_b=lambda season: [])
     add_pages(app, service, films=folder / "films", **options)
     return app
 

@@ -6,7 +6,7 @@ from uuid import uuid4
 import pytest
 import sqlalchemy as sa
 
-from assistax_zoo.service.pages import boards
+from assistax_zoo.service.pages import behind
 from tests.service.postgres import Cluster, cluster
 
 
@@ -21,7 +21,7 @@ def postgres() -> Iterator[sa.URL]:
 def readers_wait_for_boards() -> Iterator[None]:
     """Let no page be answered before its board is there, however busy the machine is."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(boards, "PATIENCE", 120.0)
+        patch.setattr(behind, "PATIENCE", 120.0)
         yield
 
 

@@ -114,7 +114,18 @@ def test_a_season_by_its_commands(board: dict[str, Any], tmp_path: Path) -> None
     )
     assert json.loads(checked)["check"] == "admitted"
     submitted = command(
-        *("submit", file, "--task", "scratch", "--season", "spring", "--watch", "--json"),
+        *(
+            "submit",
+            file,
+            "--task",
+            "scratch",
+            "--method",
+            "mine",
+            "--season",
+            "spring",
+            "--watch",
+            "--json",
+        ),
         **environment,
     )
     found = json.loads(submitted)
@@ -159,7 +170,7 @@ def test_a_server_stops_with_its_workers(board: dict[str, Any]) -> None:
 def test_a_stop_gives_the_job_under_way_back(board: dict[str, Any], tmp_path: Path) -> None:
     file = tmp_path / "robot.safetensors"
     write_policy_file(file, ROBOT, params_of(ROBOT, 7))
-    command("submit", file, "--task", "scratch", **board["environment"])
+    command("submit", file, "--task", "scratch", "--method", "mine", **board["environment"])
     assert any("job begins" in line for line in board["lines"])
     stop(board["process"])
     service = open_service(board["data"], registry=board["registry"])

@@ -14,7 +14,7 @@ import polars as pl
 import pytest
 from starlette.testclient import TestClient
 
-from assistax_zoo.service.pages import boards
+from assistax_zoo.service.pages import behind, boards
 from assistax_zoo.service.pages.cache import PageCache
 from assistax_zoo.service.pages.charts import axis_over
 from assistax_zoo.service.pages.crossplays import PUBLISHED, CrossPlays
@@ -412,7 +412,7 @@ def test_nobody_waits_for_a_board_of_which_there_is_an_older_one(
     work_off(service)
     assert kept.of(TASK)
     go_on, real = threading.Event(), boards.unplaced
-    monkeypatch.setattr(boards, "PATIENCE", 0.01)
+    monkeypatch.setattr(behind, "PATIENCE", 0.01)
     monkeypatch.setattr(boards, "unplaced", lambda *args: go_on.wait(60) and real(*args))
     service.submit(new_submitter(service, "bob"), draft(2.0))
     work_off(service)
@@ -421,7 +421,7 @@ def test_nobody_waits_for_a_board_of_which_there_is_an_older_one(
     assert len(old.rows) == 1
     assert kept.is_behind(TASK)
     go_on.set()
-    monkeypatch.setattr(boards, "PATIENCE", 60.0)
+    monkeypatch.setattr(behind, "PATIENCE", 60.0)
     new = kept.of(TASK)
     assert new is not None
     assert len(new.rows) == 2

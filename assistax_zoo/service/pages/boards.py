@@ -5,13 +5,13 @@ figures of its own method, and the places: what other methods earned is kept.
 """
 
 import dataclasses
-import threading
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from assistax_zoo.service.pages.crossplays import CrossPlays
+from assistax_zoo.service.pages.behind import Behind
+from assistax_zoo.service.pages.crossplays import CrossPlay, CrossPlays
 from assistax_zoo.service.queries import PartnerScore, Queries, Submission
 from assistax_zoo.service.statistics_board import Method, Panel, Standing, standings, unplaced
 from assistax_zoo.service.vocabulary import REFERENCE
@@ -19,7 +19,6 @@ from evaluation.metrics import SEED_SDS, Bounds
 from evaluation.relative import RANDOM, SELF_PLAY, ZERO
 
 LOW = (RANDOM, ZERO)  # references that earn a normalised return of 0, the first there is
-PATIENCE = 2.0  # seconds that a reader waits for a board
 _AT_ONCE = 200  # submissions whose returns are read together
 _NEWEST = 100_000  # submissions of a board; all of them
 
@@ -75,27 +74,23 @@ class Boards:
 
     def __init__(self, queries: Queries, crossplays: CrossPlays) -> None:
         self._queries, self._crossplays = queries, crossplays
-        self._lock = threading.Lock()
-        self._tasks: dict[str, _TaskBoard] = {}
+        self._boards: Behind[Board | None] = Behind()
+        self._memories: dict[str, _Memory] = {}
 
     def of(self, task: str) -> Board | None:
         """Return the board of a task under its newest version, or None while it is empty.
 
-        It is computed by a thread of its own. Who asks waits a moment for it, then gets the board
-        as it was before the last score.
+        Who asks waits a moment for a new one, then gets the board as it was before the last score.
         """
-        with self._lock:
-            kept = self._tasks.setdefault(task, _TaskBoard())
         scored = self._scored(task)
-        kept.wanted = scored
-        if kept.key != scored:
-            self._renew(task, kept, scored).join(PATIENCE)
-        return kept.board
+        if scored is None:
+            return None
+        key = scored.version, tuple((one.id, one.submitter) for one in scored.submissions)
+        return self._boards.value(task, key, lambda: self._board(task, scored))
 
     def is_behind(self, task: str) -> bool:
         """Return whether scores are there that the board does not show yet."""
-        kept = self._tasks.get(task)
-        return kept is not None and kept.wanted != kept.key
+        return self._boards.is_behind(task)
 
     def _scored(self, task: str) -> "_Scored | None":
         """Return what a board is of: its version, and all submissions that count."""
@@ -106,29 +101,17 @@ class Boards:
         scored = tuple(one for one in every if one.state == "scored")
         return _Scored(*versions[0], scored)
 
-    def _renew(self, task: str, kept: "_TaskBoard", scored: "_Scored | None") -> threading.Thread:
-        with self._lock:
-            if kept.thread is None or not kept.thread.is_alive():
-                kept.thread = threading.Thread(
-                    target=self._compute, args=(task, kept, scored), daemon=True
-                )
-                kept.thread.start()
-            return kept.thread
-
-    def _compute(self, task: str, kept: "_TaskBoard", scored: "_Scored | None") -> None:
-        kept.board = None if scored is None else self._board(task, kept.memory, scored)
-        kept.key = scored
-
-    def _board(self, task: str, memory: "_Memory", scored: "_Scored") -> Board | None:
+    def _board(self, task: str, scored: "_Scored") -> Board | None:
+        memory = self._memories.setdefault(task, _Memory())
         memory.learn(self._queries, scored)
         methods = memory.methods(scored.submissions)
         if not methods:
             return None
         partners = memory.panel()
-        references = {one.newest.method: one for one in methods if one.is_reference}
+        references = {one.newest.method: one.returns for one in methods if one.is_reference}
         panel = Panel(
             tuple(one.disability for one in partners),
-            _bounds(partners, references, self._crossplays.of(task)),
+            bounds_of([one.partner for one in partners], references, self._crossplays.of(task)),
             SEED_SDS.get(task),
         )
         by_name = {method.newest.id: method for method in methods}
@@ -148,17 +131,6 @@ class _Scored:
     version: str
     identity: Mapping[str, Any]
     submissions: tuple[Submission, ...]
-
-
-@dataclasses.dataclass
-class _TaskBoard:
-    """A board, and what is kept to make the next one."""
-
-    key: _Scored | None = None  # what the board is of
-    wanted: _Scored | None = None  # what a reader asked for last
-    board: Board | None = None
-    thread: threading.Thread | None = None
-    memory: "_Memory" = dataclasses.field(default_factory=lambda: _Memory())
 
 
 class _Memory:
@@ -221,18 +193,18 @@ class _Memory:
         return of
 
 
-def _bounds(
-    partners: Sequence[PartnerScore], references: Mapping[str, Played], crossplay: Any
+def bounds_of(
+    partners: Sequence[str], references: Mapping[str, np.ndarray], crossplay: CrossPlay | None
 ) -> Bounds | None:
     """What a random robot earns with each partner, and the best robot known for it.
 
-    That is its own robot, or the best of the cross-play.
+    That is its own robot, or the best of the cross-play. `references` are returns [S, P, K].
     """
     low = next((references[name] for name in LOW if name in references), None)
-    best = [] if SELF_PLAY not in references else [references[SELF_PLAY].returns.mean(axis=(0, 2))]
+    best = [] if SELF_PLAY not in references else [references[SELF_PLAY].mean(axis=(0, 2))]
     if crossplay is not None:
-        known = [crossplay.best_returns.get(one.partner) for one in partners]
+        known = [crossplay.best_returns.get(name) for name in partners]
         best += [] if None in known else [np.array(known)]
     if low is None or not best:
         return None
-    return Bounds(np.max(best, axis=0), low.returns.mean(axis=(0, 2)))
+    return Bounds(np.max(best, axis=0), low.mean(axis=(0, 2)))
