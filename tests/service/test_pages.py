@@ -12,8 +12,11 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+import sqlalchemy as sa
 from starlette.testclient import TestClient
 
+from assistax_zoo.service import schema as t
+from assistax_zoo.service.api.app import create_app
 from assistax_zoo.service.pages import behind, boards
 from assistax_zoo.service.pages.cache import PageCache
 from assistax_zoo.service.pages.charts import axis_over
@@ -425,3 +428,42 @@ def test_nobody_waits_for_a_board_of_which_there_is_an_older_one(
     new = kept.of(TASK)
     assert new is not None
     assert len(new.rows) == 2
+
+
+def test_a_gentle_board_says_how_often_somebody_was_hurt(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    lab = new_submitter(service)
+    for number in range(2):
+        service.submit(lab, draft(1.0, f"r{number}"))
+    work_off(service)
+    assert "Violations" not in TestClient(create_app(service)).get(f"/tasks/{TASK}").text
+    with service.database.write() as connection:
+        rows = connection.execute(sa.select(t.scores).order_by(t.scores.c.submission)).all()
+        for row, violations in zip(rows, (0.1, 0.3), strict=True):
+            gentle = {"violations": violations, "safe_success": 0.55, "by_preference": {}}
+            update = sa.update(t.scores).where(t.scores.c.submission == row.submission)
+            connection.execute(update.values(released=row.released | gentle))
+    page = TestClient(create_app(service)).get(f"/tasks/{TASK}").text
+    assert 'data-label="Violations">20%<' in page  # of two seeds
+    assert 'data-label="Safe success">55%<' in page
+
+
+def test_a_submissions_page_is_headed_by_its_own_mean(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    lab = new_submitter(service)
+    ids = [service.submit(lab, draft(strength, f"r{strength}")) for strength in (1.0, 4.0)]
+    work_off(service)
+    client = TestClient(create_app(service))
+    page = client.get(f"/submissions/{ids[0]}").text
+    tiles = re.findall(r"<dt>([^<]+)</dt><dd>([\d.]+)</dd>", page)
+    assert [name for name, _ in tiles[:2]] == ["This robot", "M_test of 2 seeds"]
+    assert float(tiles[0][1]) == pytest.approx(1.5, abs=0.1)
+    assert float(tiles[1][1]) == pytest.approx(3.0, abs=0.1)
+    assert "1 seed: this robot" not in client.get(f"/tasks/{TASK}").text
+
+
+def test_a_board_says_which_places_speak_of_one_robot(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    service.submit(new_submitter(service), draft(1.0))
+    work_off(service)
+    assert "1 seed: this robot" in TestClient(create_app(service)).get(f"/tasks/{TASK}").text

@@ -26,6 +26,7 @@ from tests.service.fakes import (
     take,
     work_off,
 )
+from tests.service.running import served
 
 SIZE = 30  # partners of each panel
 
@@ -357,3 +358,19 @@ def test_another_root_proves_nothing(tmp_path: Path) -> None:
     told["leaves"][3]["panel"] = "B"
     with pytest.raises(ValueError, match="not those whose root"):
         seasons.verify_season(told, b"", told["root"], tmp_path)
+
+
+def test_entries_are_chosen_over_the_network(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    season = open_season(service)
+    with served(service) as server:
+        client = server.client("submit")
+        fields = {"task": TASK, "method": "mine", "season": season}
+        id = client.submit(b"robot 2.0", request_id="request-1", **fields)["id"]
+        assert [one["id"] for one in client.enter("spring", [id])] == [id]
+        assert shown(service, id).entered
+        assert client.enter(season, []) == []
+        assert not shown(service, id).entered
+        other = server.client("submit", "another lab")
+        with pytest.raises(Problem, match="you have no submission"):
+            other.enter(season, [id])
