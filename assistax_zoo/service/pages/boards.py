@@ -5,6 +5,7 @@ figures of its own method, and the places: what other methods earned is kept.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
@@ -139,7 +140,8 @@ class _Memory:
     def __init__(self) -> None:
         self._version = ""
         self._partners: dict[str, PartnerScore] = {}
-        self._returns: dict[str, dict[str, tuple[float, ...]]] = {}
+        # Of each submission its partners, in order, and returns [P, K].
+        self._returns: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
         self._figures: dict[Hashable, Standing] = {}
 
     def learn(self, queries: Queries, scored: _Scored) -> None:
@@ -150,11 +152,14 @@ class _Memory:
         wanted = [one.id for one in scored.submissions]
         for gone in self._returns.keys() - set(wanted):
             del self._returns[gone]
-        new = [id for id in wanted if not self._returns.get(id)]
+        new = [id for id in wanted if id not in self._returns]
         for start in range(0, len(new), _AT_ONCE):
-            for score in queries.partner_scores(new[start : start + _AT_ONCE], scored.version):
-                self._partners.setdefault(score.partner, score)
-                self._returns.setdefault(score.submission, {})[score.partner] = score.returns
+            scores = queries.partner_scores(new[start : start + _AT_ONCE], scored.version)
+            for id, group in itertools.groupby(scores, key=lambda score: score.submission):
+                rows = sorted(group, key=lambda score: score.partner)
+                self._partners |= {row.partner: row for row in rows}
+                names = tuple(row.partner for row in rows)
+                self._returns[id] = names, np.array([row.returns for row in rows])
 
     def panel(self) -> tuple[PartnerScore, ...]:
         """Return one score of each partner that any submission met, in order of names."""
@@ -166,16 +171,13 @@ class _Memory:
         A submission without a score from the whole panel is left out: it has yet to be scored under
         this version.
         """
-        partners = [one.partner for one in self.panel()]
+        partners = tuple(one.partner for one in self.panel())
         groups: dict[tuple[str, str], list[Submission]] = {}
         for one in sorted(submissions, key=lambda one: (one.created_at, one.id)):
-            if self._returns.get(one.id, {}).keys() == self._partners.keys():
+            if self._returns.get(one.id, ((),))[0] == partners:
                 groups.setdefault((one.submitter, one.method), []).append(one)
         return [
-            Played(
-                tuple(group),
-                np.array([[self._returns[one.id][name] for name in partners] for one in group]),
-            )
+            Played(tuple(group), np.stack([self._returns[one.id][1] for one in group]))
             for group in groups.values()
         ]
 
