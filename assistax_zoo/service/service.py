@@ -296,6 +296,7 @@ def adopt_version(service: Service) -> int:
                 s.task == task,
                 s.state.in_(("queued", "running", "scored")),
                 s.kind.in_(("file", "reference")),
+                (s.kind == "file") | s.season.is_(None),  # a season's references play panel B alone
                 s.id.not_in(planned),
             )
             for row in connection.execute(stale).mappings().all():

@@ -89,6 +89,8 @@ def submit(
         before = sa.select(c.id).where(c.submitter == submitter, c.request == draft.request)
         if known := connection.execute(before).scalar():
             return known
+        if draft.season:  # it must not close between here and the end of the transaction
+            database.one_at_a_time(connection, f"season {draft.season}")
         season = _open_season(connection, draft, now) if draft.season else None
         if season is not None and draft.refusal is None:
             _check_budget(connection, season, submitter)

@@ -12,6 +12,8 @@ from assistax_zoo.service import schema as t
 from assistax_zoo.service import seasons
 from assistax_zoo.service.api.app import create_app
 from assistax_zoo.service.merkle import merkle_root
+from assistax_zoo.service.pages.boards import Boards
+from assistax_zoo.service.pages.crossplays import CrossPlays
 from assistax_zoo.service.pages.season_boards import SeasonBoards
 from assistax_zoo.service.problems import Problem
 from assistax_zoo.service.service import Service
@@ -374,3 +376,19 @@ def test_entries_are_chosen_over_the_network(tmp_path: Path) -> None:
         other = server.client("submit", "another lab")
         with pytest.raises(Problem, match="you have no submission"):
             other.enter(season, [id])
+
+
+def test_a_seasons_references_are_no_rows_of_the_public_board(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    season = open_season(service)
+    service.add_references()
+    service.submit(new_submitter(service), draft(2.0, season=season))
+    work_off(service)
+    service.close_season("spring")
+    work_off(service)
+    assert len(service.queries.submissions(season=season)) == 1 + 2
+    assert new_service(tmp_path, version=2).adopt_version() == 1 + 2  # the file, public references
+    boards = Boards(service.queries, CrossPlays(tmp_path))
+    board = boards.of(TASK)
+    assert board is not None
+    assert [len(played.submissions) for _, played in board.rows] == [1, 1, 1]
