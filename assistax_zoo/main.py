@@ -93,6 +93,7 @@ GROUPS = {
             "create": "assistax_zoo.service.commands:season_create",
             "open": "assistax_zoo.service.commands:season_open",
             "close": "assistax_zoo.service.commands:season_close",
+            "enter": "assistax_zoo.service.commands:season_enter",
             "verify": "assistax_zoo.service.commands:season_verify",
         },
     ),

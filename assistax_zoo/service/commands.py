@@ -3,6 +3,7 @@
 import functools
 import os
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -112,7 +113,7 @@ def submit(
     /,
     *,
     task: str,
-    method: str = "mine",
+    method: str | None = None,
     season: str | None = None,
     licence: str = "evaluation-only",
     live: str | None = None,
@@ -129,7 +130,8 @@ def submit(
     Args:
         file: The robot: .safetensors of this project, .onnx, or an id of the zoo.
         task: Task, such as scratch.
-        method: Name on the board; submissions of one name are seeds of one method.
+        method: Name on the board, asked for unless you only check; submissions of one name are
+            seeds of one method, and their mean counts.
         season: Season to take part in; default the public board alone.
         licence: What others may do with the file: evaluation-only, or a licence such as MIT.
         live: A robot that stays here instead of a file, such as python:mine:make.
@@ -153,6 +155,11 @@ def submit(
         if file is None:
             raise ValueError("--check is about a file; a live robot is tried with `evaluate`")
         answer = submitting.check_file(file, task, registry, whole=all)
+    elif method is None:
+        raise ValueError(
+            "give --method with a name for the board, such as --method ppo-large; submissions of "
+            "one name are seeds of one method, so another robot needs another name"
+        )
     else:
         fields = {"task": task, "method": method, "season": season, "licence": licence}
         client = _client(url, token_file)
@@ -286,22 +293,58 @@ def season_create(
     print(service.create_season(plan, release, load_registry()))
 
 
-def season_open(name: str, /, *, data: Path, database: str | None = None) -> None:
-    """Publish a season's Merkle root and let labs submit; print the root.
+def season_open(
+    name: str, /, *, data: Path, closes: datetime | None = None, database: str | None = None
+) -> None:
+    """Publish a season's Merkle root and its closing date, and let labs submit; print the root.
 
     Args:
         name: Name or id of the season.
         data: Folder of the service.
+        closes: When it closes by itself, in UTC if no zone is given; default in 90 days.
         database: URL, where it is not the folder's.
 
     Example:
-        assistax-zoo season open spring --data board
+        assistax-zoo season open spring --closes 2026-12-01T12:00 --data board
     """
-    print(_service(data, database).open_season(name))
+    if closes is not None and closes.tzinfo is None:
+        closes = closes.replace(tzinfo=UTC)
+    service = _service(data, database)
+    print(service.open_season(name, closes.timestamp() if closes else None))
+    opened = service.queries.season(name)
+    date = datetime.fromtimestamp(opened.closes_at, UTC) if opened and opened.closes_at else None
+    print(f"it closes by itself at {date:%Y-%m-%d %H:%M} UTC", file=sys.stderr)
+
+
+def season_enter(
+    name: str,
+    /,
+    *submissions: str,
+    url: str | None = None,
+    token_file: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Choose what of yours plays a season's panel B, in place of what you chose before.
+
+    At most two methods; submissions of one method are its seeds, and their mean counts. Without any
+    the submission whose score on panel A was shown last plays.
+
+    Args:
+        name: Name or id of the season.
+        submissions: Ids of your submissions.
+        url: Address of the server; default $ASSISTAX_ZOO_SERVER, else this machine's.
+        token_file: File with your token; default the token in $ASSISTAX_ZOO_TOKEN.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo season enter spring 7kq2mz4a 9xw4pd1c
+    """
+    entered = _client(url, token_file).enter(name, submissions)
+    _print([{name: one[name] for name in ("id", "method", "state")} for one in entered], json)
 
 
 def season_close(name: str, /, *, data: Path, database: str | None = None) -> None:
-    """Take no more submissions; workers play panel B, then everything is revealed.
+    """Close a season before its date: workers play what is in, then panel B; all is revealed.
 
     Args:
         name: Name or id of the season.

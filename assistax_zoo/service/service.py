@@ -7,7 +7,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from assistax_zoo.service import jobs, ledger, results, seasons, submissions, tokens
+from assistax_zoo.service import closing, jobs, ledger, results, seasons, submissions, tokens
 from assistax_zoo.service import schema as t
 from assistax_zoo.service.artefacts import Artefacts
 from assistax_zoo.service.catalogue import (
@@ -57,13 +57,16 @@ class Service:
         return submissions.submit(*args, self.clock())
 
     def withdraw(self, submission: str, submitter: str) -> None:
-        """End a submission because its submitter wants so."""
+        """End a submission because its submitter wants so; a scored one leaves its board."""
         submissions.withdraw(self.database, submission, submitter, self.clock())
+        with self.database.write() as connection:
+            self._reveal(connection, submission)
 
     def lease(
         self, worker: str, versions: Sequence[str], rooms: Rooms | None = None
     ) -> Work | None:
         """Give a worker the next job that it can do; `rooms` say which live clients are there."""
+        closing.close_due(self.database, self.clock())
         connected = () if rooms is None else rooms.connected()
         if rooms is not None:
             self._end_absent(rooms)
@@ -149,13 +152,21 @@ class Service:
         args = self.database, self.artefacts, plan, folder, public
         return seasons.create_season(*args, self.clock())
 
-    def open_season(self, name: str) -> str:
-        """Open a season and return its Merkle root."""
-        return seasons.open_season(self.database, name, self.clock())
+    def open_season(self, name: str, closes_at: float | None = None) -> str:
+        """Open a season until a date, and return its Merkle root."""
+        return seasons.open_season(self.database, name, self.clock(), closes_at)
+
+    def enter(self, season: str, submitter: str, chosen: Sequence[str]) -> None:
+        """Choose what a lab plays panel B with; see `closing`."""
+        closing.enter(self.database, season, submitter, chosen, self.clock())
 
     def close_season(self, name: str) -> None:
-        """Close a season: panel B is played, then everything is revealed."""
-        seasons.close_season(self.database, name, self.clock())
+        """Close a season before its date: panel B is played, then everything is revealed."""
+        closing.close_season(self.database, name, self.clock())
+
+    def panel_b(self, season: str) -> list[tuple[str, Any]]:
+        """Return the episodes of every submission on the panel B of a closed season."""
+        return results.panel_b(self.database, self.artefacts, season)
 
     def create_token(self, scopes: Sequence[Any], **options: Any) -> str:
         """Make a token; see `tokens.create_token`."""
@@ -196,10 +207,10 @@ class Service:
             self._reveal(connection, submission)
 
     def _reveal(self, connection: sa.Connection, submission: str) -> None:
-        """Reveal a closing season whose last job was given up."""
+        """Take a closing season on whose last job was given up."""
         season = _season_of(connection, submission)
         if season is not None:
-            seasons.reveal_if_done(self.database, connection, season.id, self.clock())
+            closing.go_on(self.database, connection, season.id, self.clock())
 
     def _work(self, lease: jobs.Lease) -> Work:
         with self.database.read() as connection:
@@ -307,6 +318,7 @@ def adopt_version(service: Service) -> int:
                 s.task == task,
                 s.state.in_(("queued", "running", "scored")),
                 s.kind.in_(("file", "reference")),
+                (s.kind == "file") | s.season.is_(None),  # a season's references play panel B alone
                 s.id.not_in(planned),
             )
             for row in connection.execute(stale).mappings().all():
@@ -319,7 +331,7 @@ def adopt_version(service: Service) -> int:
 
 
 def _check_closing(service: Service, task: str) -> None:
-    """Refuse another version while panel B of a season is played: it is played once, by one."""
+    """Refuse another version while a season closes: what was in by then is played once, by one."""
     identity = service.catalogue.identity(task)
     j, s, v = t.jobs.c, t.submissions.c, t.versions.c
     query = (
@@ -327,8 +339,8 @@ def _check_closing(service: Service, task: str) -> None:
         .join(t.submissions, s.season == t.seasons.c.id)
         .join(t.jobs, j.submission == s.id)
         .join(t.versions, v.id == j.version)
-        .where(s.task == task, j.panel == "B", j.state.in_(("waiting", "leased")))
-        .where(j.version != version_id(identity))
+        .where(s.task == task, t.seasons.c.state == "closing")
+        .where(j.state.in_(("held", "waiting", "leased")), j.version != version_id(identity))
     )
     with service.database.read() as connection:
         row = connection.execute(query.limit(1)).first()
@@ -340,7 +352,7 @@ def _check_closing(service: Service, task: str) -> None:
         )
         raise Problem(
             "conflict",
-            f"season {row.name} is closing, and its last panel is played by one version alone "
+            f"season {row.name} is closing, and what was in by then is played by one version alone "
             f"({differences}); start the installation and the options that it began to close with, "
             "wait until the season is closed, then change them",
         )

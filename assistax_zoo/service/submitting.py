@@ -143,7 +143,11 @@ def for_reader(found: dict[str, Any], address: str) -> dict[str, Any]:
         within = f" ({interval[0]:.1f} to {interval[1]:.1f})" if interval else ""
         shown[f"mean return, {panel}"] = f"{figures['mean']:.1f}{within}"
     if place := found.get("board_place"):
-        shown["place"] = f"{place} of {found['of_methods']} on {address}{found['board']}"
+        lowest = found.get("board_lowest") or place
+        shown["place"] = (
+            f"{place if lowest == place else f'{place}–{lowest}'} of {found['of_methods']} on "
+            f"{address}{found['board']}"
+        )
     return shown | {"page": f"{address}/submissions/{found['id']}"}
 
 

@@ -53,7 +53,8 @@ def make_app(folder: Path, robots: tuple[Robot, ...] = ROBOTS, **options: Any) -
     app.state.limiter = Limiter()
     add_error_handlers(app)
     catalogue = SimpleNamespace(tasks=("scratch", "bed_bath", "arm_assist"))
-    service = SimpleNamespace(queries=Queries(fill(folder, robots)), catalogue=catalogue)
+    queries = Queries(fill(folder, robots))
+    service = SimpleNamespace(queries=queries, catalogue=catalogue, panel_b=lambda season: [])
     add_pages(app, service, films=folder / "films", **options)
     return app
 

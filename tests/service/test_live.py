@@ -19,6 +19,7 @@ from assistax_zoo.service.live import rooms
 from assistax_zoo.service.live.messages import decode, encode, pack_rows, unpack_rows
 from assistax_zoo.service.live.robot import LiveRobot
 from assistax_zoo.service.live.rooms import BankEmpty, Rooms
+from assistax_zoo.service.problems import Problem
 from assistax_zoo.service.service import Service
 from assistax_zoo.service.worker import Worker
 from tests.service.fakes import (
@@ -123,14 +124,15 @@ def test_numbers_that_are_not_finite_end_it_with_a_word(tmp_path: Path) -> None:
     assert (shown(service, id).state, shown(service, id).reason) == ("refused", "not_finite")
 
 
-def test_live_robots_never_meet_panel_b(tmp_path: Path) -> None:
+def test_live_robots_never_meet_hidden_partners(tmp_path: Path) -> None:
+    """Their observations leave the server, a whole panel's in one batch."""
     service = new_service(tmp_path)
     season = open_season(service)
-    id = play(service, Counting(), season=season)
-    assert shown(service, id).attempt == "spent"
-    service.close_season("spring")
-    assert service.lease("w", FakeScorer().versions()) is None
-    assert {score.panel for score in service.queries.scores(submission=id)} == {"public", "A"}
+    with served(service) as server:
+        owner = server.client("submit")
+        with pytest.raises(Problem, match="public partners alone"):
+            owner.submit(b"", request_id="request-1", season=season, **FIELDS)
+    assert service.queries.submissions() == []
 
 
 def test_nobody_plays_for_another(tmp_path: Path) -> None:

@@ -216,6 +216,18 @@ def test_reference_rows_are_what_evaluate_plays(registry: Registry, tmp_path: Pa
 
 
 @pytest.mark.slow
+def test_references_play_a_private_release_too(registry: Registry, tmp_path: Path) -> None:
+    """A season's panel B is measured by them; self-play is with the release's own robots."""
+    private = _registry(tmp_path, first=100)
+    humans = hidden_partners(private, TASK)
+    for name in (ZERO, SELF_PLAY):
+        asked = dataclasses.replace(work((ordinal(1),)), kind="reference", format=name)
+        hidden = scorer_of(registry).play(asked, None, pack(private.path.parent))
+        open_ = dataclasses.replace(asked, partners=(humans[1].id,))
+        assert hidden["return"].equals(scorer_of(private).play(open_, None, None)["return"])
+
+
+@pytest.mark.slow
 def test_published_egos_are_rows_to_measure_by(registry: Registry, tmp_path: Path) -> None:
     rows = {ZERO: ZERO, RANDOM: RANDOM, SCRIPT: SCRIPT, SELF_PLAY: SELF_PLAY}
     assert ZooCatalogue(registry, "native").references(TASK) == rows

@@ -67,7 +67,29 @@ def _hand_in(service: Any, submitter: str, draft: Draft) -> Submission:
 
 @router.post("/submissions/{id}/withdraw")
 def withdraw(request: Request, principal: Submitter, id: str) -> Submission:
-    """Take a submission back; its attempt is refunded unless it met hidden partners."""
+    """Take a submission back; its attempt is refunded unless it met hidden partners.
+
+    A scored one leaves its board; its score, its attempt and its receipt stay known.
+    """
     service = request.app.state.service
     service.withdraw(id, str(principal.submitter))
     return service.queries.submission(id)
+
+
+@router.post("/seasons/{id}/entries")
+def enter(
+    request: Request,
+    principal: Submitter,
+    id: str,
+    submission: Annotated[list[str] | None, Query(max_length=20)] = None,
+) -> list[Submission]:
+    """Choose what plays panel B, in place of what was chosen before; return what is chosen.
+
+    At most two methods, each with the submissions that are its seeds. Without any choice it is the
+    submission whose score on panel A was shown last.
+    """
+    service, submitter = request.app.state.service, str(principal.submitter)
+    service.enter(id, submitter, submission or [])
+    season = service.queries.season(id)
+    mine = service.queries.submissions(submitter=submitter, season=season.id, limit=1000)
+    return [one for one in mine if one.entered]

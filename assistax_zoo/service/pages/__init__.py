@@ -5,8 +5,9 @@ about in the explorer works without scripts.
 """
 
 import functools
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from fastapi import Depends, FastAPI, Request
 from starlette.responses import Response
@@ -18,6 +19,7 @@ from assistax_zoo.service.pages.cache import PageCache, respond
 from assistax_zoo.service.pages.crossplays import PUBLISHED, CrossPlays
 from assistax_zoo.service.pages.partner_routes import explorer_router, pair_router, partner_router
 from assistax_zoo.service.pages.rendering import static_files
+from assistax_zoo.service.pages.season_boards import SeasonBoards
 from assistax_zoo.service.pages.season_routes import season_router
 from assistax_zoo.service.pages.security import FormTokens, SecurityHeaders
 from assistax_zoo.service.pages.site import NotFoundError, Site
@@ -51,6 +53,10 @@ class Service(Protocol):
         """What is scored."""
         ...
 
+    def panel_b(self, season: str) -> Sequence[tuple[str, Any]]:
+        """Return the episodes of every submission on the panel B of a closed season."""
+        ...
+
 
 def add_pages(
     app: FastAPI,
@@ -80,6 +86,7 @@ def add_pages(
         registry=load_registry(registry),
         crossplays=played,
         boards=Boards(service.queries, played),
+        season_boards=SeasonBoards(service.queries, service.panel_b),
         videos=Videos(folder, functools.partial(run_command, registry=registry)),
         cache=PageCache(),
         tokens=FormTokens(form_key),
