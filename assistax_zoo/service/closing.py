@@ -137,6 +137,13 @@ def find_season(
     return row
 
 
+def season_of(connection: sa.Connection, submission: str) -> Any:
+    """Return the season of a submission, secrets included: never to be shown."""
+    s = t.submissions.c
+    query = sa.select(t.seasons).join(t.submissions, s.season == t.seasons.c.id)
+    return connection.execute(query.where(s.id == submission)).first()
+
+
 def _close(database: Database, connection: sa.Connection, season: str, now: float) -> None:
     connection.execute(sa.update(t.seasons).where(c.id == season).values(state="closing"))
     ledger.append(database, connection, now, "season_close", {"season": season})

@@ -11,7 +11,6 @@ import sqlalchemy as sa
 from assistax_zoo.service import closing, jobs, ledger, submissions
 from assistax_zoo.service import schema as t
 from assistax_zoo.service.artefacts import Artefacts, record_artefact
-from assistax_zoo.service.catalogue import EPISODES, HIDDEN_EPISODES
 from assistax_zoo.service.database import Database, insert_once
 from assistax_zoo.service.problems import Problem
 from assistax_zoo.service.receipts import Signer
@@ -36,6 +35,7 @@ def accept(
     secret: str,
     data: bytes,
     partners: tuple[str, ...],
+    episodes: int,
     preferences: tuple[str, ...],
     seconds: float,
     now: float,
@@ -49,7 +49,6 @@ def accept(
         row = jobs.held_job(connection, job, secret)
     if row is None or row.state == "cancelled":
         raise Problem("lease_lost", "this job is no longer yours; take the next")
-    episodes = EPISODES if row.panel == "public" else HIDDEN_EPISODES
     kept = table_bytes(decode_table(data, partners, episodes, preferences))
     name = desk.artefacts.put(kept)
     with desk.database.write() as connection:

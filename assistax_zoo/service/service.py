@@ -7,16 +7,23 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from assistax_zoo.service import closing, jobs, ledger, results, seasons, submissions, tokens
+from assistax_zoo.service import (
+    closing,
+    jobs,
+    ledger,
+    results,
+    seasons,
+    submissions,
+    tokens,
+    upgrading,
+)
 from assistax_zoo.service import schema as t
 from assistax_zoo.service.artefacts import Artefacts
 from assistax_zoo.service.catalogue import (
     CHUNK,
-    EPISODES,
-    HIDDEN_EPISODES,
     PUBLIC_SEED,
     Catalogue,
-    version_id,
+    panel_episodes,
 )
 from assistax_zoo.service.clock import Clock, system_clock
 from assistax_zoo.service.database import Database
@@ -106,8 +113,9 @@ class Service:
                 raise Problem("not_found", f"no job {job!r}")
             partners = self._partners(connection, row)
             preferences = self._preferences(connection, row.submission)
+            episodes = panel_episodes(_task_of(connection, row.submission), row.panel)
         desk = results.Desk(self.database, self.artefacts, self.signer)
-        given = data, partners, preferences, seconds
+        given = data, partners, episodes, preferences, seconds
         return results.accept(desk, job, secret, *given, self.clock())
 
     def owns_live(self, submission: str, submitter: str | None) -> bool:
@@ -187,7 +195,7 @@ class Service:
 
     def adopt_version(self) -> int:
         """Score anew what was scored by other versions; return how many submissions that is."""
-        return adopt_version(self)
+        return upgrading.adopt_version(self)
 
     def _end_absent(self, rooms: Rooms) -> None:
         """End live submissions whose clients have not come for too long."""
@@ -208,7 +216,7 @@ class Service:
 
     def _reveal(self, connection: sa.Connection, submission: str) -> None:
         """Take a closing season on whose last job was given up."""
-        season = _season_of(connection, submission)
+        season = closing.season_of(connection, submission)
         if season is not None:
             closing.go_on(self.database, connection, season.id, self.clock())
 
@@ -217,7 +225,7 @@ class Service:
             s = t.submissions.c
             row = connection.execute(sa.select(t.submissions).where(s.id == lease.submission)).one()
             partners = self._partners(connection, lease)
-            season = _season_of(connection, lease.submission)
+            season = closing.season_of(connection, lease.submission)
             preferences = self._preferences(connection, lease.submission)
         public = lease.panel == "public"
         return Work(
@@ -233,7 +241,7 @@ class Service:
             panel=lease.panel,
             chunk=lease.chunk,
             partners=partners,
-            episodes=EPISODES if public else HIDDEN_EPISODES,
+            episodes=panel_episodes(row.task, lease.panel),
             seed=f"{PUBLIC_SEED:x}"
             if public
             else seasons.panel_seed(season.secret["leaves"], lease.panel),
@@ -241,16 +249,14 @@ class Service:
         )
 
     def _preferences(self, connection: sa.Connection, submission: str) -> tuple[str, ...]:
-        s = t.submissions.c
-        task = connection.execute(sa.select(s.task).where(s.id == submission)).scalar_one()
+        task = _task_of(connection, submission)
         return tuple(self.catalogue.identity(task).get("preferences", ()))
 
     def _partners(self, connection: sa.Connection, job: Any) -> tuple[str, ...]:
         """Return the partners of a job's chunk."""
-        season = _season_of(connection, job.submission)
+        season = closing.season_of(connection, job.submission)
         if job.panel == "public":
-            s = t.submissions.c
-            task = connection.execute(sa.select(s.task).where(s.id == job.submission)).scalar_one()
+            task = _task_of(connection, job.submission)
             names = [partner.id for partner in self.catalogue.public_panel(task)]
         else:
             names = seasons.panel_partners(season.secret["leaves"], job.panel)
@@ -298,68 +304,6 @@ def _sign_anew(service: Service, connection: sa.Connection, submission: str) -> 
         connection.execute(update.values(values))
 
 
-def adopt_version(service: Service) -> int:
-    """Cut everything into jobs of the current version that has none: after an upgrade.
-
-    Unfinished jobs of older versions are dropped, since no worker of today can do them. Scores of
-    older versions stay.
-
-    Raises:
-        Problem: A season is closing under another version; nothing was changed.
-    """
-    now, s, changed = service.clock(), t.submissions.c, 0
-    for task in service.catalogue.tasks:
-        _check_closing(service, task)
-    for task in service.catalogue.tasks:
-        version = version_id(service.catalogue.identity(task))
-        with service.database.write() as connection:
-            planned = sa.select(t.jobs.c.submission).where(t.jobs.c.version == version)
-            stale = sa.select(t.submissions).where(
-                s.task == task,
-                s.state.in_(("queued", "running", "scored")),
-                s.kind.in_(("file", "reference")),
-                (s.kind == "file") | s.season.is_(None),  # a season's references play panel B alone
-                s.id.not_in(planned),
-            )
-            for row in connection.execute(stale).mappings().all():
-                jobs.cancel_jobs(connection, row["id"])
-                season = _season_of(connection, row["id"])
-                season = season if season is not None and season.state == "open" else None
-                submissions.plan_jobs(connection, service.catalogue, row, season, now)
-                changed += 1
-    return changed
-
-
-def _check_closing(service: Service, task: str) -> None:
-    """Refuse another version while a season closes: what was in by then is played once, by one."""
-    identity = service.catalogue.identity(task)
-    j, s, v = t.jobs.c, t.submissions.c, t.versions.c
-    query = (
-        sa.select(t.seasons.c.name, v.identity)
-        .join(t.submissions, s.season == t.seasons.c.id)
-        .join(t.jobs, j.submission == s.id)
-        .join(t.versions, v.id == j.version)
-        .where(s.task == task, t.seasons.c.state == "closing")
-        .where(j.state.in_(("held", "waiting", "leased")), j.version != version_id(identity))
-    )
-    with service.database.read() as connection:
-        row = connection.execute(query.limit(1)).first()
-    if row is not None:
-        names = sorted(row.identity.keys() | identity.keys())
-        changed = [n for n in names if row.identity.get(n) != identity.get(n)]
-        differences = "; ".join(
-            f"{n} {row.identity.get(n)}, now {identity.get(n)}" for n in changed
-        )
-        raise Problem(
-            "conflict",
-            f"season {row.name} is closing, and what was in by then is played by one version alone "
-            f"({differences}); start the installation and the options that it began to close with, "
-            "wait until the season is closed, then change them",
-        )
-
-
-def _season_of(connection: sa.Connection, submission: str) -> Any:
-    """Return the season of a submission, secrets included: never to be shown."""
-    s = t.submissions.c
-    query = sa.select(t.seasons).join(t.submissions, s.season == t.seasons.c.id)
-    return connection.execute(query.where(s.id == submission)).first()
+def _task_of(connection: sa.Connection, submission: str) -> str:
+    query = sa.select(t.submissions.c.task).where(t.submissions.c.id == submission)
+    return connection.execute(query).scalar_one()

@@ -14,9 +14,9 @@ from assistax_zoo.service import results, seasons
 from assistax_zoo.service.admission import Admission, robot_sizes
 from assistax_zoo.service.catalogue import (
     CHUNK,
-    EPISODES,
     PUBLIC_SEED,
     ZooCatalogue,
+    panel_episodes,
     version_id,
 )
 from assistax_zoo.service.client import Client
@@ -183,7 +183,7 @@ def _try_work(task: str, format: str, partners: tuple[str, ...]) -> Work:
 def _server_works(catalogue: ZooCatalogue, task: str, format: str) -> list[Work]:
     """Return the jobs of a server's public half."""
     played = {
-        "episodes": EPISODES,
+        "episodes": panel_episodes(task, "public"),
         "seed": f"{PUBLIC_SEED:x}",
         "preferences": tuple(catalogue.identity(task).get("preferences", ())),
     }

@@ -395,6 +395,21 @@ def test_a_closing_season_keeps_its_version(tmp_path: Path) -> None:
     assert upgraded.adopt_version() == 1
 
 
+def test_a_closing_season_keeps_its_version_while_panel_a_is_played(tmp_path: Path) -> None:
+    """What was handed in in time would lose panel A, which no closing season plans anew."""
+    service = new_service(tmp_path)
+    season = open_season(service)
+    id = service.submit(new_submitter(service), draft(2.0, season=season))
+    work_off(service, most=3)  # its public half: panel A waits
+    service.close_season("spring")
+    upgraded = new_service(tmp_path, version=2)
+    with pytest.raises(Problem, match="spring is closing"):
+        upgraded.adopt_version()
+    work_off(service)
+    assert {score.panel for score in service.queries.scores(submission=id)} == {"public", "A", "B"}
+    assert state_of_season(service) == "closed"
+
+
 def test_a_season_that_closes_after_an_upgrade_is_played_by_the_new_version(
     tmp_path: Path,
 ) -> None:
