@@ -181,10 +181,9 @@ class Service:
     def _end_absent(self, rooms: Rooms) -> None:
         """End live submissions whose clients have not come for too long."""
         s = t.submissions.c
-        columns = s.id, s.created_at
-        query = sa.select(*columns).where(s.kind == "live", s.state.not_in(FINAL_STATES))
+        live = sa.select(s.id, s.created_at).where(s.kind == "live")
         with self.database.read() as connection:
-            waiting = connection.execute(query).all()
+            waiting = connection.execute(live.where(s.state.not_in(FINAL_STATES))).all()
         for row in waiting:
             is_old = self.clock() - row.created_at > LIFE_SECONDS
             if is_old or rooms.away_for(row.id) > GONE_SECONDS:
@@ -262,7 +261,7 @@ def erase_submitter(service: Service, submitter: str) -> None:
         for each in mine:
             submissions.fail(service.database, connection, each.id, "withdrawn", now)
             update = sa.update(t.submissions).where(s.id == each.id)
-            # The request too: its client chose it, and may have written anything.
+            # Its client chose the request, and may have written anything.
             connection.execute(update.values(method="erased", request=each.id))
             _sign_anew(service, connection, each.id)
         others = sa.select(s.artefact).where(s.submitter != submitter, s.artefact.is_not(None))
@@ -279,12 +278,11 @@ def erase_submitter(service: Service, submitter: str) -> None:
 def _sign_anew(service: Service, connection: sa.Connection, submission: str) -> None:
     """Sign receipts without the method's name: the same score, at the same place of the ledger."""
     r = t.receipts.c
-    where = r.submission == submission
-    for row in connection.execute(sa.select(r.version, r.content).where(where)).all():
+    query = sa.select(r.version, r.content).where(r.submission == submission)
+    for row in connection.execute(query).all():
         content = row.content | {"method": "erased"}
-        values = {"content": content, "signature": service.signer.sign(content)}
-        update = sa.update(t.receipts).where(where, r.version == row.version)
-        connection.execute(update.values(values))
+        mine = sa.update(t.receipts).where(r.submission == submission, r.version == row.version)
+        connection.execute(mine.values(content=content, signature=service.signer.sign(content)))
 
 
 def adopt_version(service: Service) -> int:
@@ -340,9 +338,8 @@ def _check_closing(service: Service, task: str) -> None:
         )
         raise Problem(
             "conflict",
-            f"season {row.name} is closing, and its last panel is played by one version alone "
-            f"({differences}); start the installation and the options that it began to close with, "
-            "wait until the season is closed, then change them",
+            f"season {row.name} is closing, and one version alone plays its last panel "
+            f"({differences}); start the version and options that it began with until it is closed",
         )
 
 
