@@ -200,10 +200,9 @@ class Service:
     def _end_absent(self, rooms: Rooms) -> None:
         """End live submissions whose clients have not come for too long."""
         s = t.submissions.c
-        columns = s.id, s.created_at
-        query = sa.select(*columns).where(s.kind == "live", s.state.not_in(FINAL_STATES))
+        live = sa.select(s.id, s.created_at).where(s.kind == "live")
         with self.database.read() as connection:
-            waiting = connection.execute(query).all()
+            waiting = connection.execute(live.where(s.state.not_in(FINAL_STATES))).all()
         for row in waiting:
             is_old = self.clock() - row.created_at > LIFE_SECONDS
             if is_old or rooms.away_for(row.id) > GONE_SECONDS:
@@ -279,7 +278,7 @@ def erase_submitter(service: Service, submitter: str) -> None:
         for each in mine:
             submissions.fail(service.database, connection, each.id, "withdrawn", now)
             update = sa.update(t.submissions).where(s.id == each.id)
-            # The request too: its client chose it, and may have written anything.
+            # Its client chose the request, and may have written anything.
             connection.execute(update.values(method="erased", request=each.id))
             _sign_anew(service, connection, each.id)
         others = sa.select(s.artefact).where(s.submitter != submitter, s.artefact.is_not(None))
@@ -296,12 +295,11 @@ def erase_submitter(service: Service, submitter: str) -> None:
 def _sign_anew(service: Service, connection: sa.Connection, submission: str) -> None:
     """Sign receipts without the method's name: the same score, at the same place of the ledger."""
     r = t.receipts.c
-    where = r.submission == submission
-    for row in connection.execute(sa.select(r.version, r.content).where(where)).all():
+    query = sa.select(r.version, r.content).where(r.submission == submission)
+    for row in connection.execute(query).all():
         content = row.content | {"method": "erased"}
-        values = {"content": content, "signature": service.signer.sign(content)}
-        update = sa.update(t.receipts).where(where, r.version == row.version)
-        connection.execute(update.values(values))
+        mine = sa.update(t.receipts).where(r.submission == submission, r.version == row.version)
+        connection.execute(mine.values(content=content, signature=service.signer.sign(content)))
 
 
 def _task_of(connection: sa.Connection, submission: str) -> str:
