@@ -152,7 +152,9 @@ def _close(database: Database, connection: sa.Connection, season: str, now: floa
 
 def _entries(connection: sa.Connection, season: str) -> list[Any]:
     """Return the submissions that play panel B: those entered, else each lab's last one shown."""
+    erased = sa.select(t.artefacts.c.sha256).where(t.artefacts.c.erased_at.is_not(None))
     query = sa.select(t.submissions).where(s.season == season, s.kind == "file")
+    query = query.where(s.artefact.not_in(erased))
     scored = connection.execute(query.where(s.state == "scored")).all()
     by_lab: dict[str, list[Any]] = {}
     for row in scored:

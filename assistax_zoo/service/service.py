@@ -274,9 +274,11 @@ def erase_submitter(service: Service, submitter: str) -> None:
         connection.execute(sa.update(t.submitters).where(where).values(values))
         open_tokens = sa.update(t.tokens).where(t.tokens.c.submitter == submitter)
         connection.execute(open_tokens.values(revoked_at=now, label="erased"))
-        mine = connection.execute(sa.select(s.id, s.artefact).where(s.submitter == submitter)).all()
+        columns = s.id, s.artefact, s.season
+        mine = connection.execute(sa.select(*columns).where(s.submitter == submitter)).all()
         for each in mine:
             submissions.fail(service.database, connection, each.id, "withdrawn", now)
+            jobs.cancel_jobs(connection, each.id)  # of a scored one, whose file goes too
             update = sa.update(t.submissions).where(s.id == each.id)
             # Its client chose the request, and may have written anything.
             connection.execute(update.values(method="erased", request=each.id))
@@ -288,6 +290,8 @@ def erase_submitter(service: Service, submitter: str) -> None:
         erased = sa.update(t.artefacts).where(a.sha256.in_(gone)).values(erased_at=now)
         connection.execute(erased)
         ledger.append(service.database, connection, now, "erase", {"submitter": submitter})
+        for season in {each.season for each in mine if each.season}:
+            closing.go_on(service.database, connection, season, now)
     for name in gone:
         service.artefacts.erase(name)
 

@@ -67,7 +67,6 @@ def _check_closing(service: "Service", task: str) -> None:
         )
         raise Problem(
             "conflict",
-            f"season {row.name} is closing, and what was in by then is played by one version alone "
-            f"({differences}); start the installation and the options that it began to close with, "
-            "wait until the season is closed, then change them",
+            f"season {row.name} is closing, and one version alone plays what was in by then "
+            f"({differences}); start the version and options that it began with until it is closed",
         )

@@ -382,6 +382,22 @@ def state_of_season(service: Service) -> str:
     return season.state
 
 
+@pytest.mark.parametrize("played", [1, 5], ids=["while panel A is played", "before the close"])
+def test_erasing_a_lab_keeps_no_season_from_its_end(tmp_path: Path, played: int) -> None:
+    service = new_service(tmp_path)
+    season, lab = open_season(service), new_submitter(service)
+    id = service.submit(lab, draft(2.0, season=season))
+    work_off(service, most=played)
+    if played == 1:
+        service.close_season("spring")
+        service.erase_submitter(lab)
+    else:
+        assert shown(service, id).state == "scored"
+        service.erase_submitter(lab)
+        service.close_season("spring")
+    assert state_of_season(service) == "closed"
+
+
 def test_a_closing_season_keeps_its_version(tmp_path: Path) -> None:
     service, id = closing(tmp_path)
     upgraded = new_service(tmp_path, version=2)
