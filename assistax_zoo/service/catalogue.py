@@ -47,7 +47,7 @@ def version_id(identity: dict[str, Any]) -> str:
 
 
 def panel_episodes(task: str, panel: str) -> int:
-    """Return how many episodes each partner of a panel plays: each wish of its as often."""
+    """Return how many episodes each partner of a panel plays: all its wishes equally often."""
     from evaluation.jobs import default_episodes
 
     usual = default_episodes(task)

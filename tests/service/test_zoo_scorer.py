@@ -156,7 +156,7 @@ def test_a_score_names_its_episodes_and_their_starts(registry: Registry) -> None
     identity = ZooCatalogue(registry, "native").identity(TASK)
     assert (identity["episodes"], identity["hidden_episodes"], identity["starts"]) == (8, 16, "own")
     gentle = [panel_episodes("gentle_scratch", panel) for panel in ("public", "A", "B")]
-    assert gentle == [18, 18, 18], "two of each wish"
+    assert gentle == [18, 18, 18], "each wish as often, of nine and of three"
 
 
 def test_a_private_release_is_played_under_ordinals(
