@@ -93,6 +93,7 @@ GROUPS = {
             "create": "assistax_zoo.service.commands:season_create",
             "open": "assistax_zoo.service.commands:season_open",
             "close": "assistax_zoo.service.commands:season_close",
+            "enter": "assistax_zoo.service.commands:season_enter",
             "verify": "assistax_zoo.service.commands:season_verify",
         },
     ),
@@ -100,9 +101,14 @@ GROUPS = {
         "Signed scores.",
         {"verify": "assistax_zoo.service.commands:receipt_verify"},
     ),
+    "ledger": (
+        "Everything that happened on an evaluation service.",
+        {"verify": "assistax_zoo.service.commands:ledger_verify"},
+    ),
     "service": (
         "Care of an evaluation service's data.",
         {
+            "check": "assistax_zoo.service.commands:service_check",
             "backup": "assistax_zoo.service.commands:service_backup",
             "restore": "assistax_zoo.service.commands:service_restore",
             "erase": "assistax_zoo.service.commands:service_erase",

@@ -13,7 +13,7 @@ from assistax_zoo.console import print_json, stdout_is_data
 def run(arguments: Sequence[str]) -> int:
     """Run one benchmark and return its exit code: 0 done, 1 error, 2 wrong usage."""
     app = App(name="python -m benchmarks", help="Speed on this machine.")
-    for command in (env, evaluate, train, fetch, ladder, pages, service, starts):
+    for command in (env, evaluate, train, fetch, ladder, ranks, pages, service, starts):
         app.command(command)
     try:
         app(arguments, print_error=False, exit_on_error=False, result_action="return_value")
@@ -251,6 +251,38 @@ def ladder(*, attempts: int = 1000, submitters: int = 20, json: bool = False) ->
             f"{row['shown']:10.1f}  {row['gain_b']:9.2f}  {row['largest_gain_b']:7.2f}  "
             f"{row['half_width']:15.2f}"
         )
+
+
+def ranks(*, lists: int = 400, seed_sds: bool = False, json: bool = False) -> None:
+    """Measure how often a list of ranks is wrong, and how much of the true order it finds.
+
+    Args:
+        lists: Lists drawn for each figure.
+        seed_sds: Instead, show how far the seeds of the zoo's egos differ, by task.
+        json: Print JSON.
+
+    Example:
+        python -m benchmarks ranks
+    """
+    from pathlib import Path
+
+    from benchmarks import ranks as simulation
+
+    if seed_sds:
+        found = simulation.measure_seed_sds(Path("docs/data"))
+        answer = {task: simulation.root_mean_square(values) for task, values in found.items()}
+        print_json(answer) if json else print(
+            *(f"{t:16} {v:8.1f}" for t, v in answer.items()), sep="\n"
+        )
+        return
+    rows = []
+    for row in simulation.simulate(lists):
+        rows.append(dataclasses.asdict(row))
+        shares = "".join(f"{share:8.1%}" for share in row.shares.values())
+        if not json:
+            print(f"{row.figure:20} {row.world:22} known {row.known:7}{shares}", flush=True)
+    if json:
+        print_json(rows)
 
 
 def pages(

@@ -2,18 +2,20 @@
 
 import dataclasses
 import tempfile
-import threading
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from assistax_zoo.service.problems import Refusal
+from assistax_zoo.service.limited import BusyError, DiedError, OverBudgetError, run_limited
+from assistax_zoo.service.problems import Problem, Refusal
+from assistax_zoo.service.robot_cost import MOST, nanoseconds
 from assistax_zoo.service.submissions import MAX_BYTES
 
 SAFETENSORS, ONNX = "safetensors", "onnx"
 _PROBES = (0.0, 1.0, -1.0, 10.0, -10.0)  # observations that a robot must survive
-_ONE_AT_A_TIME = threading.Lock()  # bounds the memory that admission takes
+SECONDS = 30  # of processors for a file's admission; a large network takes two
+BYTES = 1536 * 1024 * 1024  # of memory, of which JAX and its programs are a sixth
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,8 +35,27 @@ class Admission:
         self._sizes = sizes
 
     def __call__(self, data: bytes, task: str) -> str:
-        """Return the format of a robot's file, or raise `Refusal`."""
-        return self.read(data, task).format
+        """Return the format of a robot's file; it is read in a process of its own.
+
+        Raises:
+            Refusal: It cannot be scored, and why.
+            Problem: The machine is too busy to say.
+        """
+        if len(data) > MAX_BYTES:
+            raise Refusal("too_large", f"{len(data)} bytes")
+        limits = {"seconds": SECONDS, "most_bytes": BYTES}
+        try:
+            answer = run_limited(_admit, self._sizes, data, task, **limits)
+        except OverBudgetError as error:
+            code = "too_slow" if error.what == "seconds" else "graph_too_large"
+            raise Refusal(code, f"to be looked at {error}") from None
+        except DiedError:
+            raise Refusal("malformed", "its reader died of it") from None
+        except BusyError:
+            raise Problem("unavailable", "the server is busy; try again soon") from None
+        if refusal := answer.get("refusal"):
+            raise Refusal(*refusal)
+        return answer["format"]
 
     def read(self, data: bytes, task: str) -> Robot:
         """Return the robot in a file.
@@ -45,15 +66,31 @@ class Admission:
         if len(data) > MAX_BYTES:
             raise Refusal("too_large", f"{len(data)} bytes")
         observation_size, action_size = self._sizes[task]
-        with _ONE_AT_A_TIME:
-            if is_safetensors(data):
-                robot = _read_safetensors(data, observation_size, action_size)
-            elif is_onnx(data):
-                robot = _read_onnx(data, observation_size, action_size)
-            else:
-                raise Refusal("unknown_format")
-            _check_finite(robot)
+        if is_safetensors(data):
+            robot = _read_safetensors(data, observation_size, action_size)
+        elif is_onnx(data):
+            robot = _read_onnx(data, observation_size, action_size)
+        else:
+            raise Refusal("unknown_format")
+        _check_cost(robot)
+        _check_finite(robot)
         return robot
+
+
+def _admit(sizes: dict[str, tuple[int, int]], data: bytes, task: str) -> dict[str, Any]:
+    """Return what admission says of a file, as JSON; in a process that nobody else uses."""
+    import jax
+
+    jax.config.update("jax_platforms", "cpu")
+    jax.config.update("jax_compilation_cache_dir", None)  # strangers' programs are not kept
+    try:
+        return {"format": Admission(sizes).read(data, task).format}
+    except Refusal as refusal:
+        return {"refusal": (refusal.code, refusal.detail[:300])}
+    except MemoryError:
+        return {"refusal": ("graph_too_large", "memory")}
+    except Exception as error:  # whatever a damaged file makes of its reader
+        return {"refusal": ("malformed", type(error).__name__)}
 
 
 def robot_sizes(registry: Any) -> dict[str, tuple[int, int]]:
@@ -118,8 +155,16 @@ def _read_onnx(data: bytes, observation_size: int, action_size: int) -> Robot:
         raise Refusal(error.code, str(error)) from None
 
 
+def _check_cost(robot: Robot) -> None:
+    """Refuse what a worker would play for hours, or need gigabytes for."""
+    cost = nanoseconds(make_policy(robot.spec), robot.params, robot.spec.observation_size)
+    if cost > MOST:
+        raise Refusal("too_slow", f"{cost:.3g} of {MOST:.3g} nanoseconds for an observation")
+
+
 def _check_finite(robot: Robot) -> None:
     """Play a few steps of made-up observations; numbers that are not finite are refused now."""
+    import jax
     import jax.numpy as jnp
 
     policy = make_policy(robot.spec)
@@ -127,8 +172,9 @@ def _check_finite(robot: Robot) -> None:
         [np.full(robot.spec.observation_size, value, np.float32) for value in _PROBES]
     )
     carry, first = policy.initial_carry((len(_PROBES),)), jnp.ones(len(_PROBES), bool)
+    act = jax.jit(policy.act)  # else each operator is compiled by itself: minutes for a thousand
     for _ in range(2):
-        carry, action = policy.act(robot.params, carry, obs, first)
+        carry, action = act(robot.params, carry, obs, first)
         if not bool(jnp.isfinite(action).all()):
             raise Refusal("not_finite", "its actions")
         first = jnp.zeros(len(_PROBES), bool)

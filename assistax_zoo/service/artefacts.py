@@ -22,10 +22,10 @@ class Artefacts:
         self._is_folder = "file" in self._files.protocol
 
     def put(self, data: bytes) -> str:
-        """Keep bytes and return their sha256; bytes that are there are not written again."""
+        """Keep bytes and return their sha256; whole bytes that are there are not written again."""
         name = sha256(data)
         try:
-            if not self._files.exists(self._path(name)):
+            if not self._is_whole(name):
                 self._write(name, data)
         except OSError as error:
             # Nothing refers to the file yet, so there is nothing to undo.
@@ -45,6 +45,12 @@ class Artefacts:
         if sha256(data) != name:
             raise Problem("not_found", f"artefact {name} is damaged; restore it from a backup")
         return data
+
+    def _is_whole(self, name: str) -> bool:
+        try:
+            return sha256(self._files.cat_file(self._path(name))) == name
+        except FileNotFoundError:
+            return False
 
     def erase(self, name: str) -> None:
         """Remove the bytes; their hash stays in the database."""

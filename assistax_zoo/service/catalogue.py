@@ -6,9 +6,8 @@ from typing import Any, Protocol
 
 from assistax_zoo.service.canonical import digest
 
-EPISODES = 8  # with each partner of the public panel
-HIDDEN_EPISODES = 16  # with each partner of panels A and B
-CHUNK = 25  # partners in a job: about 200 simulations, seconds of two cores
+HIDDEN_EPISODES = 16  # at least, with each partner of panels A and B
+CHUNK = 25  # partners in a job: 200 to 450 simulations, seconds of two cores
 PUBLIC_SEED = 0  # of the public half's episodes, the same for all
 
 
@@ -45,6 +44,14 @@ class Catalogue(Protocol):
 def version_id(identity: dict[str, Any]) -> str:
     """Return the id of a version: scores of two are never mixed."""
     return digest(identity)
+
+
+def panel_episodes(task: str, panel: str) -> int:
+    """Return how many episodes each partner of a panel plays: all its wishes equally often."""
+    from evaluation.jobs import default_episodes
+
+    usual = default_episodes(task)
+    return usual if panel == "public" else max(usual, HIDDEN_EPISODES)
 
 
 class ZooCatalogue:
@@ -87,7 +94,9 @@ class ZooCatalogue:
             "engine": engine(self._backend),
             "jax": version("jax"),
             "panel": digest([[entry.id, entry.sha256] for entry in self._entries(task)]),
-            "episodes": EPISODES,
+            "episodes": panel_episodes(task, "public"),
+            "hidden_episodes": panel_episodes(task, "A"),
+            "starts": "own",  # of each partner, the same for every robot
             "chunk": CHUNK,
             "seed": PUBLIC_SEED,
         }

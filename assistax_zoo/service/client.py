@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import httpx2
@@ -69,6 +70,15 @@ class Client:
     def submission(self, id: str) -> dict[str, Any]:
         """Return a submission as it stands."""
         return self.call("GET", f"/api/submissions/{id}").json()
+
+    def withdraw(self, id: str) -> dict[str, Any]:
+        """Take a submission back."""
+        return self.call("POST", f"/api/submissions/{id}/withdraw").json()
+
+    def enter(self, season: str, submissions: Sequence[str]) -> list[dict[str, Any]]:
+        """Choose what plays a season's panel B."""
+        params = {"submission": list(submissions)}
+        return self.call("POST", f"/api/seasons/{season}/entries", params=params).json()
 
     def scores(self, id: str) -> list[dict[str, Any]]:
         """Return what was released of a submission."""

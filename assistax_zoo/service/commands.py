@@ -3,6 +3,7 @@
 import functools
 import os
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -29,6 +30,7 @@ def serve(
     registry: Path | None = None,
     backend: str = BACKEND,
     references: bool = True,
+    proxy: str | None = None,
 ) -> None:
     """Run the evaluation service: a web server, its data in a folder, and a local worker.
 
@@ -45,11 +47,14 @@ def serve(
         backend: Backend that plays, the same for every worker.
         references: Play zero and random actions, scripts, published egos and the partners' own
             robots whenever nobody waits: the rows that a board measures by.
+        proxy: Address of the proxy before the server, such as 127.0.0.1: whose word is taken for
+            where a request comes from; default nobody's.
 
     Example:
         assistax-zoo serve --data board
     """
     serving = _module("serve")
+    serving.check_proxy(proxy)
     with serving.stopped_by_signals():
         service = serving.open_service(
             data, database=database, artefacts=artefacts, registry=registry, backend=backend
@@ -67,7 +72,7 @@ def serve(
         local = address.replace("0.0.0.0", "127.0.0.1")
         with serving.local_workers(workers, local, own, options) as stop_workers:
             pages = serving.page_folders(data, registry)
-            serving.run_server(service, host, port, stop_workers, **pages)
+            serving.run_server(service, host, port, stop_workers, proxy, **pages)
 
 
 def worker(
@@ -108,7 +113,7 @@ def submit(
     /,
     *,
     task: str,
-    method: str = "mine",
+    method: str | None = None,
     season: str | None = None,
     licence: str = "evaluation-only",
     live: str | None = None,
@@ -125,7 +130,8 @@ def submit(
     Args:
         file: The robot: .safetensors of this project, .onnx, or an id of the zoo.
         task: Task, such as scratch.
-        method: Name on the board; submissions of one name are seeds of one method.
+        method: Name on the board, asked for unless you only check; submissions of one name are
+            seeds of one method, and their mean counts.
         season: Season to take part in; default the public board alone.
         licence: What others may do with the file: evaluation-only, or a licence such as MIT.
         live: A robot that stays here instead of a file, such as python:mine:make.
@@ -149,6 +155,11 @@ def submit(
         if file is None:
             raise ValueError("--check is about a file; a live robot is tried with `evaluate`")
         answer = submitting.check_file(file, task, registry, whole=all)
+    elif method is None:
+        raise ValueError(
+            "give --method with a name for the board, such as --method ppo-large; submissions of "
+            "one name are seeds of one method, so another robot needs another name"
+        )
     else:
         fields = {"task": task, "method": method, "season": season, "licence": licence}
         client = _client(url, token_file)
@@ -282,22 +293,58 @@ def season_create(
     print(service.create_season(plan, release, load_registry()))
 
 
-def season_open(name: str, /, *, data: Path, database: str | None = None) -> None:
-    """Publish a season's Merkle root and let labs submit; print the root.
+def season_open(
+    name: str, /, *, data: Path, closes: datetime | None = None, database: str | None = None
+) -> None:
+    """Publish a season's Merkle root and its closing date, and let labs submit; print the root.
 
     Args:
         name: Name or id of the season.
         data: Folder of the service.
+        closes: When it closes by itself, in UTC if no zone is given; default in 90 days.
         database: URL, where it is not the folder's.
 
     Example:
-        assistax-zoo season open spring --data board
+        assistax-zoo season open spring --closes 2026-12-01T12:00 --data board
     """
-    print(_service(data, database).open_season(name))
+    if closes is not None and closes.tzinfo is None:
+        closes = closes.replace(tzinfo=UTC)
+    service = _service(data, database)
+    print(service.open_season(name, closes.timestamp() if closes else None))
+    opened = service.queries.season(name)
+    date = datetime.fromtimestamp(opened.closes_at, UTC) if opened and opened.closes_at else None
+    print(f"it closes by itself at {date:%Y-%m-%d %H:%M} UTC", file=sys.stderr)
+
+
+def season_enter(
+    name: str,
+    /,
+    *submissions: str,
+    url: str | None = None,
+    token_file: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Choose what of yours plays a season's panel B, in place of what you chose before.
+
+    At most two methods; submissions of one method are its seeds, and their mean counts. Without any
+    the submission whose score on panel A was shown last plays.
+
+    Args:
+        name: Name or id of the season.
+        submissions: Ids of your submissions.
+        url: Address of the server; default $ASSISTAX_ZOO_SERVER, else this machine's.
+        token_file: File with your token; default the token in $ASSISTAX_ZOO_TOKEN.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo season enter spring 7kq2mz4a 9xw4pd1c
+    """
+    entered = _client(url, token_file).enter(name, submissions)
+    _print([{name: one[name] for name in ("id", "method", "state")} for one in entered], json)
 
 
 def season_close(name: str, /, *, data: Path, database: str | None = None) -> None:
-    """Take no more submissions; workers play panel B, then everything is revealed.
+    """Close a season before its date: workers play what is in, then panel B; all is revealed.
 
     Args:
         name: Name or id of the season.
@@ -341,6 +388,42 @@ def receipt_verify(file: Path, /, *, key: str, json: bool = False) -> None:
     receipt = decoder.loads(file.read_text(encoding="utf-8"))
     receipt = receipt.get("receipt", receipt) if isinstance(receipt, dict) else receipt
     _print(_module("receipts").verify_receipt(receipt, key), json)
+
+
+def ledger_verify(*, url: str | None = None, json: bool = False) -> None:
+    """Check that a server's ledger is an unbroken chain, and print its end.
+
+    Keep what it prints: a later ledger that has another hash at this number was changed.
+
+    Args:
+        url: Address of the server; default $ASSISTAX_ZOO_SERVER, else this machine's.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo ledger verify --url https://board.example.org
+    """
+    _print(_module("checking").check_ledger(_client(url, None)), json)
+
+
+def service_check(
+    *,
+    data: Path,
+    database: str | None = None,
+    artefacts: str | None = None,
+    json: bool = False,
+) -> None:
+    """Check that what a service keeps is whole: database, ledger, artefacts and receipts.
+
+    Args:
+        data: Folder of the service, or one that a backup was restored to.
+        database: URL, where it is not the folder's.
+        artefacts: Address, where it is not the folder's.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo service check --data board
+    """
+    _print(_module("checking").check_service(_service(data, database, artefacts)), json)
 
 
 def service_backup(target: Path, /, *, data: Path) -> None:

@@ -11,6 +11,7 @@ class Problem(ValueError):
 
     code: str  # for programs: one of `CODES`
     message: str  # for people: what was found, what is allowed, what to do next
+    retry_after: int | None = None  # seconds, where asking again will help
 
     def __str__(self) -> str:
         return self.message

@@ -50,6 +50,7 @@ class Submission:
     eta_seconds: float | None
     jobs_done: int
     jobs: int
+    entered: bool  # chosen for panel B of its season
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,6 +93,7 @@ class Season:
     root: str | None
     panel_sizes: dict[str, int]
     opened_at: float | None
+    closes_at: float | None  # by itself
     closed_at: float | None
 
 
@@ -151,6 +153,12 @@ class Queries:
             row = connection.execute(_submission_query().where(t.submissions.c.id == id)).first()
             return None if row is None else _Queue(connection).describe(row)
 
+    def state(self, id: str) -> SubmissionState | None:
+        """Return the state of a submission alone: cheap enough to be asked every second."""
+        c = t.submissions.c
+        with self._database.read() as connection:
+            return connection.execute(sa.select(c.state).where(c.id == id)).scalar()
+
     def scores(
         self,
         *,
@@ -169,6 +177,8 @@ class Queries:
             .where(s.released.is_not(None))
             .order_by(s.created_at, s.submission)
         )
+        if submission is None:  # off every board; its own page still tells
+            query = query.where((r.state != "retracted") | (s.panel == "B"))
         wanted = (
             (r.task, task),
             (s.submission, submission),
@@ -225,7 +235,7 @@ class Queries:
             sa.select(t.submitters.c.name, c.attempt, t.seasons.c.budget, sa.func.count())
             .join(t.submitters, t.submitters.c.id == c.submitter)
             .join(t.seasons, t.seasons.c.id == c.season)
-            .where(c.season == season)
+            .where(c.season == season, c.kind != "reference")
             .group_by(t.submitters.c.name, c.attempt, t.seasons.c.budget)
         )
         found: dict[str, dict[str, int]] = {}
@@ -299,6 +309,7 @@ class _Queue:
             eta_seconds=eta,
             jobs_done=live.get("done", 0),
             jobs=sum(live.values()),
+            entered=row.entered_at is not None,
         )
 
     def _left(self, submission: str) -> int:

@@ -8,14 +8,14 @@ import numpy as np
 import polars as pl
 import sqlalchemy as sa
 
-from assistax_zoo.service import jobs, ledger, seasons, submissions
+from assistax_zoo.service import closing, jobs, ledger, submissions
 from assistax_zoo.service import schema as t
 from assistax_zoo.service.artefacts import Artefacts, record_artefact
-from assistax_zoo.service.catalogue import EPISODES, HIDDEN_EPISODES
 from assistax_zoo.service.database import Database, insert_once
 from assistax_zoo.service.problems import Problem
 from assistax_zoo.service.receipts import Signer
 from assistax_zoo.service.scoring import decode_table, table_bytes
+from assistax_zoo.service.vocabulary import FINAL_STATES
 
 c = t.results.c
 
@@ -35,6 +35,7 @@ def accept(
     secret: str,
     data: bytes,
     partners: tuple[str, ...],
+    episodes: int,
     preferences: tuple[str, ...],
     seconds: float,
     now: float,
@@ -48,7 +49,6 @@ def accept(
         row = jobs.held_job(connection, job, secret)
     if row is None or row.state == "cancelled":
         raise Problem("lease_lost", "this job is no longer yours; take the next")
-    episodes = EPISODES if row.panel == "public" else HIDDEN_EPISODES
     kept = table_bytes(decode_table(data, partners, episodes, preferences))
     name = desk.artefacts.put(kept)
     with desk.database.write() as connection:
@@ -114,7 +114,9 @@ def _finish_b(
     body = {"id": job.submission, "version": job.version, "released": {"B": figures}}
     ledger.append(desk.database, connection, now, "score", body)
     row = submissions.lock_submission(desk.database, connection, job.submission)
-    seasons.reveal_if_done(desk.database, connection, row.season, now)
+    if row.state not in FINAL_STATES:  # a reference plays this panel alone
+        submissions.end(desk.database, connection, row, "scored", None, "spent", now)
+    closing.go_on(desk.database, connection, row.season, now)
 
 
 def panel_table(
@@ -124,6 +126,27 @@ def panel_table(
     where = c.submission == submission, c.version == version, c.panel == panel
     names = connection.execute(sa.select(c.table).where(*where).order_by(c.chunk)).scalars()
     return pl.concat([pl.read_parquet(io.BytesIO(artefacts.get(name))) for name in names])
+
+
+def panel_b(
+    database: Database, artefacts: Artefacts, season: str
+) -> list[tuple[str, pl.DataFrame]]:
+    """Return the episodes of every submission on the panel B of a season, once it is closed."""
+    s, r, z = t.scores.c, t.submissions.c, t.seasons.c
+    query = (
+        sa.select(s.submission, s.version)
+        .join(t.submissions, r.id == s.submission)
+        .join(t.seasons, z.id == r.season)
+        .where(z.id == season, z.state == "closed", s.panel == "B")
+        .order_by(s.created_at.desc(), s.submission)
+    )
+    with database.read() as connection:
+        rows = connection.execute(query).all()
+        newest = [row for row in rows if row.version == rows[0].version]
+        return [
+            (row.submission, panel_table(artefacts, connection, row.submission, row.version, "B"))
+            for row in newest
+        ]
 
 
 def figures(table: pl.DataFrame) -> dict[str, Any]:
@@ -180,9 +203,11 @@ def _release(desk: Desk, connection: sa.Connection, job: Any, now: float) -> Non
         connection.execute(update.values(released=value))
     body = {"id": row.id, "version": job.version, "released": shown}
     entry = ledger.append(desk.database, connection, now, "score", body)
-    if row.state not in ("scored", "refused", "failed"):
+    if row.state not in FINAL_STATES:
         submissions.end(desk.database, connection, row, "scored", None, "spent", now)
     _sign(desk, connection, row, job.version, shown, entry, now)
+    if row.season is not None:
+        closing.go_on(desk.database, connection, row.season, now)
 
 
 def _has_score(connection: sa.Connection, job: Any, panel: str) -> bool:

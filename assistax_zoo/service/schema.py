@@ -69,6 +69,7 @@ seasons = sa.Table(
     sa.Column("panel_sizes", sa.JSON, nullable=False),
     sa.Column("created_at", sa.Float, nullable=False),
     sa.Column("opened_at", sa.Float),
+    sa.Column("closes_at", sa.Float),  # announced; then it closes by itself
     sa.Column("closed_at", sa.Float),
 )
 
@@ -92,6 +93,7 @@ submissions = sa.Table(
     sa.Column("turn", sa.Integer, nullable=False),  # unfinished ones of this submitter before it
     sa.Column("created_at", sa.Float, nullable=False),
     sa.Column("finished_at", sa.Float),
+    sa.Column("entered_at", sa.Float),  # when it was chosen for panel B
     sa.UniqueConstraint("submitter", "request"),
 )
 sa.Index("ix_submissions_state", submissions.c.state)

@@ -2,8 +2,9 @@
 
     draft -> open -> closing -> closed
 
-Opening publishes a Merkle root over salted leaves: partners, panels and seeds. Closing plays panel
-B, then publishes leaves and weights, and everybody can check that they were the ones.
+Opening publishes a Merkle root over salted leaves: partners, panels and seeds, and when it closes.
+`closing` plays panel B, then publishes leaves and weights, and everybody can check that they were
+the ones.
 """
 
 import dataclasses
@@ -14,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import sqlalchemy as sa
 
-from assistax_zoo.service import jobs, ledger, submissions
+from assistax_zoo.service import ledger
 from assistax_zoo.service import schema as t
 from assistax_zoo.service.artefacts import Artefacts, record_artefact
+from assistax_zoo.service.closing import find_season
 from assistax_zoo.service.database import Database
 from assistax_zoo.service.ids import new_id
 from assistax_zoo.service.merkle import merkle_root
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
     from zoo.registry import Registry
     from zoo.schema import PolicyEntry
 
+OPEN_SECONDS = 90 * 86_400.0  # of a season whose closing date is not given
+MAX_OPEN_SECONDS = 3 * 366 * 86_400.0
 ENOUGH_IN_B = 60  # partners, so that panel B's interval is narrow enough to name a winner
 DEFAULT_RULES = (
     "One lab, one name. Train on public partners as you like. Scores on panel A are shown when "
@@ -91,60 +95,37 @@ def create_season(
     with database.write() as connection:
         if connection.execute(sa.select(c.id).where(c.name == plan.name)).first():
             raise Problem("conflict", f"there is a season {plan.name!r}; choose another name")
+        _check_unseen(connection, row["id"], leaves)
         record_artefact(connection, row["release"], len(packed), now)
         connection.execute(sa.insert(t.seasons).values(row))
     return row["id"]
 
 
-def open_season(database: Database, name: str, now: float) -> str:
-    """Publish the Merkle root and let labs submit; return the root."""
+def open_season(database: Database, name: str, now: float, closes_at: float | None = None) -> str:
+    """Publish the Merkle root and the closing date, and let labs submit; return the root.
+
+    Args:
+        database: Of the service.
+        name: Name or id of the season.
+        now: The time.
+        closes_at: When it closes by itself; `OPEN_SECONDS` from now if not given.
+
+    Raises:
+        Problem: There is no such draft, or the date is not ahead.
+    """
+    closes_at = now + OPEN_SECONDS if closes_at is None else closes_at
+    if not now < closes_at < now + MAX_OPEN_SECONDS:
+        raise Problem("invalid", "a season closes within three years from now")
     with database.write() as connection:
-        row = _season(database, connection, name, "draft")
+        row = find_season(database, connection, name, "draft", None)
+        _check_unseen(connection, row.id, row.secret["leaves"])
         root = merkle_root(row.secret["leaves"])
-        values = {"state": "open", "root": root, "opened_at": now}
+        values = {"state": "open", "root": root, "opened_at": now, "closes_at": closes_at}
         connection.execute(sa.update(t.seasons).where(c.id == row.id).values(values))
         body = {"season": row.id, "name": row.name, "task": row.task, "root": root}
-        body |= {"panel_sizes": row.panel_sizes, "budget": row.budget}
+        body |= {"panel_sizes": row.panel_sizes, "budget": row.budget, "closes_at": closes_at}
         ledger.append(database, connection, now, "season_open", body)
     return root
-
-
-def close_season(database: Database, name: str, now: float) -> None:
-    """Take no more submissions, and play panel B with every file that was scored.
-
-    What still waits for panel A fails with its attempt refunded. Live robots never meet panel B.
-    """
-    with database.write() as connection:
-        row = _season(database, connection, name, "open")
-        closing = sa.update(t.seasons).where(c.id == row.id).values(state="closing")
-        connection.execute(closing)
-        ledger.append(database, connection, now, "season_close", {"season": row.id})
-        s = t.submissions.c
-        for each in connection.execute(sa.select(t.submissions).where(s.season == row.id)).all():
-            if each.state in ("queued", "running"):
-                submissions.fail(database, connection, each.id, "season_closed", now)
-            elif each.state == "scored" and each.kind == "file":
-                _play_b(connection, row, each, now)
-        reveal_if_done(database, connection, row.id, now)
-
-
-def reveal_if_done(database: Database, connection: sa.Connection, season: str, now: float) -> None:
-    """Publish the leaves of a closing season once panel B is played; the weights go with them."""
-    database.one_at_a_time(connection, f"season {season}")
-    row = connection.execute(sa.select(t.seasons).where(c.id == season)).one()
-    j, s = t.jobs.c, t.submissions.c
-    left = (
-        sa.select(sa.func.count())
-        .select_from(t.jobs)
-        .join(t.submissions, s.id == j.submission)
-        .where(s.season == season, j.panel == "B", j.state.in_(("waiting", "leased")))
-    )
-    if row.state != "closing" or connection.execute(left).scalar_one():
-        return
-    values = {"state": "closed", "closed_at": now}
-    connection.execute(sa.update(t.seasons).where(c.id == season).values(values))
-    body = {"season": season, "root": row.root, "release": row.release}
-    ledger.append(database, connection, now, "season_reveal", body)
 
 
 def revealed(database: Database, name: str) -> dict[str, Any]:
@@ -205,6 +186,19 @@ def panel_seed(leaves: Sequence[dict[str, Any]], panel: str) -> str:
     return next(leaf["seeds"][panel] for leaf in leaves if "seeds" in leaf)
 
 
+def _check_unseen(connection: sa.Connection, id: str, leaves: Sequence[dict[str, Any]]) -> None:
+    """Refuse partners of a season that was opened: they are known, or will be when it closes."""
+    mine = {leaf["sha256"] for leaf in leaves if "policy" in leaf}
+    others = sa.select(c.name, c.secret).where(c.id != id, c.state != "draft")
+    for name, secret in connection.execute(others):
+        if any(leaf.get("sha256") in mine for leaf in secret["leaves"] if "policy" in leaf):
+            raise Problem(
+                "conflict",
+                f"partners of this release were in season {name}, which reveals them when it "
+                "closes; train a new release (`season plan` draws new seeds)",
+            )
+
+
 def _leaves(entries: Sequence["PolicyEntry"]) -> list[dict[str, Any]]:
     """Return a salted leaf for the seeds, then one for each partner by its ordinal."""
     panels = _stratify(entries)
@@ -233,23 +227,3 @@ def _stratify(entries: Sequence["PolicyEntry"]) -> list[str]:
     for turn, index in enumerate(order):
         panels[index] = "BA"[turn % 2]
     return panels
-
-
-def _play_b(connection: sa.Connection, season: Any, submission: Any, now: float) -> None:
-    s = t.scores.c
-    newest = sa.select(s.version).where(s.submission == submission.id, s.panel == "A")
-    version = connection.execute(newest.order_by(s.created_at.desc()).limit(1)).scalar_one()
-    chunks = submissions.count_chunks(season.panel_sizes["B"])
-    jobs.add_jobs(connection, submission.id, version, "B", chunks, turn=0, now=now)
-
-
-def _season(database: Database, connection: sa.Connection, name: str, state: str) -> Any:
-    query = sa.select(t.seasons).where((c.id == name) | (c.name == name))
-    row = connection.execute(query if database.is_sqlite else query.with_for_update()).first()
-    if row is None:
-        raise Problem(
-            "not_found", f"no season {name!r}; GET /api/seasons lists the open and closed ones"
-        )
-    if row.state != state:
-        raise Problem("too_late", f"season {row.name} is {row.state}; expected {state}")
-    return row

@@ -10,6 +10,7 @@ DIR/worker-token    of the local workers; only the owner can read it
 
 import asyncio
 import contextlib
+import ipaddress
 import os
 import signal
 import socket
@@ -23,12 +24,14 @@ from typing import Any
 
 import uvicorn
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from assistax_zoo.service import tokens
 from assistax_zoo.service.artefacts import Artefacts
 from assistax_zoo.service.catalogue import ZooCatalogue
 from assistax_zoo.service.commands import BACKEND, TOKEN_VARIABLE
 from assistax_zoo.service.database import Database
+from assistax_zoo.service.limited import stop_limited
 from assistax_zoo.service.receipts import load_signer
 from assistax_zoo.service.service import Service
 
@@ -39,6 +42,7 @@ SETTLED_SECONDS = 120.0  # until references are queued
 STOP_SECONDS = 20  # for requests and jobs that are under way
 SILENT_SECONDS = 10.0  # a connection may say nothing, or half a request
 TAKING_LOOKS = 30  # times that long, a client may take for an answer
+CLOSE_SECONDS = 10.0  # for a live client to take the last message
 PARENT_VARIABLE = "ASSISTAX_ZOO_PARENT"  # a local worker ends when this process is gone
 
 
@@ -113,18 +117,41 @@ def worker_token(service: Service, data: Path) -> str:
 
 
 def run_server(
-    service: Service, host: str, port: int, stop_workers: Callable[[], None], **pages: Any
+    service: Service,
+    host: str,
+    port: int,
+    stop_workers: Callable[[], None],
+    proxy: str | None = None,
+    **pages: Any,
 ) -> None:
     """Serve until SIGINT or SIGTERM, ending requests first; `pages` go to `add_pages`."""
     from assistax_zoo.service.api.app import create_app
     from assistax_zoo.service.api.operations import log_to_stderr
 
     log_to_stderr()
-    _Server(config_of(create_app(service, **pages), host, port), stop_workers).run()
+    _Server(config_of(create_app(service, **pages), host, port, proxy), stop_workers).run()
 
 
-def config_of(app: Any, host: str, port: int) -> uvicorn.Config:
-    """Return how an application is served."""
+def check_proxy(proxy: str | None) -> None:
+    """Refuse a name for whom to believe that is not the address of a proxy.
+
+    Raises:
+        ValueError: It is none: a wider one would let clients choose their own addresses.
+    """
+    for part in (proxy or "").split(",") if proxy is not None else ():
+        try:
+            network = ipaddress.ip_network(part.strip())
+        except ValueError:
+            network = None
+        if network is None or network.prefixlen == 0:
+            raise ValueError(
+                f"the proxy is {part.strip()!r}; give its address as the server sees it, such as "
+                "127.0.0.1, or a network such as 10.0.0.0/24"
+            )
+
+
+def config_of(app: Any, host: str, port: int, proxy: str | None = None) -> uvicorn.Config:
+    """Return how an application is served; `proxy` is whose X-Forwarded-For is believed."""
     return uvicorn.Config(
         app,
         host=host,
@@ -134,9 +161,11 @@ def config_of(app: Any, host: str, port: int) -> uvicorn.Config:
         timeout_graceful_shutdown=STOP_SECONDS,
         limit_concurrency=1000,
         http=_Impatient,
-        ws="websockets-sansio",  # the one of uvicorn's implementations that is not deprecated
+        ws=_Brief,
         ws_max_size=4 * 1024 * 1024,
         server_header=False,
+        proxy_headers=proxy is not None,
+        forwarded_allow_ips=proxy or "",
     )
 
 
@@ -159,6 +188,16 @@ class _Impatient(AutoHTTPProtocol):  # ty: ignore[unsupported-base]
             self.loop.call_later(SILENT_SECONDS, self._look, self.cycle, looks)
 
 
+class _Brief(WebSocketsSansIOProtocol):
+    """Hangs up when a conversation is over: a peer that takes nothing would keep it for ever."""
+
+    async def run_asgi(self) -> None:
+        try:
+            await super().run_asgi()
+        finally:
+            self.loop.call_later(CLOSE_SECONDS, self.transport.abort)
+
+
 class _Server(uvicorn.Server):
     """Stops the workers while it still answers, so that they can give their jobs back."""
 
@@ -172,6 +211,7 @@ class _Server(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         await asyncio.to_thread(self._stop_workers)
+        stop_limited()
         await super().shutdown(sockets)
 
 

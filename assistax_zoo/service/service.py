@@ -7,20 +7,27 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from assistax_zoo.service import jobs, ledger, results, seasons, submissions, tokens
+from assistax_zoo.service import (
+    closing,
+    jobs,
+    ledger,
+    results,
+    seasons,
+    submissions,
+    tokens,
+    upgrading,
+)
 from assistax_zoo.service import schema as t
 from assistax_zoo.service.artefacts import Artefacts
 from assistax_zoo.service.catalogue import (
     CHUNK,
-    EPISODES,
-    HIDDEN_EPISODES,
     PUBLIC_SEED,
     Catalogue,
-    version_id,
+    panel_episodes,
 )
 from assistax_zoo.service.clock import Clock, system_clock
 from assistax_zoo.service.database import Database
-from assistax_zoo.service.live.rooms import GONE_SECONDS, Rooms
+from assistax_zoo.service.live.rooms import GONE_SECONDS, LIFE_SECONDS, Rooms
 from assistax_zoo.service.problems import Problem
 from assistax_zoo.service.queries import Queries
 from assistax_zoo.service.receipts import Signer
@@ -50,18 +57,23 @@ class Service:
     def submit(self, submitter: str, draft: Draft) -> str:
         """Take a submission in and return its id; `submitter` is an id."""
         submissions.check_draft(draft, self.catalogue)
+        if known := submissions.known(self.database, submitter, draft.request):
+            return known
         draft = submissions.admitted(self.admit, draft)
         args = self.database, self.artefacts, self.catalogue, submitter, draft
         return submissions.submit(*args, self.clock())
 
     def withdraw(self, submission: str, submitter: str) -> None:
-        """End a submission because its submitter wants so."""
+        """End a submission because its submitter wants so; a scored one leaves its board."""
         submissions.withdraw(self.database, submission, submitter, self.clock())
+        with self.database.write() as connection:
+            self._reveal(connection, submission)
 
     def lease(
         self, worker: str, versions: Sequence[str], rooms: Rooms | None = None
     ) -> Work | None:
         """Give a worker the next job that it can do; `rooms` say which live clients are there."""
+        closing.close_due(self.database, self.clock())
         connected = () if rooms is None else rooms.connected()
         if rooms is not None:
             self._end_absent(rooms)
@@ -101,8 +113,9 @@ class Service:
                 raise Problem("not_found", f"no job {job!r}")
             partners = self._partners(connection, row)
             preferences = self._preferences(connection, row.submission)
+            episodes = panel_episodes(_task_of(connection, row.submission), row.panel)
         desk = results.Desk(self.database, self.artefacts, self.signer)
-        given = data, partners, preferences, seconds
+        given = data, partners, episodes, preferences, seconds
         return results.accept(desk, job, secret, *given, self.clock())
 
     def owns_live(self, submission: str, submitter: str | None) -> bool:
@@ -147,13 +160,21 @@ class Service:
         args = self.database, self.artefacts, plan, folder, public
         return seasons.create_season(*args, self.clock())
 
-    def open_season(self, name: str) -> str:
-        """Open a season and return its Merkle root."""
-        return seasons.open_season(self.database, name, self.clock())
+    def open_season(self, name: str, closes_at: float | None = None) -> str:
+        """Open a season until a date, and return its Merkle root."""
+        return seasons.open_season(self.database, name, self.clock(), closes_at)
+
+    def enter(self, season: str, submitter: str, chosen: Sequence[str]) -> None:
+        """Choose what a lab plays panel B with; see `closing`."""
+        closing.enter(self.database, season, submitter, chosen, self.clock())
 
     def close_season(self, name: str) -> None:
-        """Close a season: panel B is played, then everything is revealed."""
-        seasons.close_season(self.database, name, self.clock())
+        """Close a season before its date: panel B is played, then everything is revealed."""
+        closing.close_season(self.database, name, self.clock())
+
+    def panel_b(self, season: str) -> list[tuple[str, Any]]:
+        """Return the episodes of every submission on the panel B of a closed season."""
+        return results.panel_b(self.database, self.artefacts, season)
 
     def create_token(self, scopes: Sequence[Any], **options: Any) -> str:
         """Make a token; see `tokens.create_token`."""
@@ -174,17 +195,18 @@ class Service:
 
     def adopt_version(self) -> int:
         """Score anew what was scored by other versions; return how many submissions that is."""
-        return adopt_version(self)
+        return upgrading.adopt_version(self)
 
     def _end_absent(self, rooms: Rooms) -> None:
         """End live submissions whose clients have not come for too long."""
         s = t.submissions.c
-        query = sa.select(s.id).where(s.kind == "live", s.state.not_in(FINAL_STATES))
+        live = sa.select(s.id, s.created_at).where(s.kind == "live")
         with self.database.read() as connection:
-            waiting = connection.execute(query).scalars().all()
-        for submission in waiting:
-            if rooms.away_for(submission) > GONE_SECONDS:
-                self._fail(submission, "client_gone")
+            waiting = connection.execute(live.where(s.state.not_in(FINAL_STATES))).all()
+        for row in waiting:
+            is_old = self.clock() - row.created_at > LIFE_SECONDS
+            if is_old or rooms.away_for(row.id) > GONE_SECONDS:
+                self._fail(row.id, "client_gone")
 
     def _fail(self, submission: str, reason: str) -> None:
         with self.database.write() as connection:
@@ -192,17 +214,17 @@ class Service:
             self._reveal(connection, submission)
 
     def _reveal(self, connection: sa.Connection, submission: str) -> None:
-        """Reveal a closing season whose last job was given up."""
-        season = _season_of(connection, submission)
+        """Take a closing season on whose last job was given up."""
+        season = closing.season_of(connection, submission)
         if season is not None:
-            seasons.reveal_if_done(self.database, connection, season.id, self.clock())
+            closing.go_on(self.database, connection, season.id, self.clock())
 
     def _work(self, lease: jobs.Lease) -> Work:
         with self.database.read() as connection:
             s = t.submissions.c
             row = connection.execute(sa.select(t.submissions).where(s.id == lease.submission)).one()
             partners = self._partners(connection, lease)
-            season = _season_of(connection, lease.submission)
+            season = closing.season_of(connection, lease.submission)
             preferences = self._preferences(connection, lease.submission)
         public = lease.panel == "public"
         return Work(
@@ -218,7 +240,7 @@ class Service:
             panel=lease.panel,
             chunk=lease.chunk,
             partners=partners,
-            episodes=EPISODES if public else HIDDEN_EPISODES,
+            episodes=panel_episodes(row.task, lease.panel),
             seed=f"{PUBLIC_SEED:x}"
             if public
             else seasons.panel_seed(season.secret["leaves"], lease.panel),
@@ -226,16 +248,14 @@ class Service:
         )
 
     def _preferences(self, connection: sa.Connection, submission: str) -> tuple[str, ...]:
-        s = t.submissions.c
-        task = connection.execute(sa.select(s.task).where(s.id == submission)).scalar_one()
+        task = _task_of(connection, submission)
         return tuple(self.catalogue.identity(task).get("preferences", ()))
 
     def _partners(self, connection: sa.Connection, job: Any) -> tuple[str, ...]:
         """Return the partners of a job's chunk."""
-        season = _season_of(connection, job.submission)
+        season = closing.season_of(connection, job.submission)
         if job.panel == "public":
-            s = t.submissions.c
-            task = connection.execute(sa.select(s.task).where(s.id == job.submission)).scalar_one()
+            task = _task_of(connection, job.submission)
             names = [partner.id for partner in self.catalogue.public_panel(task)]
         else:
             names = seasons.panel_partners(season.secret["leaves"], job.panel)
@@ -254,11 +274,15 @@ def erase_submitter(service: Service, submitter: str) -> None:
         connection.execute(sa.update(t.submitters).where(where).values(values))
         open_tokens = sa.update(t.tokens).where(t.tokens.c.submitter == submitter)
         connection.execute(open_tokens.values(revoked_at=now, label="erased"))
-        mine = connection.execute(sa.select(s.id, s.artefact).where(s.submitter == submitter)).all()
+        columns = s.id, s.artefact, s.season
+        mine = connection.execute(sa.select(*columns).where(s.submitter == submitter)).all()
         for each in mine:
             submissions.fail(service.database, connection, each.id, "withdrawn", now)
+            jobs.cancel_jobs(connection, each.id)  # of a scored one, whose file goes too
             update = sa.update(t.submissions).where(s.id == each.id)
-            connection.execute(update.values(method="erased"))
+            # Its client chose the request, and may have written anything.
+            connection.execute(update.values(method="erased", request=each.id))
+            _sign_anew(service, connection, each.id)
         others = sa.select(s.artefact).where(s.submitter != submitter, s.artefact.is_not(None))
         kept = set(connection.execute(others).scalars())
         gone = {each.artefact for each in mine if each.artefact} - kept
@@ -266,38 +290,22 @@ def erase_submitter(service: Service, submitter: str) -> None:
         erased = sa.update(t.artefacts).where(a.sha256.in_(gone)).values(erased_at=now)
         connection.execute(erased)
         ledger.append(service.database, connection, now, "erase", {"submitter": submitter})
+        for season in {each.season for each in mine if each.season}:
+            closing.go_on(service.database, connection, season, now)
     for name in gone:
         service.artefacts.erase(name)
 
 
-def adopt_version(service: Service) -> int:
-    """Cut everything into jobs of the current version that has none: after an upgrade.
-
-    Unfinished jobs of older versions are dropped, since no worker of today can do them. Scores of
-    older versions stay.
-    """
-    now, s, changed = service.clock(), t.submissions.c, 0
-    for task in service.catalogue.tasks:
-        version = version_id(service.catalogue.identity(task))
-        with service.database.write() as connection:
-            planned = sa.select(t.jobs.c.submission).where(t.jobs.c.version == version)
-            stale = sa.select(t.submissions).where(
-                s.task == task,
-                s.state.in_(("queued", "running", "scored")),
-                s.kind.in_(("file", "reference")),
-                s.id.not_in(planned),
-            )
-            for row in connection.execute(stale).mappings().all():
-                jobs.cancel_jobs(connection, row["id"])
-                season = _season_of(connection, row["id"])
-                season = season if season is not None and season.state == "open" else None
-                submissions.plan_jobs(connection, service.catalogue, row, season, now)
-                changed += 1
-    return changed
+def _sign_anew(service: Service, connection: sa.Connection, submission: str) -> None:
+    """Sign receipts without the method's name: the same score, at the same place of the ledger."""
+    r = t.receipts.c
+    query = sa.select(r.version, r.content).where(r.submission == submission)
+    for row in connection.execute(query).all():
+        content = row.content | {"method": "erased"}
+        mine = sa.update(t.receipts).where(r.submission == submission, r.version == row.version)
+        connection.execute(mine.values(content=content, signature=service.signer.sign(content)))
 
 
-def _season_of(connection: sa.Connection, submission: str) -> Any:
-    """Return the season of a submission, secrets included: never to be shown."""
-    s = t.submissions.c
-    query = sa.select(t.seasons).join(t.submissions, s.season == t.seasons.c.id)
-    return connection.execute(query.where(s.id == submission)).first()
+def _task_of(connection: sa.Connection, submission: str) -> str:
+    query = sa.select(t.submissions.c.task).where(t.submissions.c.id == submission)
+    return connection.execute(query).scalar_one()

@@ -1,11 +1,10 @@
 """The rows of a board: every method's figures, and the place they earn it."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from assistax_zoo.service.statistics_ranks import rank_methods
 from evaluation.bootstrap import (
     RESAMPLES,
     Estimate,
@@ -21,6 +20,7 @@ from evaluation.metrics import (
     fairness,
     group_draws,
     normalised_return,
+    rank_methods,
 )
 
 TAIL = 0.1  # share of partners in the lower tail
@@ -32,6 +32,7 @@ class Panel:
 
     disabilities: tuple[str | None, ...]  # [P]
     bounds: Bounds | None = None  # of a random robot and of the best response; None if unknown
+    seed_sd: float | None = None  # how far seeds of one method differ, see `rank_methods`
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,50 +59,52 @@ class Standing:
 
 
 def standings(
-    methods: Sequence[Method], panel: Panel, *, resamples: int = RESAMPLES, seed: int = 0
+    methods: Sequence[Method],
+    panel: Panel,
+    figures: Callable[[Method, Panel], Standing] | None = None,
 ) -> tuple[Standing, ...]:
     """Return the board, the highest M_test first.
+
+    Args:
+        methods: what is ranked, and what it is measured by.
+        panel: the partners that all of them met.
+        figures: makes a method's row without its place; default `unplaced`.
 
     Raises:
         ValueError: there are no methods, or one has not played the whole panel.
     """
     _check(methods, panel)
-    ranks = _rank_competitors(methods, resamples, seed)
+    places = _rank_competitors(methods, panel)
     rows = [
-        _standing(method, panel, *ranks.get(method.name, (None, None)), resamples, seed)
+        dataclasses.replace((figures or unplaced)(method, panel), place=place, lowest=lowest)
         for method in methods
+        for place, lowest in [places.get(method.name, (None, None))]
     ]
     return tuple(sorted(rows, key=lambda row: (-row.m_test.mean, row.name)))
 
 
-def _rank_competitors(
-    methods: Sequence[Method], resamples: int, seed: int
-) -> dict[str, tuple[int, int]]:
+def _rank_competitors(methods: Sequence[Method], panel: Panel) -> dict[str, tuple[int, int]]:
     """Return place and worst rank of each method that competes; a lone partner gives none."""
     names = [method.name for method in methods if method.competes]
     if not names or methods[0].returns.shape[1] < 2:
         return {}
     scores = [method.returns.mean(axis=2) for method in methods if method.competes]
-    ranks = rank_methods(scores, resamples=resamples, seed=seed)
+    ranks = rank_methods(scores, seed_sd=panel.seed_sd)
     places = zip(ranks.places.tolist(), ranks.lowest.tolist(), strict=True)
     return dict(zip(names, places, strict=True))
 
 
-def _standing(
-    method: Method,
-    panel: Panel,
-    place: int | None,
-    lowest: int | None,
-    resamples: int,
-    seed: int,
+def unplaced(
+    method: Method, panel: Panel, *, resamples: int = RESAMPLES, seed: int = 0
 ) -> Standing:
+    """Return a method's row without its place: no other method has a part in it."""
     scores = method.returns.mean(axis=2)
     groups = group_draws(scores, panel.disabilities, resamples=resamples, seed=seed)
     has_halves = method.returns.shape[2] > 1
     return Standing(
         name=method.name,
-        place=place,
-        lowest=lowest,
+        place=None,
+        lowest=None,
         m_test=estimate(scores, resamples=resamples, seed=seed),
         worst_tenth=worst_tenth(scores, resamples=resamples, seed=seed),
         cvar=cvar_crossfit(method.returns, TAIL, resamples=resamples, seed=seed)

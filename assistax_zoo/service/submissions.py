@@ -4,6 +4,8 @@
        |         |-----> failed    (a word of FAILURES; the attempt is refunded or spent)
        `-> refused                 (a word of REFUSALS; costs nothing)
 
+A scored one may be retracted by its submitter: it leaves its board, what was said of it stays.
+
 Everything that happens at once to a submission happens in one transaction, with its ledger entry.
 """
 
@@ -59,8 +61,20 @@ def check_draft(draft: Draft, catalogue: Catalogue) -> None:
             raise Problem("invalid", f"{name} has 1 to {most} printable characters")
     if (draft.data is not None) != (draft.kind == "file"):
         raise Problem("invalid", "a submission is a file, or kind live without a file")
+    if draft.kind == "live" and draft.season is not None:
+        raise Problem(
+            "invalid",
+            "a live robot meets public partners alone, since its observations leave the server; "
+            "hand in a file to take part in a season",
+        )
     if draft.data is not None and len(draft.data) > MAX_BYTES:
         raise Problem("too_large", f"a file has at most {MAX_BYTES} bytes")
+
+
+def known(database: Database, submitter: str, request: str) -> str | None:
+    """Return the submission that a request made when it came before."""
+    with database.read() as connection:
+        return _known(connection, submitter, request)
 
 
 def submit(
@@ -78,10 +92,11 @@ def submit(
     with database.write() as connection:
         # Two requests at once must not both take the last attempt.
         database.one_at_a_time(connection, f"submitter {submitter}")
-        before = sa.select(c.id).where(c.submitter == submitter, c.request == draft.request)
-        if known := connection.execute(before).scalar():
-            return known
-        season = _open_season(connection, draft) if draft.season else None
+        if before := _known(connection, submitter, draft.request):
+            return before
+        if draft.season:  # it must not close between here and the end of the transaction
+            database.one_at_a_time(connection, f"season {draft.season}")
+        season = _open_season(connection, draft, now) if draft.season else None
         if season is not None and draft.refusal is None:
             _check_budget(connection, season, submitter)
         if kept is not None and draft.data is not None:
@@ -140,7 +155,8 @@ def refuse(database: Database, connection: sa.Connection, id: str, code: str, no
     if row is None or row.state in FINAL_STATES:
         return
     if row.season is not None and _met_hidden(connection, id):
-        end(database, connection, row, "failed", "broke_down", "spent", now)
+        reason = code if code == "too_slow" else "broke_down"
+        end(database, connection, row, "failed", reason, "spent", now)
     else:
         end(database, connection, row, "refused", code, "refunded", now)
 
@@ -169,15 +185,35 @@ def withdraw(database: Database, id: str, submitter: str, now: float) -> None:
         row = connection.execute(sa.select(t.submissions).where(c.id == id)).first()
         if row is None or row.submitter != submitter:
             raise Problem("not_found", f"you have no submission {id!r}")
+        if row.state == "scored":
+            _retract(database, connection, row, now)
+            return
         if row.state in FINAL_STATES:
             raise Problem("too_late", f"submission {id} has ended: {row.state}")
         fail(database, connection, id, "withdrawn", now)
+
+
+def _retract(database: Database, connection: sa.Connection, row: Any, now: float) -> None:
+    """Take a scored submission off its board; its score, attempt and receipt stay known."""
+    season = t.seasons.c
+    closing = sa.select(season.name).where(season.id == row.season, season.state == "closing")
+    if name := connection.execute(closing).scalar():
+        raise Problem("too_late", f"season {name} is closing; panel B is played with what is there")
+    values = {"state": "retracted", "reason": "withdrawn", "entered_at": None}
+    connection.execute(sa.update(t.submissions).where(c.id == row.id).values(values))
+    jobs.cancel_jobs(connection, row.id)
+    ledger.append(database, connection, now, "retract", {"id": row.id})
 
 
 def lock_submission(database: Database, connection: sa.Connection, id: str) -> Any:
     """Return a submission's row, which no other transaction changes until this one ends."""
     query = sa.select(t.submissions).where(c.id == id)
     return connection.execute(query if database.is_sqlite else query.with_for_update()).first()
+
+
+def _known(connection: sa.Connection, submitter: str, request: str) -> str | None:
+    where = c.submitter == submitter, c.request == request
+    return connection.execute(sa.select(c.id).where(*where)).scalar()
 
 
 def _row(
@@ -207,12 +243,14 @@ def _row(
     }
 
 
-def _open_season(connection: sa.Connection, draft: Draft) -> Any:
+def _open_season(connection: sa.Connection, draft: Draft, now: float) -> Any:
     row = connection.execute(sa.select(t.seasons).where(t.seasons.c.id == draft.season)).first()
     if row is None or row.task != draft.task:
         raise Problem("not_found", f"no season {draft.season!r} of task {draft.task}")
     if row.state != "open":
         raise Problem("too_late", f"season {row.name} is {row.state}; only an open one takes part")
+    if row.closes_at is not None and row.closes_at <= now:
+        raise Problem("too_late", f"the closing date of season {row.name} has passed")
     return row
 
 

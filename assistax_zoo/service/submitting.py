@@ -14,9 +14,9 @@ from assistax_zoo.service import results, seasons
 from assistax_zoo.service.admission import Admission, robot_sizes
 from assistax_zoo.service.catalogue import (
     CHUNK,
-    EPISODES,
     PUBLIC_SEED,
     ZooCatalogue,
+    panel_episodes,
     version_id,
 )
 from assistax_zoo.service.client import Client
@@ -143,7 +143,11 @@ def for_reader(found: dict[str, Any], address: str) -> dict[str, Any]:
         within = f" ({interval[0]:.1f} to {interval[1]:.1f})" if interval else ""
         shown[f"mean return, {panel}"] = f"{figures['mean']:.1f}{within}"
     if place := found.get("board_place"):
-        shown["place"] = f"{place} of {found['of_methods']} on {address}{found['board']}"
+        lowest = found.get("board_lowest") or place
+        shown["place"] = (
+            f"{place if lowest == place else f'{place}–{lowest}'} of {found['of_methods']} on "
+            f"{address}{found['board']}"
+        )
     return shown | {"page": f"{address}/submissions/{found['id']}"}
 
 
@@ -179,7 +183,7 @@ def _try_work(task: str, format: str, partners: tuple[str, ...]) -> Work:
 def _server_works(catalogue: ZooCatalogue, task: str, format: str) -> list[Work]:
     """Return the jobs of a server's public half."""
     played = {
-        "episodes": EPISODES,
+        "episodes": panel_episodes(task, "public"),
         "seed": f"{PUBLIC_SEED:x}",
         "preferences": tuple(catalogue.identity(task).get("preferences", ())),
     }

@@ -6,7 +6,7 @@ value of a hidden partner; a word of a table cannot.
 
 from typing import Literal
 
-SubmissionState = Literal["queued", "running", "scored", "refused", "failed"]
+SubmissionState = Literal["queued", "running", "scored", "refused", "failed", "retracted"]
 # "held" jobs wait until the public panel of their submission is done.
 JobState = Literal["held", "waiting", "leased", "done", "cancelled"]
 SeasonState = Literal["draft", "open", "closing", "closed"]
@@ -16,7 +16,7 @@ AttemptState = Literal["free", "reserved", "spent", "refunded"]
 Scope = Literal["submit", "work", "organise"]
 
 REFERENCE = "reference"  # the submitter of rows that others are measured by
-FINAL_STATES: tuple[SubmissionState, ...] = ("scored", "refused", "failed")
+FINAL_STATES: tuple[SubmissionState, ...] = ("scored", "refused", "failed", "retracted")
 SCOPES: tuple[Scope, ...] = ("submit", "work", "organise")
 
 # Why a submission was refused: something about the file, which the submitter can mend.
@@ -36,6 +36,7 @@ REFUSALS = {
     "subgraph": "it has functions or subgraphs",
     "graph_too_large": "it has too many nodes, or values that are too large",
     "shape_unknown": "a shape depends on something other than the number of rows",
+    "too_slow": "it takes more seconds or memory than a robot may",
 }
 
 # Why a submission failed.

@@ -5,6 +5,7 @@ job it does, never with whom.
 """
 
 import contextlib
+import dataclasses
 import logging
 import os
 import secrets
@@ -16,6 +17,7 @@ from typing import Any
 
 from assistax_zoo.service.client import Client, fields_of
 from assistax_zoo.service.jobs import LEASE_SECONDS
+from assistax_zoo.service.limited import resident_bytes
 from assistax_zoo.service.problems import Problem, Refusal
 from assistax_zoo.service.scoring import Scorer, Work, encode_table
 from population.files import sha256
@@ -23,7 +25,18 @@ from population.files import sha256
 log = logging.getLogger("assistax_zoo.service")
 IDLE_SECONDS = 2.0  # between two looks at an empty queue
 
+LOOK_SECONDS = 0.25  # between two looks at what a job takes
+
 MakeLive = Callable[[Work], Any]  # a callable [N, O] -> [N, A] that asks the live client
+
+
+@dataclasses.dataclass(frozen=True)
+class Budget:
+    """What a job may take: several times what the dearest admitted robot does."""
+
+    seconds: float = 1800.0  # of processors, so that a busy machine refuses nobody
+    clock_seconds: float = 7200.0  # where an accelerator works instead
+    memory: int = 4 * 1024**3  # bytes more than before the job
 
 
 class Worker:
@@ -37,6 +50,8 @@ class Worker:
         live: MakeLive | None = None,
         idle: float = IDLE_SECONDS,
         beat: float = LEASE_SECONDS / 4,
+        budget: Budget = Budget(),
+        anew: Callable[[], Any] = lambda: os._exit(1),
     ) -> None:
         """Prepare to work.
 
@@ -46,9 +61,12 @@ class Worker:
             live: Connects to the client of a live submission; None takes no such jobs.
             idle: Seconds between two looks at an empty queue.
             beat: Seconds between two beats for a job.
+            budget: Of each job; what takes more is refused as `too_slow`.
+            anew: Ends this process, or starts it anew, after such a job: it cannot be stopped.
         """
         self._client, self._scorer, self._live = client, scorer, live
         self._idle, self._beat = idle, beat
+        self._budget, self._anew = budget, anew
         self._name = f"{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(2)}"
         self._stopping = threading.Event()
         self._held: Work | None = None
@@ -90,7 +108,7 @@ class Worker:
         log.info("job begins", extra={"fields": fields})
         ended = "done"
         try:
-            with self._beating(work):
+            with self._beating(work), self._watching(work):
                 table = self._scorer.play(work, self._robot(work), self._release(work))
             counted = self._client.result(work, encode_table(table), time.monotonic() - began)
             ended = "done" if counted else "was done already"
@@ -123,6 +141,35 @@ class Worker:
                     self._client.beat(work)
 
         thread = threading.Thread(target=beat, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
+
+    @contextlib.contextmanager
+    def _watching(self, work: Work) -> Generator[None]:
+        """Refuse a job that takes more than its budget, and begin anew without it."""
+        over = threading.Event()
+        used, began, memory = time.process_time(), time.monotonic(), resident_bytes(os.getpid())
+
+        def watch() -> None:
+            while not over.wait(LOOK_SECONDS):
+                seconds, clock = time.process_time() - used, time.monotonic() - began
+                grown = resident_bytes(os.getpid()) - memory
+                limits = self._budget
+                if (
+                    seconds > limits.seconds
+                    or clock > limits.clock_seconds
+                    or grown > limits.memory
+                ):
+                    log.warning("job is too slow", extra={"fields": fields_of(work)})
+                    self._tell(self._client.refused, work, "too_slow")
+                    self._anew()
+                    return
+
+        thread = threading.Thread(target=watch, daemon=True)
         thread.start()
         try:
             yield

@@ -4,6 +4,7 @@ import contextlib
 import functools
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -26,7 +27,7 @@ def run_worker(
 ) -> None:
     """Work until SIGINT or SIGTERM; a job under way is given back."""
     log_to_stderr()
-    worker = _worker(client, make_scorer(registry, backend))
+    worker = _worker(client, make_scorer(registry, backend), _start_anew)
     # XLA may compile for long before the main thread hears of anything.
     leaving = threading.Thread(target=_leave, args=(worker,), daemon=True)
     signal.signal(signal.SIGTERM, lambda *_: leaving.is_alive() or leaving.start())
@@ -56,8 +57,14 @@ def make_scorer(registry: Path | None, backend: str) -> Scorer:
     return ZooScorer(loaded, ZooCatalogue(loaded, backend), backend)
 
 
-def _worker(client: Client, scorer: Scorer) -> Worker:
-    return Worker(client, scorer, live=functools.partial(LiveRobot, client))
+def _worker(client: Client, scorer: Scorer, anew: Callable[[], Any] | None = None) -> Worker:
+    options: dict[str, Any] = {} if anew is None else {"anew": anew}
+    return Worker(client, scorer, live=functools.partial(LiveRobot, client), **options)
+
+
+def _start_anew() -> None:
+    """Give this process, with its id, to a new start of the same command."""
+    os.execv(sys.executable, [sys.executable, "-m", "assistax_zoo", *sys.argv[1:]])
 
 
 def _names(slots: int) -> list[str]:

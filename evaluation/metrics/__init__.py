@@ -20,13 +20,16 @@ from evaluation.metrics.generalisation import (
     worst_partner,
     zero_shot,
 )
+from evaluation.metrics.ranks import SEED_SDS, Ranks, rank_methods
 
 __all__ = [
+    "SEED_SDS",
     "Bounds",
     "Coverage",
     "CrossPlay",
     "Difference",
     "Fairness",
+    "Ranks",
     "Stability",
     "Traits",
     "WorstPartner",
@@ -39,6 +42,7 @@ __all__ = [
     "group_draws",
     "normalised_return",
     "paired_difference",
+    "rank_methods",
     "rank_stability",
     "regret",
     "worst_partner",

@@ -11,6 +11,8 @@ import sqlalchemy as sa
 from fastapi import FastAPI
 
 from assistax_zoo.service import schema as t
+from assistax_zoo.service.api.errors import add_error_handlers
+from assistax_zoo.service.api.guards import Limiter
 from assistax_zoo.service.database import Database
 from assistax_zoo.service.pages import add_pages
 from assistax_zoo.service.queries import Queries
@@ -48,8 +50,11 @@ ROBOTS = (
 def make_app(folder: Path, robots: tuple[Robot, ...] = ROBOTS, **options: Any) -> FastAPI:
     """Return an application of pages alone, over a new database."""
     app = FastAPI()
+    app.state.limiter = Limiter()
+    add_error_handlers(app)
     catalogue = SimpleNamespace(tasks=("scratch", "bed_bath", "arm_assist"))
-    service = SimpleNamespace(queries=Queries(fill(folder, robots)), catalogue=catalogue)
+    queries = Queries(fill(folder, robots))
+    service = SimpleNamespace(queries=queries, catalogue=catalogue, panel_b=lambda season: [])
     add_pages(app, service, films=folder / "films", **options)
     return app
 

@@ -6,6 +6,7 @@ from uuid import uuid4
 import pytest
 import sqlalchemy as sa
 
+from assistax_zoo.service.pages import behind
 from tests.service.postgres import Cluster, cluster
 
 
@@ -14,6 +15,14 @@ def postgres() -> Iterator[sa.URL]:
     """Run a cluster for all tests that leave it alive."""
     with cluster() as running:
         yield running.url
+
+
+@pytest.fixture(scope="session", autouse=True)
+def readers_wait_for_boards() -> Iterator[None]:
+    """Let no page be answered before its board is there, however busy the machine is."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(behind, "PATIENCE", 120.0)
+        yield
 
 
 @pytest.fixture

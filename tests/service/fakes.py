@@ -122,7 +122,8 @@ def new_submitter(service: Service, name: str = "lab") -> str:
 
 def draft(strength: float = 1.0, request: str = "r1", **fields: Any) -> Draft:
     data = fields.pop("data", f"robot {strength}".encode())
-    return Draft(task=TASK, method="mine", request=request, data=data, **fields)
+    method = fields.pop("method", "mine")
+    return Draft(task=TASK, method=method, request=request, data=data, **fields)
 
 
 def work_off(service: Service, worker: str = "w", version: int = 1, most: int = 1000) -> int:

@@ -31,10 +31,10 @@ class Served:
 
 
 @contextlib.contextmanager
-def served(service: Service, port: int = 0) -> Generator[Served]:
+def served(service: Service, port: int = 0, proxy: str | None = None) -> Generator[Served]:
     """Serve until the block ends."""
     port = free_port("127.0.0.1", port)
-    config = config_of(create_app(service), "127.0.0.1", port)
+    config = config_of(create_app(service), "127.0.0.1", port, proxy)
     config.lifespan, config.log_level = "off", "error"
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run)

@@ -90,4 +90,5 @@ def test_a_check_that_is_laxer_at_home_is_found(
 
 
 def _nothing() -> pl.DataFrame:
-    return pl.DataFrame({"return": [0.0], "nonfinite": [False]})
+    row = {"partner": ["p"], "episode": [0], "return": [0.0], "nonfinite": [False]}
+    return pl.DataFrame(row)

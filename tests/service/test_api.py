@@ -11,7 +11,15 @@ from assistax_zoo.service.api.guards import MAX_BODY
 from assistax_zoo.service.client import Client
 from assistax_zoo.service.service import Service
 from assistax_zoo.service.worker import Worker
-from tests.service.fakes import TASK, FakeScorer, new_service
+from tests.service.fakes import (
+    TASK,
+    FakeScorer,
+    draft,
+    new_service,
+    new_submitter,
+    work_off,
+)
+from tests.service.test_season import open_season
 
 FIELDS = {"task": TASK, "method": "mine", "request_id": "request-1"}
 
@@ -147,3 +155,102 @@ def test_the_server_imports_nothing_heavy() -> None:
     from tests.test_layers import heavy_imports
 
     assert heavy_imports("assistax_zoo.service.api.app", "assistax_zoo.service.worker") == []
+
+
+@pytest.mark.parametrize("path", ["/api/work/lease", "/api/work/x/refused"])
+def test_who_asks_comes_before_what_is_asked(http: TestClient, path: str) -> None:
+    """Nothing of a body is parsed for somebody without a token."""
+    answer = http.post(path, content=b"[" * 1000, headers={"X-Lease": "x"})
+    assert (answer.status_code, answer.json()["error"]["code"]) == (401, "not_signed_in")
+
+
+@pytest.mark.parametrize(
+    ("path", "most"),
+    [
+        ("/api/work/lease", 64 * 1024),
+        ("/api/work/x/refused", 64 * 1024),
+        (f"/pairs/{TASK}/a/b", 64 * 1024),
+        ("/api/nothing", 64 * 1024),
+        ("/api/work/x/result", 4 * 1024 * 1024 + 64 * 1024),
+        ("/api/submissions", MAX_BODY),
+        ("/submit", MAX_BODY),
+    ],
+)
+def test_a_body_is_as_large_as_its_route_needs(http: TestClient, path: str, most: int) -> None:
+    answers = [
+        http.post(path, content=bytes(8), headers={"Content-Length": str(size)}).status_code
+        for size in (most, most + 1)
+    ]
+    assert answers[0] != 413 and answers[1] == 413
+
+
+def test_a_wrong_body_is_told_by_its_field(service: Service, http: TestClient) -> None:
+    headers = {"Authorization": f"Bearer {service.create_token(('work',))}"}
+    answer = http.post("/api/work/lease", json={"worker": "", "versions": []}, headers=headers)
+    assert answer.status_code == 422
+    assert answer.json()["error"]["message"].startswith("body.worker:")
+    schema = http.get("/openapi.json").json()["paths"]["/api/work/lease"]["post"]["requestBody"]
+    assert "worker" in schema["content"]["application/json"]["schema"]["properties"]
+
+
+@pytest.mark.parametrize("path", ["/", "/api/health", f"/tasks/{TASK}", "/openapi.json"])
+def test_head_is_get_without_a_body(http: TestClient, path: str) -> None:
+    head, get = http.head(path), http.get(path)
+    assert (head.status_code, head.content) == (200, b"")
+    assert head.headers["content-type"] == get.headers["content-type"]
+    assert head.headers["content-length"] == get.headers["content-length"]
+
+
+@pytest.mark.parametrize("path", ["/nope", "/ledger?after=x", "/submissions/x/receipt.json"])
+def test_a_browser_gets_a_page_of_an_error(http: TestClient, path: str) -> None:
+    page = http.get(path, headers={"Accept": "text/html,*/*;q=0.8"})
+    assert 404 <= page.status_code <= 422 and "That did not work" in page.text
+    assert page.headers["content-security-policy"]
+
+
+@pytest.mark.parametrize("path", ["/nope", "/api/nope"])
+def test_a_program_gets_json_of_an_error(http: TestClient, path: str) -> None:
+    assert http.get(path).json()["error"]["code"] == "not_found"
+    answer = http.get("/api/nope", headers={"Accept": "text/html"})
+    assert answer.json()["error"]["code"] == "not_found"
+
+
+@pytest.mark.parametrize("after", ["1" + 23 * "0", "-5", "7"])
+def test_any_number_is_a_place_in_the_ledger(http: TestClient, after: str) -> None:
+    assert http.get(f"/ledger?after={after}").status_code == 200
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/api/boards/dance",
+        f"/api/boards/{TASK}?season=never",
+        "/api/submissions?season=never",
+        "/api/submissions?task=dance",
+        "/api/seasons?task=dance",
+    ],
+)
+def test_what_is_not_there_is_said(http: TestClient, path: str) -> None:
+    assert http.get(path).status_code == 404
+
+
+def test_a_season_may_be_given_by_its_name(service: Service, http: TestClient) -> None:
+    season, lab = open_season(service), new_submitter(service)
+    id = service.submit(lab, draft(season=season))
+    work_off(service)
+    for name in ("spring", season):
+        assert http.get(f"/api/submissions?season={name}").json()[0]["id"] == id
+        assert len(http.get(f"/api/boards/{TASK}?season={name}").json()["scores"]) == 2
+
+
+def test_who_asked_too_often_is_told_when_to_come_back(http: TestClient) -> None:
+    answers = [http.post("/api/work/lease") for _ in range(31)]
+    assert answers[-1].status_code == 429
+    assert 1 <= int(answers[-1].headers["retry-after"]) <= 60
+
+
+def test_the_schema_says_who_needs_a_token(http: TestClient) -> None:
+    schema = http.get("/openapi.json").json()
+    assert schema["components"]["securitySchemes"]["token"]["scheme"] == "bearer"
+    assert schema["paths"]["/api/submissions"]["post"]["security"] == [{"token": []}]
+    assert "security" not in schema["paths"]["/api/submissions"]["get"]

@@ -62,3 +62,13 @@ def test_damaged_bytes_are_found(tmp_path: Path) -> None:
     (tmp_path / name[:2] / name).write_bytes(b"other")
     with pytest.raises(Problem, match="is damaged"):
         store.get(name)
+
+
+def test_a_damaged_artefact_is_repaired_when_it_comes_again(tmp_path: Path) -> None:
+    artefacts = Artefacts(str(tmp_path))
+    name = artefacts.put(b"a robot")
+    (tmp_path / name[:2] / name).write_bytes(b"a robber")
+    with pytest.raises(Problem, match="is damaged"):
+        artefacts.get(name)
+    assert artefacts.put(b"a robot") == name
+    assert artefacts.get(name) == b"a robot"

@@ -5,6 +5,7 @@ import time
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from assistax_zoo.service.backup import back_up, restore
@@ -97,3 +98,30 @@ def test_a_backup_replaces_nothing(tmp_path: Path) -> None:
     (tmp_path / "no.zip").write_bytes(b"PK\x05\x06" + bytes(18))
     with pytest.raises(ValueError, match="no backup"):
         restore(tmp_path / "no.zip", tmp_path / "new")
+
+
+def test_a_backup_without_what_the_database_names_is_none(tmp_path: Path) -> None:
+    """As where artefacts are in an object store, and the folder holds none."""
+    service = new_service(tmp_path / "board")
+    service.submit(new_submitter(service), draft())
+    (tmp_path / "board" / "artefacts").rename(tmp_path / "elsewhere")
+    with pytest.raises(ValueError, match=r"1 of 1 artefacts are not in .*store's own backup"):
+        back_up(tmp_path / "board", tmp_path / "board.zip")
+    assert not (tmp_path / "board.zip").exists()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_damaged_database_is_not_backed_up(tmp_path: Path, seed: int) -> None:
+    service = new_service(tmp_path / "board")
+    service.submit(new_submitter(service), draft())
+    work_off(service)
+    service.database.close()
+    path = tmp_path / "board" / "service.db"
+    data = bytearray(path.read_bytes())
+    rng = np.random.default_rng(seed)
+    for page in rng.choice(len(data) // 4096 - 1, 6, replace=False) + 1:
+        data[page * 4096 : page * 4096 + 512] = rng.bytes(512)
+    path.write_bytes(bytes(data))
+    with pytest.raises(ValueError, match=r"service.db is damaged .*restore the newest backup"):
+        back_up(tmp_path / "board", tmp_path / "board.zip")
+    assert not (tmp_path / "board.zip").exists()

@@ -17,6 +17,7 @@ import sqlalchemy as sa
 from assistax_zoo.main import run
 from assistax_zoo.service import schema as t
 from assistax_zoo.service.serve import open_service
+from assistax_zoo.service.submitting import for_reader
 from tests.untrained import HUMAN, ROBOT, params_of, published, untrained_team
 from zoo.storage import write_policy_file
 
@@ -98,30 +99,17 @@ def test_a_season_by_its_commands(board: dict[str, Any], tmp_path: Path) -> None
     root = command("season", "open", *season).strip()
     file = tmp_path / "robot.safetensors"
     write_policy_file(file, ROBOT, params_of(ROBOT, 7))
-    again = (
-        "submit",
-        file,
-        "--task",
-        "scratch",
-        "--method",
-        "again",
-        "--season",
-        "spring",
-        "--watch",
-    )
+    by = ("submit", file, "--task", "scratch", "--season", "spring", "--watch", "--method")
     checked = command(
         "submit", file, "--task", "scratch", "--check", "--registry", board["registry"], "--json"
     )
     assert json.loads(checked)["check"] == "admitted"
-    submitted = command(
-        *("submit", file, "--task", "scratch", "--season", "spring", "--watch", "--json"),
-        **environment,
-    )
+    submitted = command(*by, "mine", "--json", **environment)
     found = json.loads(submitted)
     assert (found["state"], found["scores"].keys()) == ("scored", {"public", "A"})
     assert (found["board_place"], found["of_methods"]) == (1, 1)
-    told = command(*again, **environment)
-    assert "place: 1 of 2 on http://127.0.0.1" in told, "the same robot shares its place"
+    told = command(*by, "again", **environment)
+    assert "place: 1–2 of 2 on http://127.0.0.1" in told, "the same robot shares its place"
     assert f"mean return, public: {found['scores']['public']['mean']:.1f}" in told
     scores = httpx2.get(f"{environment['ASSISTAX_ZOO_SERVER']}/api/boards/scratch").json()["scores"]
     public = [score["figures"] for score in scores if score["panel"] == "public"]
@@ -129,6 +117,8 @@ def test_a_season_by_its_commands(board: dict[str, Any], tmp_path: Path) -> None
     (tmp_path / "receipt.json").write_text(submitted)
     key = found["receipt"]["content"]["key"]
     command("receipt", "verify", tmp_path / "receipt.json", "--key", key)
+    entered = command("season", "enter", "spring", found["id"], "--json", **environment)
+    assert [one["id"] for one in json.loads(entered)] == [found["id"]]
     command("season", "close", *season)
     proved = _wait_for_proof(root, environment)
     assert (proved["proved"], proved["partners"]) == (True, 4)
@@ -159,7 +149,7 @@ def test_a_server_stops_with_its_workers(board: dict[str, Any]) -> None:
 def test_a_stop_gives_the_job_under_way_back(board: dict[str, Any], tmp_path: Path) -> None:
     file = tmp_path / "robot.safetensors"
     write_policy_file(file, ROBOT, params_of(ROBOT, 7))
-    command("submit", file, "--task", "scratch", **board["environment"])
+    command("submit", file, "--task", "scratch", "--method", "mine", **board["environment"])
     assert any("job begins" in line for line in board["lines"])
     stop(board["process"])
     service = open_service(board["data"], registry=board["registry"])
@@ -182,3 +172,20 @@ def test_a_refused_file_says_why_at_home(
     path.write_bytes(b"\x80\x04pickle")
     assert run(["submit", str(path), "--task", "scratch", "--check"]) == 1
     assert "neither .safetensors" in capsys.readouterr().err
+
+
+def test_a_robot_is_not_handed_in_without_a_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A name that all share would make seeds of one method of all robots."""
+    path = tmp_path / "robot.safetensors"
+    path.write_bytes(b"robot")
+    assert run(["submit", str(path), "--task", "scratch"]) == 1
+    assert "give --method" in capsys.readouterr().err
+
+
+def test_who_watches_reads_the_range_of_ranks() -> None:
+    found = {"id": "7kq2", "state": "scored", "of_methods": 9, "board": "/tasks/scratch"}
+    for lowest, text in ((4, "2–4 of 9 on http://x/tasks/scratch"), (2, "2 of 9 on")):
+        ranks = {"board_place": 2, "board_lowest": lowest}
+        assert for_reader(found | ranks, "http://x")["place"].startswith(text)

@@ -113,11 +113,12 @@ def wrong_scores(service: Service) -> list[str]:
 def public_ease(scorer: FakeScorer, known: list[float] = []) -> float:  # noqa: B006
     """Return what the public panel adds to a robot's strength."""
     if not known:
-        from assistax_zoo.service.catalogue import EPISODES, PUBLIC_SEED
+        from assistax_zoo.service.catalogue import PUBLIC_SEED, panel_episodes
         from tests.service.fakes import FakeCatalogue, noise
 
         names = [partner.id for partner in FakeCatalogue().public_panel("scratch")]
-        values = [noise(f"{PUBLIC_SEED:x}", name, k) for name in names for k in range(EPISODES)]
+        episodes = range(panel_episodes("scratch", "public"))
+        values = [noise(f"{PUBLIC_SEED:x}", name, k) for name in names for k in episodes]
         known.append(sum(values) / len(values))
     return known[0]
 

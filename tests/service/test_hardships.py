@@ -242,3 +242,31 @@ def test_a_disk_that_fills_up_at_a_result_costs_no_score(
         object.__setattr__(service.artefacts, "put", put)
         Worker(working, FakeScorer(), idle=0.05, beat=1.0).run(until_empty=True)
     assert [each.state for each in service.queries.submissions()] == ["scored"]
+
+
+@pytest.mark.parametrize(("proxy", "answered"), [(None, 30), ("127.0.0.1", 60)])
+def test_where_a_request_comes_from_is_believed_of_a_named_proxy_alone(
+    tmp_path: Path, proxy: str | None, answered: int
+) -> None:
+    """Guesses are limited by address, so nobody may choose an address with each guess."""
+    with served(new_service(tmp_path), proxy=proxy) as server:
+        codes = [
+            httpx2.get(
+                f"{server.address}/api/work/artefacts/{'0' * 64}",
+                headers={"X-Forwarded-For": f"203.0.113.{number}"},
+            ).status_code
+            for number in range(60)
+        ]
+    assert codes.count(401) == answered
+    assert set(codes) <= {401, 429}
+
+
+@pytest.mark.parametrize("proxy", ["*", "caddy", "0.0.0.0/0", "", "127.0.0.1,*"])
+def test_who_is_believed_is_an_address(proxy: str) -> None:
+    with pytest.raises(ValueError, match="give its address"):
+        serve.check_proxy(proxy)
+
+
+def test_addresses_and_networks_are_believed() -> None:
+    for proxy in (None, "127.0.0.1", "10.0.0.0/24, ::1"):
+        serve.check_proxy(proxy)

@@ -1,6 +1,8 @@
 """Pages: all are there, none runs what a name holds, forms are answered to their writers."""
 
+import dataclasses
 import json
+import os
 import re
 import subprocess
 import threading
@@ -12,15 +14,22 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+import sqlalchemy as sa
+from limits import parse
 from starlette.testclient import TestClient
 
+from assistax_zoo.service import schema as t
+from assistax_zoo.service.api import guards
+from assistax_zoo.service.api.app import create_app
+from assistax_zoo.service.pages import behind, boards, partner_routes
 from assistax_zoo.service.pages.cache import PageCache
 from assistax_zoo.service.pages.charts import axis_over
-from assistax_zoo.service.pages.crossplays import PUBLISHED
+from assistax_zoo.service.pages.crossplays import PUBLISHED, CrossPlays
 from assistax_zoo.service.pages.security import FIELD
 from assistax_zoo.service.pages.videos import Pair, Videos, run_command
 from assistax_zoo.service.queries import STATEMENT
 from tests.service.board_data import HOSTILE, make_app
+from tests.service.fakes import TASK, draft, new_service, new_submitter, work_off
 from tests.untrained import published, teams_of
 
 PAIR = "/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1"
@@ -284,6 +293,40 @@ def test_a_film_that_fails_may_be_asked_for_again(tmp_path: Path) -> None:
     assert videos.state(ONE) == "ready"
 
 
+def test_films_have_so_much_room_on_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The one that nobody has looked at for longest goes."""
+    pairs = [dataclasses.replace(ONE, env_version=number) for number in range(4)]
+    videos = Videos(tmp_path, Films())
+    for place, pair in enumerate(pairs[:3]):
+        videos.ask(pair)
+        videos.wait()
+        os.utime(tmp_path / pair.key, (place, place))
+    size = sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file()) // 3
+    monkeypatch.setattr("assistax_zoo.service.pages.videos.MOST_BYTES", 3 * size)
+    assert videos.film(pairs[0].key)  # somebody looks at the oldest
+    videos.ask(pairs[3])
+    videos.wait()
+    assert [videos.state(pair) for pair in pairs] == ["ready", "none", "ready", "ready"]
+
+
+def test_pages_and_films_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guards, "PAGES", parse("40/minute"))
+    monkeypatch.setattr(partner_routes, "FILMS", parse("2/hour"))
+    monkeypatch.setattr(Videos, "ask", lambda self, pair: "waiting")
+    with TestClient(make_app(tmp_path), follow_redirects=False) as reader:
+        pairs = [f"/pairs/scratch/ippo-d1-s0-v1/ippo-d{d}-s1-v1" for d in (1, 3, 5)]
+        codes = []
+        for pair in pairs:
+            token = re.search(rf'name="{FIELD}" value="(\w+)"', reader.get(pair).text)
+            assert token
+            codes.append(reader.post(pair, data={FIELD: token[1]}).status_code)
+        assert codes == [303, 303, 429]
+        found = [reader.get("/").status_code for _ in range(40)]
+        assert (found[0], found[-1]) == (200, 429)
+
+
 def test_no_other_file_is_served_as_a_film(tmp_path: Path) -> None:
     (tmp_path / "x").mkdir()
     (tmp_path / "x" / "film.mp4").write_bytes(b"secret")
@@ -398,3 +441,87 @@ def test_a_measure_of_the_explorer_is_json_without_nan(client: TestClient) -> No
     assert numbers
     text = client.get(f"{numbers[1]}/matrix.json").text
     assert json.loads(text, parse_constant=lambda name: pytest.fail(name))
+
+
+def test_a_new_score_costs_its_own_methods_figures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[str] = []
+    real = boards.unplaced
+    monkeypatch.setattr(
+        boards, "unplaced", lambda method, panel: made.append(method.name) or real(method, panel)
+    )
+    service = new_service(tmp_path)
+    kept = boards.Boards(service.queries, CrossPlays(tmp_path))
+    for turn, lab in enumerate(("ada", "bob", "eve")):
+        service.submit(new_submitter(service, lab), draft(float(turn)))
+        work_off(service)
+        board = kept.of(TASK)
+        assert board is not None
+        assert len(board.rows) == turn + 1
+        assert len(made) == turn + 1
+    assert board is not None
+    assert [row.place for row, _ in board.rows] == [1, 2, 3]
+
+
+def test_nobody_waits_for_a_board_of_which_there_is_an_older_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service = new_service(tmp_path)
+    kept = boards.Boards(service.queries, CrossPlays(tmp_path))
+    service.submit(new_submitter(service, "ada"), draft(1.0))
+    work_off(service)
+    assert kept.of(TASK)
+    go_on, real = threading.Event(), boards.unplaced
+    monkeypatch.setattr(behind, "PATIENCE", 0.01)
+    monkeypatch.setattr(boards, "unplaced", lambda *args: go_on.wait(60) and real(*args))
+    service.submit(new_submitter(service, "bob"), draft(2.0))
+    work_off(service)
+    old = kept.of(TASK)
+    assert old is not None
+    assert len(old.rows) == 1
+    assert kept.is_behind(TASK)
+    go_on.set()
+    monkeypatch.setattr(behind, "PATIENCE", 60.0)
+    new = kept.of(TASK)
+    assert new is not None
+    assert len(new.rows) == 2
+
+
+def test_a_gentle_board_says_how_often_somebody_was_hurt(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    lab = new_submitter(service)
+    for number in range(2):
+        service.submit(lab, draft(1.0, f"r{number}"))
+    work_off(service)
+    assert "Violations" not in TestClient(create_app(service)).get(f"/tasks/{TASK}").text
+    with service.database.write() as connection:
+        rows = connection.execute(sa.select(t.scores).order_by(t.scores.c.submission)).all()
+        for row, violations in zip(rows, (0.1, 0.3), strict=True):
+            gentle = {"violations": violations, "safe_success": 0.55, "by_preference": {}}
+            update = sa.update(t.scores).where(t.scores.c.submission == row.submission)
+            connection.execute(update.values(released=row.released | gentle))
+    page = TestClient(create_app(service)).get(f"/tasks/{TASK}").text
+    assert 'data-label="Violations">20%<' in page  # of two seeds
+    assert 'data-label="Safe success">55%<' in page
+
+
+def test_a_submissions_page_is_headed_by_its_own_mean(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    lab = new_submitter(service)
+    ids = [service.submit(lab, draft(strength, f"r{strength}")) for strength in (1.0, 4.0)]
+    work_off(service)
+    client = TestClient(create_app(service))
+    page = client.get(f"/submissions/{ids[0]}").text
+    tiles = re.findall(r"<dt>([^<]+)</dt><dd>([\d.]+)</dd>", page)
+    assert [name for name, _ in tiles[:2]] == ["This robot", "M_test of 2 seeds"]
+    assert float(tiles[0][1]) == pytest.approx(1.5, abs=0.1)
+    assert float(tiles[1][1]) == pytest.approx(3.0, abs=0.1)
+    assert "1 seed: this robot" not in client.get(f"/tasks/{TASK}").text
+
+
+def test_a_board_says_which_places_speak_of_one_robot(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    service.submit(new_submitter(service), draft(1.0))
+    work_off(service)
+    assert "1 seed: this robot" in TestClient(create_app(service)).get(f"/tasks/{TASK}").text

@@ -85,3 +85,14 @@ def test_a_lone_partner_gives_figures_and_no_place() -> None:
         ("b", None, 2.0),
         ("a", None, 1.0),
     ]
+
+
+def test_a_row_of_two_unlike_robots_erases_nobodys_place() -> None:
+    means = (982, 890, 700, 540, 410, 300, 160, 19)
+    methods = [method(f"m{mean}", mean, mean) for mean in means]
+    odd = method("odd", 500, 7, seeds=2)
+    unlike = Method("odd", odd.returns + np.array([-400.0, 400.0])[:, None, None])
+    rows = standings([*methods, unlike], Panel(DISABILITIES))
+    places = {row.name: row.place for row in rows}
+    assert [places[f"m{mean}"] for mean in means] == list(range(1, 9))
+    assert places["odd"] == 1

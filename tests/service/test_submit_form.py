@@ -98,3 +98,22 @@ def test_tokens_cannot_be_guessed_by_the_form(reader: TestClient) -> None:
     form = filled(reader, "azt_guess")
     codes = [send(reader, form).status_code for _ in range(32)]
     assert codes[0] == 401 and codes[-1] == 429
+
+
+def test_a_form_from_elsewhere_is_not_read(reader: TestClient) -> None:
+    """Without the cookie of a page of ours nothing of it is parsed."""
+    wrong = {"Content-Type": "multipart/form-data; boundary=x"}
+    assert reader.post("/submit", content=b"no form", headers=wrong).status_code == 403
+    reader.get("/submit")
+    assert reader.post("/submit", content=b"no form", headers=wrong).status_code == 422
+
+
+def test_forms_with_files_are_few_at_once_and_in_a_minute(
+    service: Service, reader: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    token = service.create_token(("submit",), submitter="lab")
+    form = filled(reader, token)
+    with monkeypatch.context() as patch:
+        patch.setattr("assistax_zoo.service.api.desk.FORMS", 0)
+        assert send(reader, form).status_code == 503
+    assert [send(reader, form).status_code for _ in range(22)][-1] == 429

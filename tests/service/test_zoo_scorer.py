@@ -18,7 +18,7 @@ from assistax_envs.preferences import PREFERENCES
 from assistax_envs.versions import FUSED_VERSION
 from assistax_zoo.service import submitting
 from assistax_zoo.service.admission import Admission, robot_sizes
-from assistax_zoo.service.catalogue import EPISODES, PUBLIC_SEED, ZooCatalogue, version_id
+from assistax_zoo.service.catalogue import PUBLIC_SEED, ZooCatalogue, panel_episodes, version_id
 from assistax_zoo.service.problems import Refusal
 from assistax_zoo.service.release_pack import hidden_partners, ordinal, pack
 from assistax_zoo.service.results import figures
@@ -116,9 +116,8 @@ def test_onnx_at_home_is_onnx_at_the_server_bit_for_bit(
     assert json.loads(json.dumps(checked["figures"])) == score
     assert (checked["partners"], checked["episodes"]) == (table["partner"].n_unique(), table.height)
 
-    played = evaluate_policies(
-        registry, [path], Settings(TASK, EPISODES, PUBLIC_SEED, "native"), tmp_path / "home"
-    )
+    settings = Settings(TASK, panel_episodes(TASK, "public"), PUBLIC_SEED, "native")
+    played = evaluate_policies(registry, [path], settings, tmp_path / "home")
     assert played.m_test is not None
     home = pl.read_parquet(tmp_path / "home" / "episodes.parquet").sort("partner", "episode")
     for column in ("partner", "episode", "return", "success", "nonfinite"):
@@ -151,6 +150,13 @@ def test_a_score_names_the_engine_that_made_it(registry: Registry) -> None:
     assert "preferences" not in ZooCatalogue(registry, "native").identity(TASK)
     with pytest.raises(ValueError, match="backend is 'auto'; allowed"):
         found("auto")
+
+
+def test_a_score_names_its_episodes_and_their_starts(registry: Registry) -> None:
+    identity = ZooCatalogue(registry, "native").identity(TASK)
+    assert (identity["episodes"], identity["hidden_episodes"], identity["starts"]) == (8, 16, "own")
+    gentle = [panel_episodes("gentle_scratch", panel) for panel in ("public", "A", "B")]
+    assert gentle == [18, 18, 18], "each wish as often, of nine and of three"
 
 
 def test_a_private_release_is_played_under_ordinals(
@@ -202,6 +208,7 @@ def test_reference_rows_are_what_evaluate_plays(registry: Registry, tmp_path: Pa
     entries = [registry.policy(name) for name in partners]
     settings = Settings(TASK, asked.episodes, int(asked.seed, 16), "native")
     env, job = make_job(registry, reference_roster(34, 7), entries, settings)
+    assert job.apart, "as the identity of a version says"
     jobs = reference_jobs(env, job, own_robots(registry, entries))[:2]
     played = pl.concat(
         run_job(env, one, tmp_path / str(place)).table for place, one in enumerate(jobs)
@@ -213,6 +220,18 @@ def test_reference_rows_are_what_evaluate_plays(registry: Registry, tmp_path: Pa
         expected = played.filter(chosen).sort("partner", "episode")
         assert found.sort("partner", "episode")["return"].equals(expected["return"])
         assert expected.height == found.height == 6
+
+
+@pytest.mark.slow
+def test_references_play_a_private_release_too(registry: Registry, tmp_path: Path) -> None:
+    """A season's panel B is measured by them; self-play is with the release's own robots."""
+    private = _registry(tmp_path, first=100)
+    humans = hidden_partners(private, TASK)
+    for name in (ZERO, SELF_PLAY):
+        asked = dataclasses.replace(work((ordinal(1),)), kind="reference", format=name)
+        hidden = scorer_of(registry).play(asked, None, pack(private.path.parent))
+        open_ = dataclasses.replace(asked, partners=(humans[1].id,))
+        assert hidden["return"].equals(scorer_of(private).play(open_, None, None)["return"])
 
 
 @pytest.mark.slow

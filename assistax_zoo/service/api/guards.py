@@ -1,23 +1,37 @@
 """What stands before every request: size, rate, and who asks."""
 
 import asyncio
+import math
+import time
 from collections.abc import Callable
 from typing import Annotated, Any
 
-from fastapi import Depends, Request
+from fastapi import Depends, Request, Security
+from fastapi.exceptions import RequestValidationError
+from fastapi.security import HTTPBearer
 from limits import RateLimitItem, parse
 from limits.storage import MemoryStorage
 from limits.strategies import MovingWindowRateLimiter
+from pydantic import BaseModel, ValidationError
 
 from assistax_zoo.service.problems import CODES, Problem
+from assistax_zoo.service.scoring import MAX_TABLE_BYTES
 from assistax_zoo.service.submissions import MAX_BYTES
 from assistax_zoo.service.tokens import Principal, authenticate
 from assistax_zoo.service.vocabulary import Scope
 
-MAX_BODY = MAX_BYTES + 64 * 1024  # a file and the fields of a form
+SMALL_BODY = 64 * 1024  # of JSON and of forms without files
+MAX_BODY = MAX_BYTES + SMALL_BODY  # a file and the fields of a form
+# What may be larger: a robot, a worker's result, the observations of a live robot's batch.
+_LARGE = {"/api/submissions": MAX_BODY, "/submit": MAX_BODY}
+_LARGE_WORK = ("/result", "/ask")
 BODY_SECONDS = 120.0  # for a whole body to arrive: a client may be slow, but not for ever
 
 READ, SUBMIT, SIGN_IN = parse("1200/minute"), parse("60/hour"), parse("30/minute")
+PAGES = parse("3000/minute")  # one address may be a whole institute's
+FILMS = parse("20/hour")  # that are asked for: each takes a core for half a minute
+FORM = parse("20/minute")  # forms with files, whose token can be read only with the file
+UPGRADE = parse("120/minute")  # live connections: a client that lost one tries once a second
 
 
 class Limiter:
@@ -33,7 +47,29 @@ class Limiter:
             Problem: It is one too many.
         """
         if not self._windows.hit(rate, str(rate), who):
-            raise Problem("too_many_requests", f"more than {rate}; wait and try again")
+            wait = self._windows.get_window_stats(rate, str(rate), who).reset_time - time.time()
+            message = f"more than {rate}; wait and try again"
+            raise Problem("too_many_requests", message, max(1, math.ceil(wait)))
+
+
+class HeadAsGet:
+    """ASGI middleware: HEAD is answered as GET is, without the body."""
+
+    def __init__(self, app: Any) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        """Pass a request on."""
+        if scope["type"] != "http" or scope["method"] != "HEAD":
+            await self._app(scope, receive, send)
+            return
+
+        async def without_body(message: Any) -> None:
+            if message["type"] == "http.response.body":
+                message = {**message, "body": b""}
+            await send(message)
+
+        await self._app({**scope, "method": "GET"}, receive, without_body)
 
 
 class BodyLimit:
@@ -47,13 +83,14 @@ class BodyLimit:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        most = min(self._most, largest_body(scope["path"]))
         told = dict(scope["headers"]).get(b"content-length", b"0")
-        if not told.isdigit() or int(told) > self._most:
-            await _answer(send, Problem("too_large", f"a request has at most {self._most} bytes"))
+        if not told.isdigit() or int(told) > most:
+            await _answer(send, Problem("too_large", f"this request has at most {most} bytes"))
             return
-        await self._app(scope, self._counted(receive), send)
+        await self._app(scope, self._counted(receive, most), send)
 
-    def _counted(self, receive: Any) -> Callable[[], Any]:
+    def _counted(self, receive: Any, most: int) -> Callable[[], Any]:
         loop = asyncio.get_running_loop()
         seen, whole, end = 0, False, loop.time() + self._seconds
 
@@ -67,9 +104,35 @@ class BodyLimit:
                 return {"type": "http.disconnect"}
             seen += len(message.get("body", b""))
             whole = not message.get("more_body", False)
-            return {"type": "http.disconnect"} if seen > self._most else message
+            return {"type": "http.disconnect"} if seen > most else message
 
         return counted
+
+
+def largest_body(path: str) -> int:
+    """Return how many bytes the body of a request to this path may have."""
+    if path.startswith("/api/work/") and path.endswith(_LARGE_WORK):
+        return MAX_TABLE_BYTES + SMALL_BODY
+    return _LARGE.get(path, SMALL_BODY)
+
+
+def json_body(model: type[BaseModel]) -> tuple[Any, dict[str, Any]]:
+    """Return a dependency that reads a body of a model, and what OpenAPI says of it.
+
+    FastAPI would read a body before it asks who sends it; a dependency has its turn after those
+    that stand before it.
+    """
+
+    async def read(request: Request) -> BaseModel:
+        try:
+            return model.model_validate_json(await request.body())
+        except ValidationError as error:
+            errors = error.errors(include_url=False)
+            found = [{**one, "loc": ("body", *one["loc"])} for one in errors]
+            raise RequestValidationError(found) from None
+
+    content = {"application/json": {"schema": model.model_json_schema()}}
+    return Depends(read), {"requestBody": {"required": True, "content": content}}
 
 
 def client_of(request: Request) -> str:
@@ -82,12 +145,21 @@ def count_read(request: Request) -> None:
     request.app.state.limiter.hit(READ, client_of(request))
 
 
+_BEARER = HTTPBearer(
+    auto_error=False, scheme_name="token", description="From the organiser, such as azt_..."
+)
+
+
+def count_page(request: Request) -> None:
+    """Count a page, by the address of its reader."""
+    request.app.state.limiter.hit(PAGES, client_of(request))
+
+
 def signed_in(scope: Scope) -> Any:
     """Return a dependency: the owner of the token in the header, if it may do this."""
 
-    def check(request: Request) -> Principal:
-        kind, _, token = request.headers.get("authorization", "").partition(" ")
-        return sign_in(request, token if kind.lower() == "bearer" else "", scope)
+    def check(request: Request, sent: Annotated[Any, Security(_BEARER)]) -> Principal:
+        return sign_in(request, sent.credentials if sent else "", scope)
 
     return Depends(check)
 

@@ -54,7 +54,8 @@ def about(request: Request) -> About:
 @router.get("/boards/{task}")
 def board(request: Request, task: str, season: Word = None, version: Word = None) -> Board:
     """Return the scores of a task: by the newest version, if no other is asked for."""
-    queries = request.app.state.service.queries
+    queries, season = request.app.state.service.queries, season_id(request, season)
+    check_task(request, task)
     versions = [name for name, _ in queries.versions(task)]
     if version is not None and version not in versions:
         raise Problem("not_found", f"no scores of version {version!r}; GET /api/about first")
@@ -68,6 +69,9 @@ def submissions(
     request: Request, task: Word = None, season: Word = None, limit: Limit = 100
 ) -> list[Submission]:
     """Return the newest submissions first."""
+    season = season_id(request, season)
+    if task is not None:
+        check_task(request, task)
     return request.app.state.service.queries.submissions(task=task, season=season, limit=limit)
 
 
@@ -100,6 +104,8 @@ def receipt(request: Request, id: str) -> dict[str, Any]:
 @router.get("/seasons")
 def all_seasons(request: Request, task: Word = None) -> list[Season]:
     """Return the seasons, the newest first."""
+    if task is not None:
+        check_task(request, task)
     return request.app.state.service.queries.seasons(task)
 
 
@@ -135,6 +141,24 @@ def ledger(
 ) -> list[LedgerEntry]:
     """Return the entries of the ledger behind number `after`."""
     return request.app.state.service.queries.ledger(after, limit)
+
+
+def check_task(request: Request, task: str) -> None:
+    """Refuse a task that has no board and never had one."""
+    service = request.app.state.service
+    if task not in service.catalogue.tasks and not service.queries.versions(task):
+        names = ", ".join(service.catalogue.tasks)
+        raise Problem("not_found", f"no task {task!r}; there are {names}")
+
+
+def season_id(request: Request, season: str | None) -> str | None:
+    """Return the id of a season that is given by id or name."""
+    if season is None:
+        return None
+    found = request.app.state.service.queries.season(season)
+    if found is None:
+        raise Problem("not_found", f"no season {season!r}; GET /api/seasons lists them")
+    return found.id
 
 
 def _found(value: Any, what: str) -> Any:

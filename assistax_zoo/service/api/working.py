@@ -6,7 +6,7 @@ from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from pydantic import BaseModel, Field
 
 from assistax_zoo.service.api.errors import RESPONSES
-from assistax_zoo.service.api.guards import Worker
+from assistax_zoo.service.api.guards import Worker, json_body
 from assistax_zoo.service.api.submitting import whole_body
 from assistax_zoo.service.scoring import MAX_TABLE_BYTES, Work
 from assistax_zoo.service.vocabulary import REFUSALS
@@ -42,8 +42,12 @@ class Counted(BaseModel):
     counted: bool
 
 
-@router.post("/lease", responses={204: {"description": "nothing waits"}})
-def lease(request: Request, worker: Worker, body: LeaseRequest) -> Any:
+_LEASE, _LEASE_BODY = json_body(LeaseRequest)
+_REFUSED, _REFUSED_BODY = json_body(Refused)
+
+
+@router.post("/lease", responses={204: {"description": "nothing waits"}}, openapi_extra=_LEASE_BODY)
+def lease(request: Request, worker: Worker, body: Annotated[Any, _LEASE]) -> Any:
     """Take the next job, or 204 where nothing waits."""
     service, rooms = request.app.state.service, request.app.state.rooms
     work: Work | None = service.lease(body.worker, body.versions, rooms)
@@ -68,8 +72,14 @@ def failed(request: Request, worker: Worker, job: str, lease: LeaseSecret) -> No
     request.app.state.service.job_failed(job, lease)
 
 
-@router.post("/{job}/refused", status_code=204)
-def refused(request: Request, worker: Worker, job: str, lease: LeaseSecret, body: Refused) -> None:
+@router.post("/{job}/refused", status_code=204, openapi_extra=_REFUSED_BODY)
+def refused(
+    request: Request,
+    worker: Worker,
+    job: str,
+    lease: LeaseSecret,
+    body: Annotated[Any, _REFUSED],
+) -> None:
     """End a submission whose robot cannot be played."""
     request.app.state.service.job_refused(job, lease, body.code)
 

@@ -34,8 +34,7 @@ def play_live(client: Client, submission: str, robot: Any, *, connect: Any = Non
                         return message
                     socket.send(message)
         except (OSError, EOFError, _closed()) as error:
-            _refuse_rejection(error)
-            tries += 1
+            tries += not _is_full(error)
             time.sleep(PAUSE_SECONDS)
     raise OSError("the server cannot be reached; the submission goes on if you come back in time")
 
@@ -83,9 +82,11 @@ def _closed() -> type[Exception]:
     return WebSocketException
 
 
-def _refuse_rejection(error: Exception) -> None:
-    """Give up where the server says no: it is reached, but this is not our submission."""
+def _is_full(error: Exception) -> bool:
+    """Return whether the server has too many robots of ours now; give up where it says no."""
     from websockets.exceptions import InvalidStatus
 
-    if isinstance(error, InvalidStatus) and error.response.status_code in (401, 403, 404):
+    status = error.response.status_code if isinstance(error, InvalidStatus) else None
+    if status in (401, 403, 404):
         raise ValueError("the server has no live submission of this id for this token") from None
+    return status == 429

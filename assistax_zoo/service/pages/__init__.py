@@ -5,18 +5,21 @@ about in the explorer works without scripts.
 """
 
 import functools
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
-from fastapi import FastAPI, Request
+from fastapi import Depends, FastAPI, Request
 from starlette.responses import Response
 
+from assistax_zoo.service.api.guards import count_page
 from assistax_zoo.service.pages.board_routes import board_router
 from assistax_zoo.service.pages.boards import Boards
 from assistax_zoo.service.pages.cache import PageCache, respond
 from assistax_zoo.service.pages.crossplays import PUBLISHED, CrossPlays
 from assistax_zoo.service.pages.partner_routes import explorer_router, pair_router, partner_router
 from assistax_zoo.service.pages.rendering import static_files
+from assistax_zoo.service.pages.season_boards import SeasonBoards
 from assistax_zoo.service.pages.season_routes import season_router
 from assistax_zoo.service.pages.security import FormTokens, SecurityHeaders
 from assistax_zoo.service.pages.site import NotFoundError, Site
@@ -50,6 +53,10 @@ class Service(Protocol):
         """What is scored."""
         ...
 
+    def panel_b(self, season: str) -> Sequence[tuple[str, Any]]:
+        """Return the episodes of every submission on the panel B of a closed season."""
+        ...
+
 
 def add_pages(
     app: FastAPI,
@@ -79,19 +86,25 @@ def add_pages(
         registry=load_registry(registry),
         crossplays=played,
         boards=Boards(service.queries, played),
+        season_boards=SeasonBoards(service.queries, service.panel_b),
         videos=Videos(folder, functools.partial(run_command, registry=registry)),
         cache=PageCache(),
         tokens=FormTokens(form_key),
     )
     routers = board_router, season_router, submit_router, partner_router, pair_router
     for router in (*routers, explorer_router):
-        app.include_router(router(site))
+        app.include_router(router(site), dependencies=[Depends(count_page)])
 
     @app.get("/static/{name}", include_in_schema=False)
     def static(request: Request, name: str) -> Response:
         if name not in static_files():
             raise NotFoundError("There is no such file.")
         return respond(request, static_files()[name], immutable=True)
+
+    def error_page(request: Request, status: int, message: str) -> Response:
+        return site.fresh("error.html", request.url.path, status, message=message)
+
+    app.state.error_page = error_page
 
     def not_found(request: Request, error: Exception) -> Response:
         return site.fresh("error.html", request.url.path, 404, message=str(error))

@@ -59,11 +59,26 @@ def board_values(site: Site, task: str) -> dict[str, Any]:
     return {
         "task": task,
         "board": board,
+        "safety": safety_of(site, board) if board else {},
+        "is_behind": site.boards.is_behind(task),
         "axis": axis_over(ends),
         "waiting": sorted(waiting, key=lambda one: one.place or 0),
         "seasons": site.queries.seasons(task),
         "has_crossplay": task in site.crossplays.tasks,
     }
+
+
+def safety_of(site: Site, board: Board) -> dict[str, tuple[float, float]]:
+    """Return safe success and violations of each row of a gentle task; nothing of another task."""
+    scores = site.queries.scores(task=board.task, panel="public", version=board.version)
+    figures = {one.submission: one.figures for one in scores if "violations" in one.figures}
+    found = {}
+    for standing, played in board.rows:
+        seeds = [figures[one.id] for one in played.submissions if one.id in figures]
+        if seeds:
+            shares = [(seed["safe_success"], seed["violations"]) for seed in seeds]
+            found[standing.name] = tuple(np.mean(shares, axis=0).tolist())
+    return found
 
 
 @functools.lru_cache(maxsize=64)  # a board is computed anew when a score is added, and only then

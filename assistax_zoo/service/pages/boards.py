@@ -1,20 +1,26 @@
-"""From released scores to the board of a task, computed anew only when a score was added."""
+"""From released scores to the board of a task.
+
+A board is computed behind its readers, who meanwhile see the one before. A new score costs the
+figures of its own method, and the places: what other methods earned is kept.
+"""
 
 import dataclasses
-import threading
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from assistax_zoo.service.pages.crossplays import CrossPlays
+from assistax_zoo.service.pages.behind import Behind
+from assistax_zoo.service.pages.crossplays import CrossPlay, CrossPlays
 from assistax_zoo.service.queries import PartnerScore, Queries, Submission
-from assistax_zoo.service.statistics_board import Method, Panel, Standing, standings
+from assistax_zoo.service.statistics_board import Method, Panel, Standing, standings, unplaced
 from assistax_zoo.service.vocabulary import REFERENCE
-from evaluation.metrics import Bounds
+from evaluation.metrics import SEED_SDS, Bounds
 from evaluation.relative import RANDOM, SELF_PLAY, ZERO
 
 LOW = (RANDOM, ZERO)  # references that earn a normalised return of 0, the first there is
+_AT_ONCE = 200  # submissions whose returns are read together
 _NEWEST = 100_000  # submissions of a board; all of them
 
 
@@ -65,94 +71,142 @@ class Board:
 
 
 class Boards:
-    """The boards of all tasks, each kept until a submission to it is scored."""
+    """The boards of all tasks, each kept until a submission to it is scored or taken back."""
 
     def __init__(self, queries: Queries, crossplays: CrossPlays) -> None:
         self._queries, self._crossplays = queries, crossplays
-        self._lock = threading.Lock()
-        self._kept: dict[str, tuple[object, Board | None]] = {}
+        self._boards: Behind[Board | None] = Behind()
+        self._memories: dict[str, _Memory] = {}
 
     def of(self, task: str) -> Board | None:
-        """Return the board of a task under its newest version, or None while it is empty."""
+        """Return the board of a task under its newest version, or None while it is empty.
+
+        Who asks waits a moment for a new one, then gets the board as it was before the last score.
+        """
+        scored = self._scored(task)
+        if scored is None:
+            return None
+        key = scored.version, tuple((one.id, one.submitter) for one in scored.submissions)
+        return self._boards.value(task, key, lambda: self._board(task, scored))
+
+    def is_behind(self, task: str) -> bool:
+        """Return whether scores are there that the board does not show yet."""
+        return self._boards.is_behind(task)
+
+    def _scored(self, task: str) -> "_Scored | None":
+        """Return what a board is of: its version, and all submissions that count."""
         versions = self._queries.versions(task)
         if not versions:
             return None
-        version, identity = versions[0]
-        scored = [
-            one
-            for one in self._queries.submissions(task=task, limit=_NEWEST)
-            if one.state == "scored"
-        ]
-        key = (version, tuple((one.id, one.submitter) for one in scored))
-        with self._lock:
-            if self._kept.get(task, (None, None))[0] != key:
-                self._kept[task] = key, self._compute(task, version, identity, scored)
-            return self._kept[task][1]
+        every = self._queries.submissions(task=task, limit=_NEWEST)
+        scored = tuple(one for one in every if one.state == "scored")
+        return _Scored(*versions[0], scored)
 
-    def _compute(
-        self, task: str, version: str, identity: Mapping[str, Any], scored: Sequence[Submission]
-    ) -> Board | None:
-        scores = self._queries.partner_scores([one.id for one in scored], version)
-        methods = group_methods(scored, scores)
+    def _board(self, task: str, scored: "_Scored") -> Board | None:
+        memory = self._memories.setdefault(task, _Memory())
+        memory.learn(self._queries, scored)
+        methods = memory.methods(scored.submissions)
         if not methods:
             return None
-        partners = _panel(scores)
-        references = {one.newest.method: one for one in methods if one.is_reference}
+        partners = memory.panel()
+        references = {one.newest.method: one.returns for one in methods if one.is_reference}
         panel = Panel(
             tuple(one.disability for one in partners),
-            _bounds(partners, references, self._crossplays.of(task)),
+            bounds_of([one.partner for one in partners], references, self._crossplays.of(task)),
+            SEED_SDS.get(task),
         )
         by_name = {method.newest.id: method for method in methods}
         rows = standings(
             [Method(name, one.returns, not one.is_reference) for name, one in by_name.items()],
             panel,
+            memory.figures(by_name),
         )
         named = tuple((row, by_name[row.name]) for row in rows)
-        return Board(task, version, identity, partners, named)
+        return Board(task, scored.version, scored.identity, partners, named)
 
 
-def group_methods(
-    submissions: Sequence[Submission], scores: Sequence[PartnerScore]
-) -> list[Played]:
-    """Put submissions of one submitter and method together: they are its seeds.
+@dataclasses.dataclass(frozen=True)
+class _Scored:
+    """What a board is of."""
 
-    A submission without a score from the whole panel is left out: it has yet to be scored under
-    this version.
-    """
-    returns: dict[str, dict[str, tuple[float, ...]]] = {}
-    for score in scores:
-        returns.setdefault(score.submission, {})[score.partner] = score.returns
-    partners = [one.partner for one in _panel(scores)]
-    groups: dict[tuple[str, str], list[Submission]] = {}
-    for one in sorted(submissions, key=lambda one: (one.created_at, one.id)):
-        if returns.get(one.id, {}).keys() == set(partners):
-            groups.setdefault((one.submitter, one.method), []).append(one)
-    return [
-        Played(
-            tuple(group),
-            np.array([[returns[one.id][partner] for partner in partners] for one in group]),
-        )
-        for group in groups.values()
-    ]
+    version: str
+    identity: Mapping[str, Any]
+    submissions: tuple[Submission, ...]
 
 
-def _panel(scores: Sequence[PartnerScore]) -> tuple[PartnerScore, ...]:
-    """One score of each partner that any submission met, in order of names."""
-    return tuple({one.partner: one for one in sorted(scores, key=lambda s: s.partner)}.values())
+class _Memory:
+    """Returns of submissions and figures of methods under one version; of one thread at a time."""
+
+    def __init__(self) -> None:
+        self._version = ""
+        self._partners: dict[str, PartnerScore] = {}
+        # Of each submission its partners, in order, and returns [P, K].
+        self._returns: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
+        self._figures: dict[Hashable, Standing] = {}
+
+    def learn(self, queries: Queries, scored: _Scored) -> None:
+        """Read the returns of the submissions that are new, and forget those that are gone."""
+        if scored.version != self._version:
+            self.__init__()
+            self._version = scored.version
+        wanted = [one.id for one in scored.submissions]
+        for gone in self._returns.keys() - set(wanted):
+            del self._returns[gone]
+        new = [id for id in wanted if id not in self._returns]
+        for start in range(0, len(new), _AT_ONCE):
+            scores = queries.partner_scores(new[start : start + _AT_ONCE], scored.version)
+            for id, group in itertools.groupby(scores, key=lambda score: score.submission):
+                rows = sorted(group, key=lambda score: score.partner)
+                self._partners |= {row.partner: row for row in rows}
+                names = tuple(row.partner for row in rows)
+                self._returns[id] = names, np.array([row.returns for row in rows])
+
+    def panel(self) -> tuple[PartnerScore, ...]:
+        """Return one score of each partner that any submission met, in order of names."""
+        return tuple(self._partners[name] for name in sorted(self._partners))
+
+    def methods(self, submissions: Sequence[Submission]) -> list[Played]:
+        """Put submissions of one submitter and method together: they are its seeds.
+
+        A submission without a score from the whole panel is left out: it has yet to be scored under
+        this version.
+        """
+        partners = tuple(one.partner for one in self.panel())
+        groups: dict[tuple[str, str], list[Submission]] = {}
+        for one in sorted(submissions, key=lambda one: (one.created_at, one.id)):
+            if self._returns.get(one.id, ((),))[0] == partners:
+                groups.setdefault((one.submitter, one.method), []).append(one)
+        return [
+            Played(tuple(group), np.stack([self._returns[one.id][1] for one in group]))
+            for group in groups.values()
+        ]
+
+    def figures(self, methods: Mapping[str, Played]) -> Callable[[Method, Panel], Standing]:
+        """Return what makes a method's row, or finds it among those of the board before."""
+        kept, self._figures = self._figures, {}
+
+        def of(method: Method, panel: Panel) -> Standing:
+            bounds = panel.bounds and (panel.bounds.best.tobytes(), panel.bounds.low.tobytes())
+            seeds = tuple(one.id for one in methods[method.name].submissions)
+            key = (seeds, panel.disabilities, bounds)
+            self._figures[key] = kept.get(key) or unplaced(method, panel)
+            return self._figures[key]
+
+        return of
 
 
-def _bounds(
-    partners: Sequence[PartnerScore], references: Mapping[str, Played], crossplay: Any
+def bounds_of(
+    partners: Sequence[str], references: Mapping[str, np.ndarray], crossplay: CrossPlay | None
 ) -> Bounds | None:
     """What a random robot earns with each partner, and the best robot known for it.
 
-    That is its own robot, or the best of the cross-play.
+    That is its own robot, or the best of the cross-play. `references` are returns [S, P, K].
     """
     low = next((references[name] for name in LOW if name in references), None)
-    best = [] if SELF_PLAY not in references else [references[SELF_PLAY].returns.mean(axis=(0, 2))]
+    best = [] if SELF_PLAY not in references else [references[SELF_PLAY].mean(axis=(0, 2))]
     if crossplay is not None:
-        known = [crossplay.best_returns.get(one.partner) for one in partners]
+        known = [crossplay.best_returns.get(name) for name in partners]
         best += [] if None in known else [np.array(known)]
     if low is None or not best:
         return None
-    return Bounds(np.max(best, axis=0), low.returns.mean(axis=(0, 2)))
+    return Bounds(np.max(best, axis=0), low.mean(axis=(0, 2)))

@@ -7,6 +7,7 @@ from urllib.parse import quote
 from fastapi import APIRouter, Form, Request
 from starlette.responses import FileResponse, RedirectResponse, Response
 
+from assistax_zoo.service.api.guards import FILMS, client_of
 from assistax_zoo.service.pages import security
 from assistax_zoo.service.pages.cache import respond
 from assistax_zoo.service.pages.charts import axis_over
@@ -74,7 +75,10 @@ def pair_router(site: Site) -> APIRouter:
     ) -> Response:
         if not site.tokens.accepts(request, form_token):
             return site.fresh("error.html", request.url.path, 403, message=security.NOT_OURS)
-        state = site.videos.ask(find_policies(site, site.task(task), robot, human))
+        pair = find_policies(site, site.task(task), robot, human)
+        if site.videos.state(pair) in ("none", "failed"):
+            request.app.state.limiter.hit(FILMS, client_of(request))
+        state = site.videos.ask(pair)
         if state == "full":
             message = "Many films are waiting already. Please ask again in some minutes."
             return site.fresh("error.html", request.url.path, 503, message=message)

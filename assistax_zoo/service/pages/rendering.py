@@ -67,7 +67,7 @@ def _environment() -> jinja2.Environment:
     )
     names: Any = environment.globals
     names.update(static=static_address, statement=STATEMENT)
-    for filter in (figure, interval, percent, day, moment, duration, words):
+    for filter in (figure, interval, percent, day, moment, duration, countdown, words):
         environment.filters[filter.__name__] = filter
     environment.filters["rows"] = table_rows
     return environment
@@ -109,6 +109,17 @@ def duration(seconds: float | None) -> str:
     if seconds < 5400:
         return f"about {round(seconds / 60)} minutes"
     return f"about {round(seconds / 3600)} hours"
+
+
+def countdown(seconds: float) -> str:
+    """Write how long it is until a date."""
+    minutes = int(seconds // 60)
+    if minutes < 1:
+        return "in less than a minute" if seconds > 0 else "now"
+    days, hours, rest = minutes // 1440, minutes // 60 % 24, minutes % 60
+    if days:
+        return f"in {days} days {hours} hours"
+    return f"in {hours} hours {rest} minutes"
 
 
 def words(name: str) -> str:

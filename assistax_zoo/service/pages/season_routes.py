@@ -1,6 +1,7 @@
 """Pages of what happened: a submission, the seasons and the ledger."""
 
 import json
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,6 +14,7 @@ from assistax_zoo.service.pages.site import LIVE, NotFoundError, Site
 from assistax_zoo.service.queries import PartnerScore, Score, Submission
 
 _ENTRIES = 200  # of the ledger on one page
+LAST_ENTRY = 2**31 - 1  # that a database counts to
 
 
 def season_router(site: Site) -> APIRouter:
@@ -35,7 +37,9 @@ def season_router(site: Site) -> APIRouter:
             raise NotFoundError("It has no place yet: its score is not there.")
         competing = sum(each.place is not None for each, _ in board.rows)
         page = f"/tasks/{found.task}"
-        return {"board_place": row[0].place, "of_methods": competing, "board": page}
+        place, lowest = row[0].place, row[0].lowest
+        answer = {"board_place": place, "board_lowest": lowest}
+        return answer | {"of_methods": competing, "board": page}
 
     @router.get("/submissions/{id}/receipt.json")
     def receipt(id: str) -> Response:
@@ -57,11 +61,13 @@ def season_router(site: Site) -> APIRouter:
 
     @router.get("/ledger")
     def ledger(request: Request, after: int = 0) -> Response:
-        def values() -> dict[str, Any]:
-            entries = site.queries.ledger(max(after, 0), _ENTRIES)
-            return {"entries": entries, "after": max(after, 0), "page_size": _ENTRIES}
+        start = min(max(after, 0), LAST_ENTRY)
 
-        return site.page(request, str(after), LIVE, "ledger.html", values)
+        def values() -> dict[str, Any]:
+            entries = site.queries.ledger(start, _ENTRIES)
+            return {"entries": entries, "after": start, "page_size": _ENTRIES}
+
+        return site.page(request, str(start), LIVE, "ledger.html", values)
 
     return router
 
@@ -77,6 +83,7 @@ def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
     return {
         "submission": submission,
         "row": board.of(submission.id) if board else None,
+        "own": _own_figures(scores, versions),
         "comparable": board is not None and len(board.rows) > 1,
         "scores": sorted(scores, key=lambda one: (-one.created_at, one.panel)),
         "newest": versions[0] if versions else None,
@@ -87,17 +94,41 @@ def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
     }
 
 
+def _own_figures(scores: Sequence[Score], versions: Sequence[str]) -> dict[str, Any] | None:
+    """Return what this robot earned on the public panel under the board's version."""
+    newest = [
+        s.figures for s in scores if s.panel == "public" and [s.version] == list(versions[:1])
+    ]
+    return newest[0] if newest else None
+
+
 def season_values(site: Site, id: str) -> dict[str, Any]:
     """Return what a season's page shows: its rules, who tried how often, and what was released."""
     season = site.queries.season(id)
     if season is None:
         raise NotFoundError(f"There is no season {id!r}; see the list of seasons.")
-    scores = site.queries.scores(season=season.id)
+    rows = site.season_boards.of(season)
+    drawn = [row for row, entry in rows if not entry.is_reference] or [row for row, _ in rows]
     return {
         "season": season,
+        "now": time.time(),
         "attempts": {one.submitter: one for one in site.queries.attempts(season.id)},
-        "panels": {panel: best_of_each(scores, panel) for panel in ("A", "B")},
+        "entered": _entered(site, season.id),
+        "panel_a": best_of_each(site.queries.scores(season=season.id), "A"),
+        "rows": rows,
+        "is_behind": site.season_boards.is_behind(season),
+        "axis": axis_over(end for row in drawn for end in row.m_test.mean_ci or (row.m_test.mean,)),
+        "is_gentle": any(entry.violations is not None for _, entry in rows),
     }
+
+
+def _entered(site: Site, season: str) -> dict[str, list[Submission]]:
+    """Return what each lab chose for panel B."""
+    found: dict[str, list[Submission]] = {}
+    for one in site.queries.submissions(season=season, limit=100_000):
+        if one.entered:
+            found.setdefault(one.submitter, []).append(one)
+    return found
 
 
 def best_of_each(scores: Sequence[Score], panel: str) -> list[Score]:

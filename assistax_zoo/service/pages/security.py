@@ -75,12 +75,16 @@ class FormTokens:
             )
         return self._sign(cookie)
 
+    def may_send(self, request: Request) -> bool:
+        """Return whether a request's headers are those of a page of ours: before it is read."""
+        from_here = request.headers.get("sec-fetch-site", "same-origin") in ("same-origin", "none")
+        return bool(request.cookies.get(COOKIE)) and from_here
+
     def accepts(self, request: Request, token: str) -> bool:
         """Return whether a form that came with this request was written for its sender."""
         cookie = request.cookies.get(COOKIE, "")
-        from_here = request.headers.get("sec-fetch-site", "same-origin") in ("same-origin", "none")
         is_ours = hmac.compare_digest(self._sign(cookie).encode(), token.encode())
-        return bool(cookie) and from_here and is_ours
+        return self.may_send(request) and is_ours
 
     def _sign(self, cookie: str) -> str:
         return hmac.new(self._key, cookie.encode(), hashlib.sha256).hexdigest()

@@ -11,6 +11,7 @@ from assistax_zoo.service.pages.boards import Boards
 from assistax_zoo.service.pages.cache import Page, PageCache, pack, respond
 from assistax_zoo.service.pages.crossplays import CrossPlay, CrossPlays
 from assistax_zoo.service.pages.rendering import render
+from assistax_zoo.service.pages.season_boards import SeasonBoards
 from assistax_zoo.service.pages.security import FIELD, FormTokens
 from assistax_zoo.service.pages.videos import Videos
 from assistax_zoo.service.queries import Queries, Submission
@@ -33,6 +34,7 @@ class Site:
     registry: Registry
     crossplays: CrossPlays
     boards: Boards
+    season_boards: SeasonBoards
     videos: Videos
     cache: PageCache
     tokens: FormTokens

@@ -4,12 +4,15 @@ The token is typed, or filled in by the browser's own store, with each form. No 
 in, so no other site can act for its owner; the form itself is answered only to who was given it.
 """
 
-from typing import Annotated, Any
+from typing import Any
 
-from fastapi import APIRouter, File, Form, Request
+from fastapi import APIRouter, Request
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.responses import RedirectResponse, Response
 
-from assistax_zoo.service.api.guards import sign_in
+from assistax_zoo.service.api.guards import FORM, client_of, sign_in
 from assistax_zoo.service.api.submitting import hand_in
 from assistax_zoo.service.ids import new_id
 from assistax_zoo.service.pages import security
@@ -17,7 +20,10 @@ from assistax_zoo.service.pages.site import Site
 from assistax_zoo.service.problems import CODES, Problem
 from assistax_zoo.service.submissions import LICENCES, Draft
 
-Field = Annotated[str, Form()]
+FIELDS = (
+    security.FIELD,
+    *("request_id", "account_token", "task", "method", "licence", "season"),
+)
 
 
 def submit_router(site: Site) -> APIRouter:
@@ -30,32 +36,57 @@ def submit_router(site: Site) -> APIRouter:
         return site.form(request, "submit.html", **form_values(site, chosen))
 
     @router.post("/submit")
-    def submit(
-        request: Request,
-        request_id: Field = "",
-        account_token: Field = "",
-        task: Field = "",
-        method: Field = "",
-        licence: Field = "",
-        season: Field = "",
-        file: Annotated[bytes, File()] = b"",
-        form_token: Annotated[str, Form(alias=security.FIELD)] = "",
-    ) -> Response:
-        if not site.tokens.accepts(request, form_token):
+    async def submit(request: Request) -> Response:
+        state = request.app.state
+        if not site.tokens.may_send(request):
             return site.fresh("error.html", request.url.path, 403, message=security.NOT_OURS)
         try:
-            owner = sign_in(request, account_token.strip(), "submit")
+            state.limiter.hit(FORM, client_of(request))
+            with state.desk.form():
+                given, file = await read_form(request)
+        except Problem as problem:
+            message = problem.message
+            return site.fresh("error.html", request.url.path, CODES[problem.code], message=message)
+        if not site.tokens.accepts(request, given[security.FIELD]):
+            return site.fresh("error.html", request.url.path, 403, message=security.NOT_OURS)
+        try:
+            token = given["account_token"].strip()
+            owner = await run_in_threadpool(sign_in, request, token, "submit")
             if not file:
                 raise Problem("invalid", "choose a file that is not empty")
+            names = ("task", "method", "request_id", "licence", "season")
+            task, method, request_id, licence, season = (given[name] for name in names)
             draft = Draft(task, method.strip(), request_id, licence, season or None, data=file)
-            found = hand_in(request, owner, draft)
+            with state.desk.place(str(owner.submitter)):
+                found = await hand_in(request, owner, draft)
         except Problem as problem:
-            given = {"task": task, "method": method, "licence": licence, "season": season}
-            values = form_values(site, given, "Nothing was handed in: " + problem.message)
-            return site.form(request, "submit.html", CODES[problem.code], **values)
+            return await run_in_threadpool(come_back, site, request, given, problem)
         return RedirectResponse(f"/submissions/{found.id}", 303)
 
     return router
+
+
+async def read_form(request: Request) -> tuple[dict[str, str], bytes]:
+    """Return a form's texts, empty where it lacks one, and its file.
+
+    Raises:
+        Problem: It is no form of this page.
+    """
+    try:
+        async with request.form(max_files=1, max_fields=len(FIELDS)) as form:
+            texts = {name: form.get(name, "") for name in FIELDS}
+            file = form.get("file")
+            data = b"" if file is None or isinstance(file, str) else await file.read()
+    except (HTTPException, ClientDisconnect):
+        raise Problem("invalid", "this is not the form of this page") from None
+    return {name: text if isinstance(text, str) else "" for name, text in texts.items()}, data
+
+
+def come_back(site: Site, request: Request, given: dict[str, str], problem: Problem) -> Response:
+    """Answer with the form as it was filled in, and why nothing was handed in."""
+    given = {name: given[name] for name in ("task", "method", "licence", "season")}
+    values = form_values(site, given, "Nothing was handed in: " + problem.message)
+    return site.form(request, "submit.html", CODES[problem.code], **values)
 
 
 def form_values(site: Site, given: dict[str, str], message: str = "") -> dict[str, Any]:

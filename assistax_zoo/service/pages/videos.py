@@ -4,6 +4,7 @@ A film and the returns of its pair are made by the command line in a process of 
 at a time: whatever goes wrong there, or takes too long, the pages stay up.
 """
 
+import contextlib
 import dataclasses
 import hashlib
 import importlib.util
@@ -28,6 +29,7 @@ State = Literal["none", "waiting", "making", "ready", "failed", "full"]
 WAITING = 50  # pairs in the queue; then the next is asked to come back
 EPISODES = 16  # whose returns stand beside a film
 SECONDS = 600  # for one pair
+MOST_BYTES = 2 * 1024**3  # of all films; then those go that nobody has looked at for longest
 _FILM, _RETURNS = "film", "returns.json"
 _LOG = logging.getLogger(__name__)
 
@@ -72,7 +74,11 @@ class Videos:
         """Return a finished film by its pair's key; a key that is not one finds nothing."""
         if len(key) != 32 or not set(key) <= set("0123456789abcdef"):
             return None
-        return next((self._folder / key).glob(f"{_FILM}.*"), None)
+        film = next((self._folder / key).glob(f"{_FILM}.*"), None)
+        if film is not None:
+            with contextlib.suppress(OSError):
+                os.utime(film.parent)  # somebody looks at it
+        return film
 
     def returns(self, pair: Pair) -> list[float] | None:
         """Return what the pair earned in each episode, once its film is made."""
@@ -127,6 +133,21 @@ class Videos:
             (made / _RETURNS).write_text(json.dumps(table["return"].to_list()))
             shutil.rmtree(self._folder / pair.key, ignore_errors=True)
             made.replace(self._folder / pair.key)
+        self._forget(keep=pair.key)
+
+    def _forget(self, keep: str) -> None:
+        """Remove the films that were looked at longest ago, until the others have room."""
+        kept = {path: _bytes_of(path) for path in self._folder.iterdir() if path.name != keep}
+        total = _bytes_of(self._folder / keep) + sum(kept.values())
+        for path in sorted(kept, key=lambda path: path.stat().st_mtime):
+            if total <= MOST_BYTES:
+                return
+            shutil.rmtree(path, ignore_errors=True)
+            total -= kept[path]
+
+
+def _bytes_of(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
 def film_command(pair: Pair, out: Path) -> list[str]:

@@ -1,0 +1,182 @@
+"""Rank intervals: what must follow from the data, and how often they are right."""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.ranks import GAP, SEED, World, measure_seed_sds, root_mean_square
+from evaluation.metrics.ranks import SEED_SDS, Ranks, _most_equal, rank_methods
+
+
+def played(
+    truth: np.ndarray, rng: np.random.Generator, *, seeds: int = 5, partners: int = 30
+) -> list[np.ndarray]:
+    """Scores [S, P] of methods: the truth, the partner's ease, the seed's luck, and the pair's."""
+    ease = rng.normal(0, 3, partners)
+    return [
+        mean + ease + rng.normal(0, 1, (seeds, 1)) + rng.normal(0, 2, (seeds, partners))
+        for mean in truth
+    ]
+
+
+def true_ranks(truth: np.ndarray) -> np.ndarray:
+    return 1 + (truth[:, None] > truth[None]).sum(axis=0)
+
+
+def covers(ranks: Ranks, truth: np.ndarray) -> bool:
+    own = true_ranks(truth)
+    return bool(((ranks.places <= own) & (own <= ranks.lowest)).all())
+
+
+def test_methods_far_apart_have_one_rank_each() -> None:
+    ranks = rank_methods(played(np.array([0.0, 30.0, 10.0, 20.0]), np.random.default_rng(0)))
+    assert ranks.places.tolist() == ranks.lowest.tolist() == [4, 1, 3, 2]
+
+
+def test_a_method_shares_the_place_of_its_copy() -> None:
+    scores = played(np.array([0.0, 20.0]), np.random.default_rng(1))
+    ranks = rank_methods([*scores, scores[1]])
+    assert ranks.places.tolist() == [3, 1, 1]
+    assert ranks.lowest.tolist() == [3, 2, 2]
+
+
+def test_one_method_alone_is_first() -> None:
+    ranks = rank_methods(played(np.array([0.0]), np.random.default_rng(2)))
+    assert (ranks.places.tolist(), ranks.lowest.tolist()) == ([1], [1])
+
+
+def test_partners_that_are_hard_for_everybody_do_not_blur_the_order() -> None:
+    """Paired: both methods meet the same partners, whose ease varies a hundred times the gap."""
+    rng = np.random.default_rng(3)
+    ease = rng.normal(0, 100, 40)
+    scores = [ease + gap + rng.normal(0, 0.5, (4, 40)) for gap in (0.0, 1.0)]
+    assert rank_methods(scores).places.tolist() == [2, 1]
+    shuffled = [scores[0], scores[1][:, rng.permutation(40)]]
+    assert rank_methods(shuffled).places.tolist() == [1, 1]
+
+
+def test_what_follows_from_two_claims_is_claimed() -> None:
+    """A noisy loser: both links of the chain are certain, so its ends are apart as well."""
+    better = rank_methods(played(np.array([0.0, 15.0, 30.0]), np.random.default_rng(4))).better
+    assert not np.diagonal(better @ better).any()
+    assert (better >= (better.astype(int) @ better.astype(int) > 0)).all()
+
+
+def test_three_seeds_find_four_of_five_true_orders() -> None:
+    """Six methods 100 apart, seeds of standard deviation 40, which is known beforehand."""
+    world, rng = World(gap=GAP), np.random.default_rng(5)
+    found = {
+        (seeds, known): np.mean(
+            [
+                rank_methods(world.draw(seeds, rng), seed_sd=known).better[np.tril_indices(6, -1)]
+                for _ in range(100)
+            ]
+        )
+        for seeds, known in ((2, SEED), (3, SEED), (3, None), (5, None))
+    }
+    assert found[3, SEED] > 0.77  # 81% of many; the error of 100 lists is 1%
+    assert found[2, SEED] > 0.3
+    assert found[3, None] > 0.5
+    assert found[5, None] > 0.9
+
+
+def test_a_row_of_two_unlike_robots_erases_nobody() -> None:
+    """The board on which one such row gave all nine the place 1-9."""
+    truth = np.array([982.0, 890.0, 700.0, 540.0, 410.0, 300.0, 160.0, 19.5])
+    scores = played(truth, np.random.default_rng(11), seeds=3)
+    unlike = scores[4][:1] + np.array([[-400.0], [400.0]])
+    alone, joined = rank_methods(scores), rank_methods([*scores, unlike])
+    assert alone.places.tolist() == list(range(1, 9))
+    assert (joined.better[:8, :8] == alone.better).all()
+    assert joined.places[8] == 1
+    assert joined.lowest[8] == 9
+
+
+def test_what_another_row_earned_does_not_move_a_pair() -> None:
+    rng, decided = np.random.default_rng(12), set()
+    for _ in range(60):
+        scores = World(gap=GAP, seeds=(SEED, SEED)).draw(3, rng)
+        thirds = [scores[0] + np.linspace(-1, 1, 3)[:, None] * reach for reach in (1e3, 1e6)]
+        claims = {bool(rank_methods([*scores, third]).better[1, 0]) for third in thirds}
+        assert len(claims) == 1
+        decided |= claims
+    assert decided == {True, False}  # some pairs are near their bar
+
+
+def test_pairs_that_can_be_equal_at_once_are_never_undercounted() -> None:
+    rng = np.random.default_rng(13)
+    for share in (0.2, 0.5, 0.8):
+        for _ in range(30):
+            graph = np.triu(rng.random((6, 6)) < share, 1)
+            graph |= graph.T
+            most = max(
+                sum(len(group) * (len(group) - 1) // 2 for group in groups)
+                for groups in partitions(list(range(6)))
+                if all(graph[i, j] for group in groups for i in group for j in group if i < j)
+            )
+            assert most <= _most_equal(graph) <= graph.sum() / 2
+
+
+def partitions(items: Sequence[int]) -> Iterator[list[list[int]]]:
+    if not items:
+        yield []
+        return
+    for rest in partitions(items[1:]):
+        yield [[items[0]], *rest]
+        for i, group in enumerate(rest):
+            yield [*rest[:i], [items[0], *group], *rest[i + 1 :]]
+
+
+def test_a_chain_and_a_row_that_nothing_tells_apart_are_counted_exactly() -> None:
+    chain = np.eye(7, k=1, dtype=bool) | np.eye(7, k=-1, dtype=bool)
+    assert _most_equal(chain[:6, :6]) == 3  # three pairs of neighbours
+    chain[6], chain[:, 6] = True, True
+    chain[6, 6] = False
+    assert _most_equal(chain) == 5  # it joins one of them
+
+
+def test_seed_sds_are_those_of_the_egos() -> None:
+    measured = measure_seed_sds(Path("docs/data"))
+    assert measured.keys() == SEED_SDS.keys()
+    for task, values in measured.items():
+        assert root_mean_square(values) == pytest.approx(SEED_SDS[task], rel=0.01)
+
+
+@pytest.mark.parametrize("seeds", [1, 2, 3, 10])
+def test_all_ranks_are_right_at_once_in_95_of_100_boards(seeds: int) -> None:
+    """Six methods, three of them equal: 300 boards, so 0.05 is exceeded by 3 errors at 0.09."""
+    truth = np.array([0.0, 0.0, 0.0, 2.0, 2.5, 9.0])
+    rng = np.random.default_rng(6)
+    wrong = 0
+    for _ in range(300):
+        scores = played(truth, rng, seeds=seeds)
+        if seeds == 1:  # a single robot is itself the method: its luck is no error
+            scores = [mean + rng.normal(0, 2, (1, 30)) for mean in truth]
+        wrong += not covers(rank_methods(scores, seed_sd=1.0), truth)
+    assert wrong / 300 <= 0.09
+    assert rank_methods(played(truth, rng, seeds=10)).places[5] == 1  # and it is not idle
+
+
+def test_intervals_without_a_common_bar_would_be_wrong_too_often() -> None:
+    """The planted defect: pairwise tests at 5%, each for itself, on 8 equal methods."""
+    truth, rng = np.zeros(8), np.random.default_rng(8)
+    together, alone = 0, 0
+    for _ in range(100):
+        scores = played(truth, rng)
+        together += not covers(rank_methods(scores), truth)
+        pairs = map(rank_methods, itertools.combinations(scores, 2))
+        alone += any(pair.better.any() for pair in pairs)
+    assert together <= 10
+    assert alone >= 15
+
+
+def test_different_partners_are_refused() -> None:
+    with pytest.raises(ValueError, match="the methods have 3, 4 partners"):
+        rank_methods([np.zeros((1, 3)), np.zeros((1, 4))])
+    with pytest.raises(ValueError, match="2 or more"):
+        rank_methods([np.zeros((2, 1))])
+    with pytest.raises(ValueError, match="seed_sd is 0"):
+        rank_methods([np.zeros((2, 3))], seed_sd=0.0)
