@@ -41,7 +41,7 @@ REFUSALS = {
 
 # Why a submission failed.
 FAILURES = {
-    "worker_errors": "the workers failed several times; the organiser has been told",
+    "worker_errors": "the workers failed several times; ask the organiser",
     "withdrawn": "its submitter took it back",
     "client_gone": "the live robot did not come back within the time allowed",
     "season_closed": "the season closed before it was played",
