@@ -16,7 +16,8 @@ from typing import Any
 import polars as pl
 from cyclopts import App
 
-from evaluation.replay_noise import FILE, measure_noise
+from evaluation.relative import RANDOM
+from evaluation.replay_noise import FILE, measure_noise, wild
 from population.files import atomic_write
 
 OTHER = "--xla_cpu_max_isa=AVX"  # an x86 without fused multiply-adds and with half the vectors
@@ -33,10 +34,16 @@ def measure(
         teams: Robots, and as many humans, spread over the task's release; eight episodes a pair.
     """
     for task in tasks:
-        measured = [_measure(task, backend, teams) for backend in backends]
-        noise = json.loads(FILE.read_text()) if FILE.is_file() else {}
-        rows = {name: largest([one[name] for one in measured]) for name in measured[0]}
-        write({**noise, task: rows})
+        played = [_play_twice(task, backend, teams) for backend in backends]
+        for key, rows in ((task, pl.col("ego") != RANDOM), (wild(task), pl.col("ego") == RANDOM)):
+            parts = [[table.filter(rows) for table in tables] for tables in played]
+            add(key, [measure_noise(*tables) for tables in parts])
+
+
+def add(key: str, measured: list[dict[str, Any]]) -> None:
+    """Write what was measured on some backends, the larger of each figure."""
+    noise = json.loads(FILE.read_text()) if FILE.is_file() else {}
+    write({**noise, key: {name: largest([one[name] for one in measured]) for name in measured[0]}})
 
 
 def largest(scales: list[dict[str, Any]]) -> dict[str, Any]:
@@ -69,6 +76,7 @@ def play(task: str, backend: str, teams: int, out: Path) -> None:
         out: File for the episodes.
     """
     from evaluation.evaluator import MAX_ENVS
+    from evaluation.references import reference_job
     from evaluation.roster import registry_roster
     from evaluation.runner import play as play_job
     from evaluation.studies import Settings, in_release, make_job
@@ -83,11 +91,13 @@ def play(task: str, backend: str, teams: int, out: Path) -> None:
     egos, partners = (seat[:: max(1, len(seat) // teams)][:teams] for seat in (robots, humans))
     settings = Settings(task, 8, backend=backend)
     env, job = make_job(registry, registry_roster(registry, egos), partners, settings)
-    play_job(env, job, MAX_ENVS[backend]).write_parquet(out)
+    jobs = (job, reference_job(env, job, RANDOM))
+    played = [play_job(env, one, MAX_ENVS[backend]) for one in jobs]
+    pl.concat(played).write_parquet(out)
 
 
-def _measure(task: str, backend: str, teams: int) -> dict[str, dict[str, Any]]:
-    """Play in two processes, and compare."""
+def _play_twice(task: str, backend: str, teams: int) -> list[pl.DataFrame]:
+    """Play in two processes, which round differently."""
     with tempfile.TemporaryDirectory() as folder:
         tables = []
         for place, flags in enumerate(("", OTHER)):
@@ -95,7 +105,7 @@ def _measure(task: str, backend: str, teams: int) -> dict[str, dict[str, Any]]:
             words = [sys.executable, "-m", "tools.replay_noise", "play", task, backend, str(teams)]
             subprocess.run([*words, str(out)], env={**os.environ, "XLA_FLAGS": flags}, check=True)
             tables.append(pl.read_parquet(out))
-        return measure_noise(*tables)
+        return tables
 
 
 if __name__ == "__main__":
