@@ -48,18 +48,20 @@ def wild(task: str) -> str:
     return f"{task}/{RANDOM}"
 
 
-def measure_noise(one: pl.DataFrame, other: pl.DataFrame) -> dict[str, dict[str, Any]]:
+def measure_noise(
+    one: pl.DataFrame, other: pl.DataFrame, by: str = "ego"
+) -> dict[str, dict[str, Any]]:
     """Measure how far two plays of the same episodes lie apart, column by column.
 
-    Each figure is that of the robot with the largest.
+    Each figure is that of the robot with the largest, or of the partner where there is one robot.
     """
     measured = {}
     for name in measured_columns(one):
         gaps = _gaps(one, other, name)
-        robots = [gaps[rows] for _, rows in _groups(one, ["ego"])]
+        groups = [gaps[rows] for _, rows in _groups(one, [by])]
         measured[name] = {
-            "quantiles": [_upper(max(np.quantile(gap, q) for gap in robots)) for q in QUANTILES],
-            "rms": _upper(max(float(np.sqrt(np.mean(gap**2))) for gap in robots)),
+            "quantiles": [_upper(max(np.quantile(gap, q) for gap in groups)) for q in QUANTILES],
+            "rms": _upper(max(float(np.sqrt(np.mean(gap**2))) for gap in groups)),
             "largest": _upper(float(gaps.max())),
         }
     return measured

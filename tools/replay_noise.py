@@ -5,6 +5,7 @@ multiply-adds, as processors without them or with other vectors round. What `rep
 written to `evaluation/replay_noise.json`: `python -m tools.replay_noise scratch bed_bath`.
 """
 
+import dataclasses
 import json
 import os
 import subprocess
@@ -20,6 +21,7 @@ from evaluation.relative import RANDOM
 from evaluation.replay_noise import FILE, measure_noise, wild
 from population.files import atomic_write
 
+EPISODES = 8  # of a pair; of random actions as many with each human as of all robots
 OTHER = "--xla_cpu_max_isa=AVX"  # an x86 without fused multiply-adds and with half the vectors
 
 
@@ -31,13 +33,14 @@ def measure(
     Args:
         tasks: Tasks, such as scratch.
         backends: Physics, one after the other.
-        teams: Robots, and as many humans, spread over the task's release; eight episodes a pair.
+        teams: Robots, and as many humans, spread over the task's release.
     """
     for task in tasks:
         played = [_play_twice(task, backend, teams) for backend in backends]
-        for key, rows in ((task, pl.col("ego") != RANDOM), (wild(task), pl.col("ego") == RANDOM)):
+        is_random = pl.col("ego") == RANDOM
+        for key, rows, by in ((task, ~is_random, "ego"), (wild(task), is_random, "partner")):
             parts = [[table.filter(rows) for table in tables] for tables in played]
-            add(key, [measure_noise(*tables) for tables in parts])
+            add(key, [measure_noise(*tables, by) for tables in parts])
 
 
 def add(key: str, measured: list[dict[str, Any]]) -> None:
@@ -89,9 +92,10 @@ def play(task: str, backend: str, teams: int, out: Path) -> None:
         for role in ("robot", "human")
     )
     egos, partners = (seat[:: max(1, len(seat) // teams)][:teams] for seat in (robots, humans))
-    settings = Settings(task, 8, backend=backend)
+    settings = Settings(task, EPISODES, backend=backend)
     env, job = make_job(registry, registry_roster(registry, egos), partners, settings)
-    jobs = (job, reference_job(env, job, RANDOM))
+    random = dataclasses.replace(reference_job(env, job, RANDOM), episodes=EPISODES * teams)
+    jobs = (job, random)
     played = [play_job(env, one, MAX_ENVS[backend]) for one in jobs]
     pl.concat(played).write_parquet(out)
 
