@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from evaluation.relative import RANDOM
+
 QUANTILES = (0.5, 0.75, 0.9, 0.97)  # of the absolute differences of a robot's episodes
 MARGIN = 2.0  # times the worst robot's quantile: a robot may be wilder than those measured
 DEVIATIONS = 6.0  # of a mean: many groups and columns are looked at
@@ -25,6 +27,9 @@ FILE = Path(__file__).with_name("replay_noise.json")
 
 def read_noise(task: str) -> dict[str, dict[str, Any]]:
     """Return what was measured of a task's columns: `quantiles`, `rms` and `largest`.
+
+    Args:
+        task: A task, or `wild(task)`.
 
     Raises:
         ValueError: Nothing was measured of it.
@@ -38,18 +43,25 @@ def read_noise(task: str) -> dict[str, dict[str, Any]]:
     return measured[task]
 
 
-def measure_noise(one: pl.DataFrame, other: pl.DataFrame) -> dict[str, dict[str, Any]]:
+def wild(task: str) -> str:
+    """Return where the file has a task's uniformly random robot, whose episodes differ most."""
+    return f"{task}/{RANDOM}"
+
+
+def measure_noise(
+    one: pl.DataFrame, other: pl.DataFrame, by: str = "ego"
+) -> dict[str, dict[str, Any]]:
     """Measure how far two plays of the same episodes lie apart, column by column.
 
-    Each figure is that of the robot with the largest.
+    Each figure is that of the robot with the largest, or of the partner where there is one robot.
     """
     measured = {}
     for name in measured_columns(one):
         gaps = _gaps(one, other, name)
-        robots = [gaps[rows] for _, rows in _groups(one, ["ego"])]
+        groups = [gaps[rows] for _, rows in _groups(one, [by])]
         measured[name] = {
-            "quantiles": [_upper(max(np.quantile(gap, q) for gap in robots)) for q in QUANTILES],
-            "rms": _upper(max(float(np.sqrt(np.mean(gap**2))) for gap in robots)),
+            "quantiles": [_upper(max(np.quantile(gap, q) for gap in groups)) for q in QUANTILES],
+            "rms": _upper(max(float(np.sqrt(np.mean(gap**2))) for gap in groups)),
             "largest": _upper(float(gaps.max())),
         }
     return measured
@@ -79,7 +91,13 @@ def noise_problems(task: str, kept: pl.DataFrame, found: pl.DataFrame) -> list[s
         kept: The folder's episodes.
         found: The same, in the same order, played here.
     """
-    noise, problems = read_noise(task), []
+    of_random = kept["ego"] == RANDOM
+    if of_random.any() and not of_random.all():
+        parts = (
+            (table.filter(rows) for table in (kept, found)) for rows in (of_random, ~of_random)
+        )
+        return [text for part in parts for text in noise_problems(task, *part)]
+    noise, problems = read_noise(wild(task) if of_random.all() else task), []
     for name in measured_columns(kept):
         scale = noise.get(name)
         if scale is None:

@@ -5,6 +5,7 @@ multiply-adds, as processors without them or with other vectors round. What `rep
 written to `evaluation/replay_noise.json`: `python -m tools.replay_noise scratch bed_bath`.
 """
 
+import dataclasses
 import json
 import os
 import subprocess
@@ -15,10 +16,12 @@ from typing import Any
 
 from cyclopts import App
 
-from evaluation.replay_noise import FILE, measure_noise
+from evaluation.relative import RANDOM
+from evaluation.replay_noise import FILE, measure_noise, wild
 from population.files import atomic_write
 from population.parquet import read_parquet
 
+EPISODES = 8  # of a pair; of random actions as many with each human as of all robots
 OTHER = "--xla_cpu_max_isa=AVX"  # an x86 without fused multiply-adds and with half the vectors
 
 
@@ -30,13 +33,20 @@ def measure(
     Args:
         tasks: Tasks, such as scratch.
         backends: Physics, one after the other.
-        teams: Robots, and as many humans, spread over the task's release; eight episodes a pair.
+        teams: Robots, and as many humans, spread over the task's release.
     """
     for task in tasks:
-        measured = [_measure(task, backend, teams) for backend in backends]
-        noise = json.loads(FILE.read_text()) if FILE.is_file() else {}
-        rows = {name: largest([one[name] for one in measured]) for name in measured[0]}
-        write({**noise, task: rows})
+        played = [_play_twice(task, backend, teams) for backend in backends]
+        is_random = pl.col("ego") == RANDOM
+        for key, rows, by in ((task, ~is_random, "ego"), (wild(task), is_random, "partner")):
+            parts = [[table.filter(rows) for table in tables] for tables in played]
+            add(key, [measure_noise(*tables, by) for tables in parts])
+
+
+def add(key: str, measured: list[dict[str, Any]]) -> None:
+    """Write what was measured on some backends, the larger of each figure."""
+    noise = json.loads(FILE.read_text()) if FILE.is_file() else {}
+    write({**noise, key: {name: largest([one[name] for one in measured]) for name in measured[0]}})
 
 
 def largest(scales: list[dict[str, Any]]) -> dict[str, Any]:
@@ -69,6 +79,7 @@ def play(task: str, backend: str, teams: int, out: Path) -> None:
         out: File for the episodes.
     """
     from evaluation.evaluator import MAX_ENVS
+    from evaluation.references import reference_job
     from evaluation.roster import registry_roster
     from evaluation.runner import play as play_job
     from evaluation.studies import Settings, in_release, make_job
@@ -81,21 +92,29 @@ def play(task: str, backend: str, teams: int, out: Path) -> None:
         for role in ("robot", "human")
     )
     egos, partners = (seat[:: max(1, len(seat) // teams)][:teams] for seat in (robots, humans))
-    settings = Settings(task, 8, backend=backend)
+    settings = Settings(task, EPISODES, backend=backend)
     env, job = make_job(registry, registry_roster(registry, egos), partners, settings)
-    play_job(env, job, MAX_ENVS[backend]).write_parquet(out)
+    random = dataclasses.replace(reference_job(env, job, RANDOM), episodes=EPISODES * teams)
+    jobs = (job, random)
+    played = [play_job(env, one, MAX_ENVS[backend]) for one in jobs]
+    pl.concat(played).write_parquet(out)
 
 
-def _measure(task: str, backend: str, teams: int) -> dict[str, dict[str, Any]]:
-    """Play in two processes, and compare."""
+def _play_twice(task: str, backend: str, teams: int) -> list[pl.DataFrame]:
+    """Play in two processes, which round differently."""
     with tempfile.TemporaryDirectory() as folder:
         tables = []
         for place, flags in enumerate(("", OTHER)):
             out = Path(folder, f"{place}.parquet")
             words = [sys.executable, "-m", "tools.replay_noise", "play", task, backend, str(teams)]
             subprocess.run([*words, str(out)], env={**os.environ, "XLA_FLAGS": flags}, check=True)
+<<<<<<< HEAD
             tables.append(read_parquet(out))
         return measure_noise(*tables)
+=======
+            tables.append(pl.read_parquet(out))
+        return tables
+>>>>>>> w-replay
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ import polars as pl
 import pytest
 
 from assistax_envs.versions import TASKS
+from evaluation.relative import RANDOM
 from evaluation.replay_noise import (
     QUANTILES,
     mean_tolerance,
@@ -12,6 +13,7 @@ from evaluation.replay_noise import (
     measured_columns,
     noise_problems,
     read_noise,
+    wild,
 )
 
 EGOS, PARTNERS, EPISODES = 2, 9, 8
@@ -46,7 +48,7 @@ def raised(table: pl.DataFrame, rows: pl.Expr, by: float) -> pl.DataFrame:
 
 
 def test_every_task_was_measured_and_every_column_of_it() -> None:
-    for task in TASKS:
+    for task in [*TASKS, *map(wild, TASKS)]:
         noise = read_noise(task)
         assert {"return", "success", "force_mean", "steps", "nonfinite"} <= set(noise)
         for scale in noise.values():
@@ -92,6 +94,19 @@ def test_every_column_is_compared(found: pl.DataFrame) -> None:
         assert any(problem.startswith(f"{name} of ") for problem in problems), name
     strange = found.with_columns(term_bonus=pl.lit(1.0))
     assert "never measured" in noise_problems("scratch", strange, strange)[0]
+
+
+def test_random_actions_have_a_scale_of_their_own(found: pl.DataFrame) -> None:
+    """Their episodes all end otherwise elsewhere; beside them others are held to their own."""
+    rng = np.random.default_rng(2)
+    robot = pl.when(pl.col("ego") == "robot0").then(pl.lit(RANDOM)).otherwise(pl.col("ego"))
+    played = found.with_columns(robot.alias("ego"))
+    gaps = np.where(played["ego"] == RANDOM, rng.normal(0, 100, found.height), 0)
+    kept = played.with_columns(pl.col("return") + pl.Series(gaps))
+    assert noise_problems("scratch", kept, played) == []
+    assert noise_problems("scratch", kept.with_columns(found["ego"]), found)
+    assert noise_problems("scratch", raised(kept, pl.col("ego") == "robot1", 1.05), played)
+    assert noise_problems("scratch", raised(kept, pl.col("ego") == RANDOM, 1.5), played)
 
 
 def test_the_scale_is_that_of_the_wildest_robot(found: pl.DataFrame) -> None:
