@@ -108,13 +108,8 @@ def _play_twice(task: str, backend: str, teams: int) -> list[pl.DataFrame]:
             out = Path(folder, f"{place}.parquet")
             words = [sys.executable, "-m", "tools.replay_noise", "play", task, backend, str(teams)]
             subprocess.run([*words, str(out)], env={**os.environ, "XLA_FLAGS": flags}, check=True)
-<<<<<<< HEAD
             tables.append(read_parquet(out))
-        return measure_noise(*tables)
-=======
-            tables.append(pl.read_parquet(out))
         return tables
->>>>>>> w-replay
 
 
 if __name__ == "__main__":
