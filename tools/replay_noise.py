@@ -14,6 +14,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import polars as pl
 from cyclopts import App
 
 from evaluation.relative import RANDOM
