@@ -136,11 +136,14 @@ def play_references(
         place = folder / one.digest()[:20]
         played.append(run_job(env, one, place, on_progress=shown, **options).table)
         files.append(place / tables.EPISODES_FILE)
-    return with_names(pl.concat(played)), files
+    return pl.concat([with_names(table) for table in played]), files
 
 
 def with_names(played: pl.DataFrame) -> pl.DataFrame:
-    """Add the column `reference`: whose the episodes are."""
+    """Add the column `reference`: whose the episodes are.
+
+    Which actions of a robot from outside were clipped is told of its own episodes alone.
+    """
     names = (
         pl.when(pl.col("partner") == PASSIVE)
         .then("partner")
@@ -148,4 +151,4 @@ def with_names(played: pl.DataFrame) -> pl.DataFrame:
         .then("ego")
         .otherwise(pl.lit(SELF_PLAY))
     )
-    return played.with_columns(names.alias(COLUMN))
+    return played.drop("clipped", strict=False).with_columns(names.alias(COLUMN))

@@ -26,7 +26,7 @@ from evaluation.relative import (
     bounds_table,
     summarise_references,
 )
-from evaluation.roster import ReferenceSpec, Roster, ScriptSpec
+from evaluation.roster import HostEgo, Member, ReferenceSpec, Roster, ScriptSpec
 from population.stack import PolicyStack
 from tests.evaluation.episode_tables import Team, episode_table, team_id, teams
 from tests.evaluation.matrix_game import (
@@ -149,6 +149,20 @@ def test_the_script_and_a_passive_human_are_played(tmp_path: Path, scripted: Non
         (means[job.egos.ids[0], PASSIVE] + means[job.egos.ids[1], PASSIVE]) / 2
     )
     assert shown.script_with_passive_human.mean == pytest.approx(means[SCRIPT, PASSIVE])
+
+
+def test_a_robot_from_outside_meets_the_passive_human_too(tmp_path: Path, scripted: None):
+    host = HostEgo("host", lambda obs: np.full((len(obs), ROBOT.action_size), 2.0, np.float32))
+    job = job_of(Roster((host,), {"host": Member("host", "0")}), humans(-0.5, 0.5))
+    assert "clipped" in run_job(MatrixGame(), job, tmp_path / "job").table.columns
+    found, _ = play_references(MatrixGame(), job, None, tmp_path)
+    assert found.group_by(COLUMN).len().sort(COLUMN).rows() == [
+        (PASSIVE, 6),
+        (SCRIPT, 6),
+        (RANDOM, 6),
+        (ZERO, 6),
+    ]
+    assert "clipped" not in found.columns
 
 
 def test_a_tasks_script_is_a_policy():
