@@ -4,6 +4,7 @@ Another processor, jaxlib or MuJoCo may round the last bit differently, and cont
 there the same episodes must be played, and their returns agree in the mean.
 """
 
+import dataclasses
 import json
 from importlib.metadata import version
 from pathlib import Path
@@ -13,12 +14,14 @@ import pytest
 
 from assistax_envs import make
 from evaluation import tables
+from evaluation.egos import read_egos
 from evaluation.evaluator import run_job
 from evaluation.jobs import Job
 from evaluation.provenance import processor
+from evaluation.references import play_references
 from evaluation.relative import COLUMN, PASSIVE, SCRIPT
 from evaluation.roster import registry_roster
-from evaluation.studies import Settings, cross_play, evaluate_policies
+from evaluation.studies import Settings, choose_partners, make_job, own_robots
 from zoo.registry import load_registry
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -49,24 +52,25 @@ def assert_golden(found: Path, name: str) -> None:
     assert table["return"].mean() == pytest.approx(golden["return"].mean(), rel=0.05)
 
 
+def with_common_starts(job: Job) -> Job:
+    """Return the job with starts that all partners share, as when the tables were made."""
+    return dataclasses.replace(job, apart=False)
+
+
 @pytest.mark.slow
 def test_an_evaluation_with_its_references(tmp_path: Path):
     """Two specs on either side of the table: each pair of specs is a program of its own."""
-    evaluate_policies(
-        load_registry(),
-        ["zoo:scratch/ippo-d1-s0-v1/robot", "zoo:scratch/masac-d4-s1-v1/robot"],
-        Settings("scratch", 2, seed=7, backend="native"),
-        tmp_path / "out",
-        split="both",
-        partners=[
-            "scratch/ippo-d2-s0-v1/human",
-            "scratch/mappo-d9-s[01]-v1/human",
-            "scratch/masac-d5-s[01]-v1/human",
-        ],
-        references=tmp_path / "kept",
-    )
+    registry, partners = load_registry(), ["scratch/ippo-d2-s0-v1/human"]
+    partners += [f"scratch/{name}-s[01]-v1/human" for name in ("mappo-d9", "masac-d5")]
+    robots = ["scratch/ippo-d1-s0-v1/robot", "scratch/masac-d4-s1-v1/robot"]
+    split, chosen = choose_partners(registry, "scratch", "both", partners)
+    settings = Settings("scratch", 2, seed=7, backend="native")
+    egos = read_egos(robots, registry, "scratch")
+    env, job = make_job(registry, egos, chosen, settings, split)
+    job = with_common_starts(job)
+    run_job(env, job, tmp_path / "out")
     assert_golden(tmp_path / "out" / tables.EPISODES_FILE, "evaluate")
-    played = tables.read_parquet(tmp_path / "out" / tables.REFERENCES_FILE)
+    played, _ = play_references(env, job, own_robots(registry, chosen), tmp_path / "kept")
     newer = pl.col(COLUMN).is_in([SCRIPT, PASSIVE])  # came after the golden table was made
     assert played.filter(newer)["ego"].n_unique() == 3  # the script, and both robots
     tables.write_parquet(played.filter(~newer), tmp_path / "references.parquet")
@@ -75,9 +79,13 @@ def test_an_evaluation_with_its_references(tmp_path: Path):
 
 @pytest.mark.slow
 def test_a_crossplay_with_drawn_actions(tmp_path: Path):
-    teams = "bed_bath/*-d3-s0-v1"
-    settings = Settings("bed_bath", 2, backend="native", stochastic=True)
-    cross_play(load_registry(), f"{teams}/robot", f"{teams}/human", settings, tmp_path)
+    registry, settings = load_registry(), Settings("bed_bath", 2, backend="native", stochastic=True)
+    robots, humans = (
+        registry.select("bed_bath/*-d3-s0-v1", role=role) for role in ("robot", "human")
+    )
+    split = registry.split("bed_bath", release="v1")
+    env, job = make_job(registry, registry_roster(registry, robots), humans, settings, split)
+    run_job(env, with_common_starts(job), tmp_path)
     assert_golden(tmp_path / tables.EPISODES_FILE, "crossplay")
 
 
