@@ -18,7 +18,7 @@ import polars as pl
 from evaluation.relative import RANDOM
 
 QUANTILES = (0.5, 0.75, 0.9, 0.97)  # of the absolute differences of a robot's episodes
-MARGIN = 2.0  # times the worst robot's quantile: a robot may be wilder than those measured
+MARGIN = 2.0  # times what was measured of single episodes: a robot may be wilder than those
 DEVIATIONS = 6.0  # of a mean: many groups and columns are looked at
 ONE_SIDED = 5.0  # deviations of a coin's: of those measured, no group of any column had above 3.6
 ROUNDING = 1e-5  # of a value: 32-bit sums of a thousand steps
@@ -122,7 +122,7 @@ def noise_problems(task: str, kept: pl.DataFrame, found: pl.DataFrame) -> list[s
 
 def mean_tolerance(scale: dict[str, Any], episodes: int) -> float:
     """Return how far the mean of so many episodes may lie from that on another processor."""
-    return DEVIATIONS * scale["rms"] / np.sqrt(episodes) + scale["largest"] / episodes
+    return DEVIATIONS * scale["rms"] / np.sqrt(episodes) + MARGIN * scale["largest"] / episodes
 
 
 def _beyond(gaps: np.ndarray, rounding: np.ndarray, scale: dict[str, Any]) -> str | None:

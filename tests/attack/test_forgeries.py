@@ -131,8 +131,8 @@ zoo, home = load_registry(), Path(sys.argv[1])
 for trial in range(int(sys.argv[2])):
     robot = f"scratch/{('ippo', 'mappo')[trial % 2]}-d{1 + trial % 9}-s{trial % 3}-v1/robot"
     evaluate_policies(
-        zoo, [robot], Settings("scratch", 6, 100 + trial, ("fused", "native")[trial == 7]),
-        home / str(trial), split="both", partners="scratch/*-d[1-9]-s5-v1/human",
+        zoo, [robot], Settings("scratch", 6, 200 + trial, ("fused", "native")[trial == 7]),
+        home / str(trial), split="both", partners="scratch/*-d[1-9]-s7-v1/human",
         include_own=True, references=home / "kept",
     )
 """

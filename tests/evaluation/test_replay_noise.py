@@ -129,4 +129,4 @@ def test_the_detectable_bias_is_what_the_docs_say() -> None:
     assert {task: round(100 * share, 1) for task, share in shares.items()} == SHARES
 
 
-SHARES = {"scratch": 2.6, "bed_bath": 2.5, "arm_assist": 0.9, "gentle_lift": 9.7}
+SHARES = {"scratch": 2.7, "bed_bath": 2.6, "arm_assist": 1.0, "gentle_lift": 10.3}
