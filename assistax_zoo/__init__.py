@@ -10,10 +10,11 @@ Names are loaded when they are first used: importing this package costs nothing.
 """
 
 import importlib
+import importlib.util
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from assistax_zoo.auditing import audit
+    from assistax_workshop.auditing import audit
     from assistax_zoo.films import render
     from assistax_zoo.recording import trajectories
     from assistax_zoo.results import (
@@ -26,8 +27,8 @@ if TYPE_CHECKING:
     from assistax_zoo.studies import cross_play, evaluate
     from assistax_zoo.training import train, train_ego
     from assistax_zoo.zoos import Zoo, fetch, open_zoo
-    from evaluation.partners import Partner
-    from evaluation.planning import measure_spread, plan_evaluation
+    from evaluation.cast.partners import Partner
+    from evaluation.figures.planning import measure_spread, plan_evaluation
 
 __all__ = [
     "Comparison",
@@ -51,8 +52,8 @@ __all__ = [
 ]
 
 _HOMES = {
-    "evaluation.partners": ("Partner",),
-    "evaluation.planning": ("measure_spread", "plan_evaluation"),
+    "evaluation.cast.partners": ("Partner",),
+    "evaluation.figures.planning": ("measure_spread", "plan_evaluation"),
     "assistax_zoo.zoos": ("Zoo", "fetch", "open_zoo"),
     "assistax_zoo.studies": ("cross_play", "evaluate"),
     "assistax_zoo.results": (
@@ -62,20 +63,27 @@ _HOMES = {
         "compare",
         "load_result",
     ),
-    "assistax_zoo.auditing": ("audit",),
+    "assistax_workshop.auditing": ("audit",),
     "assistax_zoo.films": ("render",),
     "assistax_zoo.recording": ("trajectories",),
     "assistax_zoo.training": ("train", "train_ego"),
 }
+
+_WORKSHOP = "assistax_workshop"
 
 
 def __getattr__(name: str) -> Any:
     """Load a name's module when the name is first used."""
     for home, names in _HOMES.items():
         if name in names:
-            from assistax_zoo.shadows import refuse_shadows
+            from assistax_zoo.name_collisions import refuse_shadows
 
             refuse_shadows()
+            if home.startswith(_WORKSHOP) and not importlib.util.find_spec(_WORKSHOP):
+                raise ImportError(
+                    f"{name} is part of assistax-zoo-workshop, which is not installed; install it "
+                    "with: pip install assistax-zoo-workshop"
+                )
             return getattr(importlib.import_module(home), name)
     offered = ", ".join(__all__)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it offers {offered}")

@@ -3,8 +3,8 @@
 import signal
 import sys
 
-from assistax_zoo.interrupts import end_now
-from assistax_zoo.shadows import refuse_shadows
+from assistax_zoo.name_collisions import refuse_shadows
+from assistax_zoo.shell.interrupts import end_now
 
 
 def start() -> int:
@@ -20,8 +20,8 @@ def start() -> int:
         refuse_shadows()  # `-m` puts the working folder first on the module path
     except ImportError as error:
         sys.exit(f"error: {error}")
-    from assistax_zoo.caches import warn_once
-    from assistax_zoo.main import run
+    from assistax_zoo.shell.caches import warn_once
+    from assistax_zoo.shell.main import run
 
     warn_once()
     if heard:

@@ -137,7 +137,7 @@ def _gains(env: Any) -> dict[str, Callable[[Any], Any]]:
 
 def _who(name: str, seat: Any) -> dict[str, Any]:
     """Return who sat there: the name that was given, and the sha256 of what it stands for."""
-    from evaluation.provenance import file_sha256
+    from evaluation.record.manifest import file_sha256
 
     card, path = getattr(seat, "card", None), Path(name)
     sha256 = card.sha256 if card else file_sha256(path) if path.is_file() else None
@@ -145,8 +145,8 @@ def _who(name: str, seat: Any) -> dict[str, Any]:
 
 
 def _write(table: "pl.DataFrame", path: Path, pair: "Pair", facts: Mapping[str, Any]) -> None:
-    from evaluation.provenance import describe_machine
-    from population.parquet import write_parquet
+    from assistax_base.parquet import write_parquet
+    from evaluation.record.manifest import describe_machine
 
     env, setting = pair.env, pair.setting
     about = {

@@ -9,12 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import polars as pl
 
-from evaluation import tables
-from evaluation.bootstrap import Estimate
-from evaluation.met_partners import UNKNOWN, MetSummary, both_met, comparison_notes
-from evaluation.provenance import table_hashes, unchecked
-from evaluation.relative import References, Relative
-from evaluation.summary import (
+from evaluation.figures.bootstrap import Estimate
+from evaluation.figures.normalised import References, Relative
+from evaluation.figures.summary import (
     BestEgo,
     ComparisonSummary,
     CrossPlaySummary,
@@ -23,6 +20,9 @@ from evaluation.summary import (
     read_summary,
     summarise_comparison,
 )
+from evaluation.record import tables
+from evaluation.record.manifest import table_hashes, unchecked
+from evaluation.record.met_partners import UNKNOWN, MetSummary, both_met, comparison_notes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -4,24 +4,20 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from assistax_zoo.console import (
-    chosen_progress,
-    command_line,
-    study_progress,
-)
+from assistax_base.cluster import RayCluster
 from assistax_zoo.results import CrossPlayResult, EvaluationResult, TemporaryFolder
+from assistax_zoo.shell.console import chosen_progress, command_line, study_progress
 from assistax_zoo.zoos import Zoo, open_zoo
-from evaluation.policy_reference import parse_reference
-from evaluation.provenance import write_run
-from evaluation.runner import Progress
+from evaluation.cast.robot_names import parse_reference
+from evaluation.figures.summary import CrossPlaySummary
+from evaluation.play.runner import Progress
+from evaluation.record.manifest import write_run
 from evaluation.studies import Settings, choose_partners, evaluate_policies
 from evaluation.studies import cross_play as play_population
-from evaluation.summary import CrossPlaySummary
-from population.ray_blocks import RayCluster
-from zoo.fetch import check_local
 from zoo.locations import cache_root
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
+from zoo.transport.fetch import check_local
 
 Shown = bool | Callable[[Progress], None]
 

@@ -5,13 +5,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from assistax_zoo.console import TrainingLine, chosen_progress
+from assistax_zoo.shell.console import TrainingLine, chosen_progress
 from assistax_zoo.zoos import Zoo, open_zoo
 
 if TYPE_CHECKING:
     from evaluation.ego_training import TrainedEgos
-    from population.run_folder import TrainedRun
-    from population.train import Progress
+    from population.runs.folder import TrainedRun
+    from population.runs.train import Progress
 
 
 def train(
@@ -51,7 +51,7 @@ def train(
 
     Raises:
         ValueError: An argument is not allowed, or the folder holds another run.
-        population.train.DivergedError: A loss became NaN or infinite.
+        population.runs.train.DivergedError: A loss became NaN or infinite.
 
     Examples:
         >>> tiny = {"num_envs": 4, "rollout_steps": 8, "minibatches": 2, "hidden": (8, 8)}
@@ -61,7 +61,7 @@ def train(
         ('scratch/ippo-d1-s0',)
     """
     from population.config import check_names, make_members, make_run, numbered, preset
-    from population.team_training import run_training
+    from population.runs.logged_run import run_training
 
     check_names(task, disabilities)
     members = make_members(numbered(seeds), disabilities)

@@ -5,15 +5,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zoo.fetch import Report, remote_registry
-from zoo.fetch import fetch as fetch_entries
 from zoo.locations import default_remote
 from zoo.registry import Registry, load_registry
-from zoo.remotes import Remote, open_remote
 from zoo.schema import PolicyEntry
+from zoo.transport.fetch import Report, remote_registry
+from zoo.transport.fetch import fetch as fetch_entries
+from zoo.transport.remotes import Remote, open_remote
 
 if TYPE_CHECKING:
-    from evaluation.partners import Partner
+    from evaluation.cast.partners import Partner
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Zoo:
             IntegrityError: Its bytes are not those of the registry.
             RemoteError: It is not here, and the remote does not give it.
         """
-        from evaluation.partners import zoo_partner
+        from evaluation.cast.partners import zoo_partner
 
         full = id if id.endswith(("/human", "/robot")) else f"{id}/{role}"
         entry = self.registry.policy(full)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from cyclopts import App, CycloptsError, Parameter
 
-from assistax_zoo.console import print_json, stdout_is_data
+from assistax_zoo.shell.console import print_json, stdout_is_data
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -14,10 +14,10 @@ from cyclopts import run
 
 from assistax_envs import make
 from assistax_envs.physics import make_physics
-from assistax_zoo.console import print_json, stdout_is_data
-from evaluation.evaluator import run_job
-from evaluation.jobs import Job
-from evaluation.roster import paired_rosters
+from assistax_zoo.shell.console import print_json, stdout_is_data
+from evaluation.cast.roster import paired_rosters
+from evaluation.play.evaluator import run_job
+from evaluation.play.jobs import Job
 from zoo.registry import load_registry
 
 EQUIVALENT = 0.005  # of the mean return: engines that differ by less are taken for the same

@@ -16,8 +16,8 @@ from typing import Literal
 
 import numpy as np
 
-from assistax_zoo.service.statistics_ladder import ladder_release
-from evaluation.bootstrap import estimate
+from assistax_board.places.ladder import ladder_release
+from evaluation.figures.bootstrap import estimate
 
 PARTNERS = 60  # of panel A, and of panel B
 EPISODES = 16

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from evaluation.metrics.ranks import Ranks, rank_methods
+from evaluation.figures.metrics.ranks import Ranks, rank_methods
 
 METHODS = 6
 GAP, SEED, EASE = 100.0, 40.0, 50.0  # points of return

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from assistax_envs.disability import DISABILITY_SETTINGS
-from population.spec import PolicySpec, Role
+from assistax_workshop.press.publish import publish
+from assistax_workshop.press.trained_runs import TrainedTeam
+from population.networks.spec import PolicySpec, Role
 from zoo.locations import CACHE_VARIABLE
-from zoo.publish import publish
 from zoo.registry import Registry
-from zoo.runs import TrainedTeam
 
 REPEATS = 5  # of each measurement; the median is the figure
 ALGORITHMS = ("ippo", "mappo", "isac", "masac")

@@ -20,7 +20,7 @@ from typing import Any
 
 import httpx2
 
-from assistax_zoo.service.client import Client
+from assistax_board.client.client import Client
 from benchmarks.pages import PageSpeed, read_pages
 
 TASK, ROBOT = "scratch", "scratch/ippo-d1-s0-v1/robot"
@@ -43,7 +43,7 @@ class ServiceSpeed:
 
 def measure_service(readers: int, submitters: int, seconds: float) -> ServiceSpeed:
     """Let readers and submitters use a new server for a while, and count."""
-    from assistax_zoo.service.serve import open_service
+    from assistax_board.serve import open_service
 
     before = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as folder:
@@ -102,8 +102,8 @@ def _work(address: str, token: str) -> None:
     import numpy as np
     import polars as pl
 
-    from assistax_zoo.service.catalogue import ZooCatalogue, version_id
-    from assistax_zoo.service.scoring import encode_table
+    from assistax_board.rules.catalogue import ZooCatalogue, version_id
+    from assistax_board.rules.scoring import encode_table
     from zoo.registry import load_registry
 
     client, rng = Client(address, token), np.random.default_rng(0)
@@ -132,8 +132,8 @@ def _submit_all(
     address: str, tokens: list[str], seconds: float, answers: Any = None
 ) -> tuple[int, list[float]]:
     """Let every lab hand in a robot, watch it to its end, and begin anew while there is time."""
-    from assistax_zoo.service.submitting import POLL_SECONDS, read_file
-    from assistax_zoo.service.vocabulary import FINAL_STATES
+    from assistax_board.client.submitting import POLL_SECONDS, read_file
+    from assistax_board.vocabulary import FINAL_STATES
 
     robot, end, times = read_file(Path(ROBOT)), time.monotonic() + seconds, []
 

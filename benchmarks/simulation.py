@@ -13,12 +13,12 @@ import numpy as np
 
 from assistax_envs import DISABILITY_SETTINGS, disability_params
 from benchmarks.timing import REPEATS, calls_within, timed
-from evaluation.jobs import Job, plan
-from evaluation.roster import Member, Roster
-from evaluation.runner import Runner
-from population.policy import Policy
-from population.spec import PolicySpec
-from population.stack import PolicyStack
+from evaluation.cast.roster import Member, Roster
+from evaluation.play.jobs import Job, plan
+from evaluation.play.runner import Runner
+from population.networks.policy import Policy
+from population.networks.spec import PolicySpec
+from population.networks.stack import PolicyStack
 
 CALL = 10  # steps in one program
 

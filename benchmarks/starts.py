@@ -10,10 +10,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from evaluation.bootstrap import Estimate, estimate
-from evaluation.jobs import Job, default_episodes
-from evaluation.runner import play
-from evaluation.tables import dense_block
+from evaluation.figures.bootstrap import Estimate, estimate
+from evaluation.play.jobs import Job, default_episodes
+from evaluation.play.runner import play
+from evaluation.record.tables import dense_block
 
 REPETITIONS = 2000  # of drawn partners and starts
 
@@ -40,7 +40,7 @@ def measure_luck(task: str, robot: str, seeds: int, *, backend: str = "auto") ->
         backend: Physics.
     """
     from assistax_zoo import open_zoo
-    from evaluation.egos import read_egos
+    from evaluation.cast.egos import read_egos
     from evaluation.studies import Settings, choose_partners, make_job
 
     registry, episodes = open_zoo().registry, default_episodes(task)

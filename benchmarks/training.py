@@ -11,9 +11,9 @@ import jax.numpy as jnp
 
 from benchmarks.timing import REPEATS, calls_within, timed
 from population.config import Member, SACConfig, TrainConfig, TrainerConfig
-from population.environment import Environment
-from population.train import initial_state, make_trainer
-from population.trainer import Trainer
+from population.runs.train import initial_state, make_trainer
+from population.trainers.environment import Environment
+from population.trainers.trainer import Trainer
 
 
 @dataclasses.dataclass(frozen=True)

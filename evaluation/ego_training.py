@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from assistax_base.files import atomic_write
 from population.config import (
     MIXED,
     Member,
@@ -15,17 +16,16 @@ from population.config import (
     numbered,
     preset,
 )
-from population.files import atomic_write
-from population.run_folder import TrainedRun
-from population.team_training import run_training
+from population.runs.folder import TrainedRun
+from population.runs.logged_run import run_training
 from zoo.met import Met, side_met
+from zoo.parameters.storage import load_stacks, write_policy_file
 from zoo.registry import Registry
 from zoo.schema import Split
-from zoo.storage import load_stacks, write_policy_file
 
 if TYPE_CHECKING:
-    from population.frozen_partners import FrozenPartners
-    from population.train import Progress
+    from population.runs.train import Progress
+    from population.trainers.frozen_partners import FrozenPartners
 
 ALGORITHMS = {"ppo": "ippo", "sac": "isac"}  # a single robot's algorithm, and the preset it takes
 POLICIES, SPLIT = "policies", "split.json"  # within a run: the trained robots, and their split
@@ -97,7 +97,7 @@ def prepare(
 
     Raises:
         ValueError: An argument is not allowed, or the simulations cannot be shared out.
-        zoo.errors.ZooError: There is no such split, or its partners cannot be read.
+        assistax_base.errors.ZooError: There is no such split, or its partners cannot be read.
     """
     check_names(task)
     if algorithm not in ALGORITHMS:
@@ -167,7 +167,7 @@ def shared_out(trainer: TrainerConfig, partners: int, *, keep: bool) -> TrainerC
     Raises:
         ValueError: It is to be kept, and has no such share.
     """
-    from population.frozen_partners import fitting_envs
+    from population.trainers.frozen_partners import fitting_envs
 
     fitting = fitting_envs(trainer.num_envs, partners, getattr(trainer, "minibatches", 1))
     if not keep:
@@ -182,7 +182,7 @@ def shared_out(trainer: TrainerConfig, partners: int, *, keep: bool) -> TrainerC
 
 def load_partners(registry: Registry, split: Split) -> "FrozenPartners":
     """Return the humans of a split's training half; no row of the test half is read."""
-    from population.frozen_partners import FrozenPartners
+    from population.trainers.frozen_partners import FrozenPartners
 
     entries = [registry.policy(f"{team}/human") for team in split.train]
     settings = {entry.id: entry.partner_setting for entry in entries}

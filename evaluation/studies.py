@@ -14,24 +14,25 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
+from assistax_base.cluster import RayCluster
+from assistax_base.errors import RegistryVersionError, SplitError, listing
+from assistax_base.locks import locked
 from assistax_envs.preferences import check_preferences, preferences_of
 from assistax_envs.versions import TASKS, VERSIONS
-from evaluation import provenance, tables
-from evaluation.blocks import BlockDone, run_block, run_blocks_on_ray
-from evaluation.derived import save_crossplay, save_evaluation
-from evaluation.devices import share_cores
-from evaluation.evaluator import Evaluation, check_folder, make_way, run_job
-from evaluation.jobs import Job, default_episodes
-from evaluation.locks import locked
-from evaluation.met_partners import check_new, declare, describe_met, met_partners
-from evaluation.references import play_references
-from evaluation.relative import bounds_table
-from evaluation.roster import Roster, paired_rosters, registry_roster
-from evaluation.runner import OnProgress
-from evaluation.sources import describe_sources
-from evaluation.summary import Context, CrossPlaySummary, EvaluationSummary, SplitName
-from population.ray_blocks import RayCluster
-from zoo.errors import RegistryVersionError, SplitError, listing
+from evaluation.cast.roster import Roster, paired_rosters, registry_roster
+from evaluation.figures.normalised import bounds_table
+from evaluation.figures.saved_tables import save_crossplay, save_evaluation
+from evaluation.figures.summary import Context, CrossPlaySummary, EvaluationSummary, SplitName
+from evaluation.play.baselines import play_references
+from evaluation.play.devices import share_cores
+from evaluation.play.evaluator import Evaluation, check_folder, make_way, run_job
+from evaluation.play.jobs import Job, default_episodes
+from evaluation.play.runner import OnProgress
+from evaluation.play.shares import BlockDone, run_block, run_blocks_on_ray
+from evaluation.record import manifest as provenance
+from evaluation.record import tables
+from evaluation.record.met_partners import check_new, declare, describe_met, met_partners
+from evaluation.record.sources import describe_sources
 from zoo.ids import EGO
 from zoo.locations import CACHE_VARIABLE
 from zoo.namespaces import split_namespace
@@ -98,7 +99,7 @@ def evaluate_policies(
 
     Args:
         registry: The published partners.
-        policies: The robots, see `evaluation.egos.read_egos`.
+        policies: The robots, see `evaluation.cast.egos.read_egos`.
         settings: Task, episodes and the rest.
         folder: Filled with the episodes and their tables; a run that was stopped goes on, and
             another job is refused.
@@ -106,10 +107,11 @@ def evaluate_policies(
         partners: Globs over partners, to play only some of those sides; see `choose_partners`.
         include_own: Count partners that were trained with one of the robots.
         trained_with: Whom the robots met in training, see `zoo.met.declared_met`.
-        references: Folder that keeps the episodes of reference egos, see `evaluation.references`;
+        references: Folder that keeps the episodes of reference egos, see
+        `evaluation.play.baselines`;
             None plays none.
         crossplay: Finished cross-play, whose best robots may be the partners' best responses.
-        reuse: See `evaluation.evaluator.run_job`.
+        reuse: See `evaluation.play.evaluator.run_job`.
         replace: Remove the job that the folder holds, whichever it is, and all drawn from it.
         on_progress: Told how far the run is.
 
@@ -199,7 +201,7 @@ def cross_play(
     `egos` and `partners` are globs over policy or team ids of a release, the task's default if not
     given; a glob that names a release is taken at its word. The rest is as in
     `evaluate_policies`. With `block` only that share of the chunks is simulated, and how many are
-    missing is returned: see `evaluation.blocks.run_block`. With a `cluster` the chunks are
+    missing is returned: see `evaluation.play.shares.run_block`. With a `cluster` the chunks are
     spread over it, in as many blocks as it runs at once.
     """
     share_cores()
@@ -327,7 +329,7 @@ def _check_split_name(registry: Registry, task: str, name: str) -> None:
 
 
 def _read_egos(registry: Registry, policies: Sequence[Any], task: str) -> Roster:
-    from evaluation.egos import read_egos
+    from evaluation.cast.egos import read_egos
 
     egos = read_egos(policies, registry, task)
     check_env_version(registry, [one for one in registry.policies if one.id in egos.members])
@@ -335,7 +337,7 @@ def _read_egos(registry: Registry, policies: Sequence[Any], task: str) -> Roster
 
 
 def _probe(egos: Roster, env: "Env") -> None:
-    from evaluation.egos import probe_egos
+    from evaluation.cast.egos import probe_egos
 
     probe_egos(egos, env.task, env.observation_size["robot"], env.action_size["robot"])
 

@@ -8,10 +8,10 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
+from assistax_base.validated import Many, Share, Widths, checked
 from assistax_envs.disability import DISABILITY_SETTINGS
 from assistax_envs.preferences import check_preferences
 from assistax_envs.versions import TASKS
-from population.checked import Many, Share, Widths, checked
 
 # Stands for the disability setting of an ego, which trains with partners of several.
 MIXED = "mixed"

@@ -16,7 +16,16 @@ from beartype import BeartypeConf, beartype
 from beartype.roar import BeartypeClawDecorWarning
 from jaxtyping import install_import_hook
 
-PACKAGES = ("assistax_envs", "population", "zoo", "evaluation", "assistax_zoo", "tools")
+PACKAGES = (
+    "assistax_base",
+    "assistax_envs",
+    "population",
+    "zoo",
+    "evaluation",
+    "assistax_zoo",
+    "assistax_workshop",
+    "tools",
+)
 
 # Through the environment, not `jax.config`: tests that never import JAX stay quick, and
 # subprocesses are strict too.

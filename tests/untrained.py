@@ -8,10 +8,10 @@ import jax
 import numpy as np
 
 from assistax_envs.versions import VERSIONS
-from population.policy import Policy
-from population.spec import PolicySpec
-from zoo.publish import publish
-from zoo.runs import TrainedTeam
+from assistax_workshop.press.publish import publish
+from assistax_workshop.press.trained_runs import TrainedTeam
+from population.networks.policy import Policy
+from population.networks.spec import PolicySpec
 
 ROBOT = PolicySpec("robot", observation_size=34, action_size=7, hidden=(8,))
 HUMAN = PolicySpec("human", observation_size=38, action_size=3, hidden=(8,))

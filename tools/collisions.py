@@ -15,13 +15,13 @@ import numpy as np
 from cyclopts import App
 from PIL import Image, ImageDraw, ImageFont
 
+from assistax_base.files import atomic_path
 from assistax_envs.gl import functions_from, open_context
 from assistax_envs.models import build_dressed, build_model
 from assistax_envs.render import check_size
 from assistax_envs.tasks import TASK_CLASSES
 from assistax_envs.tasks.base import TOUCHABLE
 from assistax_envs.versions import PAPER_TASKS
-from population.files import atomic_path
 
 COLOURS = {  # shares of red, green, blue
     "robot": (0.90, 0.45, 0.05),

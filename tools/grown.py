@@ -9,9 +9,9 @@ earlier states, or none, which is said.
 import subprocess
 from pathlib import Path
 
-from zoo.errors import ImmutableError
+from assistax_base.errors import ImmutableError
+from zoo.history.merkle import check_grown
 from zoo.registry import load_registry, parse_registry
-from zoo.roots import check_grown
 from zoo.schema import RegistryFile
 
 FILE = "registry.json"

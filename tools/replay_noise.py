@@ -17,10 +17,10 @@ from typing import Any
 import polars as pl
 from cyclopts import App
 
-from evaluation.relative import RANDOM
-from evaluation.replay_noise import FILE, measure_noise, wild
-from population.files import atomic_write
-from population.parquet import read_parquet
+from assistax_base.files import atomic_write
+from assistax_base.parquet import read_parquet
+from evaluation.figures.normalised import RANDOM
+from evaluation.replay.noise import FILE, measure_noise, wild
 
 EPISODES = 8  # of a pair; of random actions as many with each human as of all robots
 OTHER = "--xla_cpu_max_isa=AVX"  # an x86 without fused multiply-adds and with half the vectors
@@ -79,10 +79,10 @@ def play(task: str, backend: str, teams: int, out: Path) -> None:
         teams: Robots, and as many humans.
         out: File for the episodes.
     """
-    from evaluation.evaluator import MAX_ENVS
-    from evaluation.references import reference_job
-    from evaluation.roster import registry_roster
-    from evaluation.runner import play as play_job
+    from evaluation.cast.roster import registry_roster
+    from evaluation.play.baselines import reference_job
+    from evaluation.play.evaluator import MAX_ENVS
+    from evaluation.play.runner import play as play_job
     from evaluation.studies import Settings, in_release, make_job
     from zoo.registry import load_registry
 

@@ -143,10 +143,10 @@ def _relink(text: str) -> str:
 
 def _commands() -> str:
     """Return the reference of the command line: each command's help, and its example."""
-    from assistax_zoo.main import SUBCOMMANDS, _add_subcommands, _complete_help, build_app
+    from assistax_zoo.shell.main import _add_subcommands, _complete_help, all_commands, build_app
 
     app = build_app()
-    for command in SUBCOMMANDS:
+    for command in {name.partition(".")[0] for name in all_commands() if "." in name}:
         _add_subcommands(app, [command])
     page = app.generate_docs(heading_level=1, max_heading_level=3)
     # The list of commands is a table of contents already, and an empty default says nothing.

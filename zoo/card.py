@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from population.files import atomic_write
-from zoo.errors import printable
+from assistax_base.errors import printable
+from assistax_base.files import atomic_write
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 

@@ -4,12 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
-from population.files import atomic_write, sha256
-from population.spec import PolicySpec
-from zoo.errors import ExportError
+from assistax_base.errors import ExportError
+from assistax_base.files import atomic_write, sha256
+from population.networks.spec import PolicySpec
 from zoo.met import met_in_training
+from zoo.parameters.storage import load_stacks, policy_bytes, read_policy_file
 from zoo.registry import Registry
-from zoo.storage import load_stacks, policy_bytes, read_policy_file
 
 Format = Literal["safetensors", "onnx", "torch"]
 
@@ -44,11 +44,11 @@ def export_policy(
 
 def _encode(format: Format, spec: PolicySpec, params: Any, metadata: dict[str, Any]) -> bytes:
     if format == "onnx":
-        from population.onnx_export import to_onnx
+        from population.networks.onnx_export import to_onnx
 
         return to_onnx(spec, params, metadata)
     if format == "torch":
-        from population.torch_export import to_torch
+        from population.networks.torch_export import to_torch
 
         return to_torch(spec, params, metadata)
     return policy_bytes(spec, params, metadata)

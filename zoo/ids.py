@@ -13,7 +13,7 @@ import dataclasses
 import fnmatch
 import re
 
-from zoo.errors import IdError, shorten
+from assistax_base.errors import IdError, shorten
 
 _NUMBER = r"(?:0|[1-9][0-9]{0,9})"
 _NAME = r"[a-z][a-z0-9_]{0,31}"

@@ -23,8 +23,8 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
-from population.files import write_json
-from zoo.errors import CacheError
+from assistax_base.errors import CacheError
+from assistax_base.files import write_json
 
 REGISTRY_VARIABLE = "ASSISTAX_ZOO_REGISTRY"
 CACHE_VARIABLE = "ASSISTAX_ZOO_CACHE"

@@ -14,14 +14,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
-from population.files import atomic_write, sha256
-from zoo.errors import LockError, ZooError, listing, shorten
+from assistax_base.bounded_reading import parse_json, read_text
+from assistax_base.errors import LockError, ZooError, listing, shorten
+from assistax_base.files import atomic_write, sha256
+from zoo.history.merkle import leaves
 from zoo.namespaces import split_namespace
 from zoo.registry import Registry, build_registry
-from zoo.roots import leaves
 from zoo.schema import Name, PolicyEntry, Sha256, Split, StrictModel, Team, first_problem
 from zoo.splits import check_split, content_sha256, parse_split
-from zoo.untrusted import parse_json, read_text
 
 LOCK_VERSION = 3  # 2: one digest of all disability settings; 1: without the root and the leaves
 MAX_LOCK_BYTES = 16 * 1024 * 1024
@@ -51,7 +51,7 @@ class Lock(StrictModel):
     sha256: Sha256  # of all the rest
     release: str
     root: Sha256 | None = None  # of the release when the lock was made; it may have grown since
-    # Of what is pinned, provenance and figures too: see `zoo.roots`.
+    # Of what is pinned, provenance and figures too: see `zoo.history.merkle`.
     leaves: dict[str, Sha256] = Field(default={})
     registry: Sha256  # of the registry.json that it was made of, to tell it from a grown one
     # Of all that the registry had; later locks pin those that are used, among the leaves.

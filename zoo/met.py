@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
-from zoo.errors import IdError, shorten
+from assistax_base.errors import IdError, shorten
 from zoo.ids import parse_team
 from zoo.namespaces import split_namespace
 from zoo.registry import Registry

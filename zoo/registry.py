@@ -8,8 +8,19 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from population.files import atomic_write
-from zoo.errors import RegistryError, RegistryVersionError, SplitError, listing, nearest, shorten
+from assistax_base.bounded_reading import MAX_REGISTRY_BYTES, parse_json, read_text
+from assistax_base.errors import (
+    RegistryError,
+    RegistryVersionError,
+    SplitError,
+    listing,
+    nearest,
+    shorten,
+)
+from assistax_base.files import atomic_write
+from zoo.history.merkle import check_grown, check_roots, release_root, with_roots
+from zoo.history.official import check_writable
+from zoo.history.own_splits import own_splits
 from zoo.ids import parse_team
 from zoo.locations import (
     REGISTRY_VARIABLE,
@@ -19,9 +30,6 @@ from zoo.locations import (
     shard_root,
 )
 from zoo.namespaces import merge, qualify_split, split_namespace
-from zoo.official import check_writable
-from zoo.own_splits import own_splits
-from zoo.roots import check_grown, check_roots, release_root, with_roots
 from zoo.schema import (
     SCHEMA_VERSION,
     Ego,
@@ -34,7 +42,6 @@ from zoo.schema import (
 )
 from zoo.selection import refuse_unknown, select
 from zoo.splits import check_split, refuse_leak, shared_parameters
-from zoo.untrusted import MAX_REGISTRY_BYTES, parse_json, read_text
 
 
 @dataclasses.dataclass(frozen=True)

@@ -21,7 +21,7 @@ from pydantic import (
 )
 
 from assistax_envs.disability import Disability
-from population.spec import PolicySpec, Role
+from population.networks.spec import PolicySpec, Role
 from zoo.ids import parse_team, release_number
 
 SCHEMA_VERSION = 2  # 1: without egos and roots; self-play's `mean_ci` was called `ci`
@@ -117,7 +117,7 @@ class Release(StrictModel):
     # By task, the id of the default split; it moves to a new split when the release grows.
     splits: dict[Name, str] = {}
     citation: Citation | None = None
-    root: Sha256 | None = None  # over all of the release, see `zoo.roots`
+    root: Sha256 | None = None  # over all of the release, see `zoo.history.merkle`
     signature: Annotated[str, Field(pattern=r"^[0-9a-f]{128}$")] | None = None  # Ed25519, hex
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from typing import NoReturn
 
-from zoo.errors import UnknownIdError, listing, nearest, shorten
+from assistax_base.errors import UnknownIdError, listing, nearest, shorten
 from zoo.ids import compile_pattern
 from zoo.schema import PolicyEntry
 

@@ -16,9 +16,9 @@ split becomes a new one with a new id, and the old one stays for whoever cited i
 With any rule, a gentle task's split may hold preferences out too: its test partners then like what
 no training partner did.
 
-Humans that act nearly alike (`zoo/behaviour.py`) may not stand on both sides.
-`zoo.release.create_split` leaves such training partners out of a leave-one-out split, whose test
-side is to be whole, and refuses any other.
+Humans that act nearly alike (`zoo/splitting/similar_humans.py`) may not stand on both sides.
+`zoo.splitting.create.create_split` leaves such training partners out of a leave-one-out split,
+whose test side is to be whole, and refuses any other.
 
 In `half`, a team's side depends on its own id and the split's seed alone: seeds 2k and 2k+1 of a
 stratum are a pair, and the lowest bit of
@@ -33,9 +33,9 @@ import json
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, Literal, NoReturn, get_args
 
+from assistax_base.errors import LeakageError, SplitError, listing, shorten
+from assistax_base.files import sha256
 from assistax_envs.preferences import check_preferences, preferences_of
-from population.files import sha256
-from zoo.errors import LeakageError, SplitError, listing, shorten
 from zoo.ids import TeamId, parse_team
 from zoo.schema import Rule, Split, Team
 

@@ -4,17 +4,17 @@ import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
+from assistax_base.errors import ZooError, listing, shorten
+from assistax_envs.disability import DISABILITY_SETTINGS
 from assistax_envs.versions import VERSIONS
-from zoo.errors import ZooError, listing, shorten
+from zoo.history.merkle import root_problems
+from zoo.history.signing import check_signature
 from zoo.ids import parse_team, release_number, same_team
 from zoo.locations import shard_root
-from zoo.publish import installed_settings
+from zoo.parameters.storage import StackedFile, read_shard, take_row
+from zoo.parameters.tensors import damaged_row, row_sha256
 from zoo.registry import Registry
-from zoo.roots import root_problems
-from zoo.schema import PolicyEntry
-from zoo.signing import check_signature
-from zoo.storage import StackedFile, read_shard, take_row
-from zoo.tensors import damaged_row, row_sha256
+from zoo.schema import DisabilitySetting, PolicyEntry
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,3 +151,11 @@ def _notes(registry: Registry) -> Iterator[str]:
     stray = sorted(stored - set(registry.data.shards))
     if stray:
         yield f"files in no registry, left by an interrupted publication: {listing(stray)}"
+
+
+def installed_settings() -> dict[str, DisabilitySetting]:
+    """Return the disability settings of the installed environments."""
+    return {
+        name: DisabilitySetting(**dataclasses.asdict(setting))
+        for name, setting in DISABILITY_SETTINGS.items()
+    }

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
-    from population.ray_blocks import RayCluster
-    from population.sweep import Sweep
+    from assistax_base.cluster import RayCluster
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "b": 10**9}
 
@@ -114,7 +113,7 @@ class Engine:
         Raises:
             ValueError: An option of Ray is given without it, or has a wrong value.
         """
-        from population.ray_blocks import RayCluster
+        from assistax_base.cluster import RayCluster
 
         names = ("ray_address", "ray_cpus", "ray_gpus")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
@@ -181,51 +180,6 @@ class Training:
             "resume": self.resume,
             "tensorboard": self.tensorboard,
         }
-
-
-@Parameter(name="*")
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Search:
-    """What a sweep tries.
-
-    Attributes:
-        space: JSON file, by hyperparameter a range {"low", "high", "log"} or a list of values;
-            default a built-in one.
-        configurations: Number of configurations.
-        seeds: Seeds of each.
-        disability: Setting of the human, such as d1.
-        steps: Environment steps of each configuration and seed, such as 2M.
-        block: Most configurations x seeds in one program; lower it if memory runs out.
-        seed: Seed of the random draws.
-        set_: A hyperparameter that all configurations share, such as num_envs=512; repeat it for
-            more.
-    """
-
-    space: Path | None = None
-    configurations: int = 168
-    seeds: int = 3
-    disability: str = "d1"
-    steps: str = "2M"
-    block: int = 64
-    seed: int = 0
-    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = ()
-
-    def sweep(self, task: str, algorithm: str) -> "Sweep":
-        """Return the sweep of a task and an algorithm."""
-        from population.sweep import make_sweep
-
-        return make_sweep(
-            task,
-            algorithm,
-            space=self.space,
-            configurations=self.configurations,
-            seeds=self.seeds,
-            disability=self.disability,
-            steps=parse_steps(self.steps),
-            block=self.block,
-            seed=self.seed,
-            fixed=parse_changes(self.set_),
-        )
 
 
 def parse_steps(text: str) -> int:

@@ -8,14 +8,15 @@ from typing import Any
 import polars as pl
 from matplotlib.figure import Figure
 
-from evaluation import curves, tables
+from evaluation.figures import curves
 from evaluation.plots import charts
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import Order, arrange
 from evaluation.plots.population import population_grid
 from evaluation.plots.style import check_path, save_figure
 from evaluation.plots.sweep import sweep_panels
-from evaluation.provenance import check_whole
+from evaluation.record import tables
+from evaluation.record.manifest import check_whole
 
 
 def evaluation_figure(folders: Sequence[Path], kind: str, path: Path) -> Figure:

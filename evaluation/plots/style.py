@@ -13,7 +13,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.typing import ColorType
 
-from population.files import atomic_path
+from assistax_base.files import atomic_path
 
 FORMATS = (".png", ".pdf", ".svg")
 _UNDATED: dict[str, dict[str, Any]] = {

@@ -20,13 +20,13 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from assistax_envs.disability import DISABILITY_SETTINGS
-from evaluation import tables
+from evaluation.figures.summary import EvaluationSummary, read_summary
 from evaluation.plots.charts import performance_profile, provenance, trait_points, zsc_dots
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import arrange, short_names
-from evaluation.provenance import file_sha256, read_manifest, unchecked
+from evaluation.record import tables
+from evaluation.record.manifest import file_sha256, read_manifest, unchecked
 from evaluation.report.matrix_data import matrix_data
-from evaluation.summary import EvaluationSummary, read_summary
 
 # What tables and fields of other kinds than ours lead to.
 _STRANGE = (

@@ -91,12 +91,12 @@ def test_the_command_refuses_such_a_module_in_one_line(tmp_path: Path) -> None:
         "assistax_zoo.zoos",
         "assistax_zoo.studies",
         "assistax_zoo.results",
-        "evaluation.partners",
-        "evaluation.planning",
+        "evaluation.cast.partners",
+        "evaluation.figures.planning",
         "assistax_zoo.films",
         "assistax_zoo.recording",
         pytest.param("assistax_zoo.training", marks=pytest.mark.slow),
-        pytest.param("assistax_zoo.auditing", marks=pytest.mark.slow),
+        pytest.param("assistax_workshop.auditing", marks=pytest.mark.slow),
     ],
 )
 def test_examples_run(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,8 +12,8 @@ import pytest
 
 import assistax_zoo as az
 from assistax_envs import disability_params, make
-from assistax_zoo.main import run
-from evaluation.jobs import episode_seeds
+from assistax_zoo.shell.main import run
+from evaluation.play.jobs import episode_seeds
 
 ROBOT, HUMAN = "scratch/ippo-d1-s7-v1/robot", "scratch/ippo-d3-s0-v1/human"
 STEPS = 12

@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 import assistax_zoo as az
-from evaluation import evaluator, studies, tables
-from evaluation.robot_forms import as_robot
-from population.onnx_export import to_onnx
+from assistax_base.errors import RemoteError
+from evaluation import studies
+from evaluation.cast.robot_forms import as_robot
+from evaluation.play import evaluator
+from evaluation.record import tables
+from population.networks.onnx_export import to_onnx
 from tests import untrained
 from tests.untrained import HUMAN, ROBOT, params_of
-from zoo.errors import RemoteError
-from zoo.storage import write_policy_file
+from zoo.parameters.storage import write_policy_file
 
 STEPS = 20
 

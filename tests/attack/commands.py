@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from population.spec import PolicySpec
+from population.networks.spec import PolicySpec
 from tests.untrained import published, teams_of
 
 ROBOT = PolicySpec("robot", observation_size=2, action_size=1, hidden=(8,))

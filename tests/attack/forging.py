@@ -10,12 +10,14 @@ from typing import Any
 
 import polars as pl
 
-from evaluation import derived, provenance, tables
-from evaluation.egos import read_egos
-from evaluation.jobs import episode_seeds
-from evaluation.met_partners import MetPartners, met_partners
-from evaluation.relative import COLUMN, bounds_table
-from evaluation.summary import Context, EvaluationSummary, read_summary
+from evaluation.cast.egos import read_egos
+from evaluation.figures import saved_tables as derived
+from evaluation.figures.normalised import COLUMN, bounds_table
+from evaluation.figures.summary import Context, EvaluationSummary, read_summary
+from evaluation.play.jobs import episode_seeds
+from evaluation.record import manifest as provenance
+from evaluation.record import tables
+from evaluation.record.met_partners import MetPartners, met_partners
 from zoo.registry import Registry
 
 

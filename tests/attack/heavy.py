@@ -10,7 +10,8 @@ from typing import Any
 
 import polars as pl
 
-from evaluation import provenance, tables
+from evaluation.record import manifest as provenance
+from evaluation.record import tables
 
 Change = Callable[[Path], None]
 ROWS = 50_000_000  # of a table that is small as a file, and has one column

@@ -30,75 +30,75 @@ class Defect:
 
 DEFECTS = {
     "the hash of a shard is not checked": Defect(
-        "zoo/tensors.py",
+        "zoo/parameters/tensors.py",
         r"if digest is not None and sha256\(data\) != digest:",
         "if False:",
         "tests/zoo/test_storage.py::test_a_flipped_byte_is_refused_with_both_hashes",
     ),
     "the hash of a policy is not checked": Defect(
-        "zoo/storage.py",
+        "zoo/parameters/storage.py",
         r"if found != entry\.sha256:",
         "if False:",
         "tests/zoo/test_storage.py::test_a_row_that_is_not_the_registrys_is_refused",
     ),
     "roots are not checked": Defect(
-        "zoo/roots.py",
+        "zoo/history/merkle.py",
         r"if \(found := release_root\(data, name\)\) != release\.root",
         "if (found := release_root(data, name)) is None",
         "tests/zoo/test_roots.py::test_a_changed_entry_no_longer_passes_verify",
     ),
     "what was published may change": Defect(
-        "zoo/roots.py",
+        "zoo/history/merkle.py",
         r"if lost := lost_leaves\(old, new\):",
         "if lost := []:",
         "tests/zoo/test_roots.py::test_what_was_published_cannot_be_saved_away",
     ),
     "the hashes of a folder's files are not checked": Defect(
-        "evaluation/provenance.py",
+        "evaluation/record/manifest.py",
         r"return None if found == digest else",
         "return None if True else",
         "tests/evaluation/test_provenance.py::test_one_bit_of_any_file_is_found",
     ),
     "a manifest's own hash is not checked": Defect(
-        "evaluation/provenance.py",
+        "evaluation/record/manifest.py",
         r'if found\.get\("sha256"\) != identity_digest\(bare\):',
         "if False:",
         "tests/evaluation/test_provenance.py::test_one_bit_of_any_file_is_found",
     ),
     "a folder's manifest is not read by what draws figures": Defect(
-        "evaluation/summary.py",
+        "evaluation/figures/summary.py",
         r"    check_whole\(folder\)\n",
         "",
         "tests/evaluation/test_report.py"
         "::test_no_figure_is_drawn_from_a_file_that_is_not_what_was_written",
     ),
     "another job is not refused": Defect(
-        "evaluation/evaluator.py",
+        "evaluation/play/evaluator.py",
         r'elif found\.get\("job"\) != job\.digest\(\):',
         "elif False:",
         "tests/evaluation/test_evaluator.py::test_a_folder_of_another_job_is_refused",
     ),
     "the cache's clean takes what is not ours": Defect(
-        "assistax_zoo/caches.py",
+        "assistax_zoo/shell/caches.py",
         r" if kind\.names\.fullmatch\(path\.name\)",
         "",
         "tests/cli/test_cache_command.py"
         "::test_only_files_of_ours_go_and_no_kind_that_must_be_named",
     ),
     "a small table may claim gigabytes": Defect(
-        "evaluation/tables.py",
+        "evaluation/record/tables.py",
         r"    parquet\.check_size\(path\)\n",
         "",
         "tests/evaluation/test_tables.py::test_a_small_file_that_claims_gigabytes_is_refused",
     ),
     "paths are patterns": Defect(
-        "population/parquet.py",
+        "assistax_base/parquet.py",
         r"pl\.read_parquet\(path\.absolute\(\), glob=False\)",
         "pl.read_parquet(path)",
         "tests/evaluation/test_folder_names.py::test_a_result_is_that_of_its_folder",
     ),
     "an official registry can be written": Defect(
-        "zoo/official.py",
+        "zoo/history/official.py",
         r"_recorded_roots\(shipped_registry\(\)\)",
         "frozenset()",
         "tests/zoo/test_own.py::test_an_own_split_leaves_the_official_registry_and_its_root",
@@ -110,13 +110,13 @@ DEFECTS = {
         "tests/evaluation/test_met_partners.py::test_m_test_leaves_out_whom_an_ego_was_trained_with",
     ),
     "replay believes the figures of a folder": Defect(
-        "evaluation/rederive.py",
+        "evaluation/replay/rederive.py",
         r"    with tempfile\.TemporaryDirectory\(\) as name:\n",
         "    return []\n    with tempfile.TemporaryDirectory() as name:\n",
         "tests/evaluation/test_provenance.py::test_every_figure_is_drawn_again",
     ),
     "starts that all partners share are not resampled": Defect(
-        "evaluation/tables.py",
+        "evaluation/record/tables.py",
         r"return self\.keys is not None and len\(self\.keys\) > 1",
         "return False",
         "tests/evaluation/test_summary.py"

@@ -16,7 +16,8 @@ os.environ.setdefault(
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
 NAMES = "jax mujoco flax.linen optax scipy.stats scipy.signal matplotlib.pyplot orbax.checkpoint "
-NAMES += "httpx huggingface_hub cryptography assistax_zoo.main population.ppo zoo.fetch"
+NAMES += "httpx huggingface_hub cryptography assistax_zoo.shell.main population.trainers.ppo "
+NAMES += "zoo.transport.fetch"
 for name in NAMES.split():
     importlib.import_module(name)
 assert "polars" not in sys.modules and len(os.listdir("/proc/self/task")) == 1

@@ -137,7 +137,7 @@ def waited(process: Path) -> list[float]:
 
 
 def _child(words: list[str], home: str, attack: Attack) -> None:
-    from assistax_zoo import main
+    from assistax_zoo.shell import main
     from tests.attack.watch import Watch
 
     os.chdir(home)

@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Generator
 from pathlib import Path
 
-from assistax_zoo import main
+from assistax_zoo.shell import main
 from tests.attack.process import call
 from tools.paper_page import __main__ as paper_page
 

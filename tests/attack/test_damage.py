@@ -15,22 +15,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evaluation import provenance
-from evaluation.evaluator import run_job
+from assistax_base.errors import ZooError
+from assistax_workshop.press.trained_runs import read_run
+from evaluation.play.evaluator import run_job
+from evaluation.record import manifest as provenance
 from evaluation.report import write_report
-from population.checkpoints import Checkpoints
-from population.run_folder import RunFolder
+from population.runs.checkpoints import Checkpoints
+from population.runs.folder import RunFolder
 from tests.attack.damage import BYTES, damaged, tensors
 from tests.attack.ledger import Ledger, attack
 from tests.attack.watch import Watch
 from tests.evaluation.matrix_game import MatrixGame
 from tests.evaluation.test_evaluator import make_job, unfinished
-from zoo.errors import ZooError
 from zoo.lock import make_lock, read_lock, write_lock
+from zoo.parameters.storage import load_stacks, read_policy_file, write_policy_file
+from zoo.parameters.tensors import flatten
 from zoo.registry import Registry, load_registry
-from zoo.runs import read_run
-from zoo.storage import load_stacks, read_policy_file, write_policy_file
-from zoo.tensors import flatten
 from zoo.verify import verify
 
 pytestmark = pytest.mark.attack

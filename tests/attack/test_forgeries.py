@@ -16,15 +16,16 @@ from typing import Any
 import polars as pl
 import pytest
 
-from evaluation import provenance, rederive, replay
-from evaluation.jobs import Chunk, Job
-from evaluation.replay import ReplayReport, replay_folder
-from evaluation.runner import Runner
-from evaluation.sources import check_sources
+from assistax_base.errors import ZooError
+from evaluation.play.jobs import Chunk, Job
+from evaluation.play.runner import Runner
+from evaluation.record import manifest as provenance
+from evaluation.record.sources import check_sources
+from evaluation.replay import rederive, replay
+from evaluation.replay.replay import ReplayReport, replay_folder
 from evaluation.studies import Settings, cross_play, evaluate_policies
 from tests.attack import forging
 from tests.attack.ledger import attack
-from zoo.errors import ZooError
 from zoo.registry import Registry, load_registry
 
 pytestmark = pytest.mark.attack

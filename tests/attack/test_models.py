@@ -15,12 +15,12 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from evaluation.egos import call_ego, read_egos
+from assistax_base.errors import ZooError
+from evaluation.cast.egos import call_ego, read_egos
 from tests.attack.ledger import attack
 from tests.attack.process import CONTEXT
-from zoo.errors import ZooError
+from zoo.parameters.storage import parse_stacked, read_policy_file
 from zoo.registry import Registry
-from zoo.storage import parse_stacked, read_policy_file
 
 pytestmark = pytest.mark.attack
 onnx = pytest.importorskip("onnx")

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from evaluation import provenance, tables
+from evaluation.record import manifest as provenance
+from evaluation.record import tables
 from tests.attack.commands import Figures, results_of
 from tests.attack.damage import damaged
 from tests.attack.ledger import Ledger, attack

@@ -15,11 +15,11 @@ import pytest
 
 from tests.attack.ledger import attack
 from tests.attack.test_damage import REFUSALS, told
-from zoo.added import add
+from zoo.history.merkle import with_roots
 from zoo.lock import apply_lock, make_lock
 from zoo.registry import build_registry, load_registry, parse_registry
-from zoo.roots import with_roots
 from zoo.schema import RegistryFile, dump_registry
+from zoo.transport.other_zoos import add
 
 pytestmark = pytest.mark.attack
 Data = dict[str, Any]

@@ -129,8 +129,8 @@ def test_ladder_lets_submitters_climb(capfd: pytest.CaptureFixture[str]):
 
 @pytest.mark.slow
 def test_pages_reads_every_kind_of_page(tmp_path: Path):
-    from tests.service.board_data import make_app
-    from tests.service.browser import served
+    from tests.board.board_data import make_app
+    from tests.board.browser import served
 
     # In a process of their own: the server's logs hold the output of this one, which `capfd`
     # closes.

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from assistax_zoo import main
-from assistax_zoo.caches import KINDS, clean, held
-from evaluation.locks import locked
+from assistax_base.locks import locked
+from assistax_zoo.shell import main
+from assistax_zoo.shell.caches import KINDS, clean, held
 
 OURS = {  # by kind: a file of ours, and one that is not
     "shards": (f"{'a' * 64}.safetensors", "paper.safetensors"),

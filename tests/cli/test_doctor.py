@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from assistax_envs import compiled
-from assistax_zoo import doctor, main, requirements
+from assistax_zoo.shell import doctor, main, requirements
 from tests.zoo.conftest import put, trained_teams
 
 ROOT = Path(__file__).parents[2]
@@ -264,7 +264,7 @@ def test_a_driver_that_hangs_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_compilers_really_compile(monkeypatch: pytest.MonkeyPatch) -> None:
     """Planted: a compiler whose program gives another number."""
     from assistax_envs.physics.fused.runtime import toolchain
-    from assistax_zoo.probe import PARTS
+    from assistax_zoo.shell.probe import PARTS
 
     assert PARTS["clang"]() < 60
     compile_cpp = toolchain.compile_cpp

@@ -9,14 +9,14 @@ from typing import Any
 import polars as pl
 import pytest
 
-from assistax_zoo.main import run
-from population.spec import PolicySpec
+from assistax_zoo.shell.main import run
+from population.networks.spec import PolicySpec
 from tests import untrained
 from tests.untrained import ROBOT, params_of
+from zoo.history.merkle import with_roots
+from zoo.parameters.storage import write_policy_file
 from zoo.registry import parse_registry
-from zoo.roots import with_roots
 from zoo.schema import dump_registry
-from zoo.storage import write_policy_file
 
 STEPS = 20
 FIGURE = {"mean", "iqm", "iqm_ci", "n"}
@@ -382,7 +382,7 @@ def test_standard_output_of_a_process_is_one_json_object(published: Path, tmp_pa
     code = (
         "import assistax_envs.env, sys\n"
         f"assistax_envs.env.EPISODE_LENGTH = {STEPS}\n"
-        "from assistax_zoo.main import run\n"
+        "from assistax_zoo.shell.main import run\n"
         "sys.exit(run(sys.argv[1:]))\n"
     )
     words = [

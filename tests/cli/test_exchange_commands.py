@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from assistax_zoo.main import run
+from assistax_zoo.shell.main import run
 from tests.cli.test_zoo_commands import FIRST, answer, refusal, write_run
-from zoo.behaviour import Pair, similar_pairs
-from zoo.storage import read_policy_file
+from zoo.parameters.storage import read_policy_file
+from zoo.splitting.similar_humans import Pair, similar_pairs
 
 ROOT = Path(__file__).parents[2]
 V0_TEAM = "scratch/ippo-d1-s0-v0"
@@ -151,7 +151,8 @@ def test_deep_names_policies_that_do_not_fit_the_environment(zoo: Path, capsys) 
 def test_split_verify_reports_partners_that_act_alike(zoo: Path, capsys, monkeypatch) -> None:
     assert answer(capsys, "split", "verify")["problems"] == {}
     monkeypatch.setattr(
-        "zoo.behaviour.similar_pairs", lambda registry, split: similar_pairs(registry, split, 10.0)
+        "zoo.splitting.similar_humans.similar_pairs",
+        lambda registry, split: similar_pairs(registry, split, 10.0),
     )
     with pytest.raises(SystemExit, match="1"):
         run(["split", "verify"])
@@ -160,7 +161,9 @@ def test_split_verify_reports_partners_that_act_alike(zoo: Path, capsys, monkeyp
 
 def test_split_create_names_the_twins_that_it_leaves_out(zoo: Path, capsys, monkeypatch) -> None:
     twin = Pair("scratch/ippo-d1-s2-v0", "scratch/ippo-d9-s0-v0", 0.01)
-    monkeypatch.setattr("zoo.behaviour.similar_pairs", lambda registry, split: [twin])
+    monkeypatch.setattr(
+        "zoo.splitting.similar_humans.similar_pairs", lambda registry, split: [twin]
+    )
     assert (
         run(
             [
@@ -187,7 +190,7 @@ def test_help_has_an_example(capsys) -> None:
 
 def test_looking_at_policies_imports_nothing_heavy(zoo: Path, tmp_path: Path) -> None:
     code = (
-        "import sys\nfrom assistax_zoo.main import run\n"
+        "import sys\nfrom assistax_zoo.shell.main import run\n"
         f"for words in (['list'], ['verify'], ['show', {FIRST!r}, '--card', "
         f"{str(tmp_path / 'c.md')!r}]): assert run(words) == "
         "0\nprint(sorted({'jax', 'mujoco', 'flax', 'matplotlib', 'polars', 'scipy'} & "

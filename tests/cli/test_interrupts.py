@@ -46,7 +46,7 @@ SOON, AT_LAST = 4.0, 30.0
 COMMAND = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from assistax_zoo.main import run
+from assistax_zoo.shell.main import run
 sys.exit(run())
 """
 
@@ -202,7 +202,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ign
 
 class Press:
     def find_spec(self, name, path=None, target=None):
-        if name == "assistax_zoo.main":
+        if name == "assistax_zoo.shell.main":
             os.kill(os.getpid(), signal.SIGINT)
 
 sys.meta_path.insert(0, Press())

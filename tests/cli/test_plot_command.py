@@ -7,12 +7,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-from assistax_zoo.commands import plot
-from assistax_zoo.main import run
-from evaluation import derived, tables
+from assistax_workshop.press.publish import publish
+from assistax_zoo.commands.evaluation import plot
+from assistax_zoo.shell.main import run
+from evaluation.figures import saved_tables as derived
+from evaluation.record import tables
 from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, teams
 from tests.zoo.conftest import trained_team
-from zoo.publish import publish
 
 
 @pytest.fixture

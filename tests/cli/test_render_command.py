@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from assistax_zoo.main import run
+from assistax_zoo.shell.main import run
 from evaluation import film
-from population.policy import Policy
-from population.spec import PolicySpec
-from zoo.storage import write_policy_file
+from population.networks.policy import Policy
+from population.networks.spec import PolicySpec
+from zoo.parameters.storage import write_policy_file
 
 ROBOT = PolicySpec("robot", observation_size=34, action_size=7, hidden=(8,))
 SMALL = ("--width", "160", "--height", "120")

@@ -7,9 +7,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from assistax_zoo.main import run
-from evaluation import provenance, tables
-from evaluation.derived import save_crossplay, save_evaluation
+from assistax_zoo.shell.main import run
+from evaluation.figures.saved_tables import save_crossplay, save_evaluation
+from evaluation.record import manifest as provenance
+from evaluation.record import tables
 from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, teams
 
 HOSTILE = "\x1b]0;owned\x07\x9b31m[red]\nverified 9 files\u202e"

@@ -3,8 +3,8 @@ import json
 import pytest
 
 from assistax_zoo.commands.options import parse_changes, parse_seeds, parse_steps
-from assistax_zoo.console import TrainingLine
-from assistax_zoo.main import run
+from assistax_zoo.shell.console import TrainingLine
+from assistax_zoo.shell.main import run
 
 TINY = [
     "--num-envs",
@@ -86,7 +86,7 @@ def test_wrong_values_get_one_line(words, message, tmp_path, capsys):
 def test_a_live_line_says_how_far_the_run_is(capsys):
     import polars as pl
 
-    from population.train import Progress
+    from population.runs.train import Progress
 
     line = TrainingLine("scratch ippo")
     line(
@@ -107,7 +107,7 @@ def test_a_live_line_says_how_far_the_run_is(capsys):
 
 @pytest.mark.slow
 def test_a_tiny_run_on_the_real_task_can_be_published(tmp_path, capfd):
-    from zoo.runs import read_run
+    from assistax_workshop.press.trained_runs import read_run
 
     words = [
         "train",

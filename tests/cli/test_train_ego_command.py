@@ -3,8 +3,8 @@ import re
 
 import pytest
 
-from assistax_zoo.main import run
-from zoo import storage
+from assistax_zoo.shell.main import run
+from zoo.parameters import storage
 from zoo.registry import load_registry
 
 TINY = [
@@ -41,7 +41,7 @@ def test_wrong_values_get_one_line(words, message, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_trained_robots_are_policy_files_that_can_be_evaluated(tmp_path, capfd):
-    from evaluation.egos import read_egos
+    from evaluation.cast.egos import read_egos
 
     words = [
         "train-ego",

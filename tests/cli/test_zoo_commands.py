@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from assistax_zoo.main import run
-from population.spec import PolicySpec
+from assistax_zoo.shell.main import run
+from population.networks.spec import PolicySpec
 from tests.zoo.conftest import put, trained_team
-from zoo.tensors import encode
+from zoo.parameters.tensors import encode
 
 ROOT = Path(__file__).parents[2]
 SPECS = {
@@ -253,7 +253,7 @@ def test_help_has_an_example_and_describes_every_option(command: str, capsys) ->
 
 def test_reading_commands_import_nothing_heavy(zoo: Path) -> None:
     code = (
-        "import sys\nfrom assistax_zoo.main import run\n"
+        "import sys\nfrom assistax_zoo.shell.main import run\n"
         f"for words in (['list'], ['show', '{FIRST}'], ['verify'], ['split', 'list']): assert "
         "run(words) == 0\nprint(sorted({'jax', 'mujoco', 'flax', 'matplotlib', 'polars', 'scipy'} "
         "& set(sys.modules)))"

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 
 from assistax_envs import EnvState
-from population.policy import Policy
+from population.networks.policy import Policy
+from zoo.parameters.storage import load_stacks
 from zoo.registry import load_registry
-from zoo.storage import load_stacks
 
 Players = Callable[
     [EnvState, jax.Array], dict[str, jax.Array]

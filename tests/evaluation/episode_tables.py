@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from evaluation import provenance, tables
-from evaluation.summary import Context, SplitName
+from evaluation.figures.summary import Context, SplitName
+from evaluation.record import manifest as provenance
+from evaluation.record import tables
 
 Team = tuple[str, str, int]  # algorithm, disability, seed
 CONTEXT = Context(

@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from evaluation.roster import Member, Roster
-from population.policy import Policy
-from population.spec import PolicySpec
-from population.stack import PolicyStack
+from evaluation.cast.roster import Member, Roster
+from population.networks.policy import Policy
+from population.networks.spec import PolicySpec
+from population.networks.stack import PolicyStack
 
 PAYOFF = np.array([[4.0, 1.0], [0.5, 3.0]], np.float32)
 ROBOT = PolicySpec("robot", observation_size=3, action_size=2, hidden=(4,), normalise=False)

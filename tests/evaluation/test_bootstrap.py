@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from evaluation import bootstrap, tables
-from evaluation.bootstrap import Estimate
+from evaluation.figures import bootstrap
+from evaluation.figures.bootstrap import Estimate
+from evaluation.record import tables
 
 
 def crossed(

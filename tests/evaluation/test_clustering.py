@@ -5,7 +5,7 @@ import pytest
 from scipy.cluster import hierarchy
 from scipy.spatial import distance
 
-from evaluation import clustering
+from evaluation.figures import clustering
 from tests.evaluation.episode_tables import clustered_matrix
 from tools.paper_page.measures import branches
 

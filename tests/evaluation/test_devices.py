@@ -7,14 +7,14 @@ import sys
 import jax
 import pytest
 
-from evaluation import devices
-from evaluation.devices import devices_for
+from evaluation.play import devices
+from evaluation.play.devices import devices_for
 
 START = """
 import os
 os.cpu_count = lambda: 3
 {before}
-from evaluation.devices import share_cores
+from evaluation.play.devices import share_cores
 share_cores()
 share_cores()
 import jax

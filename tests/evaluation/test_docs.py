@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from assistax_zoo.main import run
+from assistax_zoo.shell.main import run
 from zoo.registry import load_registry
-from zoo.release import create_split
+from zoo.splitting.create import create_split
 
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "evaluation.md"
@@ -71,8 +71,8 @@ def test_a_torch_module_is_called_with_what_torch_takes():
 
     `torch.as_tensor` takes them as they are.
     """
-    from evaluation.egos import call_ego
-    from evaluation.roster import HostEgo
+    from evaluation.cast.egos import call_ego
+    from evaluation.cast.roster import HostEgo
 
     seen: list[np.ndarray] = []
 

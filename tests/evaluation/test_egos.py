@@ -5,13 +5,13 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from evaluation.egos import EgoError, call_ego, probe_egos, read_egos
-from evaluation.roster import HostEgo
-from population.spec import PolicySpec
-from population.stack import PolicyStack
-from zoo.errors import ZooError
+from assistax_base.errors import ZooError
+from evaluation.cast.egos import EgoError, call_ego, probe_egos, read_egos
+from evaluation.cast.roster import HostEgo
+from population.networks.spec import PolicySpec
+from population.networks.stack import PolicyStack
+from zoo.parameters.storage import write_policy_file
 from zoo.registry import Registry
-from zoo.storage import write_policy_file
 
 SPEC = PolicySpec("robot", observation_size=3, action_size=2, hidden=(4,), normalise=False)
 EMPTY = Registry(data=cast(Any, None), path=Path("registry.json"), policies=[])

@@ -13,15 +13,17 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
-from evaluation import jobs, tables
-from evaluation.blocks import run_block
-from evaluation.egos import EgoError
-from evaluation.evaluator import PARTS_FOLDER, check_folder, make_way, plan_of, run_job
-from evaluation.jobs import Job, plan, tile_shape
-from evaluation.provenance import MANIFEST_FILE, file_sha256
-from evaluation.roster import HostEgo, Member, Roster, joined
-from evaluation.runner import Progress
-from population.stack import PolicyStack
+from evaluation.cast.egos import EgoError
+from evaluation.cast.roster import HostEgo, Member, Roster, joined
+from evaluation.play import jobs
+from evaluation.play.evaluator import PARTS_FOLDER, check_folder, make_way, plan_of, run_job
+from evaluation.play.jobs import Job, plan, tile_shape
+from evaluation.play.runner import Progress
+from evaluation.play.shares import run_block
+from evaluation.record import tables
+from evaluation.record.manifest import MANIFEST_FILE, file_sha256
+from population.networks.stack import PolicyStack
+from tests.base.test_files import Disk
 from tests.evaluation.matrix_game import (
     HUMAN,
     PAYOFF,
@@ -33,7 +35,6 @@ from tests.evaluation.matrix_game import (
     robots,
     roster,
 )
-from tests.population.test_files import Disk
 
 
 def make_job(egos: Any = None, partners: Any = None, **changes: Any) -> Job:
@@ -185,7 +186,7 @@ def test_a_killed_run_resumes_to_the_same_file(tmp_path: Path):
         "import os, signal, sys\n"
         "from pathlib import Path\n"
         "from evaluation import tables\n"
-        "from evaluation.evaluator import run_job\n"
+        "from evaluation.play.evaluator import run_job\n"
         "from tests.evaluation.matrix_game import MatrixGame\n"
         "from tests.evaluation.test_evaluator import mixed_job\n"
         "write, count = tables.write_bytes, 0\n"
@@ -508,7 +509,7 @@ def test_memory_that_runs_out_is_told_and_smaller_chunks_then_go_on(
         raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: out of memory allocating")
 
     with monkeypatch.context() as patch:
-        patch.setattr("evaluation.rollout.Rollout.run", exhausted)
+        patch.setattr("evaluation.play.rollout.Rollout.run", exhausted)
         with pytest.raises(
             ValueError, match="out of memory with 18 simulations; use --max-envs 9 or less"
         ):

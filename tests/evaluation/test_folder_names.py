@@ -9,19 +9,19 @@ import polars as pl
 import pytest
 
 import assistax_zoo as az
-from evaluation import tables
-from evaluation.egos import read_egos
+from assistax_base.errors import ZooError
+from assistax_base.parquet import check_readable, read_parquet
+from evaluation.cast.egos import read_egos
 from evaluation.plots.figures import curves_figure
-from evaluation.provenance import verify_folder
-from evaluation.sources import check_sources
+from evaluation.record import tables
+from evaluation.record.manifest import verify_folder
+from evaluation.record.sources import check_sources
 from population.config import Member, TrainConfig
-from population.parquet import check_readable, read_parquet
-from population.run_folder import RunFolder
+from population.runs.folder import RunFolder
 from tests.attack.commands import ROBOT, small_zoo
 from tests.evaluation.test_sources import toy
 from tests.untrained import params_of
-from zoo.errors import ZooError
-from zoo.storage import write_policy_file
+from zoo.parameters.storage import write_policy_file
 
 ROOT = Path(__file__).parents[2]
 # Odd names, and what each would match as a pattern.
@@ -152,5 +152,5 @@ def test_only_one_module_reads_parquet_by_path() -> None:
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)
         if node.value.id in ("pl", "polars") and node.attr.startswith(("read_", "scan_"))
     }
-    assert reads == {"population/parquet.py"}
+    assert reads == {"assistax_base/parquet.py"}
     assert read_parquet is tables.parquet.read_parquet

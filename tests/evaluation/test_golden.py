@@ -13,14 +13,14 @@ import polars as pl
 import pytest
 
 from assistax_envs import make
-from evaluation import tables
-from evaluation.egos import read_egos
-from evaluation.evaluator import run_job
-from evaluation.jobs import Job
-from evaluation.provenance import processor
-from evaluation.references import play_references
-from evaluation.relative import COLUMN, PASSIVE, SCRIPT
-from evaluation.roster import registry_roster
+from evaluation.cast.egos import read_egos
+from evaluation.cast.roster import registry_roster
+from evaluation.figures.normalised import COLUMN, PASSIVE, SCRIPT
+from evaluation.play.baselines import play_references
+from evaluation.play.evaluator import run_job
+from evaluation.play.jobs import Job
+from evaluation.record import tables
+from evaluation.record.manifest import processor
 from evaluation.studies import Settings, choose_partners, make_job, own_robots
 from zoo.registry import load_registry
 

@@ -15,12 +15,13 @@ import polars as pl
 import pytest
 
 from assistax_envs import Env, make
-from evaluation import jobs, rollout, tables
-from evaluation.blocks import run_block  # noqa: F401 (scripts of subprocesses use it)
-from evaluation.evaluator import in_order
-from evaluation.jobs import Job, plan
-from evaluation.roster import HostEgo, Member, Roster, registry_roster
-from evaluation.runner import Runner
+from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
+from evaluation.play import jobs, rollout
+from evaluation.play.evaluator import in_order
+from evaluation.play.jobs import Job, plan
+from evaluation.play.runner import Runner
+from evaluation.play.shares import run_block  # noqa: F401 (scripts of subprocesses use it)
+from evaluation.record import tables
 from zoo.registry import load_registry
 
 ROOT = Path(__file__).parents[2]
@@ -144,8 +145,8 @@ import os, signal, sys
 from pathlib import Path
 import jax
 from evaluation import tables
-from evaluation.blocks import run_block
-from evaluation.evaluator import run_job
+from evaluation.play.shares import run_block
+from evaluation.play.evaluator import run_job
 from tests.evaluation.test_invariance import real_job, scratch, use_small_tiles
 use_small_tiles()
 """

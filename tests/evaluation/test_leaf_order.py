@@ -5,7 +5,7 @@ import pytest
 from scipy.cluster import hierarchy
 from scipy.spatial import distance
 
-from evaluation.clustering import optimal_leaf_order
+from evaluation.figures.clustering import optimal_leaf_order
 
 
 def length(order: list[int], distances: np.ndarray) -> float:

@@ -10,21 +10,21 @@ import polars as pl
 import pytest
 
 import assistax_zoo as az
-from assistax_zoo.service.catalogue import ZooCatalogue
-from evaluation import tables
-from evaluation.egos import EgoError, read_egos
-from evaluation.met_partners import MetSummary, declare, met_partners
-from evaluation.provenance import read_manifest
+from assistax_base.errors import SplitError, UnknownIdError
+from assistax_board.rules.catalogue import ZooCatalogue
+from assistax_workshop.press.publish import publish
+from assistax_workshop.press.trained_runs import TrainedTeam
+from evaluation.cast.egos import EgoError, read_egos
+from evaluation.record import tables
+from evaluation.record.manifest import read_manifest
+from evaluation.record.met_partners import MetSummary, declare, met_partners
 from tests.untrained import HUMAN, ROBOT, params_of, published, teams_of, untrained_team
-from zoo.errors import SplitError, UnknownIdError
 from zoo.export import Format, export_policy
 from zoo.met import Met, met_in_training
-from zoo.publish import publish
+from zoo.parameters.storage import read_policy_file, write_policy_file
 from zoo.registry import Registry, load_registry, save_registry
-from zoo.runs import TrainedTeam
 from zoo.schema import TrainedAgainst
 from zoo.splits import make_split
-from zoo.storage import read_policy_file, write_policy_file
 
 TASK, EGO, D1 = "scratch", "scratch/ppo-ego-s0-v0/robot", "without-d1"
 
@@ -295,7 +295,7 @@ def test_another_zoos_ego_met_the_partners_of_its_own_zoo(
     ours = [untrained_team("d1", s, human=(HUMAN, params_of(HUMAN, 900 + s))) for s in range(4)]
     ours += [untrained_team("d9", s, human=(HUMAN, params_of(HUMAN, 910 + s))) for s in range(4)]
     monkeypatch.setenv("ASSISTAX_ZOO_REGISTRY", str(published(ours, tmp_path / "ours")))
-    from zoo.added import add
+    from zoo.transport.other_zoos import add
 
     add(str(registry.path.parent), "lab")
     both = load_registry()

@@ -11,12 +11,12 @@ import onnxruntime
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from evaluation import onnx_admission, onnx_ego, onnx_program
-from evaluation.onnx_admission import ATTRIBUTES, admit_onnx
-from evaluation.onnx_ego import StrangerError
-from population.onnx_export import to_onnx
-from population.policy import Policy
-from population.spec import PolicySpec
+from evaluation.cast import onnx_admission, onnx_ego, onnx_program
+from evaluation.cast.onnx_admission import ATTRIBUTES, admit_onnx
+from evaluation.cast.onnx_ego import StrangerError
+from population.networks.onnx_export import to_onnx
+from population.networks.policy import Policy
+from population.networks.spec import PolicySpec
 
 OBS, ACT = 6, 3
 RNG = np.random.default_rng(0)

@@ -9,15 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evaluation import onnx_ego
-from evaluation.egos import EgoError, call_ego, read_egos
-from evaluation.onnx_admission import admit_onnx
-from evaluation.policy_process import PolicyError, PolicyProcess
-from evaluation.provenance import file_sha256
-from evaluation.roster import HostEgo, Member
-from population.onnx_export import to_onnx
-from population.policy import Policy
-from population.spec import PolicySpec
+from evaluation.cast import onnx_ego
+from evaluation.cast.egos import EgoError, call_ego, read_egos
+from evaluation.cast.onnx_admission import admit_onnx
+from evaluation.cast.policy_process import PolicyError, PolicyProcess
+from evaluation.cast.roster import HostEgo, Member
+from evaluation.record.manifest import file_sha256
+from population.networks.onnx_export import to_onnx
+from population.networks.policy import Policy
+from population.networks.spec import PolicySpec
 from zoo.registry import Registry
 
 onnx = pytest.importorskip("onnx")

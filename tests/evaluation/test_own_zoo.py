@@ -5,18 +5,18 @@ from typing import Any
 
 import pytest
 
-from evaluation import tables
+from assistax_workshop.press.publish import publish
 from evaluation.plots.matrix import arrange
-from evaluation.sources import check_sources
+from evaluation.record import tables
+from evaluation.record.sources import check_sources
 from evaluation.studies import Settings, cross_play, evaluate_policies
 from tests.attack.commands import HUMAN, ROBOT, small_zoo
 from tests.evaluation.test_sources import toy
 from tests.untrained import params_of, untrained_team
-from zoo.added import add
 from zoo.locations import added_registry, own_registry
-from zoo.publish import publish
 from zoo.registry import load_registry
-from zoo.release import create_split
+from zoo.splitting.create import create_split
+from zoo.transport.other_zoos import add
 
 pytestmark = pytest.mark.slow
 
@@ -30,11 +30,11 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Any:
         patch.delenv("ASSISTAX_ZOO_REGISTRY", raising=False)
         patch.setenv("ASSISTAX_ZOO_DATA", str(home / "data"))
         patch.setenv("ASSISTAX_ZOO_CACHE", str(home / "cache"))
-        for module in ("zoo.official", "zoo.locations"):
+        for module in ("zoo.history.official", "zoo.locations"):
             patch.setattr(f"{module}.shipped_registry", lambda: registry)
         patch.setattr("assistax_envs.make", toy)
         # Untrained humans all act nearly alike.
-        patch.setattr("zoo.behaviour.similar_pairs", lambda registry, split: [])
+        patch.setattr("zoo.splitting.similar_humans.similar_pairs", lambda registry, split: [])
         yield home
 
 

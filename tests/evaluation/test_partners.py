@@ -8,15 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from assistax_base.errors import UnknownIdError, ZooError
 from assistax_envs import DISABILITY_SETTINGS
-from evaluation.partners import Partner, seat_policy, zoo_partner
-from population.policy import Policy
-from population.spec import PolicySpec
+from evaluation.cast.partners import Partner, seat_policy, zoo_partner
+from population.networks.policy import Policy
+from population.networks.spec import PolicySpec
 from tests import untrained
 from tests.untrained import untrained_team
-from zoo.errors import UnknownIdError, ZooError
+from zoo.parameters.storage import write_policy_file
 from zoo.registry import Registry, load_registry
-from zoo.storage import write_policy_file
 
 ROBOT = PolicySpec("robot", observation_size=6, action_size=2, hidden=(4,))
 HUMAN = PolicySpec("human", observation_size=5, action_size=3, hidden=(4,), torso="gru")

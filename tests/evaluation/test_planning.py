@@ -7,14 +7,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from evaluation.bootstrap import estimate
-from evaluation.planning import (
-    MEASURED,
-    Spread,
-    measure_spread,
-    plan_evaluation,
-    spread_of,
-)
+from evaluation.figures.bootstrap import estimate
+from evaluation.figures.planning import MEASURED, Spread, measure_spread, plan_evaluation, spread_of
 
 EGOS = Path(__file__).parents[2] / "docs" / "data" / "v1" / "egos"
 TRUE = Spread(seeds=30.0, partners=50.0, pairs=40.0, episodes=80.0, starts=90.0)

@@ -18,7 +18,8 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from evaluation import derived, summary, tables
+from evaluation.figures import saved_tables as derived
+from evaluation.figures import summary
 from evaluation.plots import style
 from evaluation.plots.charts import (
     learning_curves,
@@ -30,6 +31,7 @@ from evaluation.plots.charts import (
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import Matrix, arrange, short_names
 from evaluation.plots.population import population_grid
+from evaluation.record import tables
 from tests.evaluation.episode_tables import (
     CONTEXT,
     Team,

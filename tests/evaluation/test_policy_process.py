@@ -11,9 +11,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from evaluation.egos import EgoError, call_ego, read_egos
-from evaluation.policy_process import PolicyProcess
-from evaluation.roster import HostEgo
+from evaluation.cast.egos import EgoError, call_ego, read_egos
+from evaluation.cast.policy_process import PolicyProcess
+from evaluation.cast.roster import HostEgo
 from zoo.registry import Registry
 
 EMPTY = Registry(data=cast(Any, None), path=Path("registry.json"), policies=[])
@@ -222,7 +222,7 @@ def test_its_process_ends_with_it_and_with_its_parent(folder: Path, line: str) -
     assert gone(pid)
     script = (
         "import os, threading, numpy as np\n"
-        "from evaluation.policy_process import PolicyProcess\n"
+        "from evaluation.cast.policy_process import PolicyProcess\n"
         "robot = PolicyProcess('mine.py', 'make', {})\n"
         "print(robot._process.pid, flush=True)\n"
         "threading.Timer(0.5, lambda: os._exit(0)).start()\n"

@@ -12,26 +12,26 @@ import polars as pl
 import pytest
 
 from assistax_envs.preferences import PREFERENCES
-from evaluation import tables
-from evaluation.derived import save_evaluation
 from evaluation.ego_training import prepare
-from evaluation.evaluator import run_job
-from evaluation.jobs import Job
-from evaluation.plots.charts import trait_points
-from evaluation.replay import replay_folder
-from evaluation.report.page import write_report
-from evaluation.studies import Settings, cross_play, evaluate_policies
-from evaluation.summary import (
+from evaluation.figures.saved_tables import save_evaluation
+from evaluation.figures.summary import (
     SplitName,
     read_summary,
     summarise_comparison,
     summarise_evaluation,
 )
+from evaluation.play.evaluator import run_job
+from evaluation.play.jobs import Job
+from evaluation.plots.charts import trait_points
+from evaluation.record import tables
+from evaluation.replay.replay import replay_folder
+from evaluation.report.page import write_report
+from evaluation.studies import Settings, cross_play, evaluate_policies
 from tests import untrained
 from tests.evaluation.episode_tables import CONTEXT
 from tests.evaluation.matrix_game import HUMAN, ROBOT, MatrixGame, humans, robots
 from zoo.registry import Registry, load_registry
-from zoo.release import create_split
+from zoo.splitting.create import create_split
 
 NAMES = tuple(PREFERENCES)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.ranks import GAP, SEED, World, measure_seed_sds, root_mean_square
-from evaluation.metrics.ranks import SEED_SDS, Ranks, _most_equal, rank_methods
+from evaluation.figures.metrics.ranks import SEED_SDS, Ranks, _most_equal, rank_methods
 
 
 def played(

@@ -5,8 +5,8 @@ import polars as pl
 import pytest
 
 from assistax_envs.versions import TASKS
-from evaluation.relative import RANDOM
-from evaluation.replay_noise import (
+from evaluation.figures.normalised import RANDOM
+from evaluation.replay.noise import (
     QUANTILES,
     mean_tolerance,
     measure_noise,

@@ -16,13 +16,15 @@ import polars as pl
 import pytest
 from playwright.sync_api import Browser
 
-from evaluation import derived, relative, tables
-from evaluation.provenance import MANIFEST_FILE, seal, write_manifest, write_run
+from evaluation.figures import normalised as relative
+from evaluation.figures import saved_tables as derived
+from evaluation.record import tables
+from evaluation.record.manifest import MANIFEST_FILE, seal, write_manifest, write_run
 from evaluation.report import write_report
 from evaluation.report.matrix_data import matrix_data
 from evaluation.report.page import templates
+from tests.board.browser import browsing
 from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, team_id, teams
-from tests.service.browser import browsing
 from tests.system import CHROMIUM, needs
 
 ROOT = Path(__file__).parents[2]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flax import linen
 
-from evaluation.robot_forms import as_robot
+from evaluation.cast.robot_forms import as_robot
 
 OBS = np.linspace(-1.0, 1.0, 8, dtype=np.float32).reshape(4, 2)
 

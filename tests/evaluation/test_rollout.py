@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from assistax_envs import disability_params
-from evaluation.jobs import episode_seeds
-from evaluation.rollout import GAMMA, Rollout, Shape, Tally, _start, segment_length
-from evaluation.roster import Roster
-from population.policy import Policy
-from population.spec import PolicySpec
-from population.stack import PolicyStack
+from evaluation.cast.roster import Roster
+from evaluation.play.jobs import episode_seeds
+from evaluation.play.rollout import GAMMA, Rollout, Shape, Tally, _start, segment_length
+from population.networks.policy import Policy
+from population.networks.spec import PolicySpec
+from population.networks.stack import PolicyStack
 from tests.evaluation.matrix_game import (
     GRU,
     HUMAN,

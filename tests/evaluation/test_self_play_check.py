@@ -10,13 +10,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-from evaluation import self_play_check
-from evaluation.self_play_check import SelfPlayReport, check_self_play, tolerance, versions
-from population.spec import PolicySpec
+from assistax_workshop.press.publish import publish
+from assistax_workshop.press.trained_runs import TrainedTeam
+from evaluation.replay import self_play_check
+from evaluation.replay.self_play_check import SelfPlayReport, check_self_play, tolerance, versions
+from population.networks.spec import PolicySpec
 from tests.population.toy_env import ToyEnv, constant
-from zoo.publish import publish
 from zoo.registry import Registry, load_registry
-from zoo.runs import TrainedTeam
 from zoo.schema import SelfPlay
 
 ROOT = Path(__file__).parents[2]

@@ -10,13 +10,14 @@ import numpy as np
 import polars as pl
 import pytest
 
-from evaluation import jobs, tables
-from evaluation.evaluator import in_order, run_job
-from evaluation.jobs import Job
-from evaluation.roster import HostEgo, Member, Roster
-from evaluation.runner import play
-from evaluation.summary import summarise_evaluation
-from population.spec import PolicySpec
+from evaluation.cast.roster import HostEgo, Member, Roster
+from evaluation.figures.summary import summarise_evaluation
+from evaluation.play import jobs
+from evaluation.play.evaluator import in_order, run_job
+from evaluation.play.jobs import Job
+from evaluation.play.runner import play
+from evaluation.record import tables
+from population.networks.spec import PolicySpec
 from tests.evaluation.episode_tables import CONTEXT
 from tests.evaluation.matrix_game import (
     GRU,

@@ -12,12 +12,11 @@ import numpy as np
 import polars as pl
 import pytest
 
-from assistax_zoo.main import run
-from evaluation import provenance, sources
-from evaluation.replay import replay_folder
-from evaluation.sources import check_sources
-from evaluation.studies import Settings, cross_play, evaluate_policies
-from evaluation.tables import (
+from assistax_zoo.shell.main import run
+from evaluation.record import manifest as provenance
+from evaluation.record import sources
+from evaluation.record.sources import check_sources
+from evaluation.record.tables import (
     BOUNDS_FILE,
     EPISODES_FILE,
     PAIRS_FILE,
@@ -25,11 +24,13 @@ from evaluation.tables import (
     read_parquet,
     write_parquet,
 )
+from evaluation.replay.replay import replay_folder
+from evaluation.studies import Settings, cross_play, evaluate_policies
 from tests.attack.commands import ROBOT, small_zoo
 from tests.population.toy_env import ToyEnv, match
 from tests.untrained import params_of
+from zoo.parameters.storage import write_policy_file
 from zoo.registry import Registry, load_registry
-from zoo.storage import write_policy_file
 
 CODE = """
 import numpy as np
@@ -68,7 +69,9 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     settings = Settings("scratch", 1, backend="native")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("assistax_envs.make", toy)
-        patch.setattr("evaluation.references.SCRIPTS", {})  # they read the true tasks' observations
+        patch.setattr(
+            "evaluation.play.baselines.SCRIPTS", {}
+        )  # they read the true tasks' observations
         cross_play(registry, "scratch/*", "scratch/*", settings, home / "crossplay")
         robots = ["zoo:scratch/ippo-d1-s0-v0/robot", *write_robots(home / "mine")]
         others = {"references": home / "kept", "crossplay": home / "crossplay"}
@@ -241,7 +244,7 @@ def test_a_folder_of_code_files_and_a_cross_play_is_replayed_with_them(
 ) -> None:
     """Its best responses rest on the cross-play, which is checked as well."""
     monkeypatch.setattr("assistax_envs.make", toy)
-    monkeypatch.setattr("evaluation.references.SCRIPTS", {})
+    monkeypatch.setattr("evaluation.play.baselines.SCRIPTS", {})
     registry = load_registry(home / "zoo" / "registry.json")
     bounds = read_parquet(home / "out" / BOUNDS_FILE)
     assert "cross-play" in bounds["source"].to_list()

@@ -4,8 +4,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from evaluation import tables
-from evaluation.strategies import best_responses, summarise_strategies
+from evaluation.figures.strategies import best_responses, summarise_strategies
+from evaluation.record import tables
 from tests.evaluation.episode_tables import clustered_matrix, episode_table, team_id, teams
 
 TEAMS = teams(12)

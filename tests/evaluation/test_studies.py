@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from assistax_base.errors import RegistryVersionError, UnknownIdError
 from evaluation import studies
-from evaluation.egos import EgoError
+from evaluation.cast.egos import EgoError
 from evaluation.studies import (
     Settings,
     check_env_version,
@@ -14,7 +15,6 @@ from evaluation.studies import (
     evaluate_policies,
     in_release,
 )
-from zoo.errors import RegistryVersionError, UnknownIdError
 from zoo.registry import load_registry
 
 

@@ -6,7 +6,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from evaluation import derived, summary, tables
+from evaluation.figures import saved_tables as derived
+from evaluation.figures import summary
+from evaluation.record import tables
 from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, team_id, teams
 
 PARTNERS = teams(12, ("ippo", "isac"), ("d1", "d9"))

@@ -9,8 +9,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from evaluation import tables
-from population.files import atomic_path
+from assistax_base.files import atomic_path
+from evaluation.record import tables
 from tests.evaluation.episode_tables import episode_table, teams
 
 ROOT = Path(__file__).parents[2]
@@ -198,7 +198,7 @@ def test_a_full_disk_is_called_so_and_leaves_the_old_file(
 READ = """
 import sys
 from pathlib import Path
-from population.parquet import check_readable, read_parquet
+from assistax_base.parquet import check_readable, read_parquet
 import polars
 path, whole = Path(sys.argv[1]), Path(sys.argv[1]).read_bytes()
 for place in map(int, sys.argv[3:]):

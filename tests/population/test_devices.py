@@ -17,15 +17,15 @@ import pytest
 import safetensors.numpy
 
 from assistax_envs.disability import DISABILITY_SETTINGS
-from population import train as training
-from population.checkpoints import Checkpoints
 from population.config import MIXED, Member, TrainConfig, preset
 from population.devices import Shares
-from population.frozen_partners import FrozenPartners
-from population.policy import Policy
-from population.spec import PolicySpec
-from population.stack import PolicyStack
-from population.train import initial_state, make_trainer, train
+from population.networks.policy import Policy
+from population.networks.spec import PolicySpec
+from population.networks.stack import PolicyStack
+from population.runs import train as training
+from population.runs.checkpoints import Checkpoints
+from population.runs.train import initial_state, make_trainer, train
+from population.trainers.frozen_partners import FrozenPartners
 from tests.population.toy_env import ToyEnv, match
 
 HOST_DEVICES = 4

@@ -6,16 +6,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from population import diversity, experience
+from assistax_workshop.plans.plan import Group, find_blocks
+from assistax_workshop.sweep import Range, Sweep
 from population.config import Member, TrainConfig, make_members, make_run, populations, preset
-from population.diversity import log_mean_density
-from population.plan import Group, find_blocks
-from population.ppo import PPO
-from population.sweep import Range, Sweep
-from population.train import train
-from tests.population.test_plan import begin, finish, labels
+from population.runs.train import train
+from population.trainers import diversity, experience
+from population.trainers.diversity import log_mean_density
+from population.trainers.ppo import PPO
 from tests.population.test_ppo import FAST_COMPILE, SMALL, assert_same, run, start
 from tests.population.toy_env import ToyEnv, match
+from tests.workshop.test_plan import begin, finish, labels
 
 MEP = preset("mep", **SMALL)
 PAIR = make_members([0, 1], ["d1"])
@@ -207,7 +207,7 @@ def test_a_population_stays_on_one_device(weight, shares, tmp_path, monkeypatch)
     def count(members, devices):
         raise InterruptedError(members)
 
-    monkeypatch.setattr("population.train.Shares", count)
+    monkeypatch.setattr("population.runs.train.Shares", count)
     trainer = dataclasses.replace(MEP, population_coef=weight)
     config = make_run("toy", "mep", PAIR, 320, trainer)
     with pytest.raises(InterruptedError, match=str(shares)):

@@ -12,13 +12,13 @@ import pytest
 
 from assistax_envs import DISABILITY_SETTINGS, disability_params
 from population.config import MIXED, Member, PPOConfig, SACConfig, TrainConfig
-from population.frozen_partners import FrozenPartners, fitting_envs
-from population.policy import Policy
-from population.ppo import PPO
-from population.sac import SAC
-from population.spec import PolicySpec
-from population.stack import PolicyStack
-from population.train import initial_state, train
+from population.networks.policy import Policy
+from population.networks.spec import PolicySpec
+from population.networks.stack import PolicyStack
+from population.runs.train import initial_state, train
+from population.trainers.frozen_partners import FrozenPartners, fitting_envs
+from population.trainers.ppo import PPO
+from population.trainers.sac import SAC
 from tests.population import test_sac
 from tests.population.test_ppo import FAST_COMPILE, SMALL
 from tests.population.toy_env import ToyEnv, match

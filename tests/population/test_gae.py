@@ -3,8 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from population import gae
-from population.policy import Critic, CriticSpec
+from population.networks.policy import Critic, CriticSpec
+from population.trainers import gae
 from tests.population.toy_env import numpy_gae
 
 STEPS, SIMULATIONS = 12, 5

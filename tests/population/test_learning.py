@@ -9,7 +9,7 @@ import pytest
 
 from assistax_envs import make
 from population.config import Member, TrainConfig, preset
-from population.train import train
+from population.runs.train import train
 
 STEPS = 229_376  # of each member, with the tables' hyperparameters but few simulations: 28 updates
 

@@ -1,7 +1,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from population import normaliser
+from population.trainers import normaliser
 
 
 def test_merged_batches_have_the_statistics_of_all():

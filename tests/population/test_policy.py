@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from population.policy import Gaussian, Policy
-from population.spec import PolicySpec
+from population.networks.policy import Gaussian, Policy
+from population.networks.spec import PolicySpec
 
 SPECS = [
     PolicySpec(

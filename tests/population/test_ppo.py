@@ -9,11 +9,11 @@ import pytest
 
 from assistax_envs import disability_params
 from population.config import Member, PPOConfig, preset
-from population.normaliser import to_params
-from population.policy import Policy, normalise
-from population.ppo import PPO
-from population.self_play import self_play
-from population.train import member_key
+from population.networks.policy import Policy, normalise
+from population.runs.train import member_key
+from population.trainers.normaliser import to_params
+from population.trainers.ppo import PPO
+from population.trainers.self_play import self_play
 from tests.population.toy_env import ToyEnv, constant, match, together
 
 FAST_COMPILE = {

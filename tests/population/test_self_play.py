@@ -3,9 +3,9 @@ import numpy as np
 import pytest
 
 from assistax_envs import disability_params
-from population.policy import Policy
-from population.self_play import self_play
-from population.spec import PolicySpec
+from population.networks.policy import Policy
+from population.networks.spec import PolicySpec
+from population.trainers.self_play import self_play
 from tests.population.toy_env import ToyEnv, constant, match
 
 POLICIES = {

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from assistax_envs import disability_params
-from population import shared_network
 from population.config import Member, PPOConfig, preset
-from population.policy import Policy
-from population.ppo import PPO
-from population.spec import ROLES, PolicySpec
+from population.networks import shared_network
+from population.networks.policy import Policy
+from population.networks.spec import ROLES, PolicySpec
+from population.trainers.ppo import PPO
 from tests.population.test_ppo import SMALL, deterministic_return, run
 from tests.population.toy_env import ToyEnv, match, together
 

@@ -12,8 +12,8 @@ import polars as pl
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from population.tensorboard import EventFiles, tag
-from population.train import train
+from population.runs.tensorboard import EventFiles, tag
+from population.runs.train import train
 from tests.population.test_train import CONFIG, Killed, kill_after
 from tests.population.toy_env import ToyEnv, match
 
@@ -118,7 +118,7 @@ def test_files_of_another_run_are_refused(whole, tmp_path):
 
 
 def test_a_loss_that_is_not_finite_is_written_as_it_is(tmp_path):
-    from population.train import Progress
+    from population.runs.train import Progress
 
     files = EventFiles(CONFIG, tmp_path / "run", tmp_path / "tb")
     row = {

@@ -17,14 +17,14 @@ import pytest
 import safetensors
 import safetensors.numpy
 
-from population.checkpoints import Checkpoints
 from population.config import Member, TrainConfig, make_members, preset
-from population.policy import Policy
-from population.run_folder import RunFolder
-from population.self_play import self_play
-from population.spec import PolicySpec
-from population.stack import flatten
-from population.train import DivergedError, train
+from population.networks.policy import Policy
+from population.networks.spec import PolicySpec
+from population.networks.stack import flatten
+from population.runs.checkpoints import Checkpoints
+from population.runs.folder import RunFolder
+from population.runs.train import DivergedError, train
+from population.trainers.self_play import self_play
 from tests.population.toy_env import ToyEnv, match
 
 PPO = preset("ippo", num_envs=8, rollout_steps=10, hidden=(8, 8), minibatches=2, epochs=1)
@@ -110,7 +110,7 @@ def test_half_precision_is_written_and_what_is_written_is_evaluated(
         evaluated.update(params)
         return self_play(env, policies, params, *rest)
 
-    monkeypatch.setattr("population.train.self_play", spied)
+    monkeypatch.setattr("population.runs.train.self_play", spied)
     half = train(dataclasses.replace(CONFIG, precision="float16"), ToyEnv(match), tmp_path / "half")
     for role in ("robot", "human"):
         whole = safetensors.numpy.load_file(finished / f"{role}.safetensors")

@@ -14,10 +14,10 @@ import wandb
 from wandb.proto import wandb_internal_pb2
 
 from population.config import make_members
-from population.team_training import _log
-from population.tensorboard import scalars
-from population.train import train
-from population.wandb_runs import WandbRuns
+from population.runs.logged_run import _log
+from population.runs.tensorboard import scalars
+from population.runs.train import train
+from population.runs.wandb_run import WandbRuns
 from tests.population.test_train import CONFIG, Killed, kill_after
 from tests.population.toy_env import ToyEnv, match
 

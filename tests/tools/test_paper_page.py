@@ -12,9 +12,11 @@ import polars as pl
 import pytest
 
 from assistax_envs.disability import DISABILITY_SETTINGS
-from evaluation import derived, summary, tables
-from evaluation.strategies import summarise_strategies
-from population.spec import PolicySpec
+from evaluation.figures import saved_tables as derived
+from evaluation.figures import summary
+from evaluation.figures.strategies import summarise_strategies
+from evaluation.record import tables
+from population.networks.spec import PolicySpec
 from tests.evaluation.episode_tables import (
     CONTEXT,
     Team,
@@ -34,9 +36,9 @@ from tools.paper_page.figures import draw_figures
 from tools.paper_page.measures import probability_of_improvement
 from tools.paper_page.page import make_page
 from tools.paper_page.pictures import picture_names
+from zoo.parameters.storage import write_policy_file
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, SelfPlay, Training
-from zoo.storage import write_policy_file
 
 ROOT = Path(__file__).parents[2]
 POPULATION = teams(20)

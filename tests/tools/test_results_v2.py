@@ -15,18 +15,19 @@ import polars as pl
 import pytest
 
 from assistax_envs.versions import VERSIONS
-from evaluation import derived, tables
-from evaluation.metrics import paired_difference
-from evaluation.summary import SplitName
+from evaluation.figures import saved_tables as derived
+from evaluation.figures.metrics import paired_difference
+from evaluation.figures.summary import SplitName
+from evaluation.record import tables
 from tests.evaluation.episode_tables import CONTEXT, Team, episode_table, sealed
 from tests.zoo.conftest import SELF_PLAY, SPECS, put, random_params, trained_team
 from tools.results_v2 import measures
 from tools.results_v2.__main__ import run
 from tools.results_v2.collect import collect, condense
 from tools.results_v2.data import read_results
+from zoo.parameters.storage import write_policy_file
 from zoo.registry import Registry, load_registry
 from zoo.schema import Split
-from zoo.storage import write_policy_file
 
 TASK = "gentle_scratch"
 # By algorithm: setting, seed, million steps, mean self-play. MASAC's steps are 4% above IPPO's few,

@@ -38,7 +38,7 @@ def test_every_name_has_its_place_in_the_reference(built: Path) -> None:
 
 
 def test_every_command_is_described(built: Path) -> None:
-    from assistax_zoo.main import COMMANDS, GROUPS
+    from assistax_zoo.shell.main import COMMANDS, GROUPS
 
     page = (built / "commands.html").read_text(encoding="utf-8")
     of_groups = {f"{group}-{name}" for group, (_, names) in GROUPS.items() for name in names}

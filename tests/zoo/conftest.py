@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from assistax_envs.versions import VERSIONS
-from population.spec import PolicySpec
+from assistax_workshop.press.publish import publish
+from assistax_workshop.press.trained_runs import TrainedTeam
+from population.networks.spec import PolicySpec
 from tests.zoo.hub_server import Hub
-from zoo import remotes
-from zoo.publish import publish
 from zoo.registry import Registry
-from zoo.runs import TrainedTeam
+from zoo.transport import remotes
 
 SPECS = {
     "robot": PolicySpec("robot", 5, 2, hidden=(4,)),

@@ -1,8 +1,8 @@
 import dataclasses
 from typing import Any
 
+from assistax_workshop.press.model_card import model_card
 from zoo.card import markdown_card
-from zoo.model_card import model_card
 from zoo.registry import Registry
 
 CARD: dict[str, Any] = {

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
-from population.onnx_export import to_onnx
-from population.policy import Policy
-from population.spec import PolicySpec
-from population.torch_export import to_torch
+from population.networks.onnx_export import to_onnx
+from population.networks.policy import Policy
+from population.networks.spec import PolicySpec
+from population.networks.torch_export import to_torch
 from tests.zoo import numpy_torch
-from zoo.storage import read_policy_file, write_policy_file
+from zoo.parameters.storage import read_policy_file, write_policy_file
 
 onnx = pytest.importorskip("onnx")
 onnxruntime = pytest.importorskip("onnxruntime")

@@ -5,15 +5,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from assistax_zoo.main import run
+from assistax_base.errors import IntegrityError, OfflineError, RegistryError, RemoteError
+from assistax_zoo.shell.main import run
 from tests.zoo.hub_server import Fault, Hub
-from zoo import remotes
-from zoo.errors import IntegrityError, OfflineError, RegistryError, RemoteError
-from zoo.fetch import Report, fetch, remote_registry
 from zoo.locations import cached_registry
+from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry
-from zoo.remotes import open_remote
-from zoo.storage import load_stacks
+from zoo.transport import remotes
+from zoo.transport.fetch import Report, fetch, remote_registry
+from zoo.transport.remotes import open_remote
 from zoo.verify import verify
 
 FILES = "GET /org/zoo/resolve/.*safetensors"

@@ -14,14 +14,14 @@ from pathlib import Path
 
 import pytest
 
+from assistax_base.errors import CacheError, IntegrityError, RemoteError, ZooError
 from tests.zoo.hub_server import Fault, Hub
-from zoo.errors import CacheError, IntegrityError, RemoteError, ZooError
-from zoo.fetch import Report, fetch
 from zoo.locations import cached_shard
+from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry
-from zoo.remotes import open_remote
-from zoo.storage import load_stacks
-from zoo.transfer import _Transfer
+from zoo.transport.fetch import Report, fetch
+from zoo.transport.remotes import open_remote
+from zoo.transport.transfer import _Transfer
 from zoo.verify import verify
 
 ROOT = Path(__file__).parents[2]

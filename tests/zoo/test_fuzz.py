@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from population.files import sha256
+from assistax_base.errors import ZooError
+from assistax_base.files import sha256
 from tests.attack.damage import cut, flip, grow, splice, zero
-from zoo.errors import ZooError
+from zoo.parameters.storage import load_stacks, parse_stacked
+from zoo.parameters.tensors import flatten, row_sha256
 from zoo.registry import Registry, build_registry, load_registry, parse_registry
-from zoo.storage import load_stacks, parse_stacked
-from zoo.tensors import flatten, row_sha256
 from zoo.verify import verify
 
 CASES = 10_000
@@ -181,7 +181,9 @@ def test_a_loader_that_trusts_the_registry_would_be_caught(
     registry: Registry, genuine: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without row hashes the forged shards come through."""
-    monkeypatch.setattr("zoo.storage.row_sha256", lambda leaves: registry.policies[0].sha256)
+    monkeypatch.setattr(
+        "zoo.parameters.storage.row_sha256", lambda leaves: registry.policies[0].sha256
+    )
     with pytest.raises(AssertionError):
         forged_shards(registry, genuine, 60)
 

@@ -6,7 +6,7 @@ from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from zoo.errors import IdError, ZooError, nearest
+from assistax_base.errors import IdError, ZooError, nearest
 from zoo.ids import TeamId, check_name, compile_pattern, parse_team
 from zoo.schema import Ego
 

@@ -5,17 +5,17 @@ from typing import Any
 
 import pytest
 
-from assistax_zoo.main import run
-from zoo.errors import LockError, SplitError, UnknownIdError
-from zoo.fetch import remote_registry
+from assistax_base.errors import LockError, SplitError, UnknownIdError
+from assistax_zoo.shell.main import run
+from zoo.history.merkle import check_roots, with_roots
 from zoo.lock import Lock, apply_lock, locked_entries, make_lock, read_lock, write_lock
+from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry, parse_registry
-from zoo.release import create_split
-from zoo.remotes import open_remote
-from zoo.roots import check_roots, with_roots
 from zoo.schema import dump_registry
 from zoo.splits import content_sha256
-from zoo.storage import load_stacks
+from zoo.splitting.create import create_split
+from zoo.transport.fetch import remote_registry
+from zoo.transport.remotes import open_remote
 
 
 @pytest.fixture

@@ -6,18 +6,19 @@ from pathlib import Path
 
 import pytest
 
-from assistax_zoo.main import run
+from assistax_base.errors import IdError, PublishError, RegistryError, SplitError, UnknownIdError
+from assistax_workshop.press.release import complete_release
+from assistax_zoo.shell.main import run
 from tests.cli.test_zoo_commands import write_run
-from zoo.added import add, remove
-from zoo.errors import IdError, PublishError, RegistryError, SplitError, UnknownIdError
-from zoo.fetch import fetch
+from zoo.history.official import MAKER_VARIABLE, is_official
+from zoo.history.own_splits import SplitsFile
 from zoo.locations import own_registry, own_splits_file
 from zoo.lock import apply_lock, make_lock, read_lock, write_lock
-from zoo.official import MAKER_VARIABLE, is_official
-from zoo.own_splits import SplitsFile
+from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry, save_registry
-from zoo.release import complete_release, create_split
-from zoo.storage import load_stacks
+from zoo.splitting.create import create_split
+from zoo.transport.fetch import fetch
+from zoo.transport.other_zoos import add, remove
 
 SMALL = {"task": "scratch", "rule": "small-train", "n": 1}
 
@@ -28,7 +29,7 @@ def official(registry: Registry, tmp_path: Path, cache: Path, monkeypatch) -> Re
     for variable in ("ASSISTAX_ZOO_REGISTRY", MAKER_VARIABLE):
         monkeypatch.delenv(variable, raising=False)
     monkeypatch.setenv("ASSISTAX_ZOO_DATA", str(tmp_path / "data"))
-    for module in ("zoo.official", "zoo.locations"):
+    for module in ("zoo.history.official", "zoo.locations"):
         monkeypatch.setattr(f"{module}.shipped_registry", lambda: registry.path)
     return registry
 

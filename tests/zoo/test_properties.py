@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
-from population.spec import PolicySpec
-from zoo.errors import UnknownIdError, ZooError
+from assistax_base.errors import UnknownIdError, ZooError
+from population.networks.spec import PolicySpec
 from zoo.ids import TeamId, parse_team
 from zoo.registry import Registry, build_registry, parse_registry
 from zoo.schema import SCHEMA_VERSION, RegistryFile, dump_registry

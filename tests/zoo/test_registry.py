@@ -8,8 +8,14 @@ import pytest
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
+from assistax_base.errors import (
+    RegistryError,
+    RegistryVersionError,
+    SplitError,
+    UnknownIdError,
+    ZooError,
+)
 from assistax_envs.disability import DISABILITY_SETTINGS
-from zoo.errors import RegistryError, RegistryVersionError, SplitError, UnknownIdError, ZooError
 from zoo.registry import Registry, load_registry, parse_registry, save_registry
 from zoo.schema import SCHEMA_VERSION, RegistryFile, dump_registry, spec_from_json
 

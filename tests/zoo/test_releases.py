@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
-from population.plan import read_plan
+from assistax_workshop.plans.plan import read_plan
 from tools.paper_page.data import read_paper
 from zoo.ids import EGO
 from zoo.registry import load_registry

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from zoo.errors import LockError
+from assistax_base.errors import LockError
 from zoo.lock import apply_lock, locked_entries, read_lock
+from zoo.parameters.storage import load_stacks
 from zoo.registry import load_registry, save_registry
-from zoo.storage import load_stacks
 from zoo.verify import verify
 
 OLD = Path(__file__).parent / "schema1"

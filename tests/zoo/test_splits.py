@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
-from zoo.errors import LeakageError, SplitError
+from assistax_base.errors import LeakageError, SplitError
+from zoo.history.merkle import with_roots
 from zoo.ids import parse_team
 from zoo.registry import Registry, load_registry, parse_registry
-from zoo.release import create_split
-from zoo.roots import with_roots
 from zoo.schema import dump_registry
 from zoo.splits import RULES, check_split, half_side, make_split, parse_split, shared_parameters
+from zoo.splitting.create import create_split
 
 
 def ids(

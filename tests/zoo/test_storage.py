@@ -8,11 +8,10 @@ import safetensors.numpy
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
-from population.spec import PolicySpec
-from population.stack import unflatten
-from zoo.errors import FormatError, IntegrityError, ZooError
-from zoo.registry import Registry, build_registry
-from zoo.storage import (
+from assistax_base.errors import FormatError, IntegrityError, ZooError
+from population.networks.spec import PolicySpec
+from population.networks.stack import unflatten
+from zoo.parameters.storage import (
     check_params,
     encode_shard,
     load_stacks,
@@ -21,7 +20,8 @@ from zoo.storage import (
     take_row,
     write_policy_file,
 )
-from zoo.tensors import MAX_HEADER_BYTES, decode, encode, flatten, row_sha256
+from zoo.parameters.tensors import MAX_HEADER_BYTES, decode, encode, flatten, row_sha256
+from zoo.registry import Registry, build_registry
 
 
 def leaves_equal(one, other) -> bool:

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
+from assistax_base.files import sha256
 from assistax_envs.versions import VERSIONS
-from population.files import sha256
+from zoo.parameters.storage import encode_shard, read_shard, take_row
 from zoo.registry import Registry, load_registry
-from zoo.storage import encode_shard, read_shard, take_row
 from zoo.verify import verify
 
 

@@ -89,7 +89,7 @@ def page(
     if check:
         check_page(out, text, folder, picture_names(results), again)
     else:
-        from evaluation.tables import write_bytes
+        from evaluation.record.tables import write_bytes
         from tools.paper_page.figures import draw_figures
 
         draw_figures(results, folder)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from assistax_envs.versions import PAPER_TASKS
-from evaluation.bootstrap import Interval
+from evaluation.figures.bootstrap import Interval
 from tools.paper_page import markdown
 from tools.paper_page.data import METHODS, CrossPlayed, Egos, Results
 from tools.paper_page.measures import (

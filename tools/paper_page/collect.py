@@ -19,9 +19,9 @@ import polars as pl
 import polars.selectors as cs
 
 from assistax_envs.versions import PAPER_TASKS
-from evaluation import tables
-from evaluation.provenance import verify_folder
-from evaluation.tables import EGO_COLUMNS, PARTNER_COLUMNS
+from evaluation.record import tables
+from evaluation.record.manifest import verify_folder
+from evaluation.record.tables import EGO_COLUMNS, PARTNER_COLUMNS
 
 TRAINING_FILE = "training.json"
 CROSSPLAY, EGOS = "crossplay", "egos"  # folders of the data
@@ -128,7 +128,7 @@ def read_training(
     Raises:
         ValueError: no finished egos, another task, or an algorithm that is no plain name.
     """
-    from zoo.storage import read_policy_file
+    from zoo.parameters.storage import read_policy_file
 
     files = sorted((folder / "policies").glob("*.safetensors"))
     told = [read_policy_file(path).metadata for path in files]

@@ -13,7 +13,7 @@ import polars as pl
 import polars.selectors as cs
 
 from assistax_envs.versions import PAPER_TASKS
-from evaluation import tables
+from evaluation.record import tables
 from tools.paper_page import collect
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.cluster import hierarchy
 from scipy.spatial import distance
 
-from evaluation.bootstrap import Counts, Interval, draw_counts, interval, replicate_crossed
-from evaluation.clustering import least_members
-from evaluation.statistics import score_matrix
+from evaluation.figures.bootstrap import Counts, Interval, draw_counts, interval, replicate_crossed
+from evaluation.figures.clustering import least_members
+from evaluation.figures.statistics import score_matrix
 
 PERMUTATIONS = 99
 RESAMPLES = 2000
@@ -188,7 +188,7 @@ def relative_gap(
 
 
 def _team_tree(matrix: np.ndarray) -> np.ndarray:
-    """Return the tree of `evaluation.clustering.cluster_teams`, quicker: it orders no leaves."""
+    """Return the tree of `clustering.cluster_teams`, quicker: it orders no leaves."""
     return hierarchy.average(distance.pdist(np.concatenate([matrix, matrix.T], axis=1)))
 
 

@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from assistax_envs.versions import PAPER_TASKS
-from evaluation import tables
-from evaluation.bootstrap import estimate
+from evaluation.figures.bootstrap import estimate
+from evaluation.record import tables
 from tools.paper_page.claims import Claim
 from tools.paper_page.data import METHODS, CrossPlayed, Results, planned
 from tools.paper_page.markdown import MISSING, figure, image, spoken, table

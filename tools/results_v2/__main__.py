@@ -87,7 +87,7 @@ def cluster(
     from tools.paper_page.data import read_crossplay
     from tools.results_v2.measures import conventions
     from zoo.ids import parse_team
-    from zoo.release import create_split
+    from zoo.splitting.create import create_split
 
     for task in tasks:
         played = read_crossplay(data / CROSSPLAY / task)
@@ -157,7 +157,7 @@ def page(
         check_page(out, text, folder, picture_names(results), f"run `{command}`")
     else:
         from evaluation.plots.style import save_figure
-        from evaluation.tables import write_bytes
+        from evaluation.record.tables import write_bytes
         from tools.paper_page.figures import DPI, heatmap
 
         for name, played in zip(picture_names(results), results.crossplay.values(), strict=True):

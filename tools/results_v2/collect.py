@@ -20,8 +20,8 @@ from typing import Any
 import polars as pl
 
 from assistax_envs.versions import GENTLE_TASKS
-from evaluation import tables
-from evaluation.tables import PARTNER_COLUMNS
+from evaluation.record import tables
+from evaluation.record.tables import PARTNER_COLUMNS
 from tools.paper_page.collect import (
     EGO_FILE,
     EGOS,

@@ -10,7 +10,7 @@ from scipy.cluster import hierarchy
 from scipy.spatial.distance import pdist
 from scipy.stats import rankdata
 
-from evaluation.bootstrap import (
+from evaluation.figures.bootstrap import (
     RESAMPLES,
     Counts,
     Interval,
@@ -19,9 +19,9 @@ from evaluation.bootstrap import (
     interval,
     replicate_crossed,
 )
-from evaluation.metrics import Difference, paired_difference
-from evaluation.statistics import score_matrix
-from evaluation.strategies import best_responses, br_diversity
+from evaluation.figures.metrics import Difference, paired_difference
+from evaluation.figures.statistics import score_matrix
+from evaluation.figures.strategies import best_responses, br_diversity
 from tools.paper_page.data import CrossPlayed
 
 CHOICES = 100  # of teams, drawn at random

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from assistax_envs.versions import GENTLE_TASKS
-from evaluation.bootstrap import Estimate, estimate
-from evaluation.metrics import zero_shot
-from evaluation.strategies import FEATURES
+from evaluation.figures.bootstrap import Estimate, estimate
+from evaluation.figures.metrics import zero_shot
+from evaluation.figures.strategies import FEATURES
 from tools.paper_page.making import costs, ego_rows, played_rows, team_rows
 from tools.paper_page.markdown import MISSING, code, figure, image, spoken, table
 from tools.paper_page.sections import MATRIX_HEADINGS, matrix_figures

@@ -1,0 +1,1 @@
+"""What every package uses: files, validation, errors, bounded reading. It imports none of them."""

@@ -1,0 +1,58 @@
+"""Text that somebody else wrote: read within bounds, and JSON without traps.
+
+Bounds come before parsing. Keys that stand twice in an object are refused, since parsers differ in
+which of them counts.
+"""
+
+import collections
+import json
+from pathlib import Path
+from typing import Any
+
+from assistax_base.errors import ZooError
+
+MAX_REGISTRY_BYTES = 16 * 1024 * 1024  # of 30 times the paper's teams
+MAX_VALUES = 250_000  # commas; the registry of the 434 teams of the paper has a tenth
+
+
+def read_text(path: Path, limit: int, error: type[ZooError], what: str, remedy: str) -> str:
+    """Return a file's text.
+
+    Raises:
+        ZooError: Of the kind given: it is missing, no regular file, too large, or not UTF-8.
+    """
+    try:
+        if not path.is_file():
+            raise FileNotFoundError
+        with path.open("rb") as file:
+            data = file.read(limit + 1)
+        if len(data) > limit:
+            raise ValueError(f"more than {limit} bytes")
+        return data.decode("utf-8")
+    except FileNotFoundError:
+        found = "no such file"
+    except (OSError, ValueError) as problem:
+        found = str(problem)
+    expected = f"a readable file of at most {limit} bytes"
+    raise error(f"{what} {path}", expected, found, remedy, "nothing was loaded")
+
+
+def parse_json(text: str) -> Any:
+    """Return the value of JSON text.
+
+    Raises:
+        ValueError: It is no JSON, has a key twice in one object, or too many values.
+        RecursionError: It is nested too deeply.
+    """
+    if text.count(",") > MAX_VALUES:
+        raise ValueError(f"more than {MAX_VALUES} values")
+    return json.loads(text, object_pairs_hook=unique)
+
+
+def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the object of these keys and values, each key once."""
+    table = dict(pairs)
+    if len(table) != len(pairs):
+        counts = collections.Counter(name for name, _ in pairs)
+        raise ValueError(f"key {counts.most_common(1)[0][0]!r} twice in one object")
+    return table

@@ -1,0 +1,243 @@
+"""M_test of robot policies against the zoo's partners, and the cross-play of a population."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from assistax_zoo.commands.options import Against, Engine, Playing, Source
+from assistax_zoo.shell.console import answer, new_table, print_json, print_table, stdout_is_data
+
+Figure = dict[str, Any] | None
+
+
+def evaluate(
+    *,
+    task: str,
+    policy: tuple[str, ...],
+    against: Against = Against(),
+    playing: Playing = Playing(),
+    series: int = 1,
+    fetch: bool = False,
+    reuse: bool = False,
+    replace: bool = False,
+    out: Path | None = None,
+    source: Source = Source(),
+    json: bool = False,
+) -> None:
+    """Compute M_test: the return of robot policies with partners of the zoo that they never met.
+
+    Each partner plays under its own disability setting and in episodes of its own, which are the
+    same for every robot. With --out, every episode is kept there as Parquet, and a run that was
+    stopped goes on where it was.
+
+    Args:
+        task: Task, such as scratch.
+        policy: Robot: an id, a .safetensors or .onnx file, python:FILE.py:FACTORY or
+            python:package.module:FACTORY. For more seeds repeat it, or quote a glob of ids or
+            .safetensors files.
+        against: With whom, and what it is compared with.
+        playing: How they play.
+        series: Episodes that a robot plays with a partner, one after the other, before it forgets:
+            its recurrent state is kept, and the partner's preference stays.
+        fetch: Bring partners and robots of the zoo that are missing here from the remote.
+        reuse: Take what --out holds of a robot from Python code though its module does not declare
+            what it depends on, so that it may have changed; else it is refused.
+        replace: Remove the result that --out holds, of whichever job, and play anew; else another
+            job is refused.
+        out: Folder for the tables.
+        source: Where policies come from.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo evaluate --task scratch --policy scratch/ppo-ego-s0-v1/robot --episodes 8
+        --out results
+    """
+    with stdout_is_data():
+        from assistax_zoo.studies import evaluate as evaluate_robots
+
+        result = evaluate_robots(
+            list(policy),
+            task=task,
+            series=series,
+            fetch=fetch,
+            reuse=reuse,
+            replace=replace,
+            out=out,
+            **vars(against),
+            **vars(playing),
+            **source.given(),
+        )
+        summary = result.to_json()
+    if json:
+        print_json(summary)
+    else:
+        _print_evaluation(summary)
+        if out:
+            print(f"tables in {out}: episodes.parquet has every episode")
+
+
+def crossplay(
+    *,
+    task: str,
+    out: Path,
+    egos: tuple[str, ...] = (),
+    partners: tuple[str, ...] = (),
+    release: str | None = None,
+    playing: Playing = Playing(),
+    block: str | None = None,
+    replace: bool = False,
+    engine: Engine = Engine(),
+    source: Source = Source(),
+    json: bool = False,
+) -> None:
+    """Play every robot of a population with every human, and draw the clustered matrix.
+
+    A robot with the human it was trained with is self-play, the matrix's diagonal. A run that was
+    stopped goes on.
+
+    Args:
+        task: Task, such as scratch.
+        out: Folder for the tables and the figure.
+        egos: Glob over robots, such as 'scratch/ippo-*/robot'; repeat it for more; all if not
+            given.
+        partners: Glob over humans; repeat it for more; all if not given.
+        release: Release of both, where a glob names none; default the newest whole one
+            that has the task.
+        playing: How they play.
+        block: Simulate only a share, such as 2/4; with the parts of all, the command without
+            --block merges them.
+        replace: Remove the result that --out holds, of whichever job, and play anew; else another
+            job is refused.
+        engine: What runs the blocks.
+        source: Where policies come from.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo crossplay --task scratch --egos 'scratch/ippo-*/robot' --partners
+        'scratch/ippo-*/human' --out xp
+    """
+    cluster = engine.cluster()
+    if block and cluster:
+        raise ValueError(
+            "--block is one share of a run by hand, --engine ray spreads all of them; leave one out"
+        )
+    if block and replace:
+        raise ValueError("--replace would remove the parts of the other blocks; leave it out")
+    with stdout_is_data():
+        from assistax_zoo.studies import cross_play, play_block
+
+        given: dict[str, Any] = {"task": task, "release": release, **vars(playing)}
+        given |= {"out": out, **source.given()}
+        if block:
+            done = play_block(_block(block), egos, partners, **given)
+            summary = {**vars(done), "block": block}
+        else:
+            given |= {"cluster": cluster, "replace": replace}
+            summary = cross_play(egos, partners, **given).to_json()
+    if block:
+        answer(json, summary, *_block_lines(summary, out))
+    elif json:
+        print_json(summary)
+    else:
+        _print_crossplay(summary)
+        print(f"tables and crossplay.png in {out}")
+
+
+def _block(text: str) -> tuple[int, int]:
+    number, _, count = text.partition("/")
+    if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+        raise ValueError(f"block is {text!r}; expected i/n with i from 1 to n, such as 2/4")
+    return int(number), int(count)
+
+
+def _block_lines(summary: dict[str, Any], out: Path) -> tuple[str, str]:
+    done = f"{summary['episodes']} episodes in {summary['chunks']} parts of {out}/parts"
+    told = "all parts are here: the same command without --block merges them"
+    if missing := summary["missing"]:
+        count = f"{missing} of {summary['all_chunks']}"
+        told = f"{count} parts are not here; gather those of all blocks"
+    return f"block {summary['block']}: {done}", told
+
+
+def _print_evaluation(summary: dict[str, Any]) -> None:
+    robots = len(summary["egos"])
+    split = summary["split"]["id"]
+    title = f"{summary['task']}, {robots} {'robot' if robots == 1 else 'robots'}, split {split}"
+    names = (("M_test", "m_test"), ("M_train", "m_train"), ("M_train - M_test", "gap"))
+    rows = [(name, summary[key]) for name, key in names]
+    for key in ("by_algorithm", "by_disability", "by_preference", "by_place"):
+        word = "episode " * (key == "by_place")
+        rows += [(f"  {word}{name}", figure) for name, figure in summary[key].items()]
+    _print_figures(title, rows)
+    if summary["safe_success"]:
+        rows = [(name, summary[name.replace(" ", "_")]) for name in ("safe success", "violations")]
+        title = "goal reached and nobody hurt; contacts above the limit"
+        _print_figures(title, rows, "share of episodes", digits=3)
+    if summary["references"]:
+        _print_references(summary["references"], summary["relative"])
+    worst = summary["worst_partner"]
+    print(f"worst partner: {worst['partner']}, mean return {worst['mean']:.1f}")
+    _print_origin(summary)
+
+
+def _print_references(references: dict[str, Figure], relative: dict[str, Any]) -> None:
+    rows = [(name.replace("_", " "), figure) for name, figure in references.items()]
+    _print_figures("to compare with: the same partners and episodes", rows)
+    rows = [("normalised return", relative["normalised_return"]), ("BR-Prox", relative["br_prox"])]
+    title = "relative to zero action (0) and the best response known (1)"
+    _print_figures(title, rows, "share of that range", digits=2)
+    if coverage := relative["coverage"]:
+        print(
+            f"regret {relative['regret']['mean']:.1f}; within {coverage['epsilon']:.0%} of the "
+            f"best response: {coverage['value']:.0%}"
+        )
+    if unscorable := ", ".join(relative["unscorable"]):
+        print(f"without a scale, best response at or below zero action: {unscorable}")
+
+
+def _print_crossplay(summary: dict[str, Any]) -> None:
+    names = (
+        ("self-play", "self_play"),
+        ("cross-play", "cross_play"),
+        ("self-play - cross-play", "gap"),
+        ("  within one algorithm", "within_algorithm"),
+        ("  across algorithms", "across_algorithms"),
+        ("  within one disability setting", "within_disability"),
+        ("  across disability settings", "across_disabilities"),
+    )
+    title = f"{summary['task']}, {summary['egos']} robots x {summary['partners']} humans"
+    _print_figures(title, [(name, summary[key]) for name, key in names])
+    best = summary["best_ego"]
+    print(f"best robot: {best['ego']}, mean return {best['mean']:.1f}")
+    _print_origin(summary)
+
+
+def _print_origin(summary: dict[str, Any]) -> None:
+    speed = summary["env_steps_per_second"]
+    told = f", {speed:,.0f} environment steps/s" if speed else ", found finished"
+    print(
+        f"{summary['episodes']} episodes on {summary['backend']}{told}; environment version "
+        f"{summary['env_version']}, release {summary['release']}; non-finite episodes: "
+        f"{summary['nonfinite']}"
+    )
+    for note in summary["notes"]:
+        print(f"note: {note}")
+
+
+def _print_figures(
+    title: str,
+    rows: Iterable[tuple[str, Figure]],
+    what: str = "return of an episode",
+    digits: int = 1,
+) -> None:
+    """Print a table of the figures that there are."""
+    table = new_table(title)
+    table.add_column(what, overflow="fold")
+    for name in ("mean", "95% interval", "IQM", "pairs"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for name, figure in rows:
+        if figure is not None:
+            mean, iqm = (f"{figure[key]:.{digits}f}" for key in ("mean", "iqm"))
+            interval = " to ".join(f"{end:.{digits}f}" for end in figure["mean_ci"] or ())
+            table.add_row(name, mean, interval or "-", iqm, str(figure["n"]))
+    print_table(table)

@@ -1,0 +1,69 @@
+"""Pictures and films of an episode."""
+
+from pathlib import Path
+
+from assistax_zoo.shell.console import progress, stdout_is_data
+
+EPISODE = 1000  # steps
+
+
+def render(
+    *,
+    task: str,
+    robot: str,
+    human: str,
+    out: Path,
+    steps: int | None = None,
+    seed: int = 0,
+    camera: str | None = None,
+    fps: int = 25,
+    width: int = 640,
+    height: int = 480,
+    disability: str | None = None,
+    preference: str | None = None,
+    sheet: bool = False,
+    registry: str | None = None,
+) -> None:
+    """Film an episode of a robot and a human, with targets, touches and what the step earned.
+
+    No display is needed. An .mp4 or .gif runs in real time, a .png shows four moments.
+
+    Args:
+        task: Task, such as scratch.
+        robot: An id, a .safetensors or .onnx file, python:FILE.py:FACTORY, zero, or random.
+        human: An id, a .safetensors file, zero, or random.
+        out: File to write: .mp4, .gif or .png.
+        steps: Steps of 20 ms to show; the whole episode of 1000 if not given.
+        seed: Of the episode.
+        camera: A camera of the scene, such as side, or close to follow the tool.
+        fps: Frames a second.
+        width: Pixels of a frame.
+        height: Pixels of a frame.
+        disability: The human's setting, d1 to d9, instead of its own.
+        preference: What the human of a gentle task likes, p1 to p9; drawn if not given.
+        sheet: Write a .png of twelve moments beside the film, and a .gif beside an .mp4.
+        registry: Registry to read instead of the installed one: a file, a folder or an address.
+
+    Example:
+        assistax-zoo render --task scratch --robot random --human random --out scratch.mp4
+    """
+    with stdout_is_data():
+        from assistax_zoo.films import render as film
+
+        size = {"fps": fps, "width": width, "height": height, "camera": camera}
+        with progress(f"render {task}", steps or EPISODE) as advance:
+            film(
+                robot,
+                human,
+                out,
+                task=task,
+                steps=steps,
+                seed=seed,
+                disability=disability,
+                preference=preference,
+                sheet=sheet,
+                zoo=registry,
+                on_step=lambda: advance(1),
+                **size,
+            )
+    print(out)

@@ -1,0 +1,118 @@
+"""What finished folders tell: differences of methods, strategies of partners, and a page."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from assistax_base.errors import printable
+from assistax_zoo.shell.console import answer, new_table, print_json, print_table
+
+if TYPE_CHECKING:
+    from evaluation.figures.metrics import Difference
+
+
+def compare(a: Path, b: Path, /, *, seed: int = 0, json: bool = False) -> None:
+    """Compare method A with method B: paired differences A - B over the same partners and episodes.
+
+    Args:
+        a: Folder that `assistax-zoo evaluate --out` filled.
+        b: Another, of the same task, split, episodes and seed.
+        seed: Seed of the bootstrap.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo compare results/mine results/baseline
+    """
+    from assistax_zoo.results import compare as compare_results
+
+    found = compare_results(a, b, seed=seed)
+    sides = (("train", found.train), ("test", found.test))
+    answer(
+        json,
+        {"a": str(a), "b": str(b), **found.to_json()},
+        f"{found.task}: return of {a} minus return of {b}",
+        *(_difference_line(side, difference) for side, difference in sides if difference),
+        *(printable(f"note: {note}") for note in found.notes),
+    )
+
+
+def strategies(folder: Path, /, *, json: bool = False) -> None:
+    """Group partners by behaviour: forces, distance, joint travel, first contact and success.
+
+    A partner's behaviour is that of the pair with its best robot in the cross-play.
+
+    Args:
+        folder: Folder that `assistax-zoo crossplay --out` filled.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo strategies xp
+    """
+    from evaluation.figures.strategies import summarise_strategies
+    from evaluation.record import tables
+    from evaluation.record.manifest import check_whole
+
+    check_whole(folder)
+    found = summarise_strategies(tables.read_parquet(folder / tables.PAIRS_FILE))
+    if json:
+        print_json(found)
+    else:
+        _print_strategies(found)
+
+
+def report(folder: Path, /, *, out: Path) -> None:
+    """Write one page about a finished evaluation or cross-play, for a browser.
+
+    It has figures, tables, command, versions and hashes, and loads nothing from elsewhere; a
+    cross-play can be zoomed and searched in it.
+
+    Args:
+        folder: Folder that `assistax-zoo evaluate --out` or `crossplay --out` filled.
+        out: Page to write, .html.
+
+    Example:
+        assistax-zoo report xp --out report.html
+    """
+    from evaluation.report import write_report
+
+    write_report(folder, out)
+    print(out)
+
+
+def _difference_line(side: str, found: "Difference") -> str:
+    from evaluation.figures.bootstrap import scope
+
+    interval = "" if found.mean_ci is None else " [{:+.1f}, {:+.1f}]".format(*found.mean_ci)
+    chance = "" if found.p_positive is None else f", P(A > B) {found.p_positive:.3f}"
+    return (
+        f"  {side:5} partners: mean {found.mean:+.1f}{interval}, {scope(found.generalises_to)}"
+        f"{chance}; better with {found.partners_better:.0%} of partners"
+    )
+
+
+def _print_strategies(found: dict[str, Any]) -> None:
+    from rich.text import Text
+
+    table = new_table("partners by behaviour with their best robot")
+    for name in ("cluster", "medoid"):
+        table.add_column(name, no_wrap=True)
+    table.add_column("partners", justify="right")
+    for name, unit in found["features"].items():
+        table.add_column(f"{name.replace('_', ' ')}\n{unit}", justify="right")
+    for i, cluster in enumerate(found["clusters"]):
+        figures = [f"{cluster['mean'][name]:.3g}" for name in found["features"]]
+        medoid = Text(printable(cluster["medoid"]))  # not rich's markup either
+        table.add_row(chr(ord("A") + i), medoid, str(len(cluster["members"])), *figures)
+    print_table(table)
+    if len(found["clusters"]) == 1:
+        print("no clear clusters: all partners are one")
+    diversity = found["br_div"]
+    print(
+        f"BR-Div: rank {diversity['rank']} of {diversity['n']}, participation "
+        f"{diversity['participation_ratio']:.2f}"
+    )
+    print(printable(f"a diverse subset: {', '.join(found['diverse_subset'])}"))
+    if pair := found["incompatible"]:
+        exchanged = " and ".join(f"{value:.0f}" for value in pair["returns_exchanged"])
+        own = " and ".join(f"{value:.0f}" for value in pair["returns"])
+        names = printable(" and ".join(pair["partners"]))
+        print(f"most incompatible: {names}: {own} with their robots, {exchanged} exchanged")

@@ -1,0 +1,59 @@
+"""Commands over the cache: what it holds, and its removal."""
+
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from assistax_zoo.shell.caches import KINDS, Held, chosen_kinds, clean, held
+from assistax_zoo.shell.console import answer
+
+
+def cache(*, json: bool = False) -> None:
+    """Show what the cache holds, by kind: place, files and size.
+
+    `assistax-zoo cache clean` removes it.
+
+    Args:
+        json: Print JSON.
+
+    Example:
+        assistax-zoo cache
+    """
+    found = [held(kind) for kind in KINDS]
+    total = sum(kind.bytes for kind in found)
+    lines = [f"{_amount(kind)}  {kind.folder}" for kind in found]
+    answer(json, {"kinds": [vars(kind) for kind in found], "bytes": total}, *lines)
+
+
+def clean_cache(
+    *,
+    what: Annotated[tuple[str, ...], Parameter(negative=())] = (),
+    yes: bool = False,
+    json: bool = False,
+) -> None:
+    """Remove cached files; without --yes only say which.
+
+    Zoos that were added, own partners and settings are no cache and stay. What remotes published is
+    removed only with --what registries.
+
+    Args:
+        what: Kind to remove: shards, registries, references, xla or fused; repeat it for more.
+        yes: Remove them.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo cache clean --what xla --what references --yes
+    """
+    kinds = chosen_kinds(what)
+    results = [clean(kind) if yes else (held(kind), []) for kind in kinds]
+    found, busy = [kind for kind, _ in results], [path for _, paths in results for path in paths]
+    total = sum(kind.bytes for kind in found)
+    lines = [f"{_amount(kind)}  {kind.what}" for kind in found]
+    lines += [f"kept, another process writes to it: {path}" for path in busy]
+    done = "removed" if yes else "add --yes to remove"
+    content = {"removed": yes, "kinds": [vars(kind) for kind in found], "bytes": total}
+    answer(json, {**content, "busy": busy}, *lines, f"{done} {total / 1e6:.1f} MB")
+
+
+def _amount(kind: Held) -> str:
+    return f"{kind.kind:10} {kind.bytes / 1e6:9.1f} MB {kind.files:6} files"

@@ -1,0 +1,1 @@
+"""Commands for who takes, shares and cites partners."""

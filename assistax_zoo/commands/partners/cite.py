@@ -1,0 +1,102 @@
+"""The command that says how to cite what was used."""
+
+from pathlib import Path
+
+from assistax_base.errors import printable
+from assistax_base.files import sha256
+from assistax_zoo.commands.options import Source
+from assistax_zoo.shell.console import answer
+from zoo.history.official import is_official
+from zoo.lock import read_lock
+from zoo.namespaces import split_namespace
+from zoo.registry import Registry, load_registry
+
+PAPER = """@inproceedings{hinckeldey2025assistax,
+  title = {Assistax: A Hardware-Accelerated Reinforcement Learning Benchmark for
+    Assistive Robotics},
+  author = {Hinckeldey, Leonard and Fosong, Elliot and Miller, Elle and Rubavicius, Rimvydas and
+    McInroe, Trevor and Wollstadt, Patricia and Wiebel-Herboth, Christiane B. and
+    Ramamoorthy, Subramanian and Albrecht, Stefano V.},
+  booktitle = {2nd Coordination and Cooperation in Multi-Agent Reinforcement Learning Workshop},
+  year = {2025},
+  eprint = {2507.21638},
+  archivePrefix = {arXiv},
+  url = {https://arxiv.org/abs/2507.21638}
+}"""
+
+
+def cite(*, release: str | None = None, source: Source = Source(), json: bool = False) -> None:
+    """Print BibTeX of the paper, of this software, and of the partners that were used.
+
+    The partners' entry names their release, its root, the splits, and the registry's sha256: who
+    has these has the same bytes. With --lock it names what the lock pins. Releases of others are
+    cited by the authors, title and address that they were published with.
+
+    Args:
+        release: Release of the partners; default the lock's, else the newest.
+        source: Where policies come from.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo cite --lock assistax-zoo.lock >> paper.bib
+    """
+    registry = load_registry(source.registry)
+    found = {
+        "paper": PAPER,
+        "software": _software(registry.data.releases[registry.release].date[:4]),
+        "partners": _partners(registry, release, source.lock),
+    }
+    answer(json, found, "\n\n".join(found.values()))
+
+
+def _software(year: str) -> str:
+    from assistax_zoo.shell.main import _version
+
+    return f"""@software{{assistax_zoo,
+  title = {{assistax-zoo: Pretrained Partners for Assistive Robots, and Their Evaluation}},
+  author = {{{{The assistax-zoo authors}}}},
+  year = {{{year}}},
+  version = {{{_version().partition(":")[0]}}},
+  license = {{Apache-2.0}}
+}}"""
+
+
+def _partners(registry: Registry, release: str | None, lock: Path | None) -> str:
+    """Return the entry of what was played with."""
+    pinned = read_lock(lock) if lock else None
+    name = release or (pinned.release if pinned else registry.release)
+    registry.select(release=name)  # refuses an unknown one
+    published = registry.data.releases[name]
+    namespace, plain = split_namespace(name)
+    part = registry.part(namespace)
+    splits, facts = published.splits.values(), [f"root {registry.root(name)}"]
+    if pinned and lock:
+        if pinned.release != name:
+            raise ValueError(f"{lock} pins release {pinned.release}, not {name}; leave --release")
+        splits = [split.id for split in pinned.splits.values()]
+        facts = [f"root {pinned.root}", f"lock {pinned.sha256}"]
+    facts += [f"registry {sha256(part.path.read_bytes())}"]
+    facts += [f"split {split_namespace(split)[1]}" for split in sorted(splits)]
+    fields = {"title": f"assistax-zoo Partners, Release {plain}", **_authorship(part, plain)}
+    fields |= {"year": published.date[:4], "note": "; ".join(facts)}
+    lines = ",\n".join(f"  {field} = {{{value}}}" for field, value in fields.items())
+    unnamed = "" if "author" in fields else f"% release {name} names no authors: ask its makers\n"
+    key = "_".join(filter(None, ("assistax_zoo", namespace, plain)))
+    return f"{unnamed}@misc{{{key},\n{lines}\n}}"
+
+
+def _authorship(registry: Registry, release: str) -> dict[str, str]:
+    """Return title, authors and address of a release, as far as it names them."""
+    citation = registry.data.releases[release].citation
+    if citation is None:
+        return {"author": "{The assistax-zoo authors}"} if is_official(registry.data) else {}
+    fields = {"title": citation.title, "author": " and ".join(citation.authors)}
+    return {name: _plain(value) for name, value in fields.items() if value} | (
+        {"url": citation.url} if citation.url else {}
+    )
+
+
+def _plain(text: str) -> str:
+    """Return text without what BibTeX and TeX read as their own."""
+    kept = printable(text).translate(str.maketrans("", "", "{}\\$%#^~"))
+    return kept.replace("&", "\\&").replace("_", "\\_")

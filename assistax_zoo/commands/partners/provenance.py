@@ -1,0 +1,109 @@
+"""Whether a finished folder can be believed: its hashes, and a sample of it played again."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from assistax_base.errors import printable
+from assistax_zoo.commands.options import Source
+from assistax_zoo.shell.console import answer, stdout_is_data
+from zoo.registry import load_registry
+
+if TYPE_CHECKING:
+    from evaluation.replay.replay import ReplayReport
+
+SHOWN = 8  # problems; --json has all
+
+
+def verify_results(folder: Path, registry: Path | None, json: bool) -> bool:
+    """Hold a finished folder and its sources against its manifest; print and return the verdict."""
+    from evaluation.record.manifest import verify_folder
+    from evaluation.record.sources import SourceReport, check_sources
+
+    report = verify_folder(folder)
+    sources = check_sources(folder, registry) if report.ok else SourceReport(0, (), ())
+    problems = [*report.problems, *sources.problems]
+    content = {
+        "ok": not problems,
+        "folder": str(folder),
+        "files": report.files,
+        **vars(sources),
+        "problems": problems,
+    }
+    lines = [f"not here, and not checked: {absent}" for absent in sources.absent]
+    lines += [f"problem: {problem}" for problem in problems]
+    told = f"{len(problems)} problems in" if problems else "verified"
+    files = f"{report.files} files of {folder}, and {sources.sources} that they depend on"
+    answer(json, content, *map(printable, lines), f"{told} {files}")
+    return not problems
+
+
+def replay(
+    folder: Path,
+    /,
+    *,
+    sample: int = 20,
+    seed: int | None = None,
+    run_code: bool = False,
+    crossplay: Path | None = None,
+    source: Source = Source(),
+    json: bool = False,
+) -> None:
+    """Check a finished folder: exit code 1 if it holds other figures than its job gives.
+
+    The job is made again from the registry, every table and figure is drawn again from the
+    episodes, and a sample of the episodes, references' among them, is played again. Where the
+    folder says that such a machine made it, every bit must be the same; else each robot, partner
+    and pair is held to how far processors were measured to differ. It says which, and what is not
+    checked.
+
+    Args:
+        folder: Folder that `assistax-zoo evaluate --out` or `crossplay --out` filled.
+        sample: Episodes; what was simulated together is played together, so there may be more.
+        seed: Seed of the choice, to repeat one; if not given, a new one, which is printed.
+        run_code: Run a robot from Python code that the folder names; read it first.
+        crossplay: Folder of the cross-play that was given to evaluate; it is checked as well.
+        source: Where policies come from.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo replay results --sample 20
+    """
+    with stdout_is_data():
+        from evaluation.replay.replay import replay_folder
+
+        registry = load_registry(source.registry)
+        report = replay_folder(
+            folder,
+            registry,
+            sample=sample,
+            seed=seed,
+            run_code=run_code,
+            lock=source.lock,
+            crossplay=crossplay,
+        )
+    answer(json, vars(report), *map(printable, _replay_lines(report)))
+    if not report.ok:
+        raise SystemExit(1)
+
+
+def _replay_lines(report: "ReplayReport") -> list[str]:
+    """Return what was found, what was not checked, and how to choose the same sample again."""
+    lines = [f"not checked: {what}" for what in report.unchecked]
+    lines += [f"problem: {problem}" for problem in report.problems[:SHOWN]]
+    if len(report.problems) > SHOWN:
+        lines.append(f"and {len(report.problems) - SHOWN} more problems")
+    if not report.episodes:
+        return [*lines, f"{report.folder}: {report.why}; nothing was played"]
+    if report.exact:
+        told = "the same to the last bit" if report.ok else f"{report.differing} differ"
+    else:
+        reach = "within" if report.ok else "not all within"
+        told = f"{report.difference:+.1f} in the mean return, {reach} what processors differ by"
+    return [
+        *lines,
+        f"compared {'bit by bit' if report.exact else 'with measured noise'}: {report.why}",
+        f"sample of seed {report.seed}: {report.episodes} of {report.of_episodes} episodes and "
+        f"{report.references} of {report.of_references} of the references",
+        f"every figure of {report.folder} drawn again, {report.episodes} episodes played again: "
+        f"{told}",
+    ]

@@ -1,0 +1,170 @@
+"""Commands over splits: list, show, create, verify."""
+
+from pathlib import Path
+from typing import Any
+
+from assistax_base.errors import ZooError
+from assistax_zoo.commands.options import parse_names
+from assistax_zoo.commands.partners.listing import table_lines
+from assistax_zoo.shell.console import answer
+from zoo.registry import Registry, load_registry
+from zoo.schema import Rule, Split
+from zoo.splits import LEAVE_ONE_OUT
+from zoo.splitting.create import create_split, partner_teams
+
+
+def list_splits(
+    *, task: str | None = None, registry: Path | None = None, json: bool = False
+) -> None:
+    """List the splits; a release's default is marked.
+
+    Args:
+        task: Only this task.
+        registry: Registry to read instead of the installed one.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo split list --task scratch
+    """
+    loaded = load_registry(registry)
+    splits = [split for split in loaded.splits if task in (None, split.task)]
+    defaults = {
+        split for release in loaded.data.releases.values() for split in release.splits.values()
+    }
+    found = [{**_brief(split), "default": split.id in defaults} for split in splits]
+    names = ("id", "rule", "n_train", "n_test")
+    rows = [(*(str(one[name]) for name in names), "yes" * one["default"]) for one in found]
+    columns = ("split", "rule", "train", "test", "default")
+    answer(json, found, *table_lines(columns, rows, f"{len(splits)} splits"))
+
+
+def show(id: str, *, registry: Path | None = None, json: bool = False) -> None:
+    """Show a split: rule, sha256, and the teams of both sides.
+
+    Args:
+        id: A split's id, or a task for its default split.
+        registry: Registry to read instead of the installed one.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo split show scratch
+    """
+    task, _, rest = id.partition("/")
+    split = load_registry(registry).split(task, id if rest else None)
+    lines = [f"{name:8} {value}" for name, value in _brief(split).items()]
+    for side, teams in (("train", split.train), ("test", split.test)):
+        likes = ", ".join(split.preferences.get(side, ()))
+        lines += [
+            f"\n{side}{f', under {likes}' if likes else ''}",
+            *(f"  {team}" for team in teams),
+        ]
+    answer(json, split.model_dump(mode="json"), *lines)
+
+
+def create(
+    *,
+    task: str,
+    rule: Rule = "half",
+    release: str | None = None,
+    seed: int = 0,
+    held_out: str | None = None,
+    n: int = 5,
+    train: tuple[str, ...] = (),
+    test: tuple[str, ...] = (),
+    train_preferences: str = "",
+    test_preferences: str = "",
+    default: bool = False,
+    registry: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Make a split of a release's partners, which other commands then know.
+
+    It is kept among your own: an official registry is never changed.
+    Where one is held out, training partners that act nearly as a test partner does are left out.
+
+    Args:
+        task: Task of the split.
+        rule: How the partners are divided.
+        release: Release of the partners; default the newest that has the task. own:v0 is one of
+            teams that you published.
+        seed: Seed of the rules half and small-train.
+        held_out: Algorithm or disability setting that a leave-one-out rule tests on.
+        n: Training partners of small-train.
+        train: Team ids or globs of a custom split's train side; repeat the option for more.
+        test: Team ids or globs of a custom split's test side.
+        train_preferences: What its humans like, such as p2,p3; those that the test side lacks.
+        test_preferences: What those of the test side like, such as p1,p5,p9, held out by any rule.
+        default: Make it the release's default split of the task, in a registry of your own.
+        registry: Registry of your own to write to, for a split of its partners.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo split create --task scratch --rule leave-one-disability-out --held-out d9
+    """
+    loaded = load_registry(registry)
+    sides = {"train": _teams(loaded, train), "test": _teams(loaded, test)}
+    split = create_split(
+        registry,
+        task=task,
+        release=release,
+        rule=rule,
+        seed=seed,
+        held_out=held_out,
+        n=n,
+        default=default,
+        train_preferences=parse_names(train_preferences),
+        test_preferences=parse_names(test_preferences),
+        **sides,
+    )
+    counts = f"{len(split.train)} train, {len(split.test)} test"
+    lines = [f"split {split.id}: {counts}"]
+    rest = {*partner_teams(loaded.data, task, split.release)} - {*split.train, *split.test}
+    if rest and rule in LEAVE_ONE_OUT:
+        twins = ", ".join(sorted(rest))
+        lines.append(f"left out, because they act nearly as a test partner does: {twins}")
+    answer(json, split.model_dump(mode="json"), *lines)
+
+
+def verify(id: str | None = None, *, registry: Path | None = None, json: bool = False) -> None:
+    """Check splits: sha256, known teams, nothing on both sides; exit code 1 if anything is wrong.
+
+    On both sides are also two humans that act nearly alike, which no hash shows;
+    `zoo/splitting/similar_humans.py` says how nearly.
+
+    Args:
+        id: A split's id; all splits if not given.
+        registry: Registry to read instead of the installed one.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo split verify
+    """
+    from zoo.splitting.similar_humans import similar_leak, similar_pairs
+
+    loaded = load_registry(registry, roots=False)
+    named = [loaded.split(id.partition("/")[0], id)] if id else loaded.splits
+    names = [split.id for split in named]
+    problems: dict[str, str] = {}
+    for name in names:
+        try:
+            alike = similar_pairs(loaded, loaded.split(name.partition("/")[0], name))
+            if alike:
+                problems[name] = str(similar_leak(name, alike))
+        except ZooError as error:
+            problems[name] = str(error)
+    told = f"{len(names) - len(problems)} of {len(names)} splits verified"
+    content = {"ok": not problems, "splits": names, "problems": problems}
+    answer(json, content, *problems.values(), told)
+    if problems:
+        raise SystemExit(1)
+
+
+def _teams(registry: Registry, patterns: tuple[str, ...]) -> list[str]:
+    entries = registry.select(patterns, role="human") if patterns else []
+    return sorted({entry.team for entry in entries})
+
+
+def _brief(split: Split) -> dict[str, Any]:
+    exclude = {"train", "test", "preferences"}
+    content = split.model_dump(mode="json", exclude=exclude, exclude_none=True)
+    return {**content, "n_train": len(split.train), "n_test": len(split.test)}

@@ -1,0 +1,93 @@
+"""The command that trains robots with frozen partners of the zoo, for zero-shot coordination."""
+
+import json as jsonlib
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from assistax_zoo.commands.options import Training, parse_names
+from assistax_zoo.commands.training.train import shown_training
+from assistax_zoo.shell.console import answer, command_line
+from zoo.registry import load_registry
+
+if TYPE_CHECKING:
+    from evaluation.ego_training import TrainedEgos
+
+
+def train_ego(
+    *,
+    task: str,
+    out: Path,
+    split: str | None = None,
+    algorithm: str = "ppo",
+    steps: str = "20M",
+    preferences: str | None = None,
+    training: Training = Training(),
+    registry: Path | None = None,
+    json: bool = False,
+    json_lines: bool = False,
+) -> None:
+    """Train robots with the partners of a split's training half, which stay as they are.
+
+    Every partner gets the same share of the simulations, under its own disability setting, and acts
+    with its most likely action. The test half is never loaded. The robots are written as policy
+    files, the seeds of one method.
+
+    Args:
+        task: Task, such as scratch.
+        out: Folder of the run; its folder policies holds a .safetensors file for each seed.
+        split: Split whose training half are the partners: an id or the beginning of one; default
+            the release's own.
+        algorithm: ppo or sac.
+        steps: Environment steps of each robot, such as 500k, 20M or 2e7; rounded up to whole
+            updates.
+        preferences: What the humans of a gentle task like, such as p2,p3, in turns; if not given,
+            those of the split's training half, or all, drawn anew each episode, where it holds
+            none out.
+        training: How it trains.
+        registry: Registry to read instead of the installed one.
+        json: Print the policy files as JSON at the end.
+        json_lines: Print a JSON object for each report on standard output instead of the live line.
+
+    Example:
+        assistax-zoo train-ego --task scratch --split half --algorithm ppo --seeds 16 --steps 20M
+        --out runs/ego
+    """
+    what = training.what(steps)
+    with shown_training(f"{task} {algorithm}", json_lines) as progress:
+        from evaluation.ego_training import prepare, train_egos
+        from evaluation.record.manifest import record_command
+        from population.runs.folder import RunFolder
+
+        prepared = prepare(
+            load_registry(registry),
+            task,
+            split=split,
+            algorithm=algorithm,
+            preferences=parse_names(preferences),
+            **what,
+        )
+        print(prepared.summary, file=sys.stderr)
+        finished = RunFolder(out).finished(prepared.config)
+        egos = train_egos(prepared, out, progress=progress, **training.how())
+    record_command(out, command_line(), filled=not finished)
+    _report(egos, json, json_lines)
+
+
+def _report(egos: "TrainedEgos", json: bool, json_lines: bool) -> None:
+    """Print the policy files."""
+    run = egos.run
+    result = {
+        "run": str(run.folder),
+        "split": egos.split.id,
+        "partners": len(run.config.partners),
+        "policies": [str(path) for path in egos.files],
+    }
+    files = egos.files[0] if len(egos.files) == 1 else egos.files[0].parent / "*.safetensors"
+    lines = [
+        f"{len(egos.files)} robots in {egos.files[0].parent}; next:",
+        f"assistax-zoo evaluate --task {run.config.task} --split both --policy "
+        f"{shlex.quote(str(files))}",
+    ]
+    answer(json, result, *([jsonlib.dumps(result)] if json_lines else lines))

@@ -1,0 +1,1 @@
+"""The command line around the commands: errors, interrupts, printing, the machine."""

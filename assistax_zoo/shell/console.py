@@ -1,0 +1,265 @@
+"""What every command shares: JSON on standard output, progress and messages on standard error."""
+
+import json
+import math
+import re
+import shlex
+import sys
+import time
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from assistax_base.errors import printable
+from assistax_envs.stdout import stdout_is_data as stdout_is_data
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from evaluation.play.runner import Progress
+    from population.runs.train import Progress as TrainingProgress
+
+SECONDS_BETWEEN_LINES = 10.0
+_COMMAND: list[str] = []
+
+
+def remember_command(words: Sequence[str]) -> None:
+    """Keep the words after the program's name, for `command_line`."""
+    _COMMAND[:] = words
+
+
+def command_line() -> str:
+    """Return the command that runs, as it would be typed."""
+    return shlex.join(["assistax-zoo", *_COMMAND])
+
+
+def print_json(value: Any) -> None:
+    """Print one JSON document on standard output; NaN and infinities become null.
+
+    What a terminal would obey, or could not show, is escaped as JSON escapes it.
+    """
+    text = json.dumps(_plain(value), indent=2, ensure_ascii=False)
+    print("\n".join(_escaped(line) for line in text.split("\n")), flush=True)
+
+
+def answer(json: bool, content: Any, *lines: str) -> None:
+    """Print what a command found: one JSON document, or lines for a reader.
+
+    Received text may be in a line: a terminal obeys none of it. What may hold line breaks is made
+    `printable` where it enters a line.
+    """
+    if json:
+        print_json(content)
+    else:
+        print("\n".join(map(_harmless, lines)))
+
+
+def confirm(question: str, changes: Sequence[str], yes: bool) -> bool:
+    """Show changes and return whether the user takes them; only a terminal is asked."""
+    lines = [printable(f"  {change}") for change in changes]
+    print(*lines, sep="\n", file=sys.stderr)
+    if yes or not sys.stdin.isatty():
+        return yes
+    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+def new_table(title: str) -> "Table":
+    """Return an empty table that fits 80 columns."""
+    from rich import box
+    from rich.table import Table
+
+    return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+
+
+def print_table(table: "Table") -> None:
+    """Print a table, 80 columns wide where no terminal says otherwise."""
+    from rich.console import Console
+
+    console = Console()
+    (console if console.is_terminal else Console(width=80)).print(table)
+
+
+@contextmanager
+def progress(
+    description: str, total: int, *, is_bytes: bool = False
+) -> Generator[Callable[[int], None]]:
+    """Show progress with the time left on standard error, in 80 columns.
+
+    A bar on a terminal, a line that changes in a notebook, else a line every ten seconds.
+
+    Args:
+        description: What is being done, such as "evaluate scratch".
+        total: Number of units of work.
+        is_bytes: Show the units as megabytes.
+
+    Yields:
+        `advance(n)`, to be called whenever n units are done.
+    """
+    if sys.stderr.isatty():
+        with _bar(description, total, is_bytes) as advance:
+            yield advance
+    else:
+        with _lines(description, total, is_bytes) as advance:
+            yield advance
+
+
+@contextmanager
+def study_progress(description: str) -> Generator[Callable[["Progress"], None]]:
+    """Yield a callback for `evaluation.studies`, which plays one kind of policies after another."""
+    with ExitStack() as stack:
+        advance: Callable[[int], None] | None = None
+        shown, done = ("", 0), 0
+
+        def show(state: "Progress") -> None:
+            nonlocal advance, shown, done
+            if not state.total:
+                return
+            if advance is None or shown != (state.what, state.total):
+                advance = stack.enter_context(
+                    progress(f"{description}, steps of {state.what}", state.total)
+                )
+                shown, done = (state.what, state.total), 0
+            advance(state.done - done)
+            done = state.done
+
+        yield show
+
+
+def chosen_progress(
+    progress: bool | Callable[..., None] | None,
+    shown: AbstractContextManager[Callable[..., None]],
+) -> AbstractContextManager[Callable[..., None] | None]:
+    """Return what a run tells of its progress: `shown` where True, else a function, or nothing."""
+    return shown if progress is True else nullcontext(progress or None)
+
+
+@contextmanager
+def _bar(description: str, total: int, is_bytes: bool) -> Generator[Callable[[int], None]]:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        DownloadColumn,
+        Progress,
+        TaskProgressColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+        TransferSpeedColumn,
+    )
+
+    done = (DownloadColumn(), TransferSpeedColumn()) if is_bytes else (TaskProgressColumn(),)
+    times = (TimeElapsedColumn(), "left", TimeRemainingColumn())
+    columns = ("{task.description}", BarColumn(bar_width=None), *done, *times)
+    with Progress(*columns, console=Console(stderr=True), expand=True) as bar:
+        task = bar.add_task(description, total=total)
+        yield lambda count: bar.advance(task, count)
+
+
+@contextmanager
+def _lines(description: str, total: int, is_bytes: bool) -> Generator[Callable[[int], None]]:
+    start, done = time.monotonic(), 0
+    first: tuple[float, int] | None = None  # when work was first told of, and how much of it
+
+    def figures() -> str:
+        if is_bytes:
+            return f"{done / 1e6:.1f}/{total / 1e6:.1f} MB"
+        return f"{done / 1e6:.2f}/{total / 1e6:.2f} M" if total >= 1e5 else f"{done}/{total}"
+
+    def advance(count: int) -> None:
+        nonlocal done, first
+        done += count
+        now = time.monotonic()
+        told = f"{description}: {figures()}, {now - start:.0f} s"
+        first = first or (now, done)  # compilation comes before it, and is not part of the speed
+        if done > first[1]:
+            told += f", {(now - first[0]) * (total - done) / (done - first[1]):.0f} s left"
+        line.show(told, last=done >= total)
+
+    with closing(Line()) as line:
+        yield advance
+
+
+class Line:
+    """Says how far work is: on one line that changes, or on a line every ten seconds."""
+
+    def __init__(self, shown: float | None = None) -> None:
+        """Wait before the first line, unless `shown`, the time of the last one, is long ago."""
+        notebook = type(sys.stderr).__name__ == "OutStream"  # ipykernel's
+        self._live, self._open = notebook or sys.stderr.isatty(), False
+        self._shown = time.monotonic() if shown is None else shown
+
+    def show(self, text: str, *, last: bool) -> None:
+        """Show the text, unless another was shown just now and more will come."""
+        pause = 0.5 if self._live else SECONDS_BETWEEN_LINES
+        if last or time.monotonic() - self._shown >= pause:
+            self._shown, self._open = time.monotonic(), self._live
+            start, end = ("\r", "\x1b[K") if self._live else ("", "\n")
+            print(f"{start}{text}", end=end, file=sys.stderr, flush=True)
+
+    def close(self) -> None:
+        """End the line, so that what follows starts on its own."""
+        if self._open:
+            print(file=sys.stderr, flush=True)
+
+
+class TrainingLine(Line):
+    """Says how far a training is; what training functions take as `progress`."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(-math.inf)
+        self._name, self._return = name, ""
+
+    def __call__(self, progress: "TrainingProgress") -> None:
+        mean = progress.rows["return"].mean()
+        self._return = self._return if mean is None else f"return {mean:.1f}"
+        reward = f"reward {progress.rows['reward'].mean():.2f} a step, no whole episode yet"
+        told = (
+            f"{self._name}: {_count(progress.steps)} of {_count(progress.total_steps)} steps, "
+            f"{progress.steps_per_second:,.0f} steps/s, {self._return or reward}, "
+            f"{_duration(progress.seconds_left)} left"
+        )
+        self.show(told, last=progress.update == progress.updates)
+
+
+def _count(steps: int) -> str:
+    for size, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if steps >= size:
+            return f"{steps / size:.2f}{unit}"
+    return str(steps)
+
+
+def _duration(seconds: float) -> str:
+    if seconds >= 3600:
+        return f"{seconds // 3600:.0f} h {seconds % 3600 // 60:.0f} min"
+    return f"{seconds // 60:.0f} min" if seconds >= 120 else f"{seconds:.0f} s"
+
+
+def _harmless(text: str) -> str:
+    """Replace what a terminal obeys, but for line breaks, and bold, which our tables have."""
+    parts = re.split("(\n|\033\\[[01]m)", text)
+    return "".join(part if i % 2 else printable(part) for i, part in enumerate(parts))
+
+
+def _escaped(line: str) -> str:
+    """Escape what is not printable in a line of JSON: only its strings have such characters."""
+    if line.isprintable():
+        return line
+    return "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in line)
+
+
+def _plain(value: Any) -> Any:
+    """Turn NumPy scalars and arrays, paths, sets and tuples into what JSON knows."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, set | frozenset):
+        return sorted(_plain(item) for item in value)
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,287 @@
+"""What of an installation is broken, what is missing, and what is there: one line each."""
+
+import dataclasses
+import json
+import os
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from assistax_base.errors import ZooError, printable, shorten
+from assistax_envs import compiled
+from assistax_zoo.shell.caches import KINDS, held
+from assistax_zoo.shell.requirements import extras, missing_of, required_python, version_of
+from zoo.history.merkle import root_problems
+from zoo.locations import (
+    CACHE_VARIABLE,
+    DATA_VARIABLE,
+    added_registries,
+    cache_root,
+    data_root,
+    default_remote,
+    registry_path,
+)
+from zoo.registry import Registry, load_registry
+from zoo.transport.other_zoos import added_remote
+from zoo.transport.remotes import TransientError, open_remote
+
+State = Literal["broken", "advice", "ok"]
+STATES: tuple[State, ...] = ("broken", "advice", "ok")  # as they are listed
+PROBE_SECONDS = 120.0  # for JAX to start: a driver may hang
+REMOTE_SECONDS = 5.0
+LITTLE_ROOM, NO_ROOM = 2_000_000_000, 100_000_000  # bytes of a disk
+PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "warp-lang", "flax", "numpy", "polars")
+NOT_FOR_USERS = ("dev", "docs")  # extras for who works on this project
+_GPU = Path("/proc/driver/nvidia/version")
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """One line about an installation."""
+
+    topic: str
+    state: State
+    text: str
+    details: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+
+def examine() -> list[Finding]:
+    """Return what was found, problems first; nothing is changed, and no check ends another."""
+    findings: list[Finding] = []
+    for topic, check in CHECKS.items():
+        try:
+            findings += check()
+        except (ZooError, ValueError, OSError) as error:
+            findings.append(Finding(topic, "broken", printable(str(error))))
+    return sorted(findings, key=lambda finding: STATES.index(finding.state))
+
+
+def _python() -> Iterator[Finding]:
+    wanted, version = required_python(), ".".join(map(str, sys.version_info[:3]))
+    right = wanted is None or wanted.contains(version)
+    state = "ok" if right else "broken"
+    text = f"Python {version}" if right else f"Python {version}; allowed is {wanted}"
+    yield Finding("python", state, f"{text}, {sys.executable}", {"version": version})
+
+
+def _packages() -> Iterator[Finding]:
+    for package in missing_of(""):
+        text = f"{package.told}; install it with: pip install '{package.requirement}'"
+        yield Finding("packages", "broken", text, {"package": package.name})
+    names = ("assistax-zoo", *PACKAGES)
+    versions = {name: found for name in names if (found := version_of(name))}
+    pairs = {versions.get(name, "").rpartition(".")[0] for name in ("mujoco", "mujoco-mjx")}
+    if len(pairs) > 1:
+        text = f"mujoco {versions.get('mujoco')} and mujoco-mjx {versions.get('mujoco-mjx')}"
+        yield Finding("packages", "broken", f"{text} must be of the same minor release")
+    text = ", ".join(f"{name} {version}" for name, version in versions.items())
+    yield Finding("packages", "ok", text, {"versions": versions})
+
+
+def _extras() -> Iterator[Finding]:
+    there = []
+    for name in extras():
+        missing = missing_of(name)
+        if not missing:
+            there.append(name)
+        elif name not in NOT_FOR_USERS:
+            text = f"{name} lacks {', '.join(package.told for package in missing)}; install it with"
+            yield Finding(
+                "extras",
+                "advice",
+                f"{text}: pip install 'assistax-zoo[{name}]'",
+                {"extra": name, "packages": [package.name for package in missing]},
+            )
+    yield Finding("extras", "ok", f"installed: {', '.join(there) or 'none'}", {"installed": there})
+
+
+def _machine() -> Iterator[Finding]:
+    found = _probe()
+    yield _jax(found["jax"])
+    if "error" in found["jax"]:
+        return
+    if error := found["backend"].get("error"):
+        yield Finding("backend", "broken", f"auto: {error}")
+    else:
+        auto = found["backend"]["found"]
+        yield Finding("backend", "ok", f"auto is {auto}", {"auto": auto})
+    yield from _compilers(found)
+
+
+def _compilers(found: Mapping[str, Any]) -> Iterator[Finding]:
+    if reason := found["fused"].get("found") or found["fused"].get("error"):
+        yield Finding("compilers", "advice", f"the fused engine cannot run here: {reason}")
+        return
+    for name in ("clang", "nvrtc"):
+        if error := found[name].get("error"):
+            yield Finding("compilers", "broken", f"{name} of warp-lang: {error}")
+        elif (seconds := found[name]["found"]) is not None:
+            text = f"{name} of warp-lang compiled a small program in {seconds:.1f} s"
+            yield Finding("compilers", "ok", text, {"compiler": name, "seconds": seconds})
+
+
+def _jax(found: Mapping[str, Any]) -> Finding:
+    chosen = os.environ.get("JAX_PLATFORMS", "")
+    told = f" (JAX_PLATFORMS is {shorten(chosen)})" if chosen else ""
+    if "error" in found:
+        return Finding("jax", "broken", f"{found['error']}{told}")
+    platform, devices = found["found"]["platform"], found["found"]["devices"]
+    text = f"{len(devices)} {platform} device{'s' * (len(devices) > 1)}: {devices[0]}{told}"
+    if platform == "cpu" and _GPU.exists() and not chosen:
+        text += "; this machine has an NVIDIA GPU, use it with: pip install 'jax[cuda12]'"
+        return Finding("jax", "advice", text, found["found"])
+    return Finding("jax", "ok", text, found["found"])
+
+
+def _probe() -> dict[str, Any]:
+    """Return what `assistax_zoo.shell.probe` finds; a process that ends badly is JAX's error."""
+    root = str(Path(__file__).resolve().parents[2])
+    path = os.pathsep.join(part for part in (root, os.environ.get("PYTHONPATH")) if part)
+    command = [sys.executable, "-P", "-m", "assistax_zoo.shell.probe"]
+    environment = {**os.environ, "PYTHONPATH": path}
+    try:
+        done = subprocess.run(
+            command, env=environment, capture_output=True, text=True, timeout=PROBE_SECONDS
+        )
+        return json.loads(done.stdout)
+    except subprocess.TimeoutExpired:
+        reason = f"JAX did not start within {PROBE_SECONDS:.0f} s"
+    except ValueError:
+        lines = done.stderr.strip().splitlines() or ["nothing"]
+        reason = f"a process with JAX ended with code {done.returncode}: {lines[-1][:300]}"
+    return {"jax": {"error": printable(reason)}}
+
+
+def _cache() -> Iterator[Finding]:
+    for kind in KINDS:
+        found = held(kind)
+        text = f"{kind}: {found.files} files, {found.bytes / 1e6:.1f} MB in {found.folder}"
+        yield Finding("cache", "ok", text, vars(found))
+    own, chosen = str(cache_root() / "xla"), os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    if chosen and chosen != own:
+        text = f"programs that JAX compiles are kept in {shorten(chosen)}, not in {own}"
+        yield Finding("cache", "ok", f"{text}: JAX_COMPILATION_CACHE_DIR says so")
+
+
+def _disks() -> Iterator[Finding]:
+    folders = {"cache": (cache_root(), CACHE_VARIABLE), "data": (data_root(), DATA_VARIABLE)}
+    programs = compiled.folder()
+    folders["fused engine's cache"] = (programs, compiled.VARIABLE)
+    if programs.is_dir() and (reason := compiled.refused(programs)):
+        yield Finding("compilers", "broken", reason, {"folder": str(programs)})
+    for name, (folder, variable) in folders.items():
+        here = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        free = shutil.disk_usage(here).free
+        details = {"folder": str(folder), "free_bytes": free}
+        text = f"{name} {folder}: {free / 1e9:.1f} GB free"
+        if not here.is_dir() or not os.access(here, os.W_OK | os.X_OK):
+            text = f"{name} {folder} cannot be written; choose another folder with ${variable}"
+            yield Finding("disk", "broken", text, details)
+        elif free < LITTLE_ROOM:
+            state = "broken" if free < NO_ROOM else "advice"
+            text += f"; make room, or choose another folder with ${variable}"
+            yield Finding("disk", state, text, details)
+        else:
+            yield Finding("disk", "ok", text, details)
+
+
+def _registry() -> Iterator[Finding]:
+    registry = load_registry(registry_path())
+    yield from _roots("registry", str(registry.path), registry)
+
+
+def _added() -> Iterator[Finding]:
+    for namespace, path in added_registries().items():
+        try:
+            source = printable(added_remote(namespace) or "no recorded address")
+            yield from _roots("added", f"{namespace} of {source}", load_registry(path))
+        except (ZooError, OSError, ValueError) as error:
+            text = f"{namespace}: {printable(str(error))}; add it again, or: assistax-zoo remove"
+            yield Finding("added", "broken", f"{text} {namespace}", {"name": namespace})
+    if not added_registries():
+        yield Finding("added", "ok", "no zoo of others was added")
+
+
+def _roots(topic: str, name: str, registry: Registry) -> Iterator[Finding]:
+    """Yield whether a registry's releases are what their roots say, and what it holds."""
+    problems = root_problems(registry.data)
+    for problem in problems:
+        yield Finding(topic, "broken", f"{name}: {printable(problem)}")
+    absent = _absent(registry)
+    shards = len(registry.data.shards)
+    details = {
+        "path": str(registry.path),
+        "releases": list(registry.data.releases),
+        "policies": len(registry.policies),
+        "shards": shards,
+        "absent_shards": absent,
+        "roots": not problems,
+    }
+    if not problems:
+        here = f"{shards - absent} of {shards} shards here"
+        text = f"{len(registry.policies)} policies, {here}, releases"
+        text = f"{name}: {text} {', '.join(registry.data.releases)}, roots hold"
+        yield Finding(topic, "ok", text, details)
+
+
+def _absent(registry: Registry) -> int:
+    return sum(not registry.shard_path(shard).is_file() for shard in registry.data.shards)
+
+
+def _absent_by_default() -> int:
+    try:
+        return _absent(load_registry(registry_path()))
+    except ZooError:  # told of the registry itself
+        return 0
+
+
+def _remote() -> Iterator[Finding]:
+    name, absent = default_remote(), _absent_by_default()
+    if name is None:
+        text = "none is named, and none is needed: all shards are here"
+        if absent:
+            text = f"none is named, and {absent} shards are not here; name one with: assistax-zoo"
+            text += " config remote hf://org/name"
+        yield Finding("remote", "broken" if absent else "ok", text, {"name": None})
+        return
+    problem = _unreachable(name)
+    state = "ok" if problem is None else "broken" if absent else "advice"
+    told = problem or "it answers"
+    yield Finding(
+        "remote", state, printable(f"{name}: {told}"), {"name": name, "answers": not problem}
+    )
+
+
+def _unreachable(name: str) -> str | None:
+    """Return why a remote's registry cannot be read, None where it can; wait a few seconds."""
+    told: list[str | None] = []
+
+    def ask() -> None:
+        try:
+            with open_remote(name).open("registry.json") as (_, chunks):
+                next(chunks, b"")
+            told.append(None)
+        except (ZooError, TransientError, OSError, ValueError) as error:
+            told.append(str(error))
+
+    asking = threading.Thread(target=ask, daemon=True)
+    asking.start()
+    asking.join(REMOTE_SECONDS)
+    return told[0] if told else f"no answer within {REMOTE_SECONDS:.0f} s"
+
+
+CHECKS: dict[str, Callable[[], Iterator[Finding]]] = {
+    "python": _python,
+    "packages": _packages,
+    "extras": _extras,
+    "jax": _machine,
+    "cache": _cache,
+    "disk": _disks,
+    "registry": _registry,
+    "added": _added,
+    "remote": _remote,
+}

@@ -1,0 +1,218 @@
+"""The command line: which commands there are, and what happens when one fails.
+
+Commands are registered by import path, so that `assistax-zoo list` never pays for JAX, MuJoCo or
+matplotlib.
+"""
+
+import contextlib
+import inspect
+import os
+import re
+import sys
+from collections.abc import Sequence
+
+from cyclopts import App, CycloptsError, Parameter
+
+from assistax_base.errors import ZooError, printable
+from assistax_zoo.shell.console import remember_command
+from assistax_zoo.shell.installed import check_installed, installed_commands, installed_groups
+from assistax_zoo.shell.interrupts import EXIT_INTERRUPT, end_now, ended_by_interrupts, interrupted
+from zoo.locations import cache_root
+
+DEBUG_VARIABLE = "ASSISTAX_ZOO_DEBUG"
+EXIT_ERROR, EXIT_USAGE, EXIT_BROKEN_PIPE = 1, 2, 141
+
+COMMANDS = {
+    "list": "assistax_zoo.commands.partners.listing:list_policies",
+    "show": "assistax_zoo.commands.partners.listing:show",
+    "verify": "assistax_zoo.commands.partners.listing:verify",
+    "fetch": "assistax_zoo.commands.partners.remote:fetch",
+    "add": "assistax_zoo.commands.partners.remote:add",
+    "remove": "assistax_zoo.commands.partners.remote:remove",
+    "lock": "assistax_zoo.commands.partners.remote:lock",
+    "export": "assistax_zoo.commands.partners.export:export",
+    "cite": "assistax_zoo.commands.partners.cite:cite",
+    "evaluate": "assistax_zoo.commands.evaluation.evaluate:evaluate",
+    "crossplay": "assistax_zoo.commands.evaluation.evaluate:crossplay",
+    "compare": "assistax_zoo.commands.evaluation.report:compare",
+    "strategies": "assistax_zoo.commands.evaluation.report:strategies",
+    "report": "assistax_zoo.commands.evaluation.report:report",
+    "replay": "assistax_zoo.commands.partners.provenance:replay",
+    "train": "assistax_zoo.commands.training.train:train",
+    "train-ego": "assistax_zoo.commands.training.train_ego:train_ego",
+    "render": "assistax_zoo.commands.evaluation.render:render",
+    "trajectories": "assistax_zoo.commands.evaluation.trajectories:trajectories",
+    "doctor": "assistax_zoo.commands.machine.doctor:doctor",
+    "cache": "assistax_zoo.commands.machine.cache:cache",
+    "split.list": "assistax_zoo.commands.partners.split:list_splits",
+    "split.show": "assistax_zoo.commands.partners.split:show",
+    "split.create": "assistax_zoo.commands.partners.split:create",
+    "split.verify": "assistax_zoo.commands.partners.split:verify",
+    "config.remote": "assistax_zoo.commands.partners.remote:config_remote",
+    "plot.crossplay": "assistax_zoo.commands.evaluation.plot:crossplay",
+    "plot.zsc": "assistax_zoo.commands.evaluation.plot:zsc",
+    "plot.disability": "assistax_zoo.commands.evaluation.plot:disability",
+    "plot.preference": "assistax_zoo.commands.evaluation.plot:preference",
+    "plot.profile": "assistax_zoo.commands.evaluation.plot:profile",
+    "plot.curves": "assistax_zoo.commands.evaluation.plot:curves",
+    "plot.speed": "assistax_zoo.commands.evaluation.plot:speed",
+    "plot.sweep": "assistax_zoo.commands.evaluation.plot:sweep",
+    "plot.population": "assistax_zoo.commands.evaluation.plot:population",
+    "cache.clean": "assistax_zoo.commands.machine.cache:clean_cache",
+}
+GROUPS = {  # words that are no command alone
+    "split": "Train and test halves of the partners.",
+    "config": "Settings of this machine.",
+    "plot": "Figures from saved tables.",
+}
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code: 0 done, 1 error, 2 wrong usage, 130 interrupted.
+
+    An error is one message on standard error; ASSISTAX_ZOO_DEBUG=1 raises it instead, with its
+    traceback.
+
+    Args:
+        arguments: Words of the command line after the program's name. Without them they are
+            `sys.argv[1:]`, this process is the command's own, and Ctrl-C ends it.
+    """
+    if arguments is not None:
+        code = _run(arguments)
+        return _fail("interrupted", code) if code == EXIT_INTERRUPT else code
+    try:
+        with contextlib.ExitStack() as stack:
+            try:
+                stack.enter_context(ended_by_interrupts())
+            except (OSError, RuntimeError) as error:  # no more files, no more threads
+                return _fail(_message(error), EXIT_ERROR)
+            code = _run(sys.argv[1:])
+            if code == EXIT_INTERRUPT:
+                end_now()
+            return code
+    except KeyboardInterrupt:  # in the midst of telling an error, or on the way out
+        end_now()
+
+
+def _run(arguments: Sequence[str]) -> int:
+    _use_compilation_cache()
+    try:
+        _check_stdout()
+        app = build_app()
+        _add_subcommands(app, arguments)
+        _complete_help(app, arguments)
+        remember_command(arguments)
+        check_installed(arguments)
+        app(arguments, print_error=False, exit_on_error=False, result_action="return_value")
+        sys.stdout.flush()
+    except CycloptsError as error:
+        return _fail(
+            f"{error}\ntry: {' '.join(('assistax-zoo', *(error.command_chain or ())))} --help",
+            EXIT_USAGE,
+        )
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPT
+    except BrokenPipeError:
+        _silence_stdout()
+        return EXIT_BROKEN_PIPE
+    except Exception as error:
+        if interrupted():
+            return EXIT_INTERRUPT
+        if os.environ.get(DEBUG_VARIABLE):
+            raise
+        return _fail(_message(error), EXIT_ERROR)
+    return 0
+
+
+def all_commands() -> dict[str, str]:
+    """Return the import path of each command: "list", "split.create", "train.population"."""
+    return {**COMMANDS, **installed_commands()}
+
+
+def all_groups() -> dict[str, str]:
+    """Return the text of each word that is no command alone."""
+    return {**GROUPS, **installed_groups()}
+
+
+def build_app() -> App:
+    """Return the app with every command registered, none of them imported."""
+    app = App(
+        name="assistax-zoo",
+        help="Pretrained partners for assistive robots, and the evaluation of robots against them.",
+        version=_version,
+        default_parameter=Parameter(negative_iterable=()),  # no --empty-policy beside --policy
+        suppress_keyboard_interrupt=False,
+    )
+    groups = {name: App(name=name, help=text) for name, text in all_groups().items()}
+    for name, path in all_commands().items():
+        first, dot, second = name.partition(".")
+        if not dot:
+            app.command(path, name=name)
+        elif first in groups:
+            groups[first].command(path, name=second)
+    for group in groups.values():
+        app.command(group)
+    app.register_install_completion_command(help="Complete commands and options in this shell.")
+    return app
+
+
+def _add_subcommands(app: App, arguments: Sequence[str]) -> None:
+    """Register the commands under one that also runs alone: it is loaded, so only if named."""
+    for name, path in all_commands().items():
+        first, dot, second = name.partition(".")
+        if dot and first not in all_groups() and [first] == [*arguments[:1]]:
+            app[first].command(path, name=second)
+
+
+def _complete_help(app: App, arguments: Sequence[str]) -> None:
+    """Load what a group's help lists; end a command's help with its docstring's example."""
+    named = app.parse_commands([word for word in arguments if word not in app.help_flags])[1][-1]
+    named.resolved_commands()
+    if named.default_command is None:
+        return
+    docstring = inspect.getdoc(named.default_command) or ""
+    if example := re.search(r"^Examples?:\n(?:(?: {4}.*)?\n?)+", docstring, re.MULTILINE):
+        named.help_epilogue = example.group().strip().replace(":\n", ":\n\n", 1)
+
+
+def _use_compilation_cache() -> None:
+    """Tell JAX, before a command imports it, to keep what it compiles for the next process."""
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache_root() / "xla"))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("assistax-zoo")
+    except PackageNotFoundError:
+        return "unknown: assistax-zoo is not installed, this is a bare checkout"
+
+
+def _message(error: Exception) -> str:
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return printable(f"{error.strerror}: {error.filename}")
+    if isinstance(error, ZooError | ValueError | TypeError | OSError):
+        return printable(str(error))  # it may name what a stranger wrote
+    if isinstance(error, MemoryError) or "can't start new thread" in str(error):
+        return "this process may take no more memory, or start no more threads; see `ulimit -a`"
+    first_line = printable(str(error).partition("\n")[0])
+    hint = f"this is unexpected: {DEBUG_VARIABLE}=1 shows where it happened"
+    return f"{type(error).__name__}: {first_line}\n{hint}"
+
+
+def _fail(message: str, code: int) -> int:
+    print(f"error: {message}", file=sys.stderr)
+    return code
+
+
+def _check_stdout() -> None:
+    """Say it now, not after the work, that there is nowhere to print to."""
+    if sys.stdout is None:
+        raise ValueError("standard output is closed; direct it to a file, or to /dev/null")
+
+
+def _silence_stdout() -> None:
+    """Point standard output at nothing: the interpreter's flush on exit would fail again."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,0 +1,63 @@
+"""Where robots are handed in: a queue of its own, in which nobody who reads has to wait."""
+
+import asyncio
+import contextlib
+from collections import Counter
+from collections.abc import Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from assistax_board.problems import Problem
+
+AT_ONCE = 2  # files that are looked at
+WAITING = 16  # files that are looked at or wait for it
+FORMS = 4  # forms with files that arrive, whoever sends them
+OF_OWNER = 4  # requests of one lab, those whose bodies still arrive too
+
+
+class Desk:
+    """Takes robots in, a few at a time. Everything runs in the server's event loop."""
+
+    def __init__(self) -> None:
+        self._threads = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="desk")
+        self._owners: Counter[str] = Counter()
+        self._waiting = self._forms = 0
+
+    @contextlib.contextmanager
+    def form(self) -> Generator[None]:
+        """Keep a place for a form whose sender is not known before it was read.
+
+        Raises:
+            Problem: Too many arrive now.
+        """
+        if self._forms >= FORMS:
+            raise Problem("unavailable", "many forms are being sent; try again soon", 5)
+        self._forms += 1
+        try:
+            yield
+        finally:
+            self._forms -= 1
+
+    @contextlib.contextmanager
+    def place(self, owner: str) -> Generator[None]:
+        """Keep a place for a request of a lab while the block runs.
+
+        Raises:
+            Problem: Too many wait; whoever asks again soon has a turn.
+        """
+        if self._owners[owner] >= OF_OWNER or self._waiting >= WAITING:
+            raise Problem("unavailable", "many robots are being handed in; try again soon", 5)
+        self._owners[owner] += 1
+        try:
+            yield
+        finally:
+            self._owners[owner] -= 1
+            self._owners += Counter()  # forgets who has none
+
+    async def run(self, function: Callable[..., Any], *args: Any) -> Any:
+        """Return what a function returns, which runs in a thread of the desk."""
+        self._waiting += 1
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._threads, function, *args)
+        finally:
+            self._waiting -= 1

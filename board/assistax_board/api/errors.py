@@ -1,0 +1,89 @@
+"""One form for every error: {"error": {"code", "message"}}, without traceback or values."""
+
+import logging
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse, Response
+from pydantic import BaseModel
+from sqlalchemy.exc import InterfaceError, OperationalError
+from starlette.exceptions import HTTPException
+
+from assistax_board.problems import CODES, Problem
+
+log = logging.getLogger("assistax_board")
+_STATUS_CODES = {404: "not_found", 405: "invalid", 413: "too_large"}
+
+
+class ErrorText(BaseModel):
+    """A code for programs and a message for people."""
+
+    code: str
+    message: str
+
+
+class ErrorAnswer(BaseModel):
+    """The body of every answer that is not a success."""
+
+    error: ErrorText
+
+
+# For OpenAPI: what any operation may answer besides its own.
+RESPONSES: dict[int | str, dict[str, Any]] = {
+    status: {"model": ErrorAnswer} for status in sorted({*CODES.values(), 400, 500})
+}
+
+
+def add_error_handlers(app: FastAPI) -> None:
+    """Answer every error in the one form; a browser on a page gets a page of it."""
+
+    @app.exception_handler(Problem)
+    def problem(request: Request, error: Problem) -> Response:
+        after = error.retry_after
+        headers = None if after is None else {"Retry-After": str(after)}
+        return _answer(request, CODES[error.code], error.code, error.message, headers)
+
+    @app.exception_handler(RequestValidationError)
+    def invalid(request: Request, error: RequestValidationError) -> Response:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        return _answer(request, 422, "invalid", f"{place}: {first['msg']}")
+
+    @app.exception_handler(HTTPException)
+    def other(request: Request, error: HTTPException) -> Response:
+        code = _STATUS_CODES.get(error.status_code, "invalid")
+        headers = dict(error.headers or {})
+        return _answer(request, error.status_code, code, str(error.detail), headers)
+
+    @app.exception_handler(OperationalError)
+    @app.exception_handler(InterfaceError)
+    def no_database(request: Request, error: Exception) -> Response:
+        # It is away, full or busy. Who asks again does no harm: every request names itself.
+        log.error("no database", extra={"fields": {"error": type(error).__name__}})
+        message = "the database does not answer; try again soon"
+        return _answer(request, 503, "unavailable", message, {"Retry-After": "5"})
+
+    @app.exception_handler(Exception)
+    def unexpected(request: Request, error: Exception) -> Response:
+        # Its text may hold anything, hidden values too: the class and the place are enough.
+        place = error.__traceback__
+        while place is not None and place.tb_next is not None:
+            place = place.tb_next
+        line = f"{place.tb_frame.f_code.co_filename}:{place.tb_lineno}" if place else "?"
+        log.error("unexpected", extra={"fields": {"error": type(error).__name__, "at": line}})
+        message = "something broke; the organiser finds it in the log"
+        return _answer(request, 500, "unexpected", message)
+
+
+def _answer(
+    request: Request, status: int, code: str, message: str, headers: dict[str, str] | None = None
+) -> Response:
+    page = getattr(request.app.state, "error_page", None)
+    reads_pages = "text/html" in request.headers.get("accept", "")
+    if page is not None and reads_pages and not request.url.path.startswith("/api/"):
+        answer: Response = page(request, status, message)
+        answer.headers.update(headers or {})
+        return answer
+    content = {"error": {"code": code, "message": message}}
+    return JSONResponse(content, status, headers=headers)

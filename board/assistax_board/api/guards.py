@@ -1,0 +1,194 @@
+"""What stands before every request: size, rate, and who asks."""
+
+import asyncio
+import math
+import time
+from collections.abc import Callable
+from typing import Annotated, Any
+
+from fastapi import Depends, Request, Security
+from fastapi.exceptions import RequestValidationError
+from fastapi.security import HTTPBearer
+from limits import RateLimitItem, parse
+from limits.storage import MemoryStorage
+from limits.strategies import MovingWindowRateLimiter
+from pydantic import BaseModel, ValidationError
+
+from assistax_board.problems import CODES, Problem
+from assistax_board.rules.scoring import MAX_TABLE_BYTES
+from assistax_board.rules.submissions import MAX_BYTES
+from assistax_board.rules.tokens import Principal, authenticate
+from assistax_board.vocabulary import Scope
+
+SMALL_BODY = 64 * 1024  # of JSON and of forms without files
+MAX_BODY = MAX_BYTES + SMALL_BODY  # a file and the fields of a form
+# What may be larger: a robot, a worker's result, the observations of a live robot's batch.
+_LARGE = {"/api/submissions": MAX_BODY, "/submit": MAX_BODY}
+_LARGE_WORK = ("/result", "/ask")
+BODY_SECONDS = 120.0  # for a whole body to arrive: a client may be slow, but not for ever
+
+READ, SUBMIT, SIGN_IN = parse("1200/minute"), parse("60/hour"), parse("30/minute")
+PAGES = parse("3000/minute")  # one address may be a whole institute's
+FILMS = parse("20/hour")  # that are asked for: each takes a core for half a minute
+FORM = parse("20/minute")  # forms with files, whose token can be read only with the file
+UPGRADE = parse("120/minute")  # live connections: a client that lost one tries once a second
+
+
+class Limiter:
+    """Counts requests in moving windows, in this process's memory."""
+
+    def __init__(self) -> None:
+        self._windows = MovingWindowRateLimiter(MemoryStorage())
+
+    def hit(self, rate: RateLimitItem, who: str) -> None:
+        """Count a request.
+
+        Raises:
+            Problem: It is one too many.
+        """
+        if not self._windows.hit(rate, str(rate), who):
+            wait = self._windows.get_window_stats(rate, str(rate), who).reset_time - time.time()
+            message = f"more than {rate}; wait and try again"
+            raise Problem("too_many_requests", message, max(1, math.ceil(wait)))
+
+
+class HeadAsGet:
+    """ASGI middleware: HEAD is answered as GET is, without the body."""
+
+    def __init__(self, app: Any) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        """Pass a request on."""
+        if scope["type"] != "http" or scope["method"] != "HEAD":
+            await self._app(scope, receive, send)
+            return
+
+        async def without_body(message: Any) -> None:
+            if message["type"] == "http.response.body":
+                message = {**message, "body": b""}
+            await send(message)
+
+        await self._app({**scope, "method": "GET"}, receive, without_body)
+
+
+class BodyLimit:
+    """ASGI middleware: a body that is too large, or too slow, is not read to its end."""
+
+    def __init__(self, app: Any, *, most: int = MAX_BODY, seconds: float = BODY_SECONDS) -> None:
+        self._app, self._most, self._seconds = app, most, seconds
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        """Pass a request on, counting what arrives of it."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        most = min(self._most, largest_body(scope["path"]))
+        told = dict(scope["headers"]).get(b"content-length", b"0")
+        if not told.isdigit() or int(told) > most:
+            await _answer(send, Problem("too_large", f"this request has at most {most} bytes"))
+            return
+        await self._app(scope, self._counted(receive, most), send)
+
+    def _counted(self, receive: Any, most: int) -> Callable[[], Any]:
+        loop = asyncio.get_running_loop()
+        seen, whole, end = 0, False, loop.time() + self._seconds
+
+        async def counted() -> Any:
+            nonlocal seen, whole
+            if whole:  # what comes now is the connection's end: wait for that as long as it takes
+                return await receive()
+            try:
+                message = await asyncio.wait_for(receive(), max(0.0, end - loop.time()))
+            except TimeoutError:
+                return {"type": "http.disconnect"}
+            seen += len(message.get("body", b""))
+            whole = not message.get("more_body", False)
+            return {"type": "http.disconnect"} if seen > most else message
+
+        return counted
+
+
+def largest_body(path: str) -> int:
+    """Return how many bytes the body of a request to this path may have."""
+    if path.startswith("/api/work/") and path.endswith(_LARGE_WORK):
+        return MAX_TABLE_BYTES + SMALL_BODY
+    return _LARGE.get(path, SMALL_BODY)
+
+
+def json_body(model: type[BaseModel]) -> tuple[Any, dict[str, Any]]:
+    """Return a dependency that reads a body of a model, and what OpenAPI says of it.
+
+    FastAPI would read a body before it asks who sends it; a dependency has its turn after those
+    that stand before it.
+    """
+
+    async def read(request: Request) -> BaseModel:
+        try:
+            return model.model_validate_json(await request.body())
+        except ValidationError as error:
+            errors = error.errors(include_url=False)
+            found = [{**one, "loc": ("body", *one["loc"])} for one in errors]
+            raise RequestValidationError(found) from None
+
+    content = {"application/json": {"schema": model.model_json_schema()}}
+    return Depends(read), {"requestBody": {"required": True, "content": content}}
+
+
+def client_of(request: Request) -> str:
+    """Return the address that a request came from."""
+    return request.client.host if request.client else "unknown"
+
+
+def count_read(request: Request) -> None:
+    """Count a request that needs no token, by its address."""
+    request.app.state.limiter.hit(READ, client_of(request))
+
+
+_BEARER = HTTPBearer(
+    auto_error=False, scheme_name="token", description="From the organiser, such as azt_..."
+)
+
+
+def count_page(request: Request) -> None:
+    """Count a page, by the address of its reader."""
+    request.app.state.limiter.hit(PAGES, client_of(request))
+
+
+def signed_in(scope: Scope) -> Any:
+    """Return a dependency: the owner of the token in the header, if it may do this."""
+
+    def check(request: Request, sent: Annotated[Any, Security(_BEARER)]) -> Principal:
+        return sign_in(request, sent.credentials if sent else "", scope)
+
+    return Depends(check)
+
+
+def sign_in(request: Request, token: str, scope: Scope) -> Principal:
+    """Return the owner of a token that came with a request, if it may do this."""
+    try:
+        if not token:
+            raise Problem("not_signed_in", "send a token: Authorization: Bearer TOKEN")
+        principal = authenticate(request.app.state.service.database, token)
+    except Problem:
+        request.app.state.limiter.hit(SIGN_IN, client_of(request))  # guessing is slow
+        raise
+    if scope not in principal.scopes:
+        raise Problem("not_allowed", f"this token may not {scope}; ask the organiser for one")
+    request.state.token = principal.token
+    return principal
+
+
+Submitter = Annotated[Principal, signed_in("submit")]
+Worker = Annotated[Principal, signed_in("work")]
+Organiser = Annotated[Principal, signed_in("organise")]
+
+
+async def _answer(send: Any, problem: Problem) -> None:
+    import json
+
+    body = json.dumps({"error": {"code": problem.code, "message": problem.message}}).encode()
+    headers = [(b"content-type", b"application/json"), (b"connection", b"close")]
+    status = CODES[problem.code]
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": body})

@@ -1,0 +1,95 @@
+"""What a submitter may do: hand in and take back."""
+
+import dataclasses
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query, Request
+
+from assistax_board.api.errors import RESPONSES
+from assistax_board.api.guards import SUBMIT, Submitter
+from assistax_board.problems import Problem
+from assistax_board.rules.submissions import Draft
+from assistax_board.rules.tokens import Principal
+from assistax_board.store.queries import Submission
+
+router = APIRouter(prefix="/api", tags=["submit"], responses=RESPONSES)
+
+Text = Annotated[str, Query(min_length=1, max_length=80)]
+_FILE = {
+    "requestBody": {
+        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
+    }
+}
+
+
+async def whole_body(request: Request) -> bytes:
+    """Return the body; `BodyLimit` has bounded it."""
+    return await request.body()
+
+
+@router.post("/submissions", status_code=201, openapi_extra=_FILE)
+async def submit(
+    request: Request,
+    principal: Submitter,
+    task: Text,
+    method: Text,
+    request_id: Annotated[str, Query(min_length=8, max_length=64)],
+    licence: Text = "evaluation-only",
+    season: Annotated[str | None, Query(max_length=80)] = None,
+    kind: Literal["file", "live"] = "file",
+) -> Submission:
+    """Hand in a robot: the body is its file, empty for a live one.
+
+    `request_id` is chosen by you: if no answer arrives, send the same again, and it is one
+    submission.
+    """
+    with request.app.state.desk.place(str(principal.submitter)):
+        body = await whole_body(request)
+        data = body if body or kind == "file" else None
+        draft = Draft(task, method, request_id, licence, season, kind, data)
+        return await hand_in(request, principal, draft)
+
+
+async def hand_in(request: Request, principal: Principal, draft: Draft) -> Submission:
+    """Take in what a token's owner drafted; its season may be given by name."""
+    state = request.app.state
+    state.limiter.hit(SUBMIT, principal.token)
+    return await state.desk.run(_hand_in, state.service, str(principal.submitter), draft)
+
+
+def _hand_in(service: Any, submitter: str, draft: Draft) -> Submission:
+    found = service.queries.season(draft.season) if draft.season else None
+    if draft.season and found is None:
+        raise Problem("not_found", f"no season {draft.season!r}; GET /api/seasons lists them")
+    draft = dataclasses.replace(draft, season=found.id if found else None)
+    return service.queries.submission(service.submit(submitter, draft))
+
+
+@router.post("/submissions/{id}/withdraw")
+def withdraw(request: Request, principal: Submitter, id: str) -> Submission:
+    """Take a submission back; its attempt is refunded unless it met hidden partners.
+
+    A scored one leaves its board; its score, its attempt and its receipt stay known.
+    """
+    service = request.app.state.service
+    service.withdraw(id, str(principal.submitter))
+    return service.queries.submission(id)
+
+
+@router.post("/seasons/{id}/entries")
+def enter(
+    request: Request,
+    principal: Submitter,
+    id: str,
+    submission: Annotated[list[str] | None, Query(max_length=20)] = None,
+) -> list[Submission]:
+    """Choose what plays panel B, in place of what was chosen before; return what is chosen.
+
+    At most two methods, each with the submissions that are its seeds. Without any choice it is the
+    submission whose score on panel A was shown last.
+    """
+    service, submitter = request.app.state.service, str(principal.submitter)
+    service.enter(id, submitter, submission or [])
+    season = service.queries.season(id)
+    mine = service.queries.submissions(submitter=submitter, season=season.id, limit=1000)
+    return [one for one in mine if one.entered]

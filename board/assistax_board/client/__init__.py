@@ -1,0 +1,1 @@
+"""Who speaks to a board: a laboratory's client, and checks of what a board says."""

@@ -1,0 +1,195 @@
+"""What a submitter's command does: check at home, hand in, watch, verify."""
+
+import dataclasses
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from assistax_board.client.client import Client
+from assistax_board.commands.commands import BACKEND
+from assistax_board.ids import new_id
+from assistax_board.problems import Refusal
+from assistax_board.robots.admission import Admission, robot_sizes
+from assistax_board.rules import results, seasons
+from assistax_board.rules.catalogue import (
+    CHUNK,
+    PUBLIC_SEED,
+    ZooCatalogue,
+    panel_episodes,
+    version_id,
+)
+from assistax_board.rules.scoring import Work, cut
+from assistax_board.rules.submissions import MAX_BYTES
+from assistax_board.vocabulary import FINAL_STATES
+from assistax_board.work.zoo_scorer import ZooScorer
+from assistax_envs.preferences import preferences_of
+
+CHECK_PARTNERS, CHECK_EPISODES = 3, 2
+POLL_SECONDS = 3.0  # fifty watchers at one address are below its rate
+
+
+def read_file(path: Path) -> bytes:
+    """Return a robot's file, or that of a robot of the zoo; one that is too large is not read."""
+    if not path.exists() and not path.suffix:
+        return _robot_of_zoo(str(path))
+    if not path.is_file():
+        raise ValueError(f"{path} is no file; give a .safetensors, an .onnx or an id of the zoo")
+    if path.stat().st_size > MAX_BYTES:
+        raise Refusal("too_large", f"{path.stat().st_size} bytes")
+    return path.read_bytes()
+
+
+def _robot_of_zoo(id: str) -> bytes:
+    from zoo.export import export_policy
+    from zoo.registry import load_registry
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "robot.safetensors"
+        export_policy(id, "safetensors", path, load_registry)
+        return path.read_bytes()
+
+
+def check_file(
+    path: Path, task: str, registry: Path | None = None, *, whole: bool = False
+) -> dict[str, Any]:
+    """Run the server's admission here, and a few episodes with public partners.
+
+    Args:
+        path: The robot's file, or the id of a robot of the zoo.
+        task: Task.
+        registry: Registry of the public partners instead of the installed one.
+        whole: Play the public half as the server does, job by job, and return its figures.
+
+    Raises:
+        Refusal: What the server would say.
+    """
+    from zoo.registry import load_registry
+
+    loaded = load_registry(registry)
+    data = read_file(path)
+    sizes = robot_sizes(loaded)
+    if task not in sizes:
+        raise ValueError(f"task is {task!r}; allowed are {', '.join(sizes)}")
+    format = Admission(sizes)(data, task)
+    catalogue = ZooCatalogue(loaded, BACKEND)
+    panel = catalogue.public_panel(task)
+    if whole:
+        works = _server_works(catalogue, task, format)
+    else:
+        few = panel[:: max(1, len(panel) // CHECK_PARTNERS)][:CHECK_PARTNERS]
+        works = [_try_work(task, format, tuple(partner.id for partner in few))]
+    scorer = ZooScorer(loaded, catalogue, BACKEND)
+    tables = [scorer.play(work, data, None) for work in works]
+    table = pl.concat([table.sort("partner", "episode") for table in tables])
+    answer = {
+        "check": "admitted",
+        "format": format,
+        "partners": sum(len(work.partners) for work in works),
+        "episodes": table.height,
+        "mean_return": round(float(table["return"].to_numpy().mean()), 1),
+        "nonfinite": int(table["nonfinite"].sum()),
+    }
+    if not whole:
+        return answer | {"note": "a few episodes say that it plays, not how well"}
+    note = "on a processor of the server's kind these are its figures of the public half"
+    version = version_id(catalogue.identity(task))
+    return answer | {"version": version, "figures": results.figures(table), "note": note}
+
+
+def hand_in(
+    client: Client, file: Path | None, live: str | None, fields: dict[str, Any], *, watch: bool
+) -> dict[str, Any]:
+    """Submit a file or play a live robot, and return the submission as it then stands."""
+    data = b"" if file is None else read_file(file)
+    given = {name: value for name, value in fields.items() if value is not None}
+    kind = "live" if live else "file"
+    submission = client.submit(data, request_id=new_id(20), kind=kind, **given)
+    if live:
+        from assistax_board.live.client import play_live
+
+        play_live(client, submission["id"], _robot_at_home(live, fields["task"]))
+    return watch_submission(client, submission["id"]) if watch or live else submission
+
+
+def watch_submission(client: Client, id: str) -> dict[str, Any]:
+    """Wait for a submission's end; say place and time left whenever they change."""
+    told = None
+    while True:
+        found = client.submission(id)
+        if found["state"] in FINAL_STATES:
+            break
+        line = f"{found['state']}, {found['jobs_done']} of {found['jobs']} jobs done"
+        if found["place"]:
+            line += f", place {found['place']}, about {found['eta_seconds']:.0f} s left"
+        if line != told:
+            print(line, file=sys.stderr, flush=True)
+            told = line
+        time.sleep(POLL_SECONDS)
+    if found["state"] != "scored":
+        return found
+    scores = {score["panel"]: score["figures"] for score in client.scores(id)}
+    return {**found, **client.standing(id), "scores": scores, "receipt": client.receipt(id)}
+
+
+def for_reader(found: dict[str, Any], address: str) -> dict[str, Any]:
+    """Return of a submission what its submitter reads first; --json has all."""
+    shown = {name: found[name] for name in ("id", "state", "reason_text") if found.get(name)}
+    for panel, figures in found.get("scores", {}).items():
+        interval = figures.get("mean_ci")
+        within = f" ({interval[0]:.1f} to {interval[1]:.1f})" if interval else ""
+        shown[f"mean return, {panel}"] = f"{figures['mean']:.1f}{within}"
+    if place := found.get("board_place"):
+        lowest = found.get("board_lowest") or place
+        shown["place"] = (
+            f"{place if lowest == place else f'{place}–{lowest}'} of {found['of_methods']} on "
+            f"{address}{found['board']}"
+        )
+    return shown | {"page": f"{address}/submissions/{found['id']}"}
+
+
+def verify_revealed(client: Client, name: str, root: str) -> dict[str, Any]:
+    """Fetch what a closed season reveals and hold it against the root; return what was proved."""
+    statement = client.call("GET", f"/api/seasons/{name}/revealed").json()
+    packed = client.call("GET", f"/api/seasons/{name}/release").content
+    with tempfile.TemporaryDirectory() as folder:
+        count = seasons.verify_season(statement, packed, root, Path(folder))
+    return {"season": statement["name"], "root": root, "partners": count, "proved": True}
+
+
+def _robot_at_home(reference: str, task: str) -> Any:
+    """Return the callable of a robot such as python:mine:make, as `evaluate` makes it."""
+    from evaluation.cast.egos import read_egos
+    from zoo.registry import load_registry
+
+    [ego] = read_egos([reference], load_registry(), task).stacks
+    if not hasattr(ego, "act"):
+        raise ValueError(f"{reference} can be submitted as a file; --live is for robots in Python")
+    return ego.act
+
+
+def _try_work(task: str, format: str, partners: tuple[str, ...]) -> Work:
+    """Return a piece of work that no server knows."""
+    fields: dict[str, Any] = dict.fromkeys(field.name for field in dataclasses.fields(Work))
+    fields |= {"task": task, "kind": "file", "format": format, "panel": "public"}
+    fields |= {"partners": partners, "episodes": CHECK_EPISODES, "seed": f"{PUBLIC_SEED + 1:x}"}
+    fields["preferences"] = preferences_of(task)
+    return Work(**fields)
+
+
+def _server_works(catalogue: ZooCatalogue, task: str, format: str) -> list[Work]:
+    """Return the jobs of a server's public half."""
+    played = {
+        "episodes": panel_episodes(task, "public"),
+        "seed": f"{PUBLIC_SEED:x}",
+        "preferences": tuple(catalogue.identity(task).get("preferences", ())),
+    }
+    return [
+        dataclasses.replace(
+            _try_work(task, format, tuple(partner.id for partner in partners)), **played
+        )
+        for partners in cut(catalogue.public_panel(task), CHUNK)
+    ]

@@ -1,0 +1,7 @@
+"""What help says of each group of commands."""
+
+TOKEN = "Who may use an evaluation service."
+SEASON = "Hidden partners of an evaluation service."
+RECEIPT = "Signed scores."
+LEDGER = "Everything that happened on an evaluation service."
+SERVICE = "Care of an evaluation service's data."

@@ -1,0 +1,178 @@
+"""The two ends of a room: the client's WebSocket, and the worker's questions over HTTP."""
+
+import asyncio
+from collections.abc import Coroutine
+from typing import Any
+
+import numpy as np
+from fastapi import APIRouter, Depends, Request, Response, WebSocket
+from starlette.concurrency import run_in_threadpool
+from starlette.websockets import WebSocketDisconnect
+
+from assistax_board.api.errors import RESPONSES
+from assistax_board.api.guards import READ, SIGN_IN, UPGRADE, Worker
+from assistax_board.api.submitting import whole_body
+from assistax_board.api.working import LeaseSecret
+from assistax_board.live.messages import decode, encode, unpack_rows
+from assistax_board.live.rooms import Away, BankEmpty, Room, Rooms, Seat
+from assistax_board.problems import CODES, Problem
+from assistax_board.rules.tokens import authenticate
+from assistax_board.vocabulary import FINAL_STATES
+
+router = APIRouter(prefix="/api", tags=["live"], responses=RESPONSES)
+asking = APIRouter(prefix="/api/work", tags=["live"], responses=RESPONSES)
+WAIT_SECONDS = 20.0  # of one question of a worker, which then asks again
+LOOK_SECONDS = 1.0  # between two looks at whether the submission has ended
+TAKE_SECONDS = 60.0  # for a client to take a question
+POLICY_VIOLATION = 1008  # a WebSocket's closing code
+
+
+@asking.post("/{job}/ask", response_class=Response)
+async def ask(
+    request: Request,
+    worker: Worker,
+    job: str,
+    lease: LeaseSecret,
+    body: bytes = Depends(whole_body),
+) -> Response:
+    """Put a batch of observations to the live robot; 202 if it has not answered yet: ask again."""
+    service, rooms = request.app.state.service, request.app.state.rooms
+    submission = await run_in_threadpool(service.live_submission, job, lease)
+    try:
+        message = decode(body, "observe")
+    except ValueError as error:
+        raise Problem("invalid", str(error)) from None
+    step = message["batch"], message["step"]
+    try:
+        answer = await rooms.ask(submission, step, body, WAIT_SECONDS)
+    except Away:
+        await run_in_threadpool(service.live_away, job, lease)
+        raise Problem("lease_lost", "the client is away; the job goes back") from None
+    except BankEmpty:
+        await run_in_threadpool(service.live_failed, submission, "time_bank")
+        raise Problem("lease_lost", "the robot has no time left") from None
+    if answer is None:
+        return Response(status_code=202)
+    return Response(answer, media_type="application/msgpack")
+
+
+@router.websocket("/live/{submission}")
+async def live(socket: WebSocket, submission: str) -> None:
+    """Connect a live robot: the server sends `observe`, the client answers `act`, until `end`."""
+    rooms = socket.app.state.rooms
+    try:
+        owner = await run_in_threadpool(_check_owner, socket, submission)
+        seat = rooms.take_seat(submission, owner)
+    except Problem as problem:
+        headers = {"Retry-After": str(problem.retry_after or 10)}
+        answer = Response(problem.message, CODES[problem.code], headers)
+        await socket.send_denial_response(answer)
+        return
+    try:
+        await socket.accept()
+        await _first_to_end(
+            _talk(socket, rooms.room(submission), seat),
+            _listen(socket, rooms.room(submission), seat),
+            _watch(socket, submission),
+            seat.replaced.wait(),
+        )
+    except (WebSocketDisconnect, RuntimeError, TimeoutError):
+        pass  # it may come again
+    finally:
+        rooms.leave(seat)
+
+
+async def _first_to_end(*parts: Coroutine[Any, Any, Any]) -> None:
+    """Run all at once until one of them ends, and raise its error."""
+    tasks = [asyncio.ensure_future(part) for part in parts]
+    try:
+        ended, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+    for task in ended:
+        task.result()
+
+
+async def _talk(socket: WebSocket, room: Room, seat: Seat) -> None:
+    """Send each step that waits for an answer, once to each connection."""
+    sent = None
+    while True:
+        changed = room.changed
+        if room.step is not None and room.answer is None and sent != room.step:
+            sent = room.step
+            seat.owed += 1
+            await asyncio.wait_for(socket.send_bytes(room.question or b""), TAKE_SECONDS)
+        else:
+            await changed.wait()
+
+
+async def _listen(socket: WebSocket, room: Room, seat: Seat) -> None:
+    """Take answers as they come, until the client is gone or says what nobody asked."""
+    while True:
+        message = await socket.receive()
+        if message["type"] == "websocket.disconnect":
+            return
+        if not seat.owed:
+            await socket.close(POLICY_VIOLATION, "an answer to no question")
+            return
+        seat.owed -= 1
+        await _hear(socket, room, seat, message.get("bytes"))
+
+
+async def _watch(socket: WebSocket, submission: str) -> None:
+    """Tell the client when its submission has ended."""
+    state = socket.app.state
+    while True:
+        ended = await run_in_threadpool(state.service.queries.state, submission)
+        if ended is None or ended in FINAL_STATES:
+            await socket.send_bytes(encode("end", state=ended or "failed"))
+            state.rooms.close(submission)
+            return
+        await asyncio.sleep(LOOK_SECONDS)
+
+
+async def _hear(socket: WebSocket, room: Room, seat: Seat, data: bytes | None) -> None:
+    """Take the answer to the step that waits; a wrong one ends the submission."""
+    code = None
+    try:
+        message = decode(data, "act")
+        is_asked = (message["batch"], message["step"]) == room.step
+        rows = unpack_rows(message)
+        if is_asked and message["rows"] != decode(room.question, "observe")["rows"]:
+            raise ValueError("other rows than were asked")
+        if not np.isfinite(rows).all():
+            code = "not_finite"
+    except ValueError:
+        code = "malformed"
+    if code is not None:
+        refuse = socket.app.state.service.live_refused
+        await run_in_threadpool(refuse, seat.submission, code)
+    elif is_asked:  # otherwise a new worker has begun anew
+        room.answer = data
+        room.wake()
+
+
+def _check_owner(socket: WebSocket, submission: str) -> str:
+    """Return the lab that a live submission is of, if the token that came is of that lab."""
+    state, address = socket.app.state, socket.client.host if socket.client else "unknown"
+    state.limiter.hit(READ, address)
+    kind, _, token = socket.headers.get("authorization", "").partition(" ")
+    try:
+        principal = authenticate(state.service.database, token if kind.lower() == "bearer" else "")
+    except Problem:
+        state.limiter.hit(SIGN_IN, address)
+        raise
+    state.limiter.hit(UPGRADE, principal.token)
+    owner = principal.submitter
+    if owner is None or not state.service.owns_live(submission, owner):
+        raise Problem("not_found", "you have no live submission of this id")
+    return owner
+
+
+def add_live(app: Any) -> None:
+    """Add rooms and routes to the application."""
+    app.state.rooms = Rooms()
+    app.include_router(asking)
+    app.include_router(router)

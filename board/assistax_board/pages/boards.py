@@ -1,0 +1,212 @@
+"""From released scores to the board of a task.
+
+A board is computed behind its readers, who meanwhile see the one before. A new score costs the
+figures of its own method, and the places: what other methods earned is kept.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from assistax_board.pages.behind import Behind
+from assistax_board.pages.crossplays import CrossPlay, CrossPlays
+from assistax_board.places.boards import Method, Panel, Standing, standings, unplaced
+from assistax_board.store.queries import PartnerScore, Queries, Submission
+from assistax_board.vocabulary import REFERENCE
+from evaluation.figures.metrics import SEED_SDS, Bounds
+from evaluation.figures.normalised import RANDOM, SELF_PLAY, ZERO
+
+LOW = (RANDOM, ZERO)  # references that earn a normalised return of 0, the first there is
+_AT_ONCE = 200  # submissions whose returns are read together
+_NEWEST = 100_000  # submissions of a board; all of them
+
+
+@dataclasses.dataclass(frozen=True)
+class Played:
+    """The submissions of one method, its seeds, and what they earned with every partner."""
+
+    submissions: tuple[Submission, ...]  # the oldest first
+    returns: np.ndarray  # [S, P, K]
+
+    @property
+    def newest(self) -> Submission:
+        """The submission that stands for the method in addresses."""
+        return self.submissions[-1]
+
+    @property
+    def is_reference(self) -> bool:
+        """Whether the row is there to be measured by."""
+        return self.newest.submitter == REFERENCE
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Board:
+    """All methods of a task, under one version of everything that decides a score."""
+
+    task: str
+    version: str
+    identity: Mapping[str, Any]
+    partners: tuple[PartnerScore, ...]  # one of each partner, for its name and traits
+    rows: tuple[tuple[Standing, Played], ...]  # the highest M_test first
+
+    @property
+    def episodes(self) -> int:
+        """Episodes with each partner."""
+        return self.rows[0][1].returns.shape[2]
+
+    @property
+    def methods(self) -> tuple[tuple[Standing, Played], ...]:
+        """The rows that compete, the highest M_test first."""
+        return tuple(row for row in self.rows if not row[1].is_reference)
+
+    def of(self, submission: str) -> tuple[Standing, Played] | None:
+        """Return the row that a submission is a seed of."""
+        for standing, played in self.rows:
+            if any(one.id == submission for one in played.submissions):
+                return standing, played
+        return None
+
+
+class Boards:
+    """The boards of all tasks, each kept until a submission to it is scored or taken back."""
+
+    def __init__(self, queries: Queries, crossplays: CrossPlays) -> None:
+        self._queries, self._crossplays = queries, crossplays
+        self._boards: Behind[Board | None] = Behind()
+        self._memories: dict[str, _Memory] = {}
+
+    def of(self, task: str) -> Board | None:
+        """Return the board of a task under its newest version, or None while it is empty.
+
+        Who asks waits a moment for a new one, then gets the board as it was before the last score.
+        """
+        scored = self._scored(task)
+        if scored is None:
+            return None
+        key = scored.version, tuple((one.id, one.submitter) for one in scored.submissions)
+        return self._boards.value(task, key, lambda: self._board(task, scored))
+
+    def is_behind(self, task: str) -> bool:
+        """Return whether scores are there that the board does not show yet."""
+        return self._boards.is_behind(task)
+
+    def _scored(self, task: str) -> "_Scored | None":
+        """Return what a board is of: its version, and all submissions that count."""
+        versions = self._queries.versions(task)
+        if not versions:
+            return None
+        every = self._queries.submissions(task=task, limit=_NEWEST)
+        scored = tuple(one for one in every if one.state == "scored")
+        return _Scored(*versions[0], scored)
+
+    def _board(self, task: str, scored: "_Scored") -> Board | None:
+        memory = self._memories.setdefault(task, _Memory())
+        memory.learn(self._queries, scored)
+        methods = memory.methods(scored.submissions)
+        if not methods:
+            return None
+        partners = memory.panel()
+        references = {one.newest.method: one.returns for one in methods if one.is_reference}
+        panel = Panel(
+            tuple(one.disability for one in partners),
+            bounds_of([one.partner for one in partners], references, self._crossplays.of(task)),
+            SEED_SDS.get(task),
+        )
+        by_name = {method.newest.id: method for method in methods}
+        rows = standings(
+            [Method(name, one.returns, not one.is_reference) for name, one in by_name.items()],
+            panel,
+            memory.figures(by_name),
+        )
+        named = tuple((row, by_name[row.name]) for row in rows)
+        return Board(task, scored.version, scored.identity, partners, named)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Scored:
+    """What a board is of."""
+
+    version: str
+    identity: Mapping[str, Any]
+    submissions: tuple[Submission, ...]
+
+
+class _Memory:
+    """Returns of submissions and figures of methods under one version; of one thread at a time."""
+
+    def __init__(self) -> None:
+        self._version = ""
+        self._partners: dict[str, PartnerScore] = {}
+        # Of each submission its partners, in order, and returns [P, K].
+        self._returns: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
+        self._figures: dict[Hashable, Standing] = {}
+
+    def learn(self, queries: Queries, scored: _Scored) -> None:
+        """Read the returns of the submissions that are new, and forget those that are gone."""
+        if scored.version != self._version:
+            self.__init__()
+            self._version = scored.version
+        wanted = [one.id for one in scored.submissions]
+        for gone in self._returns.keys() - set(wanted):
+            del self._returns[gone]
+        new = [id for id in wanted if id not in self._returns]
+        for start in range(0, len(new), _AT_ONCE):
+            scores = queries.partner_scores(new[start : start + _AT_ONCE], scored.version)
+            for id, group in itertools.groupby(scores, key=lambda score: score.submission):
+                rows = sorted(group, key=lambda score: score.partner)
+                self._partners |= {row.partner: row for row in rows}
+                names = tuple(row.partner for row in rows)
+                self._returns[id] = names, np.array([row.returns for row in rows])
+
+    def panel(self) -> tuple[PartnerScore, ...]:
+        """Return one score of each partner that any submission met, in order of names."""
+        return tuple(self._partners[name] for name in sorted(self._partners))
+
+    def methods(self, submissions: Sequence[Submission]) -> list[Played]:
+        """Put submissions of one submitter and method together: they are its seeds.
+
+        A submission without a score from the whole panel is left out: it has yet to be scored under
+        this version.
+        """
+        partners = tuple(one.partner for one in self.panel())
+        groups: dict[tuple[str, str], list[Submission]] = {}
+        for one in sorted(submissions, key=lambda one: (one.created_at, one.id)):
+            if self._returns.get(one.id, ((),))[0] == partners:
+                groups.setdefault((one.submitter, one.method), []).append(one)
+        return [
+            Played(tuple(group), np.stack([self._returns[one.id][1] for one in group]))
+            for group in groups.values()
+        ]
+
+    def figures(self, methods: Mapping[str, Played]) -> Callable[[Method, Panel], Standing]:
+        """Return what makes a method's row, or finds it among those of the board before."""
+        kept, self._figures = self._figures, {}
+
+        def of(method: Method, panel: Panel) -> Standing:
+            bounds = panel.bounds and (panel.bounds.best.tobytes(), panel.bounds.low.tobytes())
+            seeds = tuple(one.id for one in methods[method.name].submissions)
+            key = (seeds, panel.disabilities, bounds)
+            self._figures[key] = kept.get(key) or unplaced(method, panel)
+            return self._figures[key]
+
+        return of
+
+
+def bounds_of(
+    partners: Sequence[str], references: Mapping[str, np.ndarray], crossplay: CrossPlay | None
+) -> Bounds | None:
+    """What a random robot earns with each partner, and the best robot known for it.
+
+    That is its own robot, or the best of the cross-play. `references` are returns [S, P, K].
+    """
+    low = next((references[name] for name in LOW if name in references), None)
+    best = [] if SELF_PLAY not in references else [references[SELF_PLAY].mean(axis=(0, 2))]
+    if crossplay is not None:
+        known = [crossplay.best_returns.get(name) for name in partners]
+        best += [] if None in known else [np.array(known)]
+    if low is None or not best:
+        return None
+    return Bounds(np.max(best, axis=0), low.mean(axis=(0, 2)))

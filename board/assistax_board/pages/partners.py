@@ -1,0 +1,69 @@
+"""The published partners of a task: what a reader can choose by, and one partner's card."""
+
+import dataclasses
+from typing import Any
+
+from assistax_board.pages.crossplays import CrossPlay
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry
+
+TRAITS = ("algorithm", "disability", "behaviour", "side")
+
+
+@dataclasses.dataclass(frozen=True)
+class Partner:
+    """A human of the zoo as a list shows it."""
+
+    team: str  # "scratch/ippo-d3-s5-v1"
+    algorithm: str
+    disability: str
+    behaviour: str | None  # letter of its cluster, None if nobody has played it
+    side: str | None  # of the default split
+    features: dict[str, Any]  # behaviour with its best robot
+    entry: PolicyEntry
+
+    @property
+    def name(self) -> str:
+        """The team's name within its task."""
+        return self.team.partition("/")[2]
+
+
+def list_partners(registry: Registry, task: str, crossplay: CrossPlay | None) -> list[Partner]:
+    """Return the humans of the task's default release, in the registry's order."""
+    split = registry.split(task)
+    played = crossplay.humans if crossplay else {}
+    return [
+        _partner(entry, split.side(entry.team), played.get(entry.team))
+        for entry in registry.of_task(task, "human")
+    ]
+
+
+def choices(partners: list[Partner]) -> dict[str, list[str]]:
+    """Return what each trait can be chosen by."""
+    return {
+        trait: sorted({value for one in partners if (value := getattr(one, trait)) is not None})
+        for trait in TRAITS
+    }
+
+
+def choose(partners: list[Partner], wanted: dict[str, str]) -> list[Partner]:
+    """Keep the partners that have every wanted trait; an empty wish is none."""
+    return [
+        one
+        for one in partners
+        if all(not value or getattr(one, trait) == value for trait, value in wanted.items())
+    ]
+
+
+def _partner(entry: PolicyEntry, side: str | None, played: dict[str, Any] | None) -> Partner:
+    features = dict(played or {})
+    cluster = features.pop("cluster", None)
+    return Partner(
+        team=entry.team,
+        algorithm=entry.algorithm,
+        disability=entry.disability,
+        behaviour=None if cluster is None else chr(ord("A") + cluster),
+        side=side,
+        features={name: value for name, value in features.items() if isinstance(value, float)},
+        entry=entry,
+    )

@@ -1,0 +1,118 @@
+"""Pages of scores: the tasks, a task's board, and two of its methods side by side."""
+
+import functools
+from typing import Any
+
+import numpy as np
+from fastapi import APIRouter, Request
+from starlette.responses import Response
+
+from assistax_board.pages.boards import Board
+from assistax_board.pages.charts import axis_over
+from assistax_board.pages.site import LIVE, NotFoundError, Site
+from evaluation.figures.metrics import paired_difference
+
+
+def board_router(site: Site) -> APIRouter:
+    """Return the routes."""
+    router = APIRouter(include_in_schema=False)
+
+    @router.get("/")
+    def home(request: Request) -> Response:
+        def values() -> dict[str, Any]:
+            return {
+                "boards": {task: site.boards.of(task) for task in site.tasks},
+                "seasons": site.queries.seasons(),
+                "played": site.crossplays.tasks,
+            }
+
+        return site.page(request, "", LIVE, "home.html", values)
+
+    @router.get("/tasks/{task}")
+    def board(request: Request, task: str) -> Response:
+        def values() -> dict[str, Any]:
+            return board_values(site, site.task(task))
+
+        return site.page(request, task, LIVE, "board.html", values)
+
+    @router.get("/tasks/{task}/compare")
+    def compare(request: Request, task: str, a: str = "", b: str = "") -> Response:
+        def values() -> dict[str, Any]:
+            board = site.boards.of(site.task(task))
+            if board is None:
+                raise NotFoundError(f"The board of {task} is empty: there is nothing to compare.")
+            return {"task": task, "board": board, **compare_values(board, a, b)}
+
+        return site.page(request, f"{task} {a} {b}", LIVE, "compare.html", values)
+
+    return router
+
+
+def board_values(site: Site, task: str) -> dict[str, Any]:
+    """Return what the board's page shows."""
+    board = site.boards.of(task)
+    rows = board.rows if board else ()
+    # Rows to measure by are far away and would press the others into one point.
+    drawn = [row for row, played in rows if not played.is_reference] or [row for row, _ in rows]
+    ends = [end for row in drawn for end in row.m_test.mean_ci or (row.m_test.mean,)]
+    waiting = [one for one in site.queries.submissions(task=task) if one.place is not None]
+    return {
+        "task": task,
+        "board": board,
+        "safety": safety_of(site, board) if board else {},
+        "is_behind": site.boards.is_behind(task),
+        "axis": axis_over(ends),
+        "waiting": sorted(waiting, key=lambda one: one.place or 0),
+        "seasons": site.queries.seasons(task),
+        "has_crossplay": task in site.crossplays.tasks,
+    }
+
+
+def safety_of(site: Site, board: Board) -> dict[str, tuple[float, float]]:
+    """Return safe success and violations of each row of a gentle task; nothing of another task."""
+    scores = site.queries.scores(task=board.task, panel="public", version=board.version)
+    figures = {one.submission: one.figures for one in scores if "violations" in one.figures}
+    found = {}
+    for standing, played in board.rows:
+        seeds = [figures[one.id] for one in played.submissions if one.id in figures]
+        if seeds:
+            shares = [(seed["safe_success"], seed["violations"]) for seed in seeds]
+            found[standing.name] = tuple(np.mean(shares, axis=0).tolist())
+    return found
+
+
+@functools.lru_cache(maxsize=64)  # a board is computed anew when a score is added, and only then
+def compare_values(board: Board, a: str, b: str) -> dict[str, Any]:
+    """Return the paired difference of two methods, each named by one of its submissions.
+
+    Without names they are the two that stand highest.
+    """
+    rows = [row for row in (board.of(one) for one in (a, b) if one) if row]
+    if len(rows) < len([one for one in (a, b) if one]):
+        raise NotFoundError("One of the two is not on this board; choose from its list.")
+    for row in (*board.methods, *board.rows):
+        if len(rows) < 2 and all(row is not one for one in rows):
+            rows.append(row)
+    if len(rows) < 2 or rows[0] is rows[1]:
+        return {"first": rows[0], "second": None}
+    first, second = (played.returns.mean(axis=2) for _, played in rows)
+    differences = first.mean(axis=0) - second.mean(axis=0)
+    return {
+        "first": rows[0],
+        "second": rows[1],
+        "found": paired_difference(first, second),
+        "axis": axis_over(differences.tolist(), around=0.0),
+        "pairs": [
+            (board.partners[i], float(first[:, i].mean()), float(second[:, i].mean()), float(one))
+            for i, one in sorted(enumerate(differences), key=lambda pair: -pair[1])
+        ],
+        "groups": _by_disability(board, differences),
+    }
+
+
+def _by_disability(board: Board, differences: np.ndarray) -> list[tuple[str, int, float]]:
+    settings = np.array([one.disability for one in board.partners])
+    return [
+        (name, int((settings == name).sum()), float(differences[settings == name].mean()))
+        for name in sorted(set(settings.tolist()))
+    ]

@@ -1,0 +1,193 @@
+"""Pages of the published partners: their list and cards, pairs with films, and the explorer."""
+
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from fastapi import APIRouter, Form, Request
+from starlette.responses import FileResponse, RedirectResponse, Response
+
+from assistax_base.errors import ZooError
+from assistax_board.api.guards import FILMS, client_of
+from assistax_board.pages import security
+from assistax_board.pages.cache import respond
+from assistax_board.pages.charts import axis_over
+from assistax_board.pages.partners import TRAITS, Partner, choices, choose, list_partners
+from assistax_board.pages.rendering import table_rows
+from assistax_board.pages.site import STILL, NotFoundError, Site
+from assistax_board.pages.videos import Pair
+
+_BEST = 5  # robots on a card
+
+
+def partner_router(site: Site) -> APIRouter:
+    """Return the routes of the list of partners and of their cards."""
+    router = APIRouter(include_in_schema=False)
+
+    @router.get("/tasks/{task}/partners")
+    def partners(request: Request, task: str) -> Response:
+        wanted = {trait: request.query_params.get(trait, "") for trait in TRAITS}
+
+        def values() -> dict[str, Any]:
+            found = list_partners(site.registry, site.task(task), site.crossplays.of(task))
+            return {
+                "task": task,
+                "partners": choose(found, wanted),
+                "of": len(found),
+                "choices": choices(found),
+                "wanted": wanted,
+                "strategies": behaviours(site, task),
+            }
+
+        key = f"{task} {sorted(wanted.items())}"
+        return site.page(request, key, STILL, "partners.html", values)
+
+    @router.get("/partners/{task}/{team}")
+    def partner(request: Request, task: str, team: str) -> Response:
+        def values() -> dict[str, Any]:
+            return card_values(site, site.task(task), team)
+
+        return site.page(request, f"{task} {team}", STILL, "partner.html", values)
+
+    return router
+
+
+def pair_router(site: Site) -> APIRouter:
+    """Return the routes of pairs, and of the form that asks for a film."""
+    router = APIRouter(include_in_schema=False)
+
+    @router.get("/tasks/{task}/pair")
+    def find_pair(task: str, robot: str, human: str) -> Response:
+        address = "/".join(quote(part, safe="") for part in (site.task(task), robot, human))
+        return RedirectResponse(f"/pairs/{address}", 303)
+
+    @router.get("/pairs/{task}/{robot}/{human}")
+    def pair(request: Request, task: str, robot: str, human: str) -> Response:
+        return site.form(request, "pair.html", **pair_values(site, site.task(task), robot, human))
+
+    @router.post("/pairs/{task}/{robot}/{human}")
+    def film_pair(
+        request: Request,
+        task: str,
+        robot: str,
+        human: str,
+        form_token: str = Form(default="", alias=security.FIELD),
+    ) -> Response:
+        if not site.tokens.accepts(request, form_token):
+            return site.fresh("error.html", request.url.path, 403, message=security.NOT_OURS)
+        pair = find_policies(site, site.task(task), robot, human)
+        if site.videos.state(pair) in ("none", "failed"):
+            request.app.state.limiter.hit(FILMS, client_of(request))
+        state = site.videos.ask(pair)
+        if state == "full":
+            message = "Many films are waiting already. Please ask again in some minutes."
+            return site.fresh("error.html", request.url.path, 503, message=message)
+        return RedirectResponse(request.url.path, 303)
+
+    return router
+
+
+def explorer_router(site: Site) -> APIRouter:
+    """Return the routes of the explorer, of its numbers, and of films."""
+    router = APIRouter(include_in_schema=False)
+
+    @router.get("/tasks/{task}/explorer")
+    def explorer(request: Request, task: str) -> Response:
+        def values() -> dict[str, Any]:
+            found = site.crossplay(task)
+            names = {
+                side: sorted({one["team"].partition("/")[2] for one in found.data[side]})
+                for side in ("rows", "columns")
+            }
+            blocks = {trait: found.blocks(trait) for trait in ("algorithm", "disability")}
+            return {"task": task, "crossplay": found, "names": names, "blocks": blocks}
+
+        return site.page(request, task, STILL, "explorer.html", values)
+
+    @router.get("/crossplays/{task}/{digest}/{name}")
+    def numbers(request: Request, task: str, digest: str, name: str) -> Response:
+        found = site.crossplay(task)
+        stem, _, ending = name.rpartition(".")
+        if digest == found.digest and name == "matrix.json":
+            return respond(request, found.description, immutable=True)
+        if digest == found.digest and ending == "f32" and stem in found.measures:
+            return respond(request, found.measures[stem], immutable=True)
+        raise NotFoundError("There are no such numbers; open the explorer anew.")
+
+    @router.get("/films/{key}")
+    def film(key: str) -> Response:
+        path: Path | None = site.videos.film(key)
+        if path is None:
+            raise NotFoundError("There is no such film; ask for it on its pair's page.")
+        headers = {"Cache-Control": "public, max-age=31536000, immutable"}
+        kind = "image/gif" if path.suffix == ".gif" else "video/mp4"
+        return FileResponse(path, headers=headers, media_type=kind)
+
+    return router
+
+
+def behaviours(site: Site, task: str) -> list[tuple[str, dict[str, Any]]]:
+    """Return the clusters of the humans of a task by behaviour, with their letters."""
+    crossplay = site.crossplays.of(task)
+    clusters = (crossplay.strategies or {}).get("clusters", []) if crossplay else []
+    return [(chr(ord("A") + i), cluster) for i, cluster in enumerate(clusters)]
+
+
+def card_values(site: Site, task: str, team: str) -> dict[str, Any]:
+    """Return what a partner's card shows."""
+    crossplay = site.crossplays.of(task)
+    partner = _partner(site, task, team)
+    robots: list[tuple[str, float]] = []
+    teams = [one["team"] for one in crossplay.data["columns"]] if crossplay else []
+    if crossplay and partner.team in teams:
+        returns = crossplay.values["return"][:, teams.index(partner.team)].tolist()
+        names = [one["team"].partition("/")[2] for one in crossplay.data["rows"]]
+        robots = sorted(zip(names, returns, strict=True), key=lambda pair: -pair[1])
+    training = partner.entry.training.model_dump(exclude={"hyperparameters", "notes"})
+    return {
+        "task": task,
+        "partner": partner,
+        "best": robots[:_BEST],
+        "worst": robots[-_BEST:] if len(robots) > _BEST else [],
+        "training": table_rows(training),
+        "hyperparameters": table_rows(partner.entry.training.hyperparameters),
+    }
+
+
+def pair_values(site: Site, task: str, robot: str, human: str) -> dict[str, Any]:
+    """Return what a pair's page shows."""
+    pair = find_policies(site, task, robot, human)
+    crossplay = site.crossplays.of(task)
+    film, returns = site.videos.film(pair.key), site.videos.returns(pair)
+    return {
+        "task": task,
+        "robot": robot,
+        "human": human,
+        "row": crossplay.pair(f"{task}/{robot}", f"{task}/{human}") if crossplay else None,
+        "measures": crossplay.data["measures"] if crossplay else {},
+        "state": site.videos.state(pair),
+        "film": f"/films/{pair.key}" if film else None,
+        "is_gif": film is not None and film.suffix == ".gif",
+        "returns": returns,
+        "axis": axis_over(returns or [0.0]),
+    }
+
+
+def find_policies(site: Site, task: str, robot: str, human: str) -> Pair:
+    """Return a pair of published policies: only of these are films made."""
+    try:
+        seats = [
+            site.registry.policy(f"{task}/{team}/{role}")
+            for team, role in ((robot, "robot"), (human, "human"))
+        ]
+    except ZooError as error:
+        raise NotFoundError("There is no such pair of published policies.") from error
+    version = site.registry.env_version(seats[0])
+    return Pair(task, seats[0].id, seats[1].id, (seats[0].sha256, seats[1].sha256), version)
+
+
+def _partner(site: Site, task: str, team: str) -> Partner:
+    for one in list_partners(site.registry, task, site.crossplays.of(task)):
+        if one.name == team:
+            return one
+    raise NotFoundError(f"There is no partner {team!r} of {task} in its default release.")

@@ -1,0 +1,97 @@
+"""The form by which a robot is handed in: a file, a token, and a name. Works without scripts.
+
+The token is typed, or filled in by the browser's own store, with each form. No cookie signs anybody
+in, so no other site can act for its owner; the form itself is answered only to who was given it.
+"""
+
+from typing import Any
+
+from fastapi import APIRouter, Request
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+from starlette.responses import RedirectResponse, Response
+
+from assistax_board.api.guards import FORM, client_of, sign_in
+from assistax_board.api.submitting import hand_in
+from assistax_board.ids import new_id
+from assistax_board.pages import security
+from assistax_board.pages.site import Site
+from assistax_board.problems import CODES, Problem
+from assistax_board.rules.submissions import LICENCES, Draft
+
+FIELDS = (
+    security.FIELD,
+    *("request_id", "account_token", "task", "method", "licence", "season"),
+)
+
+
+def submit_router(site: Site) -> APIRouter:
+    """Return the routes."""
+    router = APIRouter(include_in_schema=False)
+
+    @router.get("/submit")
+    def form(request: Request, task: str = "") -> Response:
+        chosen = {"task": task} if task in site.tasks else {}
+        return site.form(request, "submit.html", **form_values(site, chosen))
+
+    @router.post("/submit")
+    async def submit(request: Request) -> Response:
+        state = request.app.state
+        if not site.tokens.may_send(request):
+            return site.fresh("error.html", request.url.path, 403, message=security.NOT_OURS)
+        try:
+            state.limiter.hit(FORM, client_of(request))
+            with state.desk.form():
+                given, file = await read_form(request)
+        except Problem as problem:
+            message = problem.message
+            return site.fresh("error.html", request.url.path, CODES[problem.code], message=message)
+        if not site.tokens.accepts(request, given[security.FIELD]):
+            return site.fresh("error.html", request.url.path, 403, message=security.NOT_OURS)
+        try:
+            token = given["account_token"].strip()
+            owner = await run_in_threadpool(sign_in, request, token, "submit")
+            if not file:
+                raise Problem("invalid", "choose a file that is not empty")
+            names = ("task", "method", "request_id", "licence", "season")
+            task, method, request_id, licence, season = (given[name] for name in names)
+            draft = Draft(task, method.strip(), request_id, licence, season or None, data=file)
+            with state.desk.place(str(owner.submitter)):
+                found = await hand_in(request, owner, draft)
+        except Problem as problem:
+            return await run_in_threadpool(come_back, site, request, given, problem)
+        return RedirectResponse(f"/submissions/{found.id}", 303)
+
+    return router
+
+
+async def read_form(request: Request) -> tuple[dict[str, str], bytes]:
+    """Return a form's texts, empty where it lacks one, and its file.
+
+    Raises:
+        Problem: It is no form of this page.
+    """
+    try:
+        async with request.form(max_files=1, max_fields=len(FIELDS)) as form:
+            texts = {name: form.get(name, "") for name in FIELDS}
+            file = form.get("file")
+            data = b"" if file is None or isinstance(file, str) else await file.read()
+    except (HTTPException, ClientDisconnect):
+        raise Problem("invalid", "this is not the form of this page") from None
+    return {name: text if isinstance(text, str) else "" for name, text in texts.items()}, data
+
+
+def come_back(site: Site, request: Request, given: dict[str, str], problem: Problem) -> Response:
+    """Answer with the form as it was filled in, and why nothing was handed in."""
+    given = {name: given[name] for name in ("task", "method", "licence", "season")}
+    values = form_values(site, given, "Nothing was handed in: " + problem.message)
+    return site.form(request, "submit.html", CODES[problem.code], **values)
+
+
+def form_values(site: Site, given: dict[str, str], message: str = "") -> dict[str, Any]:
+    """Return what the form shows: the choices, what was given before, and why it came back."""
+    seasons = [one for one in site.queries.seasons() if one.state == "open"]
+    given = {"task": site.tasks[0], "method": "", "licence": LICENCES[-1], "season": ""} | given
+    choices = {"seasons": seasons, "licences": LICENCES}
+    return {**choices, "given": given, "message": message, "request_id": new_id(20)}

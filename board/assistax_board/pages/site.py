@@ -1,0 +1,98 @@
+"""What all pages share: where their facts come from, and how they are kept and answered."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+from starlette.requests import Request
+from starlette.responses import Response
+
+from assistax_board.pages.boards import Boards
+from assistax_board.pages.cache import Page, PageCache, pack, respond
+from assistax_board.pages.crossplays import CrossPlay, CrossPlays
+from assistax_board.pages.rendering import render
+from assistax_board.pages.season_boards import SeasonBoards
+from assistax_board.pages.security import FIELD, FormTokens
+from assistax_board.pages.videos import Videos
+from assistax_board.store.queries import Queries, Submission
+from zoo.registry import Registry
+
+LIVE = 1.0  # seconds that a page of the database may be old
+STILL = 60.0  # a page of published files
+
+
+class NotFoundError(Exception):
+    """There is no such thing; the text says what, and where to look."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Site:
+    """The parts that pages are made of."""
+
+    tasks: tuple[str, ...]  # that have a board
+    queries: Queries
+    registry: Registry
+    crossplays: CrossPlays
+    boards: Boards
+    season_boards: SeasonBoards
+    videos: Videos
+    cache: PageCache
+    tokens: FormTokens
+
+    def task(self, task: str) -> str:
+        """Return the task if there is one of this name."""
+        if task not in self.tasks:
+            raise NotFoundError(f"There is no task {task!r}; there are {', '.join(self.tasks)}.")
+        return task
+
+    def crossplay(self, task: str) -> CrossPlay:
+        """Return a task's cross-play."""
+        found = self.crossplays.of(self.task(task))
+        if found is None:
+            raise NotFoundError(f"Nobody has played the cross-play of {task} on this server yet.")
+        return found
+
+    def submission(self, id: str) -> Submission:
+        """Return a submission."""
+        found = self.queries.submission(id)
+        if found is None:
+            raise NotFoundError(f"There is no submission {id!r}; look for it on its task's board.")
+        return found
+
+    def page(
+        self,
+        request: Request,
+        key: str,
+        seconds: float,
+        template: str,
+        values: Callable[[], dict[str, Any]],
+    ) -> Response:
+        """Answer with a page, rendered at most every few seconds for all its readers.
+
+        `key` names the page by all of the request that it depends on.
+        """
+
+        def rendered() -> str:
+            return self.render(template, request.url.path, **values())
+
+        return respond(request, self.cache.page(f"{template} {key}", seconds, rendered))
+
+    def render(self, template: str, path: str, **values: Any) -> str:
+        """Return a page with what every page shows."""
+        return render(template, tasks=self.tasks, path=path, **values)
+
+    def form(self, request: Request, template: str, status: int = 200, **values: Any) -> Response:
+        """Answer with a page that has a form for this browser alone."""
+        response = Response(status_code=status, headers={"Cache-Control": "no-store"})
+        token = self.tokens.issue(request, response)
+        values |= {"field": FIELD, "token": token}
+        response.body = self.render(template, request.url.path, **values).encode()
+        response.headers["Content-Length"] = str(len(response.body))
+        response.headers["Content-Type"] = "text/html; charset=utf-8"
+        return response
+
+    def fresh(self, template: str, path: str, status: int = 200, **values: Any) -> Response:
+        """Answer with a page that is nobody else's."""
+        page: Page = pack(self.render(template, path, **values).encode())
+        headers = {"Cache-Control": "no-store"}
+        return Response(page.body, status, headers, page.media_type)

@@ -1,0 +1,1 @@
+"""Places on a board, and the ladder of them."""

@@ -1,0 +1,1 @@
+"""Robots that are handed in: whether one is admitted, and what it may cost."""

@@ -1,0 +1,131 @@
+"""What the service scores with: tasks, public panels and the version of everything that plays."""
+
+import dataclasses
+import functools
+from typing import Any, Protocol
+
+from assistax_board.store.canonical import digest
+
+HIDDEN_EPISODES = 16  # at least, with each partner of panels A and B
+CHUNK = 25  # partners in a job: 200 to 450 simulations, seconds of two cores
+PUBLIC_SEED = 0  # of the public half's episodes, the same for all
+
+
+@dataclasses.dataclass(frozen=True)
+class Partner:
+    """A partner as the board shows it."""
+
+    id: str
+    algorithm: str
+    disability: str
+
+
+class Catalogue(Protocol):
+    """What the service knows about tasks. Tests have a small one that needs no registry."""
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The tasks that have a board."""
+        ...
+
+    def public_panel(self, task: str) -> tuple[Partner, ...]:
+        """Return the public test partners, in the order in which they are cut into jobs."""
+        ...
+
+    def identity(self, task: str) -> dict[str, Any]:
+        """Return what decides a score's value besides the robot: see `version_id`."""
+        ...
+
+    def references(self, task: str) -> dict[str, str]:
+        """Return the rows that a board measures by: the method that each robot is a seed of."""
+        ...
+
+
+def version_id(identity: dict[str, Any]) -> str:
+    """Return the id of a version: scores of two are never mixed."""
+    return digest(identity)
+
+
+def panel_episodes(task: str, panel: str) -> int:
+    """Return how many episodes each partner of a panel plays: all its wishes equally often."""
+    from evaluation.play.jobs import default_episodes
+
+    usual = default_episodes(task)
+    return usual if panel == "public" else max(usual, HIDDEN_EPISODES)
+
+
+class ZooCatalogue:
+    """The catalogue of a registry, as it is installed here. Imports no JAX."""
+
+    def __init__(self, registry: Any, backend: str) -> None:
+        self._registry, self._backend = registry, backend
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The tasks that have a board."""
+        releases = self._registry.data.releases.items()
+        return tuple(
+            task
+            for name, release in releases
+            for task in release.splits
+            if name == self._registry.release_of(task)
+        )
+
+    @functools.cache  # noqa: B019
+    def public_panel(self, task: str) -> tuple[Partner, ...]:
+        """Return the public test partners: one spec after another, so that few programs compile."""
+        entries = self._entries(task)
+        return tuple(Partner(entry.id, entry.algorithm, entry.disability) for entry in entries)
+
+    @functools.cache  # noqa: B019
+    def identity(self, task: str) -> dict[str, Any]:
+        """Return evaluator, environment, engine, public panel, and what its humans like."""
+        from importlib.metadata import version
+
+        from assistax_envs.preferences import preferences_of
+        from assistax_envs.versions import VERSIONS, engine
+        from evaluation.play.jobs import EVALUATOR_VERSION
+
+        wishes = self._registry.split(task).preferences.get("test") or preferences_of(task)
+        return ({"preferences": list(wishes)} if wishes else {}) | {
+            "task": task,
+            "env_version": VERSIONS[task],
+            "evaluator": EVALUATOR_VERSION,
+            "engine": engine(self._backend),
+            "jax": version("jax"),
+            "panel": digest([[entry.id, entry.sha256] for entry in self._entries(task)]),
+            "episodes": panel_episodes(task, "public"),
+            "hidden_episodes": panel_episodes(task, "A"),
+            "starts": "own",  # of each partner, the same for every robot
+            "chunk": CHUNK,
+            "seed": PUBLIC_SEED,
+        }
+
+    def references(self, task: str) -> dict[str, str]:
+        """Return the reference egos, self-play where all partners have robots, published egos.
+
+        An ego that was trained with partners of the panel measures nothing there.
+        """
+        from evaluation.figures.normalised import REFERENCE_ROWS, SELF_PLAY
+        from zoo.ids import EGO
+        from zoo.met import known_humans, met_in_training
+
+        robots = self._registry.of_task(task, "robot")
+        found = {name: name for name in REFERENCE_ROWS}
+        if not {entry.team for entry in self._entries(task)} <= {entry.team for entry in robots}:
+            del found[SELF_PLAY]
+        egos = [
+            entry
+            for entry in robots
+            if entry.disability == EGO
+            and not known_humans(
+                self._entries(task), met_in_training(self._registry, entry).partners
+            )
+        ]
+        return found | {one.team.partition("/")[2]: f"{one.algorithm} ego" for one in egos}
+
+    def _entries(self, task: str) -> list[Any]:
+        split = self._registry.split(task)
+        humans = self._registry.of_task(task, "human")
+        chosen = [entry for entry in humans if split.side(entry.team) == "test"]
+        return sorted(chosen, key=lambda entry: (entry.spec.digest, entry.id))

@@ -1,0 +1,234 @@
+"""How a season ends: what was handed in by its date is played, then each lab's entries decide.
+
+    open -> closing -> closed
+            |  |  `- all of panel B is played: everything is revealed
+            |  `---- nothing is left of panel A: entries and references play panel B
+            `------- nobody hands in any more
+
+A lab may try often on panel A, and decides before the close what plays panel B: at most two
+methods, each with the submissions that are its seeds. Who decides nothing plays the submission
+whose score on panel A was shown last.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import sqlalchemy as sa
+
+from assistax_board.ids import new_id
+from assistax_board.problems import Problem
+from assistax_board.rules import jobs, submissions
+from assistax_board.store import ledger
+from assistax_board.store import schema as t
+from assistax_board.store.database import Database
+from assistax_board.vocabulary import FINAL_STATES, REFERENCE
+
+ENTRIES = 2  # methods of one lab on panel B
+SEEDS = 10  # submissions of one of them
+
+c = t.seasons.c
+s = t.submissions.c
+
+
+def enter(
+    database: Database, season: str, submitter: str, chosen: Sequence[str], now: float
+) -> None:
+    """Choose what a lab plays panel B with, in place of what it chose before.
+
+    Args:
+        database: Of the service.
+        season: Name or id.
+        submitter: Id of the lab.
+        chosen: Ids of its submissions; those of one method are seeds of one entry.
+        now: The time.
+
+    Raises:
+        Problem: The season is not open, or the choice is not within the rules.
+    """
+    with database.write() as connection:
+        row = find_season(database, connection, season, "open", now)
+        mine = s.season == row.id, s.submitter == submitter
+        found = connection.execute(sa.select(t.submissions).where(*mine, s.id.in_(chosen))).all()
+        _check(found, chosen)
+        connection.execute(sa.update(t.submissions).where(*mine).values(entered_at=None))
+        wanted = sa.update(t.submissions).where(*mine, s.id.in_(chosen))
+        connection.execute(wanted.values(entered_at=now))
+        body = {"season": row.id, "submitter": submitter, "submissions": sorted(set(chosen))}
+        ledger.append(database, connection, now, "entry", body)
+
+
+def _check(found: Sequence[Any], chosen: Sequence[str]) -> None:
+    if missing := set(chosen) - {row.id for row in found}:
+        raise Problem("not_found", f"you have no submission {min(missing)} in this season")
+    if ended := [row for row in found if row.state in ("refused", "failed", "retracted")]:
+        raise Problem("invalid", f"submission {ended[0].id} is {ended[0].state}")
+    methods = [row.method for row in found]
+    if len(set(methods)) > ENTRIES:
+        raise Problem("invalid", f"{len(set(methods))} methods; a lab enters at most {ENTRIES}")
+    if methods and max(map(methods.count, methods)) > SEEDS:
+        raise Problem("invalid", f"an entry has at most {SEEDS} submissions, its seeds")
+
+
+def close_season(database: Database, name: str, now: float) -> None:
+    """Take no more submissions; what was handed in is played."""
+    with database.write() as connection:
+        row = find_season(database, connection, name, "open", None)
+        _close(database, connection, row.id, now)
+
+
+def close_due(database: Database, now: float) -> None:
+    """Close the seasons whose date has come."""
+    due = sa.select(c.id).where(c.state == "open", c.closes_at <= now)
+    with database.read() as connection:
+        if not connection.execute(due).first():
+            return
+    with database.write() as connection:
+        for season in connection.execute(database.take(due)).scalars().all():
+            _close(database, connection, season, now)
+
+
+def go_on(database: Database, connection: sa.Connection, season: str, now: float) -> None:
+    """Take a closing season to its next step, if all of the one before is done."""
+    database.one_at_a_time(connection, f"season {season}")
+    row = connection.execute(sa.select(t.seasons).where(c.id == season)).one()
+    if row.state != "closing":
+        return
+    of_labs = s.season == season, s.kind != "reference"
+    waiting = sa.select(s.id).where(*of_labs, s.state.not_in(FINAL_STATES)).limit(1)
+    if connection.execute(waiting).first():
+        return
+    j = t.jobs.c
+    of_b = (
+        sa.select(j.state)
+        .join(t.submissions, s.id == j.submission)
+        .where(s.season == season, j.panel == "B")
+    )
+    states = connection.execute(of_b).scalars().all()
+    if not states and (entries := _entries(connection, season)):
+        _play_b(database, connection, row, entries, now)
+    elif not {"held", "waiting", "leased"} & set(states):
+        _reveal(database, connection, row, now)
+
+
+def find_season(
+    database: Database, connection: sa.Connection, name: str, state: str, now: float | None
+) -> Any:
+    """Return a season by its name or id, locked, if it is in this state.
+
+    Args:
+        database: Of the service.
+        connection: A transaction.
+        name: Name or id.
+        state: That it must be in.
+        now: If given, an open one whose date has come is refused.
+
+    Raises:
+        Problem: There is none, or it is in another state.
+    """
+    query = sa.select(t.seasons).where((c.id == name) | (c.name == name))
+    row = connection.execute(query if database.is_sqlite else query.with_for_update()).first()
+    if row is None:
+        raise Problem(
+            "not_found", f"no season {name!r}; GET /api/seasons lists the open and closed ones"
+        )
+    if row.state != state:
+        raise Problem("too_late", f"season {row.name} is {row.state}; expected {state}")
+    if now is not None and row.closes_at is not None and row.closes_at <= now:
+        raise Problem("too_late", f"the closing date of season {row.name} has passed")
+    return row
+
+
+def season_of(connection: sa.Connection, submission: str) -> Any:
+    """Return the season of a submission, secrets included: never to be shown."""
+    s = t.submissions.c
+    query = sa.select(t.seasons).join(t.submissions, s.season == t.seasons.c.id)
+    return connection.execute(query.where(s.id == submission)).first()
+
+
+def _close(database: Database, connection: sa.Connection, season: str, now: float) -> None:
+    connection.execute(sa.update(t.seasons).where(c.id == season).values(state="closing"))
+    ledger.append(database, connection, now, "season_close", {"season": season})
+    go_on(database, connection, season, now)
+
+
+def _entries(connection: sa.Connection, season: str) -> list[Any]:
+    """Return the submissions that play panel B: those entered, else each lab's last one shown."""
+    erased = sa.select(t.artefacts.c.sha256).where(t.artefacts.c.erased_at.is_not(None))
+    query = sa.select(t.submissions).where(s.season == season, s.kind == "file")
+    query = query.where(s.artefact.not_in(erased))
+    scored = connection.execute(query.where(s.state == "scored")).all()
+    by_lab: dict[str, list[Any]] = {}
+    for row in scored:
+        by_lab.setdefault(row.submitter, []).append(row)
+    shown = _last_shown(connection, season)
+    return [
+        row
+        for lab in sorted(by_lab)
+        for row in [one for one in by_lab[lab] if one.entered_at is not None]
+        or [one for one in by_lab[lab] if one.id == shown.get(lab)]
+    ]
+
+
+def _last_shown(connection: sa.Connection, season: str) -> dict[str, str]:
+    """Return each lab's submission whose score on panel A was shown last, of those that stand."""
+    score = t.scores.c
+    query = (
+        sa.select(s.submitter, s.id)
+        .join(t.scores, score.submission == s.id)
+        .where(s.season == season, s.state == "scored")
+        .where(score.panel == "A", score.released.is_not(None))
+        .order_by(score.created_at, s.created_at, s.id)
+    )
+    return {row.submitter: row.id for row in connection.execute(query)}
+
+
+def _play_b(
+    database: Database, connection: sa.Connection, season: Any, entries: list[Any], now: float
+) -> None:
+    """Queue panel B for the entries, and for the rows that they are measured by."""
+    ids = [row.id for row in entries]
+    # The version that they were planned under last: after an upgrade no worker plays another.
+    j = t.jobs.c
+    newest = sa.select(j.version).where(j.submission.in_(ids))
+    version = connection.execute(newest.order_by(j.created_at.desc()).limit(1)).scalar_one()
+    connection.execute(sa.update(t.submissions).where(s.id.in_(ids)).values(entered_at=now))
+    chunks = submissions.count_chunks(season.panel_sizes["B"])
+    for id in (*ids, *_references(connection, season, now)):
+        jobs.add_jobs(connection, id, version, "B", chunks, turn=0, now=now)
+    body = {"season": season.id, "submissions": sorted(ids)}
+    ledger.append(database, connection, now, "season_entries", body)
+
+
+def _references(connection: sa.Connection, season: Any, now: float) -> list[str]:
+    """Add the references of the public board to a season, and return their submissions."""
+    query = (
+        sa.select(t.submissions)
+        .join(t.submitters, t.submitters.c.id == s.submitter)
+        .where(t.submitters.c.name == REFERENCE, s.kind == "reference")
+        .where(s.task == season.task, s.season.is_(None), s.state != "retracted")
+    )
+    rows: list[dict[str, Any]] = [
+        {
+            **dict(row),
+            "id": new_id(),
+            "request": f"{season.id} {row['format']}",
+            "season": season.id,
+            "state": "queued",
+            "reason": None,
+            "turn": 0,
+            "created_at": now,
+            "finished_at": None,
+        }
+        for row in connection.execute(query).mappings().all()
+    ]
+    if rows:
+        connection.execute(sa.insert(t.submissions), rows)
+    return [row["id"] for row in rows]
+
+
+def _reveal(database: Database, connection: sa.Connection, season: Any, now: float) -> None:
+    """Publish the leaves of a season; the weights go with them."""
+    values = {"state": "closed", "closed_at": now}
+    connection.execute(sa.update(t.seasons).where(c.id == season.id).values(values))
+    body = {"season": season.id, "root": season.root, "release": season.release}
+    ledger.append(database, connection, now, "season_reveal", body)

@@ -1,0 +1,140 @@
+"""What a worker is asked to play, and who plays it: one interface, so that tests inject one."""
+
+import dataclasses
+import io
+import json
+from typing import Annotated, Any, Protocol
+
+import polars as pl
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from assistax_board.problems import Problem
+from assistax_board.rules.catalogue import Partner
+from assistax_board.vocabulary import Kind
+
+# Columns of a result, in this order: nothing else leaves a worker.
+COLUMNS = {
+    "partner": pl.String(),
+    "algorithm": pl.String(),
+    "disability": pl.String(),
+    "episode": pl.Int32(),
+    "return": pl.Float32(),
+    "success": pl.Boolean(),
+    "nonfinite": pl.Boolean(),
+}
+# Of the gentle tasks: what the human liked, and whether a contact was above the hard limit.
+GENTLE_COLUMNS = {"preference": pl.String(), "violated": pl.Boolean()}
+MAX_TABLE_BYTES = 4 * 1024 * 1024
+
+
+@dataclasses.dataclass(frozen=True)
+class Work:
+    """One job with all that a worker needs to play it; JSON-ready."""
+
+    job: str
+    lease: str  # the lease's secret
+    submission: str
+    task: str
+    kind: Kind
+    format: str | None  # of a reference its name
+    artefact: str | None  # sha256 of the robot
+    release: str | None  # sha256 of the private release; None for the public panel
+    version: str
+    panel: str
+    chunk: int
+    partners: tuple[str, ...]  # ids; of a private release ordinals, such as "hidden-0007"
+    episodes: int
+    seed: str  # hexadecimal, up to 128 bits: JSON readers elsewhere would round it
+    preferences: tuple[str, ...] = ()  # of a gentle task: what its humans like, in turns
+
+
+class Scorer(Protocol):
+    """Plays the partners of a piece of work with a robot."""
+
+    def versions(self) -> tuple[str, ...]:
+        """Return the ids of the versions that this installation scores."""
+        ...
+
+    def play(self, work: Work, robot: Any, release: bytes | None) -> pl.DataFrame:
+        """Return one row an episode, with the columns of `COLUMNS`.
+
+        Args:
+            work: What is played.
+            robot: The file's bytes, a callable [N, O] -> [N, A] for a live robot, None for a
+                reference.
+            release: The packed private release, of a hidden panel.
+
+        Raises:
+            Refusal: The robot cannot be played.
+        """
+        ...
+
+
+class _Rows(BaseModel):
+    """A result as it travels: JSON, since a reader of foreign Parquet can abort the process."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+
+    partner: list[str]
+    algorithm: list[str]
+    disability: list[str]
+    episode: list[Annotated[int, Field(ge=0, lt=2**31)]]
+    returns: list[float] = Field(alias="return")
+    success: list[bool]
+    nonfinite: list[bool]
+    preference: list[str] | None = None
+    violated: list[bool] | None = None
+
+
+def encode_table(table: pl.DataFrame) -> bytes:
+    """Return a result as a worker sends it."""
+    return json.dumps(_in_order(table).to_dict(as_series=False)).encode()
+
+
+def decode_table(
+    data: bytes, partners: tuple[str, ...], episodes: int, preferences: tuple[str, ...] = ()
+) -> pl.DataFrame:
+    """Return a result that has every episode of these partners once, and nothing else.
+
+    Raises:
+        Problem: It has not.
+    """
+    if len(data) > MAX_TABLE_BYTES:
+        raise Problem("too_large", f"a result has at most {MAX_TABLE_BYTES} bytes")
+    columns = COLUMNS | (GENTLE_COLUMNS if preferences else {})
+    try:
+        rows = _Rows.model_validate_json(data).model_dump(by_alias=True, exclude_none=True)
+        if rows.keys() != columns.keys() or len(set(map(len, rows.values()))) != 1:
+            raise ValueError
+    except (ValidationError, ValueError):
+        names = ", ".join(columns)
+        raise Problem("invalid", f"a result is JSON with the columns {names}") from None
+    table = pl.DataFrame(rows, schema=columns)
+    expected = {(name, episode) for name in partners for episode in range(episodes)}
+    found = table.select("partner", "episode").rows()
+    if len(found) != len(expected) or set(found) != expected:
+        raise Problem("invalid", "the result lacks episodes of this job, or has others")
+    if not table["return"].is_finite().all():
+        raise Problem("invalid", "the result has returns that are not finite")
+    if preferences and not set(table["preference"]) <= set(preferences):
+        raise Problem("invalid", "the result has preferences that nobody asked for")
+    return table
+
+
+def table_bytes(table: pl.DataFrame) -> bytes:
+    """Return a result as it is kept, Parquet in one order: who played it does not show."""
+    buffer = io.BytesIO()
+    _in_order(table).write_parquet(buffer, compression="zstd")
+    return buffer.getvalue()
+
+
+def _in_order(table: pl.DataFrame) -> pl.DataFrame:
+    """Return the columns of a result in their types, sorted."""
+    columns = COLUMNS | (GENTLE_COLUMNS if "preference" in table.columns else {})
+    typed = table.select(pl.col(name).cast(kind) for name, kind in columns.items())
+    return typed.sort("partner", "episode")
+
+
+def cut(panel: tuple[Partner, ...], size: int) -> list[tuple[Partner, ...]]:
+    """Cut a panel into chunks; who plays them, and how many at once, changes nothing."""
+    return [panel[start : start + size] for start in range(0, len(panel), size)]

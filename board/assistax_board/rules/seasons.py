@@ -1,0 +1,229 @@
+"""Seasons: a private release is committed to, played against, and revealed.
+
+    draft -> open -> closing -> closed
+
+Opening publishes a Merkle root over salted leaves: partners, panels and seeds, and when it closes.
+`closing` plays panel B, then publishes leaves and weights, and everybody can check that they were
+the ones.
+"""
+
+import dataclasses
+import secrets
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import sqlalchemy as sa
+
+from assistax_board.ids import new_id
+from assistax_board.problems import Problem
+from assistax_board.rules.closing import find_season
+from assistax_board.rules.release_pack import hidden_partners, ordinal, pack, unpack
+from assistax_board.store import ledger
+from assistax_board.store import schema as t
+from assistax_board.store.artefacts import Artefacts, record_artefact
+from assistax_board.store.database import Database
+from assistax_board.store.merkle import merkle_root
+
+if TYPE_CHECKING:
+    from zoo.registry import Registry
+    from zoo.schema import PolicyEntry
+
+OPEN_SECONDS = 90 * 86_400.0  # of a season whose closing date is not given
+MAX_OPEN_SECONDS = 3 * 366 * 86_400.0
+ENOUGH_IN_B = 60  # partners, so that panel B's interval is narrow enough to name a winner
+DEFAULT_RULES = (
+    "One lab, one name. Train on public partners as you like. Scores on panel A are shown when "
+    "they beat your last shown one beyond chance; panel B decides, once, when the season closes. "
+    "Files are kept for the season and used for scoring alone, unless their licence says more."
+)
+
+c = t.seasons.c
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """What an organiser wants."""
+
+    name: str
+    task: str
+    budget: int = 20  # attempts of each lab
+    rules: str = DEFAULT_RULES
+    small: bool = False  # allow fewer than `ENOUGH_IN_B` partners in panel B
+
+
+def create_season(
+    database: Database,
+    artefacts: Artefacts,
+    plan: Plan,
+    folder: Path,
+    public: "Registry",
+    now: float,
+) -> str:
+    """Make a season of the private release in a folder, and return its id.
+
+    Raises:
+        Problem: The release has too few partners, or one of the public ones.
+    """
+    packed = pack(folder)
+    from zoo.registry import load_registry
+
+    entries = hidden_partners(load_registry(folder / "registry.json"), plan.task)
+    known = {entry.sha256 for entry in public.policies}
+    if shared := [entry.id for entry in entries if entry.sha256 in known]:
+        raise Problem("invalid", f"{shared[0]} is public; a private release has only new partners")
+    leaves = _leaves(entries)
+    sizes = {panel: sum(leaf.get("panel") == panel for leaf in leaves) for panel in ("A", "B")}
+    if min(sizes.values()) < 2 or (sizes["B"] < ENOUGH_IN_B and not plan.small):
+        raise Problem(
+            "invalid",
+            f"panels of {sizes['A']} and {sizes['B']} partners; panel B needs {ENOUGH_IN_B} for a "
+            "useful interval: train more, or say that a small one will do (--small)",
+        )
+    row = {
+        "id": new_id(),
+        "name": plan.name,
+        "task": plan.task,
+        "state": "draft",
+        "budget": plan.budget,
+        "rules": plan.rules,
+        "release": artefacts.put(packed),
+        "secret": {"leaves": leaves},
+        "panel_sizes": sizes,
+        "created_at": now,
+    }
+    with database.write() as connection:
+        if connection.execute(sa.select(c.id).where(c.name == plan.name)).first():
+            raise Problem("conflict", f"there is a season {plan.name!r}; choose another name")
+        _check_unseen(connection, row["id"], leaves)
+        record_artefact(connection, row["release"], len(packed), now)
+        connection.execute(sa.insert(t.seasons).values(row))
+    return row["id"]
+
+
+def open_season(database: Database, name: str, now: float, closes_at: float | None = None) -> str:
+    """Publish the Merkle root and the closing date, and let labs submit; return the root.
+
+    Args:
+        database: Of the service.
+        name: Name or id of the season.
+        now: The time.
+        closes_at: When it closes by itself; `OPEN_SECONDS` from now if not given.
+
+    Raises:
+        Problem: There is no such draft, or the date is not ahead.
+    """
+    closes_at = now + OPEN_SECONDS if closes_at is None else closes_at
+    if not now < closes_at < now + MAX_OPEN_SECONDS:
+        raise Problem("invalid", "a season closes within three years from now")
+    with database.write() as connection:
+        row = find_season(database, connection, name, "draft", None)
+        _check_unseen(connection, row.id, row.secret["leaves"])
+        root = merkle_root(row.secret["leaves"])
+        values = {"state": "open", "root": root, "opened_at": now, "closes_at": closes_at}
+        connection.execute(sa.update(t.seasons).where(c.id == row.id).values(values))
+        body = {"season": row.id, "name": row.name, "task": row.task, "root": root}
+        body |= {"panel_sizes": row.panel_sizes, "budget": row.budget, "closes_at": closes_at}
+        ledger.append(database, connection, now, "season_open", body)
+    return root
+
+
+def revealed(database: Database, name: str) -> dict[str, Any]:
+    """Return what a closed season publishes: its root, its leaves with their salts, its release.
+
+    Raises:
+        Problem: It is not closed; nothing of it is told before.
+    """
+    with database.read() as connection:
+        query = sa.select(t.seasons).where((c.id == name) | (c.name == name))
+        row = connection.execute(query).first()
+    if row is None:
+        raise Problem("not_found", f"no season {name!r}")
+    if row.state != "closed":
+        raise Problem(
+            "too_late", f"season {row.name} is {row.state}; it is revealed when it closed"
+        )
+    told = {"season": row.id, "name": row.name, "task": row.task, "root": row.root}
+    return {**told, "release": row.release, "leaves": row.secret["leaves"]}
+
+
+def revealed_release(database: Database, artefacts: Artefacts, name: str) -> bytes:
+    """Return the packed release of a closed season."""
+    return artefacts.get(revealed(database, name)["release"])
+
+
+def verify_season(statement: dict[str, Any], packed: bytes, root: str, folder: Path) -> int:
+    """Prove that a revealed release is the one whose root was published; return its partners.
+
+    Args:
+        statement: What `revealed` returned.
+        packed: The release that it names.
+        root: As it was published when the season opened: from the ledger, or a receipt's copy.
+        folder: Empty, to unpack to.
+
+    Raises:
+        ValueError: Something differs.
+    """
+    if merkle_root(statement["leaves"]) != root:
+        raise ValueError("the leaves are not those whose root was published when it opened")
+    entries = hidden_partners(unpack(packed, folder), statement["task"])
+    told = [leaf for leaf in statement["leaves"] if "policy" in leaf]
+    if [(leaf["policy"], leaf["sha256"]) for leaf in told] != [(e.id, e.sha256) for e in entries]:
+        raise ValueError("the release holds other partners than the leaves say")
+    from zoo.parameters.storage import load_stacks
+
+    load_stacks(unpack(packed, folder), entries)  # hashes of all parameters
+    return len(entries)
+
+
+def panel_partners(leaves: Sequence[dict[str, Any]], panel: str) -> list[str]:
+    """Return the ordinals of a panel, in the order in which they are cut into jobs."""
+    return [leaf["ordinal"] for leaf in leaves if leaf.get("panel") == panel]
+
+
+def panel_seed(leaves: Sequence[dict[str, Any]], panel: str) -> str:
+    """Return the seed of a panel's episodes, in hex."""
+    return next(leaf["seeds"][panel] for leaf in leaves if "seeds" in leaf)
+
+
+def _check_unseen(connection: sa.Connection, id: str, leaves: Sequence[dict[str, Any]]) -> None:
+    """Refuse partners of a season that was opened: they are known, or will be when it closes."""
+    mine = {leaf["sha256"] for leaf in leaves if "policy" in leaf}
+    others = sa.select(c.name, c.secret).where(c.id != id, c.state != "draft")
+    for name, secret in connection.execute(others):
+        if any(leaf.get("sha256") in mine for leaf in secret["leaves"] if "policy" in leaf):
+            raise Problem(
+                "conflict",
+                f"partners of this release were in season {name}, which reveals them when it "
+                "closes; train a new release (`season plan` draws new seeds)",
+            )
+
+
+def _leaves(entries: Sequence["PolicyEntry"]) -> list[dict[str, Any]]:
+    """Return a salted leaf for the seeds, then one for each partner by its ordinal."""
+    panels = _stratify(entries)
+    seeds = {panel: secrets.token_hex(16) for panel in ("A", "B")}
+    partners = [
+        {
+            "ordinal": ordinal(index),
+            "panel": panels[index],
+            "policy": entry.id,
+            "sha256": entry.sha256,
+            "salt": secrets.token_hex(16),
+        }
+        for index, entry in enumerate(entries)
+    ]
+    return [{"seeds": seeds, "salt": secrets.token_hex(16)}, *partners]
+
+
+def _stratify(entries: Sequence["PolicyEntry"]) -> list[str]:
+    """Deal partners to A and B in turn, shuffled within each algorithm and disability."""
+    random = secrets.SystemRandom()
+    order = sorted(
+        range(len(entries)),
+        key=lambda i: (entries[i].algorithm, entries[i].disability, random.random()),
+    )
+    panels = [""] * len(entries)
+    for turn, index in enumerate(order):
+        panels[index] = "BA"[turn % 2]
+    return panels

@@ -1,0 +1,288 @@
+"""The life of a submission, from its arrival to its end: scored, refused, or failed.
+
+    queued -> running -> scored
+       |         |-----> failed    (a word of FAILURES; the attempt is refunded or spent)
+       `-> refused                 (a word of REFUSALS; costs nothing)
+
+A scored one may be retracted by its submitter: it leaves its board, what was said of it stays.
+
+Everything that happens at once to a submission happens in one transaction, with its ledger entry.
+"""
+
+import dataclasses
+from typing import Any
+
+import sqlalchemy as sa
+
+from assistax_board.ids import new_id
+from assistax_board.problems import Problem, Refusal
+from assistax_board.rules import jobs
+from assistax_board.rules.catalogue import CHUNK, Catalogue, version_id
+from assistax_board.rules.scoring import cut
+from assistax_board.store import ledger
+from assistax_board.store import schema as t
+from assistax_board.store.artefacts import Artefacts, record_artefact
+from assistax_board.store.database import Database, insert_once
+from assistax_board.vocabulary import FINAL_STATES, OWN_FAILURES, Kind
+
+MAX_BYTES = 16 * 1024 * 1024
+LAST = 1_000_000  # turn of the references: they are played when nobody else waits
+LICENCES = ("Apache-2.0", "MIT", "BSD-3-Clause", "CC-BY-4.0", "CC0-1.0", "evaluation-only")
+
+c = t.submissions.c
+
+
+@dataclasses.dataclass(frozen=True)
+class Draft:
+    """A submission as it was handed in."""
+
+    task: str
+    method: str
+    request: str  # chosen by the client: the same one is the same submission
+    licence: str = "evaluation-only"
+    season: str | None = None  # id; None for the public board alone
+    kind: Kind = "file"
+    data: bytes | None = None  # of a file alone
+    format: str | None = None  # as admission found it; of a reference its name
+    refusal: str | None = None  # as admission found it
+
+
+def check_draft(draft: Draft, catalogue: Catalogue) -> None:
+    """Refuse what no admission has to look at.
+
+    Raises:
+        Problem: A field is not of the form.
+    """
+    if draft.task not in catalogue.tasks:
+        raise Problem("invalid", f"task {draft.task!r}; allowed are {', '.join(catalogue.tasks)}")
+    if draft.licence not in LICENCES:
+        raise Problem("invalid", f"licence {draft.licence!r}; allowed are {', '.join(LICENCES)}")
+    for name, value, most in (("method", draft.method, 80), ("request", draft.request, 64)):
+        if not 1 <= len(value) <= most or not value.isprintable():
+            raise Problem("invalid", f"{name} has 1 to {most} printable characters")
+    if (draft.data is not None) != (draft.kind == "file"):
+        raise Problem("invalid", "a submission is a file, or kind live without a file")
+    if draft.kind == "live" and draft.season is not None:
+        raise Problem(
+            "invalid",
+            "a live robot meets public partners alone, since its observations leave the server; "
+            "hand in a file to take part in a season",
+        )
+    if draft.data is not None and len(draft.data) > MAX_BYTES:
+        raise Problem("too_large", f"a file has at most {MAX_BYTES} bytes")
+
+
+def known(database: Database, submitter: str, request: str) -> str | None:
+    """Return the submission that a request made when it came before."""
+    with database.read() as connection:
+        return _known(connection, submitter, request)
+
+
+def submit(
+    database: Database,
+    artefacts: Artefacts,
+    catalogue: Catalogue,
+    submitter: str,
+    draft: Draft,
+    now: float,
+) -> str:
+    """Record a submission with its jobs, and return its id; a repeated request adds nothing."""
+    kept = None
+    if draft.data is not None and draft.refusal is None:
+        kept = artefacts.put(draft.data)  # before the row that names it
+    with database.write() as connection:
+        # Two requests at once must not both take the last attempt.
+        database.one_at_a_time(connection, f"submitter {submitter}")
+        if before := _known(connection, submitter, draft.request):
+            return before
+        if draft.season:  # it must not close between here and the end of the transaction
+            database.one_at_a_time(connection, f"season {draft.season}")
+        season = _open_season(connection, draft, now) if draft.season else None
+        if season is not None and draft.refusal is None:
+            _check_budget(connection, season, submitter)
+        if kept is not None and draft.data is not None:
+            record_artefact(connection, kept, len(draft.data), now)
+        row = _row(connection, submitter, draft, kept, now)
+        connection.execute(sa.insert(t.submissions).values(row))
+        if draft.refusal is None:
+            plan_jobs(connection, catalogue, row, season, now)
+        told = ("id", "submitter", "task", "kind", "artefact", "season", "state", "reason")
+        body = {name: row[name] for name in told}
+        ledger.append(database, connection, now, "submission", body)
+    return row["id"]
+
+
+def plan_jobs(
+    connection: sa.Connection,
+    catalogue: Catalogue,
+    row: Any,
+    season: Any | None,
+    now: float,
+) -> None:
+    """Cut a submission into jobs: the public panel, and then panel A of its season.
+
+    Panel A is held back until the public half is done: a robot that breaks down does so before it
+    has met anybody hidden.
+    """
+    identity = catalogue.identity(row["task"])
+    version = version_id(identity)
+    known = {"id": version, "task": row["task"], "identity": identity, "created_at": now}
+    insert_once(connection, t.versions, known)
+    public = len(cut(catalogue.public_panel(row["task"]), CHUNK))
+    order: dict[str, Any] = {"turn": row["turn"], "now": now}
+    jobs.add_jobs(connection, row["id"], version, "public", public, **order)
+    if season is not None:
+        hidden = count_chunks(season.panel_sizes["A"])
+        jobs.add_jobs(connection, row["id"], version, "A", hidden, held=True, **order)
+
+
+def count_chunks(partners: int) -> int:
+    """Return the number of jobs that a panel is cut into."""
+    return -(-partners // CHUNK)
+
+
+def fail(database: Database, connection: sa.Connection, id: str, reason: str, now: float) -> None:
+    """End a submission without a score; one that has ended stays as it is."""
+    row = lock_submission(database, connection, id)
+    if row is None or row.state in FINAL_STATES:
+        return
+    spent = row.season is not None and reason in OWN_FAILURES and _met_hidden(connection, id)
+    end(database, connection, row, "failed", reason, "spent" if spent else "refunded", now)
+
+
+def refuse(database: Database, connection: sa.Connection, id: str, code: str, now: float) -> None:
+    """End a submission that a worker could not play for the robot's own fault."""
+    row = lock_submission(database, connection, id)
+    if row is None or row.state in FINAL_STATES:
+        return
+    if row.season is not None and _met_hidden(connection, id):
+        reason = code if code == "too_slow" else "broke_down"
+        end(database, connection, row, "failed", reason, "spent", now)
+    else:
+        end(database, connection, row, "refused", code, "refunded", now)
+
+
+def end(
+    database: Database,
+    connection: sa.Connection,
+    row: Any,
+    state: str,
+    reason: str | None,
+    attempt: str,
+    now: float,
+) -> None:
+    """Bring a submission to its end, in state, attempt, queue and ledger."""
+    attempt = attempt if row.season is not None else "free"
+    values = {"state": state, "reason": reason, "attempt": attempt, "finished_at": now}
+    connection.execute(sa.update(t.submissions).where(c.id == row.id).values(values))
+    jobs.cancel_jobs(connection, row.id)
+    body = {"id": row.id, "state": state, "reason": reason, "attempt": attempt}
+    ledger.append(database, connection, now, "end", body)
+
+
+def withdraw(database: Database, id: str, submitter: str, now: float) -> None:
+    """End a submission because its submitter wants so."""
+    with database.write() as connection:
+        row = connection.execute(sa.select(t.submissions).where(c.id == id)).first()
+        if row is None or row.submitter != submitter:
+            raise Problem("not_found", f"you have no submission {id!r}")
+        if row.state == "scored":
+            _retract(database, connection, row, now)
+            return
+        if row.state in FINAL_STATES:
+            raise Problem("too_late", f"submission {id} has ended: {row.state}")
+        fail(database, connection, id, "withdrawn", now)
+
+
+def _retract(database: Database, connection: sa.Connection, row: Any, now: float) -> None:
+    """Take a scored submission off its board; its score, attempt and receipt stay known."""
+    season = t.seasons.c
+    closing = sa.select(season.name).where(season.id == row.season, season.state == "closing")
+    if name := connection.execute(closing).scalar():
+        raise Problem("too_late", f"season {name} is closing; panel B is played with what is there")
+    values = {"state": "retracted", "reason": "withdrawn", "entered_at": None}
+    connection.execute(sa.update(t.submissions).where(c.id == row.id).values(values))
+    jobs.cancel_jobs(connection, row.id)
+    ledger.append(database, connection, now, "retract", {"id": row.id})
+
+
+def lock_submission(database: Database, connection: sa.Connection, id: str) -> Any:
+    """Return a submission's row, which no other transaction changes until this one ends."""
+    query = sa.select(t.submissions).where(c.id == id)
+    return connection.execute(query if database.is_sqlite else query.with_for_update()).first()
+
+
+def _known(connection: sa.Connection, submitter: str, request: str) -> str | None:
+    where = c.submitter == submitter, c.request == request
+    return connection.execute(sa.select(c.id).where(*where)).scalar()
+
+
+def _row(
+    connection: sa.Connection, submitter: str, draft: Draft, kept: str | None, now: float
+) -> dict[str, Any]:
+    refused = draft.refusal is not None
+    attempt = "free" if draft.season is None else "refunded" if refused else "reserved"
+    waiting = sa.select(sa.func.count()).where(c.submitter == submitter, _unfinished())
+    return {
+        "id": new_id(),
+        "submitter": submitter,
+        "request": draft.request,
+        "task": draft.task,
+        "method": draft.method,
+        "kind": draft.kind,
+        "artefact": kept,
+        "format": draft.format,
+        "licence": draft.licence,
+        "season": draft.season,
+        "state": "refused" if refused else "queued",
+        "reason": draft.refusal,
+        "attempt": attempt,
+        # Who has more in the queue waits longer: one lab cannot keep all others out.
+        "turn": LAST if draft.kind == "reference" else connection.execute(waiting).scalar_one(),
+        "created_at": now,
+        "finished_at": now if refused else None,
+    }
+
+
+def _open_season(connection: sa.Connection, draft: Draft, now: float) -> Any:
+    row = connection.execute(sa.select(t.seasons).where(t.seasons.c.id == draft.season)).first()
+    if row is None or row.task != draft.task:
+        raise Problem("not_found", f"no season {draft.season!r} of task {draft.task}")
+    if row.state != "open":
+        raise Problem("too_late", f"season {row.name} is {row.state}; only an open one takes part")
+    if row.closes_at is not None and row.closes_at <= now:
+        raise Problem("too_late", f"the closing date of season {row.name} has passed")
+    return row
+
+
+def _check_budget(connection: sa.Connection, season: Any, submitter: str) -> None:
+    """Count attempts anew each time: a counter could be lost between two transactions."""
+    taken = c.attempt.in_(("reserved", "spent"))
+    query = sa.select(sa.func.count()).where(c.season == season.id, c.submitter == submitter, taken)
+    if connection.execute(query).scalar_one() >= season.budget:
+        raise Problem(
+            "budget_spent",
+            f"all {season.budget} attempts of season {season.name} are made or under way; submit "
+            "without a season to be scored on the public partners",
+        )
+
+
+def _met_hidden(connection: sa.Connection, id: str) -> bool:
+    """Return whether a worker ever took up a hidden panel of this submission."""
+    j = t.jobs.c
+    query = sa.select(j.id).where(j.submission == id, j.panel == "A", j.leased_at.is_not(None))
+    return connection.execute(query.limit(1)).first() is not None
+
+
+def _unfinished() -> Any:
+    return c.state.not_in(FINAL_STATES)
+
+
+def admitted(admit: Any, draft: Draft) -> Draft:
+    """Return the draft with what admission says of its file: its format, or why it is refused."""
+    if draft.data is None:
+        return draft
+    try:
+        return dataclasses.replace(draft, format=admit(draft.data, draft.task))
+    except Refusal as refusal:
+        return dataclasses.replace(draft, refusal=refusal.code)

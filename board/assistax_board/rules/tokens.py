@@ -1,0 +1,140 @@
+"""Tokens: who asks, and what they may do. Only hashes are kept; they travel in headers alone."""
+
+import dataclasses
+import hashlib
+import secrets
+from collections.abc import Sequence
+
+import sqlalchemy as sa
+
+from assistax_board.ids import new_id
+from assistax_board.problems import Problem
+from assistax_board.store import schema as t
+from assistax_board.store.database import Database
+from assistax_board.vocabulary import SCOPES, Scope
+
+PREFIX = "azt_"  # so that scanners of leaked secrets can know one
+
+
+@dataclasses.dataclass(frozen=True)
+class Principal:
+    """Who a valid token belongs to."""
+
+    token: str  # its id
+    scopes: tuple[Scope, ...]
+    submitter: str | None  # id
+
+
+@dataclasses.dataclass(frozen=True)
+class TokenInfo:
+    """What is known of a token, without its secret."""
+
+    id: str
+    label: str
+    scopes: tuple[Scope, ...]
+    submitter: str | None  # name
+    created_at: float
+    revoked_at: float | None
+
+
+def create_token(
+    database: Database,
+    now: float,
+    scopes: Sequence[Scope],
+    *,
+    label: str = "",
+    submitter: str | None = None,
+    contact: str | None = None,
+) -> str:
+    """Make a token and return it: the only time that it is seen.
+
+    Args:
+        database: Where it is kept.
+        now: The time.
+        scopes: What it may do.
+        label: For the organiser's list.
+        submitter: Name of the lab that submits with it; made if it is new.
+        contact: Of a new lab, such as an address for questions.
+    """
+    if not scopes or set(scopes) - set(SCOPES):
+        raise Problem("invalid", f"scopes {list(scopes)}: give some of {', '.join(SCOPES)}")
+    if "submit" in scopes and not submitter:
+        raise Problem("invalid", "a token that submits needs the name of a submitter")
+    token = PREFIX + secrets.token_urlsafe(32)
+    with database.write() as connection:
+        owner = find_or_add(connection, submitter, contact, now) if submitter else None
+        row = {
+            "id": new_id(8),
+            "sha256": _sha256(token),
+            "scopes": list(scopes),
+            "submitter": owner,
+            "label": label,
+            "created_at": now,
+        }
+        connection.execute(sa.insert(t.tokens).values(row))
+    return token
+
+
+def authenticate(database: Database, token: str) -> Principal:
+    """Return whom a token belongs to.
+
+    Raises:
+        Problem: It is unknown or was revoked; which of the two is not told.
+    """
+    c = t.tokens.c
+    with database.read() as connection:
+        query = sa.select(t.tokens).where(c.sha256 == _sha256(token), c.revoked_at.is_(None))
+        row = connection.execute(query).first()
+    if row is None:
+        raise Problem("not_signed_in", "this token is not valid; ask the organiser for one")
+    return Principal(row.id, tuple(row.scopes), row.submitter)
+
+
+def revoke_token(database: Database, now: float, token_id: str) -> None:
+    """Make a token invalid from now on."""
+    c = t.tokens.c
+    with database.write() as connection:
+        where = (c.id == token_id) & c.revoked_at.is_(None)
+        changed = connection.execute(sa.update(t.tokens).where(where).values(revoked_at=now))
+    if not changed.rowcount:
+        raise Problem("not_found", f"no valid token {token_id!r}; `token list` shows them")
+
+
+def list_tokens(database: Database) -> list[TokenInfo]:
+    """Return every token, the oldest first."""
+    c, s = t.tokens.c, t.submitters.c
+    query = (
+        sa.select(t.tokens, s.name)
+        .outerjoin(t.submitters, s.id == c.submitter)
+        .order_by(c.created_at)
+    )
+    with database.read() as connection:
+        return [
+            TokenInfo(r.id, r.label, tuple(r.scopes), r.name, r.created_at, r.revoked_at)
+            for r in connection.execute(query)
+        ]
+
+
+def submitter_id(database: Database, name: str) -> str:
+    """Return the id of the lab of this name."""
+    c = t.submitters.c
+    with database.read() as connection:
+        found = connection.execute(sa.select(c.id).where(c.name == name)).scalar()
+    if found is None:
+        raise Problem("not_found", f"no submitter {name!r}")
+    return found
+
+
+def find_or_add(connection: sa.Connection, name: str, contact: str | None, now: float) -> str:
+    """Return the id of the lab of this name, which is made if it is new."""
+    c = t.submitters.c
+    found = connection.execute(sa.select(c.id).where(c.name == name)).scalar()
+    if found is not None:
+        return found
+    row = {"id": new_id(), "name": name, "contact": contact, "created_at": now}
+    connection.execute(sa.insert(t.submitters).values(row))
+    return row["id"]
+
+
+def _sha256(token: str) -> str:
+    return hashlib.sha256(token.encode()).hexdigest()

@@ -1,0 +1,72 @@
+"""After an upgrade: what was scored by other versions is scored anew, unless a season closes."""
+
+from typing import TYPE_CHECKING
+
+import sqlalchemy as sa
+
+from assistax_board.problems import Problem
+from assistax_board.rules import closing, jobs, submissions
+from assistax_board.rules.catalogue import version_id
+from assistax_board.store import schema as t
+
+if TYPE_CHECKING:
+    from assistax_board.service import Service
+
+
+def adopt_version(service: "Service") -> int:
+    """Cut everything into jobs of the current version that has none: after an upgrade.
+
+    Unfinished jobs of older versions are dropped, since no worker of today can do them. Scores of
+    older versions stay.
+
+    Raises:
+        Problem: A season is closing under another version; nothing was changed.
+    """
+    now, s, changed = service.clock(), t.submissions.c, 0
+    for task in service.catalogue.tasks:
+        _check_closing(service, task)
+    for task in service.catalogue.tasks:
+        version = version_id(service.catalogue.identity(task))
+        with service.database.write() as connection:
+            planned = sa.select(t.jobs.c.submission).where(t.jobs.c.version == version)
+            stale = sa.select(t.submissions).where(
+                s.task == task,
+                s.state.in_(("queued", "running", "scored")),
+                s.kind.in_(("file", "reference")),
+                (s.kind == "file") | s.season.is_(None),  # a season's references play panel B alone
+                s.id.not_in(planned),
+            )
+            for row in connection.execute(stale).mappings().all():
+                jobs.cancel_jobs(connection, row["id"])
+                season = closing.season_of(connection, row["id"])
+                season = season if season is not None and season.state == "open" else None
+                submissions.plan_jobs(connection, service.catalogue, row, season, now)
+                changed += 1
+    return changed
+
+
+def _check_closing(service: "Service", task: str) -> None:
+    """Refuse another version while a season closes: what was in by then is played once, by one."""
+    identity = service.catalogue.identity(task)
+    j, s, v = t.jobs.c, t.submissions.c, t.versions.c
+    query = (
+        sa.select(t.seasons.c.name, v.identity)
+        .join(t.submissions, s.season == t.seasons.c.id)
+        .join(t.jobs, j.submission == s.id)
+        .join(t.versions, v.id == j.version)
+        .where(s.task == task, t.seasons.c.state == "closing")
+        .where(j.state.in_(("held", "waiting", "leased")), j.version != version_id(identity))
+    )
+    with service.database.read() as connection:
+        row = connection.execute(query.limit(1)).first()
+    if row is not None:
+        names = sorted(row.identity.keys() | identity.keys())
+        changed = [n for n in names if row.identity.get(n) != identity.get(n)]
+        differences = "; ".join(
+            f"{n} {row.identity.get(n)}, now {identity.get(n)}" for n in changed
+        )
+        raise Problem(
+            "conflict",
+            f"season {row.name} is closing, and one version alone plays what was in by then "
+            f"({differences}); start the version and options that it began with until it is closed",
+        )

@@ -1,0 +1,314 @@
+"""The embedded service: one command, a folder, and workers as processes of their own.
+
+DIR/service.db      SQLite, if no other database is given
+DIR/artefacts/      robots, results and private releases by sha256, if no store is given
+DIR/signing-key.pem
+DIR/films/          of pairs of published policies, made when a reader asks
+DIR/crossplays/     a finished cross-play for each task, if the organiser puts them there
+DIR/worker-token    of the local workers; only the owner can read it
+"""
+
+import asyncio
+import contextlib
+import ipaddress
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from uvicorn.protocols.http.auto import AutoHTTPProtocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+from assistax_board.commands.commands import BACKEND, TOKEN_VARIABLE
+from assistax_board.robots.limited import stop_limited
+from assistax_board.rules import tokens
+from assistax_board.rules.catalogue import ZooCatalogue
+from assistax_board.service import Service
+from assistax_board.store.artefacts import Artefacts
+from assistax_board.store.database import Database
+from assistax_board.store.receipts import load_signer
+
+DATABASE_FILE, ARTEFACTS_FOLDER = "service.db", "artefacts"
+WORKER_TOKEN_FILE = "worker-token"
+_stopping = threading.Event()
+SETTLED_SECONDS = 120.0  # until references are queued
+STOP_SECONDS = 20  # for requests and jobs that are under way
+SILENT_SECONDS = 10.0  # a connection may say nothing, or half a request
+TAKING_LOOKS = 30  # times that long, a client may take for an answer
+CLOSE_SECONDS = 10.0  # for a live client to take the last message
+PARENT_VARIABLE = "ASSISTAX_ZOO_PARENT"  # a local worker ends when this process is gone
+
+
+def open_service(
+    data: Path,
+    *,
+    database: str | None = None,
+    artefacts: str | None = None,
+    registry: Path | None = None,
+    backend: str = BACKEND,
+) -> Service:
+    """Return the service of a data folder, its schema at the newest version.
+
+    Args:
+        data: The folder; made if it is new.
+        database: URL of another database than the folder's.
+        artefacts: Address of another store than the folder's, such as s3://bucket/path.
+        registry: Of the public partners; the installed one if not given.
+        backend: What plays the episodes, part of every score's version.
+    """
+    from assistax_board.robots.admission import Admission, robot_sizes
+    from zoo.registry import load_registry
+
+    data.mkdir(parents=True, exist_ok=True)
+    data.chmod(0o700)  # robots, tokens' hashes and private releases are nobody else's business
+    opened = Database(database or f"sqlite:///{(data / DATABASE_FILE).absolute()}")
+    opened.upgrade()
+    loaded = load_registry(registry)
+    return Service(
+        opened,
+        Artefacts(artefacts or str((data / ARTEFACTS_FOLDER).absolute())),
+        ZooCatalogue(loaded, backend),
+        load_signer(data),
+        Admission(robot_sizes(loaded)),
+    )
+
+
+def add_references_later(service: Service, seconds: float = SETTLED_SECONDS) -> threading.Timer:
+    """Queue the rows to measure by after a while: who tries the server out comes first."""
+    timer = threading.Timer(seconds, service.add_references)
+    timer.daemon = True
+    timer.start()
+    return timer
+
+
+def page_folders(data: Path, registry: Path | None) -> dict[str, Path | None]:
+    """Return where pages find partners, their cross-plays, and films: see `pages.add_pages`."""
+    played = data / "crossplays"
+    crossplays = played if played.is_dir() else None
+    return {"films": data / "films", "registry": registry, "crossplays": crossplays}
+
+
+def first_token(service: Service) -> str | None:
+    """Return a token of the organiser, if this service never had one: it is shown once."""
+    if any("organise" in token.scopes for token in tokens.list_tokens(service.database)):
+        return None
+    return service.create_token(("organise", "submit"), label="first", submitter="organiser")
+
+
+def worker_token(service: Service, data: Path) -> str:
+    """Return the token of the local workers, kept in a file that only the owner reads."""
+    path = data / WORKER_TOKEN_FILE
+    with contextlib.suppress(Exception):
+        token = path.read_text().strip()
+        tokens.authenticate(service.database, token)
+        return token
+    token = service.create_token(("work",), label="local workers")
+    descriptor = os.open(path, os.O_CREAT | os.O_WRONLY | os.O_TRUNC, 0o600)
+    with os.fdopen(descriptor, "w") as file:
+        file.write(token)
+    return token
+
+
+def run_server(
+    service: Service,
+    host: str,
+    port: int,
+    stop_workers: Callable[[], None],
+    proxy: str | None = None,
+    **pages: Any,
+) -> None:
+    """Serve until SIGINT or SIGTERM, ending requests first; `pages` go to `add_pages`."""
+    from assistax_board.api.app import create_app
+    from assistax_board.api.operations import log_to_stderr
+
+    log_to_stderr()
+    _Server(config_of(create_app(service, **pages), host, port, proxy), stop_workers).run()
+
+
+def check_proxy(proxy: str | None) -> None:
+    """Refuse a name for whom to believe that is not the address of a proxy.
+
+    Raises:
+        ValueError: It is none: a wider one would let clients choose their own addresses.
+    """
+    for part in (proxy or "").split(",") if proxy is not None else ():
+        try:
+            network = ipaddress.ip_network(part.strip())
+        except ValueError:
+            network = None
+        if network is None or network.prefixlen == 0:
+            raise ValueError(
+                f"the proxy is {part.strip()!r}; give its address as the server sees it, such as "
+                "127.0.0.1, or a network such as 10.0.0.0/24"
+            )
+
+
+def config_of(app: Any, host: str, port: int, proxy: str | None = None) -> uvicorn.Config:
+    """Return how an application is served; `proxy` is whose X-Forwarded-For is believed."""
+    return uvicorn.Config(
+        app,
+        host=host,
+        port=port,
+        log_level="warning",
+        access_log=False,  # it would hold addresses and queries; ours holds routes
+        timeout_graceful_shutdown=STOP_SECONDS,
+        limit_concurrency=1000,
+        http=_Impatient,
+        ws=_Brief,
+        ws_max_size=4 * 1024 * 1024,
+        server_header=False,
+        proxy_headers=proxy is not None,
+        forwarded_allow_ips=proxy or "",
+    )
+
+
+class _Impatient(AutoHTTPProtocol):  # ty: ignore[unsupported-base]
+    """Hangs up on who says nothing, or takes nothing: a thousand of them would be all there are."""
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        self._look(self, 0)
+
+    def _look(self, seen: Any, looks: int) -> None:
+        """Look now and then whether still the same request is under way, or none."""
+        if self.transport.is_closing() or self.transport.get_protocol() is not self:
+            return  # over, or a WebSocket now
+        looks = looks + 1 if self.cycle is seen else 0
+        waits = self.cycle is None or self.cycle.response_complete
+        if looks >= (1 if waits else TAKING_LOOKS):
+            self.transport.abort()
+        else:
+            self.loop.call_later(SILENT_SECONDS, self._look, self.cycle, looks)
+
+
+class _Brief(WebSocketsSansIOProtocol):
+    """Hangs up when a conversation is over: a peer that takes nothing would keep it for ever."""
+
+    async def run_asgi(self) -> None:
+        try:
+            await super().run_asgi()
+        finally:
+            self.loop.call_later(CLOSE_SECONDS, self.transport.abort)
+
+
+class _Server(uvicorn.Server):
+    """Stops the workers while it still answers, so that they can give their jobs back."""
+
+    def __init__(self, config: uvicorn.Config, stop_workers: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._stop_workers = stop_workers
+
+    async def main_loop(self) -> None:
+        if not _stopping.is_set():
+            await super().main_loop()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        await asyncio.to_thread(self._stop_workers)
+        stop_limited()
+        await super().shutdown(sockets)
+
+
+@contextlib.contextmanager
+def stopped_by_signals() -> Generator[None]:
+    """End the block, with its workers, at Ctrl-C and at SIGTERM, whatever it is doing.
+
+    uvicorn answers what is under way, then raises the signal once more; before it has started,
+    nothing else would catch it. The wake-up pipe of other commands, which ends those within two
+    seconds, is taken away.
+    """
+    try:
+        signal.set_wakeup_fd(-1)
+        _on_signals(_interrupt)
+        yield
+    except BaseException:  # C code that the signal struck may have made another error of it
+        if not _stopping.is_set():
+            raise
+    finally:
+        _on_signals(signal.SIG_IGN)
+    if _stopping.is_set():
+        print("stopped", file=sys.stderr, flush=True)
+
+
+def _on_signals(handler: Any) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
+
+
+def _interrupt(*_: Any) -> None:
+    # Remembered too: an exception that strikes in a destructor is lost.
+    _stopping.set()
+    raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def local_workers(
+    count: int, address: str, token: str, options: list[str]
+) -> Generator[Callable[[], None]]:
+    """Run workers as processes, start them again when they die, and stop them at the end.
+
+    Yields:
+        What stops them before.
+    """
+    over = threading.Event()
+    threads = [
+        threading.Thread(target=_keep_working, args=(over, address, token, options))
+        for _ in range(count)
+    ]
+
+    def stop() -> None:
+        over.set()
+        for thread in threads:
+            if thread.is_alive():  # a signal may come before all are
+                thread.join()
+
+    try:
+        for thread in threads:
+            thread.start()
+        yield stop
+    finally:
+        _on_signals(signal.SIG_IGN)  # a second one must not leave workers behind
+        stop()
+
+
+def _keep_working(over: threading.Event, address: str, token: str, options: list[str]) -> None:
+    command = [sys.executable, "-m", "assistax_zoo", "worker", "--url", address, *options]
+    environment = {**os.environ, TOKEN_VARIABLE: token, PARENT_VARIABLE: str(os.getpid())}
+    while not over.is_set():
+        began = time.monotonic()
+        # A group of its own: Ctrl-C reaches the server alone, which then stops its workers.
+        process = subprocess.Popen(command, env=environment, start_new_session=True)
+        while process.poll() is None and not over.wait(0.5):
+            pass
+        if process.poll() is None:
+            _stop(process)
+        elif time.monotonic() - began < 5:
+            over.wait(5)  # one that cannot start must not be started all the time
+
+
+def _stop(process: Any) -> None:
+    process.send_signal(signal.SIGTERM)
+    try:
+        process.wait(STOP_SECONDS)
+    except subprocess.TimeoutExpired:
+        process.kill()  # its lease runs out
+        process.wait()
+
+
+def free_port(host: str, port: int) -> int:
+    """Return the port, or a free one if it is 0; say so now if it is taken."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise ValueError(
+                f"cannot listen on {host}:{port} ({error.strerror}); choose another --port"
+            ) from error
+        return probe.getsockname()[1]

@@ -1,0 +1,298 @@
+"""The service as one object: what the API, the pages and the commands call."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+
+from assistax_board.clock import Clock, system_clock
+from assistax_board.live.rooms import GONE_SECONDS, LIFE_SECONDS, Rooms
+from assistax_board.problems import Problem
+from assistax_board.rules import closing, jobs, results, seasons, submissions, tokens, upgrading
+from assistax_board.rules.catalogue import CHUNK, PUBLIC_SEED, Catalogue, panel_episodes
+from assistax_board.rules.scoring import Work
+from assistax_board.rules.submissions import Draft
+from assistax_board.store import ledger
+from assistax_board.store import schema as t
+from assistax_board.store.artefacts import Artefacts
+from assistax_board.store.database import Database
+from assistax_board.store.queries import Queries
+from assistax_board.store.receipts import Signer
+from assistax_board.vocabulary import FINAL_STATES, REFERENCE
+
+Admit = Callable[[bytes, str], str]  # (file, task) -> format; raises Refusal
+
+
+@dataclasses.dataclass(frozen=True)
+class Service:
+    """Everything that happens, happens through here."""
+
+    database: Database
+    artefacts: Artefacts
+    catalogue: Catalogue
+    signer: Signer
+    admit: Admit
+    clock: Clock = system_clock
+
+    @property
+    def queries(self) -> Queries:
+        """What may be shown to anybody."""
+        return Queries(self.database)
+
+    def submit(self, submitter: str, draft: Draft) -> str:
+        """Take a submission in and return its id; `submitter` is an id."""
+        submissions.check_draft(draft, self.catalogue)
+        if known := submissions.known(self.database, submitter, draft.request):
+            return known
+        draft = submissions.admitted(self.admit, draft)
+        args = self.database, self.artefacts, self.catalogue, submitter, draft
+        return submissions.submit(*args, self.clock())
+
+    def withdraw(self, submission: str, submitter: str) -> None:
+        """End a submission because its submitter wants so; a scored one leaves its board."""
+        submissions.withdraw(self.database, submission, submitter, self.clock())
+        with self.database.write() as connection:
+            self._reveal(connection, submission)
+
+    def lease(
+        self, worker: str, versions: Sequence[str], rooms: Rooms | None = None
+    ) -> Work | None:
+        """Give a worker the next job that it can do; `rooms` say which live clients are there."""
+        closing.close_due(self.database, self.clock())
+        connected = () if rooms is None else rooms.connected()
+        if rooms is not None:
+            self._end_absent(rooms)
+        lease, exhausted = jobs.lease_job(self.database, worker, versions, self.clock(), connected)
+        for submission in exhausted:
+            self._fail(submission, "worker_errors")
+        return None if lease is None else self._work(lease)
+
+    def beat(self, job: str, secret: str) -> bool:
+        """Extend a lease; False where it was lost."""
+        return jobs.beat(self.database, job, secret, self.clock())
+
+    def give_back(self, job: str, secret: str) -> None:
+        """Take a job back that its worker could not finish because it stops."""
+        jobs.give_back(self.database, job, secret)
+
+    def job_failed(self, job: str, secret: str) -> None:
+        """Note that a worker could not do a job; several times are too often."""
+        if submission := jobs.fail_job(self.database, job, secret):
+            self._fail(submission, "worker_errors")
+
+    def job_refused(self, job: str, secret: str, code: str) -> None:
+        """End a submission whose robot a worker could not play."""
+        with self.database.write() as connection:
+            row = jobs.held_job(connection, job, secret)
+            if row is None:
+                raise Problem("lease_lost", "this job is no longer yours; take the next")
+            submissions.refuse(self.database, connection, row.submission, code, self.clock())
+            jobs.cancel_jobs(connection, row.submission, row.version)
+            self._reveal(connection, row.submission)
+
+    def result(self, job: str, secret: str, data: bytes, seconds: float) -> bool:
+        """Take a job's result; False where it was there already."""
+        with self.database.read() as connection:
+            row = connection.execute(sa.select(t.jobs).where(t.jobs.c.id == job)).first()
+            if row is None:
+                raise Problem("not_found", f"no job {job!r}")
+            partners = self._partners(connection, row)
+            preferences = self._preferences(connection, row.submission)
+            episodes = panel_episodes(_task_of(connection, row.submission), row.panel)
+        desk = results.Desk(self.database, self.artefacts, self.signer)
+        given = data, partners, episodes, preferences, seconds
+        return results.accept(desk, job, secret, *given, self.clock())
+
+    def owns_live(self, submission: str, submitter: str | None) -> bool:
+        """Return whether a live submission that has not ended is this lab's."""
+        s = t.submissions.c
+        where = s.id == submission, s.submitter == submitter, s.kind == "live"
+        with self.database.read() as connection:
+            query = sa.select(s.id).where(*where, s.state.not_in(FINAL_STATES))
+            return connection.execute(query).first() is not None
+
+    def live_submission(self, job: str, secret: str) -> str:
+        """Return the live submission of a job that this lease holds."""
+        with self.database.read() as connection:
+            row = jobs.held_job(connection, job, secret)
+        if row is None or row.state != "leased":
+            raise Problem("lease_lost", "this job is no longer yours; take the next")
+        return row.submission
+
+    def live_away(self, job: str, secret: str) -> None:
+        """Take back a job whose client is away, unless it is with hidden partners.
+
+        Playing those again from the start would show the robot the same episodes twice.
+        """
+        with self.database.read() as connection:
+            row = jobs.held_job(connection, job, secret)
+        if row is not None and row.panel == "public":
+            jobs.give_back(self.database, job, secret)
+        elif row is not None:
+            self._fail(row.submission, "client_gone")
+
+    def live_failed(self, submission: str, reason: str) -> None:
+        """End a live submission for a reason of `vocabulary.FAILURES`."""
+        self._fail(submission, reason)
+
+    def live_refused(self, submission: str, code: str) -> None:
+        """End a live submission whose robot gave a wrong answer."""
+        with self.database.write() as connection:
+            submissions.refuse(self.database, connection, submission, code, self.clock())
+
+    def create_season(self, plan: seasons.Plan, folder: Path, public: Any) -> str:
+        """Make a season of a private release; see `seasons`."""
+        args = self.database, self.artefacts, plan, folder, public
+        return seasons.create_season(*args, self.clock())
+
+    def open_season(self, name: str, closes_at: float | None = None) -> str:
+        """Open a season until a date, and return its Merkle root."""
+        return seasons.open_season(self.database, name, self.clock(), closes_at)
+
+    def enter(self, season: str, submitter: str, chosen: Sequence[str]) -> None:
+        """Choose what a lab plays panel B with; see `closing`."""
+        closing.enter(self.database, season, submitter, chosen, self.clock())
+
+    def close_season(self, name: str) -> None:
+        """Close a season before its date: panel B is played, then everything is revealed."""
+        closing.close_season(self.database, name, self.clock())
+
+    def panel_b(self, season: str) -> list[tuple[str, Any]]:
+        """Return the episodes of every submission on the panel B of a closed season."""
+        return results.panel_b(self.database, self.artefacts, season)
+
+    def create_token(self, scopes: Sequence[Any], **options: Any) -> str:
+        """Make a token; see `tokens.create_token`."""
+        return tokens.create_token(self.database, self.clock(), scopes, **options)
+
+    def erase_submitter(self, submitter: str) -> None:
+        """Remove a lab's name, contact and files; hashes and scores stay, under a pseudonym."""
+        erase_submitter(self, submitter)
+
+    def add_references(self) -> None:
+        """Queue what every board measures by, each once, to be played when nobody else waits."""
+        with self.database.write() as connection:
+            nobody = tokens.find_or_add(connection, REFERENCE, None, self.clock())
+        for task in self.catalogue.tasks:
+            for name, method in self.catalogue.references(task).items():
+                request = f"{task} {name}"
+                self.submit(nobody, Draft(task, method, request, kind="reference", format=name))
+
+    def adopt_version(self) -> int:
+        """Score anew what was scored by other versions; return how many submissions that is."""
+        return upgrading.adopt_version(self)
+
+    def _end_absent(self, rooms: Rooms) -> None:
+        """End live submissions whose clients have not come for too long."""
+        s = t.submissions.c
+        live = sa.select(s.id, s.created_at).where(s.kind == "live")
+        with self.database.read() as connection:
+            waiting = connection.execute(live.where(s.state.not_in(FINAL_STATES))).all()
+        for row in waiting:
+            is_old = self.clock() - row.created_at > LIFE_SECONDS
+            if is_old or rooms.away_for(row.id) > GONE_SECONDS:
+                self._fail(row.id, "client_gone")
+
+    def _fail(self, submission: str, reason: str) -> None:
+        with self.database.write() as connection:
+            submissions.fail(self.database, connection, submission, reason, self.clock())
+            self._reveal(connection, submission)
+
+    def _reveal(self, connection: sa.Connection, submission: str) -> None:
+        """Take a closing season on whose last job was given up."""
+        season = closing.season_of(connection, submission)
+        if season is not None:
+            closing.go_on(self.database, connection, season.id, self.clock())
+
+    def _work(self, lease: jobs.Lease) -> Work:
+        with self.database.read() as connection:
+            s = t.submissions.c
+            row = connection.execute(sa.select(t.submissions).where(s.id == lease.submission)).one()
+            partners = self._partners(connection, lease)
+            season = closing.season_of(connection, lease.submission)
+            preferences = self._preferences(connection, lease.submission)
+        public = lease.panel == "public"
+        return Work(
+            job=lease.job,
+            lease=lease.secret,
+            submission=row.id,
+            task=row.task,
+            kind=row.kind,
+            format=row.format,
+            artefact=row.artefact,
+            release=None if public else season.release,
+            version=lease.version,
+            panel=lease.panel,
+            chunk=lease.chunk,
+            partners=partners,
+            episodes=panel_episodes(row.task, lease.panel),
+            seed=f"{PUBLIC_SEED:x}"
+            if public
+            else seasons.panel_seed(season.secret["leaves"], lease.panel),
+            preferences=preferences,
+        )
+
+    def _preferences(self, connection: sa.Connection, submission: str) -> tuple[str, ...]:
+        task = _task_of(connection, submission)
+        return tuple(self.catalogue.identity(task).get("preferences", ()))
+
+    def _partners(self, connection: sa.Connection, job: Any) -> tuple[str, ...]:
+        """Return the partners of a job's chunk."""
+        season = closing.season_of(connection, job.submission)
+        if job.panel == "public":
+            task = _task_of(connection, job.submission)
+            names = [partner.id for partner in self.catalogue.public_panel(task)]
+        else:
+            names = seasons.panel_partners(season.secret["leaves"], job.panel)
+        return tuple(names[job.chunk * CHUNK : (job.chunk + 1) * CHUNK])
+
+
+def erase_submitter(service: Service, submitter: str) -> None:
+    """Remove a person's data; the ledger holds ids and hashes alone, so its chain stays whole."""
+    now, s = service.clock(), t.submissions.c
+    with service.database.write() as connection:
+        where = t.submitters.c.id == submitter
+        row = connection.execute(sa.select(t.submitters).where(where)).first()
+        if row is None:
+            raise Problem("not_found", f"no submitter {submitter!r}")
+        values = {"name": f"erased-{submitter}", "contact": None, "erased_at": now}
+        connection.execute(sa.update(t.submitters).where(where).values(values))
+        open_tokens = sa.update(t.tokens).where(t.tokens.c.submitter == submitter)
+        connection.execute(open_tokens.values(revoked_at=now, label="erased"))
+        columns = s.id, s.artefact, s.season
+        mine = connection.execute(sa.select(*columns).where(s.submitter == submitter)).all()
+        for each in mine:
+            submissions.fail(service.database, connection, each.id, "withdrawn", now)
+            jobs.cancel_jobs(connection, each.id)  # of a scored one, whose file goes too
+            update = sa.update(t.submissions).where(s.id == each.id)
+            # Its client chose the request, and may have written anything.
+            connection.execute(update.values(method="erased", request=each.id))
+            _sign_anew(service, connection, each.id)
+        others = sa.select(s.artefact).where(s.submitter != submitter, s.artefact.is_not(None))
+        kept = set(connection.execute(others).scalars())
+        gone = {each.artefact for each in mine if each.artefact} - kept
+        a = t.artefacts.c
+        erased = sa.update(t.artefacts).where(a.sha256.in_(gone)).values(erased_at=now)
+        connection.execute(erased)
+        ledger.append(service.database, connection, now, "erase", {"submitter": submitter})
+        for season in {each.season for each in mine if each.season}:
+            closing.go_on(service.database, connection, season, now)
+    for name in gone:
+        service.artefacts.erase(name)
+
+
+def _sign_anew(service: Service, connection: sa.Connection, submission: str) -> None:
+    """Sign receipts without the method's name: the same score, at the same place of the ledger."""
+    r = t.receipts.c
+    query = sa.select(r.version, r.content).where(r.submission == submission)
+    for row in connection.execute(query).all():
+        content = row.content | {"method": "erased"}
+        mine = sa.update(t.receipts).where(r.submission == submission, r.version == row.version)
+        connection.execute(mine.values(content=content, signature=service.signer.sign(content)))
+
+
+def _task_of(connection: sa.Connection, submission: str) -> str:
+    query = sa.select(t.submissions.c.task).where(t.submissions.c.id == submission)
+    return connection.execute(query).scalar_one()

@@ -1,0 +1,1 @@
+"""What the board keeps: the database, artefacts, the ledger, receipts, backups."""

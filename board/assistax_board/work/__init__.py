@@ -1,0 +1,1 @@
+"""Workers: processes that play what the board asks."""

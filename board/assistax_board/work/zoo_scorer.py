@@ -1,0 +1,94 @@
+"""Plays work with the real evaluator: the same table whoever plays it, on one kind of machine.
+
+A chunk is a job of its own with its partners in a fixed order, so its program and its values depend
+on nothing else: not on other chunks, not on how many workers there are. Jobs are made and played by
+what `assistax_zoo.evaluate` plays with, `evaluation.studies`.
+"""
+
+import hashlib
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from assistax_board.robots.admission import Admission, robot_sizes
+from assistax_board.rules.catalogue import Catalogue, version_id
+from assistax_board.rules.release_pack import hidden_partners, ordinal_index, unpack
+from assistax_board.rules.scoring import COLUMNS, GENTLE_COLUMNS, Work
+
+
+class ZooScorer:
+    """Scores with a registry's partners, and with those of private releases."""
+
+    def __init__(self, registry: Any, catalogue: Catalogue, backend: str) -> None:
+        """Prepare to play.
+
+        Args:
+            registry: The public partners.
+            catalogue: Says which versions this installation scores.
+            backend: Of the environment.
+        """
+        self._registry, self._catalogue, self._backend = registry, catalogue, backend
+        self._sizes = robot_sizes(registry)
+        self._admission = Admission(self._sizes)
+
+    def versions(self) -> tuple[str, ...]:
+        """Return the ids of the versions that this installation scores."""
+        identities = map(self._catalogue.identity, self._catalogue.tasks)
+        return tuple(version_id(identity) for identity in identities)
+
+    def play(self, work: Work, robot: Any, release: bytes | None) -> pl.DataFrame:
+        """Return one row an episode; see `scoring.Scorer`."""
+        egos = self._egos(work, robot)
+        if release is None:
+            entries = [self._registry.policy(name) for name in work.partners]
+            return self._play(work, egos, self._registry, entries)
+        with tempfile.TemporaryDirectory() as folder:
+            hidden = unpack(release, Path(folder))
+            humans = hidden_partners(hidden, work.task)
+            entries = [humans[ordinal_index(name)] for name in work.partners]
+            return self._play(work, egos, hidden, entries)
+
+    def _play(self, work: Work, egos: Any, registry: Any, entries: list[Any]) -> pl.DataFrame:
+        from evaluation.figures.normalised import REFERENCE_ROWS
+        from evaluation.play.baselines import reference_job
+        from evaluation.play.evaluator import run_job
+        from evaluation.studies import Settings, make_job, own_robots
+
+        seed, likes = int(work.seed, 16), work.preferences or None
+        settings = Settings(work.task, work.episodes, seed, self._backend, preferences=likes)
+        env, job = make_job(registry, egos, entries, settings)
+        if work.kind == "reference" and work.format in REFERENCE_ROWS:
+            job = reference_job(env, job, str(work.format), own_robots(registry, entries))
+        with tempfile.TemporaryDirectory() as folder:
+            table = run_job(env, job, Path(folder) / "job").table
+        return _told(table, dict(zip([e.id for e in entries], work.partners, strict=True)))
+
+    def _egos(self, work: Work, robot: Any) -> Any:
+        from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
+        from evaluation.figures.normalised import REFERENCE_ROWS
+        from evaluation.play.baselines import reference_roster
+        from population.networks.stack import stack_policies
+
+        if work.kind == "reference" and work.format in REFERENCE_ROWS:
+            return reference_roster(*self._sizes[work.task])
+        if work.kind == "reference":
+            ego = self._registry.policy(f"{work.task}/{work.format}/robot")
+            return registry_roster(self._registry, [ego])
+        if work.kind == "live":
+            return Roster((HostEgo("robot", robot),), {"robot": Member("robot", "live")})
+        admitted = self._admission.read(robot, work.task)
+        member = Member("robot", hashlib.sha256(robot).hexdigest())
+        stacks = stack_policies([(member.id, admitted.spec, admitted.params)])
+        return Roster(stacks, {member.id: member})
+
+
+def _told(table: pl.DataFrame, names: dict[str, str]) -> pl.DataFrame:
+    """Return the columns that leave a worker, partners under the names that they were asked by."""
+    told = table.with_columns(
+        pl.col("partner").replace_strict(names),
+        pl.col("partner_algorithm").alias("algorithm"),
+        pl.col("partner_disability").alias("disability"),
+    )
+    return told.select(name for name in (*COLUMNS, *GENTLE_COLUMNS) if name in told.columns)

@@ -1,0 +1,1 @@
+"""Who plays: names, stacks, robots from outside, baseline policies."""

@@ -1,0 +1,64 @@
+"""Policies that nobody trained: the zero action, uniformly random ones, a task's script."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from assistax_envs.models import build_model
+from assistax_envs.scripted import scripted_robot
+from evaluation.cast.roster import ReferenceSpec, ScriptSpec
+
+
+class ReferencePolicy:
+    """Actions drawn uniformly from [-amplitude, amplitude].
+
+    It has the form of `population.networks.policy.Policy`.
+
+    The draw is a hash of the observation's bits: random to look at, and the same however a job is
+    cut into chunks.
+    """
+
+    def __init__(self, spec: ReferenceSpec) -> None:
+        self.spec = spec
+        rng = np.random.default_rng(0)
+        self._weights = rng.integers(1, 2**32, (2, spec.observation_size), np.uint32) | np.uint32(1)
+
+    def initial_carry(self, batch_shape: tuple[int, ...]) -> tuple[()]:
+        """Return the empty carry."""
+        return ()
+
+    def act(
+        self, params: Any, carry: tuple[()], obs: jax.Array, first: jax.Array
+    ) -> tuple[tuple[()], jax.Array]:
+        """Return actions [..., A] for observations [..., O].
+
+        `params` holds a scalar "amplitude".
+        """
+        rows = jax.lax.bitcast_convert_type(obs, jnp.uint32).reshape(-1, self.spec.observation_size)
+        words = jnp.sum(
+            rows[:, None, :] * self._weights[None], axis=-1, dtype=jnp.uint32
+        )  # modulo 2**32: exact
+        keys = jax.vmap(jax.random.wrap_key_data)(words)
+        draw = jax.vmap(lambda key: jax.random.uniform(key, (self.spec.action_size,), minval=-1.0))
+        actions = draw(keys).reshape(*obs.shape[:-1], self.spec.action_size)
+        return carry, params["amplitude"] * actions
+
+
+class ScriptedPolicy:
+    """A task's script, in the form of a `Policy`; it has no memory and no parameters."""
+
+    def __init__(self, spec: ScriptSpec) -> None:
+        self._robot = scripted_robot(spec.task, build_model(spec.task))
+
+    def initial_carry(self, batch_shape: tuple[int, ...]) -> tuple[()]:
+        """Return the empty carry."""
+        return ()
+
+    def act(
+        self, params: Any, carry: tuple[()], obs: jax.Array, first: jax.Array
+    ) -> tuple[tuple[()], jax.Array]:
+        """Return actions [..., A] for observations [..., O]."""
+        actions = self._robot(obs.reshape(-1, obs.shape[-1]))
+        return carry, actions.reshape(*obs.shape[:-1], -1)

@@ -1,0 +1,291 @@
+"""Find the robots that a job is about: in the registry, in files, in anybody's Python code."""
+
+import dataclasses
+import glob
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from assistax_base.bounded_reading import parse_json
+from evaluation.cast import onnx_admission, onnx_ego
+from evaluation.cast.policy_process import PolicyError, PolicyProcess
+from evaluation.cast.policy_worker import told
+from evaluation.cast.robot_forms import as_robot
+from evaluation.cast.robot_names import PolicyReference, parse_reference
+from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
+from evaluation.record.manifest import file_sha256, identity_digest
+from population.networks.spec import PolicySpec
+from population.networks.stack import PolicyStack, stack_policies
+from zoo.met import NOT_KNOWN, Met, claimed_met, declared_met, met_in_training
+from zoo.parameters.storage import read_policy_file
+from zoo.parameters.tensors import flatten, row_sha256
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry
+
+
+class EgoError(ValueError):
+    """A robot from outside failed: names the partner, the step and what was wrong."""
+
+
+def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> Roster:
+    """Resolve references and Python objects to egos; those of one spec are stacked, in order.
+
+    Args:
+        robots: Texts of the forms of `evaluation.cast.robot_names`, paths, globs of policy files,
+            and objects of those of `evaluation.cast.robot_forms`.
+        registry: Where ids are looked up.
+        task: Whose robots are meant by a glob.
+
+    Raises:
+        ValueError: A reference has none of the known forms, or cannot play the robot.
+        TypeError: An object has none of the known forms.
+        ZooError: An id or a file that is not there or not what it says.
+        EgoError: A robot from a Python module cannot be made.
+    """
+    single: list[tuple[Member, PolicySpec, Any]] = []
+    host: list[tuple[Member, HostEgo]] = []
+    for place, robot in enumerate(robots):
+        if not isinstance(robot, str | Path):
+            host.append(_from_object(robot, place, registry))
+            continue
+        reference = parse_reference(str(robot))
+        reference.check(task, "robot")
+        if reference.kind == "zoo":
+            single += _from_zoo(reference.source, registry, task)
+        elif reference.kind == "file":
+            single += _from_files(reference.text, registry, isinstance(robot, str))
+        elif reference.kind == "onnx" and (program := _program(reference, registry)):
+            single.append(program)
+        elif reference.kind in ("python", "onnx"):
+            host.append(_from_outside(reference, registry, task))
+        else:
+            raise ValueError(
+                f"policy {reference.text!r} is no robot to evaluate; references play it beside "
+                "every robot"
+            )
+    stacks = stack_policies((member.id, spec, params) for member, spec, params in single)
+    members = [member for member, *_ in (*single, *host)]
+    egos = (ego for _, ego in host)
+    return Roster((*stacks, *egos), {member.id: member for member in members})
+
+
+def call_ego(
+    ego: HostEgo, partners: Sequence[str], episodes: int, action_size: int
+) -> Callable[[np.ndarray, int], np.ndarray]:
+    """Return a function (observations [N, O], step) -> actions [N, A] that checks its answers.
+
+    `partners` and `episodes` say who stands in each row: N is partner by partner, K episodes each.
+    """
+    robot = as_robot(ego.act)
+
+    def act(obs: np.ndarray, step: int) -> np.ndarray:
+        place = f"{ego.id} with {_span(partners)}, step {step}"
+        try:
+            if step == 0:
+                robot.reset(len(obs))
+            answer = robot(obs)
+        except PolicyError as error:
+            raise EgoError(f"{place}: {error}") from error
+        except (Exception, SystemExit, GeneratorExit) as error:  # its code does not end a run
+            raise EgoError(f"{place}: {told(error)}") from error
+        if problem := _problem(answer, (len(obs), action_size)):
+            raise EgoError(f"{place}: {problem}")
+        broken = np.flatnonzero(~np.isfinite(answer).all(axis=1))
+        if broken.size:
+            partner, episode = divmod(int(broken[0]), episodes)
+            raise EgoError(
+                f"{ego.id} with {partners[partner]}, step {step}: the action of episode "
+                f"{episode} is not finite ({broken.size} of {len(obs)} rows); expected numbers in "
+                "[-1, 1]"
+            )
+        return answer.astype(np.float32)
+
+    return act
+
+
+class Clipping:
+    """Lets a robot from outside act, and counts what the environment will clip.
+
+    Args:
+        act: Of `call_ego`.
+        length: Steps of an episode.
+    """
+
+    def __init__(self, act: Callable[[np.ndarray, int], np.ndarray], length: int) -> None:
+        self._act, self._length = act, length
+        self._beyond: list[np.ndarray] = []  # at each place of a series: sum over steps [N]
+
+    def __call__(self, obs: np.ndarray, step: int) -> np.ndarray:
+        """Return the actions [N, A] for observations [N, O]."""
+        action = self._act(obs, step)
+        if step % self._length == 0:
+            self._beyond.append(np.zeros(len(obs)))
+        self._beyond[-1] += (np.abs(action) > 1.0).mean(axis=1)
+        return action
+
+    def shares(self, shape: tuple[int, ...]) -> np.ndarray:
+        """Return the share of numbers beyond [-1, 1] of each episode [E, P, K]."""
+        return (np.stack(self._beyond, axis=-1) / self._length).reshape(shape)
+
+
+def probe_egos(roster: Roster, task: str, observation_size: int, action_size: int) -> None:
+    """Let every robot from outside answer two rows of zeros, before programs are compiled for it.
+
+    Raises:
+        EgoError: It failed, or answered with another number of actions.
+    """
+    for ego in roster.stacks:
+        if not isinstance(ego, HostEgo):
+            continue
+        robot, obs = as_robot(ego.act), np.zeros((2, observation_size), np.float32)
+        try:
+            robot.reset(len(obs))
+            problem = _problem(robot(obs), (len(obs), action_size))
+            robot.reset(len(obs))
+        except PolicyError as error:
+            problem = f"failed: {error}"
+        except (Exception, SystemExit, GeneratorExit) as error:  # its code does not end a run
+            problem = f"failed: {told(error)}"
+        if problem:
+            raise EgoError(
+                f"{ego.id} cannot play: given two rows of zeros it {problem}; the robot of task "
+                f"{task} reads observations [N, {observation_size}] and gives actions "
+                f"[N, {action_size}]"
+            )
+
+
+def _problem(answer: np.ndarray, shape: tuple[int, ...]) -> str:
+    """Say what is wrong with a robot's answer; empty if nothing is."""
+    if answer.shape == shape and answer.dtype.kind in "fiu":
+        return ""
+    return (
+        f"returned {answer.dtype} of shape {answer.shape}; expected floats of shape {shape}: one "
+        "action in [-1, 1] for each row of observations"
+    )
+
+
+def _from_zoo(
+    pattern: str, registry: Registry, task: str
+) -> Iterable[tuple[Member, PolicySpec, Any]]:
+    found = registry_roster(registry, registry.select(pattern, task=task, role="robot"))
+    for stack in found.stacks:
+        assert isinstance(stack, PolicyStack)
+        for row, name in enumerate(stack.ids):
+            yield found.members[name], stack.spec, stack.row(row)
+
+
+def _from_files(
+    text: str, registry: Registry, may_match: bool
+) -> Iterable[tuple[Member, PolicySpec, Any]]:
+    """Yield the robot of a file, or of each file that a glob names, s2 before s10."""
+    globbed = may_match and glob.escape(text) != text and not Path(text).exists()
+    found = glob.glob(_with_folders_as_spelled(text)) if globbed else [text]
+    names = sorted(found, key=lambda name: (len(name), name))
+    if not names:
+        raise ValueError(f"policy {text!r} matches no file; see what is there with ls")
+    for name in names:
+        spec, params, metadata = read_policy_file(name)
+        digest = row_sha256(flatten(params))
+        same = [one for one in registry.policies if (one.sha256, one.role) == (digest, "robot")]
+        # A published robot's parameters are that robot, whatever else their file claims.
+        met = met_in_training(registry, same[0]) if same else claimed_met(registry, metadata)
+        yield _of_file(name, Path(name), met), spec, params
+
+
+def _with_folders_as_spelled(pattern: str) -> str:
+    """Escape the folders of a glob that are there: "run[1]/*" is about "run[1]", not "run1"."""
+    slashes = (place for place, letter in enumerate(pattern) if letter == "/")
+    there = [place for place in slashes if Path(pattern[: place + 1]).is_dir()]
+    end = max(there, default=0)
+    return glob.escape(pattern[:end]) + pattern[end:]
+
+
+def _from_object(robot: Any, place: int, registry: Registry) -> tuple[Member, HostEgo]:
+    """Take a robot of this process; no digest covers what it depends on."""
+    kind = getattr(robot, "__qualname__", type(robot).__qualname__)
+    name = f"object:{kind}-{place}"
+    card = getattr(robot, "card", None)  # of a `Partner`
+    met = met_in_training(registry, card) if isinstance(card, PolicyEntry) else NOT_KNOWN
+    member = Member(name, identity_digest([name]), reusable=False, met=met)
+    return member, HostEgo(name, as_robot(robot))
+
+
+def _program(
+    reference: PolicyReference, registry: Registry
+) -> tuple[Member, PolicySpec, Any] | None:
+    """Return an ONNX file as the program that a service makes of it; None where it makes none.
+
+    Its digest names the program too: onnxruntime, which plays the others, rounds differently.
+    """
+    try:
+        data = onnx_ego.read_bytes(Path(reference.source))
+        spec, params = onnx_admission.read_program(data)
+        met = _onnx_met(registry, onnx_ego.read_metadata(data))
+    except (ImportError, ValueError):  # the process says in its own words what is wrong
+        return None
+    member = _of_file(reference.text, Path(reference.source), met)
+    digest = identity_digest([onnx_admission.PROGRAM, member.digest])
+    return dataclasses.replace(member, digest=digest), spec, params
+
+
+def _from_outside(
+    reference: PolicyReference, registry: Registry, task: str
+) -> tuple[Member, HostEgo]:
+    """Start the process of a robot from a Python module or an ONNX file."""
+    try:
+        if reference.kind == "onnx":
+            path = Path(reference.source)
+            robot = PolicyProcess(*onnx_ego.factory(path))
+            member = _of_file(reference.text, path, _onnx_met(registry, robot.metadata))
+        else:
+            robot = PolicyProcess(reference.source, reference.factory, reference.arguments)
+            declared = robot.trained_with
+            met = NOT_KNOWN if declared is None else declared_met(registry, task, declared)
+            member = _python_member(reference, robot, met)
+    except (PolicyError, OSError) as error:
+        raise EgoError(f"policy {reference.text!r}: {error}") from None
+    return member, HostEgo(member.id, robot)
+
+
+def _python_member(reference: PolicyReference, robot: PolicyProcess, met: Met) -> Member:
+    """Describe a robot by all that its result is known to depend on.
+
+    That is its code, the files that its arguments name, and those that its module declares, such as
+    `DEPENDS = ["weights.pt"]`, relative to itself. Only with such a list, which may be empty, is
+    the digest taken to cover everything.
+    """
+    folder = Path(robot.files[0]).parent
+    named = [path for value in reference.arguments.values() if (path := Path(value)).is_file()]
+    declared = [folder / name for name in robot.depends or ()]
+    for path in declared:
+        if path.exists() and not path.is_file():  # a device or a pipe would never end
+            raise PolicyError(f"DEPENDS names {path}, which is no regular file")
+    paths = [*map(Path, robot.files), *named, *declared]
+    hashes = [[path.name, file_sha256(path)] for path in paths]
+    return Member(
+        reference.text,
+        identity_digest([reference.text, hashes]),
+        reusable=robot.depends is not None,
+        files=tuple(paths),
+        met=met,
+    )
+
+
+def _onnx_met(registry: Registry, metadata: str | None) -> Met:
+    """Return whom an ONNX robot met, as its metadata claims in JSON."""
+    try:
+        content = parse_json(metadata or "{}")
+    except (ValueError, RecursionError):
+        content = None
+    return claimed_met(registry, content if isinstance(content, dict) else {})
+
+
+def _of_file(text: str, path: Path, met: Met) -> Member:
+    return Member(text, file_sha256(path), files=(path,), met=met)
+
+
+def _span(partners: Sequence[str]) -> str:
+    names = list(dict.fromkeys(partners))
+    return names[0] if len(names) == 1 else f"{len(names)} partners from {names[0]} to {names[-1]}"

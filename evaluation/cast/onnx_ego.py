@@ -1,0 +1,310 @@
+"""A robot from an ONNX file of any exporter, run by onnxruntime in a process of its own.
+
+This is for networks with operators that `evaluation.cast.onnx_program` lacks; all others are
+played by it. Both read a file by `read_plain`: a model is data from a stranger, checked operator
+by operator before anything else sees it.
+"""
+
+import resource
+from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+MAX_BYTES = 64 * 1024 * 1024  # of a file: 16 million parameters
+MEMORY = 768 * 1024 * 1024  # that a model may take beside onnxruntime's own, 1 GB with it
+# Nothing that loops, calls, draws or reads files.
+_PLAIN = """
+Abs Add And ArgMax BatchNormalization Cast Ceil Clip Concat Constant ConstantOfShape Cos Div
+Dropout Elu Equal Erf Exp Expand Flatten Floor GRU Gather Gelu Gemm Greater GreaterOrEqual
+HardSigmoid HardSwish Identity LSTM LayerNormalization LeakyRelu Less LessOrEqual Log LogSoftmax
+MatMul Max Min Mish Mul Neg Not Or PRelu Pow RNN Reciprocal ReduceMax ReduceMean ReduceMin
+ReduceSum Relu Reshape Round Selu Shape Sigmoid Sign Sin Slice Softmax Softplus Softsign Split
+Sqrt Squeeze Sub Sum Swish Tanh Transpose Unsqueeze Where
+"""
+OPERATORS = frozenset(_PLAIN.split())
+# What may reduce, or pick, along the first axis.
+_REDUCING = frozenset(
+    ["ArgMax", "Gather", "LogSoftmax", "Softmax"]
+    + [f"Reduce{how}" for how in ("Max", "Mean", "Min", "Sum")]
+)
+ROWS = 4  # of the batch that shows whether rows are apart
+
+
+def factory(path: Path) -> tuple[str, str, dict[str, str]]:
+    """Return module, function and arguments of the robot, for `evaluation.cast.policy_process`."""
+    return __file__, make.__name__, {"path": str(path)}
+
+
+def make(path: str) -> "OnnxEgo":
+    """Load a model, and bound this process's memory first.
+
+    Raises:
+        ValueError: onnxruntime is not installed, or the file is not a model of this form.
+    """
+    try:
+        import onnx  # noqa: F401
+        import onnxruntime
+    except ImportError:
+        raise ValueError("needs onnxruntime: pip install 'assistax-zoo[export]'") from None
+    data = read_bytes(Path(path))
+    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (taken + MEMORY, taken + MEMORY))
+    try:
+        reducing = reductions_over_rows(read_plain(data).graph)
+        return OnnxEgo(data, onnxruntime, reducing)
+    except (ValueError, MemoryError):
+        raise
+    except Exception as error:  # each library has an exception class for each of its status codes
+        message = " ".join(str(error).split())
+        raise ValueError(f"is not an ONNX model that onnxruntime runs: {message[:300]}") from None
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the bytes of a model's file.
+
+    Raises:
+        ValueError: There is no such file, or it is too large.
+    """
+    if not path.is_file() or path.stat().st_size > MAX_BYTES:
+        raise ValueError(f"no file of at most {MAX_BYTES} bytes there")
+    return path.read_bytes()
+
+
+def read_metadata(data: bytes) -> str | None:
+    """Return what `assistax-zoo export` wrote of the policy into a model, as JSON; its claim."""
+    properties = {entry.key: entry.value for entry in read_plain(data).metadata_props}
+    return properties.get("assistax")
+
+
+class StrangerError(ValueError):
+    """Why a model is not read, in a word for programs and a text for people."""
+
+    def __init__(self, code: str, message: str) -> None:
+        self.code = code  # "malformed", "subgraph", "operator_not_allowed" or "external_data"
+        super().__init__(message)
+
+
+def read_plain(data: bytes, operators: Collection[str] = OPERATORS) -> Any:
+    """Return the ONNX model in these bytes, a plain network of these operators, in one file.
+
+    Raises:
+        StrangerError: It is something else.
+    """
+    import onnx
+
+    model = onnx.ModelProto()
+    try:
+        model.ParseFromString(data)
+    except Exception:  # an exception class of protobuf's, which has several
+        raise StrangerError("malformed", "is not an ONNX model") from None
+    if not model.graph.node:
+        raise StrangerError("malformed", "is not an ONNX model with a graph")
+    _refuse_strangers(model, operators, onnx)
+    return model
+
+
+def reductions_over_rows(graph: Any) -> list[str]:
+    """Return the operators that reduce or pick along the first axis, which is that of the rows.
+
+    The axis of a transposed value may be another one: `mixes_rows` says whether it matters.
+    """
+    import onnx
+
+    constants, names = _constants(graph), set()
+    for node in graph.node:
+        if node.op_type not in _REDUCING:
+            continue
+        reduces = node.op_type.startswith("Reduce")  # over all axes, if it names none
+        axes = [0 if reduces or node.op_type in ("ArgMax", "Gather") else -1]
+        for attribute in node.attribute:
+            if attribute.name in ("axis", "axes"):
+                axes = [*attribute.ints] or [attribute.i]
+        if reduces and len(node.input) > 1 and node.input[1] in constants:
+            axes = onnx.numpy_helper.to_array(constants[node.input[1]]).reshape(-1).tolist()
+        if 0 in axes:
+            names.add(node.op_type)
+    return sorted(names)
+
+
+def mixes_rows(
+    answer: Callable[[list[np.ndarray]], Sequence[np.ndarray]], widths: Sequence[int], told: bool
+) -> bool:
+    """Return whether a row of answers depends on other rows than its own.
+
+    A row is held bit by bit against itself in other company, at the same place of a batch of the
+    same size; and, within rounding, against itself alone.
+
+    Args:
+        answer: Maps inputs, the observations [N, O] and perhaps carry [N, H] and first [N], to
+            outputs of N rows each.
+        widths: O, or O and H.
+        told: Whether `first` is an input.
+    """
+    rng = np.random.default_rng(0)
+
+    def batch() -> list[np.ndarray]:
+        rows = [rng.normal(size=(ROWS, width)).astype(np.float32) for width in widths]
+        return [*rows, rng.random(ROWS) < 0.5] if told else rows
+
+    inputs = batch()
+    usual = answer(inputs)
+    for row in range(ROWS):
+        company = batch()
+        for other, value in zip(company, inputs, strict=True):
+            other[row] = value[row]
+        alone = answer([value[row : row + 1] for value in inputs])
+        for one, two, three in zip(usual, answer(company), alone, strict=True):
+            if not np.array_equal(one[row], two[row], equal_nan=True):
+                return True
+            if not np.allclose(one[row], three[0], rtol=1e-3, atol=1e-3, equal_nan=True):
+                return True
+    return False
+
+
+def mixing_error(reducing: Sequence[str]) -> StrangerError:
+    """Return the refusal of a model whose rows are not apart."""
+    names = f" ({', '.join(reducing)} over axis 0)" if reducing else ""
+    return StrangerError(
+        "operator_not_allowed",
+        f"mixes the rows of a batch{names}, which are different episodes; an action may depend on "
+        "its own row of observations alone: reduce over the last axis",
+    )
+
+
+class OnnxEgo:
+    """A callable from observations [B, O] to actions [B, A].
+
+    The model's first input is the observations and its first output the actions. A recurrent model
+    has two or three inputs: observations, carry [B, H] and, if it wants to be told, a bool [B] that
+    is true on an episode's first step; its second output is the next carry. This is what
+    `assistax-zoo export --format onnx` writes.
+    """
+
+    def __init__(self, data: bytes, onnxruntime: Any, reducing: Sequence[str] = ()) -> None:
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.log_severity_level = 4
+        self._session = onnxruntime.InferenceSession(
+            data, options, providers=["CPUExecutionProvider"]
+        )
+        # What `assistax-zoo export` says of the policy, as JSON.
+        self.metadata = self._session.get_modelmeta().custom_metadata_map.get("assistax")
+        self._inputs, self._outputs = self._session.get_inputs(), self._session.get_outputs()
+        self.recurrent = len(self._inputs) > 1  # whether it carries a state from step to step
+        _check_form(self._inputs, self._outputs)
+        self._reducing, self._rows_are_apart = reducing, False
+        if isinstance(width := self._inputs[0].shape[1], int):
+            self._check_rows(width)
+        self.reset(1)
+
+    def reset(self, rows: int) -> None:
+        """Begin `rows` episodes."""
+        self._first = True
+        if self.recurrent:
+            self._carry = np.zeros((rows, self._inputs[1].shape[1]), np.float32)
+
+    def act(self, obs: np.ndarray) -> np.ndarray:
+        """Return the actions for observations [B, O]."""
+        width = self._inputs[0].shape[1]
+        if isinstance(width, int) and width != obs.shape[1]:
+            raise ValueError(
+                f"the model reads {width} observations, the environment gives {obs.shape[1]}"
+            )
+        if not self._rows_are_apart:
+            self._check_rows(obs.shape[1])
+        values: list[Any] = [obs.astype(np.float32, copy=False)]
+        if self.recurrent:
+            values += [self._carry, np.full(len(obs), self._first)]
+        answer = self._run(values)
+        self._first = False
+        if self.recurrent:
+            self._carry = answer[1]
+        return answer[0]
+
+    def _run(self, values: list[Any]) -> Any:
+        fed = {value.name: array for value, array in zip(self._inputs, values, strict=False)}
+        names = [value.name for value in self._outputs[: 1 + self.recurrent]]
+        return self._session.run(names, fed)
+
+    def _check_rows(self, width: int) -> None:
+        widths = [width, self._inputs[1].shape[1]] if self.recurrent else [width]
+        if mixes_rows(self._run, widths, len(self._inputs) == 3):
+            raise mixing_error(self._reducing)
+        self._rows_are_apart = True
+
+
+def _refuse_strangers(model: Any, operators: Collection[str], onnx: Any) -> None:
+    """Refuse what is not a plain network in one file."""
+    graph, tensors = model.graph, list(model.graph.initializer)
+    inner = {"functions of its own"} if model.functions or model.training_info else set()
+    unknown = {"sparse weights"} if graph.sparse_initializer else set()
+    kinds = onnx.AttributeProto
+    for node in graph.node:
+        name = f"{node.domain or 'ai.onnx'}.{node.op_type}"
+        for each in node.attribute:
+            tensors += [*([each.t] if each.HasField("t") else []), *each.tensors]
+            if each.HasField("g") or each.graphs or each.type in (kinds.GRAPH, kinds.GRAPHS):
+                inner.add(name)
+        if node.domain not in ("", "ai.onnx") or node.op_type not in operators:
+            unknown.add(name)
+        elif _is_training(node, graph):
+            unknown.add(f"{name} in training mode")
+    if found := inner | unknown:
+        raise StrangerError(
+            "subgraph" if inner else "operator_not_allowed",
+            f"uses {', '.join(sorted(found))[:200]}; allowed are the operators of plain networks, "
+            "without loops, branches and functions: export the network alone",
+        )
+    external = onnx.TensorProto.EXTERNAL
+    if any(tensor.data_location == external or tensor.external_data for tensor in tensors):
+        raise StrangerError(
+            "external_data",
+            "keeps weights in other files, which its sha256 does not cover; save it as one file",
+        )
+
+
+def _is_training(node: Any, graph: Any) -> bool:
+    """Return whether a node draws, or normalises by the batch that it meets."""
+    if node.op_type == "BatchNormalization":
+        modes = [each.i for each in node.attribute if each.name == "training_mode"]
+        return any(modes) or sum(map(bool, node.output)) > 1
+    if node.op_type != "Dropout" or len(node.input) < 3 or not node.input[2]:
+        return False
+    mode = _constants(graph).get(node.input[2])
+    return mode is None or any(mode.raw_data) or any(mode.int32_data)
+
+
+def _constants(graph: Any) -> dict[str, Any]:
+    """Return a graph's own tensors by name."""
+    constants = {tensor.name: tensor for tensor in graph.initializer}
+    for node in graph.node:
+        if node.op_type == "Constant":
+            tensors = [each.t for each in node.attribute if each.HasField("t")]
+            constants |= {name: tensor for name in node.output for tensor in tensors}
+    return constants
+
+
+def _check_form(inputs: Any, outputs: Any) -> None:
+    found = [(value.type, len(value.shape)) for value in inputs]
+    allowed = [("tensor(float)", 2), ("tensor(float)", 2), ("tensor(bool)", 1)]
+    whole = bool(found) and found == allowed[: len(found)]
+    whole = whole and len(outputs) >= 1 + (len(found) > 1)
+    if not whole or (len(found) > 1 and not isinstance(inputs[1].shape[1], int)):
+        listed = ", ".join(f"{value.name} {value.type}{value.shape}" for value in inputs)
+        raise ValueError(
+            f"has the inputs {listed or 'none'}; expected float observations [N, O], or those with "
+            "a float carry [N, H] and a bool first [N], and the next carry as second output"
+        )
+    fixed = [value for value in (*inputs, *outputs[: len(inputs) > 1]) if _is_fixed(value)]
+    if fixed:
+        name, shape = fixed[0].name, fixed[0].shape
+        raise ValueError(
+            f"has a fixed batch: the first axis of {name} {shape} must be dynamic, for one row an "
+            f"episode; with torch.onnx.export: dynamic_axes={{{name!r}: {{0: 'batch'}}}}"
+        )
+
+
+def _is_fixed(value: Any) -> bool:
+    return bool(value.shape) and isinstance(value.shape[0], int)

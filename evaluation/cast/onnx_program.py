@@ -1,0 +1,253 @@
+"""An ONNX graph as a JAX function: what `onnx_admission` let through, played as partners are.
+
+The graph is run row by row (`jax.vmap` over rows of one observation each), so that no row can see
+another. Weights are parameters and may be stacked; the graph is hashable, so that robots of one
+graph share a compiled program. Semantics: https://onnx.ai/onnx/operators/
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from population.networks.spec import PolicySpec
+
+Attributes = Mapping[str, Any]
+Value = Any  # a JAX array, or a tuple of ints: shapes and indices are never computed from data
+
+
+@dataclasses.dataclass(frozen=True)
+class Node:
+    """One operator with its inputs ("" where one is left out) and outputs, by name."""
+
+    operator: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    attributes: tuple[tuple[str, Any], ...] = ()
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OnnxProgram(PolicySpec):
+    """A graph without its weights; of a `PolicySpec` it has the role and the sizes."""
+
+    carry_size: int  # 0 of a robot without memory
+    inputs: tuple[str, ...]  # obs, then carry, then first
+    outputs: tuple[str, ...]  # action, then the next carry
+    weights: tuple[str, ...]  # names in the graph of parameters "w0", "w1", ...
+    constants: tuple[tuple[str, int | tuple[int, ...]], ...]  # integers, by name
+    nodes: tuple[Node, ...]
+
+    def make_policy(self) -> "OnnxPolicy":
+        """Return what plays this graph."""
+        return OnnxPolicy(self)
+
+
+class OnnxPolicy:
+    """Plays a graph, in the interface of `population.networks.policy.Policy`."""
+
+    def __init__(self, program: OnnxProgram) -> None:
+        self._program = program
+
+    def initial_carry(self, batch_shape: tuple[int, ...]) -> Any:
+        """Return the memory before the first observation."""
+        size = self._program.carry_size
+        return jnp.zeros((*batch_shape, size)) if size else ()
+
+    def act(
+        self, params: Mapping[str, Any], carry: Any, obs: jax.Array, first: jax.Array
+    ) -> tuple[Any, jax.Array]:
+        """Return the next carry [..., H] and actions [..., A] for observations [..., O]."""
+        program = self._program
+        inputs = [obs]
+        if program.carry_size:
+            # The graph may reset its memory itself, where it is told; zero it where it is not.
+            inputs.append(jnp.where(first[..., None], 0.0, carry))
+        if len(program.inputs) == 3:
+            inputs.append(first)
+
+        def one_row(*row: jax.Array) -> tuple[jax.Array, ...]:
+            return tuple(out[0] for out in run(program, params, [value[None] for value in row]))
+
+        mapped = one_row
+        for _ in range(first.ndim):
+            mapped = jax.vmap(mapped)
+        action, *rest = mapped(*inputs)
+        return (rest[0] if rest else carry), jnp.clip(action, -1.0, 1.0)
+
+
+def run(
+    program: OnnxProgram,
+    params: Mapping[str, Any],
+    inputs: list[Any],
+    watch: Callable[[Node, list[Value], Value], None] | None = None,
+) -> list[Any]:
+    """Run a graph once; `watch` is told each node with its inputs and outputs."""
+    values: dict[str, Value] = dict(zip(program.inputs, inputs, strict=True))
+    values |= {name: params[f"w{place}"] for place, name in enumerate(program.weights)}
+    values |= dict(program.constants)
+    for node in program.nodes:
+        given = [values[name] if name else None for name in node.inputs]
+        answer = OPERATORS[node.operator](dict(node.attributes), *given)
+        outputs = answer if isinstance(answer, list) else [answer]
+        if watch is not None:
+            for output in outputs:
+                watch(node, given, output)
+        values |= dict(zip(node.outputs, outputs, strict=False))
+    return [values[name] for name in program.outputs]
+
+
+def _simple(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return an operator without attributes."""
+    return lambda attributes, *inputs: function(*inputs)
+
+
+def _gemm(attributes: Attributes, a: Any, b: Any, c: Any = None) -> Any:
+    a = a.T if attributes.get("transA") else a
+    b = b.T if attributes.get("transB") else b
+    product = attributes.get("alpha", 1.0) * (a @ b)
+    if c is None:
+        return product
+    return product + attributes.get("beta", 1.0) * jnp.broadcast_to(c, product.shape)
+
+
+def _clip(attributes: Attributes, x: Any, low: Any = None, high: Any = None) -> Any:
+    x = x if low is None else jnp.maximum(x, low)
+    return x if high is None else jnp.minimum(x, high)
+
+
+def _reshape(attributes: Attributes, x: Any, shape: tuple[int, ...]) -> Any:
+    if not attributes.get("allowzero"):
+        shape = tuple(x.shape[i] if size == 0 else size for i, size in enumerate(shape))
+    return x.reshape(shape)
+
+
+def _flatten(attributes: Attributes, x: Any) -> Any:
+    axis = attributes.get("axis", 1)
+    return x.reshape(int(np.prod(x.shape[:axis])), -1)
+
+
+def _squeeze(attributes: Attributes, x: Any, axes: tuple[int, ...] | None = None) -> Any:
+    return jnp.squeeze(x, axes)
+
+
+def _unsqueeze(attributes: Attributes, x: Any, axes: tuple[int, ...]) -> Any:
+    return jnp.expand_dims(x, axes)
+
+
+def _slice(
+    attributes: Attributes,
+    x: Any,
+    starts: tuple[int, ...],
+    ends: tuple[int, ...],
+    axes: tuple[int, ...] | None = None,
+    steps: tuple[int, ...] | None = None,
+) -> Any:
+    axes, steps = axes or tuple(range(len(starts))), steps or (1,) * len(starts)
+    index = [slice(None)] * x.ndim
+    for axis, start, end, step in zip(axes, starts, ends, steps, strict=True):
+        size = x.shape[axis]
+        # ONNX writes "from the end to before the start" as a very small end.
+        stop = None if step < 0 and end < -size else end
+        index[axis] = slice(start, stop, step)
+    return x[tuple(index)]
+
+
+def _gather(attributes: Attributes, x: Any, indices: int | tuple[int, ...]) -> Any:
+    axis = attributes.get("axis", 0)
+    places = np.asarray(indices, np.int32)
+    if (places < -x.shape[axis]).any() or (places >= x.shape[axis]).any():
+        raise ValueError("an index is out of range")
+    return jnp.take(x, places % x.shape[axis], axis=axis)
+
+
+def _split(attributes: Attributes, x: Any, sizes: tuple[int, ...] | None = None) -> list[Any]:
+    axis = attributes.get("axis", 0)
+    if sizes is None:
+        return jnp.split(x, attributes["num_outputs"], axis)
+    if sum(sizes) != x.shape[axis]:
+        raise ValueError("the parts of a Split are not the whole")
+    return jnp.split(x, np.cumsum(sizes)[:-1].tolist(), axis)
+
+
+def _concat(attributes: Attributes, *inputs: Any) -> Any:
+    return jnp.concatenate(inputs, attributes["axis"])
+
+
+def _transpose(attributes: Attributes, x: Any) -> Any:
+    return jnp.transpose(x, attributes.get("perm"))
+
+
+def _softmax(attributes: Attributes, x: Any) -> Any:
+    return jax.nn.softmax(x, attributes.get("axis", -1))
+
+
+def _layer_norm(attributes: Attributes, x: Any, scale: Any, bias: Any = None) -> Any:
+    axis = attributes.get("axis", -1)
+    axes = tuple(range(axis % x.ndim, x.ndim))
+    centred = x - x.mean(axes, keepdims=True)
+    variance = jnp.square(centred).mean(axes, keepdims=True)
+    normed = centred / jnp.sqrt(variance + attributes.get("epsilon", 1e-5))
+    normed = normed * jnp.broadcast_to(scale, x.shape)
+    return normed if bias is None else normed + jnp.broadcast_to(bias, x.shape)
+
+
+def _reduce_mean(attributes: Attributes, x: Any, axes: tuple[int, ...] | None = None) -> Any:
+    axes = axes or attributes.get("axes")
+    return x.mean(axes, keepdims=bool(attributes.get("keepdims", 1)))
+
+
+def _cast(attributes: Attributes, x: Any) -> Any:
+    return x.astype(jnp.float32)
+
+
+def _where(attributes: Attributes, condition: Any, a: Any, b: Any) -> Any:
+    return jnp.where(*_broadcast(condition, a, b))
+
+
+def _elementwise(function: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda attributes, *inputs: function(*_broadcast(*inputs))
+
+
+def _broadcast(*inputs: Any) -> list[Any]:
+    return jnp.broadcast_arrays(*inputs)
+
+
+OPERATORS: dict[str, Callable[..., Any]] = {
+    "Abs": _simple(jnp.abs),
+    "Add": _elementwise(jnp.add),
+    "Cast": _cast,
+    "Clip": _clip,
+    "Concat": _concat,
+    "Div": _elementwise(jnp.divide),
+    "Elu": lambda attributes, x: jax.nn.elu(x, attributes.get("alpha", 1.0)),
+    "Exp": _simple(jnp.exp),
+    "Flatten": _flatten,
+    "Gather": _gather,
+    "Gemm": _gemm,
+    "Identity": _simple(lambda x: x),
+    "LayerNormalization": _layer_norm,
+    "LeakyRelu": lambda attributes, x: jax.nn.leaky_relu(x, attributes.get("alpha", 0.01)),
+    "MatMul": _simple(jnp.matmul),
+    "Max": _elementwise(jnp.maximum),
+    "Min": _elementwise(jnp.minimum),
+    "Mul": _elementwise(jnp.multiply),
+    "Neg": _simple(jnp.negative),
+    "ReduceMean": _reduce_mean,
+    "Relu": _simple(jax.nn.relu),
+    "Reshape": _reshape,
+    "Sigmoid": _simple(jax.nn.sigmoid),
+    "Slice": _slice,
+    "Softmax": _softmax,
+    "Softplus": _simple(jax.nn.softplus),
+    "Split": _split,
+    "Sqrt": _simple(jnp.sqrt),
+    "Squeeze": _squeeze,
+    "Sub": _elementwise(jnp.subtract),
+    "Tanh": _simple(jnp.tanh),
+    "Transpose": _transpose,
+    "Unsqueeze": _unsqueeze,
+    "Where": _where,
+}

@@ -1,0 +1,115 @@
+"""A robot in a process of its own: its modules do not meet ours, nothing it does ends a run."""
+
+import os
+import subprocess
+import sys
+import weakref
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evaluation.cast import policy_worker
+
+_HERE = Path(__file__).resolve().parent
+# Our own packages: what a robot imports of them is the environment's version, not the robot's code.
+_OURS = ("assistax_envs", "population", "zoo", "evaluation", "assistax_zoo")
+# One thread for each of the libraries: a robot's network is small, and while it answers, the cores
+# belong to it alone; idle threads that spin would take them from the simulation.
+_THREADS = {
+    **dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"),
+    "OMP_WAIT_POLICY": "PASSIVE",
+}
+_UNKNOWN_FORM = "the robot's process answers in no form that is known"
+
+
+class PolicyError(Exception):
+    """The robot's code failed; says how, in one line."""
+
+
+class PolicyProcess:
+    """A callable from observations [N, O] to actions [N, A]; its process ends with it."""
+
+    def __init__(self, module: str, factory: str, arguments: Mapping[str, str]) -> None:
+        """Start the process and make the robot.
+
+        Args:
+            module: A module's name, or the path of its file, which ends in .py.
+            factory: Its function that makes the robot.
+            arguments: Of the factory.
+
+        Raises:
+            PolicyError: The robot cannot be made; says why.
+        """
+        folder = str(Path(module).resolve().parent) if module.endswith(".py") else os.getcwd()
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", str(_HERE / "policy_worker.py")],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**_THREADS, **os.environ},
+        )
+        self._end = weakref.finalize(self, _end, self._process)
+        made, _ = self._ask(
+            {
+                "do": "load",
+                "module": module,
+                "factory": factory,
+                "arguments": dict(arguments),
+                "plain": Path(module).parent == _HERE,  # of ours: its errors need no place in code
+                "path": list(dict.fromkeys([folder, os.getcwd(), *sys.path])),
+                "foreign": [str(_HERE.parent / name) for name in _OURS],
+            }
+        )
+        self.files: list[str] = made["files"]  # its own code
+        self.depends: list[str] | None = made["depends"]  # what its module declares, if it does
+        self.trained_with: Any = made["trained_with"]  # likewise, whom it met in training
+        self.metadata: str | None = made["metadata"]  # of an ONNX file, as JSON of a stranger
+
+    def reset(self, rows: int) -> None:
+        """Begin `rows` episodes."""
+        self._ask({"do": "reset", "rows": rows})
+
+    def __call__(self, obs: np.ndarray) -> np.ndarray:
+        """Return the robot's actions."""
+        _, answer = self._ask({"do": "act"}, obs)
+        if answer is None:
+            raise PolicyError(_UNKNOWN_FORM)
+        return answer
+
+    def close(self) -> None:
+        """End the process."""
+        self._end()
+
+    def _ask(
+        self, header: dict[str, Any], obs: np.ndarray | None = None
+    ) -> tuple[dict[str, Any], np.ndarray | None]:
+        assert self._process.stdin is not None and self._process.stdout is not None
+        try:
+            policy_worker.send(self._process.stdin, header, obs)  # ty: ignore[invalid-argument-type]
+            reply, answer = policy_worker.receive(
+                self._process.stdout,  # ty: ignore[invalid-argument-type]
+                policy_worker.LARGEST_ANSWER,
+            )
+        except (EOFError, BrokenPipeError):
+            self.close()
+            code = self._process.returncode
+            raise PolicyError(f"the robot's process ended by itself, with code {code}") from None
+        except (ValueError, TypeError, KeyError):
+            self.close()
+            raise PolicyError(_UNKNOWN_FORM) from None
+        except BaseException:  # Ctrl-C in the middle of a message: no other can follow
+            self.close()
+            raise
+        if not isinstance(reply, dict):
+            self.close()
+            raise PolicyError(_UNKNOWN_FORM)
+        if "error" in reply:
+            raise PolicyError(policy_worker.one_line(str(reply["error"])))
+        return reply, answer
+
+
+def _end(process: subprocess.Popen) -> None:
+    with process:  # closes the pipes, then waits
+        if process.poll() is None:
+            process.kill()

@@ -1,0 +1,110 @@
+"""Who plays in a seat: stacks of policies and robots from outside, each described by its id."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from assistax_envs.disability import Disability
+from population.networks.spec import PolicySpec
+from population.networks.stack import PolicyStack
+from zoo.met import NOT_KNOWN, Met, met_in_training
+from zoo.parameters.storage import load_stacks
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry
+
+
+@dataclasses.dataclass(frozen=True)
+class Member:
+    """What the episode table and a job's identity say about one policy."""
+
+    id: str  # registry id, or the reference by which a policy from outside was given
+    digest: str  # sha256 of its parameters, or of its source where it is code
+    team: str | None = None
+    algorithm: str | None = None
+    disability: str | None = None
+    seed: int | None = None
+    setting: Disability | None = None  # what a human's setting is; the installed one of its name
+    reusable: bool = True  # False where the digest does not cover all that the policy depends on
+    files: tuple[Path, ...] = ()  # outside any registry, that the digest is of
+    met: Met = NOT_KNOWN  # whom a robot met in training; no part of a job's identity
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class HostEgo:
+    """A robot in anybody's framework: a callable from batched observations to batched actions."""
+
+    id: str
+    act: Callable[[Any], Any]  # [B, O] float32 NumPy -> [B, A]; `act.reset(B)` starts episodes
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """The one policy of this ego, as a stack has several."""
+        return (self.id,)
+
+
+@dataclasses.dataclass(frozen=True)
+class ReferenceSpec(PolicySpec):
+    """Policies that look at nothing: see `evaluation.cast.baseline_policies.ReferencePolicy`."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ScriptSpec(PolicySpec):
+    """A task's scripted robot: see `assistax_envs.scripted`."""
+
+    task: str = ""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Roster:
+    """The policies of one seat of a job, in the order in which the table has them."""
+
+    stacks: tuple[PolicyStack | HostEgo, ...]
+    members: Mapping[str, Member]  # by id
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """All policies, stack by stack."""
+        return tuple(name for stack in self.stacks for name in stack.ids)
+
+    def describe(self, ids: Sequence[str]) -> list[Member]:
+        """Return the descriptions of policies in this order."""
+        return [self.members[name] for name in ids]
+
+
+def registry_roster(registry: Registry, entries: Sequence[PolicyEntry]) -> Roster:
+    """Load policies of the registry, hashes checked."""
+    members = {
+        one.id: Member(
+            id=one.id,
+            digest=one.sha256,
+            team=one.team,
+            algorithm=one.algorithm,
+            disability=one.disability if one.setting else None,  # an ego has no human
+            seed=one.seed,
+            setting=one.setting,
+            met=met_in_training(registry, one) if one.role == "robot" else NOT_KNOWN,
+        )
+        for one in entries
+    }
+    return Roster(load_stacks(registry, entries), members)
+
+
+def paired_rosters(
+    registry: Registry, pairs: Sequence[tuple[PolicyEntry, PolicyEntry]]
+) -> tuple[Roster, Roster]:
+    """Load robots beside humans, row by row: one stack on either side for each pair of specs."""
+    by_specs: dict[Any, list[tuple[PolicyEntry, PolicyEntry]]] = {}
+    for robot, human in pairs:
+        by_specs.setdefault((robot.spec, human.spec), []).append((robot, human))
+    robots, humans = (
+        [registry_roster(registry, [pair[seat] for pair in alike]) for alike in by_specs.values()]
+        for seat in (0, 1)
+    )
+    return joined(*robots), joined(*humans)
+
+
+def joined(*rosters: Roster) -> Roster:
+    """Return the policies of several rosters as one seat's, stack by stack."""
+    members = {name: member for one in rosters for name, member in one.members.items()}
+    return Roster(tuple(stack for one in rosters for stack in one.stacks), members)

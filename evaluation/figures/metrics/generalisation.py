@@ -1,0 +1,200 @@
+"""Over partners: M_test, M_train and their gap, the same by groups, and the lower tail."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from evaluation.figures.bootstrap import (
+    RESAMPLES,
+    Counts,
+    Draws,
+    Estimate,
+    Interval,
+    crossed_counts,
+    draw_counts,
+    draw_starts,
+    generalises_to,
+    interval,
+    replicate_crossed,
+)
+from evaluation.figures.statistics import returns_of, tail_weights
+
+
+@dataclasses.dataclass(frozen=True)
+class ZeroShot:
+    """M over the test and the training partners; None for a side that was not evaluated."""
+
+    m_test: Estimate | None
+    m_train: Estimate | None
+    gap: Estimate | None  # m_train - m_test, the same resampled seeds on both sides
+
+
+@dataclasses.dataclass(frozen=True)
+class Fairness:
+    """Spread of M over groups of partners, by the mean."""
+
+    worst: str  # group with the lowest mean
+    best: str
+    gap: Interval  # highest minus lowest mean; noise alone makes it positive
+
+
+@dataclasses.dataclass(frozen=True)
+class WorstPartner:
+    """The partner with the lowest mean return."""
+
+    index: int  # along the axis of partners
+    mean: float  # over seeds and episodes; the minimum of noisy means is too low
+    crossfit: (
+        float | None
+    )  # chosen on even episodes and valued on odd ones, and the reverse; None with one episode
+
+
+def zero_shot(
+    scores: np.ndarray, sides: Sequence[str | None], *, common_starts: bool = False
+) -> ZeroShot:
+    """M(s) = mean over partners p of J[s, p], separately for the partners of each side.
+
+    Args:
+        scores: Returns [S, P, K], or mean returns J [S, P].
+        sides: "test", "train" or None (in neither) for each partner [P].
+        common_starts: Whether all partners played the same K starts.
+    """
+    groups = group_draws(scores, sides, common_starts=common_starts)
+    draws = {side: draw for side, draw in groups.items() if side in ("test", "train")}
+    if not draws:
+        raise ValueError("no partner is on the test or the train side; evaluate against a split")
+    test, train = draws.get("test"), draws.get("train")
+    gap = train - test if train and test else None
+    return ZeroShot(*(draw.estimate() if draw else None for draw in (test, train, gap)))
+
+
+def group_draws(
+    scores: np.ndarray,
+    groups: Sequence[str | None],
+    *,
+    common_starts: bool = False,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+) -> dict[str, Draws]:
+    """Replicate mean and IQM for each group of partners [P], in order of names; None is left out.
+
+    Seeds are resampled once for all groups, and so are starts that all partners have in common;
+    partners are resampled within each group: groups subtract to paired differences.
+
+    Args:
+        scores: Returns [S, P, K], or mean returns [S, P].
+        groups: The group of each partner.
+        common_starts: Whether all partners played the same K starts.
+        resamples: How many.
+        seed: Of the resamples.
+    """
+    scores = returns_of(scores)
+    if len(groups) != scores.shape[1]:
+        raise ValueError(
+            f"there are {len(groups)} groups for {scores.shape[1]} partners; give one for each "
+            "partner"
+        )
+    labels, rng = np.array(groups, object), np.random.default_rng(seed)
+    seed_counts = draw_counts(len(scores), resamples, rng)
+    members = {
+        name: labels == name for name in sorted({name for name in groups if name is not None})
+    }
+    partner_counts = {
+        name: draw_counts(int(mask.sum()), resamples, rng) for name, mask in members.items()
+    }
+    shared = draw_starts(scores.shape, True, resamples, rng) if common_starts else None
+    draws = {}
+    for name, mask in members.items():
+        part = scores[:, mask]
+        starts = shared
+        if not common_starts:
+            starts = draw_starts(part.shape, False, resamples, rng)
+        units = 1 if starts is None else starts.shape[1]
+        to = generalises_to(*part.shape[:2], units)
+        counts = Counts(seed_counts, partner_counts[name], starts, to)
+        draws[name] = replicate_crossed(part, counts)
+    return draws
+
+
+def fairness(draws: dict[str, Draws]) -> Fairness:
+    """Compare groups by their mean.
+
+    `gap = max_g M_g - min_g M_g`, taken anew in every draw for its interval.
+    """
+    means = {name: draw.mean for name, draw in draws.items()}
+    worst, best = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
+    replicates = np.stack([draw.means for draw in draws.values()])
+    to = max((draw.generalises_to for draw in draws.values()), key=len)
+    n = sum(draw.n for draw in draws.values())
+    ci = interval(replicates.max(axis=0) - replicates.min(axis=0), to) if len(draws) > 1 else None
+    return Fairness(worst, best, Interval(means[best] - means[worst], ci, n, to))
+
+
+def worst_partner(returns: np.ndarray) -> WorstPartner:
+    """Find the worst partner of returns [S, P, K]."""
+    means = returns.mean(axis=(0, 2))
+    crossfit = None
+    if returns.shape[2] > 1:
+        even, odd = (half.mean(axis=0) for half in _halves(returns))
+        crossfit = float((odd[even.argmin()] + even[odd.argmin()]) / 2)
+    return WorstPartner(int(means.argmin()), float(means.min()), crossfit)
+
+
+def cvar_crossfit(
+    returns: np.ndarray,
+    alpha: float = 0.1,
+    *,
+    common_starts: bool = False,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+) -> Interval:
+    """CVaR_alpha: mean of the lowest share alpha of partner means, of returns [S, P, K].
+
+    The tail is chosen on even episodes and valued on odd ones, and the other way round, because the
+    lowest of noisy means are low by chance too; the boundary partner counts with the fraction that
+    is left. Starts that all partners have in common are resampled within each half.
+    """
+    if returns.shape[2] < 2:
+        raise ValueError(
+            "CVaR needs 2 or more episodes a pair: one half chooses the tail and the other values "
+            "it"
+        )
+    seeds, partners, _ = returns.shape
+    halves = returns[:, :, 0::2], returns[:, :, 1::2]
+
+    def evaluate(means: Sequence[np.ndarray], partner_counts: np.ndarray) -> np.ndarray:
+        tails = [
+            (tail_weights(a, partner_counts, alpha) * b).sum(axis=1)
+            for a, b in (means, reversed(means))
+        ]
+        return (tails[0] + tails[1]) / 2
+
+    even, odd = (half.mean(axis=(0, 2))[None] for half in halves)
+    point = float(evaluate((even, odd), np.ones((1, partners)))[0])
+    counts = crossed_counts(returns.shape, common_starts, resamples, seed)
+    rng = np.random.default_rng([seed, 1])
+    means = []
+    for half in halves:
+        starts = None
+        if counts.starts is not None:
+            starts = draw_counts(half.shape[2], resamples, rng)
+        means.append(_partner_means(half, counts.seeds, starts))
+    replicates = evaluate(means, counts.partners)
+    to = counts.generalises_to
+    return Interval(point, interval(replicates, to), seeds * partners, to)
+
+
+def _partner_means(
+    returns: np.ndarray, seed_counts: np.ndarray, starts: np.ndarray | None
+) -> np.ndarray:
+    """Return each partner's mean [B, P] of returns [S, P, K] under counts of seeds and starts."""
+    seeds, _, episodes = returns.shape
+    if starts is None:
+        return seed_counts @ returns.mean(axis=2) / seeds
+    summed = np.einsum("bs,spk,bk->bp", seed_counts, returns, starts, optimize=True)
+    return summed / (seeds * episodes)
+
+
+def _halves(returns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return returns[:, :, 0::2].mean(axis=2), returns[:, :, 1::2].mean(axis=2)

@@ -1,0 +1,252 @@
+"""Which methods are certainly better than which, and the range of ranks that leaves to each.
+
+Two intervals that overlap say little of whose mean is higher, and a place in a sorted list says
+less. Here every pair of methods is tested, and with 95% confidence no claim of the whole list is
+wrong; ranks follow from the claims, as in Mogstad, Romano, Shaikh and Wilhelm, "Inference for
+Ranks" (Review of Economic Studies, 2024). A pair is tested with the scores of its two methods and
+nothing else, so no other row can move it but by being one more.
+
+**The test of a pair.** Methods a and b with seeds S_a and S_b met the same P partners. The
+difference of their means over seeds and partners has two sources of chance: which seeds were
+trained, and which partners were met. With s_a^2 the variance of a's means over partners between its
+seeds, and V_p that of the paired differences between partners, divided by P, a is above b if
+
+    (mean_a - mean_b)^2 > t(f)^2 (s_a^2 / S_a + s_b^2 / S_b) + t(P - 1)^2 V_p        (Cochran, 1964)
+
+where t are two-sided quantiles of Student and f are the degrees of freedom of the sum of the two
+seed variances: Satterthwaite's, with 1 added to each before and taken off after, as Welch (1947)
+does with 2, and no more than their sum. A quantile for each source keeps the level where two seeds
+happen to be alike; with one quantile for the sum of all three, 10 to 20% of lists are wrong then.
+
+**All pairs at once.** A pair is tested at 5% divided by the number of pairs that may still be
+equal: first all, then fewer, since equal methods form groups and every pair of a group must still
+be open (Shaffer, 1986; the number is bounded from above by the cores of the graph of open pairs).
+
+**Few seeds.** Two or three seeds hardly tell how far a method's seeds differ. `seed_sd` says it
+beforehand, from measurements of other methods, and is lent to methods with fewer than five seeds
+while their own seeds do not contradict it. It counts as many degrees of freedom as their seeds do,
+2 at most: with n = min(S - 1, 2) and r = min(1, seed_sd^2 / s^2), the variance is max(s^2, (n
+seed_sd^2 + (S - 1) s^2) / (n + S - 1)) at S - 1 + r n degrees. `SEED_SDS` has the values of the
+zoo's egos. No row of the list is looked at for it, so that no row can spoil it.
+
+**Assumptions.** Means of seeds are about normal, robots and partners are drawn independently, and
+`seed_sd`, where it is given, is no less than half of the truth for most methods. A method with one
+seed is that robot: its rank speaks of new partners, not of new seeds of its training.
+
+**Measured** by `python -m benchmarks ranks`; docs/board.md has the whole table. Six methods, seeds
+of standard deviation 40; true orders found with methods 100 apart, and lists with a wrong rank with
+equal ones, the worst of several worlds:
+
+| seeds                                        | 2  | 3  | 4  | 5  | 10  |
+| -------------------------------------------- | -- | -- | -- | -- | --- |
+| % of orders found, `seed_sd` 40              | 47 | 81 | 92 | 96 | 100 |
+| % of orders found, nothing known             | 10 | 66 | 89 | 96 | 100 |
+| % of lists wrong, `seed_sd` 40               | 7  | 2  | 2  | 4  | 4   |
+| % of lists wrong, nothing known              | 3  | 4  | 5  | 4  | 4   |
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from evaluation.figures.statistics import score_matrix
+
+CONFIDENCE = 0.95
+ENOUGH_SEEDS = 5  # from here on a method's own seeds say how far they differ
+_LENT_DF = 2  # of what is known beforehand, at most
+_ROUNDING = 1e-9  # of the largest mean: a difference below it is none
+_ODD_ROWS = 10  # left out, at most, where the pairs that may be equal are counted
+_INVERSE_DF = np.linspace(1e-4, 1.0, 400)  # where Student's quantiles are computed
+
+
+# Standard deviation between seeds of one method of their means over partners: root mean square over
+# the zoo's PPO and SAC egos of each task (`python -m benchmarks ranks --seed-sds`).
+SEED_SDS: Mapping[str, float] = {
+    "scratch": 5.8,
+    "bed_bath": 15.7,
+    "arm_assist": 1595.0,
+    "gentle_scratch": 18.3,
+    "gentle_bath": 31.5,
+    "gentle_lift": 88.5,
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Ranks:
+    """Simultaneous confidence sets for the ranks of M methods."""
+
+    better: np.ndarray  # [M, M] whether method j is certainly better than method k
+
+    @property
+    def places(self) -> np.ndarray:
+        """Best rank of each method [M]: methods that nothing tells apart share a place."""
+        return 1 + self.better.sum(axis=0)
+
+    @property
+    def lowest(self) -> np.ndarray:
+        """Worst rank of each method [M]."""
+        return len(self.better) - self.better.sum(axis=1)
+
+
+def rank_methods(
+    scores: Sequence[np.ndarray],
+    *,
+    seed_sd: float | None = None,
+    confidence: float = CONFIDENCE,
+) -> Ranks:
+    """Rank methods by their mean over partners.
+
+    Args:
+        scores: for each method its mean returns [S, P]: its seeds, and the same P partners in the
+            same order and on the same episodes as every other method's.
+        seed_sd: standard deviation between seeds of one method, known before the methods were
+            seen, such as `SEED_SDS[task]`; None if nothing is known.
+        confidence: that no claim of the result is wrong.
+
+    Raises:
+        ValueError: fewer than two partners, methods with different numbers of them, or a `seed_sd`
+            that is not positive.
+    """
+    matrices = _check(scores)
+    if seed_sd is not None and not 0 < seed_sd < np.inf:
+        raise ValueError(f"seed_sd is {seed_sd}; allowed is a positive number of points, or None")
+    pairs = _compare(matrices, seed_sd)
+    return Ranks(_close(_step_down(pairs, 1 - confidence)))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Pairs:
+    """Differences of all pairs of methods, and the variance of each by its source."""
+
+    difference: np.ndarray  # [M, M] mean of method j less that of k
+    of_seeds: np.ndarray  # [M, M]
+    seed_df: np.ndarray  # [M, M]
+    of_partners: np.ndarray  # [M, M]
+    partner_df: int
+    rounding: float
+
+    def apart(self, level: float) -> np.ndarray:
+        """Return which pairs [M, M] differ at this level, two-sided."""
+        from scipy.special import stdtrit  # Student's quantiles; not loaded at every start
+
+        # Convex between the nodes, so what is read off is no less than the quantile.
+        nodes = -stdtrit(1 / _INVERSE_DF, level / 2)
+        seed_quantile = np.interp(1 / self.seed_df, _INVERSE_DF, nodes)
+        partner_quantile = stdtrit(self.partner_df, level / 2)
+        bar = seed_quantile**2 * self.of_seeds + partner_quantile**2 * self.of_partners
+        return np.square(self.difference) > np.maximum(bar, self.rounding**2)
+
+
+def _compare(matrices: Sequence[np.ndarray], seed_sd: float | None) -> _Pairs:
+    columns = np.stack([matrix.mean(axis=0) for matrix in matrices])  # [M, P]
+    partners = columns.shape[1]
+    means = columns.mean(axis=1)
+    centred = columns - means[:, None]
+    products = centred @ centred.T
+    own = np.diagonal(products)
+    of_partners = (own[:, None] + own - 2 * products) / (partners * (partners - 1))
+    variances, df = np.array([_seed_variance(matrix, seed_sd) for matrix in matrices]).T
+    of_seeds = variances[:, None] + variances
+    return _Pairs(
+        difference=means[:, None] - means,
+        of_seeds=of_seeds,
+        seed_df=_summed_df(variances, df, of_seeds),
+        of_partners=np.maximum(of_partners, 0.0),
+        partner_df=partners - 1,
+        rounding=_ROUNDING * float(np.abs(means).max()),
+    )
+
+
+def _seed_variance(matrix: np.ndarray, seed_sd: float | None) -> tuple[float, float]:
+    """Return the variance of a method's mean over new seeds, and its degrees of freedom."""
+    seeds = len(matrix)
+    if seeds == 1:  # the method is this one robot, and no other seed is spoken of
+        return 0.0, np.inf
+    variance, df = float(matrix.mean(axis=1).var(ddof=1)), seeds - 1
+    if seed_sd is None or seeds >= ENOUGH_SEEDS:
+        return variance / seeds, df
+    lent, known = min(df, _LENT_DF), seed_sd**2
+    shrunken = (lent * known + df * variance) / (lent + df)
+    agrees = known / max(variance, known)
+    return max(variance, shrunken) / seeds, df + agrees * lent
+
+
+def _summed_df(variances: np.ndarray, df: np.ndarray, total: np.ndarray) -> np.ndarray:
+    """Degrees of freedom [M, M] of the sum of two methods' variances."""
+    shares = np.square(variances) / (df + 1)
+    shares = shares[:, None] + shares
+    nothing = shares == 0  # two single robots, or seeds that are all alike
+    found = np.square(total) / np.where(nothing, 1.0, shares) - 1
+    least = np.minimum(df[:, None], df)
+    return np.where(nothing, least, np.clip(found, least, df[:, None] + df))
+
+
+def _step_down(pairs: _Pairs, alpha: float) -> np.ndarray:
+    """Test all pairs at once, then those that are left against what may still be equal."""
+    is_open = ~np.eye(len(pairs.difference), dtype=bool)
+    most = np.inf
+    while is_open.any():
+        most = min(most, _most_equal(is_open))
+        apart = is_open & pairs.apart(alpha / max(most, 1))
+        if not apart.any():
+            break
+        is_open &= ~apart
+    np.fill_diagonal(is_open, True)
+    return ~is_open & (pairs.difference > 0)
+
+
+def _most_equal(is_open: np.ndarray) -> float:
+    """Return no less than the number of pairs that can be equal at once, if only open ones can.
+
+    Equal methods form groups in which every pair is open. The group of a method has no more members
+    than the method's core number, plus 1; and a method that is left out, such as one that nothing
+    tells from anybody, was equal to no more than that number of others.
+    """
+    left_out, cores = 0.0, _core_numbers(is_open)
+    bound = cores.sum() / 2
+    for _ in range(_ODD_ROWS):
+        widest = int(is_open.sum(axis=0).argmax())
+        left_out += cores[widest]
+        is_open = is_open.copy()
+        is_open[widest] = is_open[:, widest] = False
+        cores = _core_numbers(is_open)
+        smaller = left_out + cores.sum() / 2
+        if smaller >= bound:
+            break
+        bound = smaller
+    return float(bound)
+
+
+def _core_numbers(graph: np.ndarray) -> np.ndarray:
+    """Core number [M] of each node: of the last part of the graph in which all have so many."""
+    links = graph.astype(np.float32)
+    degrees, cores, core = links.sum(axis=1), np.zeros(len(graph)), 0.0
+    left = np.ones(len(graph), bool)
+    while left.any():
+        core = max(core, float(degrees[left].min()))
+        goes = left & (degrees <= core)
+        cores[goes] = core
+        degrees -= links[:, goes].sum(axis=1)
+        left &= ~goes
+    return cores
+
+
+def _close(better: np.ndarray) -> np.ndarray:
+    """Add what follows: if a is better than b and b than c, then a is better than c."""
+    while True:
+        closed = better | (better.astype(np.float32) @ better.astype(np.float32) > 0)
+        if (closed == better).all():
+            return better
+        better = closed
+
+
+def _check(scores: Sequence[np.ndarray]) -> list[np.ndarray]:
+    matrices = [score_matrix(matrix) for matrix in scores]
+    partners = {matrix.shape[1] for matrix in matrices}
+    if len(partners) != 1 or min(partners) < 2:
+        raise ValueError(
+            f"the methods have {', '.join(map(str, sorted(partners))) or 'no'} partners; a ranking "
+            "needs the same 2 or more for every method"
+        )
+    return matrices

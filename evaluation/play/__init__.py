@@ -1,0 +1,1 @@
+"""Playing: the job, its tiles, the rollout, the runner."""

@@ -1,0 +1,274 @@
+"""Run a job chunk by chunk into a folder.
+
+Resumable, and the table does not depend on how it was cut.
+
+The folder holds `manifest.json` (see `evaluation.record.manifest`), one Parquet part for each
+finished chunk, and at the end `episodes.parquet` in their place. A part's name ends in the sha256
+of its bytes: what is damaged is simulated again, and so is a finished table.
+"""
+
+import dataclasses
+import errno
+import math
+import shutil
+import uuid
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import polars as pl
+
+from assistax_base.files import sha256
+from assistax_base.locks import locked
+from evaluation.cast.roster import HostEgo
+from evaluation.play.devices import devices_for
+from evaluation.play.jobs import Chunk, Job, plan, tile_envs
+from evaluation.play.runner import Meter, OnProgress, Runner
+from evaluation.record import manifest as provenance
+from evaluation.record import tables
+from evaluation.record.manifest import MANIFEST_FILE
+
+PARTS_FOLDER = "parts"
+# Default bound of a chunk's simulations.
+MAX_ENVS = {"native": 2048, "fused": 32768, "mjx": 16384, "mjx-warp": 32768}
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluation:
+    """A finished job."""
+
+    table: pl.DataFrame  # one row an episode, in the job's order of egos, partners and episodes
+    # Padding and compilation not counted; None where everything was found finished.
+    env_steps_per_second: float | None
+    compile_seconds: float
+
+
+def run_job(
+    env: Any,
+    job: Job,
+    folder: Path,
+    *,
+    max_envs: int | None = None,
+    reuse: bool = False,
+    kept: bool = False,
+    devices: Sequence[jax.Device] | None = None,
+    on_progress: OnProgress = None,
+) -> Evaluation:
+    """Evaluate every ego with every partner and write `episodes.parquet`.
+
+    A folder of the same job is continued where it stopped, cut as it was begun; its table is that
+    of a single run.
+
+    Args:
+        env: The environment.
+        job: What is evaluated.
+        folder: For the table.
+        max_envs: Most simulations in a chunk; if not given, that of `MAX_ENVS`, or fewer to have
+            one for each device.
+        reuse: Take what the folder holds though a robot is code whose dependencies nobody declared;
+            else it is refused.
+        kept: The folder is a cache's: wait for another process that writes to it, and begin anew
+            where it is damaged or of such a robot; else all three are refused.
+        devices: Where to simulate; see `evaluation.play.devices` if not given.
+        on_progress: Told how far the run is.
+
+    Raises:
+        ValueError: the folder holds another job, or one of a robot that may have changed, or a
+            policy reads other observations than the task gives.
+        EgoError: a robot from outside failed; finished chunks are kept.
+    """
+    check_sizes(env, job)
+    check_folder(folder)
+    if max_envs is None:
+        share = math.ceil(job.rows / len(devices or devices_for(job.rows)))
+        max_envs = min(share, MAX_ENVS[job.backend])
+    with locked(folder, wait=kept):
+        if kept and not (job.reusable and provenance.is_readable(folder)):
+            forget(folder)
+        _check_reusable(folder, job, reuse)
+        return _run_and_merge(env, job, folder, max_envs, devices, on_progress)
+
+
+def check_sizes(env: Any, job: Job) -> None:
+    """Refuse policies whose seat, observations or actions are not this task's."""
+    for seat, part, roster in (("robot", "ego", job.egos), ("human", "partner", job.partners)):
+        for stack in roster.stacks:
+            if isinstance(stack, HostEgo):
+                continue
+            spec, name = stack.spec, stack.ids[0]
+            if spec.role != seat:
+                raise ValueError(f"{name} is a {spec.role} policy; the {part} is the {seat}")
+            for what, found, expected in (
+                ("reads observations of", spec.observation_size, env.observation_size[seat]),
+                ("gives actions of", spec.action_size, env.action_size[seat]),
+            ):
+                if found != expected:
+                    raise ValueError(
+                        f"{name} {what} {found} numbers; the {seat} of task {job.task} has "
+                        f"{expected}: it was made for another task, choose a policy of this one "
+                        "(`assistax-zoo list`)"
+                    )
+
+
+def check_folder(folder: Path, advice: str = "choose another --out") -> None:
+    """Create a folder, and find out now, not after the run, that it cannot be written."""
+    probe = folder / f".writable-{uuid.uuid4().hex[:8]}"
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, "it is no folder")
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as error:
+        raise OSError(f"cannot write to {folder} ({error.strerror or error}); {advice}") from error
+
+
+def make_way(env: Any, job: Job, folder: Path) -> None:
+    """Remove whatever job a folder holds, and all that was drawn from it, for one that can be run.
+
+    Raises:
+        ValueError: a policy is not this task's, or another process writes to the folder.
+    """
+    check_sizes(env, job)
+    with locked(folder):
+        forget(folder)
+
+
+def forget(folder: Path) -> None:
+    """Remove what a folder holds of a job, and all that was drawn from it; other files stay."""
+    shutil.rmtree(folder / PARTS_FOLDER, ignore_errors=True)
+    for name in (*tables.FILES, MANIFEST_FILE):
+        (folder / name).unlink(missing_ok=True)
+
+
+def open_folder(folder: Path, job: Job, max_envs: int) -> list[Chunk]:
+    """Begin or continue the folder's job; return its plan, cut as it was begun."""
+    found = provenance.read_manifest(folder)
+    if found is None:
+        if (folder / tables.EPISODES_FILE).exists():
+            raise ValueError(
+                f"{folder} holds {tables.EPISODES_FILE} without {MANIFEST_FILE}; choose another "
+                "--out"
+            )
+    elif found.get("job") != job.digest():
+        told = _difference(found.get("identity", {}), job.identity())
+        raise ValueError(
+            f"{folder} holds another job ({told}); choose another --out, or replace it (--replace, "
+            "replace=True)"
+        )
+    if found and (is_finished(folder) or _has_parts(folder)):
+        return plan_of(job, found)
+    manifest = {
+        "job": job.digest(),
+        "identity": job.identity(),
+        "max_envs": max_envs,
+        "tile_envs": tile_envs(job.backend, max_envs),
+    }
+    provenance.write_manifest(folder, manifest)
+    return plan_of(job, manifest)
+
+
+def plan_of(job: Job, manifest: Mapping[str, Any]) -> list[Chunk]:
+    """Return a job's plan as it was cut where its folder was begun: a GPU's tiles are larger."""
+    return plan(job, int(manifest["max_envs"]), int(manifest["tile_envs"]))
+
+
+def is_finished(folder: Path) -> bool:
+    """Return whether the folder's table is there, with the hash that its manifest holds."""
+    return provenance.has_whole(folder, tables.EPISODES_FILE)
+
+
+def find_part(folder: Path, chunk: Chunk) -> Path | None:
+    """Return a chunk's part if it is there and whole; a damaged one is removed."""
+    for path in sorted((folder / PARTS_FOLDER).glob(f"{chunk.name}-*.parquet")):
+        if path.stem.rpartition("-")[2] == provenance.file_sha256(path):
+            return path
+        path.unlink()
+    return None
+
+
+def simulate(
+    env: Any,
+    job: Job,
+    folder: Path,
+    chunks: Sequence[Chunk],
+    devices: Sequence[jax.Device] | None = None,
+    on_progress: OnProgress = None,
+) -> tuple[float | None, float]:
+    """Run chunks, leaving each one's part.
+
+    Return env steps per second and compilation's seconds.
+    """
+    meter = Meter(sum(chunk.rows for chunk in chunks) * env.episode_length, on_progress)
+    meter.report()
+    runner = Runner(env, job, devices)
+    runner.run(chunks, lambda chunk, rows: write_part(rows, folder, chunk), meter)
+    return meter.speed, runner.compile_seconds
+
+
+def write_part(rows: pl.DataFrame, folder: Path, chunk: Chunk) -> None:
+    """Write a chunk's episodes under a name that ends in their hash."""
+    data = tables.parquet_bytes(rows)
+    name = f"{chunk.name}-{sha256(data)}.parquet"
+    tables.write_bytes(data, folder / PARTS_FOLDER / name)
+
+
+def in_order(table: pl.DataFrame, job: Job) -> pl.DataFrame:
+    """Sort by the job's order, so that neither chunks nor resuming show."""
+    for seat, roster in (("ego", job.egos), ("partner", job.partners)):
+        rank = pl.Series(range(len(roster.ids)), dtype=pl.Int64)
+        rows = pl.col(seat).replace_strict(list(roster.ids), rank)
+        table = table.with_columns(rows.alias(f"_{seat}"))
+    return table.sort("_ego", "_partner", "episode").drop("_ego", "_partner")
+
+
+def _run_and_merge(
+    env: Any,
+    job: Job,
+    folder: Path,
+    max_envs: int,
+    devices: Sequence[jax.Device] | None,
+    on_progress: OnProgress,
+) -> Evaluation:
+    chunks, target = open_folder(folder, job, max_envs), folder / tables.EPISODES_FILE
+    finished = is_finished(folder)
+    missing = [] if finished else [chunk for chunk in chunks if not find_part(folder, chunk)]
+    speed, compile_seconds = simulate(env, job, folder, missing, devices, on_progress)
+    if not finished:
+        parts = [path for chunk in chunks if (path := find_part(folder, chunk))]
+        merged = pl.concat([tables.read_parquet(path) for path in parts])
+        tables.write_episodes(in_order(merged, job), target)
+        tables.remove_derived(folder)  # of what was there before
+        provenance.seal(folder, made_with=provenance.describe_machine())
+    shutil.rmtree(folder / PARTS_FOLDER, ignore_errors=True)
+    return Evaluation(tables.read_episodes(target), speed, compile_seconds)
+
+
+def _check_reusable(folder: Path, job: Job, reuse: bool) -> None:
+    """Refuse episodes of a robot of this name that may since be another one."""
+    began = (folder / tables.EPISODES_FILE).exists() or _has_parts(folder)
+    if reuse or job.reusable or not began:
+        return
+    if (provenance.read_manifest(folder) or {}).get("job") != job.digest():
+        return  # another job, which is refused as such
+    unsure = next(name for name in job.egos.ids if not job.egos.members[name].reusable)
+    raise ValueError(
+        f"{folder} holds episodes of {unsure}, and nothing says whether that is still the same "
+        "robot; take them as they are (--reuse, reuse=True), replace them (--replace, "
+        "replace=True), or choose another --out"
+    )
+
+
+def _has_parts(folder: Path) -> bool:
+    return any((folder / PARTS_FOLDER).glob("part-*"))
+
+
+def _difference(found: dict[str, Any], expected: dict[str, Any]) -> str:
+    told = []
+    for name, here in expected.items():
+        there = found.get(name)
+        if there != here:
+            simple = not isinstance(here, (list, dict))
+            told.append(f"{name} {there} there, {here} here" if simple else f"other {name}")
+    return ", ".join(told) or "a different hash"

@@ -1,0 +1,136 @@
+"""A job in blocks: by hand, one share of its chunks each, or spread over a Ray cluster."""
+
+import dataclasses
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from assistax_base.cluster import NOT_SHARED, RayCluster, run_blocks
+from assistax_base.locks import LOCK_FILE, locked
+from evaluation.play.evaluator import (
+    MAX_ENVS,
+    PARTS_FOLDER,
+    check_folder,
+    check_sizes,
+    find_part,
+    is_finished,
+    open_folder,
+    plan_of,
+    simulate,
+)
+from evaluation.play.jobs import Chunk, Job, plan
+from evaluation.play.runner import OnProgress, Progress
+from evaluation.record import manifest as provenance
+
+
+@dataclasses.dataclass(frozen=True)
+class BlockDone:
+    """A finished block of a job."""
+
+    block: str  # such as "2/4"
+    chunks: int  # of this block
+    episodes: int
+    all_chunks: int  # of the whole job
+    missing: int  # chunks of the whole job that the folder still lacks
+
+
+def run_block(
+    env: Any,
+    job: Job,
+    folder: Path,
+    block: tuple[int, int],
+    *,
+    max_envs: int | None = None,
+    on_progress: OnProgress = None,
+) -> BlockDone:
+    """Simulate the chunks of block (i, n), i from 1, and leave their parts in the folder.
+
+    Blocks may share a folder or have one each, also on other machines; they must be cut alike, by
+    the same `max_envs`. With the parts of all blocks in one folder, `run_job` merges them without
+    simulating anything; those of another cut it does not take.
+    """
+    number, count = block
+    if not 1 <= number <= count:
+        raise ValueError(f"block is {number}/{count}; allowed are 1/{count} to {count}/{count}")
+    check_sizes(env, job)
+    check_folder(folder)
+    own_lock = f"{LOCK_FILE}-{number}-of-{count}"
+    with locked(folder, shared=True), locked(folder / PARTS_FOLDER, own_lock):
+        chunks = open_folder(folder, job, max_envs or MAX_ENVS[job.backend])
+        mine = chunks[number - 1 :: count]
+        if not is_finished(folder):
+            left = [chunk for chunk in mine if not find_part(folder, chunk)]
+            simulate(env, job, folder, left, on_progress=on_progress)
+        missing = sum(not find_part(folder, chunk) for chunk in chunks)
+    done = f"{number}/{count}"
+    return BlockDone(done, len(mine), sum(chunk.rows for chunk in mine), len(chunks), missing)
+
+
+def run_blocks_on_ray(
+    make_env: Callable[[], Any],
+    job: Job,
+    folder: Path,
+    cluster: RayCluster,
+    *,
+    max_envs: int | None = None,
+    on_progress: OnProgress = None,
+) -> None:
+    """Simulate the chunks that a folder lacks on a cluster; `run_job` then merges them.
+
+    There are as many blocks as the cluster runs at once, and no more than chunks.
+
+    Args:
+        make_env: Makes the environment of the job, on each worker.
+        job: What is simulated; its robots are all of the zoo.
+        folder: Where the parts are kept: shared by all machines, under the same path.
+        cluster: Where blocks run.
+        max_envs: As in `run_job`.
+        on_progress: Told how far the run is, block by block.
+
+    Raises:
+        BlocksFailedError: Blocks failed; the chunks that are finished are kept.
+        ValueError: The cluster cannot run them, or they are not in the folder.
+    """
+    folder = folder.absolute()
+    if is_finished(folder):
+        return
+    chunks, length = plan(job, max_envs or MAX_ENVS[job.backend]), make_env().episode_length
+    began, done, count = time.perf_counter(), 0, 0
+
+    def names(slots: int) -> list[str]:
+        nonlocal count
+        count = min(slots, len(chunks))
+        return [f"block {number + 1}/{count}" for number in range(count)]
+
+    def advance(number: int) -> None:
+        nonlocal done
+        done += sum(chunk.rows for chunk in chunks[number::count])
+        if on_progress is not None:
+            on_progress(Progress(done * length, job.rows * length, time.perf_counter() - began))
+
+    run_blocks(cluster, names, _run_remotely, (make_env, job, folder, max_envs), advance)
+    _check_parts(job, folder, chunks)
+
+
+def _run_remotely(
+    number: int,
+    count: int,
+    make_env: Callable[[], Any],
+    job: Job,
+    folder: Path,
+    max_envs: int | None,
+) -> None:
+    run_block(make_env(), job, folder, (number + 1, count), max_envs=max_envs)
+
+
+def _check_parts(job: Job, folder: Path, planned: list[Chunk]) -> None:
+    """Check that what the workers wrote can be read here: it is not simulated a second time."""
+    manifest = provenance.read_manifest(folder)
+    wanted = plan_of(job, manifest) if manifest else planned
+    found = sum(find_part(folder, chunk) is not None for chunk in wanted)
+    if found < len(wanted):
+        raise ValueError(
+            f"the workers are done, but {folder} has {found} of {len(wanted)} parts here; "
+            f"{NOT_SHARED}"
+        )

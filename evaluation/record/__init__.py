@@ -1,0 +1,1 @@
+"""What an evaluation leaves: tables, the manifest, where everything came from."""

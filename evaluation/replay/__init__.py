@@ -1,0 +1,1 @@
+"""Playing a saved result again, and deriving its figures again."""

@@ -1,0 +1,256 @@
+"""The job of a received folder, made again from the registry: what the folder says must be that.
+
+A manifest names policies, a seed and flags. Which policies there are, on which side of the split
+each is, its setting and its environment are the registry's and the installation's to say.
+"""
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from assistax_base.errors import SplitError
+from evaluation.cast.egos import read_egos
+from evaluation.cast.robot_names import parse_reference
+from evaluation.cast.roster import Roster, registry_roster
+from evaluation.figures.summary import Context, CrossPlaySummary, EvaluationSummary, read_summary
+from evaluation.play.evaluator import Evaluation
+from evaluation.play.jobs import GPU_TILE_ENVS, TILE_ENVS, Job
+from evaluation.record.manifest import received_sha256
+from evaluation.record.met_partners import MetPartners, declare, met_partners
+from evaluation.record.sources import describe_sources
+from evaluation.record.tables import EPISODES_FILE, read_episodes
+from evaluation.studies import check_env_version, context_of, in_release
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry, Split
+
+LARGEST_TILE = 1 << 20  # simulations, on backends where the user may choose
+
+
+@dataclasses.dataclass(frozen=True)
+class RebuiltJob:
+    """What a folder must be of."""
+
+    env: Any
+    job: Job
+    split: Split | None
+    partners: Sequence[PolicyEntry]  # in the registry's order
+    context: Context
+    met: MetPartners
+    tile_envs: int
+    unchecked: tuple[str, ...]
+
+
+def rebuild_job(
+    folder: Path, manifest: Mapping[str, Any], registry: Registry, *, run_code: bool = False
+) -> RebuiltJob:
+    """Return the job that a verified folder must be of.
+
+    Raises:
+        ValueError: It names another job than this registry and installation have, or robots that
+            cannot be played here.
+    """
+    from assistax_envs import make
+
+    summary, identity = read_summary(folder), manifest["identity"]
+    task = identity["task"]
+    partners = [registry.policy(row[0]) for row in identity["partners"]]
+    split = _split_of(summary, registry, task)
+    egos = _robots([row[0] for row in identity["egos"]], registry, task, run_code)
+    declared = manifest.get("met", {}).get("declared")
+    egos = declare(egos, registry, task, declared)
+    played = [*partners, *(entry for entry in registry.policies if entry.id in egos.members)]
+    check_env_version(registry, played)
+    env = make(task, backend=identity["backend"])
+    sides = {one.id: side for one in partners if split and (side := split.side(one.team))}
+    job = _job_of(identity, env, egos, registry_roster(registry, partners), sides)
+    _check_identity(identity, job)
+    names = {entry.id for entry in partners}
+    partners = [entry for entry in registry.policies if entry.id in names]
+    table = read_episodes(folder / EPISODES_FILE)
+    result = Evaluation(table, summary.env_steps_per_second, 0.0)
+    context = context_of(registry, job, split, _release(summary, split, played), result)
+    if summary.lock and registry.lock is None:
+        raise ValueError(
+            f"{folder} was made under the lock {summary.lock[:12]}; give the lock's file as well"
+        )
+    return RebuiltJob(
+        env,
+        job,
+        split,
+        partners,
+        dataclasses.replace(context, engine=identity["engine"]),
+        met_partners(egos, partners),
+        _tile_envs(job.backend, manifest),
+        (*_parts(summary, registry, job, split, partners), *_claims(declared)),
+    )
+
+
+def source_problems(
+    manifest: Mapping[str, Any], registry: Registry, rebuilt: RebuiltJob, references: bool
+) -> tuple[list[str], list[str]]:
+    """Hold what the manifest says of the registry against the registry.
+
+    Return problems, and what could not be checked.
+    """
+    names = {*rebuilt.job.egos.members, *(entry.id for entry in rebuilt.partners)}
+    teams = {entry.team for entry in rebuilt.partners} if references else set()
+    entries = [
+        entry
+        for entry in registry.policies
+        if entry.id in names or (entry.role == "robot" and entry.team in teams)
+    ]
+    split = rebuilt.split.id if rebuilt.split else None
+    expected = describe_sources(registry, entries, split, ())
+    kept, said = manifest.get("sources"), manifest.get("registry")
+    if not (isinstance(kept, dict) and isinstance(said, dict)):
+        return [], ["what the folder was drawn from: its manifest does not name it"]
+    problems = [
+        f"the manifest's {name} are not those of the registry"
+        for name in ("split", "releases")
+        if kept.get(name) != expected[name]
+    ]
+    if said.get("lock") != registry.lock:
+        problems.append("the manifest names another lock than the one that is given")
+    roots = {release: registry.root(release) for release in sorted({e.release for e in entries})}
+    if said.get("roots") != roots:
+        told = "the releases' roots: this registry has others, as one that grew or another has"
+        return problems, [told]
+    return problems, []
+
+
+def _split_of(
+    summary: EvaluationSummary | CrossPlaySummary, registry: Registry, task: str
+) -> Split | None:
+    """Return the registry's split of the summary's name; a cross-play takes a release's default."""
+    if summary.split is None:
+        if isinstance(summary, EvaluationSummary):
+            raise ValueError("the evaluation names no split, and its sides are of none")
+        return None
+    split = registry.split(task, summary.split.id)
+    if (split.id, split.sha256) != (summary.split.id, summary.split.sha256):
+        raise SplitError(
+            f"split {summary.split.id!r}", f"sha256 {split.sha256}", summary.split.sha256
+        )
+    defaults = {release.splits.get(task) for release in registry.data.releases.values()}
+    if isinstance(summary, CrossPlaySummary) and split.id not in defaults:
+        raise ValueError(f"split {split.id} is no release's default, as a cross-play's is")
+    return split
+
+
+def _release(
+    summary: EvaluationSummary | CrossPlaySummary,
+    split: Split | None,
+    played: Sequence[PolicyEntry],
+) -> str:
+    if isinstance(summary, EvaluationSummary) and split is not None:
+        return split.release
+    return ", ".join(sorted({entry.release for entry in played}))
+
+
+def _robots(names: Sequence[str], registry: Registry, task: str, run_code: bool) -> Roster:
+    """Return the robots that a manifest names; nothing but robots' own files is opened."""
+    for name in names:
+        if name.startswith("object:"):
+            raise ValueError(f"robot {name} was an object of a Python process; nobody else has it")
+        reference = parse_reference(name)
+        if reference.kind == "python" and not run_code:
+            raise ValueError(
+                f"robot {name} is code, and the folder names it; read it, then add --run-code"
+            )
+        if reference.kind in ("file", "onnx"):
+            try:
+                received_sha256(Path(reference.source))
+            except OSError as error:
+                raise ValueError(
+                    f"robot {name} is not here ({error.strerror or error}); put its file there"
+                ) from None
+    return read_egos(names, registry, task)
+
+
+def _job_of(
+    identity: Mapping[str, Any], env: Any, egos: Roster, partners: Roster, sides: Mapping[str, str]
+) -> Job:
+    preferences = tuple(identity.get("preferences", ()))
+    by_side = identity.get("side_preferences", {}) if preferences else {}
+    return Job(
+        task=identity["task"],
+        env_version=env.version,
+        backend=env.backend,
+        engine=getattr(env, "engine", {}),
+        egos=egos,
+        partners=partners,
+        episodes=identity["episodes"],
+        seed=identity["seed"],
+        stochastic=identity["stochastic"],
+        sides=sides,
+        paired=False,  # of references alone
+        apart=identity["apart"],
+        preferences=preferences,
+        side_preferences={side: tuple(names) for side, names in by_side.items()},
+        series=identity.get("series", 1),
+    )
+
+
+def _check_identity(identity: Mapping[str, Any], job: Job) -> None:
+    """Refuse an identity that is not the job's; versions of engine and software may be others."""
+    here, engine = job.identity(), identity["engine"]
+    if set(engine) == set(job.engine) and engine.get("name") == job.engine.get("name"):
+        here["engine"] = engine
+    here["software"] = identity["software"]
+    texts = [{name: json.dumps(one) for name, one in part.items()} for part in (here, identity)]
+    if differing := sorted(name for name, _ in texts[0].items() ^ texts[1].items()):
+        raise ValueError(
+            f"{', '.join(dict.fromkeys(differing))} differ: the folder's are not those of this "
+            "registry and installation; install the version that made it, or give its --registry"
+        )
+
+
+def _tile_envs(backend: str, manifest: Mapping[str, Any]) -> int:
+    """Return how many simulations a tile had: one of the numbers that this software uses."""
+    most, chunk = manifest["tile_envs"], manifest["max_envs"]
+    known = {"native": (TILE_ENVS["native"],), "fused": (TILE_ENVS["fused"], GPU_TILE_ENVS)}
+    allowed = known.get(backend, (chunk,))
+    for name, value in (("tile_envs", most), ("max_envs", chunk)):
+        if type(value) is not int or not 1 <= value <= LARGEST_TILE:
+            raise ValueError(f"the manifest's {name} is {value!r}; allowed is 1 to {LARGEST_TILE}")
+    if most not in allowed:
+        told = " or ".join(map(str, allowed))
+        raise ValueError(f"the manifest's tile_envs is {most}; on {backend} it is {told}")
+    return most
+
+
+def _parts(
+    summary: EvaluationSummary | CrossPlaySummary,
+    registry: Registry,
+    job: Job,
+    split: Split | None,
+    partners: Sequence[PolicyEntry],
+) -> list[str]:
+    """Say where only a part of a split's side, or of a release, was played."""
+    if isinstance(summary, EvaluationSummary) and split is not None:
+        counts = [
+            (f"{side} partners of split {split.id}", _count(job, side), len(getattr(split, side)))
+            for side in sorted(set(job.sides.values()))
+        ]
+    else:
+        release = partners[0].release
+        counts = [
+            (f"{role}s of {release}", len(seat.ids), len(_all(registry, job.task, release, role)))
+            for role, seat in (("robot", job.egos), ("human", job.partners))
+        ]
+    return [f"{few} of {all_} {what} were played" for what, few, all_ in counts if few != all_]
+
+
+def _claims(declared: Any) -> list[str]:
+    """Say that whom the robots met in training was declared."""
+    return ["partners met in training: as declared"] if declared else []
+
+
+def _count(job: Job, side: str) -> int:
+    return sum(one == side for one in job.sides.values())
+
+
+def _all(registry: Registry, task: str, release: str, role: str) -> list[PolicyEntry]:
+    return in_release(registry, f"{task}/*", release, task=task, role=role)

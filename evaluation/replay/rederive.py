@@ -1,0 +1,151 @@
+"""Every table and figure of a folder drawn again from its episodes, and held against what it has.
+
+The functions that draw them are those that drew them first, into a temporary folder. Numbers may
+differ in the sixth digit, since sums of another processor do.
+"""
+
+import math
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from evaluation.figures.normalised import COLUMN, CROSS_PLAY, bounds_table
+from evaluation.figures.saved_tables import save_crossplay, save_evaluation
+from evaluation.figures.summary import Context
+from evaluation.play.evaluator import in_order
+from evaluation.play.jobs import Job, Tile
+from evaluation.play.runner import planned_rows
+from evaluation.record import tables
+from evaluation.record.met_partners import MetPartners
+
+RELATIVE, ABSOLUTE = 1e-6, 1e-9
+LOOSE = 1e-3  # of strategies: a determinant's last digits are its smallest eigenvalue's
+
+
+def planned_table(job: Job, tiles: Sequence[Tile]) -> pl.DataFrame:
+    """Return what a job's episode table must hold before anything is played, in its order."""
+    return in_order(pl.concat([planned_rows(job, tile) for tile in tiles]), job)
+
+
+def planned_problems(kept: pl.DataFrame, planned: pl.DataFrame, name: str) -> list[str]:
+    """Say which columns of a kept table are not as planned: who played what, from which start."""
+    if kept.height != planned.height:
+        return [f"{name} has {kept.height} episodes; the job has {planned.height}"]
+    differing = [
+        column
+        for column in planned.columns
+        if column not in kept.columns
+        or not kept[column].cast(planned.schema[column], strict=False).equals(planned[column])
+    ]
+    return [f"{name} has another {', '.join(differing)} than the job"] if differing else []
+
+
+def derived_problems(
+    folder: Path,
+    table: pl.DataFrame,
+    context: Context,
+    met: MetPartners,
+    *,
+    is_crossplay: bool,
+    references: pl.DataFrame | None,
+    crossplay: pl.DataFrame | None,
+) -> list[str]:
+    """Say which files of a folder are not what its episodes give.
+
+    Args:
+        folder: A verified folder.
+        table: Its episodes.
+        context: What they do not say, from the registry and the job.
+        met: Which partners the robots met in training.
+        is_crossplay: Whether the folder is one.
+        references: The reference egos' episodes, if the folder has them.
+        crossplay: Pairs of the cross-play whose robots may be best responses.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        fresh = Path(name)
+        if is_crossplay:
+            save_crossplay(fresh, table, context, met)
+            return list(_file_problems(folder, fresh))
+        drawn = None if references is None else (references, bounds_table(references, crossplay))
+        found: list[str] = []
+        for include_own in (False, True):  # a note of the summary says which
+            options = {"include_own": include_own, "references": drawn, "met": met}
+            try:
+                save_evaluation(fresh, table, context, **options)
+            except ValueError as error:  # all partners are the robots' own
+                found = found or [str(error)]
+                continue
+            problems = list(_file_problems(folder, fresh))
+            if not problems:
+                return []
+            found = found or problems
+        return found
+
+
+def check_crossplay(folder: Path, crossplay: pl.DataFrame | None) -> None:
+    """Refuse bounds that rest on a cross-play which is not here.
+
+    Raises:
+        ValueError: Says so.
+    """
+    path = folder / tables.BOUNDS_FILE
+    if crossplay is None and path.is_file():
+        bounds = tables.read_parquet(path)
+        if "source" in bounds.columns and CROSS_PLAY in bounds["source"].to_list():
+            raise ValueError(
+                f"best responses of {folder} are of a cross-play; give its folder as well"
+            )
+
+
+def read_references(folder: Path) -> pl.DataFrame | None:
+    """Return the reference egos' episodes of a folder, if it has them.
+
+    Raises:
+        ValueError: The table is malformed.
+    """
+    path = folder / tables.REFERENCES_FILE
+    if not path.is_file():
+        return None
+    table = tables.read_parquet(path)
+    if COLUMN not in table.columns:
+        raise ValueError(f"{path} has no column {COLUMN}")
+    tables.validate_episodes(table.drop(COLUMN))
+    return table
+
+
+def _file_problems(folder: Path, fresh: Path) -> Iterator[str]:
+    """Compare the files that were drawn again with those of the folder."""
+    drawn = {path.name for path in fresh.iterdir()}
+    apart = {tables.EPISODES_FILE, tables.RUN_FILE, tables.MATRIX_FIGURE}
+    kept = {name for name in tables.FILES if (folder / name).is_file()} - apart
+    for name in sorted(drawn ^ kept):
+        yield f"{folder / name} {'is missing' if name in drawn else 'is none of this job'}"
+    for name in sorted(drawn & kept):
+        loose = LOOSE if name == tables.STRATEGIES_FILE else RELATIVE
+        read = _read_table if name.endswith(".parquet") else tables.read_json
+        if place := next(_differences(read(folder / name), read(fresh / name), loose), None):
+            yield f"{folder / name} is not what its episodes give: {place}"
+
+
+def _read_table(path: Path) -> dict[str, Any]:
+    table = tables.read_parquet(path)
+    kinds = [f"{name} {kind}" for name, kind in table.schema.items()]
+    return {"columns": kinds, **table.to_dict(as_series=False)}
+
+
+def _differences(kept: Any, fresh: Any, relative: float, place: str = "") -> Iterator[str]:
+    """Yield where two JSON values differ."""
+    if isinstance(kept, dict) and isinstance(fresh, dict) and kept.keys() == fresh.keys():
+        for name in fresh:
+            yield from _differences(kept[name], fresh[name], relative, f"{place}.{name}")
+    elif isinstance(kept, list) and isinstance(fresh, list) and len(kept) == len(fresh):
+        for row, (one, other) in enumerate(zip(kept, fresh, strict=True)):
+            yield from _differences(one, other, relative, f"{place}[{row}]")
+    elif isinstance(kept, float) and isinstance(fresh, float):
+        if not math.isclose(kept, fresh, rel_tol=relative, abs_tol=ABSOLUTE):
+            yield f"{place.strip('.')} is {kept}, and {fresh} is true of them"
+    elif type(kept) is not type(fresh) or kept != fresh:
+        yield f"{place.strip('.')} is {str(kept)[:60]!r}, and {str(fresh)[:60]!r} is true of them"

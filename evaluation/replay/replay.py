@@ -1,0 +1,265 @@
+"""Whether a finished folder, received from anybody, holds what its job gives.
+
+Its manifest is believed in nothing that a figure depends on. The job is made again from the
+registry, every table and figure is drawn again from the episodes, and a sample of the episodes is
+played again: whole tiles, so that each stands in the same row of the same program as it did.
+
+Values of a replay that are the same to the last bit are always taken. Others fail where the folder
+says that this kind of machine made them; where it names another, they are held to what was measured
+of processors, see `evaluation.replay.noise`.
+"""
+
+import dataclasses
+import secrets
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from evaluation.figures.normalised import COLUMN
+from evaluation.play.baselines import reference_jobs, with_names
+from evaluation.play.jobs import Chunk, Job, Tile, cut_tiles
+from evaluation.play.runner import Runner
+from evaluation.record import manifest as provenance
+from evaluation.record import tables
+from evaluation.replay import rederive
+from evaluation.replay.job import RebuiltJob, rebuild_job, source_problems
+from evaluation.replay.noise import mean_tolerance, noise_problems, read_noise
+from evaluation.studies import own_robots
+from zoo.lock import apply_lock, read_lock
+from zoo.registry import Registry
+
+DETERMINISTIC = ("native", "fused")  # backends that, on one kind of CPU, always give the same bits
+KEYS = ["ego", "partner", "episode"]
+
+
+@dataclasses.dataclass(frozen=True)
+class ReplayReport:
+    """What playing a sample again gave."""
+
+    folder: str
+    episodes: int  # played again
+    exact: bool  # whether they were compared bit by bit
+    why: str  # they were, or were not
+    differing: int  # episodes with any other value; on another machine most have
+    difference: float  # mean return, found less kept
+    tolerance: float  # of it; 0 where compared bit by bit
+    ok: bool
+    seed: int = 0  # of the sample
+    of_episodes: int = 0  # in the folder
+    references: int = 0  # episodes of the reference egos, played again
+    of_references: int = 0
+    problems: tuple[str, ...] = ()
+    unchecked: tuple[str, ...] = ()  # what the folder says and this check does not bear out
+
+
+def replay_folder(
+    folder: Path,
+    registry: Registry,
+    *,
+    sample: int = 20,
+    seed: int | None = None,
+    run_code: bool = False,
+    lock: Path | None = None,
+    crossplay: Path | None = None,
+) -> ReplayReport:
+    """Check a finished folder: draw its figures again, and play a sample of its episodes again.
+
+    Args:
+        folder: Filled by an evaluation or a cross-play; may be received from anybody.
+        registry: Has its partners, and its robots if they are published.
+        sample: Episodes, of the job and of each of its references; whole tiles are played, so there
+            may be more.
+        seed: Of the choice of tiles; if not given, one that nobody could foresee.
+        run_code: Run robots that are Python code: the folder says which, so trust it first.
+        lock: File of the lock under which the folder was made.
+        crossplay: Folder of the cross-play whose robots are best responses; checked as well.
+
+    Raises:
+        ValueError: The folder is not what was written, or its job cannot be played here.
+    """
+    if sample < 1:
+        raise ValueError(f"sample is {sample}; give at least 1 (--sample 20)")
+    if problems := provenance.verify_folder(folder).problems:
+        raise ValueError(f"{problems[0]}; a folder that was changed is not replayed")
+    seed = secrets.randbits(32) if seed is None else seed
+    manifest = provenance.read_manifest(folder) or {}
+    try:
+        if lock:
+            task = str(manifest["identity"]["task"])
+            registry = apply_lock(registry, read_lock(lock), task=task)
+        rebuilt = rebuild_job(folder, manifest, registry, run_code=run_code)
+        parts = _kept_parts(folder, registry, rebuilt)
+    except (KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
+        raise ValueError(f"the manifest of {folder} names no job: {error!r}") from error
+    pairs, inner = None, ()
+    if crossplay:
+        inner = replay_folder(crossplay, registry, sample=sample, seed=seed).problems
+        pairs = tables.read_parquet(crossplay / tables.PAIRS_FILE)
+    problems, unchecked = _written_problems(folder, manifest, registry, rebuilt, parts, pairs)
+    why = "not what its job gives, or another version of assistax-zoo drew its figures"
+    report = ReplayReport(str(folder), 0, False, why, 0, 0.0, 0.0, False, seed)
+    counts = {"of_episodes": parts[0].kept.height}
+    counts["of_references"] = sum(part.kept.height for part in parts) - counts["of_episodes"]
+    report = dataclasses.replace(
+        report, problems=(*inner, *problems), unchecked=unchecked, **counts
+    )
+    if report.problems:
+        return report
+    rng = np.random.default_rng(seed)
+    played = [_play(rebuilt.env, part, sample, rng) for part in parts]
+    return _judge(report, manifest, rebuilt.job, parts, played)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Part:
+    """A job that the folder's tables are of, and its episodes there."""
+
+    job: Job
+    tiles: Sequence[Tile]
+    planned: pl.DataFrame
+    kept: pl.DataFrame
+
+
+def _kept_parts(folder: Path, registry: Registry, rebuilt: RebuiltJob) -> list[_Part]:
+    """Return the folder's own job and those of its references."""
+    jobs, kept = [rebuilt.job], [tables.read_episodes(folder / tables.EPISODES_FILE)]
+    if (references := rederive.read_references(folder)) is not None:
+        own = own_robots(registry, rebuilt.partners)
+        jobs += reference_jobs(rebuilt.env, rebuilt.job, own)
+    cut = [cut_tiles(job, rebuilt.tile_envs) for job in jobs]
+    planned = [rederive.planned_table(job, tiles) for job, tiles in zip(jobs, cut, strict=True)]
+    if references is not None:
+        ends = np.cumsum([table.height for table in planned[1:]])
+        if references.height != ends[-1]:
+            raise ValueError(
+                f"{folder / tables.REFERENCES_FILE} has {references.height} episodes; the job's "
+                f"references have {ends[-1]}"
+            )
+        kept += [
+            references.slice(end - table.height, table.height)
+            for end, table in zip(ends, planned[1:], strict=True)
+        ]
+        planned[1:] = [with_names(table) for table in planned[1:]]
+    rows = zip(jobs, cut, planned, kept, strict=True)
+    return [_Part(*row) for row in rows]
+
+
+def _written_problems(
+    folder: Path,
+    manifest: Mapping[str, Any],
+    registry: Registry,
+    rebuilt: RebuiltJob,
+    parts: Sequence[_Part],
+    pairs: pl.DataFrame | None,
+) -> tuple[list[str], tuple[str, ...]]:
+    """Hold all that is not played against the job: return problems, and what is not checked."""
+    has_references = len(parts) > 1
+    is_crossplay = (folder / tables.PAIRS_FILE).is_file()
+    problems, unchecked = source_problems(manifest, registry, rebuilt, has_references)
+    names = [tables.EPISODES_FILE, *[tables.REFERENCES_FILE] * (len(parts) - 1)]
+    for part, name in zip(parts, names, strict=True):
+        problems += rederive.planned_problems(part.kept, part.planned, name)
+    if not problems:
+        rederive.check_crossplay(folder, pairs)
+        references = pl.concat([part.kept for part in parts[1:]]) if has_references else None
+        problems = rederive.derived_problems(
+            folder,
+            parts[0].kept,
+            rebuilt.context,
+            rebuilt.met,
+            is_crossplay=is_crossplay,
+            references=references,
+            crossplay=pairs,
+        )
+    picture = [f"{tables.MATRIX_FIGURE}, a picture"] * is_crossplay
+    return problems, (*rebuilt.unchecked, *unchecked, *picture)
+
+
+def _play(env: Any, part: _Part, sample: int, rng: np.random.Generator) -> pl.DataFrame:
+    """Play tiles of a job again, chosen by chance, until there are enough episodes."""
+    chosen: list[Tile] = []
+    for place in rng.permutation(len(part.tiles)):
+        chosen.append(part.tiles[place])
+        if sum(tile.rows for tile in chosen) >= sample:
+            break
+    rows: list[pl.DataFrame] = []
+    chunks = [Chunk(index, (tile,)) for index, tile in enumerate(chosen)]
+    Runner(env, part.job).run(chunks, lambda _, played: rows.append(played))
+    found = pl.concat(rows).sort(KEYS)
+    return with_names(found) if COLUMN in part.kept.columns else found
+
+
+def _judge(
+    report: ReplayReport,
+    manifest: Mapping[str, Any],
+    job: Job,
+    parts: Sequence[_Part],
+    played: Sequence[pl.DataFrame],
+) -> ReplayReport:
+    """Compare what was played with what was kept, bit by bit or within processors' noise."""
+    kept = [
+        part.kept.join(found, on=KEYS, how="semi").sort(KEYS)
+        for part, found in zip(parts, played, strict=True)
+    ]
+    pairs = list(zip(kept, played, strict=True))
+    if strange := [name for old, new in pairs for name in _strange_columns(old, new)]:
+        problem = f"the columns {', '.join(strange)} are not those of the job's episodes"
+        return dataclasses.replace(report, why="other columns", problems=(problem,))
+    differing = sum(_differing(old, new) for old, new in pairs)
+    same_machine, why = _same_machine(manifest, job)
+    exact = differing == 0 or same_machine
+    problems: list[str] = []
+    gaps = (played[0]["return"] - kept[0]["return"]).to_numpy().astype(float)
+    tolerance = 0.0
+    if exact and differing:
+        problems = [f"{differing} episodes played again have other values"]
+    elif differing:
+        problems = [text for old, new in pairs for text in noise_problems(job.task, old, new)]
+        tolerance = float(mean_tolerance(read_noise(job.task)["return"], gaps.size))
+    return dataclasses.replace(
+        report,
+        episodes=kept[0].height,
+        references=sum(table.height for table in kept[1:]),
+        exact=exact,
+        why=why if differing or same_machine else f"the same bits, though {why}",
+        differing=differing,
+        difference=float(gaps.mean()),
+        tolerance=tolerance,
+        problems=tuple(problems),
+        ok=not problems,
+    )
+
+
+def _strange_columns(kept: pl.DataFrame, found: pl.DataFrame) -> list[str]:
+    return sorted(dict(kept.schema.items() ^ found.schema.items()))
+
+
+def _differing(kept: pl.DataFrame, found: pl.DataFrame) -> int:
+    same = [kept[name].eq_missing(found[name]).to_numpy() for name in kept.columns]
+    return int((~np.all(same, axis=0)).sum())
+
+
+def _same_machine(manifest: Mapping[str, Any], job: Job) -> tuple[bool, str]:
+    """Return whether the folder says that it was made where every bit is as here, and why."""
+    made, there = _object(manifest.get("made_with")), manifest["identity"]
+    pairs = {
+        "processor": (made.get("processor"), provenance.processor()),
+        "jaxlib": (_object(made.get("versions")).get("jaxlib"), version("jaxlib")),
+        "engine": (there["engine"], dict(job.engine)),
+        "software": (there["software"], job.identity()["software"]),
+    }
+    differing = [name for name, (said, here) in pairs.items() if said != here]
+    if differing:
+        return False, f"other {', '.join(differing)} than where it was made"
+    if job.backend not in DETERMINISTIC:
+        return False, f"{job.backend} rounds differently from run to run"
+    return True, "same processor, jaxlib and engine"
+
+
+def _object(value: Any) -> dict[str, Any]:
+    """Return what a manifest says, or nothing where it is no object."""
+    return value if isinstance(value, dict) else {}

@@ -1,0 +1,1 @@
+"""Networks: how they are described, made, stacked and exported."""

@@ -1,0 +1,95 @@
+"""A policy as named matrices: what the exporters write, whatever the format."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from population.networks.spec import PolicySpec
+
+Array = np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Dense:
+    """`x @ kernel + bias`."""
+
+    kernel: Array  # [I, O] float32
+    bias: Array  # [O]
+
+
+@dataclasses.dataclass(frozen=True)
+class GRU:
+    """Gates in the order reset, update, new.
+
+    `r`, `z` = sigmoid(input + recurrent), `n` = tanh(input + r * recurrent).
+
+    The next carry, and output, is `(1 - z) * n + z * carry`.
+    """
+
+    input: Dense  # [I, 3H], [3H]
+    recurrent: Dense  # [H, 3H], [3H]; only the last third of the bias is not zero
+
+
+@dataclasses.dataclass(frozen=True)
+class NetworkPlan:
+    """The parts of a policy's deterministic action, in the order in which they apply."""
+
+    spec: PolicySpec
+    normaliser: tuple[Array, Array] | None  # mean [O], std [O]
+    hidden: tuple[Dense, ...]  # each followed by the spec's activation
+    gru: GRU | None
+    mean: Dense
+    log_std: (
+        Dense | Array
+    )  # a head on the torso, or one vector [A]; not part of the deterministic action
+
+
+def network_plan(spec: PolicySpec, params: Mapping[str, Any]) -> NetworkPlan:
+    """Return the parts of `Policy(spec)` with these parameters (nested, without a stacked axis).
+
+    Raises:
+        ValueError: A parameter is missing.
+    """
+    embeddings = len(spec.hidden) - (spec.torso == "gru")
+    try:
+        return NetworkPlan(
+            spec=spec,
+            normaliser=(_f32(params["normaliser"]["mean"]), _f32(params["normaliser"]["std"]))
+            if spec.normalise
+            else None,
+            hidden=tuple(_dense(params[f"Dense_{index}"]) for index in range(embeddings)),
+            gru=_gru(params["GRUCell_0"]) if spec.torso == "gru" else None,
+            mean=_dense(params[f"Dense_{embeddings}"]),
+            log_std=_dense(params[f"Dense_{embeddings + 1}"])
+            if spec.std == "state"
+            else _f32(params["log_std"]),
+        )
+    except KeyError as error:
+        raise ValueError(
+            f"parameters lack {error}, which a {spec.torso} policy of spec {spec.digest} has"
+        ) from None
+
+
+def _gru(params: Mapping[str, Any]) -> GRU:
+    inputs = [_dense(params[name]) for name in ("ir", "iz", "in")]
+    recurrent = [_f32(params[name]["kernel"]) for name in ("hr", "hz", "hn")]
+    zero = np.zeros(recurrent[0].shape[1], np.float32)
+    return GRU(
+        Dense(
+            np.concatenate([gate.kernel for gate in inputs], 1),
+            np.concatenate([gate.bias for gate in inputs]),
+        ),
+        Dense(
+            np.concatenate(recurrent, 1), np.concatenate([zero, zero, _f32(params["hn"]["bias"])])
+        ),
+    )
+
+
+def _dense(params: Mapping[str, Any]) -> Dense:
+    return Dense(_f32(params["kernel"]), _f32(params["bias"]))
+
+
+def _f32(value: Any) -> Array:
+    return np.asarray(value, np.float32)

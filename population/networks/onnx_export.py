@@ -1,0 +1,137 @@
+"""A policy as an ONNX graph: observations to the deterministic action, standard operators only."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from assistax_base.extras import optional
+from population.networks.layers import GRU, Dense, NetworkPlan, network_plan
+from population.networks.policy import NORMALISED_LIMIT
+from population.networks.spec import PolicySpec
+
+OPSET = 17
+IR_VERSION = 8  # read by every runtime since 2022
+METADATA_KEY = "assistax"
+
+
+def to_onnx(
+    spec: PolicySpec, params: Mapping[str, Any], metadata: Mapping[str, Any] | None = None
+) -> bytes:
+    """Return the bytes of an ONNX model of the policy's deterministic action.
+
+    Inputs: `obs` [N, O] float32; of a recurrent policy also `carry` [N, H] float32 and `first` [N]
+        bool, true where an
+    observation starts an episode. Outputs: `action` [N, A] in [-1, 1]; of a recurrent policy also
+    `next_carry` [N, H].
+
+    Args:
+        spec: The network.
+        params: Its parameters, without a stacked axis.
+        metadata: Kept as JSON in the model's properties under "assistax", beside the spec.
+
+    Raises:
+        ValueError: The `onnx` package is not installed, or a parameter is missing.
+    """
+    onnx = optional("onnx", "the format onnx", "export")
+    graph = _Graph(onnx.helper, onnx.numpy_helper)
+    plan = network_plan(spec, params)
+    inputs, outputs = _write(graph, plan)
+    float_type, helper = onnx.TensorProto.FLOAT, onnx.helper
+
+    def value(name: str) -> Any:
+        width = {"obs": spec.observation_size, "action": spec.action_size}.get(
+            name, spec.hidden[-1]
+        )
+        if name == "first":
+            return helper.make_tensor_value_info(name, onnx.TensorProto.BOOL, ["N"])
+        return helper.make_tensor_value_info(name, float_type, ["N", width])
+
+    body = helper.make_graph(
+        graph.nodes,
+        "policy",
+        [value(n) for n in inputs],
+        [value(n) for n in outputs],
+        graph.weights,
+    )
+    model = helper.make_model(
+        body,
+        opset_imports=[helper.make_opsetid("", OPSET)],
+        producer_name="assistax-zoo",
+        ir_version=IR_VERSION,
+    )
+    text = json.dumps({"spec": spec.to_json(), **(metadata or {})}, sort_keys=True, allow_nan=False)
+    helper.set_model_props(model, {METADATA_KEY: text})
+    onnx.checker.check_model(model, full_check=True)
+    return model.SerializeToString(deterministic=True)
+
+
+def _write(graph: "_Graph", plan: NetworkPlan) -> tuple[list[str], list[str]]:
+    """Add the policy's nodes; return the names of the model's inputs and outputs."""
+    features, inputs, outputs = "obs", ["obs"], ["action"]
+    if plan.normaliser is not None:
+        mean, std = (graph.constant(value) for value in plan.normaliser)
+        features = graph.clip(
+            graph.add("Div", graph.add("Sub", features, mean), std), NORMALISED_LIMIT
+        )
+    for layer in plan.hidden:
+        features = graph.add(
+            {"tanh": "Tanh", "relu": "Relu"}[plan.spec.activation], graph.dense(features, layer)
+        )
+    if plan.gru is not None:
+        inputs, outputs = ["obs", "carry", "first"], ["action", "next_carry"]
+        features = _gru(graph, plan.gru, features)
+    mean = graph.dense(features, plan.mean)
+    if plan.spec.squash == "tanh":
+        graph.add("Tanh", mean, output="action")
+    else:
+        graph.clip(mean, 1.0, output="action")
+    return inputs, outputs
+
+
+def _gru(graph: "_Graph", gru: GRU, features: str) -> str:
+    """Write the cell out gate by gate: ONNX's own GRU wants a time axis."""
+    first = graph.add("Unsqueeze", "first", graph.constant(np.array([1], np.int64)))
+    carry = graph.add("Where", first, graph.constant(np.float32(0.0)), "carry")
+    thirds = graph.constant(np.full(3, gru.recurrent.kernel.shape[0], np.int64))
+    x = graph.split(graph.dense(features, gru.input), thirds)
+    h = graph.split(graph.dense(carry, gru.recurrent), thirds)
+    reset, update = (graph.add("Sigmoid", graph.add("Add", x[gate], h[gate])) for gate in range(2))
+    new = graph.add("Tanh", graph.add("Add", x[2], graph.add("Mul", reset, h[2])))
+    kept = graph.add("Mul", update, carry)
+    taken = graph.add("Mul", graph.add("Sub", graph.constant(np.float32(1.0)), update), new)
+    return graph.add("Add", taken, kept, output="next_carry")
+
+
+class _Graph:
+    """Nodes and weights in the order in which they are added; every node gets a name."""
+
+    def __init__(self, helper: Any, numpy_helper: Any) -> None:
+        self.nodes: list[Any] = []
+        self.weights: list[Any] = []
+        self._helper, self._numpy_helper = helper, numpy_helper
+
+    def add(self, operator: str, *inputs: str, output: str | None = None) -> str:
+        output = output or f"{operator.lower()}_{len(self.nodes)}"
+        self.nodes.append(self._helper.make_node(operator, list(inputs), [output], name=output))
+        return output
+
+    def split(self, value: str, sizes: str) -> list[str]:
+        outputs = [f"split_{len(self.nodes)}_{part}" for part in range(3)]
+        self.nodes.append(
+            self._helper.make_node("Split", [value, sizes], outputs, name=outputs[0], axis=1)
+        )
+        return outputs
+
+    def constant(self, value: Any) -> str:
+        name = f"weight_{len(self.weights)}"
+        self.weights.append(self._numpy_helper.from_array(np.asarray(value), name))
+        return name
+
+    def dense(self, value: str, layer: Dense) -> str:
+        return self.add("Gemm", value, self.constant(layer.kernel), self.constant(layer.bias))
+
+    def clip(self, value: str, limit: float, output: str | None = None) -> str:
+        ends = (self.constant(np.float32(-limit)), self.constant(np.float32(limit)))
+        return self.add("Clip", value, *ends, output=output)

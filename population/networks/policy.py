@@ -1,0 +1,264 @@
+"""Networks: policies, from observations to a Gaussian over actions, and critics, to values."""
+
+import dataclasses
+import math
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import linen as nn
+from jaxtyping import Array, Bool, Float
+
+from population.networks.spec import PolicySpec
+
+Params = dict[str, Any]  # nested dicts of arrays
+Carry = Any  # () for a feed-forward network, [..., H] for a recurrent one
+
+NORMALISED_LIMIT = 10.0  # normalised observations are clipped to this many standard deviations
+HIDDEN_SCALE = math.sqrt(2.0)  # orthogonal gain of hidden layers
+# A standard deviation of 0.6: nine of ten draws of an untrained policy lie within the limits. A
+# constant of published networks; what a run begins with is `initial_log_std` of its trainer.
+INITIAL_LOG_STD = -0.5
+LOG_STD_RANGE = (-5.0, 1.0)
+MEAN_SCALE = 0.01  # orthogonal gain of the head: an untrained policy acts around zero
+
+_NODES, _WEIGHTS = (x.astype(np.float32) for x in np.polynomial.hermite_e.hermegauss(9))
+
+
+@partial(jax.tree_util.register_dataclass, data_fields=["mean", "log_std"], meta_fields=["squash"])
+@dataclasses.dataclass(frozen=True)
+class Gaussian:
+    """Diagonal Gaussian over raw actions [..., A], and how one becomes an action in [-1, 1].
+
+    With "clip" the limits belong to the environment: densities are those of the raw action. With
+    "tanh" they are densities of the squashed action.
+    """
+
+    mean: jax.Array  # [..., A]
+    log_std: jax.Array  # [..., A]
+    squash: str = "clip"
+
+    def sample(self, key: jax.Array) -> jax.Array:
+        """Draw a raw action [..., A]."""
+        return self.mean + jnp.exp(self.log_std) * jax.random.normal(key, self.mean.shape)
+
+    def action(self, raw: Float[Array, "*batch A"]) -> Float[Array, "*batch A"]:
+        """Return the action in [-1, 1] for a raw action."""
+        return jnp.tanh(raw) if self.squash == "tanh" else jnp.clip(raw, -1.0, 1.0)
+
+    def mode(self) -> jax.Array:
+        """Return the deterministic action in [-1, 1]."""
+        return self.action(self.mean)
+
+    def log_prob(self, raw: Float[Array, "*batch A"]) -> Float[Array, "*batch"]:
+        """Return the log density [...] of a raw action [..., A].
+
+        With "tanh", of the action it is squashed to.
+        """
+        score = (raw - self.mean) * jnp.exp(-self.log_std)
+        density = -0.5 * (jnp.square(score) + math.log(2.0 * math.pi)) - self.log_std
+        if self.squash == "tanh":
+            density = density - _log_slope(raw)
+        return density.sum(-1)
+
+    def entropy(self) -> jax.Array:
+        """Return the entropy [...].
+
+        For "tanh" the mean log slope is integrated by Gauss-Hermite quadrature.
+        """
+        entropy = self.log_std + 0.5 * (1.0 + math.log(2.0 * math.pi))
+        if self.squash == "tanh":
+            std = jnp.exp(self.log_std)
+            slopes = [
+                float(w) * _log_slope(self.mean + std * float(x))
+                for x, w in zip(_NODES, _WEIGHTS, strict=True)
+            ]
+            entropy = entropy + sum(slopes) / math.sqrt(2.0 * math.pi)
+        return entropy.sum(-1)
+
+
+@dataclasses.dataclass(frozen=True)
+class CriticSpec:
+    """Shape of a critic network."""
+
+    observation_size: int  # width of its input
+    torso: str = "mlp"  # "mlp" or "gru"
+    hidden: tuple[int, ...] = (128, 128)  # widths of the hidden layers
+    activation: str = "tanh"  # after each dense hidden layer
+
+
+class _Network:
+    """A network behind plain nested parameters, whose leading axes are free."""
+
+    spec: Any
+
+    def initial_carry(self, batch_shape: tuple[int, ...]) -> Carry:
+        """Return the recurrent state before the first observation.
+
+        () for a feed-forward torso, else [*batch_shape, H].
+        """
+        return jnp.zeros((*batch_shape, self.spec.hidden[-1])) if self.spec.torso == "gru" else ()
+
+    def step(
+        self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
+    ) -> tuple[Carry, Any]:
+        """Return the new carry and the output for obs [..., O]; see the subclasses."""
+        raise NotImplementedError
+
+    def unroll(
+        self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
+    ) -> tuple[Carry, Any]:
+        """Apply `step` along the leading time axis of obs [T, ..., O] and first [T, ...]."""
+        if self.spec.torso == "mlp":
+            return self.step(params, carry, obs, first)
+        return jax.lax.scan(lambda carry, x: self.step(params, carry, *x), carry, (obs, first))
+
+
+class Critic(_Network):
+    """The network of a `CriticSpec`; its input is normalised by the caller."""
+
+    def __init__(self, spec: CriticSpec) -> None:
+        self.spec = spec
+        self._module = _Value(spec)
+
+    def init(self, key: jax.Array) -> Params:
+        """Return fresh parameters."""
+        obs = jnp.zeros(self.spec.observation_size)
+        return self._module.init(key, self.initial_carry(()), obs, jnp.zeros((), bool))["params"]
+
+    def step(
+        self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
+    ) -> tuple[Carry, jax.Array]:
+        """Return the new carry and the values [...] of obs [..., O]."""
+        output: Any = self._module.apply({"params": params}, carry, obs, first)
+        return output
+
+
+class Policy(_Network):
+    """The network of a `PolicySpec`."""
+
+    def __init__(self, spec: PolicySpec) -> None:
+        self.spec = spec
+        self._module = _Actor(spec)
+
+    def init(self, key: jax.Array, log_std: float = INITIAL_LOG_STD) -> Params:
+        """Return fresh parameters; with `spec.normalise` they hold an identity "normaliser".
+
+        Args:
+            key: Draws them.
+            log_std: Logarithm of the standard deviation at the start.
+        """
+        size = self.spec.observation_size
+        params = self._module.init(
+            key, self.initial_carry(()), jnp.zeros(size), jnp.zeros((), bool)
+        )["params"]
+        params = _with_log_std(params, log_std)
+        if self.spec.normalise:
+            params = {**params, "normaliser": {"mean": jnp.zeros(size), "std": jnp.ones(size)}}
+        return params
+
+    def step(
+        self,
+        params: Params,
+        carry: Carry,
+        obs: Float[Array, "*batch O"],
+        first: Bool[Array, "*batch"],
+    ) -> tuple[Carry, Gaussian]:
+        """Return the new carry and the distribution over actions.
+
+        Args:
+            params: Parameters of one policy.
+            carry: Recurrent state; it is set to zero where `first`.
+            obs: Observations [..., O].
+            first: Whether an observation starts an episode [...].
+        """
+        network = {name: value for name, value in params.items() if name != "normaliser"}
+        if self.spec.normalise:
+            obs = normalise(params["normaliser"], obs)
+        output: Any = self._module.apply({"params": network}, carry, obs, first)
+        carry, (mean, log_std) = output
+        return carry, Gaussian(mean, log_std, self.spec.squash)
+
+    def act(
+        self,
+        params: Params,
+        carry: Carry,
+        obs: Float[Array, "*batch O"],
+        first: Bool[Array, "*batch"],
+    ) -> tuple[Carry, Float[Array, "*batch A"]]:
+        """Return the new carry and the most likely action [..., A], in [-1, 1]."""
+        carry, distribution = self.step(params, carry, obs, first)
+        return carry, distribution.mode()
+
+
+def normalise(normaliser: Params, obs: Float[Array, "*batch O"]) -> Float[Array, "*batch O"]:
+    """Return obs [..., O] centred and scaled by mean [O] and std [O], clipped to a fixed limit."""
+    mean, std = (jnp.broadcast_to(normaliser[name], obs.shape) for name in ("mean", "std"))
+    return jnp.clip((obs - mean) / std, -NORMALISED_LIMIT, NORMALISED_LIMIT)
+
+
+class _Actor(nn.Module):
+    spec: PolicySpec
+
+    @nn.compact
+    def __call__(
+        self, carry: Carry, obs: jax.Array, first: jax.Array
+    ) -> tuple[Carry, tuple[jax.Array, jax.Array]]:
+        size = self.spec.action_size
+        carry, features = _torso(self.spec, carry, obs, first)
+        mean = _dense(size, MEAN_SCALE)(features)
+        if self.spec.std == "state":
+            log_std = INITIAL_LOG_STD + _dense(size, MEAN_SCALE)(features)
+        else:
+            log_std = self.param("log_std", nn.initializers.constant(INITIAL_LOG_STD), (size,))
+        return carry, (mean, jnp.broadcast_to(jnp.clip(log_std, *LOG_STD_RANGE), mean.shape))
+
+
+class _Value(nn.Module):
+    spec: CriticSpec
+
+    @nn.compact
+    def __call__(self, carry: Carry, obs: jax.Array, first: jax.Array) -> tuple[Carry, jax.Array]:
+        carry, features = _torso(self.spec, carry, obs, first)
+        return carry, _dense(1, 1.0)(features)[..., 0]
+
+
+def _torso(
+    spec: PolicySpec | CriticSpec, carry: Carry, obs: jax.Array, first: jax.Array
+) -> tuple[Carry, jax.Array]:
+    """Apply the hidden layers.
+
+    To be called inside a compact module, which then owns the layers by flat names.
+    """
+    activation = {"tanh": nn.tanh, "relu": nn.relu}[spec.activation]
+    features = obs
+    for width in spec.hidden[:-1] if spec.torso == "gru" else spec.hidden:
+        features = activation(_dense(width, HIDDEN_SCALE)(features))
+    if spec.torso == "gru":
+        carry = jnp.where(first[..., None], 0.0, carry)
+        carry, features = nn.GRUCell(spec.hidden[-1])(carry, features)
+    return carry, features
+
+
+def _dense(width: int, scale: float) -> nn.Dense:
+    """Return a dense layer with orthogonal weights of the given gain and zero bias."""
+    return nn.Dense(width, kernel_init=nn.initializers.orthogonal(scale))
+
+
+def _with_log_std(params: Params, log_std: float) -> Params:
+    """Return fresh parameters with another initial standard deviation: the vector, or the bias.
+
+    The network adds `INITIAL_LOG_STD` to its state-dependent head, so the bias is the difference.
+    """
+    if "log_std" in params:
+        return {**params, "log_std": jnp.full_like(params["log_std"], log_std)}
+    head = max((name for name in params if name.startswith("Dense_")), key=lambda n: int(n[6:]))
+    bias = params[head]["bias"] + (log_std - INITIAL_LOG_STD)
+    return {**params, head: {**params[head], "bias": bias}}
+
+
+def _log_slope(raw: jax.Array) -> jax.Array:
+    """Return log(1 - tanh(raw)^2) without loss of precision in the tails."""
+    return 2.0 * (math.log(2.0) - raw - jax.nn.softplus(-2.0 * raw))

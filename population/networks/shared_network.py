@@ -1,0 +1,61 @@
+"""Shared parameters.
+
+One network for both roles, that reads a padded observation and the role's one-hot.
+
+Padding with zeros and a constant one-hot need never be built: the padded rows of the first kernel
+do nothing, and the one-hot adds one of its rows to the bias. `fold` makes an ordinary network of
+one role that way, exactly; training, acting and publishing all use it.
+"""
+
+from collections.abc import Mapping
+
+from population.networks.policy import Params
+from population.networks.spec import ROLES
+
+SHARED = "shared"  # name of the learner of both roles
+
+
+def padded_size(observation_size: Mapping[str, int]) -> int:
+    """Return the width of the shared input: the widest role's observation, then the one-hot."""
+    return max(observation_size.values()) + len(ROLES)
+
+
+def fold(
+    params: Params, role: str, observation_size: int, action_size: int | None = None
+) -> Params:
+    """Return one role's ordinary parameters of a shared network.
+
+    With W the first kernel and e the role's one-hot, [obs, 0, e] W + b = obs W[:O] + (W[-2 + role]
+    + b). Outputs beyond the role's actions are dropped.
+
+    Args:
+        params: Parameters of the shared network, whose first layer is Dense_0 and whose last are
+            its heads; leading axes are free.
+        role: The role.
+        observation_size: Width O of the role's input.
+        action_size: Width of the role's action; None for a critic, whose output is one value.
+    """
+    kernel, bias = params["Dense_0"]["kernel"], params["Dense_0"]["bias"]
+    one_hot = kernel[..., ROLES.index(role) - len(ROLES), :]
+    folded = {
+        **params,
+        "Dense_0": {"kernel": kernel[..., :observation_size, :], "bias": bias + one_hot},
+    }
+    if action_size is None:
+        return folded
+    for name in _heads(params):
+        folded[name] = {leaf: value[..., :action_size] for leaf, value in params[name].items()}
+    if "log_std" in params:
+        folded["log_std"] = params["log_std"][..., :action_size]
+    return folded
+
+
+def _heads(params: Params) -> list[str]:
+    """Return the names of the output layers.
+
+    The last dense one, or the last two with a state-dependent deviation.
+    """
+    dense = sorted(
+        (name for name in params if name.startswith("Dense_")), key=lambda name: int(name[6:])
+    )
+    return dense[-1:] if "log_std" in params else dense[-2:]

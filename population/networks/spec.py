@@ -1,0 +1,39 @@
+"""What a policy network looks like, as data. Imports no JAX: the registry reads it too."""
+
+import dataclasses
+import hashlib
+import json
+from typing import Literal
+
+from pydantic import PositiveInt
+
+from assistax_base.validated import Widths, checked
+
+Role = Literal["robot", "human"]
+ROLES: tuple[Role, ...] = ("robot", "human")
+
+
+@checked
+class PolicySpec:
+    """Shape of a policy network; policies of one spec can be stacked and mapped over."""
+
+    role: Role  # the seat this policy acts in
+    observation_size: PositiveInt  # width of the observation it reads
+    action_size: PositiveInt  # width of the action it returns
+    torso: Literal["mlp", "gru"] = "mlp"  # "gru" embeds, then recurs
+    hidden: Widths = (128, 128)  # widths of the hidden layers; (embedding, GRU) for "gru"
+    activation: Literal["tanh", "relu"] = "tanh"  # after each dense hidden layer
+    squash: Literal["clip", "tanh"] = "clip"  # how a Gaussian sample is brought into [-1, 1]
+    std: Literal["parameter", "state"] = (
+        "parameter"  # log standard deviation: one vector, or a head on the torso
+    )
+    normalise: bool = True  # whether parameters hold the mean and std of observations
+
+    def to_json(self) -> dict:
+        """Return the spec as JSON-ready values; `PolicySpec(**spec.to_json())` gives it back."""
+        return {**dataclasses.asdict(self), "hidden": list(self.hidden)}
+
+    @property
+    def digest(self) -> str:
+        """First eight hex digits of the spec's sha256: names the shard of its policies."""
+        return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()[:8]

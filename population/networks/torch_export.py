@@ -1,0 +1,55 @@
+"""A policy as a PyTorch state dict in safetensors; torch itself is not needed to write it.
+
+docs/export.md has the module that loads it.
+"""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from population.networks.layers import Dense, network_plan
+from population.networks.spec import PolicySpec
+
+METADATA_KEY = "assistax"
+
+
+def to_torch(
+    spec: PolicySpec, params: Mapping[str, Any], metadata: Mapping[str, Any] | None = None
+) -> bytes:
+    """Return safetensors bytes of a state dict with PyTorch's names and layout: weights [out, in].
+
+    `layers.I.weight`, `layers.I.bias`, `mean.weight`, `mean.bias`; `log_std`, or `log_std.weight`
+    and `log_std.bias`; with normalisation `obs_mean` and `obs_std`; of a recurrent policy
+    `gru.weight_ih`, `gru.weight_hh`, `gru.bias_ih`, `gru.bias_hh` as `torch.nn.GRUCell` has them.
+    The metadata's one key, "assistax", holds JSON with the spec.
+
+    Raises:
+        ValueError: A parameter is missing.
+    """
+    import safetensors.numpy
+
+    plan = network_plan(spec, params)
+    state: dict[str, np.ndarray] = {}
+    for index, layer in enumerate(plan.hidden):
+        state |= _linear(f"layers.{index}", layer)
+    if plan.gru is not None:
+        for part, layer in (("ih", plan.gru.input), ("hh", plan.gru.recurrent)):
+            state |= {f"gru.weight_{part}": layer.kernel.T, f"gru.bias_{part}": layer.bias}
+    state |= _linear("mean", plan.mean)
+    state |= (
+        _linear("log_std", plan.log_std)
+        if isinstance(plan.log_std, Dense)
+        else {"log_std": plan.log_std}
+    )
+    if plan.normaliser is not None:
+        state |= dict(zip(("obs_mean", "obs_std"), plan.normaliser, strict=True))
+    text = json.dumps({"spec": spec.to_json(), **(metadata or {})}, sort_keys=True, allow_nan=False)
+    return safetensors.numpy.save(
+        {name: np.ascontiguousarray(value) for name, value in state.items()}, {METADATA_KEY: text}
+    )
+
+
+def _linear(name: str, layer: Dense) -> dict[str, np.ndarray]:
+    return {f"{name}.weight": layer.kernel.T, f"{name}.bias": layer.bias}

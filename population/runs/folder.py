@@ -1,0 +1,269 @@
+"""The folder of a run: its configuration, its metrics, and the teams it made.
+
+- `config.json`: what was trained, on what
+- `checkpoints/`: training state by number of updates
+- `metrics.parquet`: one row for each update and member
+- `teams.json`: the teams, once the run is finished
+- `robot.safetensors`, `human.safetensors`: their parameters, stacked: leaves [P, ...] named by
+'/'-joined path
+"""
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import safetensors.numpy
+
+from assistax_base.files import atomic_write, write_json
+from assistax_base.parquet import check_readable, read_parquet, write_parquet
+from population.config import Member, PPOConfig, TrainConfig, TrainerConfig
+from population.networks.spec import PolicySpec
+from population.networks.stack import PolicyStack, flatten, unflatten
+
+METADATA_KEY = "assistax"  # safetensors bytes are stable with one metadata key only
+OF_EPISODES = ("return", "success", "violated")  # metrics over those that ended, beside terms
+_MAY_CHANGE = (
+    "checkpoint_every",
+    "self_play_episodes",
+)  # when a run goes on; so may "steps", with `extends`
+_SCHEMA = {
+    "update": pl.Int64,
+    "steps": pl.Int64,
+    "seconds": pl.Float64,
+    "member": pl.Int64,
+    "disability": pl.String,
+}
+_SCHEMA |= {"seed": pl.Int64, "episodes": pl.Int64, "nonfinite": pl.Int64}
+
+
+class RunFolder:
+    """Reads and writes a run's folder; every file is seen whole or not at all."""
+
+    def __init__(self, folder: Path | str) -> None:
+        self.folder = Path(folder)
+        self.checkpoints = self.folder / "checkpoints"
+        self.teams = self.folder / "teams.json"
+        self._config = self.folder / "config.json"
+        self._metrics = self.folder / "metrics.parquet"
+
+    def open(self, config: TrainConfig, environment: Mapping[str, Any], resume: bool) -> None:
+        """Make the folder, or check that it holds a run of the same configuration.
+
+        Args:
+            config: What is to be trained.
+            environment: Facts that a resumed run must share: version and backend.
+            resume: Whether to go on with a run that is there.
+
+        Raises:
+            ValueError: It holds another run, or one although `resume` is false.
+            OSError: It cannot be written.
+        """
+        wanted = {"config": config.to_json(), "environment": dict(environment)}
+        if not self._config.exists():
+            if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
+                raise ValueError(
+                    f"{self.folder} exists and is not the folder of a run; choose an empty or new "
+                    "folder"
+                )
+            self.folder.mkdir(parents=True, exist_ok=True)
+        elif not resume:
+            raise ValueError(
+                f"{self.folder} already holds a run; resume it, or choose a new folder"
+            )
+        else:
+            # As this version reads it: a run from before a hyperparameter existed has its default.
+            found = {**self._read_config(), "config": self.config().to_json()}
+            may_change = (*_MAY_CHANGE, *(("steps",) if extends(config.trainer) else ()))
+            if there := differences(found, wanted, may_change):
+                raise ValueError(
+                    f"{self.folder} holds a run with another configuration: {there}; "
+                    "repeat that configuration to resume it, or choose a new folder"
+                )
+        write_json(self._config, wanted)
+
+    def finished(self, config: TrainConfig) -> bool:
+        """Return whether the folder holds the teams of this run, trained to its end."""
+        if not self.teams.exists():
+            return False
+        try:
+            steps = json.loads(self.teams.read_text())[0]["training"]["steps"]
+        except (ValueError, KeyError, TypeError, IndexError) as error:
+            raise ValueError(
+                f"{self.teams} is damaged ({type(error).__name__}: {error}); delete it, then the "
+                "same command writes it again"
+            ) from None
+        return steps == config.updates * config.trainer.batch_steps
+
+    def config(self) -> TrainConfig:
+        """Return the configuration of the run in this folder."""
+        content = self._read_config()
+        try:
+            return TrainConfig.from_json(dict(content["config"]))
+        except (LookupError, TypeError, ValueError, AttributeError) as error:
+            raise ValueError(
+                f"{self._config} is damaged ({type(error).__name__}: {error}); choose a new folder"
+            ) from None
+
+    def read_metrics(self, until: int) -> pl.DataFrame:
+        """Return the metrics of the first `until` updates."""
+        check_readable([self._metrics])
+        table = read_parquet(self._metrics)
+        if not isinstance(table.schema.get("update"), pl.Int64):
+            raise ValueError(f"{self._metrics} is damaged; start a new run in another folder")
+        return table.filter(pl.col("update") <= until)
+
+    def write_metrics(self, metrics: pl.DataFrame) -> None:
+        """Replace the metrics."""
+        write_parquet(metrics, self._metrics)
+
+    def write_teams(
+        self,
+        config: TrainConfig,
+        specs: Mapping[str, PolicySpec],
+        params: Mapping[str, Any],
+        training: Mapping[str, Any],
+        self_play: Sequence[Mapping[str, Any] | None],
+    ) -> None:
+        """Write the parameters [M, ...] by role, then `teams.json`: the run is finished."""
+        for role, spec in specs.items():
+            metadata = {"spec": spec.to_json(), "rows": list(config.names)}
+            text = json.dumps(metadata, sort_keys=True, separators=(",", ":"))
+            leaves = dict(sorted(flatten(params[role]).items()))
+            atomic_write(
+                self.folder / f"{role}.safetensors",
+                safetensors.numpy.save(leaves, {METADATA_KEY: text}),
+            )
+        teams = [
+            {
+                "team": {
+                    "task": config.task,
+                    "algorithm": config.algorithm,
+                    "disability": member.disability,
+                    "seed": member.seed,
+                },
+                "roles": {
+                    role: {"spec": spec.to_json(), "file": f"{role}.safetensors", "row": row}
+                    for role, spec in specs.items()
+                },
+                "training": dict(training),
+                "self_play": result,
+            }
+            for row, (member, result) in enumerate(zip(config.members, self_play, strict=True))
+        ]
+        write_json(self.teams, teams)
+
+    def _read_config(self) -> dict[str, Any]:
+        try:
+            return json.loads(self._config.read_text())
+        except ValueError as error:
+            raise ValueError(f"{self._config} is not JSON ({error}); choose a new folder") from None
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainedRun:
+    """What a run made, member by member in the order of `config.members`."""
+
+    folder: Path
+    config: TrainConfig
+    training: Mapping[str, Any]  # steps, seconds, device, versions, and what else was recorded
+    # `mean`, `iqm`, `mean_ci`, `n` and `success` of each team; None of egos, and where left out.
+    self_play: tuple[Mapping[str, Any] | None, ...]
+    policies: Mapping[str, PolicyStack]  # by role; ids are "NAME/ROLE"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each member, "task/algorithm-setting-sN"."""
+        return self.config.names
+
+
+def read_trained_run(folder: Path | str) -> TrainedRun:
+    """Return the finished run of a folder that this machine wrote.
+
+    Raises:
+        OSError: The run is not finished.
+    """
+    run = RunFolder(folder)
+    teams, config = json.loads(run.teams.read_text()), run.config()
+    policies = {}
+    for role, place in teams[0]["roles"].items():
+        leaves = safetensors.numpy.load_file(run.folder / place["file"])
+        ids = tuple(f"{name}/{role}" for name in config.names)
+        policies[role] = PolicyStack(PolicySpec(**place["spec"]), ids, unflatten(leaves))
+    return TrainedRun(
+        run.folder,
+        config,
+        teams[0]["training"],
+        tuple(team["self_play"] for team in teams),
+        policies,
+    )
+
+
+def extends(trainer: TrainerConfig) -> bool:
+    """Return whether a run may be made longer.
+
+    Its length sets no learning rate, no entropy bonus and no size of a replay.
+    """
+    return isinstance(trainer, PPOConfig) and not (trainer.anneal_lr or trainer.anneal_entropy)
+
+
+def metrics_table(
+    metrics: Mapping[str, Any],
+    members: Sequence[Member],
+    done: int,
+    batch_steps: int,
+    seconds: float,
+) -> pl.DataFrame:
+    """Return one row for each update and member.
+
+    Args:
+        metrics: Values [U, M] by name, of U updates.
+        members: The M members.
+        done: Updates before these.
+        batch_steps: Environment steps of one member in one update.
+        seconds: Training time at the end of these updates.
+    """
+    columns = {name: np.asarray(value) for name, value in metrics.items()}
+    updates, count = next(iter(columns.values())).shape
+    update = np.repeat(done + 1 + np.arange(updates), count)
+    table = pl.DataFrame(
+        {
+            "update": update,
+            "steps": update * batch_steps,
+            "seconds": np.full(updates * count, seconds),
+            "member": np.tile(np.arange(count), updates),
+            "disability": [member.disability for member in members] * updates,
+            "seed": [member.seed for member in members] * updates,
+            **{name: value.reshape(-1) for name, value in sorted(columns.items())},
+        }
+    )
+    # A mean over no episodes is missing, not a number.
+    means = [name for name in columns if name in OF_EPISODES or name.startswith("term_")]
+    table = table.with_columns(pl.col(name).fill_nan(None) for name in means)
+    return table.cast({name: dtype for name, dtype in _SCHEMA.items() if name in table.columns})
+
+
+def differences(
+    found: Any, wanted: Any, ignored: Sequence[str] = _MAY_CHANGE, path: str = ""
+) -> str:
+    """Describe the fields in which two configurations, or parts of them, differ."""
+    if isinstance(found, Mapping) and isinstance(wanted, Mapping):
+        parts = [
+            differences(
+                found.get(name), wanted.get(name), ignored, f"{path}.{name}" if path else name
+            )
+            for name in dict.fromkeys([*found, *wanted])
+            if name not in ignored
+        ]
+        return "; ".join(part for part in parts if part)
+    if json.dumps(found) == json.dumps(wanted):
+        return ""
+    return f"{path.removeprefix('config.')} is {_short(found)} there and {_short(wanted)} here"
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,98 @@
+"""Training of a configured run: what the command line and the Python interface call."""
+
+import contextlib
+import json
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from population.config import TrainConfig
+from population.runs.folder import TrainedRun, read_trained_run
+
+if TYPE_CHECKING:
+    from population.runs.tensorboard import EventFiles
+    from population.runs.train import Progress
+    from population.runs.wandb_run import WandbRuns
+    from population.trainers.frozen_partners import FrozenPartners
+
+
+def run_training(
+    config: TrainConfig,
+    backend: str = "auto",
+    folder: Path | str | None = None,
+    *,
+    partners: "FrozenPartners | None" = None,
+    resume: bool = True,
+    tensorboard: Path | str | None = None,
+    progress: "Callable[[Progress], None] | None" = None,
+) -> TrainedRun:
+    """Train a configured run, with event files if they are wanted, and read it back.
+
+    Args:
+        config: What to train.
+        backend: Physics.
+        folder: Folder of the run; default a new temporary one.
+        partners: Frozen partners of egos, as `config.partners` names them.
+        resume: Whether to go on with a run that the folder holds.
+        tensorboard: Folder for TensorBoard event files, or "wandb:PROJECT".
+        progress: Called after every dispatch.
+    """
+    from assistax_envs import make
+    from population.runs.train import train
+
+    folder = Path(folder or tempfile.mkdtemp(prefix=f"assistax-{config.task}-"))
+    reports = [progress] if progress else []
+    with contextlib.ExitStack() as stack:
+        files = None
+        if tensorboard is not None:
+            files = _log(config, folder, str(tensorboard))
+            reports.insert(0, stack.enter_context(contextlib.closing(files)))
+
+        def report(state: "Progress") -> None:
+            for each in reports:
+                each(state)
+
+        env = make(config.task, backend)
+        train(
+            config,
+            env,
+            folder,
+            partners=partners,
+            resume=resume,
+            progress=report,
+        )
+        if files is not None:
+            files.catch_up()
+    return read_trained_run(folder)
+
+
+def _log(config: TrainConfig, folder: Path, place: str) -> "EventFiles | WandbRuns":
+    """Return what writes or sends a run's reports."""
+    from population.runs.tensorboard import EventFiles
+    from population.runs.wandb_run import PREFIX, WandbRuns
+
+    if place.startswith(PREFIX):
+        return WandbRuns(config, folder, place.removeprefix(PREFIX))
+    return EventFiles(config, folder, Path(place))
+
+
+def read_preset(path: Path, algorithm: str | None = None) -> tuple[str, dict[str, Any]]:
+    """Return the algorithm and the changed hyperparameters of a preset file, as a sweep writes it.
+
+    Raises:
+        ValueError: The file is no preset, or one of another algorithm than was asked for.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        found, changes = content["algorithm"], dict(content["hyperparameters"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(
+            f"{path} is no preset ({type(error).__name__}: {error}); give a JSON object with "
+            "algorithm and hyperparameters, such as the preset.json of `assistax-zoo sweep`"
+        ) from None
+    if algorithm not in (None, found):
+        raise ValueError(
+            f"algorithm is {algorithm!r}, but {path} is a preset of {found}; leave --algorithm out"
+        )
+    return found, changes

@@ -1,0 +1,356 @@
+"""A training run, from configuration to finished teams in a folder."""
+
+import contextlib
+import dataclasses
+import datetime
+import importlib.metadata
+import shutil
+import time
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import polars as pl
+
+from assistax_envs import disability_params
+from assistax_envs.disability import Disability
+from assistax_envs.interrupts import interruptible
+from population.config import MIXED, Member, PPOConfig, TrainConfig
+from population.devices import SECOND_AXIS, WHOLE, Shares, state_specs
+from population.runs.checkpoints import Checkpoints
+from population.runs.folder import RunFolder, extends, metrics_table
+from population.trainers.environment import Environment
+from population.trainers.frozen_partners import FrozenPartners
+from population.trainers.ppo import PPO
+from population.trainers.sac import SAC
+from population.trainers.self_play import self_play
+from population.trainers.trainer import Trainer, TrainState
+
+_SELF_PLAY = 1  # folded into a member's key: episodes of the final evaluation
+_LOSSES = (
+    "policy_loss",
+    "value_loss",
+    "q_loss",
+    "entropy",
+    "alpha",
+    "actor_grad_norm",
+    "critic_grad_norm",
+)
+_LIBRARIES = ("jax", "flax", "optax", "mujoco")
+
+
+class DivergedError(ValueError):
+    """A loss is no longer a finite number."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Progress:
+    """How far a run is."""
+
+    update: int  # updates done
+    updates: int  # updates in all
+    steps: int  # environment steps done, of all members together
+    total_steps: int  # environment steps in all
+    steps_per_second: float  # since this process began, without its first compilation
+    seconds_left: float  # at that speed
+    rows: pl.DataFrame  # metrics of the newest updates: one row for each update and member
+
+
+def train(
+    config: TrainConfig,
+    env: Environment,
+    folder: Path | str,
+    *,
+    partners: FrozenPartners | None = None,
+    resume: bool = True,
+    stop_on_divergence: bool = True,
+    progress: Callable[[Progress], None] | None = None,
+    devices: Sequence[jax.Device] | None = None,
+) -> Path:
+    """Train the members of a run and return its folder.
+
+    A run that was interrupted goes on to the same result. With partners, who are frozen, a member
+    is an ego in the other seat. Several devices share the members: as many as divide their number.
+    A run may go on on other devices than it began on.
+
+    Args:
+        config: What to train.
+        env: The environment of `config.task`.
+        folder: Keeps configuration, checkpoints, metrics, and at the end the teams.
+        partners: Who sits in the other seat, the same as `config.partners` names.
+        resume: Whether to go on with a run that the folder holds.
+        stop_on_divergence: A loss that is not finite ends the run; else that member goes on.
+        progress: Called after every dispatch to the devices.
+        devices: Those that may be used; see `Shares` if not given.
+
+    Raises:
+        ValueError: Environment and configuration do not fit, or the folder holds another run.
+        DivergedError: A loss became NaN or infinite; the last good checkpoint stays.
+        OSError: The folder cannot be written.
+    """
+    _check(config, env, partners)
+    trainer, run = make_trainer(config, env, partners), RunFolder(folder)
+    run.open(config, {"version": env.version, "backend": env.backend}, resume)
+    if run.finished(config):
+        return run.folder
+
+    def work(check: Callable[[], None]) -> None:
+        def report(state: Progress) -> None:
+            check()
+            if progress is not None:
+                progress(state)
+
+        # Of a population each member reads all others: one device has them.
+        apart = 1 if config.trainer.population_coef else len(config.members)
+        # The threads of the devices end before this does, whatever happens.
+        with (
+            Shares(apart, devices) as shares,
+            contextlib.closing(Checkpoints(run.checkpoints)) as checkpoints,
+        ):
+            training = _Training(config, trainer, shares, run, checkpoints)
+            state, metrics = training.loop(*training.load(), report, stop_on_divergence)
+            training.finish(state, metrics)
+
+    interruptible(work)
+    if not extends(config.trainer):
+        # A replay for each member, and nothing can go on from them.
+        shutil.rmtree(run.checkpoints, ignore_errors=True)
+    return run.folder
+
+
+def make_trainer(
+    config: TrainConfig, env: Environment, partners: FrozenPartners | None = None
+) -> Trainer:
+    """Return the trainer of a run."""
+    if isinstance(config.trainer, PPOConfig):
+        return PPO(config.trainer, env, config.updates, partners)
+    return SAC(config.trainer, env, config.updates, partners)
+
+
+def initial_state(
+    config: TrainConfig, trainer: Trainer, shares: Shares | None = None
+) -> TrainState:
+    """Return the state of a run before its first update, on one device if there are no shares."""
+    shares = shares or Shares(len(config.members), jax.local_devices()[:1])
+    keys = jnp.stack([member_key(member) for member in config.members])
+    settings: list[str | Disability] = []
+    likings: list[str] = []
+    for member in config.members:
+        if trainer.partners:
+            settings += trainer.partners.settings(config.trainer.num_envs)
+            if config.preferences:
+                likings += trainer.partners.likings(config.trainer.num_envs, config.preferences)
+        else:
+            settings += [member.disability] * config.trainer.num_envs
+    start = shares.put((keys, disability_params(settings, likings or None)))
+    initial = shares.jit(trainer.initial, state_specs(jax.eval_shape(trainer.initial, *start)))
+    # Copied, so that no two leaves share a buffer: each is donated to the first update.
+    return jax.tree.map(jnp.copy, initial(*start))
+
+
+def member_key(member: Member) -> jax.Array:
+    """Return a member's key: its own, whoever trains beside it."""
+    return jax.random.fold_in(jax.random.key(member.seed), zlib.crc32(member.disability.encode()))
+
+
+def _check(config: TrainConfig, env: Environment, partners: FrozenPartners | None) -> None:
+    """Check that environment, configuration and partners are of one run."""
+    if env.task != config.task:
+        raise ValueError(
+            f"the environment's task is {env.task!r}, the run's is {config.task!r}; give the same "
+            "task"
+        )
+    if config.partners != (partners.ids if partners else ()):
+        raise ValueError(
+            "the partners given are not those that the configuration names; give the same, in its "
+            "order"
+        )
+    for member in config.members:
+        if (member.disability == MIXED) != bool(partners):
+            raise ValueError(
+                f"member {member.label} has disability {member.disability!r}; an ego with partners "
+                f"has {MIXED!r}, because each partner brings its own, and a team has one of d1 to "
+                "d9"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Training:
+    """One run, from its newest checkpoint to its teams."""
+
+    config: TrainConfig
+    trainer: Trainer
+    shares: Shares
+    run: RunFolder
+    checkpoints: Checkpoints
+
+    def load(self) -> tuple[TrainState, list[pl.DataFrame]]:
+        """Return the state and metrics of the newest whole checkpoint, or of the beginning."""
+        state = initial_state(self.config, self.trainer, self.shares)
+        found = self.checkpoints.restore_latest(state)
+        if found is None:
+            return state, []
+        done, state = found
+        if done > self.config.updates:
+            raise ValueError(
+                f"{self.run.folder} has already trained "
+                f"{done * self.config.trainer.batch_steps} steps; ask for at least that many"
+            )
+        return state, [self.run.read_metrics(done)]
+
+    def loop(
+        self,
+        state: TrainState,
+        metrics: list[pl.DataFrame],
+        progress: Callable[[Progress], None],
+        stop_on_divergence: bool,
+    ) -> tuple[TrainState, pl.DataFrame]:
+        """Update until the run is done, saving metrics and state every `checkpoint_every` updates.
+
+        The last state is saved only where a longer run can go on from it: with a replay for each
+        member it may be large.
+        """
+        config, done = self.config, int(state.update)
+        advance = self._advance(state)
+        if done < config.updates:
+            self.run.teams.unlink(missing_ok=True)
+        clock = _Clock(float(metrics[-1]["seconds"][-1]) if metrics else 0.0, done)
+        while done < config.updates:
+            updates = min(config.updates_per_call, config.updates - done)
+            state, values = advance(state, updates)
+            rows = metrics_table(
+                values, config.members, done, config.trainer.batch_steps, clock.seconds()
+            )
+            metrics.append(rows)
+            done += updates
+            saving = done // config.checkpoint_every > (done - updates) // config.checkpoint_every
+            ending = done == config.updates
+            if stop_on_divergence and (bad := _diverged(values)):
+                self.run.write_metrics(pl.concat(metrics, how="diagonal"))
+                raise DivergedError(_divergence(bad, rows, config, self.checkpoints))
+            if saving or ending:
+                metrics = [pl.concat(metrics, how="diagonal")]
+                self.run.write_metrics(metrics[0])
+            if extends(config.trainer) if ending else saving:
+                self.checkpoints.save(done, state)
+            progress(clock.progress(config, done, rows))
+        return state, pl.concat(metrics, how="diagonal")
+
+    def _advance(
+        self, state: TrainState
+    ) -> Callable[[TrainState, int], tuple[TrainState, dict[str, np.ndarray]]]:
+        """Return what makes some updates, and returns their metrics [updates, M]."""
+        trainer, shares = self.trainer, self.shares
+
+        def scan(state: Any, hyper: Any, partners: Any, *, updates: int) -> Any:
+            return jax.lax.scan(
+                lambda state, _: trainer.update(state, hyper, partners), state, length=updates
+            )
+
+        specs = (state_specs(state), SECOND_AXIS)
+        jitted = shares.jit(scan, specs, static_argnames="updates", donate_argnames="state")
+        hyper = shares.put(trainer.hyper(self.config.members))
+        partners = shares.put(trainer.partners.params if trainer.partners else (), WHOLE)
+
+        def advance(state: TrainState, updates: int) -> tuple[TrainState, dict[str, np.ndarray]]:
+            state, values = jitted(state, hyper, partners, updates=updates)
+            return state, jax.device_get(values)
+
+        return advance
+
+    def finish(self, state: TrainState, metrics: pl.DataFrame) -> None:
+        """Evaluate the final policies in self-play, unless they are egos, and write them."""
+        config, trainer = self.config, self.trainer
+        # On one device: a few episodes of each team are less than an update was.
+        params = jax.jit(trainer.policy_params)(self.shares.gather(state.members))
+        written = jax.tree.map(lambda leaf: leaf.astype(config.precision), params)
+        params = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), written)  # as they are read
+        figures: list[dict[str, Any] | None] = [None] * len(config.members)
+        if config.self_play_episodes and not trainer.partners:
+            figures[:] = self_play(
+                trainer.env,
+                trainer.policies,
+                params,
+                disability_params([member.disability for member in config.members]),
+                jnp.stack([jax.random.fold_in(member_key(m), _SELF_PLAY) for m in config.members]),
+                config.self_play_episodes,
+            )
+        seconds = float(metrics["seconds"][-1])
+        training = _provenance(config, trainer.env, self.shares, seconds)
+        self.run.write_teams(config, trainer.specs, jax.device_get(written), training, figures)
+
+
+class _Clock:
+    """Training time of a run over all its processes, and speed since this one's first dispatch."""
+
+    def __init__(self, before: float, done: int) -> None:
+        self._before, self._start = before, time.perf_counter()
+        self._first: tuple[float, int] | None = None
+        self._done = done
+
+    def seconds(self) -> float:
+        return self._before + time.perf_counter() - self._start
+
+    def progress(self, config: TrainConfig, done: int, rows: pl.DataFrame) -> Progress:
+        now = time.perf_counter()
+        since, start = self._first or (self._start, self._done)
+        self._first = self._first or (now, done)
+        batch = config.trainer.batch_steps * len(config.members)
+        speed = (done - start) * batch / (now - since)
+        total = config.updates * batch
+        return Progress(
+            done, config.updates, done * batch, total, speed, (total - done * batch) / speed, rows
+        )
+
+
+def _diverged(values: Mapping[str, np.ndarray]) -> tuple[str, int] | None:
+    """Return the first metric that is not finite and the member it belongs to."""
+    for name, value in values.items():
+        if name.startswith(_LOSSES) and not np.isfinite(value).all():
+            return name, int(np.argwhere(~np.isfinite(value))[0, 1])
+    return None
+
+
+def _divergence(
+    bad: tuple[str, int], rows: pl.DataFrame, config: TrainConfig, checkpoints: Checkpoints
+) -> str:
+    name, index = bad
+    member, last = config.members[index], checkpoints.latest()
+    kept = (
+        f"the last good checkpoint is of update {last}" if last else "no checkpoint was written yet"
+    )
+    rates = {
+        name: member.overrides.get(name, getattr(config.trainer, name))
+        for name in config.trainer.rates
+    }
+    lower = ", ".join(f"{name} below {rate:g}" for name, rate in rates.items())
+    return (
+        f"training diverged: {name} of member {member.label} is {rows[name][index]} "
+        f"by update {rows['update'].max()}; {kept} in {checkpoints.folder}; "
+        f"start a new run with a {lower} or a max_grad_norm below {config.trainer.max_grad_norm:g}"
+    )
+
+
+def _provenance(
+    config: TrainConfig, env: Environment, shares: Shares, seconds: float
+) -> Mapping[str, Any]:
+    """Return what a registry says about a run."""
+    likes = {"preferences": list(config.preferences)} if config.preferences else {}
+    return likes | {
+        "steps": config.updates * config.trainer.batch_steps,
+        "env_version": env.version,
+        "backend": env.backend,
+        "date": datetime.date.today().isoformat(),
+        "device": shares.devices[0].device_kind,
+        "devices": len(shares),
+        "seconds": round(seconds, 1),
+        "versions": {name: importlib.metadata.version(name) for name in _LIBRARIES},
+        "hyperparameters": {
+            **dataclasses.asdict(config.trainer),
+            "hidden": list(config.trainer.hidden),
+        },
+    }

@@ -1,0 +1,1 @@
+"""Trainers: PPO and SAC, what they share, and whom they train with."""

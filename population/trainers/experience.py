@@ -1,0 +1,247 @@
+"""Collecting a chunk of experience from all simulations of all members."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from assistax_envs import select
+from population.networks.members import flatten, member_map, split
+from population.networks.policy import Carry, Gaussian, Params, Policy
+from population.trainers.environment import Environment, EnvState
+from population.trainers.frozen_partners import FrozenPartners
+
+EVER = ("success", "violated")  # measures of an episode that hold once they held at a step
+Sampler = Callable[[Gaussian, jax.Array], jax.Array]  # draws raw actions with a key
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Episodes:
+    """Episodes in progress.
+
+    One that did not start at its first step is not `whole`, and is never counted.
+    """
+
+    whole: jax.Array  # [N] bool
+    sums: dict[str, jax.Array]  # so far [N]: "return", "term_...", and 1 for what of EVER held
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Simulations:
+    """All simulations of all members, between two steps."""
+
+    env: EnvState
+    carry: dict[str, Carry]  # of the actors, by role [M, N/M, ...]
+    partners: Carry  # carries of frozen partners; () without any
+    first: jax.Array  # whether the current observation starts an episode [N]
+    episodes: Episodes
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Tally:
+    """What simulations came to in a chunk."""
+
+    final_obs: dict[str, jax.Array]  # at a simulation's time limit, before its reset [N, O]
+    finished: jax.Array  # number of whole episodes that ended [N]
+    finished_sums: dict[str, jax.Array]  # over them, of what `Episodes.sums` has [N]
+    nonfinite: jax.Array  # number of simulations that diverged [N]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Batch:
+    """A chunk of T steps of N simulations; for one member, N is its share."""
+
+    carry: dict[str, Carry]  # of the actors at the start of the chunk, by role
+    obs: dict[str, jax.Array]  # [T, N, O] acted on, by role and "global"
+    first: jax.Array  # [T, N]
+    raw: dict[str, jax.Array]  # raw actions [T, N, A], by role
+    log_prob: dict[str, jax.Array]  # of the raw actions [T, N], by role
+    reward: jax.Array  # [T, N]
+    # [T, N]; a simulation that diverged earns 0 from then on: its value is known to be 0.
+    terminated: jax.Array
+    truncated: jax.Array  # [T, N]
+    last_obs: dict[str, jax.Array]  # after the chunk [N, O]
+    last_first: jax.Array  # [N]
+    tally: Tally
+
+
+def begin(
+    env: EnvState,
+    policies: Mapping[str, Policy],
+    members: int,
+    stagger: jax.Array,
+    partners: FrozenPartners | None = None,
+) -> Simulations:
+    """Return simulations at the states of `env`, their step counters set to `stagger` [N].
+
+    Staggered episodes reach their time limits at different steps, so that every batch holds all
+    phases of an episode.
+    """
+    simulations = stagger.shape[0]
+    return Simulations(
+        env=dataclasses.replace(env, step=stagger.astype(env.step.dtype)),
+        carry={
+            role: policy.initial_carry((members, simulations // members))
+            for role, policy in policies.items()
+        },
+        partners=partners.initial_carry(simulations) if partners else (),
+        first=jnp.ones(simulations, bool),
+        episodes=Episodes(whole=stagger == 0, sums=jax.tree.map(jnp.zeros_like, _gains(env))),
+    )
+
+
+def collect(
+    env: Environment,
+    policies: Mapping[str, Policy],
+    params: Mapping[str, Params],
+    keys: jax.Array,
+    state: Simulations,
+    fresh: EnvState,
+    inputs: tuple[str, ...],
+    partners: FrozenPartners | None = None,
+    partner_params: Any = (),
+    sample: Sampler = Gaussian.sample,
+) -> tuple[Simulations, Batch]:
+    """Act for T steps; an episode that ends goes on from its simulation's state in `fresh`.
+
+    Args:
+        env: The environment.
+        policies: Networks by role.
+        params: Their parameters, leaves [M, ...].
+        keys: Keys of the actions [T, M].
+        state: The simulations.
+        fresh: Reset states [N]; T must not exceed the episode length, so that each is needed once.
+        inputs: Names of the observations that the learners read.
+        partners: Who acts in the role that has no policy here.
+        partner_params: Their parameters.
+        sample: How raw actions are drawn.
+    """
+    members = keys.shape[1]
+    act = member_map(partial(_act, policies, sample))
+
+    def step(loop: _Loop, keys: jax.Array) -> tuple[_Loop, dict[str, Any]]:
+        state, tally = loop
+        obs = split({role: state.env.obs[role] for role in policies}, members)
+        carry, acted = act(params, state.carry, obs, split(state.first, members), keys)
+        action, raw, log_prob = flatten(acted)
+        partner_carry = state.partners
+        if partners:
+            role = partners.role
+            partner_carry, action[role] = partners.act(
+                partner_params, partner_carry, state.env.obs[role], state.first, members
+            )
+        after = env.step(state.env, action)
+        terminated = after.terminated | after.nonfinite
+        truncated = after.truncated & ~terminated
+        ended = terminated | truncated
+        episodes, tally = _account(state.episodes, tally, after, ended, truncated)
+        seen = {"obs": {name: state.env.obs[name] for name in inputs}, "first": state.first}
+        seen |= {"raw": raw, "log_prob": log_prob, "reward": after.reward}
+        seen |= {"terminated": terminated, "truncated": truncated}
+        state = Simulations(select(ended, fresh, after), carry, partner_carry, ended, episodes)
+        return (state, tally), seen
+
+    (after, tally), seen = jax.lax.scan(step, (state, _empty_tally(state, inputs)), keys)
+    last_obs = {name: after.env.obs[name] for name in inputs}
+    ends = {"last_obs": last_obs, "last_first": after.first, "tally": tally}
+    return after, Batch(carry=flatten(state.carry), **seen, **ends)
+
+
+def by_member(batch: Batch, members: int) -> Batch:
+    """Move the member axis of a batch to the front: [T, N, ...] becomes [M, T, N/M, ...]."""
+
+    def over_time(leaf: jax.Array) -> jax.Array:
+        return jnp.moveaxis(leaf.reshape(leaf.shape[0], members, -1, *leaf.shape[2:]), 1, 0)
+
+    timed = ("obs", "first", "raw", "log_prob", "reward", "terminated", "truncated")
+    return Batch(
+        **{
+            name: jax.tree.map(over_time, value) if name in timed else split(value, members)
+            for name, value in vars(batch).items()
+        }
+    )
+
+
+def episode_metrics(batch: Batch) -> dict[str, jax.Array]:
+    """Return means over the whole episodes that ended (NaN without any), and counts."""
+    tally, finished = batch.tally, batch.tally.finished.sum()
+    means = {name: value.sum() / finished for name, value in tally.finished_sums.items()}
+    return {
+        **means,
+        "episodes": finished,
+        "reward": batch.reward.mean(),
+        "nonfinite": tally.nonfinite.sum(),
+    }
+
+
+_Loop = tuple[Simulations, Tally]
+
+
+def _empty_tally(state: Simulations, inputs: tuple[str, ...]) -> Tally:
+    zeros = partial(jax.tree.map, jnp.zeros_like)
+    count = jnp.zeros(state.first.shape, jnp.int32)
+    final_obs = zeros({name: state.env.obs[name] for name in inputs})
+    return Tally(final_obs, count, zeros(state.episodes.sums), count)
+
+
+def _act(
+    policies: Mapping[str, Policy],
+    sample: Sampler,
+    params: dict[str, Params],
+    carries: dict[str, Carry],
+    obs: dict[str, jax.Array],
+    first: jax.Array,
+    key: jax.Array,
+) -> tuple[
+    dict[str, Carry], tuple[dict[str, jax.Array], dict[str, jax.Array], dict[str, jax.Array]]
+]:
+    """Let one member's policies act.
+
+    Return carries, and actions, raw actions and log probabilities by role.
+    """
+    carry, action, raw, log_prob = {}, {}, {}, {}
+    for role, role_key in zip(policies, jax.random.split(key, len(policies)), strict=True):
+        carry[role], gaussian = policies[role].step(params[role], carries[role], obs[role], first)
+        raw[role] = sample(gaussian, role_key)
+        action[role], log_prob[role] = gaussian.action(raw[role]), gaussian.log_prob(raw[role])
+    return carry, (action, raw, log_prob)
+
+
+def _gains(state: EnvState) -> dict[str, jax.Array]:
+    """Return what a step adds to its episode [N]; measures that a task has not are left out."""
+    ever = {name: getattr(state.measures, name, None) for name in EVER}
+    return {
+        "return": state.reward,
+        **{f"term_{name}": value for name, value in state.terms.items()},
+        **{name: value.astype(jnp.float32) for name, value in ever.items() if value is not None},
+    }
+
+
+def _account(
+    episodes: Episodes, tally: Tally, after: EnvState, ended: jax.Array, truncated: jax.Array
+) -> tuple[Episodes, Tally]:
+    """Add a step to the episodes in progress, and those that ended to the tally."""
+    sums = {
+        name: jnp.maximum(episodes.sums[name], gain) if name in EVER else episodes.sums[name] + gain
+        for name, gain in _gains(after).items()
+    }
+    counted = ended & episodes.whole
+    tally = Tally(
+        final_obs=select(
+            truncated, {name: after.obs[name] for name in tally.final_obs}, tally.final_obs
+        ),
+        finished=tally.finished + counted,
+        finished_sums={
+            name: tally.finished_sums[name] + jnp.where(counted, sums[name], 0.0) for name in sums
+        },
+        nonfinite=tally.nonfinite + after.nonfinite,
+    )
+    sums = {name: jnp.where(ended, 0.0, value) for name, value in sums.items()}
+    return Episodes(whole=episodes.whole | ended, sums=sums), tally

@@ -1,0 +1,136 @@
+"""Frozen partners of an ego's training: who acts in the other seat."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from assistax_envs.disability import Disability
+from population.networks.members import member_map
+from population.networks.policy import Carry, Policy
+from population.networks.stack import PolicyStack
+from population.trainers.environment import Environment
+
+
+class FrozenPartners:
+    """Partners who act with their most likely action, each in the same number of simulations.
+
+    A member's simulations are laid out [partner, simulation], so that a partner's network reads one
+    block of all members' simulations: no parameters are gathered, and nobody acts where another
+    does.
+
+    Args:
+        stacks: The partners by spec.
+        settings: The disability setting of each, by id.
+
+    Raises:
+        ValueError: There is none, not all sit in the same seat, or a setting is missing.
+    """
+
+    def __init__(self, stacks: Sequence[PolicyStack], settings: Mapping[str, Disability]) -> None:
+        roles = {stack.spec.role for stack in stacks}
+        if len(roles) != 1:
+            raise ValueError(
+                f"partners are of roles {sorted(roles)}; give partners that all sit in the same "
+                "seat"
+            )
+        self.role: str = next(iter(roles))
+        self.stacks = tuple(stacks)
+        self.ids = tuple(name for stack in stacks for name in stack.ids)
+        if missing := [name for name in self.ids if name not in settings]:
+            raise ValueError(f"partner {missing[0]} has no disability setting; give one for each")
+        self._settings = tuple(settings[name] for name in self.ids)
+        self._policies = tuple(Policy(stack.spec) for stack in stacks)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def params(self) -> Any:
+        """Their parameters, as `act` takes them."""
+        return tuple(jax.tree.map(jnp.asarray, stack.params) for stack in self.stacks)
+
+    def check(self, env: Environment, num_envs: int) -> None:
+        """Check that they can act in the environment, each in an equal share of the simulations.
+
+        Raises:
+            ValueError: They cannot.
+        """
+        for stack in self.stacks:
+            found = stack.spec.observation_size, stack.spec.action_size
+            wanted = env.observation_size[self.role], env.action_size[self.role]
+            if found != wanted:
+                raise ValueError(
+                    f"partner {stack.ids[0]} has observation and action size {found}; those of "
+                    f"the {self.role} in {env.task} are {wanted}: give partners of this task and "
+                    "environment version"
+                )
+        if num_envs % len(self):
+            fitting = fitting_envs(num_envs, len(self))
+            raise ValueError(
+                f"num_envs is {num_envs} with {len(self)} partners; every partner gets the same "
+                f"share, so choose a multiple of {len(self)}, such as {fitting}"
+            )
+
+    def settings(self, num_envs: int) -> list[Disability]:
+        """Return the disability setting of each simulation of a member."""
+        return [setting for setting in self._settings for _ in range(num_envs // len(self))]
+
+    def likings(self, num_envs: int, preferences: Sequence[str]) -> list[str]:
+        """Return the preference of each simulation of a member: every partner's take turns.
+
+        The next partner begins with the next one, so that few simulations of many partners have
+        all of them alike.
+        """
+        share = num_envs // len(self)
+        return [
+            preferences[(partner + turn) % len(preferences)]
+            for partner in range(len(self))
+            for turn in range(share)
+        ]
+
+    def initial_carry(self, simulations: int) -> tuple[Carry, ...]:
+        """Return carries before the first observation, by stack [P, N / partners, ...]."""
+        share = simulations // len(self)
+        return tuple(policy.initial_carry((len(stack), share)) for policy, stack in self._pairs())
+
+    def act(
+        self, params: Any, carry: tuple[Carry, ...], obs: jax.Array, first: jax.Array, members: int
+    ) -> tuple[tuple[Carry, ...], jax.Array]:
+        """Return new carries and actions [N, A] of obs [N, O].
+
+        N is [member, partner, simulation].
+        """
+        count = len(self)
+        obs, first = (_by_partner(leaf, members, count) for leaf in (obs, first))
+        carries, actions, start = [], [], 0
+        for index, (policy, stack) in enumerate(self._pairs()):
+            block = slice(start, start := start + len(stack))
+            new, action = member_map(policy.act)(
+                params[index], carry[index], obs[block], first[block]
+            )
+            carries.append(new)
+            actions.append(action)
+        action = jnp.concatenate(actions).reshape(count, members, -1, actions[0].shape[-1])
+        return tuple(carries), jnp.moveaxis(action, 1, 0).reshape(-1, action.shape[-1])
+
+    def _pairs(self) -> list[tuple[Policy, PolicyStack]]:
+        return list(zip(self._policies, self.stacks, strict=True))
+
+
+def fitting_envs(num_envs: int, partners: int, minibatches: int = 1) -> int:
+    """Return the number of simulations, nearest to `num_envs`, that can be shared out equally.
+
+    With more partners than simulations this is one for each partner, or a few where minibatches ask
+    for it.
+    """
+    unit = math.lcm(partners, minibatches)
+    return max(1, round(num_envs / unit)) * unit
+
+
+def _by_partner(leaf: jax.Array, members: int, partners: int) -> jax.Array:
+    """Turn [member x partner x simulation, ...] into [partner, member x simulation, ...]."""
+    leaf = jnp.moveaxis(leaf.reshape(members, partners, -1, *leaf.shape[1:]), 1, 0)
+    return leaf.reshape(partners, -1, *leaf.shape[3:])

@@ -1,0 +1,338 @@
+"""Proximal policy optimisation (Schulman et al., 2017) of teams: IPPO and MAPPO, many at once.
+
+Robot and human are trained by their own networks, optimisers and gradient clips, or share one of
+each; with frozen partners in one seat, only the other learns.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float
+
+from population.config import Member, PPOConfig
+from population.networks import shared_network
+from population.networks.members import member_map
+from population.networks.policy import Carry, Critic, Gaussian, Params, Policy, normalise
+from population.networks.spec import Role
+from population.trainers import diversity, experience, gae, normaliser
+from population.trainers.environment import Environment
+from population.trainers.experience import Batch
+from population.trainers.frozen_partners import FrozenPartners
+from population.trainers.trainer import (
+    Hyper,
+    MemberState,
+    Metrics,
+    Trainer,
+    TrainState,
+    descended,
+    optimiser,
+    role_keys,
+)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Learner:
+    """Networks of one role, or of both that share them, each with its optimiser state."""
+
+    networks: dict[str, Params]  # "actor" and "critic"
+    optimisers: dict[str, Any]  # by the same names
+    critic_carry: dict[str, Carry]  # by role [N, ...]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Samples:
+    """What one role learns from; leaves [T, N, ...]."""
+
+    obs: jax.Array
+    critic_obs: jax.Array  # normalised
+    first: jax.Array
+    raw: jax.Array  # raw actions
+    log_prob: jax.Array  # of the raw actions, when they were drawn
+    advantage: jax.Array
+    target: jax.Array  # of the value
+
+
+class PPO(Trainer):
+    """Trains with PPO: `ippo` has local critics, `mappo` central ones, `mep` IPPO's and a bonus."""
+
+    def __init__(
+        self,
+        config: PPOConfig,
+        env: Environment,
+        updates: int,
+        partners: FrozenPartners | None = None,
+    ) -> None:
+        super().__init__(config, env, updates, partners)
+        if config.shared and partners:
+            raise ValueError(
+                "shared is true, but partners are frozen and one role learns: leave shared out"
+            )
+        if config.shared:
+            self.learners = {shared_network.SHARED: self.roles}
+
+    def hyper(self, members: Sequence[Member]) -> Hyper:
+        """Return the traced hyperparameters, and who are of a population if teams form any."""
+        hyper = super().hyper(members)
+        if self.config.population_coef:
+            hyper["peers"] = diversity.peers(members)
+        return hyper
+
+    def update(
+        self, state: TrainState, hyper: Hyper, partners: Any = ()
+    ) -> tuple[TrainState, Metrics]:
+        """Collect one rollout and learn from it; metrics are [M]."""
+        config = self.config
+        state, batch, keys = self.collect(state, partners)
+        left = 1.0 - state.update.astype(jnp.float32) / self.updates
+        annealed = {
+            "learning_rate": config.anneal_lr,
+            "entropy_coef": config.anneal_entropy,
+            "population_coef": config.anneal_entropy,
+        }
+        hyper = {name: each * left if annealed.get(name) else each for name, each in hyper.items()}
+        batch = experience.by_member(batch, len(keys))
+        metrics = member_map(experience.episode_metrics)(batch)
+        if config.population_coef:
+            batch, logged = self._with_bonus(state.members, batch, hyper)
+            metrics |= logged
+        members, losses = member_map(self._learn)(state.members, batch, hyper, keys)
+        state = dataclasses.replace(state, members=members, update=state.update + 1)
+        return state, metrics | losses
+
+    def initial_learner(self, roles: tuple[Role, ...], key: jax.Array) -> Learner:
+        """Return one member's learner of these roles."""
+        actor, critic = jax.random.split(key)
+        networks = {
+            "actor": self._network(roles).init(actor, self.config.initial_log_std),
+            "critic": self._value_network(roles).init(critic),
+        }
+        networks["actor"].pop("normaliser", None)
+        start = optimiser(self.config.adam_eps, 1.0)
+        return Learner(
+            networks=networks,
+            optimisers={part: start.init(params) for part, params in networks.items()},
+            critic_carry={
+                role: self.critics[role].initial_carry((self.config.num_envs,)) for role in roles
+            },
+        )
+
+    def _with_bonus(
+        self, members: MemberState, batch: Batch, hyper: Hyper
+    ) -> tuple[Batch, Metrics]:
+        """Pay for what the population seldom does: r - c log (1/n) sum_j pi_j(a | o).
+
+        Logged are the population's entropy, and what of it is due to differences: between 0, where
+        all humans act alike, and log n, where none would do what another does.
+        """
+        role = diversity.ROLE
+        params = self.policy_params(members)[role]
+        usual = diversity.log_mean_density(self.policies[role], params, hyper["peers"], batch)
+        reward = batch.reward - hyper["population_coef"][:, None, None] * usual
+        return dataclasses.replace(batch, reward=reward), {
+            "population_entropy": -usual.mean((1, 2)),
+            "population_divergence": (batch.log_prob[role] - usual).mean((1, 2)),
+        }
+
+    def _learn(
+        self, member: MemberState, batch: Batch, hyper: Hyper, key: jax.Array
+    ) -> tuple[MemberState, Metrics]:
+        """Improve both roles of one member on its batch, then update its observation statistics.
+
+        The statistics change only after learning: within an update, probability ratios compare
+        policies that read the same normalised observations, and start at exactly 1.
+        """
+        learners, metrics = {}, {}
+        keys = role_keys(key)
+        for name, roles in self.learners.items():
+            learners[name], losses = self._learn_role(name, member, batch, hyper, keys[roles[0]])
+            metrics |= losses
+        statistics = member.statistics
+        if self.config.normalise:
+            statistics = {
+                name: normaliser.update(statistics[name], batch.obs[name]) for name in self.inputs
+            }
+        return MemberState(learners, statistics, member.key), metrics
+
+    def _learn_role(
+        self, name: str, member: MemberState, batch: Batch, hyper: Hyper, key: jax.Array
+    ) -> tuple[Learner, Metrics]:
+        """Improve a role's networks, or those that both share; return them and what to log."""
+        learner = member.learners[name]
+        samples, carries, critic_carry, explained = {}, {}, {}, {}
+        for role in self.learners[name]:
+            critic_carry[role], samples[role] = self._samples(role, member, learner, batch, hyper)
+            carries[role] = (batch.carry[role], learner.critic_carry[role])
+            advantage, target = samples[role].advantage, samples[role].target
+            explained[f"explained_variance_{role}"] = 1.0 - jnp.var(advantage) / (
+                jnp.var(target) + 1e-8
+            )
+        learner, losses = self._descend(name, member, samples, carries, hyper, key)
+        return dataclasses.replace(learner, critic_carry=critic_carry), losses | explained
+
+    def _samples(
+        self, role: str, member: MemberState, learner: Learner, batch: Batch, hyper: Hyper
+    ) -> tuple[Carry, Samples]:
+        """Return the critic's carry after the batch, and what the role learns from."""
+        name = self.critic_obs[role]
+        stats = normaliser.to_params(member.statistics[name])
+        obs, final_obs, last_obs = (
+            x[name] for x in (batch.obs, batch.tally.final_obs, batch.last_obs)
+        )
+        if self.config.normalise:
+            obs, final_obs, last_obs = (normalise(stats, x) for x in (obs, final_obs, last_obs))
+        carry, value, next_value = gae.values(
+            self.critics[role],
+            self._critic_params(role, learner.networks["critic"]),
+            learner.critic_carry[role],
+            obs,
+            batch.first,
+            batch.truncated,
+            final_obs,
+            last_obs,
+            batch.last_first,
+        )
+        advantage = gae.advantages(
+            batch.reward,
+            value,
+            next_value,
+            batch.terminated,
+            batch.truncated,
+            hyper["gamma"],
+            hyper["gae_lambda"],
+        )
+        return carry, Samples(
+            obs=batch.obs[role],
+            critic_obs=obs,
+            first=batch.first,
+            raw=batch.raw[role],
+            log_prob=batch.log_prob[role],
+            advantage=advantage,
+            target=advantage + value,
+        )
+
+    def _descend(
+        self,
+        name: str,
+        member: MemberState,
+        samples: dict[str, Samples],
+        carries: dict[str, tuple[Carry, Carry]],
+        hyper: Hyper,
+        key: jax.Array,
+    ) -> tuple[Learner, Metrics]:
+        """Take a step for each minibatch of each epoch.
+
+        One is a random set of whole simulations.
+        """
+        config = self.config
+        clipped = optimiser(config.adam_eps, hyper["max_grad_norm"])
+
+        def step(learner: Learner, rows: jax.Array) -> tuple[Learner, Metrics]:
+            part = jax.tree.map(lambda leaf: jnp.take(leaf, rows, axis=1, mode="clip"), samples)
+            starts = jax.tree.map(lambda leaf: jnp.take(leaf, rows, axis=0, mode="clip"), carries)
+            gradients, losses = jax.grad(self._loss, has_aux=True)(
+                learner.networks, member, part, starts, hyper
+            )
+            for network in learner.networks:
+                gradient = gradients[network]
+                losses[f"{network}_grad_norm_{name}"] = optax.tree.norm(gradient)
+                learner = descended(learner, network, gradient, clipped, hyper["learning_rate"])
+            return learner, losses
+
+        keys = jax.random.split(key, config.epochs)
+        rows = jax.vmap(lambda key: jax.random.permutation(key, config.num_envs))(keys)
+        rows = rows.reshape(
+            config.epochs * config.minibatches, config.num_envs // config.minibatches
+        )
+        learner, losses = jax.lax.scan(step, member.learners[name], rows)
+        return learner, jax.tree.map(jnp.mean, losses)
+
+    def _loss(
+        self,
+        networks: dict[str, Params],
+        member: MemberState,
+        samples: dict[str, Samples],
+        carries: dict[str, tuple[Carry, Carry]],
+        hyper: Hyper,
+    ) -> tuple[jax.Array, Metrics]:
+        """Return the loss, its mean over roles where they share networks, and what to log."""
+        loss, metrics = jnp.zeros(()), {}
+        for role, part in samples.items():
+            actor = self.actor(role, member, networks["actor"])
+            critic = self._critic_params(role, networks["critic"])
+            actor_carry, critic_carry = carries[role]
+            _, gaussian = self.policies[role].unroll(actor, actor_carry, part.obs, part.first)
+            _, value = self.critics[role].unroll(critic, critic_carry, part.critic_obs, part.first)
+            role_loss, logged = ppo_loss(gaussian, value, part, hyper)
+            loss = loss + role_loss / len(samples)
+            metrics |= {f"{name}_{role}": value for name, value in logged.items()}
+        return loss, metrics
+
+    def _network(self, roles: tuple[str, ...]) -> Policy:
+        """Return the network that is initialised: a role's own, or the one that roles share."""
+        if len(roles) == 1:
+            return self.policies[roles[0]]
+        specs = {role: self.specs[role] for role in roles}
+        width = shared_network.padded_size(
+            {role: spec.observation_size for role, spec in specs.items()}
+        )
+        actions = max(spec.action_size for spec in specs.values())
+        return Policy(
+            dataclasses.replace(specs[roles[0]], observation_size=width, action_size=actions)
+        )
+
+    def _value_network(self, roles: tuple[str, ...]) -> Critic:
+        if len(roles) == 1:
+            return self.critics[roles[0]]
+        sizes = {role: self.critics[role].spec.observation_size for role in roles}
+        return self.critic(shared_network.padded_size(sizes))
+
+    def actor(self, role: str, member: MemberState, actor: Params) -> Params:
+        """Return a role's ordinary parameters; leading axes of the leaves are free."""
+        if self.config.shared:
+            spec = self.specs[role]
+            actor = shared_network.fold(actor, role, spec.observation_size, spec.action_size)
+        return super().actor(role, member, actor)
+
+    def _critic_params(self, role: str, params: Params) -> Params:
+        if not self.config.shared:
+            return params
+        return shared_network.fold(params, role, self.critics[role].spec.observation_size)
+
+
+def ppo_loss(
+    gaussian: Gaussian, value: Float[Array, "T N"], samples: Samples, hyper: Hyper
+) -> tuple[Float[Array, ""], Metrics]:
+    """Return the loss of one role, and what to log.
+
+    L = -E[min(r A, clip(r, 1 - eps, 1 + eps) A)] + c_v E[(V - target)^2] / 2 - c_e E[H], where
+    r = exp(log pi(a | o) - log pi_old(a | o)) and A are the advantages, normalised over the
+    minibatch (Schulman et al., 2017, "Proximal Policy Optimization Algorithms", equations 7 and 9,
+    negated).
+
+    Args:
+        gaussian: The policy now at the samples' observations [T, N, A].
+        value: The critic's values there [T, N].
+        samples: A minibatch; leaves [T, N, ...].
+        hyper: eps is `clip_eps`, c_v `value_coef` and c_e `entropy_coef`; scalars.
+    """
+    log_ratio = gaussian.log_prob(samples.raw) - samples.log_prob
+    ratio = jnp.exp(log_ratio)
+    advantage = (samples.advantage - samples.advantage.mean()) / (samples.advantage.std() + 1e-8)
+    clipped = jnp.clip(ratio, 1.0 - hyper["clip_eps"], 1.0 + hyper["clip_eps"])
+    policy_loss = -jnp.minimum(ratio * advantage, clipped * advantage).mean()
+    value_loss = 0.5 * jnp.square(value - samples.target).mean()
+    entropy = gaussian.entropy().mean()
+    loss = policy_loss + hyper["value_coef"] * value_loss - hyper["entropy_coef"] * entropy
+    return loss, {
+        "policy_loss": policy_loss,
+        "value_loss": value_loss,
+        "entropy": entropy,
+        "approx_kl": (ratio - 1.0 - log_ratio).mean(),
+        "clip_fraction": (jnp.abs(ratio - 1.0) > hyper["clip_eps"]).mean(),
+    }

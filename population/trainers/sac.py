@@ -1,0 +1,405 @@
+"""Soft actor-critic (Haarnoja et al., 2018) of teams: ISAC and MASAC for many members at once.
+
+Each role has a tanh-squashed Gaussian, two critics with slow copies, and a temperature. Critics of
+ISAC read the role's observation and action; those of MASAC read the global observation and both
+actions. A policy is improved against what its critics say of its own new action beside the replayed
+one of the other role. Whole rounds of collecting and learning stand in one program; the replay is
+part of its state.
+"""
+
+import dataclasses
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Bool, Float
+
+from population.config import SACConfig
+from population.networks.members import member_map
+from population.networks.policy import Gaussian, Params, normalise
+from population.networks.spec import Role
+from population.trainers import experience, normaliser, replay_buffer
+from population.trainers.environment import Environment
+from population.trainers.experience import Sampler
+from population.trainers.frozen_partners import FrozenPartners
+from population.trainers.replay_buffer import Replay, Transitions
+from population.trainers.trainer import (
+    Hyper,
+    MemberState,
+    Metrics,
+    Trainer,
+    TrainState,
+    descended,
+    optimiser,
+)
+
+# Of exploring actions: the squashed end of a raw action that is still finite.
+_UNIFORM_LIMIT = 0.999
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Learner:
+    """Networks of one role, and the optimiser state of what is descended."""
+
+    networks: dict[str, Any]  # "actor"; "critic": the twins "first" and "second"; "log_alpha"
+    target: Params  # the critics' slow copies
+    optimisers: dict[str, Any]  # by the names of networks
+
+
+class SAC(Trainer):
+    """Trains with SAC: `isac` has local critics, `masac` central ones."""
+
+    def __init__(
+        self,
+        config: SACConfig,
+        env: Environment,
+        updates: int,
+        partners: FrozenPartners | None = None,
+    ) -> None:
+        super().__init__(config, env, updates, partners)
+        if config.critic == "central" and partners:
+            raise ValueError(
+                "critic is 'central', which reads both roles' next actions, and partners are "
+                "frozen: choose local"
+            )
+
+    def update(
+        self, state: TrainState, hyper: Hyper, partners: Any = ()
+    ) -> tuple[TrainState, Metrics]:
+        """Collect one rollout and, after exploring, learn from the replay.
+
+        Metrics are [M]; losses are 0 as long as actions are explored at random.
+        """
+        exploring = self._exploring(state)
+        state, batch, keys = self.collect(state, partners)
+        batch = experience.by_member(batch, len(keys))
+        actions = {role: jnp.tanh(raw) for role, raw in batch.raw.items()}
+        kept = replay_buffer.add(state.replay, batch, actions)
+
+        def learn(members: MemberState) -> tuple[MemberState, Metrics]:
+            keys_of = jax.vmap(jax.random.split)(keys)
+            shape = (self.config.updates, self.config.batch_size)
+            drawn = replay_buffer.draw(kept, keys_of[:, 0], shape)
+            return member_map(self._learn)(members, drawn, hyper, keys_of[:, 1])
+
+        def wait(members: MemberState) -> tuple[MemberState, Metrics]:
+            return members, jax.tree.map(
+                lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(learn, members)[1]
+            )
+
+        members, metrics = jax.lax.cond(exploring, wait, learn, state.members)
+        statistics = members.statistics
+        if self.config.normalise:
+            merge = jax.vmap(normaliser.update)
+            statistics = {name: merge(statistics[name], batch.obs[name]) for name in self.inputs}
+        members = dataclasses.replace(members, statistics=statistics)
+        metrics |= jax.vmap(experience.episode_metrics)(batch)
+        return TrainState(members, state.simulations, state.update + 1, kept), metrics
+
+    def sampler(self, state: TrainState) -> Sampler:
+        """Return how raw actions are drawn: uniformly while exploring, else from the policy."""
+        exploring = self._exploring(state)
+
+        def sample(gaussian: Gaussian, key: jax.Array) -> jax.Array:
+            drawn, explored = jax.random.split(key)
+            uniform = jax.random.uniform(
+                explored, gaussian.mean.shape, minval=-_UNIFORM_LIMIT, maxval=_UNIFORM_LIMIT
+            )
+            return jnp.where(exploring, jnp.arctanh(uniform), gaussian.sample(drawn))
+
+        return sample
+
+    def initial_replay(self, members: int) -> Replay:
+        """Return an empty replay for all members, no longer than the run."""
+        config, steps = self.config, self.config.batch_steps
+        return replay_buffer.empty(
+            members,
+            math.ceil(min(config.replay_size, self.updates * steps) / steps),
+            config.rollout_steps,
+            config.num_envs,
+            {name: self.env.observation_size[name] for name in self.inputs},
+            {role: self.env.action_size[role] for role in self.roles},
+        )
+
+    def initial_learner(self, roles: tuple[Role, ...], key: jax.Array) -> Learner:
+        """Return one member's learner of these roles, which is one."""
+        [role] = roles
+        actor, first, second = jax.random.split(key, 3)
+        critic = {
+            "first": self.critics[role].init(first),
+            "second": self.critics[role].init(second),
+        }
+        networks = {
+            "actor": self.policies[role].init(actor, self.config.initial_log_std),
+            "critic": critic,
+            "log_alpha": jnp.log(jnp.asarray(self.config.initial_alpha)),
+        }
+        networks["actor"].pop("normaliser", None)
+        optimisers = {
+            name: self._optimiser(name, 1.0).init(params) for name, params in networks.items()
+        }
+        return Learner(networks, critic, optimisers)
+
+    def _exploring(self, state: TrainState) -> jax.Array:
+        return state.update * self.config.batch_steps < self.config.exploration_steps
+
+    def _learn(
+        self, member: MemberState, drawn: Transitions, hyper: Hyper, key: jax.Array
+    ) -> tuple[MemberState, Metrics]:
+        """Improve one member on U minibatches, leaves [U, B, ...].
+
+        Its critics on each, its policies behind them.
+
+        After every `policy_delay` steps of the critics, policy and temperature take as many, on the
+        same minibatches: the delay lets critics settle and costs the policy no steps.
+        """
+        config = self.config
+        groups = jax.tree.map(
+            lambda leaf: leaf.reshape(-1, config.policy_delay, *leaf.shape[1:]), drawn
+        )
+        keys = jax.random.split(
+            key, (config.updates // config.policy_delay, 2, config.policy_delay)
+        )
+
+        def improve(
+            learners: dict[str, Learner], group: tuple[Transitions, jax.Array]
+        ) -> tuple[dict[str, Learner], Metrics]:
+            batches, keys = group
+            learners, critic_metrics = jax.lax.scan(
+                lambda learners, x: self._improve_critics(learners, member, *x, hyper),
+                learners,
+                (batches, keys[0]),
+            )
+            learners, policy_metrics = jax.lax.scan(
+                lambda learners, x: self._improve_policies(learners, member, *x, hyper),
+                learners,
+                (batches, keys[1]),
+            )
+            return learners, critic_metrics | policy_metrics
+
+        learners, metrics = jax.lax.scan(improve, member.learners, (groups, keys))
+        return dataclasses.replace(member, learners=learners), jax.tree.map(jnp.mean, metrics)
+
+    def _improve_critics(
+        self,
+        learners: dict[str, Learner],
+        member: MemberState,
+        batch: Transitions,
+        key: jax.Array,
+        hyper: Hyper,
+    ) -> tuple[dict[str, Learner], Metrics]:
+        """Take a step of every role's critics towards the soft targets of a minibatch [B, ...]."""
+        new, metrics = {}, {}
+        next_action, next_log_prob = self._act(learners, member, batch.next_obs, key)
+        for role, learner in learners.items():
+            next_q = self._values(role, learner.target, member, batch.next_obs, next_action)
+            alpha = jnp.exp(learner.networks["log_alpha"])
+            target = soft_target(
+                batch.reward, batch.terminated, next_q, next_log_prob[role], alpha, hyper["gamma"]
+            )
+            new[role], logged = self._improve_critic(role, learner, member, batch, target, hyper)
+            metrics |= logged
+        return new, metrics
+
+    def _improve_critic(
+        self,
+        role: str,
+        learner: Learner,
+        member: MemberState,
+        batch: Transitions,
+        target: jax.Array,
+        hyper: Hyper,
+    ) -> tuple[Learner, Metrics]:
+        def loss(critic: Params) -> tuple[jax.Array, jax.Array]:
+            q = self._values(role, critic, member, batch.obs, batch.action)
+            return critic_loss(q, target), q
+
+        gradient, q = jax.grad(loss, has_aux=True)(learner.networks["critic"])
+        clipped = self._optimiser("critic", hyper["max_grad_norm"])
+        learner = descended(learner, "critic", gradient, clipped, hyper["q_lr"])
+        slow = optax.incremental_update(learner.networks["critic"], learner.target, hyper["tau"])
+        return dataclasses.replace(learner, target=slow), {
+            f"q_loss_{role}": jnp.square(q - target[None]).mean(),
+            f"q_{role}": q.mean(),
+            f"critic_grad_norm_{role}": optax.tree.norm(gradient),
+        }
+
+    def _improve_policies(
+        self,
+        learners: dict[str, Learner],
+        member: MemberState,
+        batch: Transitions,
+        key: jax.Array,
+        hyper: Hyper,
+    ) -> tuple[dict[str, Learner], Metrics]:
+        """Take a step of every role's policy and temperature on one minibatch [B, ...]."""
+        new, metrics = {}, {}
+        for role, role_key in zip(learners, jax.random.split(key, len(learners)), strict=True):
+            new[role], logged = self._improve_policy(
+                role, learners[role], member, batch, role_key, hyper
+            )
+            metrics |= logged
+        return new, metrics
+
+    def _improve_policy(
+        self,
+        role: str,
+        learner: Learner,
+        member: MemberState,
+        batch: Transitions,
+        key: jax.Array,
+        hyper: Hyper,
+    ) -> tuple[Learner, Metrics]:
+        log_alpha, critic = learner.networks["log_alpha"], learner.networks["critic"]
+
+        def loss(actor: Params) -> tuple[jax.Array, jax.Array]:
+            action, log_prob = self._draw(role, actor, member, batch.obs[role], key)
+            q = self._values(role, critic, member, batch.obs, {**batch.action, role: action})
+            return policy_loss(jnp.exp(log_alpha), log_prob, q), log_prob
+
+        (value, log_prob), gradient = jax.value_and_grad(loss, has_aux=True)(
+            learner.networks["actor"]
+        )
+        clipped = self._optimiser("actor", hyper["max_grad_norm"])
+        learner = descended(learner, "actor", gradient, clipped, hyper["policy_lr"])
+        if self.config.autotune:
+            target = -hyper["target_entropy_scale"] * self.specs[role].action_size
+            slope = temperature_gradient(log_alpha, log_prob, target)
+            plain = self._optimiser("log_alpha", jnp.inf)
+            learner = descended(learner, "log_alpha", slope, plain, hyper["alpha_lr"])
+        return learner, {
+            f"policy_loss_{role}": value,
+            f"entropy_{role}": -log_prob.mean(),
+            f"alpha_{role}": jnp.exp(log_alpha),
+            f"actor_grad_norm_{role}": optax.tree.norm(gradient),
+        }
+
+    def _act(
+        self,
+        learners: dict[str, Learner],
+        member: MemberState,
+        obs: dict[str, jax.Array],
+        key: jax.Array,
+    ) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
+        """Return actions in [-1, 1] and their log densities, by role, at obs [B, O]."""
+        keys = jax.random.split(key, len(learners))
+        drawn = {
+            role: self._draw(role, learners[role].networks["actor"], member, obs[role], role_key)
+            for role, role_key in zip(learners, keys, strict=True)
+        }
+        return {role: pair[0] for role, pair in drawn.items()}, {
+            role: pair[1] for role, pair in drawn.items()
+        }
+
+    def _draw(
+        self, role: str, actor: Params, member: MemberState, obs: jax.Array, key: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        first = jnp.zeros(obs.shape[:-1], bool)
+        _, gaussian = self.policies[role].step(self.actor(role, member, actor), (), obs, first)
+        raw = gaussian.sample(key)
+        return gaussian.action(raw), gaussian.log_prob(raw)
+
+    def _values(
+        self,
+        role: str,
+        critic: Params,
+        member: MemberState,
+        obs: dict[str, jax.Array],
+        action: dict[str, jax.Array],
+    ) -> jax.Array:
+        """Return what both critics of a role say [2, B]."""
+        name = self.critic_obs[role]
+        seen = obs[name]
+        if self.config.normalise:
+            seen = normalise(normaliser.to_params(member.statistics[name]), seen)
+        seen = jnp.concatenate(
+            [seen, *(action[other] for other in self._critic_actions(role))], axis=-1
+        )
+        first = jnp.zeros(seen.shape[:-1], bool)
+        return jnp.stack(
+            [
+                self.critics[role].step(critic[twin], (), seen, first)[1]
+                for twin in ("first", "second")
+            ]
+        )
+
+    def critic_width(self, role: str) -> int:
+        """Return the width of what a role's critics read: observation and actions."""
+        actions = (self.env.action_size[other] for other in self._critic_actions(role))
+        return super().critic_width(role) + sum(actions)
+
+    def _critic_actions(self, role: str) -> tuple[str, ...]:
+        return self.roles if self.config.critic == "central" else (role,)
+
+    def _optimiser(
+        self, name: str, max_grad_norm: jax.Array | float
+    ) -> optax.GradientTransformation:
+        """Return the optimiser of a network; a temperature is one number, and not clipped."""
+        return optimiser(self.config.adam_eps, None if name == "log_alpha" else max_grad_norm)
+
+
+def soft_target(
+    reward: Float[Array, " B"],
+    terminated: Bool[Array, " B"],
+    next_q: Float[Array, "2 B"],
+    next_log_prob: Float[Array, " B"],
+    alpha: Float[Array, ""] | float,
+    gamma: Float[Array, ""] | float,
+) -> Float[Array, " B"]:
+    """Return r + gamma (1 - terminated) (min_i Q_i(s', a') - alpha log pi(a' | s')).
+
+    Haarnoja et al., 2018, "Soft Actor-Critic Algorithms and Applications", equations 3 and 6, with
+    twin critics. A time limit is no termination: the value of what was reached counts.
+
+    Args:
+        reward: Rewards [B].
+        terminated: Whether the process ended for good [B].
+        next_q: What the slow critics say of the next observation and a new action there [2, B].
+        next_log_prob: Log density of that action [B].
+        alpha: Temperature.
+        gamma: Discount.
+    """
+    value = next_q.min(0) - alpha * next_log_prob
+    return reward + gamma * jnp.where(terminated, 0.0, value)
+
+
+def critic_loss(q: Float[Array, "2 B"], target: Float[Array, " B"]) -> Float[Array, ""]:
+    """Return sum_i E[(Q_i(s, a) - target)^2] (Haarnoja et al., 2018, equation 5, twice it).
+
+    Args:
+        q: What both critics say of replayed actions [2, B].
+        target: Their soft targets [B].
+    """
+    return jnp.square(q - target[None]).mean(1).sum()
+
+
+def policy_loss(
+    alpha: Float[Array, ""], log_prob: Float[Array, " B"], q: Float[Array, "2 B"]
+) -> Float[Array, ""]:
+    """Return E[alpha log pi(a | s) - min_i Q_i(s, a)] (Haarnoja et al., 2018, equation 7).
+
+    Args:
+        alpha: Temperature.
+        log_prob: Log densities of new actions [B].
+        q: What both critics say of them [2, B].
+    """
+    return (alpha * log_prob - q.min(0)).mean()
+
+
+def temperature_gradient(
+    log_alpha: Float[Array, ""], log_prob: Float[Array, " B"], target_entropy: Float[Array, ""]
+) -> Float[Array, ""]:
+    """Return the slope of J = E[-alpha log pi - alpha target] over log alpha.
+
+    dJ / dlog alpha = alpha (H - target) with the entropy H = -E[log pi] (Haarnoja et al., 2018,
+    equation 18).
+
+    Args:
+        log_alpha: Logarithm of the temperature.
+        log_prob: Log densities of new actions [B].
+        target_entropy: What the entropy is to be.
+    """
+    return jnp.exp(log_alpha) * (-log_prob.mean() - target_entropy)

@@ -1,0 +1,255 @@
+"""What PPO and SAC share: members and their state, collecting a rollout, a step of descent.
+
+Everything after the rollout is written for one member and mapped over members; the environment
+sees one flat axis of simulations. Each network has an optimiser and a gradient clip of its own:
+value errors in the hundreds would otherwise use up the norm that a policy shares with its critic.
+"""
+
+import abc
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from population.config import Member, TrainerConfig, traced_values
+from population.networks.members import member_map
+from population.networks.policy import Critic, CriticSpec, Gaussian, Params, Policy
+from population.networks.spec import ROLES, PolicySpec, Role
+from population.trainers import experience, normaliser
+from population.trainers.environment import Environment
+from population.trainers.experience import Batch, Sampler, Simulations
+from population.trainers.frozen_partners import FrozenPartners
+from population.trainers.normaliser import Statistics
+
+Metrics = dict[str, jax.Array]
+Hyper = dict[str, jax.Array]  # the config's `traced` ones; [M] for all members, scalars for one
+L = TypeVar("L")  # a trainer's learner
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class MemberState:
+    """What a member learns; leaves [M, ...] for all members."""
+
+    learners: dict[str, Any]  # the trainer's `Learner` by role, or one that is "shared"
+    statistics: dict[str, Statistics]  # of the observations, by role and "global"
+    key: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class TrainState:
+    """Everything that a run needs to go on."""
+
+    members: MemberState
+    simulations: Simulations
+    update: jax.Array  # updates done
+    replay: Any = ()  # past transitions, of a trainer that learns from them
+
+
+class Trainer(abc.ABC):
+    """Trains teams, or egos with partners, in an environment; `initial` and `update` may be jitted.
+
+    Args:
+        config: Hyperparameters.
+        env: The environment.
+        updates: Length of the run.
+        partners: Who sits in the other seat; without them robot and human learn together.
+
+    Raises:
+        ValueError: If the rollout is longer than an episode, or partners do not fit.
+    """
+
+    def __init__(
+        self,
+        config: Any,
+        env: Environment,
+        updates: int,
+        partners: FrozenPartners | None = None,
+    ) -> None:
+        _check(config, env, partners)
+        self.config, self.env, self.updates, self.partners = config, env, updates, partners
+        self.roles: tuple[Role, ...] = tuple(
+            role for role in ROLES if not partners or role != partners.role
+        )
+        self.specs = _policy_specs(config, env, self.roles)
+        self.policies = {role: Policy(spec) for role, spec in self.specs.items()}
+        # Learners by name, each of one role.
+        self.learners: dict[str, tuple[Role, ...]] = {role: (role,) for role in self.roles}
+        # What critics see: the role's own observation, or everything.
+        self.critic_obs: dict[str, str] = {
+            role: "global" if config.critic == "central" else role for role in self.roles
+        }
+        self.inputs = tuple(dict.fromkeys([*self.roles, *self.critic_obs.values()]))
+        self.critics: dict[str, Critic] = {
+            role: self.critic(self.critic_width(role)) for role in self.roles
+        }
+
+    def hyper(self, members: Sequence[Member]) -> Hyper:
+        """Return the traced hyperparameters [M] of every member: the config's, or its own."""
+        values = traced_values(self.config, members)
+        return {name: jnp.asarray(row, jnp.float32) for name, row in values.items()}
+
+    def initial(self, keys: jax.Array, env_params: Any) -> TrainState:
+        """Return the state before the first update.
+
+        Args:
+            keys: One key for each member [M].
+            env_params: Parameters of the environment for each simulation [N], member by member.
+        """
+        split = jax.vmap(lambda key: jax.random.split(key, 4))(keys)
+        envs, length = self.config.num_envs, self.env.episode_length
+        env_state = self.env.reset(_simulation_keys(split[:, 0], envs), env_params)
+        stagger = jax.vmap(lambda key: jax.random.randint(key, (envs,), 0, length))(split[:, 1])
+        return TrainState(
+            members=member_map(self._initial_member)(split[:, 2], split[:, 3]),
+            simulations=experience.begin(
+                env_state, self.policies, len(keys), stagger.reshape(-1), self.partners
+            ),
+            update=jnp.zeros((), jnp.int32),
+            replay=self.initial_replay(len(keys)),
+        )
+
+    def collect(self, state: TrainState, partners: Any = ()) -> tuple[TrainState, Batch, jax.Array]:
+        """Return the state after a rollout, the rollout, and the keys [M] to learn from it with.
+
+        Each member's key is split in four: for resets, for actions, for learning, and the next.
+        """
+        members = state.members
+        keys = jax.vmap(lambda key: jax.random.split(key, 4))(members.key)
+        fresh = self.env.reset(
+            _simulation_keys(keys[:, 0], self.config.num_envs), state.simulations.env.params
+        )
+        steps = self.config.rollout_steps
+        act_keys = jax.vmap(lambda key: jax.random.split(key, steps), out_axes=1)(keys[:, 1])
+        simulations, batch = experience.collect(
+            self.env,
+            self.policies,
+            self.policy_params(members),
+            act_keys,
+            state.simulations,
+            fresh,
+            self.inputs,
+            self.partners,
+            partners,
+            self.sampler(state),
+        )
+        members = dataclasses.replace(members, key=keys[:, 3])
+        state = dataclasses.replace(state, members=members, simulations=simulations)
+        return state, batch, keys[:, 2]
+
+    @abc.abstractmethod
+    def update(
+        self, state: TrainState, hyper: Hyper, partners: Any = ()
+    ) -> tuple[TrainState, Metrics]:
+        """Collect one rollout and learn.
+
+        Metrics are [M], `partners` are frozen ones' parameters.
+        """
+
+    @abc.abstractmethod
+    def initial_learner(self, roles: tuple[Role, ...], key: jax.Array) -> Any:
+        """Return one member's learner of these roles."""
+
+    def policy_params(self, members: MemberState) -> dict[str, Params]:
+        """Return parameters as `Policy` reads them, by role; leaves [M, ...]."""
+        return {
+            role: self.actor(role, members, members.learners[name].networks["actor"])
+            for name, roles in self.learners.items()
+            for role in roles
+        }
+
+    def critic(self, width: int) -> Critic:
+        """Return a critic of inputs of a width."""
+        config = self.config
+        return Critic(CriticSpec(width, config.torso, config.hidden, config.activation))
+
+    def critic_width(self, role: str) -> int:
+        """Return the width of what a role's critic reads."""
+        return self.env.observation_size[self.critic_obs[role]]
+
+    def sampler(self, state: TrainState) -> Sampler:
+        """Return how raw actions are drawn in the next rollout."""
+        return Gaussian.sample
+
+    def initial_replay(self, members: int) -> Any:
+        """Return what keeps past transitions; nothing unless a trainer learns from them."""
+        return ()
+
+    def actor(self, role: str, member: MemberState, actor: Params) -> Params:
+        """Return an actor's parameters as `Policy` reads them, with what normalises observations.
+
+        Leading axes of the leaves are free.
+        """
+        if not self.config.normalise:
+            return actor
+        return {**actor, "normaliser": normaliser.to_params(member.statistics[role])}
+
+    def _initial_member(self, key: jax.Array, carried: jax.Array) -> MemberState:
+        statistics = {
+            name: normaliser.empty(self.env.observation_size[name]) for name in self.inputs
+        }
+        keys = role_keys(key)
+        learners = {
+            name: self.initial_learner(roles, keys[roles[0]])
+            for name, roles in self.learners.items()
+        }
+        return MemberState(learners, statistics, carried)
+
+
+def role_keys(key: jax.Array) -> dict[str, jax.Array]:
+    """Return a key for each role, whoever learns: a robot starts the same alone as in a team."""
+    return dict(zip(ROLES, jax.random.split(key, len(ROLES)), strict=True))
+
+
+def optimiser(
+    adam_eps: float, max_grad_norm: jax.Array | float | None
+) -> optax.GradientTransformation:
+    """Return clip (none if None) and Adam of one network, before the learning rate."""
+    adam = optax.scale_by_adam(eps=adam_eps)
+    if max_grad_norm is None:
+        return adam
+    return optax.chain(optax.clip_by_global_norm(max_grad_norm), adam)
+
+
+def descended(
+    learner: L, name: str, gradient: Any, optimiser: optax.GradientTransformation, rate: jax.Array
+) -> L:
+    """Return a learner after one step of one of its networks."""
+    fields: Any = learner
+    steps, state = optimiser.update(gradient, fields.optimisers[name])
+    params = jax.tree.map(lambda leaf, step: leaf - rate * step, fields.networks[name], steps)
+    return dataclasses.replace(
+        fields,
+        networks={**fields.networks, name: params},
+        optimisers={**fields.optimisers, name: state},
+    )
+
+
+def _policy_specs(
+    config: TrainerConfig, env: Environment, roles: Sequence[Role]
+) -> dict[str, PolicySpec]:
+    names = ("torso", "hidden", "activation", "squash", "std", "normalise")
+    same: dict[str, Any] = {name: getattr(config, name) for name in names}
+    return {
+        role: PolicySpec(role, env.observation_size[role], env.action_size[role], **same)
+        for role in roles
+    }
+
+
+def _simulation_keys(keys: jax.Array, num_envs: int) -> jax.Array:
+    """Return one key for each simulation [N] from one for each member [M]."""
+    return jax.vmap(lambda key: jax.random.split(key, num_envs))(keys).reshape(-1)
+
+
+def _check(config: TrainerConfig, env: Environment, partners: FrozenPartners | None) -> None:
+    if config.rollout_steps > env.episode_length:
+        raise ValueError(
+            f"rollout_steps is {config.rollout_steps}; an episode of {env.task} has "
+            f"{env.episode_length} steps, so choose at most that many"
+        )
+    if partners:
+        partners.check(env, config.num_envs)

@@ -1,0 +1,196 @@
+"""A small database as the service leaves it: methods that were scored, others that wait."""
+
+import dataclasses
+import hashlib
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import sqlalchemy as sa
+from fastapi import FastAPI
+
+from assistax_board.api.errors import add_error_handlers
+from assistax_board.api.guards import Limiter
+from assistax_board.pages import add_pages
+from assistax_board.store import schema as t
+from assistax_board.store.database import Database
+from assistax_board.store.queries import Queries
+from evaluation.studies import choose_partners
+from zoo.registry import load_registry
+
+HOSTILE = "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>{{ 7*7 }}"
+EPISODES = 8
+VERSION = "5" * 64
+START = 1_790_000_000.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Robot:
+    """A method to be written: its level, and how many seeds it has."""
+
+    submitter: str
+    method: str
+    mean: float
+    seeds: int = 1
+    spread: float = 6.0
+
+
+ROBOTS = (
+    Robot("reference", "uniform-random", 80.0),
+    Robot("reference", "zero-action", 60.0),
+    Robot("reference", "self-play", 1010.0),
+    Robot("lab", "ppo ego", 987.0, seeds=4),
+    Robot("lab", "sac ego", 986.5, seeds=3),
+    Robot("school", "scripted", 700.0),
+    Robot("group", HOSTILE, 955.0, seeds=2),
+)
+
+
+def make_app(folder: Path, robots: tuple[Robot, ...] = ROBOTS, **options: Any) -> FastAPI:
+    """Return an application of pages alone, over a new database."""
+    app = FastAPI()
+    app.state.limiter = Limiter()
+    add_error_handlers(app)
+    catalogue = SimpleNamespace(tasks=("scratch", "bed_bath", "arm_assist"))
+    queries = Queries(fill(folder, robots))
+    service = SimpleNamespace(queries=queries, catalogue=catalogue, panel_b=lambda season: [])
+    add_pages(app, service, films=folder / "films", **options)
+    return app
+
+
+def fill(folder: Path, robots: tuple[Robot, ...]) -> Database:
+    """Return a database with scored robots of scratch, one that waits, and one that was refused."""
+    database = Database(f"sqlite:///{folder / 'service.db'}")
+    database.upgrade()
+    rng = np.random.default_rng(0)
+    _, partners = choose_partners(load_registry(), "scratch", None, None)
+    ease = rng.normal(0, 5, (len(partners), 1))
+    with database.write() as connection:
+        write = Writer(connection)
+        write.season()
+        connection.execute(
+            t.versions.insert(),
+            {
+                "id": VERSION,
+                "task": "scratch",
+                "identity": {"engine": {"name": "native", "version": "3.17"}, "env_version": 1},
+                "created_at": START,
+            },
+        )
+        for robot in robots:
+            for seed in range(robot.seeds):
+                noise = rng.normal(0, robot.spread, (len(partners), EPISODES))
+                write.scored(robot, seed, partners, robot.mean + rng.normal(0, 1) + ease + noise)
+        write.submission("lab", "next idea", "queued")
+        write.submission("group", HOSTILE, "refused", reason="operator_not_allowed")
+    return database
+
+
+class Writer:
+    """Writes rows as the service would, with ids that are the same in every run."""
+
+    def __init__(self, connection: sa.Connection) -> None:
+        self._connection = connection
+        self._count = 0
+        self._submitters: dict[str, str] = {}
+
+    def id(self) -> str:
+        """Return the next id."""
+        self._count += 1
+        return hashlib.sha256(str(self._count).encode()).hexdigest()[:16]
+
+    def submitter(self, name: str) -> str:
+        """Return a submitter's id, writing it the first time."""
+        if name not in self._submitters:
+            self._submitters[name] = self.id()
+            row = {"id": self._submitters[name], "name": name, "created_at": START}
+            self._connection.execute(t.submitters.insert(), row)
+        return self._submitters[name]
+
+    def submission(
+        self, submitter: str, method: str, state: str, *, reason: str | None = None
+    ) -> str:
+        """Write a submission and return its id."""
+        row = {
+            "id": self.id(),
+            "submitter": self.submitter(submitter),
+            "request": self.id(),
+            "task": "scratch",
+            "method": method,
+            "kind": "file",
+            "licence": "Apache-2.0",
+            "season": None,
+            "state": state,
+            "reason": reason,
+            "attempt": "free",
+            "turn": 0,
+            "created_at": START + self._count,
+            "finished_at": None if state == "queued" else START + self._count + 60,
+        }
+        self._connection.execute(t.submissions.insert(), row)
+        return row["id"]
+
+    def scored(self, robot: Robot, seed: int, partners: list[Any], returns: np.ndarray) -> str:
+        """Write a scored submission with its returns [P, K]."""
+        id = self.submission(robot.submitter, robot.method, "scored")
+        rows = [
+            {
+                "submission": id,
+                "version": VERSION,
+                "partner": entry.id,
+                "algorithm": entry.algorithm,
+                "disability": entry.disability,
+                "returns": row.tolist(),
+                "successes": int((row > 100).sum()),
+            }
+            for entry, row in zip(partners, returns, strict=True)
+        ]
+        self._connection.execute(t.partner_scores.insert(), rows)
+        mean = float(returns.mean())
+        figures = {"mean": mean, "mean_ci": [mean - 1, mean + 1], "n": returns.size}
+        row = {
+            "submission": id,
+            "version": VERSION,
+            "panel": "public",
+            "figures": figures,
+            "released": figures,
+            "created_at": START + self._count,
+        }
+        self._connection.execute(t.scores.insert(), row)
+        content = {"submission": id, "method": robot.method, "mean": mean, "seed": seed}
+        receipt = {
+            "submission": id,
+            "version": VERSION,
+            "content": content,
+            "signature": "0" * 128,
+            "created_at": START,
+        }
+        self._connection.execute(t.receipts.insert(), receipt)
+        return id
+
+    def season(self) -> None:
+        """Write an open season and its entry in the ledger."""
+        season = {
+            "id": "5ea5011",
+            "name": "Spring & <b>sun</b>",
+            "task": "scratch",
+            "state": "open",
+            "budget": 20,
+            "rules": "Be fair.\nNo <i>sockpuppets</i>.",
+            "root": "ab" * 32,
+            "secret": {"seed": "hidden-4711"},
+            "panel_sizes": {"A": 30, "B": 60},
+            "created_at": START,
+            "opened_at": START,
+        }
+        self._connection.execute(t.seasons.insert(), season)
+        entry = {
+            "seq": 1,
+            "at": START,
+            "kind": "season_opened",
+            "body": {"season": season["name"], "root": season["root"]},
+            "previous": "0" * 64,
+            "hash": "c" * 64,
+        }
+        self._connection.execute(t.ledger.insert(), entry)

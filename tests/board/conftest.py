@@ -1,0 +1,45 @@
+"""A real PostgreSQL, where Debian's `postgresql` is installed."""
+
+from collections.abc import Iterator
+from uuid import uuid4
+
+import pytest
+import sqlalchemy as sa
+
+from assistax_board.pages import behind
+from tests.board.postgres import Cluster, cluster
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[sa.URL]:
+    """Run a cluster for all tests that leave it alive."""
+    with cluster() as running:
+        yield running.url
+
+
+@pytest.fixture(scope="session", autouse=True)
+def readers_wait_for_boards() -> Iterator[None]:
+    """Let no page be answered before its board is there, however busy the machine is."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(behind, "PATIENCE", 120.0)
+        yield
+
+
+@pytest.fixture
+def mortal_postgres() -> Iterator[Cluster]:
+    """Run a cluster of this test's own, to be killed."""
+    with cluster() as running:
+        yield running
+
+
+@pytest.fixture
+def postgres_url(postgres: sa.URL) -> Iterator[str]:
+    """Make a database for one test."""
+    name = f"t{uuid4().hex}"
+    engine = sa.create_engine(postgres, isolation_level="AUTOCOMMIT")
+    with engine.connect() as connection:
+        connection.execute(sa.text(f"CREATE DATABASE {name}"))
+    yield postgres.set(database=name).render_as_string(hide_password=False)
+    with engine.connect() as connection:
+        connection.execute(sa.text(f"DROP DATABASE {name} WITH (FORCE)"))
+    engine.dispose()

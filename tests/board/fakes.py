@@ -1,0 +1,158 @@
+"""A service without JAX: a small catalogue, and a scorer that draws returns by hashing."""
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from assistax_board.problems import Refusal
+from assistax_board.rules.catalogue import Partner, version_id
+from assistax_board.rules.scoring import Work, encode_table
+from assistax_board.rules.submissions import Draft
+from assistax_board.rules.tokens import authenticate
+from assistax_board.service import Service
+from assistax_board.store.artefacts import Artefacts
+from assistax_board.store.database import Database
+from assistax_board.store.queries import Submission
+from assistax_board.store.receipts import load_signer
+
+TASK = "scratch"
+
+
+class FakeCatalogue:
+    def __init__(self, partners: int = 60, version: int = 1) -> None:
+        self._partners, self._version = partners, version
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        return (TASK,)
+
+    def public_panel(self, task: str) -> tuple[Partner, ...]:
+        algorithms, settings = ("ippo", "mappo"), ("d1", "d5", "d9")
+        return tuple(
+            Partner(f"partner-{i:03d}", algorithms[i % 2], settings[i % 3])
+            for i in range(self._partners)
+        )
+
+    def references(self, task: str) -> dict[str, str]:
+        return {"zero-action": "zero-action", "self-play": "self-play"}
+
+    def identity(self, task: str) -> dict[str, Any]:
+        return {"task": task, "engine": {"name": "fake", "version": str(self._version)}}
+
+
+class FakeScorer:
+    """A robot's strength is the number in its file; a partner's return is a hash around it."""
+
+    def __init__(self, version: int = 1) -> None:
+        self._version = version
+
+    def versions(self) -> tuple[str, ...]:
+        return (version_id(FakeCatalogue(version=self._version).identity(TASK)),)
+
+    def play(self, work: Work, robot: Any, release: bytes | None) -> pl.DataFrame:
+        if robot == b"broken":
+            raise Refusal("not_finite")
+        if work.kind == "reference":
+            robot = b"robot 0.0" if work.format == "zero-action" else b"robot 9.0"
+        strength = play_live(work, robot) if callable(robot) else float(robot.decode().split()[1])
+        rows = [(name, k) for name in work.partners for k in range(work.episodes)]
+        return pl.DataFrame(
+            {
+                "partner": [name for name, _ in rows],
+                "algorithm": ["ippo"] * len(rows),
+                "disability": ["d1"] * len(rows),
+                "episode": [k for _, k in rows],
+                "return": [strength + noise(work.seed, name, k) for name, k in rows],
+                "success": [True] * len(rows),
+                "nonfinite": [False] * len(rows),
+            }
+        )
+
+
+def play_live(work: Work, robot: Any, steps: int = 6) -> float:
+    """Return the mean of a live robot's actions; it is shown who it plays with, and when."""
+    rows = len(work.partners) * work.episodes
+    robot.reset(rows)
+    actions = [robot(np.full((rows, 4), step, np.float32)) for step in range(steps)]
+    return float(np.mean(actions))
+
+
+class FakeClock:
+    def __init__(self, now: float = 1_700_000_000.0) -> None:
+        self.now = now
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def noise(*words: Any) -> float:
+    value = int.from_bytes(hashlib.sha256(repr(words).encode()).digest()[:4], "big")
+    return float(np.float32(value / 2**32))
+
+
+def admit(data: bytes, task: str) -> str:
+    if not data.startswith((b"robot ", b"broken")):
+        raise Refusal("unknown_format")
+    return "fake"
+
+
+def new_service(folder: Path, url: str | None = None, *, version: int = 1) -> Service:
+    folder.mkdir(exist_ok=True)
+    database = Database(url or f"sqlite:///{folder / 'service.db'}")
+    database.upgrade()
+    return Service(
+        database,
+        Artefacts(str(folder / "artefacts")),
+        FakeCatalogue(version=version),
+        load_signer(folder),
+        admit,
+        FakeClock(),
+    )
+
+
+def new_submitter(service: Service, name: str = "lab") -> str:
+    token = service.create_token(("submit",), submitter=name)
+    submitter = authenticate(service.database, token).submitter
+    assert submitter is not None
+    return submitter
+
+
+def draft(strength: float = 1.0, request: str = "r1", **fields: Any) -> Draft:
+    data = fields.pop("data", f"robot {strength}".encode())
+    method = fields.pop("method", "mine")
+    return Draft(task=TASK, method=method, request=request, data=data, **fields)
+
+
+def work_off(service: Service, worker: str = "w", version: int = 1, most: int = 1000) -> int:
+    """Do what waits, as one worker would, and return how many jobs that was."""
+    scorer, done = FakeScorer(version), 0
+    while done < most and (work := service.lease(worker, scorer.versions())):
+        robot = service.artefacts.get(work.artefact) if work.artefact else None
+        try:
+            table = scorer.play(work, robot, None)
+        except Refusal as refusal:
+            service.job_refused(work.job, work.lease, refusal.code)
+            continue
+        service.result(work.job, work.lease, encode_table(table), 1.0)
+        done += 1
+    return done
+
+
+def shown(service: Service, id: str) -> Submission:
+    found = service.queries.submission(id)
+    assert found is not None
+    return found
+
+
+def take(service: Service, version: int = 1) -> Work:
+    work = service.lease("w", FakeScorer(version).versions())
+    assert work is not None
+    return work
+
+
+def advance(service: Service, seconds: float) -> None:
+    assert isinstance(service.clock, FakeClock)
+    service.clock.now += seconds

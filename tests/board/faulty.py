@@ -1,0 +1,54 @@
+"""A server or a worker without JAX, as a process to be killed.
+
+python -m tests.board.faulty serve FOLDER DATABASE PORT
+python -m tests.board.faulty work ADDRESS TOKEN
+"""
+
+import dataclasses
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from assistax_board.client.client import Client
+from assistax_board.rules import jobs
+from assistax_board.rules.scoring import Work
+from assistax_board.service import Service
+from assistax_board.work.worker import Worker
+from tests.board.fakes import FakeScorer, new_service
+
+LEASE_SECONDS = 10.0  # shorter than in earnest: who waits for a killed worker waits for this
+PATIENCE = 300.0
+
+
+class SlowScorer(FakeScorer):
+    """Takes a moment, so that a kill may strike within a job."""
+
+    def play(self, work: Work, robot: Any, release: bytes | None) -> Any:
+        time.sleep(0.2)
+        return super().play(work, robot, release)
+
+
+def real_service(folder: Path, url: str) -> Service:
+    """Return the service of the fakes by the machine's own clock."""
+    jobs.LEASE_SECONDS = LEASE_SECONDS
+    return dataclasses.replace(new_service(folder, url), clock=time.time)
+
+
+def main(how: str, *words: str) -> None:
+    if how == "work":
+        client = Client(words[0], words[1], patience=PATIENCE)
+        Worker(client, SlowScorer(), idle=0.1, beat=LEASE_SECONDS / 4).run()
+        return
+    import uvicorn
+
+    from assistax_board.api.app import create_app
+    from assistax_board.serve import config_of
+
+    folder, url, port = words
+    app = create_app(real_service(Path(folder), url))
+    uvicorn.Server(config_of(app, "127.0.0.1", int(port))).run()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

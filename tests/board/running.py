@@ -1,0 +1,52 @@
+"""A server on loopback, in a thread of this process."""
+
+import contextlib
+import dataclasses
+import threading
+import time
+from collections.abc import Generator
+
+import uvicorn
+
+from assistax_board.api.app import create_app
+from assistax_board.client.client import Client
+from assistax_board.serve import config_of, free_port
+from assistax_board.service import Service
+from assistax_board.vocabulary import Scope
+
+
+@dataclasses.dataclass
+class Served:
+    """A running server, and the clients that end with it."""
+
+    service: Service
+    address: str
+    clients: list[Client] = dataclasses.field(default_factory=list)
+
+    def client(self, scope: Scope, submitter: str = "lab", patience: float = 30.0) -> Client:
+        name = submitter if scope == "submit" else None
+        token = self.service.create_token((scope,), submitter=name)
+        self.clients.append(Client(self.address, token, patience=patience))
+        return self.clients[-1]
+
+
+@contextlib.contextmanager
+def served(service: Service, port: int = 0, proxy: str | None = None) -> Generator[Served]:
+    """Serve until the block ends."""
+    port = free_port("127.0.0.1", port)
+    config = config_of(create_app(service), "127.0.0.1", port, proxy)
+    config.lifespan, config.log_level = "off", "error"
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    while not server.started:
+        time.sleep(0.01)
+    running = Served(service, f"http://127.0.0.1:{port}")
+    try:
+        yield running
+    finally:
+        for client in running.clients:
+            client.close()
+        server.should_exit = True
+        server.force_exit = True
+        thread.join()

@@ -1,0 +1,249 @@
+"""The API from outside: who may do what, what is refused, and a submission from end to end."""
+
+import logging
+from pathlib import Path
+
+import pytest
+from starlette.testclient import TestClient
+
+from assistax_board.api.app import create_app
+from assistax_board.api.guards import MAX_BODY
+from assistax_board.client.client import Client
+from assistax_board.service import Service
+from assistax_board.work.worker import Worker
+from tests.board.fakes import TASK, FakeScorer, draft, new_service, new_submitter, work_off
+from tests.board.test_season import open_season
+
+FIELDS = {"task": TASK, "method": "mine", "request_id": "request-1"}
+
+
+@pytest.fixture
+def service(tmp_path: Path) -> Service:
+    return new_service(tmp_path)
+
+
+@pytest.fixture
+def http(service: Service) -> TestClient:
+    return TestClient(create_app(service), raise_server_exceptions=False)
+
+
+def client_of(service: Service, http: TestClient, scope: str) -> Client:
+    submitter = "lab" if scope == "submit" else None
+    return Client("", service.create_token((scope,), submitter=submitter), transport=http)
+
+
+def test_a_submission_from_end_to_end(service: Service, http: TestClient) -> None:
+    submitter = client_of(service, http, "submit")
+    id = submitter.submit(b"robot 3.0", **FIELDS)["id"]
+    assert Worker(client_of(service, http, "work"), FakeScorer()).run(until_empty=True) == 3
+    assert submitter.submission(id)["state"] == "scored"
+    [score] = submitter.scores(id)
+    assert 3.0 < score["figures"]["mean"] < 4.0
+    board = http.get(f"/api/boards/{TASK}").json()
+    assert board["scores"] == [score]
+    assert "not validated" in board["statement"]
+    assert submitter.receipt(id)["content"]["submission"] == id
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "scope"),
+    [
+        ("POST", "/api/submissions?task=scratch&method=m&request_id=12345678", "submit"),
+        ("POST", "/api/work/lease", "work"),
+        ("GET", f"/api/work/artefacts/{'0' * 64}", "work"),
+        ("PUT", "/api/work/x/result?seconds=1", "work"),
+    ],
+)
+def test_a_token_does_only_what_it_is_for(
+    service: Service, http: TestClient, method: str, path: str, scope: str
+) -> None:
+    assert http.request(method, path).status_code == 401
+    wrong = {"Authorization": "Bearer azt_wrong"}
+    assert http.request(method, path, headers=wrong).status_code == 401
+    other = service.create_token(("organise",))
+    headers = {"Authorization": f"Bearer {other}"}
+    assert http.request(method, path, headers=headers).status_code == 403
+
+
+def test_a_token_in_the_address_is_not_read(service: Service, http: TestClient) -> None:
+    token = service.create_token(("work",))
+    answer = http.post(f"/api/work/lease?token={token}", json={"worker": "w", "versions": []})
+    assert answer.status_code == 401
+
+
+def test_a_revoked_token_is_worth_nothing(service: Service, http: TestClient) -> None:
+    from assistax_board.rules.tokens import list_tokens, revoke_token
+
+    token = service.create_token(("work",))
+    headers = {"Authorization": f"Bearer {token}"}
+    body = {"worker": "w", "versions": []}
+    assert http.post("/api/work/lease", json=body, headers=headers).status_code == 204
+    revoke_token(service.database, 0.0, list_tokens(service.database)[0].id)
+    assert http.post("/api/work/lease", json=body, headers=headers).status_code == 401
+
+
+def test_the_database_holds_no_token(service: Service, tmp_path: Path) -> None:
+    token = service.create_token(("work",))
+    service.database.close()
+    assert token.encode() not in (tmp_path / "service.db").read_bytes()
+
+
+def test_a_large_body_is_not_read(service: Service, http: TestClient) -> None:
+    token = service.create_token(("submit",), submitter="lab")
+    headers = {"Authorization": f"Bearer {token}"}
+    answer = http.post(
+        "/api/submissions", params=FIELDS, headers=headers, content=bytes(MAX_BODY + 1)
+    )
+    assert (answer.status_code, answer.json()["error"]["code"]) == (413, "too_large")
+
+
+def test_a_body_that_hides_its_size_is_cut_off(service: Service, http: TestClient) -> None:
+    token = service.create_token(("submit",), submitter="lab")
+    headers = {"Authorization": f"Bearer {token}"}
+    endless = (bytes(1024 * 1024) for _ in range(20))
+    answer = http.post("/api/submissions", params=FIELDS, headers=headers, content=endless)
+    assert answer.status_code >= 400
+    assert service.queries.submissions() == []
+
+
+def test_too_many_requests_are_refused(service: Service, http: TestClient) -> None:
+    for _ in range(30):
+        assert http.post("/api/work/lease").status_code == 401
+    assert http.post("/api/work/lease").status_code == 429
+
+
+def test_an_unexpected_error_tells_nothing(
+    service: Service, http: TestClient, monkeypatch, caplog
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise RuntimeError("hidden-0007 returned 812.5")
+
+    monkeypatch.setattr("assistax_board.store.queries.Queries.submissions", broken)
+    with caplog.at_level(logging.INFO, logger="assistax_board"):
+        answer = http.get("/api/submissions")
+    assert (answer.status_code, answer.json()["error"]["code"]) == (500, "unexpected")
+    assert "812.5" not in answer.text + caplog.text + repr([vars(r) for r in caplog.records])
+
+
+def test_logs_hold_no_secrets(service: Service, http: TestClient, caplog) -> None:
+    token = service.create_token(("submit",), submitter="lab")
+    with caplog.at_level(logging.INFO, logger="assistax_board"):
+        headers = {"Authorization": f"Bearer {token}"}
+        http.post("/api/submissions", params=FIELDS, headers=headers, content=b"robot 1.0")
+    [record] = [r for r in caplog.records if r.name == "assistax_board"]
+    assert record.fields["route"] == "/api/submissions"
+    assert token not in repr(vars(record))
+    assert "robot 1.0" not in repr(vars(record))
+
+
+def test_health_and_metrics(service: Service, http: TestClient) -> None:
+    client_of(service, http, "submit").submit(b"robot 1.0", **FIELDS)
+    assert http.get("/api/health").json() == {"status": "ok"}
+    text = http.get("/metrics").text
+    assert 'assistax_service_jobs{state="waiting"} 3.0' in text
+    assert 'assistax_service_submissions{state="queued"} 1.0' in text
+
+
+def test_the_server_imports_nothing_heavy() -> None:
+    from tests.test_layers import heavy_imports
+
+    assert heavy_imports("assistax_board.api.app", "assistax_board.work.worker") == []
+
+
+@pytest.mark.parametrize("path", ["/api/work/lease", "/api/work/x/refused"])
+def test_who_asks_comes_before_what_is_asked(http: TestClient, path: str) -> None:
+    """Nothing of a body is parsed for somebody without a token."""
+    answer = http.post(path, content=b"[" * 1000, headers={"X-Lease": "x"})
+    assert (answer.status_code, answer.json()["error"]["code"]) == (401, "not_signed_in")
+
+
+@pytest.mark.parametrize(
+    ("path", "most"),
+    [
+        ("/api/work/lease", 64 * 1024),
+        ("/api/work/x/refused", 64 * 1024),
+        (f"/pairs/{TASK}/a/b", 64 * 1024),
+        ("/api/nothing", 64 * 1024),
+        ("/api/work/x/result", 4 * 1024 * 1024 + 64 * 1024),
+        ("/api/submissions", MAX_BODY),
+        ("/submit", MAX_BODY),
+    ],
+)
+def test_a_body_is_as_large_as_its_route_needs(http: TestClient, path: str, most: int) -> None:
+    answers = [
+        http.post(path, content=bytes(8), headers={"Content-Length": str(size)}).status_code
+        for size in (most, most + 1)
+    ]
+    assert answers[0] != 413 and answers[1] == 413
+
+
+def test_a_wrong_body_is_told_by_its_field(service: Service, http: TestClient) -> None:
+    headers = {"Authorization": f"Bearer {service.create_token(('work',))}"}
+    answer = http.post("/api/work/lease", json={"worker": "", "versions": []}, headers=headers)
+    assert answer.status_code == 422
+    assert answer.json()["error"]["message"].startswith("body.worker:")
+    schema = http.get("/openapi.json").json()["paths"]["/api/work/lease"]["post"]["requestBody"]
+    assert "worker" in schema["content"]["application/json"]["schema"]["properties"]
+
+
+@pytest.mark.parametrize("path", ["/", "/api/health", f"/tasks/{TASK}", "/openapi.json"])
+def test_head_is_get_without_a_body(http: TestClient, path: str) -> None:
+    head, get = http.head(path), http.get(path)
+    assert (head.status_code, head.content) == (200, b"")
+    assert head.headers["content-type"] == get.headers["content-type"]
+    assert head.headers["content-length"] == get.headers["content-length"]
+
+
+@pytest.mark.parametrize("path", ["/nope", "/ledger?after=x", "/submissions/x/receipt.json"])
+def test_a_browser_gets_a_page_of_an_error(http: TestClient, path: str) -> None:
+    page = http.get(path, headers={"Accept": "text/html,*/*;q=0.8"})
+    assert 404 <= page.status_code <= 422 and "That did not work" in page.text
+    assert page.headers["content-security-policy"]
+
+
+@pytest.mark.parametrize("path", ["/nope", "/api/nope"])
+def test_a_program_gets_json_of_an_error(http: TestClient, path: str) -> None:
+    assert http.get(path).json()["error"]["code"] == "not_found"
+    answer = http.get("/api/nope", headers={"Accept": "text/html"})
+    assert answer.json()["error"]["code"] == "not_found"
+
+
+@pytest.mark.parametrize("after", ["1" + 23 * "0", "-5", "7"])
+def test_any_number_is_a_place_in_the_ledger(http: TestClient, after: str) -> None:
+    assert http.get(f"/ledger?after={after}").status_code == 200
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/api/boards/dance",
+        f"/api/boards/{TASK}?season=never",
+        "/api/submissions?season=never",
+        "/api/submissions?task=dance",
+        "/api/seasons?task=dance",
+    ],
+)
+def test_what_is_not_there_is_said(http: TestClient, path: str) -> None:
+    assert http.get(path).status_code == 404
+
+
+def test_a_season_may_be_given_by_its_name(service: Service, http: TestClient) -> None:
+    season, lab = open_season(service), new_submitter(service)
+    id = service.submit(lab, draft(season=season))
+    work_off(service)
+    for name in ("spring", season):
+        assert http.get(f"/api/submissions?season={name}").json()[0]["id"] == id
+        assert len(http.get(f"/api/boards/{TASK}?season={name}").json()["scores"]) == 2
+
+
+def test_who_asked_too_often_is_told_when_to_come_back(http: TestClient) -> None:
+    answers = [http.post("/api/work/lease") for _ in range(31)]
+    assert answers[-1].status_code == 429
+    assert 1 <= int(answers[-1].headers["retry-after"]) <= 60
+
+
+def test_the_schema_says_who_needs_a_token(http: TestClient) -> None:
+    schema = http.get("/openapi.json").json()
+    assert schema["components"]["securitySchemes"]["token"]["scheme"] == "bearer"
+    assert schema["paths"]["/api/submissions"]["post"]["security"] == [{"token": []}]
+    assert "security" not in schema["paths"]["/api/submissions"]["get"]

@@ -1,0 +1,127 @@
+"""A backup is whole although the server goes on, and what it holds goes on where it is restored."""
+
+import threading
+import time
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from assistax_board.problems import Problem
+from assistax_board.service import Service
+from assistax_board.store.backup import back_up, restore
+from assistax_board.store.ledger import check_chain
+from assistax_board.store.receipts import verify_receipt
+from tests.board.fakes import advance, draft, new_service, new_submitter, shown, work_off
+from tests.board.test_season import open_season
+
+
+def whole(service: Service) -> list[str]:
+    """Return what is missing or does not fit in a restored service."""
+    wrong = []
+    entries = service.queries.ledger()
+    if check_chain(entries) != len(entries):
+        wrong.append("ledger")
+    for one in service.queries.submissions(limit=1000):
+        try:
+            service.artefacts.get(str(one.artefact))
+        except Problem as problem:
+            wrong.append(str(problem))
+        if one.state == "scored":
+            receipt = service.queries.receipt(one.id)
+            assert receipt is not None
+            verify_receipt(receipt, service.signer.public_key)
+    return wrong
+
+
+def test_a_backup_of_a_server_at_work_is_whole_and_goes_on(tmp_path: Path) -> None:
+    service = new_service(tmp_path / "board")
+    season, lab = open_season(service, budget=100), new_submitter(service)
+    id = service.submit(lab, draft(2.0, "first", season=season))
+    work_off(service)
+    over, count = threading.Event(), [0]
+
+    def go_on() -> None:
+        while not over.is_set():
+            count[0] += 1
+            service.submit(lab, draft(float(count[0]), f"r{count[0]}", season=season))
+            work_off(service, most=3)
+
+    thread = threading.Thread(target=go_on)
+    thread.start()
+    try:
+        for number in range(3):
+            seen = count[0]
+            while count[0] == seen:
+                time.sleep(0.001)
+            back_up(tmp_path / "board", tmp_path / f"{number}.zip")
+    finally:
+        over.set()
+        thread.join()
+    for number in range(3):
+        restore(tmp_path / f"{number}.zip", tmp_path / str(number))
+        again = new_service(tmp_path / str(number))
+        assert whole(again) == []
+        advance(again, 3600.0)  # leases of the workers that it had then are over
+        work_off(again)
+        assert {each.state for each in again.queries.submissions(limit=1000)} == {"scored"}
+        assert again.queries.receipt(id) == service.queries.receipt(id)
+        assert shown(again, id).attempt == "spent"
+        assert again.queries.season(season) == service.queries.season(season)
+
+
+def test_a_file_that_the_backup_lacks_is_found(tmp_path: Path) -> None:
+    service = new_service(tmp_path / "board")
+    id = service.submit(new_submitter(service), draft())
+    work_off(service)
+    back_up(tmp_path / "board", tmp_path / "whole.zip")
+    name = str(shown(service, id).artefact)
+    with (
+        zipfile.ZipFile(tmp_path / "whole.zip") as source,
+        zipfile.ZipFile(tmp_path / "less.zip", "w") as target,
+    ):
+        for each in source.namelist():
+            if name not in each:
+                target.writestr(each, source.read(each))
+    restore(tmp_path / "less.zip", tmp_path / "again")
+    assert whole(new_service(tmp_path / "again")) == [f"no artefact {name}"]
+
+
+def test_a_backup_replaces_nothing(tmp_path: Path) -> None:
+    new_service(tmp_path / "board")
+    back_up(tmp_path / "board", tmp_path / "board.zip")
+    with pytest.raises(ValueError, match="exists"):
+        back_up(tmp_path / "board", tmp_path / "board.zip")
+    with pytest.raises(ValueError, match="not empty"):
+        restore(tmp_path / "board.zip", tmp_path / "board")
+    (tmp_path / "no.zip").write_bytes(b"PK\x05\x06" + bytes(18))
+    with pytest.raises(ValueError, match="no backup"):
+        restore(tmp_path / "no.zip", tmp_path / "new")
+
+
+def test_a_backup_without_what_the_database_names_is_none(tmp_path: Path) -> None:
+    """As where artefacts are in an object store, and the folder holds none."""
+    service = new_service(tmp_path / "board")
+    service.submit(new_submitter(service), draft())
+    (tmp_path / "board" / "artefacts").rename(tmp_path / "elsewhere")
+    with pytest.raises(ValueError, match=r"1 of 1 artefacts are not in .*store's own backup"):
+        back_up(tmp_path / "board", tmp_path / "board.zip")
+    assert not (tmp_path / "board.zip").exists()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_damaged_database_is_not_backed_up(tmp_path: Path, seed: int) -> None:
+    service = new_service(tmp_path / "board")
+    service.submit(new_submitter(service), draft())
+    work_off(service)
+    service.database.close()
+    path = tmp_path / "board" / "service.db"
+    data = bytearray(path.read_bytes())
+    rng = np.random.default_rng(seed)
+    for page in rng.choice(len(data) // 4096 - 1, 6, replace=False) + 1:
+        data[page * 4096 : page * 4096 + 512] = rng.bytes(512)
+    path.write_bytes(bytes(data))
+    with pytest.raises(ValueError, match=r"service.db is damaged .*restore the newest backup"):
+        back_up(tmp_path / "board", tmp_path / "board.zip")
+    assert not (tmp_path / "board.zip").exists()

@@ -1,0 +1,64 @@
+"""What is damaged or was changed is found, by the organiser and, of the ledger, by anybody."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import sqlalchemy as sa
+from starlette.testclient import TestClient
+
+from assistax_board.api.app import create_app
+from assistax_board.client import checking
+from assistax_board.client.checking import check_ledger, check_service
+from assistax_board.client.client import Client
+from assistax_board.service import Service
+from assistax_board.store import schema as t
+from tests.board.fakes import draft, new_service, new_submitter, shown, work_off
+
+
+@pytest.fixture
+def service(tmp_path: Path) -> Service:
+    service = new_service(tmp_path)
+    service.submit(new_submitter(service), draft())
+    work_off(service)
+    return service
+
+
+def changed(service: Service, statement: Any) -> None:
+    with service.database.write() as connection:
+        connection.execute(statement)
+
+
+def test_a_whole_service_is_whole(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checking, "_PAGE", 2)  # several pages
+    found = check_service(service)
+    assert found == {"ledger": 3, "artefacts": 4, "receipts": 1, "whole": True}
+    client = Client("", transport=TestClient(create_app(service)))
+    assert check_ledger(client)["entries"] == 3
+    assert check_ledger(client)["last_hash"] == service.queries.ledger()[-1].hash
+
+
+def test_a_changed_entry_is_found_from_outside_and_at_home(service: Service) -> None:
+    entry = service.queries.ledger()[1]
+    changed(service, sa.update(t.ledger).where(t.ledger.c.seq == 2).values(at=entry.at + 1))
+    with pytest.raises(ValueError, match="entry 2 does not follow"):
+        check_service(service)
+    with pytest.raises(ValueError, match="entry 2 does not follow"):
+        check_ledger(Client("", transport=TestClient(create_app(service))))
+
+
+def test_a_missing_artefact_is_found(service: Service) -> None:
+    [submission] = service.queries.submissions()
+    service.artefacts.erase(str(shown(service, submission.id).artefact))
+    with pytest.raises(ValueError, match="1 of 4 artefacts: no artefact"):
+        check_service(service)
+
+
+def test_a_receipt_of_another_ledger_is_found(service: Service) -> None:
+    [receipt] = [service.queries.receipt(one.id) for one in service.queries.submissions()]
+    assert receipt is not None
+    content = receipt["content"] | {"ledger": {"seq": 2, "hash": "0" * 64}}
+    signature = service.signer.sign(content)
+    changed(service, sa.update(t.receipts).values(content=content, signature=signature))
+    with pytest.raises(ValueError, match="another ledger entry 2"):
+        check_service(service)

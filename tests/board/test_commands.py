@@ -1,0 +1,191 @@
+"""The whole service by its commands, in real processes: a season until its proof."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+import sqlalchemy as sa
+
+from assistax_board.client.submitting import for_reader
+from assistax_board.serve import open_service
+from assistax_board.store import schema as t
+from assistax_zoo.shell.main import run
+from tests.untrained import HUMAN, ROBOT, params_of, published, untrained_team
+from zoo.parameters.storage import write_policy_file
+
+ROOT = Path(__file__).parents[2]
+
+
+def release(folder: Path, first: int, count: int) -> Path:
+    teams = [
+        untrained_team(
+            "d1", seed, robot=(ROBOT, params_of(ROBOT, seed)), human=(HUMAN, params_of(HUMAN, seed))
+        )
+        for seed in range(first, first + count)
+    ]
+    return published(teams, folder)
+
+
+def command(*words: Any, **environment: str) -> str:
+    """Run a command in a process of its own and return what it printed."""
+    result = subprocess.run(
+        [sys.executable, "-m", "assistax_zoo", *map(str, words)],
+        cwd=ROOT,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Iterator[dict[str, Any]]:
+    """Serve a tiny registry with one local worker; SIGTERM must end it cleanly."""
+    registry = release(tmp_path / "public", 0, 4)
+    data = tmp_path / "board"
+    options = ["--data", data, "--port", "0", "--registry", registry, "--no-references"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "assistax_zoo", "serve", *map(str, options)],
+        cwd=ROOT,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr is not None
+    lines = [process.stderr.readline() for _ in range(2)]
+    address, token = lines[0].split()[1], lines[1].split()[-1]
+    environment = {"ASSISTAX_ZOO_SERVER": address, "ASSISTAX_ZOO_TOKEN": token}
+    _wait_until_it_answers(address)
+    lines = iter(process.stderr.readline, "")
+    found = {"data": data, "registry": registry, "environment": environment}
+    yield {**found, "lines": lines, "process": process}
+    stop(process)
+
+
+def stop(process: Any) -> None:
+    """End a server; one that has ended stays as it is."""
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=60)
+    assert process.returncode == 0
+
+
+def _wait_until_it_answers(address: str) -> None:
+    end = time.monotonic() + 120
+    while True:
+        try:
+            assert httpx2.get(f"{address}/api/health").status_code == 200
+            return
+        except httpx2.TransportError:
+            if time.monotonic() > end:
+                raise
+            time.sleep(0.2)
+
+
+@pytest.mark.slow
+def test_a_season_by_its_commands(board: dict[str, Any], tmp_path: Path) -> None:
+    data, environment = board["data"], board["environment"]
+    private = release(tmp_path / "private", 100, 4).parent
+    season = ("spring", "--data", data)
+    command("season", "create", *season, "--task", "scratch", "--release", private, "--small")
+    root = command("season", "open", *season).strip()
+    file = tmp_path / "robot.safetensors"
+    write_policy_file(file, ROBOT, params_of(ROBOT, 7))
+    by = ("submit", file, "--task", "scratch", "--season", "spring", "--watch", "--method")
+    checked = command(
+        "submit", file, "--task", "scratch", "--check", "--registry", board["registry"], "--json"
+    )
+    assert json.loads(checked)["check"] == "admitted"
+    submitted = command(*by, "mine", "--json", **environment)
+    found = json.loads(submitted)
+    assert (found["state"], found["scores"].keys()) == ("scored", {"public", "A"})
+    assert (found["board_place"], found["of_methods"]) == (1, 1)
+    told = command(*by, "again", **environment)
+    assert "place: 1–2 of 2 on http://127.0.0.1" in told, "the same robot shares its place"
+    assert f"mean return, public: {found['scores']['public']['mean']:.1f}" in told
+    scores = httpx2.get(f"{environment['ASSISTAX_ZOO_SERVER']}/api/boards/scratch").json()["scores"]
+    public = [score["figures"] for score in scores if score["panel"] == "public"]
+    assert public == [found["scores"]["public"]] * 2, "the same robot, the same score, every bit"
+    (tmp_path / "receipt.json").write_text(submitted)
+    key = found["receipt"]["content"]["key"]
+    command("receipt", "verify", tmp_path / "receipt.json", "--key", key)
+    entered = command("season", "enter", "spring", found["id"], "--json", **environment)
+    assert [one["id"] for one in json.loads(entered)] == [found["id"]]
+    command("season", "close", *season)
+    proved = _wait_for_proof(root, environment)
+    assert (proved["proved"], proved["partners"]) == (True, 4)
+    command("service", "backup", tmp_path / "board.zip", "--data", data)
+    command("service", "restore", tmp_path / "board.zip", "--data", tmp_path / "again")
+    tokens = json.loads(command("token", "list", "--data", tmp_path / "again", "--json"))
+    assert len(tokens) == 2
+
+
+def _wait_for_proof(root: str, environment: dict[str, str]) -> dict[str, Any]:
+    end = time.monotonic() + 300
+    while True:
+        try:
+            verify = ("season", "verify", "spring", "--root", root, "--json")
+            return json.loads(command(*verify, **environment))
+        except AssertionError:
+            if time.monotonic() > end:
+                raise
+            time.sleep(3)
+
+
+def test_a_server_stops_with_its_workers(board: dict[str, Any]) -> None:
+    """The fixture holds it to exit code 0, within a minute."""
+    assert (board["data"] / "worker-token").stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.slow
+def test_a_stop_gives_the_job_under_way_back(board: dict[str, Any], tmp_path: Path) -> None:
+    file = tmp_path / "robot.safetensors"
+    write_policy_file(file, ROBOT, params_of(ROBOT, 7))
+    command("submit", file, "--task", "scratch", "--method", "mine", **board["environment"])
+    assert any("job begins" in line for line in board["lines"])
+    stop(board["process"])
+    service = open_service(board["data"], registry=board["registry"])
+    with service.database.read() as connection:
+        rows = connection.execute(sa.select(t.jobs.c.state, t.jobs.c.failures)).all()
+    assert [tuple(row) for row in rows] == [("waiting", 0)]
+
+
+def test_a_folder_that_is_no_service_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["token", "list", "--data", str(tmp_path)]) == 1
+    assert "no folder of a service" in capsys.readouterr().err
+
+
+def test_a_refused_file_says_why_at_home(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "robot.pt"
+    path.write_bytes(b"\x80\x04pickle")
+    assert run(["submit", str(path), "--task", "scratch", "--check"]) == 1
+    assert "neither .safetensors" in capsys.readouterr().err
+
+
+def test_a_robot_is_not_handed_in_without_a_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A name that all share would make seeds of one method of all robots."""
+    path = tmp_path / "robot.safetensors"
+    path.write_bytes(b"robot")
+    assert run(["submit", str(path), "--task", "scratch"]) == 1
+    assert "give --method" in capsys.readouterr().err
+
+
+def test_who_watches_reads_the_range_of_ranks() -> None:
+    found = {"id": "7kq2", "state": "scored", "of_methods": 9, "board": "/tasks/scratch"}
+    for lowest, text in ((4, "2–4 of 9 on http://x/tasks/scratch"), (2, "2 of 9 on")):
+        ranks = {"board_place": 2, "board_lowest": lowest}
+        assert for_reader(found | ranks, "http://x")["place"].startswith(text)

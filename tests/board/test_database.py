@@ -1,0 +1,74 @@
+"""Migrations and tables say the same, and a writer is alone."""
+
+import threading
+from pathlib import Path
+
+import sqlalchemy as sa
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+
+from assistax_board.store.database import Database
+from assistax_board.store.schema import METADATA, submitters
+
+
+def test_migrations_lead_to_the_tables(tmp_path: Path) -> None:
+    database = new_database(tmp_path)
+    with database.read() as connection:
+        assert compare_metadata(MigrationContext.configure(connection), METADATA) == []
+
+
+def test_a_missing_column_would_be_found(tmp_path: Path) -> None:
+    database = new_database(tmp_path)
+    with database.write() as connection:
+        connection.execute(sa.text("ALTER TABLE submitters DROP COLUMN contact"))
+    with database.read() as connection:
+        assert compare_metadata(MigrationContext.configure(connection), METADATA) != []
+
+
+def test_upgrading_twice_changes_nothing(tmp_path: Path) -> None:
+    new_database(tmp_path).upgrade()
+
+
+def test_a_failed_block_leaves_nothing(tmp_path: Path) -> None:
+    database = new_database(tmp_path)
+    try:
+        with database.write() as connection:
+            add(connection, "lab")
+            raise RuntimeError("killed")
+    except RuntimeError:
+        pass
+    assert count(database) == 0
+
+
+def test_writers_wait_for_each_other(tmp_path: Path) -> None:
+    """Read, then write, by eight threads: with a deferred BEGIN some would fail or lose a row."""
+    database = new_database(tmp_path)
+
+    def append() -> None:
+        for _ in range(10):
+            with database.write() as connection:
+                seen = connection.execute(sa.select(sa.func.count()).select_from(submitters))
+                add(connection, f"lab {seen.scalar_one()}")
+
+    threads = [threading.Thread(target=append) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert count(database) == 80
+
+
+def new_database(folder: Path) -> Database:
+    database = Database(f"sqlite:///{folder / 'service.db'}")
+    database.upgrade()
+    return database
+
+
+def add(connection: sa.Connection, name: str) -> None:
+    connection.execute(sa.insert(submitters).values(id=name, name=name, created_at=0.0))
+
+
+def count(database: Database) -> int:
+    with database.read() as connection:
+        query = sa.select(sa.func.count()).select_from(submitters)
+        return connection.execute(query).scalar_one()

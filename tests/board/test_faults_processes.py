@@ -1,0 +1,265 @@
+"""SIGKILL of real processes, PostgreSQL's too, while robots are submitted and scored.
+
+Whatever is killed, and whenever: every submission ends, none is counted twice, no attempt is lost.
+`failed` is no loss if it is by design, a job that died with its worker at all its tries; everything
+else that is not a score or a refusal is.
+"""
+
+import contextlib
+import json
+import os
+import random
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import sqlalchemy as sa
+
+from assistax_board.client.client import Client
+from assistax_board.rules import jobs
+from assistax_board.serve import free_port
+from assistax_board.service import Service
+from assistax_board.store import schema as t
+from assistax_board.store.ledger import check_chain
+from assistax_board.vocabulary import FINAL_STATES
+from tests.board.fakes import FakeScorer, draft, new_service, new_submitter, take, work_off
+from tests.board.faulty import PATIENCE, real_service
+from tests.board.postgres import Cluster
+from tests.board.test_season import open_season
+
+ROOT = Path(__file__).parents[2]
+JOBS = 3 + 2  # public panel, panel A
+LABS, WORKERS = 5, 3
+
+
+class Process:
+    """A process that is started again whenever it was killed."""
+
+    def __init__(self, *words: Any) -> None:
+        self._words = [sys.executable, "-m", "tests.board.faulty", *map(str, words)]
+        self.start()
+
+    def start(self) -> None:
+        self._process = subprocess.Popen(self._words, cwd=ROOT, stderr=subprocess.DEVNULL)
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+    def look(self) -> None:
+        """Start it again if it went by itself, as a server does that finds no database."""
+        if self._process.poll() is not None:
+            self.start()
+
+
+def losses(service: Service, season: str, count: int) -> tuple[dict[str, int], list[str]]:
+    """Return how many submissions ended how, and everything that was lost or counted twice."""
+    found = service.queries.submissions(limit=1000)
+    lost = [] if len(found) == count else [f"{len(found)} submissions of {count}"]
+    with service.database.read() as connection:
+        results = Counter(connection.execute(sa.select(t.results.c.submission)).scalars())
+        struck = set(
+            connection.execute(
+                sa.select(t.jobs.c.submission).where(t.jobs.c.failures >= jobs.MAX_FAILURES)
+            ).scalars()
+        )
+        kinds = Counter(
+            (entry.kind, entry.body["id"])
+            for entry in connection.execute(sa.select(t.ledger))
+            if "id" in entry.body
+        )
+    try:
+        check_chain(service.queries.ledger())
+    except ValueError as error:
+        lost.append(str(error))
+    for one in found:
+        by_design = one.reason == "worker_errors" and one.id in struck
+        if one.state not in FINAL_STATES or (one.state == "failed" and not by_design):
+            lost.append(f"{one.id} is {one.state} for {one.reason}")
+        if one.attempt != ("spent" if one.state == "scored" else "refunded"):
+            lost.append(f"{one.id} is {one.state} and its attempt is {one.attempt}")
+        if one.state == "scored" and results[one.id] != JOBS:
+            lost.append(f"{one.id} has {results[one.id]} results")
+        told = kinds["submission", one.id], kinds["end", one.id], kinds["score", one.id]
+        if told != (1, 1, int(one.state == "scored")):
+            lost.append(f"{one.id} is told {told} times in the ledger")
+    lost += wrong_scores(service)
+    held = [each for each in service.queries.attempts(season) if each.reserved]
+    lost += [f"{each.submitter} has {each.reserved} attempts reserved" for each in held]
+    return dict(Counter(one.state for one in found)), lost
+
+
+def wrong_scores(service: Service) -> list[str]:
+    """Return the scores on the public panel that are not what undisturbed work gives."""
+    wrong, scorer = [], FakeScorer()
+    with service.database.read() as connection:
+        s = t.submissions.c
+        query = sa.select(t.scores, s.artefact).join(t.submissions, s.id == t.scores.c.submission)
+        rows = connection.execute(query.where(t.scores.c.panel == "public")).all()
+    for row in rows:
+        strength = float(service.artefacts.get(row.artefact).decode().split()[1])
+        mean = row.figures["mean"]
+        if abs(mean - strength - public_ease(scorer)) > 1e-4:
+            wrong.append(f"{row.submission} has {mean} for strength {strength}")
+    return wrong
+
+
+def public_ease(scorer: FakeScorer, known: list[float] = []) -> float:  # noqa: B006
+    """Return what the public panel adds to a robot's strength."""
+    if not known:
+        from assistax_board.rules.catalogue import PUBLIC_SEED, panel_episodes
+        from tests.board.fakes import FakeCatalogue, noise
+
+        names = [partner.id for partner in FakeCatalogue().public_panel("scratch")]
+        episodes = range(panel_episodes("scratch", "public"))
+        values = [noise(f"{PUBLIC_SEED:x}", name, k) for name in names for k in episodes]
+        known.append(sum(values) / len(values))
+    return known[0]
+
+
+@pytest.fixture(params=["sqlite", "postgres"])
+def database(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Cluster | None]:
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path / 'service.db'}", None
+    cluster = request.getfixturevalue("mortal_postgres")
+    return cluster.url.render_as_string(hide_password=False), cluster
+
+
+@pytest.mark.slow
+def test_kills_of_processes_lose_nothing(
+    database: tuple[str, Cluster | None], tmp_path: Path
+) -> None:
+    """ASSISTAX_KILLS=100 is the whole count, with 50 submissions."""
+    url, cluster = database
+    kills = int(os.environ.get("ASSISTAX_KILLS", "10"))
+    count = max(5, kills // 2)
+    service = real_service(tmp_path, url)
+    season = open_season(service, budget=count)
+    port = free_port("127.0.0.1", 0)
+    address = f"http://127.0.0.1:{port}"
+    work = service.create_token(("work",))
+    labs = [service.create_token(("submit",), submitter=f"lab {n}") for n in range(LABS)]
+    server = Process("serve", tmp_path, url, port)
+    workers = [Process("work", address, work) for _ in range(WORKERS)]
+    struck: Counter[str] = Counter()
+    threads = [
+        threading.Thread(
+            target=submit_and_wait,
+            args=(address, labs[n % LABS], n, lambda n=n: struck.total() * count >= n * kills),
+            daemon=True,
+        )
+        for n in range(count)
+    ]
+    began = time.monotonic()
+    with contextlib.ExitStack() as stack:
+        for process in (server, *workers):
+            stack.callback(process.kill)
+        for thread in threads:
+            thread.start()
+        rng = random.Random(f"kills {kills}")
+        for name in fates(rng, kills, with_database=cluster is not None):
+            time.sleep(rng.uniform(0.0, 2.0))
+            strike(name, rng, server, workers, cluster)
+            struck[name] += 1
+        while any(thread.is_alive() for thread in threads):
+            for process in (server, *workers):
+                process.look()
+            time.sleep(0.2)
+            assert time.monotonic() - began < 60 + 30 * kills, "something never ends"
+    states, lost = losses(service, season, count)
+    service.database.close()
+    line = {"database": url.partition(":")[0], "kills": dict(struck), "states": states}
+    print(json.dumps({**line, "lost": lost, "seconds": round(time.monotonic() - began)}))
+    assert lost == []
+    assert states.get("scored", 0) > count // 2
+
+
+def fates(rng: random.Random, kills: int, *, with_database: bool) -> Iterator[str]:
+    names = ["server", "worker", "database"] if with_database else ["server", "worker"]
+    yield from (rng.choice(names) for _ in range(kills))
+
+
+def strike(
+    name: str, rng: random.Random, server: Process, workers: list[Process], cluster: Any
+) -> None:
+    """Kill one of the processes, and start it again."""
+    for process in (server, *workers):
+        process.look()
+    if name == "database":
+        cluster.kill()
+        time.sleep(rng.uniform(0.0, 1.0))
+        cluster.start()
+        return
+    process = server if name == "server" else rng.choice(workers)
+    process.kill()
+    process.start()
+
+
+def submit_and_wait(address: str, token: str, number: int, may_begin: Callable[[], bool]) -> None:
+    """Hand a robot in, every seventh a broken one, and wait for its end as a submitter would."""
+    while not may_begin():
+        time.sleep(0.05)
+    client = Client(address, token, patience=PATIENCE)
+    data = b"broken" if number % 7 == 3 else f"robot {number}".encode()
+    fields = {"task": "scratch", "method": "mine", "season": "spring"}
+    id = client.submit(data, request_id=f"request-{number}", **fields)["id"]
+    while client.submission(id)["state"] not in FINAL_STATES:
+        time.sleep(3.0)
+    client.close()
+
+
+def ended(folder: Path) -> tuple[Service, str]:
+    """Return a service with one scored submission and one that failed by design."""
+    service = new_service(folder)
+    season, lab = open_season(service), new_submitter(service)
+    service.submit(lab, draft(2.0, "r1", season=season))
+    work_off(service)
+    service.submit(lab, draft(3.0, "r2", season=season))
+    for _ in range(jobs.MAX_FAILURES):
+        work = take(service)
+        service.job_failed(work.job, work.lease)
+    return service, season
+
+
+def test_a_failure_by_design_is_no_loss(tmp_path: Path) -> None:
+    service, season = ended(tmp_path)
+    assert losses(service, season, 2) == ({"scored": 1, "failed": 1}, [])
+
+
+S, R = sa.update(t.submissions), t.submissions.c
+PLANTED: dict[str, tuple[Any, str]] = {
+    "one never ends": (S.where(R.state == "scored").values(state="running"), "is running"),
+    "one fails though no job was struck at all its tries": (
+        sa.update(t.jobs).values(failures=1),
+        "is failed for worker_errors",
+    ),
+    "the ledger lacks one": (sa.delete(t.ledger).where(t.ledger.c.seq == 2), "does not follow"),
+    "an attempt is lost": (
+        S.where(R.state == "failed").values(attempt="spent"),
+        "its attempt is spent",
+    ),
+    "an attempt stays reserved": (
+        S.where(R.state == "failed").values(attempt="reserved"),
+        "1 attempts reserved",
+    ),
+    "a result is missing": (sa.delete(t.results).where(t.results.c.panel == "A"), "3 results"),
+    "a result is counted twice": (
+        sa.update(t.scores).where(t.scores.c.panel == "public").values(figures={"mean": 2.9}),
+        "has 2.9",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_a_planted_loss_is_found(tmp_path: Path, name: str) -> None:
+    service, season = ended(tmp_path)
+    statement, told = PLANTED[name]
+    with service.database.write() as connection:
+        connection.execute(statement)
+    assert any(told in each for each in losses(service, season, 2)[1])

@@ -1,0 +1,272 @@
+"""Clients that are slow or silent, a disk that is full, a server that is away for a while."""
+
+import socket
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import numpy as np
+import pytest
+from sqlalchemy import event
+
+from assistax_board import serve
+from assistax_board.api import guards
+from assistax_board.client.client import Client
+from assistax_board.live import client as live_client
+from assistax_board.live.robot import LiveRobot
+from assistax_board.service import Service
+from assistax_board.vocabulary import Scope
+from assistax_board.work.worker import Worker
+from tests.board.fakes import TASK, FakeScorer, draft, new_service, new_submitter, work_off
+from tests.board.running import Served, served
+from tests.board.test_live import FIELDS, Counting, play
+
+HALF = b"GET /api/health HTTP/1.1\r\nHost: x\r\n"
+SLOW = b"POST /api/submissions?task=scratch&method=m&request_id=12345678 HTTP/1.1\r\nHost: x\r\n"
+SLOW += b"Content-Length: 1000\r\nAuthorization: Bearer %s\r\n\r\n"
+SOON = 20.0
+
+
+def connected(server: Served, data: bytes = b"") -> socket.socket:
+    host, port = server.address.removeprefix("http://").split(":")
+    connection = socket.create_connection((host, int(port)), timeout=SOON)
+    connection.sendall(data)
+    return connection
+
+
+def hung_up(connection: socket.socket) -> bool:
+    """Return whether the server ends a connection, reading all that it says before."""
+    try:
+        while connection.recv(65536):
+            pass
+    except ConnectionError:
+        return True
+    except TimeoutError:
+        return False
+    finally:
+        connection.close()
+    return True
+
+
+@pytest.mark.parametrize("data", [b"", HALF, HALF + b"\r\n" + HALF], ids=["none", "half", "next"])
+def test_who_says_nothing_is_hung_up_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, data: bytes
+) -> None:
+    monkeypatch.setattr(serve, "SILENT_SECONDS", 0.3)
+    with served(new_service(tmp_path)) as server:
+        silent = [connected(server, data) for _ in range(50)]
+        assert httpx2.get(f"{server.address}/api/health").status_code == 200
+        assert all(map(hung_up, silent))
+
+
+@pytest.mark.slow
+def test_without_that_they_would_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serve._Impatient, "_look", lambda *_: None)
+    with served(new_service(tmp_path)) as server:
+        silent = connected(server)
+        silent.settimeout(2.0)
+        assert not hung_up(silent)
+
+
+@pytest.mark.slow
+def test_a_body_that_comes_too_slowly_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guards.BodyLimit.__init__, "__kwdefaults__", {"most": 2000, "seconds": 0.5})
+    service = new_service(tmp_path)
+    token = service.create_token(("submit",), submitter="lab")
+    with served(service) as server:
+        slow = connected(server, SLOW % token.encode())
+        ended = threading.Thread(target=hung_up, args=(slow,))
+        ended.start()
+        for _ in range(3):  # it goes on saying something
+            slow.sendall(b"x")
+            time.sleep(0.1)
+        assert httpx2.get(f"{server.address}/api/health").status_code == 200
+        ended.join(SOON)
+        assert not ended.is_alive()
+    assert service.queries.submissions() == []
+
+
+@pytest.mark.slow
+def test_who_takes_no_answer_is_hung_up_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It asks for much, again and again, and reads nothing: no buffer of the system holds that."""
+    monkeypatch.setattr(serve, "SILENT_SECONDS", 0.1)
+    monkeypatch.setattr(serve, "TAKING_LOOKS", 5)
+    service = new_service(tmp_path)
+    service.artefacts.put(large := bytes(8 * 1024 * 1024))
+    token = service.create_token(("work",))
+    name = service.artefacts.put(large)
+    ask = f"GET /api/work/artefacts/{name} HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {token}\r\n"
+    with served(service) as server:
+        taker = connected(server, f"{ask}\r\n".encode())
+        time.sleep(5.0)
+        assert hung_up_before(taker, len(large))
+
+
+def hung_up_before(connection: socket.socket, length: int) -> bool:
+    """Return whether the server ended a connection before all was sent."""
+    seen = 0
+    try:
+        while data := connection.recv(65536):
+            seen += len(data)
+    except ConnectionError:
+        pass
+    connection.close()
+    return seen < length
+
+
+@pytest.mark.slow
+def test_a_live_robot_that_thinks_long_is_not_hung_up_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serve, "SILENT_SECONDS", 0.1)
+    service = new_service(tmp_path)
+
+    def slow(obs: np.ndarray) -> np.ndarray:
+        time.sleep(0.2)
+        return np.zeros((len(obs), 3), np.float32)
+
+    id = play(service, slow)
+    [found] = [each for each in service.queries.submissions() if each.id == id]
+    assert found.state == "scored"
+
+
+class Watched(Counting):
+    """Says when it is in the midst of a batch."""
+
+    def __init__(self) -> None:
+        self.midst = threading.Event()
+
+    def __call__(self, obs: np.ndarray) -> np.ndarray:
+        action = super().__call__(obs)
+        if self.seen == 3:
+            self.midst.set()
+        return action
+
+
+@pytest.mark.slow
+def test_a_server_that_starts_again_does_not_show_in_a_live_score(tmp_path: Path) -> None:
+    """It forgets who was connected, and which step was asked; both ends say it again."""
+    (tmp_path / "calm").mkdir()
+    (tmp_path / "struck").mkdir()
+    calm, struck = new_service(tmp_path / "calm"), new_service(tmp_path / "struck")
+    first, second = play(calm, Counting()), over_two_servers(struck, Watched())
+    means = [
+        service.queries.scores(submission=id)[0].figures["mean"]
+        for service, id in ((calm, first), (struck, second))
+    ]
+    assert means[0] == means[1]
+
+
+def over_two_servers(service: Service, robot: Watched) -> str:
+    """Play a live robot while the server goes and another one comes to its address."""
+    with served(service) as server:
+        port = int(server.address.rpartition(":")[2])
+        submitter = client_of(server, "submit")
+        working = client_of(server, "work")
+        id = submitter.submit(b"", request_id="request-1", **FIELDS)["id"]
+        live = lambda work: LiveRobot(working, work)  # noqa: E731
+        worker = Worker(working, FakeScorer(), live=live, idle=0.05, beat=1.0)
+        at_home = threading.Thread(target=live_client.play_live, args=(submitter, id, robot))
+        threads = [at_home, threading.Thread(target=worker.run)]
+        for thread in threads:
+            thread.daemon = True
+            thread.start()
+        assert robot.midst.wait(SOON)
+    with served(service, port):
+        at_home.join(60)
+        worker.stop()
+        threads[1].join(60)
+    assert not any(thread.is_alive() for thread in threads)
+    submitter.close()
+    working.close()
+    return id
+
+
+def client_of(server: Served, scope: Scope, patience: float = 60.0) -> Client:
+    """Return a client that outlives its server."""
+    token = server.service.create_token((scope,), submitter="lab" if scope == "submit" else None)
+    return Client(server.address, token, patience=patience)
+
+
+def test_a_full_database_refuses_for_a_while_and_nothing_is_lost(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    space = {"pages": 0}
+
+    @event.listens_for(service.database.engine, "checkout")
+    def bound(connection: Any, *_: Any) -> None:
+        connection.execute(f"PRAGMA max_page_count={space['pages'] or 1_000_000}")
+
+    with served(service) as server:
+        client = server.client("submit", patience=0.0)
+        with service.database.read() as connection:
+            space["pages"] = connection.exec_driver_sql("PRAGMA page_count").scalar_one()
+        taken, fields = [], {"task": TASK, "method": "m" * 80}
+        with pytest.raises(OSError, match="503"):
+            for number in range(1000):
+                request = f"request-{number}"
+                taken.append(client.submit(b"robot 1.0", request_id=request, **fields)["id"])
+        assert len(service.queries.submissions(limit=1000)) == len(taken)
+        space["pages"] = 0
+        service.database.close()
+        taken.append(client.submit(b"robot 1.0", request_id=request, **fields)["id"])
+    work_off(service)
+    states = {each.id: each.state for each in service.queries.submissions(limit=1000)}
+    assert states == dict.fromkeys(taken, "scored")
+
+
+def test_a_disk_that_fills_up_at_a_result_costs_no_score(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The worker is told so, and the job is done again when there is space."""
+    service = new_service(tmp_path)
+    service.submit(new_submitter(service), draft())
+    real, left = service.artefacts.put, [2]
+
+    def put(data: bytes) -> str:
+        if left[0]:
+            left[0] -= 1
+            monkeypatch.setattr("assistax_board.store.artefacts.atomic_write", full)
+        else:
+            monkeypatch.undo()
+        return real(data)
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with served(service) as server:
+        working = server.client("work")
+        object.__setattr__(service.artefacts, "put", put)
+        Worker(working, FakeScorer(), idle=0.05, beat=1.0).run(until_empty=True)
+    assert [each.state for each in service.queries.submissions()] == ["scored"]
+
+
+@pytest.mark.parametrize(("proxy", "answered"), [(None, 30), ("127.0.0.1", 60)])
+def test_where_a_request_comes_from_is_believed_of_a_named_proxy_alone(
+    tmp_path: Path, proxy: str | None, answered: int
+) -> None:
+    """Guesses are limited by address, so nobody may choose an address with each guess."""
+    with served(new_service(tmp_path), proxy=proxy) as server:
+        codes = [
+            httpx2.get(
+                f"{server.address}/api/work/artefacts/{'0' * 64}",
+                headers={"X-Forwarded-For": f"203.0.113.{number}"},
+            ).status_code
+            for number in range(60)
+        ]
+    assert codes.count(401) == answered
+    assert set(codes) <= {401, 429}
+
+
+@pytest.mark.parametrize("proxy", ["*", "caddy", "0.0.0.0/0", "", "127.0.0.1,*"])
+def test_who_is_believed_is_an_address(proxy: str) -> None:
+    with pytest.raises(ValueError, match="give its address"):
+        serve.check_proxy(proxy)
+
+
+def test_addresses_and_networks_are_believed() -> None:
+    for proxy in (None, "127.0.0.1", "10.0.0.0/24, ::1"):
+        serve.check_proxy(proxy)

@@ -1,0 +1,182 @@
+"""A stranger's file gets so many seconds and bytes, and takes them from nobody else."""
+
+import os
+import signal
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import numpy as np
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from assistax_board.client.client import Client
+from assistax_board.problems import Problem, Refusal
+from assistax_board.robots import admission
+from assistax_board.robots.admission import Admission
+from assistax_board.robots.limited import BusyError, DiedError, OverBudgetError, run_limited
+from population.networks.onnx_export import to_onnx
+from population.networks.spec import PolicySpec
+from tests.board.fakes import TASK, admit, new_service, shown
+from tests.board.running import served
+from tests.untrained import params_of
+
+OBS, ACT = 34, 7
+SIZES = {TASK: (OBS, ACT)}
+MIB = 1024 * 1024
+
+
+def answer(pid: Any = None) -> int:
+    return os.getpid()
+
+
+def spin() -> None:
+    while True:
+        pass
+
+
+def fill() -> None:
+    kept = []
+    while True:
+        kept.append(bytearray(os.urandom(MIB)))
+
+
+def abort() -> None:
+    os.abort()
+
+
+def ended_by(number: int) -> None:
+    os.kill(os.getpid(), number)
+    time.sleep(60)
+
+
+def play(function: Any, *args: Any, seconds: int = 20, most: int = 1024 * MIB) -> Any:
+    return run_limited(function, *args, seconds=seconds, most_bytes=most)
+
+
+def test_a_function_answers_from_another_process_that_is_gone_then() -> None:
+    pid = play(answer)
+    assert pid != os.getpid()
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def test_seconds_and_bytes_are_bounded() -> None:
+    with pytest.raises(OverBudgetError, match="seconds"):
+        play(spin, seconds=1)
+    with pytest.raises(OverBudgetError, match="bytes"):
+        play(fill, most=512 * MIB)
+
+
+def test_who_dies_by_itself_is_told_from_who_was_ended() -> None:
+    with pytest.raises(DiedError):
+        play(abort)
+    with pytest.raises(BusyError):
+        play(ended_by, signal.SIGTERM)
+
+
+def file_of(nodes: list[Any], constants: dict[str, np.ndarray], last: str) -> bytes:
+    """Return an ONNX robot of scratch with these nodes."""
+    tensors = [numpy_helper.from_array(value, name) for name, value in constants.items()]
+    obs = helper.make_tensor_value_info("obs", TensorProto.FLOAT, ["N", OBS])
+    action = helper.make_tensor_value_info(last, TensorProto.FLOAT, None)
+    graph = helper.make_graph(nodes, "g", [obs], [action], tensors)
+    opsets = [helper.make_opsetid("", 17)]
+    return helper.make_model(graph, opset_imports=opsets, ir_version=8).SerializeToString()
+
+
+def many_shapes(count: int) -> bytes:
+    """Every node makes another shape: a second of a compiler each, if each is compiled alone."""
+    constants = {"w": np.full((OBS, ACT), 0.01, np.float32)}
+    nodes = [helper.make_node("MatMul", ["obs", "w"], ["action"])]
+    for place in range(count):
+        constants[f"c{place}"] = np.ones((1, 2 + place), np.float32)
+        nodes.append(helper.make_node("Tanh", [f"c{place}"], [f"t{place}"]))
+        nodes.append(helper.make_node("Softmax", [f"t{place}"], [f"s{place}"]))
+    return file_of(nodes, constants, "action")
+
+
+def seconds_of(function: Any, *args: Any) -> float:
+    """Return the seconds of processors that a function takes here."""
+    began = time.process_time()
+    function(*args)
+    return time.process_time() - began
+
+
+@pytest.mark.slow
+def test_many_operators_of_unlike_shapes_are_compiled_at_once() -> None:
+    first = lambda: Admission(SIZES).read(many_shapes(1), TASK)  # noqa: E731
+    first()
+    assert seconds_of(Admission(SIZES).read, many_shapes(150), TASK) < 5.0
+
+
+def test_admission_says_what_a_file_took_too_much_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = PolicySpec("robot", OBS, ACT, hidden=(8,))
+    good = to_onnx(spec, params_of(spec, 0))
+    assert Admission(SIZES)(good, TASK) == "onnx"
+    with monkeypatch.context() as patch, pytest.raises(Refusal) as refusal:
+        patch.setattr(admission, "BYTES", MIB)
+        Admission(SIZES)(good, TASK)
+    assert refusal.value.code == "graph_too_large"
+    monkeypatch.setattr(admission, "run_limited", lambda *_, **__: play(spin, seconds=1))
+    with pytest.raises(Refusal) as refusal:
+        Admission(SIZES)(good, TASK)
+    assert refusal.value.code == "too_slow"
+
+
+def test_readers_do_not_wait_for_files_that_are_looked_at(tmp_path: Path) -> None:
+    """Forty threads answer all requests; a file that takes long must keep none of them."""
+    service, go_on = new_service(tmp_path), threading.Event()
+
+    def slow(data: bytes, task: str) -> str:
+        go_on.wait(30)
+        return admit(data, task)
+
+    object.__setattr__(service, "admit", slow)
+    with served(service) as server, ThreadPoolExecutor(48) as pool:
+        labs = [server.client("submit", f"lab {number}") for number in range(48)]
+        answers = [pool.submit(hand_in, lab) for lab in labs]
+        time.sleep(2.0)
+        began = time.monotonic()
+        assert httpx2.get(f"{server.address}/api/health", timeout=20.0).status_code == 200
+        took = time.monotonic() - began
+        go_on.set()
+        ids = [one.result() for one in answers]
+    assert took < 1.0
+    assert {shown(service, id).state for id in ids} == {"queued"}
+
+
+def hand_in(client: Client) -> str:
+    fields = {"task": TASK, "method": "m", "request_id": "request-1"}
+    return client.submit(b"robot 1.0", **fields)["id"]
+
+
+def test_one_lab_keeps_few_places_at_the_desk(tmp_path: Path) -> None:
+    service, go_on = new_service(tmp_path), threading.Event()
+    object.__setattr__(service, "admit", lambda data, task: str(go_on.wait(30)))
+    with served(service) as server, ThreadPoolExecutor(4) as pool:
+        many, other = server.client("submit", "many"), server.client("submit", "other")
+        fields = {"task": TASK, "method": "m"}
+        answers = [
+            pool.submit(many.submit, b"robot 1.0", request_id=f"request-{i}", **fields)
+            for i in range(4)
+        ]
+        time.sleep(1.0)
+        many._patience = other._patience = 0.0
+        with pytest.raises(OSError, match="503"):
+            many.submit(b"robot 1.0", request_id="request-9", **fields)
+        threading.Timer(0.5, go_on.set).start()
+        assert hand_in(other)
+        assert len({one.result()["id"] for one in answers}) == 4
+
+
+def test_a_busy_machine_refuses_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def busy(*_: Any, **__: Any) -> None:
+        raise BusyError
+
+    monkeypatch.setattr(admission, "run_limited", busy)
+    with pytest.raises(Problem, match="busy"):
+        Admission(SIZES)(b"robot", TASK)

@@ -1,0 +1,330 @@
+"""Live robots: the same score as at home, whatever happens to the connection."""
+
+import asyncio
+import contextlib
+import threading
+import time
+from pathlib import Path
+from socket import SHUT_RDWR
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from assistax_board.client.client import Client
+from assistax_board.live import client as live_client
+from assistax_board.live import rooms
+from assistax_board.live.messages import decode, encode, pack_rows, unpack_rows
+from assistax_board.live.robot import LiveRobot
+from assistax_board.live.rooms import BankEmpty, Rooms
+from assistax_board.problems import Problem
+from assistax_board.service import Service
+from assistax_board.work.worker import Worker
+from tests.board.fakes import TASK, FakeScorer, advance, draft, new_service, new_submitter, shown
+from tests.board.running import served
+from tests.board.test_season import open_season
+
+FIELDS = {"task": TASK, "method": "live", "kind": "live"}
+
+
+class Counting:
+    """A robot with memory: its action is the number of steps it has seen since its reset."""
+
+    def reset(self, rows: int) -> None:
+        self.seen = 0
+
+    def __call__(self, obs: np.ndarray) -> np.ndarray:
+        self.seen += 1
+        return np.full((len(obs), 3), self.seen, np.float32)
+
+
+class Dropping:
+    """A connection that is lost at every few messages, before or after sending."""
+
+    def __init__(self, socket: Any, rng: np.random.Generator) -> None:
+        self._socket, self._rng = socket, rng
+
+    def __enter__(self) -> "Dropping":
+        self._socket.__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._socket.__exit__(*error)
+
+    def recv(self) -> bytes:
+        return self._socket.recv()
+
+    def send(self, data: bytes) -> None:
+        moment = self._rng.integers(6)
+        if moment == 0:
+            raise ConnectionError("lost before it was sent")
+        self._socket.send(data)
+        if moment == 1:
+            raise ConnectionError("lost after it was sent")
+
+
+def play(service: Service, robot: Any, connect: Any = None, **fields: Any) -> str:
+    """Submit and play a live robot with one worker; return the submission's id."""
+    with served(service) as server:
+        submitter, working = server.client("submit"), server.client("work")
+        fields = {"request_id": "request-1", **FIELDS, **fields}
+        id = submitter.submit(b"", **fields)["id"]
+        live = lambda work: LiveRobot(working, work)  # noqa: E731
+        worker = Worker(working, FakeScorer(), live=live, idle=0.05, beat=1.0)
+        thread = threading.Thread(target=worker.run)
+        thread.start()
+        try:
+            live_client.play_live(submitter, id, robot, connect=connect)
+        finally:
+            worker.stop()
+            thread.join()
+    return id
+
+
+def test_a_live_robot_is_scored(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    id = play(service, Counting())
+    assert shown(service, id).state == "scored"
+    [score] = service.queries.scores(submission=id)
+    assert 3.5 < score.figures["mean"] < 4.5  # the mean of 1 to 6, and the partners' own part
+
+
+def test_lost_connections_do_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_client, "PAUSE_SECONDS", 0.01)
+    rng = np.random.default_rng(0)
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    calm, stormy = new_service(tmp_path / "a"), new_service(tmp_path / "b")
+    first = play(calm, Counting())
+
+    def connect(client: Client, submission: str) -> Dropping:
+        return Dropping(live_client._connect(client, submission), rng)
+
+    second = play(stormy, Counting(), connect)
+    means = [
+        service.queries.scores(submission=id)[0].figures["mean"]
+        for service, id in ((calm, first), (stormy, second))
+    ]
+    assert means[0] == means[1]
+
+
+def test_numbers_that_are_not_finite_end_it_with_a_word(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    id = play(service, lambda obs: np.full((len(obs), 3), np.nan, np.float32))
+    assert (shown(service, id).state, shown(service, id).reason) == ("refused", "not_finite")
+
+
+def test_live_robots_never_meet_hidden_partners(tmp_path: Path) -> None:
+    """Their observations leave the server, a whole panel's in one batch."""
+    service = new_service(tmp_path)
+    season = open_season(service)
+    with served(service) as server:
+        owner = server.client("submit")
+        with pytest.raises(Problem, match="public partners alone"):
+            owner.submit(b"", request_id="request-1", season=season, **FIELDS)
+    assert service.queries.submissions() == []
+
+
+def test_nobody_plays_for_another(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    with served(service) as server:
+        owner = server.client("submit")
+        id = owner.submit(b"", request_id="request-1", **FIELDS)["id"]
+        other = server.client("submit", "another lab")
+        with pytest.raises(ValueError, match="no live submission"):
+            live_client.play_live(other, id, Counting())
+
+
+def test_jobs_wait_for_the_client(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    with served(service) as server:
+        owner, working = server.client("submit"), server.client("work")
+        owner.submit(b"", request_id="request-1", **FIELDS)
+        assert working.lease("w", FakeScorer().versions()) is None
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\xc1",
+        "text",
+        msgpack.packb({"type": "act"}),
+        msgpack.packb({"type": "act", "batch": "b", "step": "0", "rows": 1, "numbers": b""}),
+        msgpack.packb({"type": "act", "batch": "b", "step": True, "rows": 1, "numbers": b""}),
+        msgpack.packb(msgpack.ExtType(1, b"code")),
+        msgpack.packb({"type": "observe", "batch": "b", "step": 0, "rows": 1, "numbers": b""}),
+        bytes(5 * 1024 * 1024),
+    ],
+)
+def test_what_is_no_message_is_refused(data: Any) -> None:
+    with pytest.raises(ValueError):
+        decode(data, "act")
+
+
+def test_messages_are_what_was_sent() -> None:
+    rows = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32)
+    message = decode(encode("act", batch="b", step=3, **pack_rows(rows)), "act")
+    np.testing.assert_array_equal(unpack_rows(message), rows)
+    for wrong in ({"rows": 4}, {"rows": 0}, {"numbers": b""}, {"rows": 10**9}):
+        with pytest.raises(ValueError, match="bytes are not"):
+            unpack_rows({**message, **wrong})
+
+
+def websocket(client: Client, id: str) -> Any:
+    """Return an open connection to a live submission's room."""
+    return live_client._connect(client, id).__enter__()
+
+
+def handed_in(client: Client, number: int = 1) -> str:
+    return client.submit(b"", request_id=f"request-{number}", **FIELDS)["id"]
+
+
+def is_present(working: Client) -> bool:
+    """Return whether a client is there, by whether its job is given out."""
+    work = working.lease("w", FakeScorer().versions())
+    if work is not None:
+        working.give_back(work)
+    return work is not None
+
+
+def soon(condition: Any, seconds: float = 5.0) -> bool:
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+@pytest.mark.parametrize("gently", [True, False])
+def test_who_leaves_while_no_question_waits_is_missed(tmp_path: Path, gently: bool) -> None:
+    with served(new_service(tmp_path)) as server:
+        owner, working = server.client("submit"), server.client("work")
+        socket = websocket(owner, handed_in(owner))
+        assert soon(lambda: is_present(working))
+        if gently:
+            socket.close()
+        else:
+            socket.socket.shutdown(SHUT_RDWR)
+        assert soon(lambda: not is_present(working))
+
+
+def test_one_token_cannot_take_all_connections(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rooms, "SEATS_OF_OWNER", 3)
+    with served(new_service(tmp_path)) as server:
+        owner = server.client("submit")
+        names = [handed_in(owner, number) for number in range(4)]
+        sockets = [websocket(owner, name) for name in names[:3]]
+        with pytest.raises(InvalidStatus) as refused:
+            websocket(owner, names[3])
+        assert refused.value.response.status_code == 429
+        sockets[0].close()
+        assert soon(lambda: connects(owner, names[3]))
+        for socket in sockets:
+            socket.close()
+
+
+def connects(client: Client, id: str) -> bool:
+    with contextlib.suppress(InvalidStatus):
+        websocket(client, id).close()
+        return True
+    return False
+
+
+def test_a_submission_has_one_connection_the_newest(tmp_path: Path) -> None:
+    with served(new_service(tmp_path)) as server:
+        owner, working = server.client("submit"), server.client("work")
+        id = handed_in(owner)
+        first = websocket(owner, id)
+        with contextlib.closing(websocket(owner, id)):
+            with pytest.raises(ConnectionClosed):
+                first.recv(5.0)
+            assert is_present(working)
+
+
+def test_connections_that_are_opened_all_the_time_are_limited(tmp_path: Path) -> None:
+    with served(new_service(tmp_path)) as server:
+        owner = server.client("submit")
+        id = handed_in(owner)
+        opened = [connects(owner, id) for _ in range(130)]
+        assert opened[:100] == [True] * 100 and not any(opened[120:])
+        assert owner.about()["tasks"] == [TASK]
+
+
+@pytest.mark.parametrize("data", ["text", b"\xc1"])
+def test_what_nobody_asked_for_ends_the_connection_alone(tmp_path: Path, data: Any) -> None:
+    service = new_service(tmp_path)
+    with served(service) as server:
+        owner = server.client("submit")
+        with contextlib.closing(websocket(owner, id := handed_in(owner))) as socket:
+            socket.send(data)
+            with pytest.raises(ConnectionClosed) as closed:
+                socket.recv(5.0)
+        assert closed.value.rcvd is not None and closed.value.rcvd.code == 1008
+    assert shown(service, id).state == "queued"
+
+
+def test_a_text_instead_of_an_answer_is_refused(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    with served(service) as server:
+        owner, working = server.client("submit"), server.client("work")
+        with contextlib.closing(websocket(owner, id := handed_in(owner))) as socket:
+            assert soon(lambda: is_present(working))
+            work = working.lease("w", FakeScorer().versions())
+            assert work is not None
+            robot = LiveRobot(working, work)
+            asking = threading.Thread(target=ask_once, args=(robot,))
+            asking.start()
+            socket.recv(5.0)
+            socket.send("text")
+            assert decode(socket.recv(5.0), "end")["state"] == "refused"
+            asking.join()
+    assert shown(service, id).reason == "malformed"
+
+
+def ask_once(robot: LiveRobot) -> None:
+    with contextlib.suppress(ValueError):
+        robot(np.zeros((2, 4), np.float32))
+
+
+def test_time_away_is_taken_from_the_bank() -> None:
+    """A client that is there for moments only would think for ever otherwise."""
+
+    async def flicker() -> None:
+        house = Rooms(resume=60.0, bank=0.3)
+        asking = asyncio.create_task(house.ask("s", ("batch", 0), b"", 5.0))
+        while not asking.done():
+            house.leave(house.take_seat("s", "lab"))
+            await asyncio.sleep(0.05)
+        await asking
+
+    with pytest.raises(BankEmpty):
+        asyncio.run(asyncio.wait_for(flicker(), 5.0))
+
+
+def test_who_comes_and_goes_without_playing_is_gone_after_a_day(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    id = service.submit(new_submitter(service), draft(data=None, kind="live"))
+    house = Rooms()
+    for _ in range(25):
+        house.leave(house.take_seat(id, "lab"))
+        service.lease("w", FakeScorer().versions(), house)
+        assert shown(service, id).state == "queued"
+        advance(service, 3600.0)
+    service.lease("w", FakeScorer().versions(), house)
+    assert (shown(service, id).state, shown(service, id).reason) == ("failed", "client_gone")
+
+
+def test_a_client_has_time_to_come_however_long_the_server_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service, house, began = new_service(tmp_path), Rooms(), time.monotonic()
+    monkeypatch.setattr(rooms.time, "monotonic", lambda: began + 2 * rooms.GONE_SECONDS)
+    id = service.submit(new_submitter(service), draft(data=None, kind="live"))
+    service.lease("w", FakeScorer().versions(), house)
+    assert shown(service, id).state == "queued"

@@ -1,0 +1,528 @@
+"""Pages: all are there, none runs what a name holds, forms are answered to their writers."""
+
+import dataclasses
+import json
+import os
+import re
+import subprocess
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+import sqlalchemy as sa
+from limits import parse
+from starlette.testclient import TestClient
+
+from assistax_board.api import guards
+from assistax_board.api.app import create_app
+from assistax_board.pages import behind, boards
+from assistax_board.pages.cache import PageCache
+from assistax_board.pages.charts import axis_over
+from assistax_board.pages.crossplays import PUBLISHED, CrossPlays
+from assistax_board.pages.routes import partners as partner_routes
+from assistax_board.pages.security import FIELD
+from assistax_board.pages.videos import Pair, Videos, run_command
+from assistax_board.store import schema as t
+from assistax_board.store.queries import STATEMENT
+from tests.board.board_data import HOSTILE, make_app
+from tests.board.fakes import TASK, draft, new_service, new_submitter, work_off
+from tests.untrained import published, teams_of
+
+PAIR = "/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1"
+EXPLORER = "/tasks/scratch/explorer"
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    with TestClient(make_app(tmp_path_factory.mktemp("pages"))) as client:
+        yield client
+
+
+def linked(client: TestClient, page: str, pattern: str) -> str:
+    """Return the first address on a page that looks like `pattern`."""
+    found = re.search(rf'href="({pattern})"', client.get(page).text)
+    assert found, f"{page} has no link like {pattern}"
+    return found[1]
+
+
+@pytest.fixture(scope="module")
+def addresses(client: TestClient) -> list[str]:
+    board = "/tasks/scratch"
+    queued = re.search(r'class="queue">.*?href="([^"]+)"', client.get(board).text, re.DOTALL)
+    assert queued
+    return [
+        "/",
+        board,
+        "/tasks/arm_assist",
+        "/tasks/scratch/compare",
+        "/tasks/scratch/partners",
+        "/tasks/scratch/partners?algorithm=ippo&disability=d3",
+        "/partners/scratch/ippo-d1-s0-v1",
+        PAIR,
+        EXPLORER,
+        linked(client, board, r"/submissions/\w+"),
+        queued[1],
+        "/seasons",
+        linked(client, "/seasons", r"/seasons/\w+"),
+        "/ledger",
+        "/submit",
+        "/submit?task=bed_bath",
+        "/tasks/nowhere",
+    ]
+
+
+class Elements(HTMLParser):
+    """Every element of a page with its attributes."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+
+
+def inline(text: str) -> list[str]:
+    """Return what a strict policy would refuse to run, or what a name has brought into a page."""
+    bad = []
+    for tag, attributes in Elements(text).found:
+        bad += [name for name in attributes if name.startswith("on") or name == "style"]
+        bad += [tag] if tag == "style" or (tag == "script" and not attributes.get("src")) else []
+        bad += [tag] if (attributes.get("src") or "").startswith("x") else []
+    return bad
+
+
+def test_every_page_is_there_and_holds_nothing_inline(
+    client: TestClient, addresses: list[str]
+) -> None:
+    for address in addresses:
+        answer = client.get(address)
+        assert answer.status_code == (404 if "nowhere" in address else 200), address
+        assert inline(answer.text) == [], address
+        assert "script-src 'self'" in answer.headers["content-security-policy"]
+        assert "unsafe" not in answer.headers["content-security-policy"]
+        assert answer.text.count("<h1>") == 1, address
+
+
+def test_of_robots_that_were_handed_in_it_is_said_that_training_is_not_known(
+    client: TestClient,
+) -> None:
+    """The rows to measure by were trained with no partner of the panel."""
+    board = client.get("/tasks/scratch").text
+    assert "Partners met in training: not known" in board
+    rows = [row for row in board.split('<tr role="row"')[1:] if 'href="/submissions/' in row]
+    handed_in, measure = (
+        [
+            re.findall(r'href="(/submissions/[^"]+)"', row)[0]
+            for row in rows
+            if row.startswith(' class="reference"') is wanted
+        ]
+        for wanted in (False, True)
+    )
+    line = "partners met in training: not known"
+    assert handed_in and all(line in client.get(address).text for address in handed_in)
+    assert measure and all(line not in client.get(address).text for address in measure)
+
+
+def test_a_hostile_name_stays_a_text(client: TestClient) -> None:
+    for address in ("/tasks/scratch", "/tasks/scratch/compare"):
+        text = client.get(address).text
+        assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
+        assert "{{ 7*7 }}" in text, "a name is no template"
+    assert inline(HOSTILE) == ["script", "onerror", "img"], "the planted name would be found"
+
+
+def test_every_board_says_what_the_partners_are_not(client: TestClient) -> None:
+    for address in ("/tasks/scratch", "/tasks/arm_assist", "/seasons/5ea5011"):
+        page = client.get(address).text
+        assert f'role="note">{STATEMENT}' in page
+
+
+def test_a_seasons_secret_is_on_no_page(client: TestClient, addresses: list[str]) -> None:
+    assert not [address for address in addresses if "hidden-4711" in client.get(address).text]
+
+
+def test_methods_that_cannot_be_told_apart_share_a_place(client: TestClient) -> None:
+    text = client.get("/tasks/scratch").text
+    places = re.findall(r'<span class="rank">(\d)', text)
+    assert places == ["1", "1", "3", "4"], "rows to measure by have none"
+    assert text.index("ppo ego") < text.index("sac ego") < text.index("scripted")
+
+
+def test_seeds_are_pooled_and_the_random_row_is_zero(client: TestClient) -> None:
+    text = client.get("/tasks/scratch").text
+    rows = re.findall(r'<tr role="row" class="reference">(.*?)</tr>', text, re.DOTALL)
+    named = zip(("self-play", "random", "zero"), rows, strict=True)
+    assert all(name in row for name, row in named)
+    assert 'data-label="Normalised">0.00<' in rows[1]
+    assert "4 seeds" in text
+
+
+def test_a_submission_tells_its_place_in_the_queue(
+    client: TestClient, addresses: list[str]
+) -> None:
+    text = client.get(addresses[10]).text
+    assert "number 1 in the queue" in text
+    assert "data-live" in text
+
+
+def test_a_receipt_can_be_downloaded(client: TestClient, addresses: list[str]) -> None:
+    answer = client.get(f"{addresses[9]}/receipt.json")
+    assert answer.headers["content-disposition"].startswith("attachment")
+    assert set(answer.json()) == {"content", "signature"}
+    assert client.get(f"{addresses[10]}/receipt.json").status_code == 404
+
+
+def test_partners_are_filtered_by_every_trait(client: TestClient) -> None:
+    def count(query: str) -> int:
+        found = re.search(
+            r"(\d+) of 198 partners", client.get(f"/tasks/scratch/partners?{query}").text
+        )
+        assert found
+        return int(found[1])
+
+    assert count("") == 198
+    assert count("algorithm=ippo&disability=d3") == 8
+    assert count("side=test") == 99
+    groups = [count(f"behaviour={letter}") for letter in "ABCDEFGH"]
+    assert sum(groups) == 198
+    assert count("algorithm=<script>") == 0
+
+
+def test_two_methods_are_compared_partner_by_partner(client: TestClient) -> None:
+    text = client.get("/tasks/scratch/compare").text
+    assert text.count('href="/partners/scratch/') == 99
+    a = re.findall(r'<option value="(\w+)"', text)[:2]
+    forward, back = (
+        client.get(f"/tasks/scratch/compare?a={one}&b={other}").text
+        for one, other in (a, reversed(a))
+    )
+    found = [re.search(r"<b>(-?[\d.]+)</b>, 95% interval", page) for page in (forward, back)]
+    assert found[0] and found[1] and float(found[0][1]) == -float(found[1][1])
+    assert client.get("/tasks/scratch/compare?a=nobody").status_code == 404
+
+
+def test_the_explorer_has_the_saved_pairs(client: TestClient) -> None:
+    numbers = re.search(r'data-numbers="([^"]+)"', client.get(EXPLORER).text)
+    assert numbers
+    axes = client.get(f"{numbers[1]}/matrix.json").json()
+    answer = client.get(f"{numbers[1]}/return.f32")
+    assert "immutable" in answer.headers["cache-control"]
+    values = np.frombuffer(answer.content, "<f4").reshape(198, 198)
+    pairs = pl.read_parquet(PUBLISHED / "scratch" / "pairs.parquet")
+    for place in (0, 4711, 39203):
+        row = pairs.row(place, named=True)
+        r, c = divmod(place, 198)
+        assert (axes["rows"][r]["name"], axes["columns"][c]["name"]) == (row["ego"], row["partner"])
+        assert values[r, c] == pytest.approx(row["return"])
+    for order in axes["orders"].values():
+        assert sorted(order["rows"]) == sorted(order["columns"]) == list(range(198))
+    assert client.get(f"{numbers[1]}/secret.f32").status_code == 404
+    assert client.get("/crossplays/scratch/0123/return.f32").status_code == 404
+
+
+def test_a_page_that_the_reader_has_is_not_sent_again(client: TestClient) -> None:
+    first = client.get(EXPLORER)
+    again = client.get(EXPLORER, headers={"If-None-Match": first.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    plain = client.get(EXPLORER, headers={"Accept-Encoding": "identity"})
+    assert plain.text == first.text
+
+
+def test_a_static_file_changes_its_address_with_its_content(client: TestClient) -> None:
+    address = re.search(r'href="(/static/pages\.[^"]+\.css)"', client.get("/").text)
+    assert address
+    assert "immutable" in client.get(address[1]).headers["cache-control"]
+    assert client.get("/static/pages.css").status_code == 404
+    assert client.get("/static/..%2f__init__.py").status_code == 404
+
+
+class Films:
+    """Stands for the command line: writes a film and a table, or fails."""
+
+    def __init__(self, fails: bool = False) -> None:
+        self.fails = fails
+        self.commands: list[Sequence[str]] = []
+
+    def __call__(self, arguments: Sequence[str]) -> None:
+        self.commands.append(arguments)
+        if self.fails:
+            raise RuntimeError("no display")
+        out = Path(arguments[-1])
+        if arguments[0] == "render":
+            out.write_bytes(b"film")
+        else:
+            out.mkdir()
+            pl.DataFrame({"episode": [1, 0], "return": [2.0, 1.0]}).write_parquet(
+                out / "episodes.parquet"
+            )
+
+
+ONE = Pair("scratch", "scratch/a/robot", "scratch/b/human", ("1" * 64, "2" * 64), 1)
+
+
+def test_a_film_is_made_once_and_kept(tmp_path: Path) -> None:
+    run = Films()
+    videos = Videos(tmp_path, run)
+    assert videos.state(ONE) == "none"
+    assert videos.ask(ONE) == "waiting"
+    videos.ask(ONE)
+    videos.wait()
+    assert videos.ask(ONE) == "ready"
+    assert videos.returns(ONE) == [1.0, 2.0]
+    assert len(run.commands) == 2
+    film = Videos(tmp_path, run).film(ONE.key)
+    assert film is not None and film.read_bytes() == b"film"
+    assert [one.name for one in tmp_path.iterdir()] == [ONE.key]
+
+
+def test_a_film_that_fails_may_be_asked_for_again(tmp_path: Path) -> None:
+    run = Films(fails=True)
+    videos = Videos(tmp_path, run)
+    videos.ask(ONE)
+    videos.wait()
+    assert videos.state(ONE) == "failed"
+    run.fails = False
+    videos.ask(ONE)
+    videos.wait()
+    assert videos.state(ONE) == "ready"
+
+
+def test_films_have_so_much_room_on_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The one that nobody has looked at for longest goes."""
+    pairs = [dataclasses.replace(ONE, env_version=number) for number in range(4)]
+    videos = Videos(tmp_path, Films())
+    for place, pair in enumerate(pairs[:3]):
+        videos.ask(pair)
+        videos.wait()
+        os.utime(tmp_path / pair.key, (place, place))
+    size = sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file()) // 3
+    monkeypatch.setattr("assistax_board.pages.videos.MOST_BYTES", 3 * size)
+    assert videos.film(pairs[0].key)  # somebody looks at the oldest
+    videos.ask(pairs[3])
+    videos.wait()
+    assert [videos.state(pair) for pair in pairs] == ["ready", "none", "ready", "ready"]
+
+
+def test_pages_and_films_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guards, "PAGES", parse("40/minute"))
+    monkeypatch.setattr(partner_routes, "FILMS", parse("2/hour"))
+    monkeypatch.setattr(Videos, "ask", lambda self, pair: "waiting")
+    with TestClient(make_app(tmp_path), follow_redirects=False) as reader:
+        pairs = [f"/pairs/scratch/ippo-d1-s0-v1/ippo-d{d}-s1-v1" for d in (1, 3, 5)]
+        codes = []
+        for pair in pairs:
+            token = re.search(rf'name="{FIELD}" value="(\w+)"', reader.get(pair).text)
+            assert token
+            codes.append(reader.post(pair, data={FIELD: token[1]}).status_code)
+        assert codes == [303, 303, 429]
+        found = [reader.get("/").status_code for _ in range(40)]
+        assert (found[0], found[-1]) == (200, 429)
+
+
+def test_no_other_file_is_served_as_a_film(tmp_path: Path) -> None:
+    (tmp_path / "x").mkdir()
+    (tmp_path / "x" / "film.mp4").write_bytes(b"secret")
+    videos = Videos(tmp_path, Films())
+    for key in ("x", "../x", "", "A" * 32, ".." + "0" * 30):
+        assert videos.film(key) is None
+
+
+def test_a_form_is_answered_to_who_was_given_it(tmp_path: Path) -> None:
+    app = make_app(tmp_path)
+    with TestClient(app) as reader, TestClient(app) as other:
+        token = re.search(rf'name="{FIELD}" value="(\w+)"', reader.get(PAIR).text)
+        assert token
+        other.get(PAIR)
+        form = {FIELD: token[1]}
+        assert reader.post(PAIR).status_code == 403
+        assert other.post(PAIR, data=form).status_code == 403
+        elsewhere = {"Sec-Fetch-Site": "cross-site"}
+        assert reader.post(PAIR, data=form, headers=elsewhere).status_code == 403
+        cookie = next(iter(reader.cookies.jar))
+        assert cookie.has_nonstandard_attr("HttpOnly")
+        assert cookie.get_nonstandard_attr("SameSite") == "strict"
+
+
+def test_pages_of_another_registry_show_its_partners_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    registry = published(teams_of(2), tmp_path)
+    environments = []
+    monkeypatch.setattr(subprocess, "run", lambda *_, env, **__: environments.append(env))
+    run_command(["list"], registry)
+    assert environments[0]["ASSISTAX_ZOO_REGISTRY"] == str(registry)
+    with TestClient(make_app(tmp_path, (), registry=registry)) as reader:
+        listed = reader.get("/tasks/scratch/partners").text
+        assert "ippo-d9-s1-v0" in listed and "-v1" not in listed
+        assert reader.get("/partners/scratch/ippo-d9-s1-v0").status_code == 200
+        assert reader.get("/partners/scratch/ippo-d1-s0-v1").status_code == 404
+        assert reader.get(EXPLORER).status_code == 404
+        assert reader.get(PAIR.replace("v1", "v0")).status_code == 200
+        assert "explorer" not in reader.get("/tasks/scratch").text
+
+
+def test_two_hundred_readers_cost_one_rendering() -> None:
+    rendered, started = [], threading.Event()
+
+    def render() -> str:
+        rendered.append(1)
+        started.wait(0.2)
+        return "page"
+
+    cache = PageCache()
+    threads = [threading.Thread(target=cache.page, args=("k", 60.0, render)) for _ in range(200)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert rendered == [1]
+
+
+def test_a_page_is_rendered_anew_when_it_is_old_and_the_cache_is_bounded() -> None:
+    now = [0.0]
+    cache = PageCache(lambda: now[0])
+    texts = iter("abc")
+    assert cache.page("k", 1.0, lambda: next(texts)).body == b"a"
+    assert cache.page("k", 1.0, lambda: next(texts)).body == b"a"
+    now[0] = 10.0
+    assert cache.page("k", 1.0, lambda: next(texts)).body == b"b"
+    for i in range(2000):
+        cache.page(str(i), 1.0, lambda: "x")
+    assert cache.page("k", 1.0, lambda: next(texts)).body == b"c"
+
+
+def test_nobody_waits_for_a_page_that_is_a_little_too_old() -> None:
+    now, may, done = [0.0], threading.Event(), threading.Event()
+    cache = PageCache(lambda: now[0])
+    cache.page("k", 1.0, lambda: "old")
+
+    def slow() -> str:
+        assert may.wait(10)
+        done.set()
+        return "new"
+
+    now[0] = 2.0
+    assert [cache.page("k", 1.0, slow).body for _ in range(3)] == [b"old"] * 3
+    may.set()
+    assert done.wait(10)
+    while cache.page("k", 1.0, lambda: "newer").body != b"new":
+        time.sleep(0.01)
+
+
+def test_an_axis_holds_its_values_and_leaves_the_others_out() -> None:
+    axis = axis_over([10.0, 20.0])
+    assert 0 < axis.at(10.0) < axis.at(20.0) < axis.width
+    assert axis.holds(15.0) and not axis.holds(0.0)
+    centred = axis_over([-1.0, 3.0], around=0.0)
+    assert centred.at(0.0) == centred.width / 2
+    assert axis_over([]).width == axis_over([5.0, 5.0]).width
+
+
+def test_templates_mark_nothing_as_safe() -> None:
+    from assistax_board import pages
+
+    folder = Path(str(pages.__file__)).parent / "templates"
+    templates = list(folder.glob("*.html"))
+    assert len(templates) > 10
+    for one in templates:
+        assert not re.search(r"\|\s*safe|autoescape|Markup|tojson", one.read_text()), one.name
+
+
+def test_a_measure_of_the_explorer_is_json_without_nan(client: TestClient) -> None:
+    numbers = re.search(r'data-numbers="([^"]+)"', client.get(EXPLORER).text)
+    assert numbers
+    text = client.get(f"{numbers[1]}/matrix.json").text
+    assert json.loads(text, parse_constant=lambda name: pytest.fail(name))
+
+
+def test_a_new_score_costs_its_own_methods_figures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[str] = []
+    real = boards.unplaced
+    monkeypatch.setattr(
+        boards, "unplaced", lambda method, panel: made.append(method.name) or real(method, panel)
+    )
+    service = new_service(tmp_path)
+    kept = boards.Boards(service.queries, CrossPlays(tmp_path))
+    for turn, lab in enumerate(("ada", "bob", "eve")):
+        service.submit(new_submitter(service, lab), draft(float(turn)))
+        work_off(service)
+        board = kept.of(TASK)
+        assert board is not None
+        assert len(board.rows) == turn + 1
+        assert len(made) == turn + 1
+    assert board is not None
+    assert [row.place for row, _ in board.rows] == [1, 2, 3]
+
+
+def test_nobody_waits_for_a_board_of_which_there_is_an_older_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service = new_service(tmp_path)
+    kept = boards.Boards(service.queries, CrossPlays(tmp_path))
+    service.submit(new_submitter(service, "ada"), draft(1.0))
+    work_off(service)
+    assert kept.of(TASK)
+    go_on, real = threading.Event(), boards.unplaced
+    monkeypatch.setattr(behind, "PATIENCE", 0.01)
+    monkeypatch.setattr(boards, "unplaced", lambda *args: go_on.wait(60) and real(*args))
+    service.submit(new_submitter(service, "bob"), draft(2.0))
+    work_off(service)
+    old = kept.of(TASK)
+    assert old is not None
+    assert len(old.rows) == 1
+    assert kept.is_behind(TASK)
+    go_on.set()
+    monkeypatch.setattr(behind, "PATIENCE", 60.0)
+    new = kept.of(TASK)
+    assert new is not None
+    assert len(new.rows) == 2
+
+
+def test_a_gentle_board_says_how_often_somebody_was_hurt(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    lab = new_submitter(service)
+    for number in range(2):
+        service.submit(lab, draft(1.0, f"r{number}"))
+    work_off(service)
+    assert "Violations" not in TestClient(create_app(service)).get(f"/tasks/{TASK}").text
+    with service.database.write() as connection:
+        rows = connection.execute(sa.select(t.scores).order_by(t.scores.c.submission)).all()
+        for row, violations in zip(rows, (0.1, 0.3), strict=True):
+            gentle = {"violations": violations, "safe_success": 0.55, "by_preference": {}}
+            update = sa.update(t.scores).where(t.scores.c.submission == row.submission)
+            connection.execute(update.values(released=row.released | gentle))
+    page = TestClient(create_app(service)).get(f"/tasks/{TASK}").text
+    assert 'data-label="Violations">20%<' in page  # of two seeds
+    assert 'data-label="Safe success">55%<' in page
+
+
+def test_a_submissions_page_is_headed_by_its_own_mean(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    lab = new_submitter(service)
+    ids = [service.submit(lab, draft(strength, f"r{strength}")) for strength in (1.0, 4.0)]
+    work_off(service)
+    client = TestClient(create_app(service))
+    page = client.get(f"/submissions/{ids[0]}").text
+    tiles = re.findall(r"<dt>([^<]+)</dt><dd>([\d.]+)</dd>", page)
+    assert [name for name, _ in tiles[:2]] == ["This robot", "M_test of 2 seeds"]
+    assert float(tiles[0][1]) == pytest.approx(1.5, abs=0.1)
+    assert float(tiles[1][1]) == pytest.approx(3.0, abs=0.1)
+    assert "1 seed: this robot" not in client.get(f"/tasks/{TASK}").text
+
+
+def test_a_board_says_which_places_speak_of_one_robot(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    service.submit(new_submitter(service), draft(1.0))
+    work_off(service)
+    assert "1 seed: this robot" in TestClient(create_app(service)).get(f"/tasks/{TASK}").text

@@ -1,0 +1,265 @@
+"""Pages in a real browser: read, found with the keyboard, and drawn; nothing keeps anybody out."""
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from tests.board import running
+from tests.board.board_data import make_app
+from tests.board.browser import accessibility_faults, browsing, opened, served
+from tests.board.fakes import draft, new_service, new_submitter, work_off
+from tests.system import CHROMIUM, needs
+
+pytestmark = [pytest.mark.slow, needs("chromium", CHROMIUM)]
+PAGES = (
+    *("/", "/tasks/scratch", "/tasks/arm_assist", "/tasks/scratch/compare", "/tasks/nowhere"),
+    *("/tasks/scratch/partners?disability=d3", "/partners/scratch/ippo-d1-s0-v1"),
+    *("/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1", "/tasks/scratch/explorer"),
+    *("/seasons", "/seasons/5ea5011", "/submit?task=scratch", "/ledger"),
+)
+WIDTHS = (400, 800, 1600)
+expect.set_options(timeout=60_000)  # waits no longer than it must
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with served(make_app(tmp_path_factory.mktemp("browser"))) as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with browsing() as browser:
+        yield browser
+
+
+def submissions(page: Page, address: str) -> list[str]:
+    """Return the page of a scored submission, and of one that waits."""
+    page.goto(f"{address}/tasks/scratch")
+    links = page.locator(".board tbody a").first, page.locator(".queue a").first
+    return [str(link.get_attribute("href")) for link in links]
+
+
+def from_board_to_explorer(page: Page, address: str) -> None:
+    page.goto(f"{address}/tasks/scratch")
+    page.get_by_role("link", name="ppo ego").click()
+    expect(page.get_by_role("heading", level=1)).to_have_text("ppo ego")
+    expect(page.get_by_role("status")).to_contain_text("place 1")
+    page.get_by_role("link", name="scratch", exact=True).first.click()
+    page.get_by_role("link", name="Cross-play explorer").click()
+    expect(page.locator("body")).to_have_attribute("data-matrix", "198x198")
+
+
+def test_a_reader_goes_from_the_board_to_a_submission_to_the_explorer(
+    browser: Browser, address: str
+) -> None:
+    with opened(browser) as page:
+        from_board_to_explorer(page, address)
+        expect(page.locator("body")).to_have_attribute("data-measures", "8")
+        box = page.locator("#matrix").bounding_box()
+        assert box
+        page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.6 * box["height"])
+        expect(page.locator("#tip")).to_contain_text("robot scratch/")
+        pair = re.findall(r"(?:robot|human) scratch/([\w-]+)/", page.locator("#tip").inner_text())
+        page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 0.6 * box["height"])
+        page.wait_for_url(f"**/pairs/scratch/{pair[0]}/{pair[1]}")
+
+
+def test_the_explorer_opens_within_a_second(browser: Browser, address: str) -> None:
+    """The best of five: this machine may be busy with other tests."""
+    milliseconds = []
+    with opened(browser) as page:
+        for _ in range(5):
+            page.goto(f"{address}/tasks/scratch/explorer")
+            expect(page.locator("body")).to_have_attribute("data-matrix", "198x198")
+            mark = "performance.getEntriesByName('matrix-drawn')[0].startTime"
+            milliseconds.append(page.evaluate(mark))
+    assert min(milliseconds) < 1000, milliseconds
+
+
+def test_the_explorer_is_coloured_ordered_and_searched(browser: Browser, address: str) -> None:
+    with opened(browser) as page:
+        page.goto(f"{address}/tasks/scratch/explorer")
+        expect(page.locator("body")).to_have_attribute("data-measures", "8")
+        drawn = [page.locator("#matrix").screenshot()]
+        for control, choice in (("order", "disability"), ("measure", "force_mean")):
+            page.locator(f"#{control}").select_option(choice)
+            drawn.append(page.locator("#matrix").screenshot())
+        page.locator("#find").fill("masac-d9-s5")
+        drawn.append(page.locator("#matrix").screenshot())
+        page.get_by_role("button", name="zoom in").click()
+        drawn.append(page.locator("#matrix").screenshot())
+        assert len(set(drawn)) == 5
+
+
+def test_a_pair_is_found_and_opened_with_the_keyboard_alone(browser: Browser, address: str) -> None:
+    with opened(browser) as page:
+        page.goto(f"{address}/tasks/scratch")
+        page.keyboard.press("Tab")
+        expect(page.get_by_role("link", name="Skip to the content")).to_be_focused()
+        page.keyboard.press("Enter")
+        tab_to(page, page.get_by_role("link", name="Cross-play explorer"))
+        page.keyboard.press("Enter")
+        expect(page.locator("body")).to_have_attribute("data-measures", "8")
+        tab_to(page, page.locator("#matrix"))
+        for key in ("ArrowDown", "ArrowDown", "ArrowRight", "+", "ArrowRight"):
+            page.keyboard.press(key)
+        expect(page.locator("#told")).to_contain_text("robot scratch/")
+        told = re.findall(r"(?:robot|human) scratch/([\w-]+)/", page.locator("#told").inner_text())
+        page.keyboard.press("Enter")
+        page.wait_for_url(f"**/pairs/scratch/{told[0]}/{told[1]}")
+
+
+def tab_to(page: Page, target: object) -> None:
+    """Press Tab until the focus is there, as a reader without a mouse does."""
+    for _ in range(60):
+        page.keyboard.press("Tab")
+        if target.evaluate("one => one === document.activeElement"):  # ty: ignore
+            return
+    pytest.fail("the keyboard does not lead there")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_serious_and_nothing_runs_out_of_the_window(
+    browser: Browser, address: str, scheme: str
+) -> None:
+    faults = []
+    for width in WIDTHS:
+        with opened(browser, width, scheme) as page:
+            for path in (*PAGES, *submissions(page, address)):
+                if path == "/tasks/nowhere":
+                    continue  # its answer is an error, which `opened` complains about
+                page.goto(f"{address}{path}")
+                found = accessibility_faults(page)
+                if page.evaluate("document.documentElement.scrollWidth > innerWidth"):
+                    found.append("wider than the window")
+                faults += [f"{path} at {width}: {one}" for one in found]
+    assert faults == []
+
+
+def test_axe_would_find_a_fault(browser: Browser, address: str) -> None:
+    with opened(browser) as page:
+        page.goto(address)
+        page.evaluate("document.querySelector('.lead').style.color = '#ddd'")
+        assert accessibility_faults(page) != []
+
+
+def test_the_switch_of_colours_works_without_scripts_and_is_kept_with_them(
+    browser: Browser, address: str
+) -> None:
+    context = browser.new_context(java_script_enabled=False, color_scheme="light")
+    plain = context.new_page()
+    plain.goto(address)
+    before = plain.locator("body").screenshot()
+    plain.get_by_text("dark", exact=True).click()
+    assert plain.locator("body").screenshot() != before
+    context.close()
+    with opened(browser) as page:
+        page.goto(address)
+        page.get_by_text("dark", exact=True).click()
+        page.goto(f"{address}/seasons")
+        shown = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert shown == "rgb(20, 24, 29)"
+
+
+def test_pages_are_read_without_scripts(browser: Browser, address: str) -> None:
+    context = browser.new_context(java_script_enabled=False)
+    page = context.new_page()
+    page.goto(f"{address}/tasks/scratch/explorer")
+    expect(page.locator("#explorer-controls")).to_be_hidden()
+    page.get_by_label("robot").select_option("ippo-d2-s3-v1")
+    page.get_by_label("human").select_option("masac-d1-s0-v1")
+    page.get_by_role("button", name="Open").click()
+    expect(page.get_by_role("heading", level=1)).to_contain_text("ippo-d2-s3-v1")
+    page.goto(f"{address}/tasks/scratch/partners")
+    page.get_by_label("disability").select_option("d4")
+    page.get_by_role("button", name="Filter").click()
+    expect(page.get_by_text("22 of 198 partners")).to_be_visible()
+    context.close()
+
+
+def test_a_page_about_something_unfinished_looks_again_by_itself(
+    browser: Browser, tmp_path: Path
+) -> None:
+    app = make_app(tmp_path)
+    with served(app) as address, opened(browser) as page:
+        waiting = submissions(page, address)[1]
+        page.goto(f"{address}{waiting}")
+        expect(page.get_by_role("status")).to_contain_text("queued")
+        finish(tmp_path, waiting.rpartition("/")[2])
+        expect(page.get_by_role("status")).to_contain_text("it has functions")
+
+
+def test_a_submission_is_watched_from_the_queue_to_its_place(
+    browser: Browser, tmp_path: Path
+) -> None:
+    service = new_service(tmp_path)
+    with running.served(service) as server, opened(browser) as page:
+        id = service.submit(new_submitter(service), draft(5.0))
+        page.goto(f"{server.address}/submissions/{id}")
+        expect(page.get_by_role("status")).to_contain_text("number 1 in the queue")
+        work_off(service)
+        expect(page.get_by_role("status")).to_contain_text("place 1")
+        with page.expect_download() as download:
+            page.get_by_role("link", name="Download it").click()
+        assert json.loads(Path(download.value.path()).read_text())["content"]["submission"] == id
+        page.get_by_role("link", name="scratch", exact=True).last.click()
+        expect(page.get_by_role("row", name="mine")).to_contain_text("5.5")
+
+
+@pytest.mark.parametrize("scripts", [True, False])
+def test_a_robot_is_handed_in_by_the_form_with_scripts_and_without(
+    browser: Browser, tmp_path: Path, scripts: bool
+) -> None:
+    service = new_service(tmp_path)
+    token = service.create_token(("submit",), submitter="Lab of Ada")
+    context = browser.new_context(java_script_enabled=scripts)
+    with running.served(service) as server:
+        page = context.new_page()
+        page.goto(server.address)
+        page.get_by_role("link", name="submit", exact=True).click()
+        fill_in(page, "not a token")
+        expect(page.get_by_role("alert")).to_contain_text("this token is not valid")
+        expect(page.get_by_label("Method")).to_have_value("mine & best")
+        fill_in(page, token)
+        expect(page.get_by_role("status")).to_contain_text("number 1 in the queue")
+        work_off(service)
+        if not scripts:
+            look_again(page)
+        expect(page.get_by_role("status")).to_contain_text("place 1")
+        page.goto(f"{server.address}/tasks/scratch")
+        expect(page.get_by_role("row", name="mine & best")).to_contain_text("5.5")
+    context.close()
+
+
+def look_again(page: Page) -> None:
+    """Load a page anew until it tells of the end: what it shows may be a second old."""
+    for _ in range(30):
+        page.wait_for_timeout(1100)
+        link = page.get_by_role("link", name="load it anew")
+        if not link.count():
+            return
+        link.click()
+
+
+def fill_in(page: Page, token: str) -> None:
+    """Fill the form in from the keyboard, and hand in a robot of strength 5."""
+    robot = {"name": "robot.onnx", "mimeType": "application/octet-stream", "buffer": b"robot 5.0"}
+    page.get_by_label("Robot").set_input_files(robot)
+    page.get_by_label("Method").fill("mine & best")
+    page.get_by_label("Your token").fill(token)
+    page.keyboard.press("Enter")
+
+
+def finish(folder: Path, submission: str) -> None:
+    """End a submission behind the page's back."""
+    from assistax_board.store import schema as t
+    from assistax_board.store.database import Database
+
+    with Database(f"sqlite:///{folder / 'service.db'}").write() as connection:
+        update = t.submissions.update().where(t.submissions.c.id == submission)
+        connection.execute(update.values(state="refused", reason="subgraph"))

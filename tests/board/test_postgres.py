@@ -1,0 +1,93 @@
+"""The same service on a real PostgreSQL, where writers do not wait for each other."""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+
+from assistax_board.problems import Problem
+from assistax_board.rules.scoring import encode_table
+from assistax_board.service import Service
+from assistax_board.store.ledger import check_chain
+from assistax_board.store.schema import METADATA
+from tests.board.fakes import FakeScorer, draft, new_service, new_submitter, shown, take, work_off
+from tests.board.test_season import open_season
+
+
+@pytest.fixture
+def service(tmp_path: Path, postgres_url: str) -> Any:
+    service = new_service(tmp_path, postgres_url)
+    yield service
+    service.database.close()
+
+
+def at_once(count: int, function: Callable[[int], Any]) -> list[Any]:
+    """Call a function in threads that start together; return answers and problems."""
+    gate, answers = threading.Barrier(count), []
+
+    def call(number: int) -> None:
+        gate.wait()
+        try:
+            answers.append(function(number))
+        except Problem as problem:
+            answers.append(problem.code)
+
+    threads = [threading.Thread(target=call, args=(number,)) for number in range(count)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return answers
+
+
+def test_migrations_lead_to_the_tables(service: Service) -> None:
+    with service.database.read() as connection:
+        assert compare_metadata(MigrationContext.configure(connection), METADATA) == []
+
+
+def test_a_season_on_postgres(service: Service) -> None:
+    id = service.submit(new_submitter(service), draft(2.0, season=open_season(service)))
+    work_off(service)
+    assert shown(service, id).state == "scored"
+    service.close_season("spring")
+    work_off(service)
+    assert {score.panel for score in service.queries.scores(submission=id)} == {"public", "A", "B"}
+    entries = service.queries.ledger()
+    assert check_chain(entries) == len(entries)
+
+
+def test_no_two_workers_get_one_job(service: Service) -> None:
+    submitter = new_submitter(service)
+    for number in range(4):
+        service.submit(submitter, draft(request=f"r{number}"))
+    versions = FakeScorer().versions()
+    works = at_once(12, lambda n: service.lease(f"w{n}", versions))
+    assert len({work.job for work in works if work is not None}) == 12
+
+
+def test_the_last_attempt_is_taken_once(service: Service) -> None:
+    season, submitter = open_season(service, budget=1), new_submitter(service)
+    answers = at_once(8, lambda n: service.submit(submitter, draft(1.0, f"r{n}", season=season)))
+    assert answers.count("budget_spent") == 7
+
+
+def test_a_request_sent_eight_times_at_once_is_one_submission(service: Service) -> None:
+    submitter = new_submitter(service)
+    assert len(set(at_once(8, lambda _: service.submit(submitter, draft())))) == 1
+
+
+def test_results_that_come_at_once_finish_their_submission(service: Service) -> None:
+    """Each of the last two results would think that the other is missing, without a lock."""
+    submitter, scorer = new_submitter(service), FakeScorer()
+    for number in range(5):
+        id = service.submit(submitter, draft(request=f"r{number}"))
+        works = [take(service) for _ in range(3)]
+        tables = [encode_table(scorer.play(work, b"robot 1.0", None)) for work in works]
+        at_once(3, lambda n: service.result(works[n].job, works[n].lease, tables[n], 1.0))  # noqa: B023
+        assert shown(service, id).state == "scored"
+    entries = service.queries.ledger()
+    assert check_chain(entries) == len(entries)

@@ -1,0 +1,130 @@
+"""`season plan`: secret seeds for a public plan, and the way from there to a season."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from assistax_board.serve import open_service
+from assistax_workshop.plans.plan import Group, Plan, private_plan, read_plan
+from assistax_zoo.shell.main import run
+from tests.workshop.test_population_command import ONE, OTHER, use_toy, write_plan
+from zoo.registry import load_registry
+
+PLANS = Path(__file__).parents[2] / "zoo" / "plans"
+V2 = PLANS / "v2.json"
+
+
+def make(out: Path, *more: str, plan: Path = V2) -> Path:
+    assert run(["season", "plan", str(plan), "--out", str(out), *more]) == 0
+    return out
+
+
+def seeds_of(plan: Plan) -> list[int]:
+    return [seed for group in plan.groups for seed in group.seeds]
+
+
+@pytest.mark.parametrize("name", ["v1.json", "v2.json"])
+def test_all_but_the_seeds_is_the_public_plans(tmp_path: Path, name: str) -> None:
+    """Release v1 adopts teams, v2 has populations."""
+    public, private = read_plan(PLANS / name), read_plan(make(tmp_path / name, plan=PLANS / name))
+    again = read_plan(make(tmp_path / "again.json", plan=PLANS / name))
+    seeds = seeds_of(private)
+    assert len(set(seeds)) == len(seeds) == len(seeds_of(public))
+    assert set(seeds).isdisjoint(seeds_of(public)) and set(seeds) != set(seeds_of(again))
+    assert not any(group.adopt for group in private.groups)
+    groups = [
+        dataclasses.replace(group, seeds=known.seeds, adopt=known.adopt)
+        for group, known in zip(private.groups, public.groups, strict=True)
+    ]
+    assert dataclasses.replace(private, groups=tuple(groups)) == public
+
+
+def test_a_draw_of_public_seeds_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Counting:
+        def sample(self, population: range, k: int) -> range:
+            return population[:k]
+
+    monkeypatch.setattr("assistax_workshop.plans.plan.secrets.SystemRandom", Counting)
+    groups = (Group(**ONE), Group(**{**OTHER, "seeds": [2, 4]}))
+    private = private_plan(Plan(version=1, release="v1", groups=groups))
+    assert [group.seeds for group in private.groups] == [(3, 5), (6, 7)], "public are 0, 1, 2, 4"
+
+
+def test_one_task_in_a_release_of_another_name(tmp_path: Path) -> None:
+    path = make(tmp_path / "plan.json", "--task", "gentle_bath", "--release", "v7")
+    private, public = read_plan(path), read_plan(V2)
+    wanted = [group.name for group in public.groups if group.task == "gentle_bath"]
+    assert private.release == "v7" and [group.name for group in private.groups] == wanted
+
+
+def test_it_is_its_owners_alone_and_says_what_differs_from_defaults(tmp_path: Path) -> None:
+    path = make(tmp_path / "private" / "plan.json", "--task", "scratch", plan=PLANS / "v1.json")
+    assert path.stat().st_mode & 0o777 == 0o600 and path.parent.stat().st_mode & 0o077 == 0
+    group = json.loads(path.read_text())["groups"][0]
+    assert group.keys() == {
+        *("name", "task", "algorithm", "disabilities", "seeds", "steps"),
+        *("updates_per_call", "checkpoint_every"),
+    }
+
+
+def test_a_plan_is_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = make(tmp_path / "plan.json")
+    before = path.read_bytes()
+    assert run(["season", "plan", str(V2), "--out", str(path)]) == 1
+    assert f"{path} exists" in capsys.readouterr().err and path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (
+            ["--task", "swim"],
+            "error: task is 'swim'; the plan has gentle_scratch, gentle_bath, gentle_lift: name "
+            "one, or none for all\n",
+        ),
+        (
+            ["--release", "spring"],
+            "error: release is 'spring'; String should match pattern '^v(0|[1-9][0-9]*)$'\n",
+        ),
+    ],
+)
+def test_what_the_plan_cannot_be_gets_one_clear_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], message: str
+) -> None:
+    path = tmp_path / "new" / "plan.json"
+    assert run(["season", "plan", str(V2), "--out", str(path), *more]) == 1
+    assert capsys.readouterr().err == message and not path.parent.exists()
+
+
+@pytest.mark.slow
+def test_from_a_plan_to_a_season(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The commands of docs/service.md, on a toy; the public plan's own partners are refused."""
+    use_toy(monkeypatch)
+    write_plan(tmp_path, {**ONE, "disabilities": ["d1", "d9"]})
+    public, private = tmp_path / "public", tmp_path / "private"
+    train(tmp_path / "plan.json", public)
+    monkeypatch.setenv("ASSISTAX_ZOO_REGISTRY", str(public / "registry.json"))
+    open_service(tmp_path / "board")
+
+    train(make(private / "plan.json", plan=tmp_path / "plan.json"), private)
+    entries = load_registry(private / "registry.json").select(role="human")
+    assert {entry.seed for entry in entries} == {*seeds_of(read_plan(private / "plan.json"))}
+    assert run(create(tmp_path, public)) == 1
+    assert "is public; a private release has only new partners" in capsys.readouterr().err
+    assert run(create(tmp_path, private)) == 0
+
+
+def train(plan: Path, folder: Path) -> None:
+    words: list[Any] = ["--plan", plan, "--out", folder / "runs"]
+    words += ["--registry", folder / "registry.json"]
+    assert run(["train", "population", *map(str, words)]) == 0
+
+
+def create(place: Path, release: Path) -> list[str]:
+    words = ["season", "create", "spring", "--task", "scratch", "--small"]
+    return [*words, "--release", str(release), "--data", str(place / "board")]

@@ -1,0 +1,278 @@
+"""Every submission comes to an end, once; nothing is counted twice and no attempt is lost."""
+
+import dataclasses
+import time
+from pathlib import Path
+
+import pytest
+from starlette.testclient import TestClient
+
+from assistax_board.api.app import create_app
+from assistax_board.problems import Problem
+from assistax_board.rules import jobs
+from assistax_board.rules.scoring import encode_table
+from assistax_board.store.ledger import check_chain
+from assistax_board.store.receipts import verify_receipt
+from assistax_board.store.schema import METADATA
+from tests.board.fakes import (
+    TASK,
+    FakeScorer,
+    advance,
+    draft,
+    new_service,
+    new_submitter,
+    noise,
+    shown,
+    take,
+    work_off,
+)
+from tests.board.test_live import soon
+
+
+def test_a_submission_is_scored(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    id = service.submit(new_submitter(service), draft(2.0))
+    waiting = shown(service, id)
+    assert (waiting.state, waiting.place, waiting.jobs) == ("queued", 1, 3)
+    assert waiting.eta_seconds == pytest.approx(60.0)
+    assert work_off(service) == 3
+    scored = shown(service, id)
+    assert (scored.state, scored.attempt, scored.place) == ("scored", "free", None)
+    [score] = service.queries.scores(submission=id)
+    expected = (
+        2.0 + sum(noise("0", f"partner-{p:03d}", k) for p in range(60) for k in range(8)) / 480
+    )
+    assert score.figures["mean"] == pytest.approx(expected, abs=1e-6)
+    assert len(service.queries.partner_scores([id])) == 60
+
+
+def test_its_receipt_is_valid_and_a_changed_one_is_not(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    id = service.submit(new_submitter(service), draft())
+    work_off(service)
+    receipt = service.queries.receipt(id)
+    assert receipt is not None
+    assert verify_receipt(receipt, service.signer.public_key)["submission"] == id
+    receipt["content"]["scores"]["public"]["mean"] += 1.0
+    with pytest.raises(ValueError, match="was changed"):
+        verify_receipt(receipt, service.signer.public_key)
+
+
+def test_a_refused_file_ends_at_once_with_a_word(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    id = service.submit(new_submitter(service), draft(data=b"\x80pickle"))
+    found = shown(service, id)
+    assert (found.state, found.reason, found.artefact) == ("refused", "unknown_format", None)
+
+
+def test_a_worker_may_refuse_too(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    id = service.submit(new_submitter(service), draft(data=b"broken"))
+    assert work_off(service) == 0
+    assert shown(service, id).reason == "not_finite"
+
+
+def test_references_are_queued_once_and_played_when_nobody_else_waits(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    for _ in range(2):
+        service.add_references()
+    id = service.submit(new_submitter(service), draft(2.0))
+    assert shown(service, id).place == 1
+    assert work_off(service, most=3) == 3
+    assert shown(service, id).state == "scored"
+    assert work_off(service) == 6
+    names = {each.method for each in service.queries.submissions() if each.kind == "reference"}
+    assert names == {"zero-action", "self-play"}
+    means = {s.method: s.figures["mean"] for s in service.queries.scores(task="scratch")}
+    assert means["zero-action"] < means["mine"] < means["self-play"]
+    again = new_service(tmp_path, version=2)  # after an upgrade they are played anew
+    assert again.adopt_version() == 3
+
+
+def test_a_repeated_request_adds_nothing(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    submitter = new_submitter(service)
+    assert service.submit(submitter, draft()) == service.submit(submitter, draft())
+    assert len(service.queries.submissions()) == 1
+
+
+def test_a_job_done_twice_counts_once(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    service.submit(new_submitter(service), draft())
+    scorer = FakeScorer()
+    work = take(service)
+    table = encode_table(scorer.play(work, b"robot 1.0", None))
+    assert service.result(work.job, work.lease, table, 1.0)
+    assert not service.result(work.job, work.lease, table, 1.0)
+    work_off(service)
+    assert service.queries.submissions()[0].state == "scored"
+
+
+def test_a_lease_runs_out_and_the_job_is_done_by_another(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    id = service.submit(new_submitter(service), draft())
+    lost = take(service)
+    advance(service, jobs.LEASE_SECONDS + 1)
+    assert work_off(service) == 3
+    assert shown(service, id).state == "scored"
+    assert not service.beat(lost.job, lost.lease)
+    with pytest.raises(Problem, match="no longer yours"):
+        service.result(lost.job, lost.lease, b"", 1.0)
+
+
+@pytest.mark.parametrize("jump", [-1e6, 1e6])
+def test_a_clock_that_jumps_stops_nothing(tmp_path: Path, jump: float) -> None:
+    service = new_service(tmp_path)
+    id = service.submit(new_submitter(service), draft())
+    take(service)
+    advance(service, jump)
+    work_off(service)
+    assert shown(service, id).state == "scored"
+
+
+def test_a_job_that_fails_too_often_ends_its_submission(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    id = service.submit(new_submitter(service), draft())
+    for _ in range(jobs.MAX_FAILURES):
+        work = take(service)
+        service.job_failed(work.job, work.lease)
+    assert shown(service, id).reason == "worker_errors"
+    assert work_off(service) == 0
+
+
+def test_a_job_given_back_is_no_failure(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    id = service.submit(new_submitter(service), draft())
+    for _ in range(jobs.MAX_FAILURES + 1):
+        work = take(service)
+        service.give_back(work.job, work.lease)
+    work_off(service)
+    assert shown(service, id).state == "scored"
+
+
+def test_one_lab_cannot_keep_the_others_out(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    many, one = new_submitter(service, "many"), new_submitter(service, "one")
+    for number in range(3):
+        service.submit(many, draft(request=f"r{number}"))
+    advance(service, 1.0)
+    id = service.submit(one, draft())
+    assert shown(service, id).place == 2
+
+
+def test_a_withdrawn_submission_is_never_scored(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    submitter = new_submitter(service)
+    id = service.submit(submitter, draft())
+    work = take(service)
+    service.withdraw(id, submitter)
+    with pytest.raises(Problem, match="no longer yours"):
+        service.result(work.job, work.lease, b"", 1.0)
+    assert shown(service, id).reason == "withdrawn"
+    with pytest.raises(Problem, match="has ended"):
+        service.withdraw(id, submitter)
+
+
+def test_a_result_of_other_episodes_is_not_taken(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    service.submit(new_submitter(service), draft())
+    scorer = FakeScorer()
+    work = take(service)
+    table = scorer.play(work, b"robot 1.0", None)
+    for wrong in (table.head(10), table.with_columns(partner=table["partner"] + "x")):
+        with pytest.raises(Problem, match="lacks episodes"):
+            service.result(work.job, work.lease, encode_table(wrong), 1.0)
+
+
+def test_the_ledger_is_a_chain_and_a_change_breaks_it(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    service.submit(new_submitter(service), draft())
+    work_off(service)
+    entries = service.queries.ledger()
+    assert check_chain(entries) == len(entries) == 3
+    entries[1].body["released"]["public"]["mean"] += 1.0
+    with pytest.raises(ValueError, match="entry 2"):
+        check_chain(entries)
+    with pytest.raises(ValueError, match="entry 3"):
+        check_chain([entries[0], entries[2]])
+
+
+def test_a_new_version_scores_anew_and_keeps_the_old_scores(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    id = service.submit(new_submitter(service), draft())
+    work_off(service)
+    upgraded = new_service(tmp_path, version=2)
+    assert (upgraded.adopt_version(), upgraded.adopt_version()) == (1, 0)
+    assert work_off(upgraded, version=1) == 0  # a worker that was not upgraded gets nothing
+    assert work_off(upgraded, version=2) == 3
+    assert len({score.version for score in upgraded.queries.scores(submission=id)}) == 2
+
+
+def test_an_upgrade_with_running_jobs_loses_nothing(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    id = service.submit(new_submitter(service), draft())
+    work_off(service, most=1)
+    take(service)
+    upgraded = new_service(tmp_path, version=2)
+    upgraded.adopt_version()
+    work_off(upgraded, version=2)
+    assert shown(upgraded, id).state == "scored"
+
+
+def test_erasing_a_person_leaves_the_chain_whole(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    submitter = new_submitter(service, "Ada Lovelace")
+    id = service.submit(submitter, draft())
+    work_off(service)
+    sha256 = shown(service, id).artefact
+    service.erase_submitter(submitter)
+    check_chain(service.queries.ledger())
+    found = shown(service, id)
+    assert (found.submitter, found.method) == (f"erased-{submitter}", "erased")
+    with pytest.raises(Problem, match="no artefact"):
+        service.artefacts.get(sha256)
+    assert "Lovelace" not in repr(service.queries.ledger())
+
+
+def test_erasing_a_person_takes_the_methods_name_from_all_that_is_shown(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    submitter = new_submitter(service, "lab")
+    names = {"request": "Lovelace-1", "method": "Lovelace's robot"}
+    id = service.submit(submitter, dataclasses.replace(draft(), **names))
+    work_off(service)
+    http = TestClient(create_app(service))
+    paths = [f"/api/submissions/{id}", "/api/submissions", f"/api/boards/{TASK}"]
+    paths += [f"/api/submissions/{id}/receipt", f"/submissions/{id}", f"/tasks/{TASK}"]
+    before = [http.get(path).text for path in paths]
+    assert all("Lovelace" in text for text in before)
+    service.erase_submitter(submitter)
+    time.sleep(1.1)  # a page may be a second old
+    for path in paths:
+        http.get(path)  # a reader is shown the copy while a new one is made
+    assert soon(lambda: not any("Lovelace" in http.get(path).text for path in paths))
+    service.database.close()
+    with service.database.read() as connection:
+        tables = [connection.execute(table.select()).all() for table in METADATA.sorted_tables]
+    assert "Lovelace" not in repr(tables)
+    receipt = service.queries.receipt(id)
+    assert receipt is not None
+    content = verify_receipt(receipt, service.signer.public_key)
+    entry = service.queries.ledger()[content["ledger"]["seq"] - 1]
+    assert (content["method"], content["ledger"]["hash"]) == ("erased", entry.hash)
+
+
+def test_a_full_disk_refuses_and_leaves_nothing(tmp_path: Path, monkeypatch) -> None:
+    service = new_service(tmp_path)
+    submitter = new_submitter(service)
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("assistax_board.store.artefacts.atomic_write", full)
+        with pytest.raises(Problem, match="try later"):
+            service.submit(submitter, draft())
+    assert service.queries.submissions() == []
+    service.submit(submitter, draft())
+    work_off(service)
+    assert service.queries.submissions()[0].state == "scored"

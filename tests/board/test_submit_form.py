@@ -1,0 +1,119 @@
+"""The form of the web page: answered to who was given it, and to the owner of a token."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+from assistax_board.api.app import create_app
+from assistax_board.pages.security import FIELD
+from assistax_board.service import Service
+from tests.board.fakes import new_service
+
+
+@pytest.fixture
+def service(tmp_path: Path) -> Service:
+    return new_service(tmp_path)
+
+
+@pytest.fixture
+def reader(service: Service) -> Iterator[TestClient]:
+    with TestClient(create_app(service), follow_redirects=False) as client:
+        yield client
+
+
+def filled(reader: TestClient, token: str, **changed: str) -> dict[str, str]:
+    """Return the fields of a form that was just loaded."""
+    text = reader.get("/submit").text
+    hidden = dict(re.findall(r'type="hidden" name="(\w+)" value="(\w+)"', text))
+    fields = {"task": "scratch", "method": "mine", "licence": "MIT", "account_token": token}
+    return hidden | fields | changed
+
+
+def send(
+    reader: TestClient, fields: dict[str, str], data: bytes = b"robot 1.0", **more: Any
+) -> Any:
+    return reader.post("/submit", data=fields, files={"file": ("robot.onnx", data)}, **more)
+
+
+def test_a_form_sent_twice_is_one_submission(service: Service, reader: TestClient) -> None:
+    token = service.create_token(("submit",), submitter="lab")
+    form = filled(reader, token)
+    answers = [send(reader, form) for _ in range(2)]
+    [found] = service.queries.submissions()
+    assert {a.headers["location"] for a in answers} == {f"/submissions/{found.id}"}
+    assert (answers[0].status_code, found.method, found.licence) == (303, "mine", "MIT")
+    assert send(reader, filled(reader, token)).status_code == 303
+    assert len(service.queries.submissions()) == 2
+
+
+@pytest.mark.parametrize(
+    ("changed", "status", "told"),
+    [
+        ({"account_token": "azt_wrong"}, 401, "this token is not valid"),
+        ({"account_token": ""}, 401, "send a token"),
+        ({"task": "dance"}, 422, "allowed are scratch"),
+        ({"licence": "mine alone"}, 422, "allowed are Apache-2.0"),
+        ({"method": " "}, 422, "method has 1 to 80"),
+        ({"season": "never"}, 404, "no season"),
+        ({"request_id": ""}, 422, "request has 1 to 64"),
+    ],
+)
+def test_what_cannot_be_handed_in_comes_back_with_a_reason(
+    service: Service, reader: TestClient, changed: dict[str, str], status: int, told: str
+) -> None:
+    token = service.create_token(("submit",), submitter="lab")
+    answer = send(reader, filled(reader, token) | changed)
+    assert answer.status_code == status and told in answer.text
+    assert token not in answer.text and "azt_wrong" not in answer.text
+    assert service.queries.submissions() == []
+
+
+def test_a_token_that_may_not_submit_and_an_empty_file_are_told(
+    service: Service, reader: TestClient
+) -> None:
+    work = service.create_token(("work",))
+    assert send(reader, filled(reader, work)).status_code == 403
+    token = service.create_token(("submit",), submitter="lab")
+    assert "not empty" in send(reader, filled(reader, token), b"").text
+
+
+def test_a_form_that_another_page_wrote_is_not_answered(
+    service: Service, reader: TestClient
+) -> None:
+    token = service.create_token(("submit",), submitter="lab")
+    form = filled(reader, token)
+    elsewhere = {"Sec-Fetch-Site": "cross-site"}
+    assert send(reader, form, headers=elsewhere).status_code == 403
+    assert send(reader, form | {FIELD: "0" * 64}).status_code == 403
+    reader.cookies.clear()
+    assert send(reader, form).status_code == 403
+    assert service.queries.submissions() == []
+
+
+def test_tokens_cannot_be_guessed_by_the_form(reader: TestClient) -> None:
+    form = filled(reader, "azt_guess")
+    codes = [send(reader, form).status_code for _ in range(32)]
+    assert codes[0] == 401 and codes[-1] == 429
+
+
+def test_a_form_from_elsewhere_is_not_read(reader: TestClient) -> None:
+    """Without the cookie of a page of ours nothing of it is parsed."""
+    wrong = {"Content-Type": "multipart/form-data; boundary=x"}
+    assert reader.post("/submit", content=b"no form", headers=wrong).status_code == 403
+    reader.get("/submit")
+    assert reader.post("/submit", content=b"no form", headers=wrong).status_code == 422
+
+
+def test_forms_with_files_are_few_at_once_and_in_a_minute(
+    service: Service, reader: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    token = service.create_token(("submit",), submitter="lab")
+    form = filled(reader, token)
+    with monkeypatch.context() as patch:
+        patch.setattr("assistax_board.api.desk.FORMS", 0)
+        assert send(reader, form).status_code == 503
+    assert [send(reader, form).status_code for _ in range(22)][-1] == 429

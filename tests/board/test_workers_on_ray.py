@@ -1,0 +1,37 @@
+"""Workers on a real Ray of two CPUs on this machine: each takes jobs of its own."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from assistax_base import cluster as ray_blocks
+from assistax_base.cluster import RayCluster
+from assistax_board.store import schema as t
+from assistax_board.work.working_process import run_workers_on_ray
+from tests.board.fakes import FakeScorer, draft, new_service, new_submitter
+from tests.board.running import served
+
+
+@pytest.fixture
+def two_cpus() -> Iterator[None]:
+    import ray
+
+    ray_blocks._connect(ray, None, num_cpus=2)
+    yield
+    ray.shutdown()
+
+
+@pytest.mark.slow
+def test_a_cluster_of_workers_empties_the_queue(two_cpus: None, tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    submitter = new_submitter(service)
+    for number in range(20):
+        service.submit(submitter, draft(request=f"r{number}"))
+    with served(service) as server:
+        client = server.client("work")
+        run_workers_on_ray(RayCluster(cpus=1), client, FakeScorer, until_empty=True)
+    assert {one.state for one in service.queries.submissions()} == {"scored"}
+    with service.database.read() as connection:
+        names = {row.worker for row in connection.execute(t.jobs.select())}
+    assert len(names) == 2, "both CPUs had one"

@@ -1,0 +1,285 @@
+"""With the real evaluator: both formats, a private release, and values that do not move."""
+
+import dataclasses
+import json
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import polars as pl
+import pytest
+
+import assistax_envs
+from assistax_board.client import submitting
+from assistax_board.client.submitting import _try_work
+from assistax_board.problems import Refusal
+from assistax_board.robots.admission import Admission, robot_sizes
+from assistax_board.rules.catalogue import PUBLIC_SEED, ZooCatalogue, panel_episodes, version_id
+from assistax_board.rules.release_pack import hidden_partners, ordinal, pack
+from assistax_board.rules.results import figures
+from assistax_board.rules.scoring import Work, decode_table, encode_table, table_bytes
+from assistax_board.work.zoo_scorer import ZooScorer
+from assistax_envs import Env
+from assistax_envs.preferences import PREFERENCES
+from assistax_envs.versions import FUSED_VERSION
+from assistax_workshop.press.trained_runs import TrainedTeam
+from evaluation.figures.normalised import RANDOM, SCRIPT, SELF_PLAY, ZERO
+from evaluation.play.baselines import reference_jobs, reference_roster
+from evaluation.play.evaluator import run_job
+from evaluation.studies import Settings, evaluate_policies, make_job, own_robots
+from population.networks.onnx_export import to_onnx
+from population.networks.spec import PolicySpec
+from tests.board.fakes import draft, new_service, new_submitter
+from tests.untrained import HUMAN, ROBOT, params_of, published, untrained_team
+from zoo.parameters.storage import write_policy_file
+from zoo.registry import Registry, load_registry
+
+TASK = "scratch"
+
+
+@pytest.fixture(scope="module")
+def registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
+    return _registry(tmp_path_factory.mktemp("public"), first=0)
+
+
+def _registry(folder: Path, first: int) -> Registry:
+    return load_registry(published(_teams(first), folder))
+
+
+def _teams(first: int) -> list[TrainedTeam]:
+    return [
+        untrained_team(
+            "d1", seed, robot=(ROBOT, params_of(ROBOT, seed)), human=(HUMAN, params_of(HUMAN, seed))
+        )
+        for seed in range(first, first + 3)
+    ]
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> dict[str, bytes]:
+    """One robot in both formats."""
+    params, path = params_of(ROBOT, 7), tmp_path / "robot.safetensors"
+    write_policy_file(path, ROBOT, params)
+    return {"safetensors": path.read_bytes(), "onnx": to_onnx(ROBOT, params)}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def short_episodes() -> Iterator[None]:
+    def short(*args: Any, **options: Any) -> Env:
+        env = Env(*args, **options)
+        env.episode_length = 100
+        return env
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(assistax_envs, "make", short)
+        yield
+
+
+def scorer_of(registry: Registry) -> ZooScorer:
+    return ZooScorer(registry, ZooCatalogue(registry, "native"), "native")
+
+
+def work(partners: tuple[str, ...]) -> Work:
+    return _try_work(TASK, "safetensors", partners)
+
+
+@pytest.mark.slow
+def test_a_robot_scores_the_same_in_both_formats_and_every_time(
+    registry: Registry, files: dict[str, bytes]
+) -> None:
+    partners = tuple(entry.id for entry in registry.select(task=TASK, role="human"))
+    tables = [
+        scorer_of(registry).play(work(partners), files[format], None)
+        for format in ("safetensors", "safetensors", "onnx")
+    ]
+    assert table_bytes(tables[0]) == table_bytes(tables[1])
+    returns = [table.sort("partner", "episode")["return"].to_numpy() for table in tables]
+    # The networks round differently in the last bit, and contacts amplify that.
+    np.testing.assert_allclose(returns[0], returns[2], rtol=0.05, atol=1.0)
+
+
+@pytest.mark.slow
+def test_onnx_at_home_is_onnx_at_the_server_bit_for_bit(
+    registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(submitting, "BACKEND", "native")
+    spec, path = dataclasses.replace(ROBOT, torso="gru", hidden=(64, 64)), tmp_path / "robot.onnx"
+    # Large and recurrent, so that another rounding would show within so few steps.
+    params = jax.tree.map(lambda leaf: 4 * leaf, params_of(spec, 7))
+    path.write_bytes(to_onnx(spec, params))
+    table, score = _at_a_server(registry, path.read_bytes(), tmp_path / "server")
+
+    checked = submitting.check_file(path, TASK, registry.path, whole=True)
+    assert json.loads(json.dumps(checked["figures"])) == score
+    assert (checked["partners"], checked["episodes"]) == (table["partner"].n_unique(), table.height)
+
+    settings = Settings(TASK, panel_episodes(TASK, "public"), PUBLIC_SEED, "native")
+    played = evaluate_policies(registry, [path], settings, tmp_path / "home")
+    assert played.m_test is not None
+    home = pl.read_parquet(tmp_path / "home" / "episodes.parquet").sort("partner", "episode")
+    for column in ("partner", "episode", "return", "success", "nonfinite"):
+        assert home[column].equals(table[column]), column
+
+
+def _at_a_server(
+    registry: Registry, data: bytes, folder: Path
+) -> tuple[pl.DataFrame, dict[str, Any]]:
+    """Return what a server keeps of a file's public half: its episodes and its figures."""
+    catalogue = ZooCatalogue(registry, "native")
+    admission = Admission(robot_sizes(registry))
+    service = dataclasses.replace(new_service(folder), catalogue=catalogue, admit=admission)
+    id = service.submit(new_submitter(service), draft(data=data))
+    scorer, tables = scorer_of(registry), []
+    while asked := service.lease("w", scorer.versions()):
+        played = encode_table(scorer.play(asked, service.artefacts.get(asked.artefact), None))
+        tables.append(decode_table(played, asked.partners, asked.episodes, asked.preferences))
+        service.result(asked.job, asked.lease, played, 1.0)
+    [score] = service.queries.scores(submission=id)
+    return pl.concat(tables).sort("partner", "episode"), score.figures
+
+
+def test_a_score_names_the_engine_that_made_it(registry: Registry) -> None:
+    def found(backend: str) -> dict[str, str]:
+        return ZooCatalogue(registry, backend).identity(TASK)["engine"]
+
+    assert found("fused") == {"name": "fused", "version": str(FUSED_VERSION)}
+    assert found("native") == {"name": "native", "version": version("mujoco")}
+    assert "preferences" not in ZooCatalogue(registry, "native").identity(TASK)
+    with pytest.raises(ValueError, match="backend is 'auto'; allowed"):
+        found("auto")
+
+
+def test_a_score_names_its_episodes_and_their_starts(registry: Registry) -> None:
+    identity = ZooCatalogue(registry, "native").identity(TASK)
+    assert (identity["episodes"], identity["hidden_episodes"], identity["starts"]) == (8, 16, "own")
+    gentle = [panel_episodes("gentle_scratch", panel) for panel in ("public", "A", "B")]
+    assert gentle == [18, 18, 18], "each wish as often, of nine and of three"
+
+
+def test_a_private_release_is_played_under_ordinals(
+    registry: Registry, files: dict[str, bytes], tmp_path: Path
+) -> None:
+    private = _registry(tmp_path, first=100)
+    packed = pack(private.path.parent)
+    humans = hidden_partners(private, TASK)
+    hidden = scorer_of(registry).play(work((ordinal(1),)), files["safetensors"], packed)
+    assert hidden["partner"].unique().to_list() == ["hidden-0001"]
+    shown = scorer_of(private).play(work((humans[1].id,)), files["safetensors"], None)
+    assert hidden["return"].equals(shown["return"])
+    assert pack(private.path.parent) == packed
+
+
+@pytest.mark.slow
+def test_a_gentle_tasks_preferences_are_in_job_table_and_identity(tmp_path: Path) -> None:
+    task = "gentle_scratch"
+    env = assistax_envs.make(task, backend="native")
+    specs = {
+        role: PolicySpec(role, env.observation_size[role], env.action_size[role], hidden=(8,))
+        for role in ("robot", "human")
+    }
+    teams = []
+    for seed in (0, 1):
+        pairs = {role: (spec, params_of(spec, seed)) for role, spec in specs.items()}
+        teams.append(untrained_team("d1", seed, task, **pairs))
+    registry = load_registry(published(teams, tmp_path))
+    identity = ZooCatalogue(registry, "native").identity(task)
+    assert identity["preferences"] == list(PREFERENCES)
+    assert version_id(identity) != version_id(identity | {"preferences": ["p1"]})
+    [partner, _] = (entry.id for entry in registry.select(task=task, role="human"))
+    write_policy_file(tmp_path / "robot.safetensors", specs["robot"], params_of(specs["robot"], 7))
+    asked = dataclasses.replace(_try_work(task, "safetensors", (partner,)), episodes=9)
+    table = scorer_of(registry).play(asked, (tmp_path / "robot.safetensors").read_bytes(), None)
+    assert sorted(table["preference"]) == list(PREFERENCES), "each once in nine episodes"
+    arrived = decode_table(encode_table(table), asked.partners, 9, asked.preferences)
+    shown = figures(arrived)
+    assert list(shown["by_preference"]) == list(PREFERENCES)
+    assert 0.0 <= shown["safe_success"] <= shown["success"] <= 1.0
+    assert "violations" in shown
+
+
+@pytest.mark.slow
+def test_reference_rows_are_what_evaluate_plays(registry: Registry, tmp_path: Path) -> None:
+    """Its robots, its episodes, its numbers: `evaluation.play.baselines`."""
+    partners = tuple(entry.id for entry in registry.select(task=TASK, role="human"))
+    asked = work(partners)
+    entries = [registry.policy(name) for name in partners]
+    settings = Settings(TASK, asked.episodes, int(asked.seed, 16), "native")
+    env, job = make_job(registry, reference_roster(34, 7), entries, settings)
+    assert job.apart, "as the identity of a version says"
+    jobs = reference_jobs(env, job, own_robots(registry, entries))[:2]
+    played = pl.concat(
+        run_job(env, one, tmp_path / str(place)).table for place, one in enumerate(jobs)
+    )
+    egos = pl.col("ego"), pl.col("ego").str.starts_with(TASK)
+    for name, chosen in ((RANDOM, egos[0] == RANDOM), (SELF_PLAY, egos[1])):
+        reference = dataclasses.replace(asked, kind="reference", format=name)
+        found = scorer_of(registry).play(reference, None, None)
+        expected = played.filter(chosen).sort("partner", "episode")
+        assert found.sort("partner", "episode")["return"].equals(expected["return"])
+        assert expected.height == found.height == 6
+
+
+@pytest.mark.slow
+def test_references_play_a_private_release_too(registry: Registry, tmp_path: Path) -> None:
+    """A season's panel B is measured by them; self-play is with the release's own robots."""
+    private = _registry(tmp_path, first=100)
+    humans = hidden_partners(private, TASK)
+    for name in (ZERO, SELF_PLAY):
+        asked = dataclasses.replace(work((ordinal(1),)), kind="reference", format=name)
+        hidden = scorer_of(registry).play(asked, None, pack(private.path.parent))
+        open_ = dataclasses.replace(asked, partners=(humans[1].id,))
+        assert hidden["return"].equals(scorer_of(private).play(open_, None, None)["return"])
+
+
+@pytest.mark.slow
+def test_published_egos_are_rows_to_measure_by(registry: Registry, tmp_path: Path) -> None:
+    rows = {ZERO: ZERO, RANDOM: RANDOM, SCRIPT: SCRIPT, SELF_PLAY: SELF_PLAY}
+    assert ZooCatalogue(registry, "native").references(TASK) == rows
+    team = untrained_team("mixed", 5, robot=(ROBOT, params_of(ROBOT, 5)))
+    against = {"split": "scratch/half-s0-v0-01234567", "sha256": "0" * 64}
+    ego = dataclasses.replace(team, algorithm="ppo", trained_against=against)
+    teams = [*_teams(first=0), ego]
+    wider = load_registry(published(teams, tmp_path))
+    assert ZooCatalogue(wider, "native").references(TASK) == rows | {"ppo-ego-s5-v0": "ppo ego"}
+    partners = (next(entry.id for entry in wider.select(task=TASK, role="human")),)
+    reference = dataclasses.replace(work(partners), kind="reference", format="ppo-ego-s5-v0")
+    write_policy_file(tmp_path / "robot.safetensors", ROBOT, params_of(ROBOT, 5))
+    handed_in = (tmp_path / "robot.safetensors").read_bytes()
+    tables = [
+        scorer_of(wider).play(asked, robot, None)
+        for asked, robot in ((reference, None), (work(partners), handed_in))
+    ]
+    assert table_bytes(tables[0]) == table_bytes(tables[1])
+
+
+def test_a_live_robot_is_a_callable(registry: Registry) -> None:
+    partners = tuple(entry.id for entry in registry.select(task=TASK, role="human"))[:1]
+    live = dataclasses.replace(work(partners), kind="live")
+    table = scorer_of(registry).play(live, lambda obs: np.zeros((len(obs), 7), np.float32), None)
+    assert isinstance(table, pl.DataFrame)
+    assert table.height == 2
+
+
+def test_admission_reads_both_formats(registry: Registry, files: dict[str, bytes]) -> None:
+    admission = Admission(robot_sizes(registry))
+    assert [admission(files[name], TASK) for name in files] == ["safetensors", "onnx"]
+
+
+@pytest.mark.parametrize(
+    ("spec", "code"),
+    [
+        (PolicySpec("human", 34, 7, hidden=(8,)), "wrong_role"),
+        (PolicySpec("robot", 35, 7, hidden=(8,)), "wrong_sizes"),
+        (PolicySpec("robot", 34, 6, hidden=(8,)), "wrong_sizes"),
+    ],
+)
+def test_another_tasks_policy_is_refused(
+    registry: Registry, tmp_path: Path, spec: PolicySpec, code: str
+) -> None:
+    write_policy_file(tmp_path / "p.safetensors", spec, params_of(spec, 0))
+    with pytest.raises(Refusal) as refusal:
+        Admission(robot_sizes(registry))((tmp_path / "p.safetensors").read_bytes(), TASK)
+    assert refusal.value.code == code

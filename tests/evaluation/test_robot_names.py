@@ -1,0 +1,58 @@
+import re
+from pathlib import Path
+
+import pytest
+
+from evaluation.cast.robot_names import parse_reference
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("zero", ("zero", "", "", {})),
+        ("random", ("random", "", "", {})),
+        ("zoo:anything/*", ("zoo", "anything/*", "", {})),
+        ("scratch/ippo-d1-s0-v1/robot", ("zoo", "scratch/ippo-d1-s0-v1/robot", "", {})),
+        ("lab:bed_bath/ppo-*", ("zoo", "lab:bed_bath/ppo-*", "", {})),
+        ("a/b.safetensors", ("file", "a/b.safetensors", "", {})),
+        ("a.onnx", ("onnx", "a.onnx", "", {})),
+        ("onnx:a.model", ("onnx", "a.model", "", {})),
+        ("python:pkg.mod:make", ("python", "pkg.mod", "make", {})),
+        ("python:x.py:make", ("python", "x.py", "make", {})),
+        (
+            "python:/abs/x.py:make?weights=a:b.pt&size=3&note=",
+            ("python", "/abs/x.py", "make", {"weights": "a:b.pt", "size": "3", "note": ""}),
+        ),
+    ],
+)
+def test_every_form_is_read(text: str, parts: tuple) -> None:
+    found = parse_reference(text)
+    assert (found.text, found.kind, found.source, found.factory, found.arguments) == (text, *parts)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("best", "unknown form; allowed are an id such as scratch/"),
+        ("x.py:make", "did you mean python:x.py:make?"),
+        ("x.py", "did you mean python:x.py:FACTORY?"),
+        ("robot.pt", "python:FILE.py:FACTORY?weights=robot.pt"),
+        ("python:mod", "lacks a part"),
+        ("python::make", "lacks a part"),
+        ("python:mod:make()", "lacks a part"),
+        ("python:mod:make?weights", "unreadable arguments"),
+    ],
+)
+def test_what_is_no_reference_says_what_it_may_have_been(text: str, told: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(told)):
+        parse_reference(text)
+
+
+def test_no_other_module_parses_references() -> None:
+    """One grammar, one parser: who asks for a scheme by itself has begun a second one."""
+    root = Path(__file__).parents[2]
+    for package in ("evaluation", "assistax_zoo", "population", "zoo"):
+        for path in (root / package).rglob("*.py"):
+            text = path.read_text(encoding="utf-8")
+            if path.name != "policy_reference.py":
+                assert not re.search(r'"(zoo|python|onnx):"', text), path

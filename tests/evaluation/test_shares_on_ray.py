@@ -1,0 +1,100 @@
+"""Cross-play on a real Ray of two CPUs on this machine, through the command."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from assistax_base.cluster import RayCluster
+from assistax_zoo.shell.main import run
+from evaluation.cast.roster import joined
+from evaluation.play import jobs
+from evaluation.play import shares as blocks
+from evaluation.play.jobs import Job
+from evaluation.play.shares import run_blocks_on_ray
+from tests import untrained
+from tests.evaluation.matrix_game import GRU, MatrixGame, humans, random_roster, robots
+from tests.untrained import HUMAN, ROBOT, params_of, untrained_team
+
+SMALL = dataclasses.replace(ROBOT, hidden=(4,))
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A registry of teams whose robots are of two specs, which cannot share a chunk."""
+    teams = [
+        untrained_team(
+            "d9",
+            seed,
+            robot=(robot, params_of(robot, seed)),
+            human=(HUMAN, params_of(HUMAN, 10 + seed)),
+        )
+        for seed, robot in enumerate((ROBOT, SMALL))
+    ]
+    return untrained.published(teams, tmp_path_factory.mktemp("zoo"))
+
+
+@pytest.mark.slow
+def test_crossplay_on_ray_is_that_of_a_single_run_byte_for_byte(
+    published: Path, tmp_path: Path, capfd: Any
+):
+    words = [
+        "crossplay",
+        "--task",
+        "scratch",
+        "--registry",
+        str(published),
+        "--backend",
+        "native",
+        "--max-envs",
+        "2",
+    ]
+    words += ["--episodes", "1"]
+    assert run([*words, "--out", str(tmp_path / "local")]) == 0
+    assert run([*words, "--out", str(tmp_path / "ray"), "--engine", "ray", "--ray-cpus", "1"]) == 0
+    told = capfd.readouterr()
+    assert "found finished" in told.out  # the parts came from the workers
+    for name in ("episodes.parquet", "pairs.parquet"):
+        assert (tmp_path / "ray" / name).read_bytes() == (tmp_path / "local" / name).read_bytes()
+    assert (
+        run([*words, "--out", str(tmp_path / "ray"), "--engine", "ray"]) == 0
+    )  # finished: no cluster is started
+
+
+def test_parts_that_are_not_here_are_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(jobs, "SMALL_JOB", 0)  # a part for each network
+    job = Job(
+        "matrix",
+        1,
+        "native",
+        joined(robots(1.0), random_roster(GRU, 1, 3)),
+        humans(1.0, -1.0),
+        episodes=2,
+    )
+    monkeypatch.setattr(
+        blocks, "run_blocks", lambda *_: None
+    )  # workers that wrote to a disk of their own
+    with pytest.raises(ValueError, match=r"has 0 of 2 parts here; give an --out that all machines"):
+        run_blocks_on_ray(MatrixGame, job, tmp_path, RayCluster(), max_envs=1)
+    monkeypatch.setattr(
+        blocks, "run_blocks", lambda *args: blocks._run_remotely(0, 2, *args[3])
+    )  # one of two did not
+    with pytest.raises(ValueError, match=r"has 1 of 2 parts here; give an --out that all machines"):
+        run_blocks_on_ray(MatrixGame, job, tmp_path, RayCluster(), max_envs=1)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--block", "1/2", "--engine", "ray"], "--block is one share of a run by hand"),
+        (["--ray-cpus", "2"], "--ray-cpus needs --engine ray"),
+        (["--engine", "ray", "--ray-cpus", "-1"], "a block takes -1.0 CPUs"),
+    ],
+)
+def test_options_that_do_not_fit_get_one_line(
+    words: list[str], told: str, tmp_path: Path, capsys: Any
+):
+    assert run(["crossplay", "--task", "scratch", "--out", str(tmp_path / "xp"), *words]) == 1
+    assert told in capsys.readouterr().err
+    assert not (tmp_path / "xp").exists()

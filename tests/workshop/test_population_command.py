@@ -1,0 +1,314 @@
+"""`assistax-zoo train population`: toy environments under a real task's name, real training, a
+registry of its own.
+"""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pytest
+
+from assistax_zoo.shell.main import run
+from tests.population.toy_env import ToyEnv, constant
+from zoo.registry import load_registry
+from zoo.verify import verify
+
+ROOT = Path(__file__).parents[2]
+TINY = {"num_envs": 4, "rollout_steps": 8, "minibatches": 2, "epochs": 1, "hidden": [4, 4]}
+# Two members and the same shapes everywhere: one compilation serves every test.
+ONE: dict[str, Any] = {
+    "name": "toy-one",
+    "task": "scratch",
+    "algorithm": "ippo",
+    "disabilities": ["d1"],
+    "seeds": 2,
+}
+ONE |= {"steps": 96, "set": TINY, "self_play_episodes": 2}
+OTHER = {**ONE, "name": "toy-other", "disabilities": ["d3"], "seeds": [0, 5]}
+
+
+class ToyScratch(ToyEnv):
+    task = "scratch"
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A folder with a plan of two groups, and an environment that costs nothing and that nobody can
+    improve in.
+    """
+    use_toy(monkeypatch)
+    write_plan(tmp_path, ONE, OTHER)
+    return tmp_path
+
+
+def write_plan(place, *groups, release="v1"):
+    plan = {"version": 1, "release": release, "groups": list(groups)}
+    (place / "plan.json").write_text(json.dumps(plan))
+
+
+def words(place, *more, out="runs"):
+    return ["train", "population", "--plan", str(place / "plan.json"), "--out", str(place / out),
+            "--registry", str(place / "registry.json"), *more]  # fmt: skip
+
+
+def contents(place):
+    return {
+        path.relative_to(place): path.read_bytes() for path in place.rglob("*") if path.is_file()
+    }
+
+
+def rows(capsys, place, *more):
+    capsys.readouterr()
+    assert run(words(place, "--dry-run", "--json", *more)) == 0
+    return {row["group"]: row for row in json.loads(capsys.readouterr().out)["groups"]}
+
+
+def test_a_plan_is_trained_and_published_once(place, capsys):
+    before = rows(capsys, place)
+    assert (before["toy-one"]["missing"], before["toy-other"]["missing"]) == (2, 2)
+    assert before["toy-one"]["device_minutes_to_go"] is None and not (place / "runs").exists()
+
+    assert run(words(place, "--curves", str(place / "curves"))) == 0
+    registry = load_registry(place / "registry.json")
+    assert [entry.team for entry in registry.policies[::2]] == [
+        "scratch/ippo-d1-s0-v1", "scratch/ippo-d1-s1-v1", "scratch/ippo-d3-s0-v1",
+        "scratch/ippo-d3-s5-v1",
+    ]  # fmt: skip
+    assert verify(registry).ok
+    # Reward 1 a step whatever is done: nothing can be learned, and the teams are in the zoo with
+    # what they earn.
+    assert {entry.self_play and entry.self_play.mean for entry in registry.policies} == {8.0}
+
+    progress = json.loads((place / "plan.progress.json").read_text())
+    assert (progress["teams"], progress["published"]) == (4, 4)
+    assert progress["groups"]["toy-other"]["state"] == "published"
+    [one] = progress["groups"]["toy-one"]["runs"].values()
+    assert (one["state"], one["teams"], one["steps"]) == ("published", 2, 96)
+    assert (one["seconds"], one["steps_per_second"]) == (4.0, 2 * 96 / 4)
+
+    curve = pl.read_parquet(place / "curves" / "toy-one.parquet")
+    assert curve.columns[:6] == ["task", "algorithm", "disability", "seed", "steps", "return"]
+    assert curve.filter(pl.col("seed") == 1, pl.col("disability") == "d1")["steps"].to_list() == [
+        32,
+        64,
+        96,
+    ]
+
+    old = contents(place)
+    assert run(words(place, "--curves", str(place / "curves"))) == 0
+    assert contents(place) == old
+    after = rows(capsys, place)["toy-one"]
+    assert (after["published"], after["missing"], after["steps_to_train"]) == (2, 0, 0)
+
+
+def test_a_finished_run_is_only_published_even_without_its_checkpoints(place, monkeypatch, capsys):
+    write_plan(place, OTHER)
+    assert run(words(place, "--no-publish")) == 0
+    assert not (place / "registry.json").exists()
+    waiting = rows(capsys, place)["toy-other"]
+    assert (waiting["trained"], waiting["published"], waiting["steps_to_train"]) == (2, 0, 0)
+    progress = json.loads((place / "plan.progress.json").read_text())["groups"]["toy-other"]
+    assert (progress["state"], progress["published"]) == ("trained", 0) and progress[
+        "device_minutes"
+    ] >= 0
+    for path in (place / "runs" / "toy-other" / "checkpoints").rglob("*"):
+        if path.is_file():
+            path.unlink()
+    monkeypatch.setattr("assistax_envs.make", unwanted)
+    parameters = (place / "runs" / "toy-other" / "robot.safetensors").read_bytes()
+    assert run(words(place)) == 0
+    assert rows(capsys, place)["toy-other"]["published"] == 2
+    assert (place / "runs" / "toy-other" / "robot.safetensors").read_bytes() == parameters
+
+
+@pytest.mark.slow
+def test_a_release_becomes_the_default_once_its_plan_is_whole(place):
+    assert run(words(place, "--groups", "toy-one")) == 0
+    part = load_registry(place / "registry.json")
+    assert len(part.policies) == 4 and not part.splits
+    assert run(words(place)) == 0
+    whole = load_registry(place / "registry.json")
+    split = whole.split("scratch")
+    assert {*split.train, *split.test} == set(whole.data.teams) and len(whole.splits) == 1
+
+
+@pytest.mark.slow
+def test_an_interrupted_run_goes_on_as_it_was_begun(place, monkeypatch, capsys):
+    """The folder holds two members of four; its configuration stands, whatever the plan says
+    meanwhile.
+    """
+    group = {**ONE, "disabilities": ["d1", "d9"], "max_members": 2, "checkpoint_every": 1}
+    write_plan(place, group)
+    interrupt_after(monkeypatch, updates=2)
+    assert run(words(place)) == 130
+    monkeypatch.undo()
+    use_toy(monkeypatch)
+    begun = json.loads((place / "runs" / "toy-one" / "config.json").read_text())
+    assert (
+        json.loads((place / "plan.progress.json").read_text())["groups"]["toy-one"]["state"]
+        == "training"
+    )
+
+    write_plan(place, {**group, "steps": 64, "disabilities": ["d9", "d1"]})
+    assert run(words(place)) == 0
+    assert (
+        "toy-one goes on as it was begun, not as the plan says: steps is 96 there and 64 here"
+        in capsys.readouterr().err
+    )
+    assert json.loads((place / "runs" / "toy-one" / "config.json").read_text()) == begun
+    trained = {
+        entry.team: entry.training.steps
+        for entry in load_registry(place / "registry.json").policies
+    }
+    assert trained == {
+        "scratch/ippo-d1-s0-v1": 96, "scratch/ippo-d1-s1-v1": 96,
+        "scratch/ippo-d9-s0-v1": 64, "scratch/ippo-d9-s1-v1": 64,
+    }  # fmt: skip
+
+
+@pytest.mark.slow
+def test_adopted_teams_keep_parameters_and_provenance(place, monkeypatch, capsys):
+    """The runs of both releases have one name and one duration: they are still told apart."""
+    write_plan(place, ONE, release="v0")
+    assert run(words(place, out="old")) == 0
+    group = {**ONE, "disabilities": ["d1", "d9"], "adopt": "v0"}
+    write_plan(place, group)
+    row = rows(capsys, place)["toy-one"]
+    assert (row["adoptable"], row["missing"], row["estimated_from"]) == (2, 2, "ippo")
+    assert run(words(place)) == 0
+    registry = load_registry(place / "registry.json")
+    for seed in (0, 1):
+        old, new = (registry.team(f"scratch/ippo-d1-s{seed}-{release}") for release in ("v0", "v1"))
+        hashes = [{role: row.sha256 for role, row in team.policies.items()} for team in (old, new)]
+        assert hashes[0] == hashes[1]
+        assert (old.run, old.self_play) == (new.run, new.self_play) and old.policies != new.policies
+    assert verify(registry).ok
+    runs = json.loads((place / "plan.progress.json").read_text())["groups"]["toy-one"]["runs"]
+    assert {run["state"]: run["teams"] for run in runs.values()} == {"adopted": 2, "published": 2}
+    write_plan(place, {**group, "steps": 97}, release="v2")
+    assert rows(capsys, place)["toy-one"]["adoptable"] == 0  # trained for 96 steps
+
+
+def test_parameters_of_another_team_are_still_refused(place):
+    """The defect that the check is for: a run folder whose rows are another team's."""
+    write_plan(place, OTHER)
+    assert run(words(place)) == 0
+    teams = json.loads((place / "runs" / "toy-other" / "teams.json").read_text())
+    for team in teams:
+        team["team"]["disability"] = "d4"
+    (place / "runs" / "toy-other-2").mkdir()
+    for name in ("robot.safetensors", "human.safetensors"):
+        (place / "runs" / "toy-other-2" / name).write_bytes(
+            (place / "runs" / "toy-other" / name).read_bytes()
+        )
+    (place / "runs" / "toy-other-2" / "teams.json").write_text(json.dumps(teams))
+    write_plan(place, {**OTHER, "disabilities": ["d3", "d4"]})
+    before = (place / "registry.json").read_bytes()
+    assert run(words(place, "--no-train")) == 1
+    assert (place / "registry.json").read_bytes() == before
+
+
+def test_one_failure_leaves_the_other_groups_alone(place, capsys):
+    write_plan(
+        place, {**ONE, "set": {**TINY, "rollout_steps": 9, "num_envs": 2}}, OTHER
+    )  # episodes have 8 steps
+    assert run(words(place, "--json")) == 1
+    captured = capsys.readouterr()
+    found = {row["group"]: row["published"] for row in json.loads(captured.out)["groups"]}
+    assert found == {"toy-one": 0, "toy-other": 2}
+    assert captured.err.splitlines()[-1].startswith(
+        "error: 1 failed, and the same command tries again: toy-one:"
+    )
+    progress = json.loads((place / "plan.progress.json").read_text())["groups"]
+    assert (
+        progress["toy-one"]["state"] == "failed" and progress["toy-other"]["state"] == "published"
+    )
+    [failed] = progress["toy-one"]["runs"].values()
+    assert "rollout_steps is 9" in failed["error"]
+
+
+def test_a_run_that_another_process_holds_is_left_to_it(place, monkeypatch, capsys):
+    """A real process holds the lock, as on another GPU; once it is killed, the run is free."""
+    script = (
+        "import pathlib, time; from assistax_base.files import exclusive\n"
+        f"with exclusive(pathlib.Path({str(place / 'runs' / 'toy-other')!r})):\n"
+        "    print('held', flush=True); time.sleep(60)"
+    )
+    write_plan(place, OTHER)
+    with subprocess.Popen(
+        [sys.executable, "-c", script], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout and other.stdout.readline() == "held\n"
+        with monkeypatch.context() as patch:
+            patch.setattr("assistax_envs.make", unwanted)
+            assert run(words(place)) == 0
+        other.kill()
+        other.wait()
+    assert rows(capsys, place)["toy-other"]["missing"] == 2
+    assert run(words(place)) == 0
+    assert rows(capsys, place)["toy-other"]["published"] == 2
+
+
+@pytest.mark.slow
+def test_what_another_process_wrote_of_its_runs_stays_in_the_file(place):
+    write_plan(place, OTHER)
+    assert run(words(place, "--no-publish", out="here")) == 0
+    write_plan(place, ONE, OTHER)
+    assert run(words(place, "--groups", "*-one", out="there")) == 0
+    groups = json.loads((place / "plan.progress.json").read_text())["groups"]
+    assert {name: group["state"] for name, group in groups.items()} == {
+        "toy-one": "published",
+        "toy-other": "trained",
+    }
+
+
+def test_a_plan_that_adopts_needs_the_registry(place, capsys):
+    write_plan(place, {**ONE, "adopt": "v0"})
+    assert run(words(place, "--no-publish")) == 1
+    assert (
+        "adopts teams of release v0, but there is no registry; name the registry that has it"
+        in capsys.readouterr().err
+    )
+    assert run(words(place, "--groups", "swim")) == 1
+    assert "no group matches 'swim'; the plan has toy-one" in capsys.readouterr().err
+
+
+def test_train_stays_a_command_of_its_own(capsys):
+    assert run(["train", "--task", "swim", "--out", "x"]) == 1
+    assert "task is 'swim'; allowed are scratch" in capsys.readouterr().err
+    assert run(["train", "population", "--out", "x"]) == 2
+    assert capsys.readouterr().err.endswith("try: assistax-zoo train population --help\n")
+    assert run(["train", "--help"]) == 0
+    assert "population  Train and publish what is missing of a plan" in " ".join(
+        capsys.readouterr().out.split(" │")
+    )
+    assert run(["train", "population", "--help"]) == 0
+    usage, _, rest = capsys.readouterr().out.partition("\n")
+    assert usage.startswith("Usage: assistax-zoo train population --plan PATH")
+    assert "assistax-zoo train population --plan zoo/plans/v1.json --out runs/v1 --dry-run" in rest
+
+
+def use_toy(monkeypatch):
+    """Train on a toy in 4 seconds, whatever the machine."""
+    monkeypatch.setattr("population.runs.train.round", lambda seconds, digits: 4.0, raising=False)
+    monkeypatch.setattr(
+        "assistax_envs.make", lambda task, backend: ToyScratch(constant, episode_length=8)
+    )
+
+
+def unwanted(task, backend):
+    raise AssertionError("nothing was to be trained")
+
+
+def interrupt_after(monkeypatch, updates):
+    """Interrupt training as Ctrl-C does, after a number of updates."""
+    from assistax_zoo.shell.console import TrainingLine
+
+    def stop(self, progress):
+        if progress.update >= updates:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(TrainingLine, "__call__", stop)

@@ -1,0 +1,1 @@
+"""The makers' tools: plans of populations, releases, sweeps, gates of tasks."""

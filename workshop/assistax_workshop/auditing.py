@@ -1,0 +1,88 @@
+"""Audit of a task: whether it can be done without the partner, and roughly."""
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+from assistax_workshop.gates.audit import EPISODES, Audit, Others, audit_task
+from assistax_workshop.gates.audit_teams import Teams, read_robots, read_teams, read_trained_egos
+from assistax_zoo.shell.console import chosen_progress, study_progress
+from assistax_zoo.studies import Shown
+from assistax_zoo.zoos import Zoo, open_zoo
+from evaluation.studies import Settings
+from zoo.registry import Registry
+
+Names = str | Sequence[str]
+
+
+def audit(
+    task: str,
+    teams: Names,
+    *,
+    passive_robot: Names = (),
+    response: Names = (),
+    told: Names = (),
+    blind: Names = (),
+    recurrent: Names = (),
+    ego: Names = (),
+    ego_told: Names = (),
+    ego_recurrent: Names = (),
+    episodes: int = EPISODES,
+    seed: int = 0,
+    backend: str = "auto",
+    zoo: str | Path | Zoo | None = None,
+    out: Path | str | None = None,
+    progress: Shown = True,
+) -> Audit:
+    """Hold a task against its gates, on trained teams; those that nobody can measure are named.
+
+    Args:
+        task: Task, such as "gentle_scratch".
+        teams: Folders that `train` filled, or globs over teams of the zoo: several seeds.
+        passive_robot: Robots trained with a human that does nothing: folders, or any form.
+        response: Robots, one for each team, trained with its frozen human.
+        told: Teams whose robot is told the human's preference.
+        blind: Teams whose human is not.
+        recurrent: Teams whose robot remembers.
+        ego: Robots trained with frozen humans of some teams; they play with the others'.
+        ego_told: The same, told the preference.
+        ego_recurrent: The same, with a memory.
+        episodes: Of each pair, two or more.
+        seed: Of the episodes.
+        backend: Physics: "auto" for the fastest one here, or its name.
+        zoo: Where teams come from, as in `open_zoo`.
+        out: Folder for the episodes, in which an audit that was stopped goes on.
+        progress: Show it, or a function that is told of it.
+
+    Raises:
+        ValueError: What was asked for does not exist or does not fit the task.
+        ZooError: A folder or the zoo does not have it, or not unchanged.
+
+    Examples:
+        >>> table = audit("scratch", "scratch/ippo-d1-s[01]-v1", episodes=2, progress=False)
+        >>> table.teams
+        ('scratch/ippo-d1-s0-v1/robot', 'scratch/ippo-d1-s1-v1/robot')
+    """
+    Settings(task, episodes, seed, backend)  # refuses what is none of them
+    registry = open_zoo(zoo).registry
+    own = read_teams(_listed(teams), registry, task)
+    egos = {"ego": ego, "ego_told": ego_told, "ego_recurrent": ego_recurrent}
+    robots = {"passive": passive_robot, "response": response}
+    pairs = {"told": told, "blind": blind, "recurrent": recurrent}
+    found = _read(read_robots, robots, registry, task) | _read(read_teams, pairs, registry, task)
+    found |= _read(read_trained_egos, egos, registry, task)
+    play = partial(audit_task, episodes=episodes, seed=seed, backend=backend)
+    shown = chosen_progress(progress, study_progress(f"audit {task}"))
+    with tempfile.TemporaryDirectory() as temporary, shown as on_progress:
+        return play(task, own, Others(**found), Path(out or temporary), on_progress=on_progress)
+
+
+def _read(
+    read: Callable[..., Teams], named: Mapping[str, Names], registry: Registry, task: str
+) -> dict[str, Teams]:
+    return {name: read(_listed(names), registry, task) for name, names in named.items() if names}
+
+
+def _listed(names: Names) -> list[str]:
+    return [names] if isinstance(names, str) else list(names)

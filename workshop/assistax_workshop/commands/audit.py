@@ -1,0 +1,103 @@
+"""The gates of a task, from named teams."""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from cyclopts import Parameter
+
+from assistax_zoo.shell.console import new_table, print_json, print_table, stdout_is_data
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Others:
+    """Who plays for the gates that the teams alone cannot measure.
+
+    Attributes:
+        passive_robot: Robot trained with a human that does nothing: a folder, or any form.
+        response: Robot trained with the frozen human of a team; one for each, in order.
+        told: Teams whose robot is told the human's preference.
+        blind: Teams whose human is not told its own.
+        recurrent: Teams whose robot remembers.
+        ego: Robots trained with frozen humans of some teams; they play with the others'.
+        ego_told: The same, told the preference.
+        ego_recurrent: The same, with a memory.
+    """
+
+    passive_robot: tuple[str, ...] = ()
+    response: tuple[str, ...] = ()
+    told: tuple[str, ...] = ()
+    blind: tuple[str, ...] = ()
+    recurrent: tuple[str, ...] = ()
+    ego: tuple[str, ...] = ()
+    ego_told: tuple[str, ...] = ()
+    ego_recurrent: tuple[str, ...] = ()
+
+
+def audit(
+    task: str,
+    /,
+    *,
+    team: tuple[str, ...],
+    others: Others = Others(),
+    episodes: int = 18,
+    seed: int = 0,
+    backend: str = "auto",
+    out: Path | None = None,
+    registry: str | None = None,
+    json: bool = False,
+) -> None:
+    """Ask whether a task can be done without the partner, and whether it is done gently.
+
+    Each gate is a figure of trained teams with its 95% interval and its bar. Those for which nobody
+    was named are listed as not measured.
+
+    Args:
+        task: Task, such as gentle_scratch.
+        team: Teams: a folder that `train` filled, or a glob over the zoo's; repeat it for more.
+        others: Who plays for the other gates.
+        episodes: Episodes of each pair; each preference twice if not given.
+        seed: Seed of the episodes.
+        backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
+        out: Folder for the episodes; an audit that was stopped goes on.
+        registry: Registry to read instead of the installed one: a file, a folder or an address.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo audit gentle_lift --team runs/lift --passive-robot runs/lift-passive
+    """
+    with stdout_is_data():
+        from assistax_workshop.auditing import audit as audit_teams
+        from evaluation.record.tables import to_json
+
+        found = to_json(
+            audit_teams(
+                task,
+                team,
+                **vars(others),
+                episodes=episodes,
+                seed=seed,
+                backend=backend,
+                zoo=registry,
+                out=out,
+            )
+        )
+    (print_json if json else _print)(found)
+
+
+def _print(found: Mapping[str, Any]) -> None:
+    """Print an audit's gates as a table, then the figures behind them."""
+    title = f"{found['task']}, {len(found['teams'])} teams, {found['episodes']} episodes a pair"
+    table = new_table(title)
+    for name in ("gate", "bar", "found", "95%", "holds"):
+        table.add_column(name, overflow="fold")
+    for gate in found["gates"]:
+        ends = " to ".join(f"{end:.2f}" for end in gate["ci"] or ())
+        value = gate["told"] if gate["value"] is None else f"{gate['value']:.3f}"
+        held = {True: "yes", False: "NO", None: "-"}[gate["holds"]]
+        table.add_row(gate["gate"], gate["bar"], value, ends or "-", held)
+    print_table(table)
+    for name, figures in found["figures"].items():
+        print(f"{name}: {', '.join(f'{what} {value:.3g}' for what, value in figures.items())}")

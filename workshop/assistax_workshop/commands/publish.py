@@ -1,0 +1,81 @@
+"""The command that publishes trained teams on a remote."""
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pydantic import ValidationError
+
+from assistax_zoo.shell.console import answer
+from zoo.history.official import writable_registry
+from zoo.locations import OWN, own_registry
+from zoo.schema import Citation, first_problem
+
+if TYPE_CHECKING:
+    pass
+
+
+def publish(
+    *runs: Path,
+    release: str,
+    to: str | None = None,
+    registry: Path | None = None,
+    date: str | None = None,
+    description: str = "",
+    author: tuple[str, ...] = (),
+    title: str = "",
+    url: str = "",
+    key: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Publish the teams or egos of run folders in a release: shards, registry, split and card.
+
+    Where no place is named, they join your own zoo, and are own:scratch/... everywhere from then
+    on. What is published never changes; the same run again is a no-op. A hub gets one commit, then
+    a tag.
+
+    Args:
+        runs: Run folders that `assistax-zoo train` or `train-ego` wrote.
+        release: Release that the teams join, such as v0; it is made if it does not exist.
+        to: Folder, or hf://org/name, to publish to; it is made if it does not exist.
+        registry: Registry to publish to instead, without a card.
+        date: ISO date of a new release; default today.
+        description: One sentence on a new release.
+        author: Whom `cite` names as the release's author; repeat it for more, in order.
+        title: Title by which `cite` calls the release.
+        url: Address of the release or its paper, for `cite`.
+        key: Ed25519 private key, PEM, to sign the release with.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo publish runs/scratch-ippo-d1 runs/scratch-ippo-d9 --release v0 --to zoos/mine
+    """
+    from assistax_workshop.press.hub_publish import publish_to
+    from assistax_workshop.press.trained_runs import read_run
+
+    if not runs:
+        raise ValueError("no run folder given; name at least one, for example runs/scratch-ippo-d1")
+    if to and registry:
+        raise ValueError(
+            "both --to and --registry given; --to takes a folder or hf://org/name, and is enough"
+        )
+    teams = [team for run in runs for team in read_run(run)]
+    place = to or writable_registry(registry) or own_registry()
+    about = {"date": date, "description": description, "citation": _citation(author, title, url)}
+    done = publish_to(teams, str(place), release, **about, key=key)
+    published = f"published {len(done.added)} new policies in release {release} of {done.registry}"
+    lines = [f"{published}; it holds {done.policies}"]
+    if place == own_registry():
+        done = dataclasses.replace(done, added=tuple(f"{OWN}:{id}" for id in done.added))
+        lines.append(f"they are {OWN}:... everywhere: assistax-zoo list '{OWN}:*'")
+    answer(json, vars(done), *lines)
+
+
+def _citation(authors: tuple[str, ...], title: str, url: str) -> Citation | None:
+    """Return how a release is to be cited, where anything of it is given."""
+    if not (authors or title or url):
+        return None
+    try:
+        return Citation(authors=authors, title=title, url=url)
+    except ValidationError as error:
+        raise ValueError(f"citation: {first_problem(error)}") from None

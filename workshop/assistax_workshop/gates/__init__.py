@@ -1,0 +1,1 @@
+"""Gates: does a task need its partner, and is it done gently?"""

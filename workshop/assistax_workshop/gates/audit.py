@@ -1,0 +1,323 @@
+"""Is a task one that cannot be done without the partner, and gently? Measured on trained teams.
+
+A gate is a figure with a bar: what a script or a robot without a partner reaches, what strangers
+lose, what knowing the human's preference is worth, and how hard people are touched. Every condition
+is a job of the evaluator, so that episodes are kept, paired and resumed as any others.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import polars as pl
+
+from assistax_envs import disability_params, make
+from assistax_envs.preferences import PREFERENCES, VALUES, WISHES, preferences_of
+from assistax_envs.tasks.gentle_base import FELT, HARD, Liking
+from assistax_envs.versions import GENTLE_TASKS, VERSIONS
+from assistax_workshop.gates.audit_gates import Gate, condition_figures, gates_of, strange_pairs
+from assistax_workshop.gates.audit_teams import Teams
+from evaluation.cast.roster import Member, Roster
+from evaluation.figures.normalised import PASSIVE
+from evaluation.play.baselines import passive_roster, script_roster
+from evaluation.play.devices import share_cores
+from evaluation.play.evaluator import run_job
+from evaluation.play.jobs import Job
+from evaluation.play.runner import Progress
+from population.networks.policy import Policy
+from population.networks.spec import PolicySpec
+from population.networks.stack import PolicyStack
+
+JOINT_SPEEDS = (2.175,) * 4 + (2.61,) * 3  # rad/s, of the robot's datasheet
+POSTURES = tuple(itertools.product((-1.0, 0.0, 1.0), repeat=3))  # torques that a human holds
+EPISODES = 2 * len(PREFERENCES)  # of each pair: every preference twice
+# Times as many of a team with itself, and of the script with a passive human: those are few pairs,
+# and one episode in a hundred is to be told from none.
+MORE = 10
+BOTH = ("robot", "human")  # who is told the preference; the human alone elsewhere
+
+
+@dataclasses.dataclass(frozen=True)
+class Audit:
+    """The gates of a task, and the figures behind them by condition."""
+
+    task: str
+    env_version: int
+    backend: str
+    teams: tuple[str, ...]
+    episodes: int  # of each pair
+    gates: tuple[Gate, ...]
+    figures: Mapping[str, Mapping[str, float]]  # condition -> mean return, safe success, ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Others:
+    """Who plays for the gates that a task's own teams cannot measure; empty ones are left out."""
+
+    passive: Teams | None = None  # robots that were trained with a passive human
+    told: Teams | None = None  # teams whose robot is told the preference
+    blind: Teams | None = None  # teams whose human is not
+    recurrent: Teams | None = None  # teams whose robot remembers
+    response: Teams | None = None  # robot i was trained with the frozen human of team i
+    # Robots that were trained with the frozen humans of some teams, and play with the others'.
+    ego: Teams | None = None
+    ego_told: Teams | None = None  # ... and are told the preference
+    ego_recurrent: Teams | None = None  # ... and remember
+
+
+class Mistaken:
+    """An environment whose human believes in another preference: the next force, speed, distance.
+
+    The reward keeps the one that it has.
+    """
+
+    def __init__(self, env: Any) -> None:
+        self._env = env
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._env, name)
+
+    def reset(self, keys: jax.Array, params: Any) -> Any:
+        """See `Env.reset`."""
+        return self._exchanged(self._env.reset(keys, params))
+
+    def step(self, state: Any, actions: dict[str, jax.Array]) -> Any:
+        """See `Env.step`."""
+        return self._exchanged(self._env.step(state, actions))
+
+    def _exchanged(self, state: Any) -> Any:
+        task, likes = self._env.task, state.task.likes
+        other = {wish: _next(getattr(likes, wish), values) for wish, values in VALUES.items()}
+        believed = Liking(**other).observed(task)
+        human = state.obs["human"].at[:, -len(WISHES[task]) :].set(believed)
+        obs = {**state.obs, "human": human}
+        return dataclasses.replace(state, obs=obs)
+
+
+def audit_task(
+    task: str,
+    teams: Teams,
+    others: Others,
+    folder: Path,
+    *,
+    episodes: int = EPISODES,
+    seed: int = 0,
+    backend: str = "auto",
+    on_progress: Callable[[Progress], None] | None = None,
+) -> Audit:
+    """Play every condition that somebody can play, and hold the figures against their bars.
+
+    Args:
+        task: Any task; those of the paper have no preferences, and most gates fail.
+        teams: Trained teams of several seeds, one disability setting.
+        others: For the other gates.
+        folder: Keeps the episodes by condition; an audit that was stopped goes on.
+        episodes: Of each pair; ten times as many of own teams, and of the script with a passive
+            human.
+        seed: Of the episodes.
+        backend: Physics.
+        on_progress: Told how far each condition is.
+    """
+    share_cores()
+    _check(task, teams, others, episodes)
+    table = _Tables(task, folder, episodes, seed, backend, on_progress)
+    env = table.env()
+    played = _play(table, env, teams, others)
+    touch = touches(env, teams, episodes, seed)
+    gates = gates_of(task, played, touch)
+    played["strangers"] = strange_pairs(played.pop("all pairs"))
+    figures = {name: condition_figures(each) for name, each in played.items() if each.height}
+    about = task, VERSIONS[task], env.backend, teams.robots.ids, episodes
+    return Audit(*about, tuple(gates), figures | {"own, step by step": touch})
+
+
+def _check(task: str, teams: Teams, others: Others, episodes: int) -> None:
+    if episodes < 2:
+        raise ValueError(f"episodes is {episodes}; give at least 2: half of them choose a posture")
+    if others.response and len(others.response.robots.ids) != len(teams.humans.ids):
+        raise ValueError(
+            f"{len(others.response.robots.ids)} best responses for {len(teams.humans.ids)} teams; "
+            "give one for each, in their order"
+        )
+    if task not in GENTLE_TASKS and (others.told or others.blind or others.ego_told):
+        raise ValueError(
+            f"the humans of {task} have no preferences; leave out --told, --blind and --ego-told"
+        )
+    for egos in (others.ego, others.ego_told, others.ego_recurrent):
+        if egos and set(teams.humans.ids) <= set(egos.met):
+            raise ValueError("the egos were trained with every team; name teams they never met too")
+
+
+def _play(table: "_Tables", env: Any, teams: Teams, others: Others) -> dict[str, pl.DataFrame]:
+    """Play every condition that somebody can play."""
+    task = table.task
+    sizes = {role: (env.observation_size[role], env.action_size[role]) for role in teams.SEATS}
+    passive, script = passive_roster(*sizes["human"]), script_roster(task, *sizes["robot"])
+    played = {
+        "own teams": table.play("own", teams.robots, teams.humans, paired=True, times=MORE),
+        "all pairs": table.play("pairs", teams.robots, teams.humans),
+        "script, passive human": table.play("script", script, passive, times=MORE),
+        "script, human held": table.play("held", script, held_roster(*sizes["human"])),
+        "own, passive human": table.play("alone", teams.robots, passive),
+    }
+    if others.passive:
+        robots = others.passive.robots
+        played["passive robot, passive human"] = table.play("passive", robots, passive)
+        played["passive robot, teams' humans"] = table.play("passive-team", robots, teams.humans)
+    if others.response:
+        robots = others.response.robots
+        played["best responses"] = table.play("response", robots, teams.humans, paired=True)
+    for name in ("ego", "ego_told", "ego_recurrent"):
+        if egos := getattr(others, name):
+            there = table.env(told=BOTH) if name == "ego_told" else env
+            met = table.play(name, egos.robots, teams.humans, env=there)
+            played[name.replace("_", " ")] = met.filter(~pl.col("partner").is_in(egos.met))
+    for name in ("recurrent", "told", "blind"):
+        if pairs := getattr(others, name):
+            told = {"told": BOTH, "blind": ()}.get(name)
+            there = env if told is None else table.env(told=told)
+            played[name] = table.play(name, pairs.robots, pairs.humans, env=there, paired=True)
+    if task in GENTLE_TASKS:
+        played["mistaken humans"] = table.play(
+            "mistaken",
+            teams.robots,
+            teams.humans,
+            env=Mistaken(env),
+            paired=True,
+            condition="mistaken",
+        )
+    return played
+
+
+@dataclasses.dataclass(frozen=True)
+class _Tables:
+    """Plays conditions, each into a folder of its own."""
+
+    task: str
+    folder: Path
+    episodes: int
+    seed: int
+    backend: str
+    on_progress: Callable[[Progress], None] | None
+
+    def env(self, **options: Any) -> Any:
+        return make(self.task, self.backend, **options)
+
+    def play(
+        self,
+        name: str,
+        robots: Roster,
+        humans: Roster,
+        *,
+        env: Any = None,
+        paired: bool = False,
+        condition: str | None = None,
+        times: int = 1,
+    ) -> pl.DataFrame:
+        env = env or self.env()
+        job = Job(
+            task=self.task,
+            env_version=env.version,
+            backend=env.backend,
+            engine=env.engine | ({"condition": condition} if condition else {}),
+            egos=robots,
+            partners=humans,
+            episodes=times * self.episodes,
+            seed=self.seed,
+            paired=paired,
+            apart=True,
+            preferences=preferences_of(self.task),
+        )
+
+        def told(state: Progress) -> None:
+            if self.on_progress is not None:
+                self.on_progress(dataclasses.replace(state, what=name))
+
+        return run_job(env, job, self.folder / name, on_progress=told).table
+
+
+def touches(env: Any, teams: Teams, episodes: int, seed: int) -> dict[str, float]:
+    """Return how hard and how fast own teams touch, step by step: N, and shares."""
+    forces, contacts, speeds = [], [], []
+    for robot, human in zip(teams.rows("robot"), teams.rows("human"), strict=True):
+        setting = str(teams.humans.members[human.id].disability)
+        params = disability_params([setting] * episodes)
+        force, contact, speed = _steps(env, robot, human, params, seed)
+        forces.append(force)
+        contacts.append(contact)
+        speeds.append(speed)
+    force, contact = np.concatenate(forces), np.concatenate(contacts)
+    felt = force > FELT
+    found = {"contact steps": float(felt.mean())}
+    if felt.any():
+        below = float((contact[felt] < HARD).mean())
+        quantiles = np.quantile(force[felt], (0.5, 0.95, 0.99, 1.0))
+        names = ("force 50%", "force 95%", "force 99%", "force largest")
+        found |= dict(zip(names, map(float, quantiles), strict=True))
+        found["contact steps below the limit"] = below
+    return found | {"joint speed, share of the limit": float(np.concatenate(speeds).max())}
+
+
+def _steps(env: Any, robot: Any, human: Any, params: Any, seed: int) -> tuple[np.ndarray, ...]:
+    """Return force, largest contact and fastest joint's share of its limit, [T * K] each."""
+    policies = {"robot": Policy(robot.spec), "human": Policy(human.spec)}
+    given = {"robot": robot.params, "human": human.params}
+    count = params.strength.shape[0]
+    limits = np.array(JOINT_SPEEDS, np.float32)[None]
+
+    def step(carry: Any, time: jax.Array) -> Any:
+        state, memory = carry
+        first = jnp.full(count, time == 0)
+        acted = {
+            role: policy.act(given[role], memory[role], state.obs[role], first)
+            for role, policy in policies.items()
+        }
+        state = env.step(state, {role: action for role, (_, action) in acted.items()})
+        contact = state.measures.contact
+        seen = state.measures.force, state.measures.force if contact is None else contact
+        speed = (jnp.abs(state.obs["robot"][:, 7:14]) / limits).max(axis=1)
+        return (state, {role: kept for role, (kept, _) in acted.items()}), (*seen, speed)
+
+    @jax.jit
+    def episode() -> Any:
+        state = env.reset(jax.random.split(jax.random.key(seed), count), params)
+        memory = {role: policy.initial_carry((count,)) for role, policy in policies.items()}
+        return jax.lax.scan(step, (state, memory), jnp.arange(env.episode_length))[1]
+
+    return tuple(np.asarray(values).ravel() for values in episode())
+
+
+def held_roster(
+    observation_size: int,
+    action_size: int,
+    postures: Sequence[tuple[float, ...]] = POSTURES,
+) -> Roster:
+    """Return humans that hold their arm with constant torques, shares of their strength."""
+    spec = PolicySpec("human", observation_size, action_size, hidden=(1,), normalise=False)
+    ids = tuple(f"held-{i}" for i in range(len(postures)))
+    n = len(ids)
+    params = {
+        "Dense_0": {
+            "kernel": np.zeros((n, observation_size, 1), np.float32),
+            "bias": np.zeros((n, 1), np.float32),
+        },
+        "Dense_1": {
+            "kernel": np.zeros((n, 1, action_size), np.float32),
+            "bias": np.array(postures, np.float32),
+        },
+        "log_std": np.zeros((n, action_size), np.float32),
+    }
+    members = {name: Member(name, f"{PASSIVE}-{name}-1", disability="d1") for name in ids}
+    return Roster((PolicyStack(spec, ids, params),), members)
+
+
+def _next(values: jax.Array, names: Sequence[float]) -> jax.Array:
+    """Return for each value [N] the one that follows it in a cycle."""
+    known = jnp.asarray(names, jnp.float32)
+    place = jnp.abs(values[:, None] - known[None]).argmin(axis=1)
+    return known[(place + 1) % len(names)]

@@ -1,0 +1,229 @@
+"""The gates of an audit: figures of its conditions against their bars, with 95% intervals."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from assistax_envs.tasks.gentle_base import HARD
+from assistax_envs.versions import GENTLE_TASKS
+from evaluation.figures.bootstrap import RESAMPLES, draw_counts
+from evaluation.figures.metrics import Traits, cross_play
+from evaluation.record.tables import dense_block, with_safety
+
+Ends = tuple[float, float] | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Gate:
+    """One figure of a task against its bar."""
+
+    gate: str
+    bar: str
+    value: float | None  # None where nobody played for it
+    ci: Ends  # 95%, over robots, or over episodes where one robot played; None with one of either
+    holds: bool | None  # None where it was not measured
+    told: str  # what was compared, or what would measure it
+
+
+def gates_of(
+    task: str, played: Mapping[str, pl.DataFrame], touch: Mapping[str, float]
+) -> list[Gate]:
+    """Return the gates of a task, from the episodes of each condition; see `audit_task`."""
+    pairs = played["all pairs"]
+    own, goal = played["own teams"], "safe_success" if task in GENTLE_TASKS else "success"
+    each = with_safety(own).group_by("ego").agg(pl.col(goal).cast(pl.Float64).mean())
+    half = float(each[goal].to_numpy().max()) / 2
+
+    def earned(
+        name: str, bar: str, what: str, least: float, needs: str, paired: bool = False
+    ) -> Gate:
+        return _earned(name, bar, own, played.get(what), least, needs, paired=paired)
+
+    def lost(
+        name: str,
+        bar: str,
+        what: str,
+        least: float,
+        needs: str,
+        *,
+        above: bool = False,
+        paired: bool = False,
+    ) -> Gate:
+        return _lost(earned(name, bar, what, least, needs, paired), least, above=above)
+
+    return [
+        _share("script with a passive human", f"{goal} < {half:.2f}, half of the best team's",
+               played["script, passive human"], goal, lambda x: x < half),
+        _share("script with the human in its best fixed posture", f"{goal} < {half:.2f}",
+               _best_held(played["script, human held"]), goal, lambda x: x < half),
+        lost("robot trained with a passive human", "with one it earns > 20% less than teams",
+             "passive robot, passive human", 0.2, "--passive-robot"),
+        lost("the same robot with the teams' humans", "loses > 20%",
+             "passive robot, teams' humans", 0.2, "--passive-robot"),
+        _share("teams reach the goal", f"{goal} >= 0.80", own, goal, lambda x: x >= 0.8),
+        _share("teams hurt nobody", "violations < 0.01", own, "violated", lambda x: x < 0.01),
+        _cross_play(pairs),
+        earned("best response to a frozen partner", ">= 80% of self-play", "best responses", 0.8,
+               "--response", paired=True),
+        earned("teams whose robot is told the preference", "> 5% more", "told", 1.05, "--told"),
+        earned("teams whose robot remembers", "more than those without memory", "recurrent", 1.0,
+               "--recurrent"),
+        *_ego_gates(played),
+        lost("humans that believe in another preference", "loses, the interval above 0",
+             "mistaken humans", 0.0, "a gentle task", above=True, paired=True),
+        lost("control: humans that were never told theirs", "loses, the interval above 0",
+             "blind", 0.0, "--blind", above=True),
+        *_touch_gates(touch),
+    ]  # fmt: skip
+
+
+def _ego_gates(played: Mapping[str, pl.DataFrame]) -> list[Gate]:
+    """Return what knowing the preference is worth to robots among strangers, and remembering."""
+    name, needs = "among strangers, a robot that is told the preference", "--ego, --ego-told"
+    plain, told, recurrent = map(played.get, ("ego", "ego told", "ego recurrent"))
+    if plain is None or told is None:
+        return [Gate(name, "> 5% more", None, None, None, f"not measured: needs {needs}")]
+    worth = _earned(name, "> 5% more", plain, told, 1.05, needs, than="not told")
+    name, bar = "share of that which a recurrent robot wins back", "the interval above 0"
+    if recurrent is None:
+        return [worth, Gate(name, bar, None, None, None, "not measured: needs --ego-recurrent")]
+    returns = [_by_robot(table, "return") for table in (plain, told, recurrent)]
+    said = f"return {returns[2].mean():.1f}"
+    if returns[1].mean() <= returns[0].mean():
+        return [worth, Gate(name, bar, None, None, None, f"{said}: nothing to win back")]
+    value, ci = _estimate(lambda a, b, c: (c - a) / (b - a), *returns)
+    return [worth, Gate(name, bar, value, ci, ci is not None and ci[0] > 0.0, said)]
+
+
+def strange_pairs(table: pl.DataFrame) -> pl.DataFrame:
+    """Return the episodes of robots with other teams' humans."""
+    return table.filter(pl.col("ego_team") != pl.col("partner_team"))
+
+
+def condition_figures(table: pl.DataFrame) -> dict[str, float]:
+    """Return the means of a condition's episodes."""
+    table = with_safety(table)
+    names = ("return", "success", "safe_success", "violated", "force_mean", "force_peak")
+    shown = [name for name in (*names, "contact_peak") if name in table.columns]
+    means = table.select(pl.col(name).cast(pl.Float64).mean() for name in shown)
+    return {"episodes": float(table.height), **means.row(0, named=True)}
+
+
+def _touch_gates(touch: Mapping[str, float]) -> list[Gate]:
+    below = touch.get("contact steps below the limit")
+    speed = touch["joint speed, share of the limit"]
+    told = "own teams, step by step"
+    return [
+        Gate(f"contact steps below {HARD:.0f} N", ">= 0.99", below, None,
+             None if below is None else below >= 0.99, told if below else "nobody was touched"),
+        Gate("fastest joint, share of the datasheet's", "<= 1", speed, None, speed <= 1.0, told),
+    ]  # fmt: skip
+
+
+def _share(
+    name: str, bar: str, table: pl.DataFrame, column: str, holds: Callable[[float], bool]
+) -> Gate:
+    """Return in which share of episodes something happened."""
+    if column not in with_safety(table).columns:
+        return Gate(name, bar, None, None, None, "not measured: a gentle task's sensors feel it")
+    values = _by_robot(table, column)
+    value, ci = _estimate(lambda mean: mean, values)
+    return Gate(name, bar, value, ci, holds(value), f"return {table['return'].mean():.1f}")
+
+
+def _cross_play(table: pl.DataFrame) -> Gate:
+    """Return the share of self-play's return that strangers lose, resampling whole teams."""
+    name, bar = "cross-play between seeds", "loses > 10%, the interval above 0"
+    if strange_pairs(table).is_empty():
+        return Gate(name, bar, None, None, None, "not measured: needs two teams")
+    block = dense_block(table)
+    seats = ((block.egos, "ego"), (block.partners, "partner"))
+    traits = [
+        Traits(*(who[f"{seat}_{t}"].to_list() for t in ("team", "algorithm", "disability")))
+        for who, seat in seats
+    ]
+    found = cross_play(block.returns, *traits, common_starts=block.common_starts)
+    gap, own, strange = found.relative_gap, found.self_play, found.cross_play
+    told = f"return {strange.mean:.1f}, own teams {own.mean:.1f}" if own and strange else ""
+    if gap is None:
+        return Gate(name, bar, None, None, None, f"{told}: no share of it")
+    holds = gap.value > 0.1 and gap.value_ci is not None and gap.value_ci[0] > 0.0
+    return Gate(name, bar, gap.value, gap.value_ci, holds, told)
+
+
+def _lost(gate: Gate, least: float, *, above: bool = False) -> Gate:
+    """Return the share that a condition loses, of one that says what it earns."""
+    if gate.value is None:
+        return gate
+    value, ci = 1.0 - gate.value, (1.0 - gate.ci[1], 1.0 - gate.ci[0]) if gate.ci else None
+    holds = value > least and (not above or (ci is not None and ci[0] > 0.0))
+    return dataclasses.replace(gate, value=value, ci=ci, holds=holds)
+
+
+def _earned(
+    name: str,
+    bar: str,
+    own: pl.DataFrame,
+    other: pl.DataFrame | None,
+    least: float,
+    needs: str,
+    *,
+    paired: bool = False,
+    than: str = "own teams",
+) -> Gate:
+    """Return what the other condition earns, as a share of what `than` earn.
+
+    Where paired, with the same humans in the same episodes, of which own teams may play more.
+    """
+    if other is None:
+        return Gate(name, bar, None, None, None, f"not measured: needs {needs}")
+    who = "ego"
+    if paired:
+        own, who = own.join(other, on=("partner", "episode"), how="semi"), "partner"
+    ours, theirs = _by_robot(own, "return", who), _by_robot(other, "return", who)
+    told = f"return {theirs.mean():.1f}, {than} {ours.mean():.1f}"
+    if ours.mean() <= 0.0:
+        return Gate(name, bar, None, None, None, f"{told}: no share of it")
+    value, ci = _estimate(lambda a, b: b / a, ours, theirs, paired=paired)
+    return Gate(name, bar, value, ci, value >= least, told)
+
+
+def _estimate(
+    figure: Callable[..., Any], *samples: np.ndarray, paired: bool = False
+) -> tuple[float, Ends]:
+    """Return a figure of the samples' means and its interval; paired samples are drawn together."""
+    point = float(figure(*(values.mean() for values in samples)))
+    if min(values.size for values in samples) < 2:
+        return point, None
+    rng = np.random.default_rng(0)
+    counts = [draw_counts(values.size, RESAMPLES, rng) for values in samples]
+    counts = counts[:1] * len(samples) if paired else counts
+    means = [drawn @ v / v.size for drawn, v in zip(counts, samples, strict=True)]
+    low, high = np.quantile(figure(*means), (0.025, 0.975))
+    return point, (float(low), float(high))
+
+
+def _by_robot(table: pl.DataFrame, column: str, who: str = "ego") -> np.ndarray:
+    """Return a column's mean of each robot, or of each episode where one robot played.
+
+    With `who` "partner", of each human: those who meet one robot each stand for it, by one name in
+    all conditions.
+    """
+    table = with_safety(table).with_columns(pl.col(column).cast(pl.Float64))
+    if table["ego"].n_unique() == 1:
+        return table.sort("partner", "episode")[column].to_numpy()
+    return table.group_by(who).agg(pl.col(column).mean()).sort(who)[column].to_numpy()
+
+
+def _best_held(table: pl.DataFrame) -> pl.DataFrame:
+    """Return the odd episodes with the human that is best in the even ones.
+
+    The best of many is good by chance too: half of the episodes choose it, the other half value it.
+    """
+    even = pl.col("episode") % 2 == 0
+    means = table.filter(even).group_by("partner").agg(pl.col("return").mean())
+    best = means.sort("return", "partner", descending=[True, False])["partner"][0]
+    return table.filter((pl.col("partner") == best) & ~even)

@@ -1,0 +1,202 @@
+"""Trains those who play for the gates of a gentle task; `assistax-zoo audit` reads the folders.
+
+    python -m assistax_workshop.gates.training gentle_lift runs/lift --only teams,passive --steps
+    16M assistax-zoo audit gentle_lift --team runs/lift/teams --passive-robot runs/lift/passive
+
+Teams whose robot is told the human's preference, or whose human is not told it, robots that learn
+with a human that does nothing: such are in no release, and nothing but the gates wants them.
+"""
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+from cyclopts import App, Parameter
+
+from assistax_envs import make
+from assistax_envs.disability import DISABILITY_SETTINGS, Disability
+from assistax_workshop.gates.audit import held_roster
+from assistax_workshop.gates.audit_teams import read_teams
+from assistax_zoo.commands.options import parse_changes, parse_seeds, parse_steps
+from assistax_zoo.shell.console import TrainingLine
+from evaluation.cast.roster import Roster
+from evaluation.ego_training import shared_out
+from population.config import MIXED, TrainerConfig, make_members, make_run, preset
+from population.networks.members import flatten, member_map, split
+from population.networks.policy import Carry
+from population.networks.stack import PolicyStack
+from population.runs.train import train
+from population.trainers.frozen_partners import FrozenPartners
+from zoo.registry import load_registry
+
+# Of PPO's presets, what all runs of a task change. Noise of the size of a whole joint's torque rubs
+# nobody gently, hence the small deviation at the start; what keeps it from shrinking before both
+# have found their part of the act is the bonus, which ends with the run. MAPPO learns at IPPO's
+# rate. On a CPU `--set num_envs=256 --steps 6M` gives a team of scratch or bath in five minutes.
+GENTLE: Mapping[str, Any] = {
+    "initial_log_std": -1.2,
+    "anneal_lr": True,
+    "anneal_entropy": True,
+    "learning_rate": 1e-3,
+}
+CHANGES: Mapping[str, Mapping[str, Any]] = {
+    "gentle_scratch": {**GENTLE, "entropy_coef": 3e-3},
+    "gentle_bath": {**GENTLE, "entropy_coef": 3e-3},
+    "gentle_lift": {**GENTLE, "entropy_coef": 6e-3},
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Condition:
+    """Who learns, and with whom."""
+
+    algorithm: str = "ippo"
+    torso: str = "mlp"
+    told: tuple[str, ...] = ("human",)  # who observes the preference
+    # Frozen humans of a robot's training: none, one that does nothing, one team's, or those of
+    # every other team, so that it can play with the rest as with strangers.
+    humans: str = "none"
+
+
+CONDITIONS: Mapping[str, Condition] = {
+    "teams": Condition(),
+    "mappo": Condition("mappo"),
+    "masac": Condition("masac"),
+    "told": Condition(told=("human", "robot")),
+    "blind": Condition(told=()),
+    "recurrent": Condition(torso="gru"),
+    "passive": Condition(humans="passive"),
+    "response": Condition(humans="one"),
+    "ego": Condition(humans="half"),
+    "ego-recurrent": Condition(torso="gru", humans="half"),
+    "ego-told": Condition(told=("human", "robot"), humans="half"),
+}
+
+
+class OneEach(FrozenPartners):
+    """Member i learns with partner i alone: best responses to all of them, in one program.
+
+    Partners are of one spec and one setting. Members are not spread over several devices.
+    """
+
+    def __len__(self) -> int:
+        return 1  # of each member
+
+    def settings(self, num_envs: int) -> list[Disability]:
+        """See `FrozenPartners.settings`."""
+        return [self._settings[0]] * num_envs
+
+    def initial_carry(self, simulations: int) -> tuple[Carry, ...]:
+        """See `FrozenPartners.initial_carry`; by stack [M, N, ...]."""
+        count = len(self.ids)
+        return tuple(p.initial_carry((count, simulations // count)) for p in self._policies)
+
+    def act(
+        self, params: Any, carry: tuple[Carry, ...], obs: jax.Array, first: jax.Array, members: int
+    ) -> tuple[tuple[Carry, ...], jax.Array]:
+        """See `FrozenPartners.act`."""
+        [policy] = self._policies
+        seen = split((obs, first), members)
+        new, action = member_map(policy.act)(params[0], carry[0], *seen)
+        return (new,), flatten(action)
+
+
+def main(
+    task: str,
+    folder: Path,
+    /,
+    *,
+    only: str = ",".join(CONDITIONS),
+    seeds: str = "4",
+    steps: str = "20M",
+    disability: str = "d1",
+    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    backend: str = "auto",
+) -> None:
+    """Train conditions of a gentle task, each into FOLDER/CONDITION.
+
+    Runs that were interrupted go on. Conditions with humans of teams need FOLDER/teams first.
+
+    Args:
+        task: Gentle task.
+        folder: Of the runs.
+        only: Conditions, comma-separated.
+        seeds: Of each condition: how many, or which, such as 8 or 100-107.
+        steps: Environment steps of each team.
+        disability: The human's setting.
+        set_: Hyperparameter, such as num_envs=512; repeat it for more.
+        backend: Physics.
+    """
+    numbers, given = parse_seeds(seeds), parse_changes(set_)
+    chosen = only.split(",")
+    if unknown := [name for name in chosen if name not in CONDITIONS]:
+        raise ValueError(f"condition is {unknown[0]!r}; allowed are {', '.join(CONDITIONS)}")
+    for name in chosen:
+        condition = CONDITIONS[name]
+        env = make(task, backend, told=condition.told)
+        for place, own, humans in _humans(condition, folder, name, numbers, env, disability):
+            trainer = _trainer(task, condition, given)
+            if humans:
+                trainer = shared_out(trainer, len(humans), keep=False)
+            config = make_run(
+                task,
+                condition.algorithm,
+                make_members(own, [MIXED if humans else disability]),
+                parse_steps(steps),
+                trainer,
+                self_play_episodes=0,
+                partners=humans.ids if humans else (),
+            )
+            with contextlib.closing(TrainingLine(str(place))) as line:
+                train(config, env, place, partners=humans, progress=line)
+
+
+def _trainer(task: str, condition: Condition, given: Mapping[str, Any]) -> TrainerConfig:
+    of_task = CHANGES[task]
+    if preset(condition.algorithm).kind == "sac":
+        of_task = {"initial_log_std": of_task["initial_log_std"]}
+    recurrent = {"torso": "gru"} if condition.torso == "gru" else {}
+    return preset(condition.algorithm, **{**of_task, **recurrent, **given})
+
+
+def _humans(
+    condition: Condition,
+    folder: Path,
+    name: str,
+    seeds: Sequence[int],
+    env: Any,
+    disability: str,
+) -> Iterator[tuple[Path, Sequence[int], FrozenPartners | None]]:
+    """Yield the runs of a condition: folder, seeds, and the frozen humans."""
+    if condition.humans == "none":
+        yield folder / name, seeds, None
+        return
+    if condition.humans == "passive":
+        sizes = env.observation_size["human"], env.action_size["human"]
+        yield folder / name, seeds, _frozen(held_roster(*sizes, [(0.0, 0.0, 0.0)]), disability)
+        return
+    humans = read_teams([str(folder / "teams")], load_registry(), env.task).humans
+    [stack] = humans.stacks
+    assert isinstance(stack, PolicyStack)
+
+    if condition.humans == "half":
+        every_other = stack.take(range(0, len(stack.ids), 2))
+        yield folder / name, seeds, _frozen(Roster((every_other,), humans.members), disability)
+        return
+    if len(seeds) != len(stack.ids):
+        raise ValueError(f"{len(seeds)} seeds for {len(stack.ids)} teams; give one for each")
+    own = DISABILITY_SETTINGS[disability]
+    yield folder / name, seeds, OneEach([stack], dict.fromkeys(stack.ids, own))
+
+
+def _frozen(humans: Roster, disability: str) -> FrozenPartners:
+    stacks = [stack for stack in humans.stacks if isinstance(stack, PolicyStack)]
+    setting = DISABILITY_SETTINGS[disability]
+    return FrozenPartners(stacks, {name: setting for stack in stacks for name in stack.ids})
+
+
+if __name__ == "__main__":
+    App(default_command=main)()

@@ -1,0 +1,1 @@
+"""Populations by plan: what to train, how far it is, the next share."""

@@ -1,0 +1,325 @@
+"""A plan: every team of a release, in groups that train in one program each.
+
+A group is one task and one algorithm, with all its disability settings and seeds. Its run folders
+are `NAME`, `NAME-2`, ... in the folder of the plan's runs, each with a block of its members. What a
+run folder holds is decided when it is begun: a plan that changes later adds new folders, and never
+alters those that are there. Imports no JAX.
+"""
+
+import collections
+import dataclasses
+import fnmatch
+import json
+import re
+import secrets
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import count, islice
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    BeforeValidator,
+    Field,
+    NonNegativeInt,
+    PositiveInt,
+    TypeAdapter,
+    ValidationError,
+)
+
+from assistax_base.files import atomic_path
+from assistax_base.validated import Many, checked, first_problem
+from population.config import (
+    Member,
+    Precision,
+    TrainConfig,
+    TrainerConfig,
+    check_names,
+    make_members,
+    make_run,
+    numbered,
+    preset,
+)
+from population.runs.folder import RunFolder, differences
+
+# The last word of a group's name is no number, or it were taken for another's second folder.
+_NAME = re.compile(r"[a-z][a-z0-9_]*((-[a-z0-9_]+)*-[0-9]*[a-z_][a-z0-9_]*)?")
+
+Key = tuple[str, int]  # disability setting and seed: a team within its group
+Release = Annotated[str, Field(pattern=r"^v(0|[1-9][0-9]*)$")]
+
+
+@checked
+class Group:
+    """Teams of one task and algorithm that train side by side."""
+
+    name: str  # names its run folders, such as "scratch-ippo"
+    task: str  # environment task
+    algorithm: str  # preset of hyperparameters, and the name under which the teams are listed
+    disabilities: Many[str]  # the human's settings
+    seeds: Annotated[Many[int], BeforeValidator(numbered)]  # how many, or which
+    steps: PositiveInt  # environment steps of each team
+    set: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # changes of the preset
+    updates_per_call: PositiveInt | None = None  # dispatched at once; None: the trainer's default
+    checkpoint_every: PositiveInt | None = None  # in updates; None: the trainer's default
+    self_play_episodes: NonNegativeInt = 16  # of each team's final evaluation; 0 leaves it out
+    precision: Precision = "float32"  # in which teams are published, after which they are evaluated
+    max_members: PositiveInt | None = None  # most teams in one run, so that it fits the device
+    adopt: Release | None = None  # whose teams of at least `steps` join unchanged
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name):
+            raise ValueError(
+                f"name is {self.name!r}; it must be lower-case words joined by '-', the last one "
+                "not a number"
+            )
+        check_names(self.task, self.disabilities)
+        self.config(self.members)  # checks the rest
+        if self.max_members and self.max_members < self.together:
+            raise ValueError(
+                f"max_members is {self.max_members}; the {self.together} seeds of a setting are "
+                "one population, which trains in one run: allow that many, or fewer seeds"
+            )
+
+    @property
+    def members(self) -> tuple[Member, ...]:
+        """Every team, setting by setting."""
+        return make_members(self.seeds, self.disabilities)
+
+    @property
+    def together(self) -> int:
+        """How many members in order must train in one run: a population has all its seeds."""
+        return len(self.seeds) if self.trainer.population_coef else 1
+
+    @property
+    def trainer(self) -> TrainerConfig:
+        """Hyperparameters."""
+        return preset(self.algorithm, **self.set)
+
+    def config(self, members: Sequence[Member]) -> TrainConfig:
+        """Return the run that trains some of the members."""
+        return make_run(
+            self.task,
+            self.algorithm,
+            members,
+            self.steps,
+            self.trainer,
+            checkpoint_every=self.checkpoint_every,
+            updates_per_call=self.updates_per_call,
+            self_play_episodes=self.self_play_episodes,
+            precision=self.precision,
+        )
+
+
+@checked
+class Plan:
+    """The teams of a release."""
+
+    version: Literal[1]  # of the plan's format
+    release: Release  # release that they join, such as "v1"
+    groups: Annotated[Many[Group], Field(min_length=1)]  # in the order in which they are trained
+    description: str = ""  # of the release, in one sentence
+
+    def __post_init__(self) -> None:
+        owners: dict[str, str] = {}  # group of each team
+        names = collections.Counter(group.name for group in self.groups)
+        if (name := max(names, key=names.__getitem__)) and names[name] > 1:
+            raise ValueError(f"two groups have the name {name!r}; give each its own")
+        for group in self.groups:
+            if group.adopt == self.release:
+                raise ValueError(
+                    f"group {group.name} adopts {group.adopt!r}, the plan's own release; name an "
+                    "earlier"
+                )
+            for member in group.members:
+                team = f"{group.task}/{group.algorithm}-{member.label}"
+                other = owners.setdefault(team, group.name)
+                if other != group.name:
+                    raise ValueError(
+                        f"groups {other} and {group.name} both have team {team}; leave it out of "
+                        "one"
+                    )
+
+    def select(self, patterns: str) -> list[Group]:
+        """Return the groups whose names match one of the comma-separated globs."""
+        wanted = [pattern.strip() for pattern in patterns.split(",")]
+        found = [
+            group
+            for group in self.groups
+            if any(fnmatch.fnmatchcase(group.name, glob) for glob in wanted)
+        ]
+        if not found:
+            names = ", ".join(group.name for group in self.groups)
+            raise ValueError(f"no group matches {patterns!r}; the plan has {names}")
+        return found
+
+
+def read_plan(path: Path) -> Plan:
+    """Return the plan of a JSON file.
+
+    Raises:
+        ValueError: The file is not a plan; the message names the group and what is allowed.
+        OSError: It cannot be read.
+    """
+    try:
+        return TypeAdapter(Plan).validate_json(path.read_bytes())
+    except ValidationError as error:
+        raise ValueError(f"plan {path}: {first_problem(error)}") from None
+
+
+def private_plan(plan: Plan, task: str | None = None, release: str | None = None) -> Plan:
+    """Return a plan like a public one, whose teams nobody else can train.
+
+    Each group has as many seeds as before, drawn from the system's secrets: no two of the plan are
+    the same, and none is a public one. It adopts nothing.
+
+    Args:
+        plan: The public plan.
+        task: Task whose groups are kept; None keeps all.
+        release: Release that the teams join; None keeps the plan's.
+
+    Raises:
+        ValueError: The plan has no group of the task, or the release is not "v" and a number.
+    """
+    groups = [group for group in plan.groups if task in (None, group.task)]
+    if not groups:
+        tasks = ", ".join(dict.fromkeys(group.task for group in plan.groups))
+        raise ValueError(f"task is {task!r}; the plan has {tasks}: name one, or none for all")
+    public = {seed for group in plan.groups for seed in group.seeds}
+    enough = sum(len(group.seeds) for group in groups) + len(public)  # public ones may be drawn
+    drawn = secrets.SystemRandom().sample(range(2**31), enough)
+    fresh = (seed for seed in drawn if seed not in public)
+    private = tuple(
+        dataclasses.replace(group, seeds=tuple(islice(fresh, len(group.seeds))), adopt=None)
+        for group in groups
+    )
+    release = plan.release if release is None else release
+    return dataclasses.replace(plan, release=release, groups=private)
+
+
+def write_private_plan(plan: Plan, path: Path) -> None:
+    """Write a plan to a file, in a folder made for it if need be, that only its owner may read.
+
+    Raises:
+        ValueError: There is such a file; its seeds are nowhere else, so it stays.
+        OSError: It cannot be written.
+    """
+    if path.exists():
+        raise ValueError(
+            f"{path} exists, and seeds that were trained with may be nowhere else; choose a new "
+            "file, or remove this one first"
+        )
+    content = TypeAdapter(Plan).dump_python(plan, mode="json", exclude_defaults=True)
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with atomic_path(path) as temporary:
+        temporary.touch(mode=0o600)
+        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+@dataclasses.dataclass(frozen=True)
+class Block:
+    """Members of a group in one run folder."""
+
+    group: Group
+    folder: Path
+    members: tuple[Member, ...]
+    state: Literal["new", "begun", "finished"]
+
+    @property
+    def name(self) -> str:
+        """Name of the folder."""
+        return self.folder.name
+
+    @property
+    def keys(self) -> frozenset[Key]:
+        """Members by setting and seed."""
+        return frozenset((member.disability, member.seed) for member in self.members)
+
+    def config(self) -> TrainConfig:
+        """Return what the folder's run trains: what it was begun with, else what the plan says."""
+        return (
+            self.group.config(self.members)
+            if self.state == "new"
+            else RunFolder(self.folder).config()
+        )
+
+    def differences(self) -> str:
+        """Say in what a begun run is another than the plan now wants; "" if in nothing."""
+        wanted = self.group.config(self.members)
+        return differences(self.config().to_json(), wanted.to_json())
+
+
+def find_blocks(group: Group, out: Path, done: Collection[Key] = ()) -> list[Block]:
+    """Return the runs of a group that hold, or are to hold, members that are not done.
+
+    Members that no folder holds are cut in order into new blocks of at most `max_members`, so that
+    processes which look at different times cut alike. A population is never cut.
+
+    Args:
+        group: The group.
+        out: Folder of the plan's runs.
+        done: Members that need no run: published, or adopted from another release.
+
+    Raises:
+        ValueError: Some members of a population are there, and some are not.
+    """
+    known = list(_existing(group, out))
+    held = {key for block in known for key in block.keys} | set(done)
+    missing = [member for member in group.members if (member.disability, member.seed) not in held]
+    for setting in group.disabilities if group.together > 1 else ():
+        left = sum(member.disability == setting for member in missing)
+        if 0 < left < group.together:
+            raise ValueError(
+                f"group {group.name} lacks {left} of its {group.together} teams of {setting}, "
+                f"which are one population; seeds that come later are a population of their own: "
+                "give them a group"
+            )
+    size = group.max_members or len(group.members)
+    size -= size % group.together
+    parts = [tuple(missing[start : start + size]) for start in range(0, len(missing), size)]
+    taken = {block.name for block in known}
+    names = (f"{group.name}-{number}" if number > 1 else group.name for number in count(1))
+    free = (name for name in names if name not in taken)
+    new = [Block(group, out / next(free), part, "new") for part in parts]
+    wanted = {(member.disability, member.seed) for member in group.members} - set(done)
+    return [block for block in known if block.keys & wanted] + new
+
+
+def _existing(group: Group, out: Path) -> Iterator[Block]:
+    """Yield the run folders of a group, by number."""
+    pattern = re.compile(rf"{re.escape(group.name)}(?:-([0-9]+))?")
+    places = [
+        (int(match[1] or 1), path)
+        for path in out.glob("*")
+        if (match := pattern.fullmatch(path.name))
+    ]
+    for _, path in sorted(places):
+        if (path / "teams.json").is_file():
+            yield Block(group, path, _finished_members(group, path / "teams.json"), "finished")
+        elif (path / "config.json").is_file():
+            config = RunFolder(path).config()
+            _check_owner(group, path, config.task, config.algorithm)
+            yield Block(group, path, config.members, "begun")
+
+
+def _finished_members(group: Group, path: Path) -> tuple[Member, ...]:
+    """Return the members that a run's teams.json names.
+
+    All that is left of some runs but their parameters.
+    """
+    try:
+        teams = [item["team"] for item in json.loads(path.read_text(encoding="utf-8"))]
+        for team in teams:
+            _check_owner(group, path.parent, team["task"], team["algorithm"])
+        return tuple(Member(team["seed"], team["disability"]) for team in teams)
+    except (KeyError, TypeError) as error:
+        raise ValueError(
+            f"{path} is no list of teams ({type(error).__name__}: {error}); remove its folder"
+        ) from None
+
+
+def _check_owner(group: Group, folder: Path, task: str, algorithm: str) -> None:
+    if (task, algorithm) != (group.task, group.algorithm):
+        raise ValueError(
+            f"{folder} holds a run of {task} {algorithm}, but group {group.name} is {group.task} "
+            f"{group.algorithm}; choose another --out, or rename the group"
+        )

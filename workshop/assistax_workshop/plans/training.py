@@ -1,0 +1,231 @@
+"""Training and publishing what a plan lacks, beside other processes that do the same."""
+
+import contextlib
+import dataclasses
+import sys
+from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
+from typing import Any
+
+from filelock import AcquireReturnProxy, Timeout
+
+from assistax_base.files import exclusive
+from assistax_workshop.plans.learning_curves import write_curves
+from assistax_workshop.plans.plan import Block, Group, Plan, find_blocks
+from assistax_workshop.plans.status import Status, survey, team_id, write_progress
+from assistax_workshop.press.publish import publish
+from assistax_workshop.press.release import complete_release
+from assistax_workshop.press.republish import read_published
+from assistax_workshop.press.trained_runs import TrainedTeam, read_run
+from population.runs.folder import RunFolder
+from zoo.history.official import writable_registry
+from zoo.registry import Registry, load_registry
+
+# Given a block, a context that lends what its training reports to.
+Shown = Callable[[Any], contextlib.AbstractContextManager[Callable[[Any], None]]]
+
+
+@dataclasses.dataclass
+class PlanTraining:
+    """What one process does with a plan; `errors` says what failed, and the rest went on."""
+
+    plan: Plan
+    groups: list[Group]
+    path: Path
+    out: Path
+    registry: Path
+    backend: str
+    shown: Shown  # shows the reports of a training
+    errors: dict[str, str] = dataclasses.field(default_factory=dict)  # by run, or adopting group
+
+    def do(self, *, train: bool, publish: bool, curves: Path | None) -> None:
+        """Adopt, train and publish what is missing; what is turned off is left out.
+
+        Raises:
+            PublishError: It is to be published to an official registry.
+        """
+        if publish:
+            writable_registry(self.registry)  # before hours of training
+            self.publish_ready()
+        if train:
+            self.train_missing(publish)
+        if publish:
+            self.complete()
+        if curves:
+            self.write_curves(curves)
+        self.record()
+
+    def survey(self) -> list[Status]:
+        """Return how far every chosen group is, by the registry and the folders of this moment."""
+        return survey(self.groups, self.plan.release, self.out, self.load())
+
+    def load(self) -> Registry | None:
+        return load_registry(self.registry) if self.registry.is_file() else None
+
+    def record(self, trying: str | None = None) -> None:
+        """Write the progress file; training goes on if it cannot be written."""
+        errors = self.errors | ({trying: ""} if trying else {})
+        with self._noting(path := self.path.with_suffix(".progress.json")):
+            write_progress(path, self.plan, self.survey(), errors)
+
+    def publish_ready(self) -> None:
+        """Adopt and publish all that is there, in one publication.
+
+        One shard and one split instead of many.
+        """
+        batches: dict[str, list[TrainedTeam]] = {}
+        for status in self.survey():
+            if status.adoptable:
+                with self._noting(f"{status.group.name} from {status.group.adopt}"):
+                    batches[f"{status.group.name} from {status.group.adopt}"] = self._adopted(
+                        status
+                    )
+            for block in status.blocks:
+                if block.state == "finished":
+                    with self._noting(block.name):
+                        batches[block.name] = _waiting_teams(status, block)
+        try:
+            self._publish([team for teams in batches.values() for team in teams])
+        except Exception:  # one that is refused must not keep the others out
+            for name, teams in batches.items():
+                with self._noting(name):
+                    self._publish(teams)
+        self.record()
+
+    def train_missing(self, publish: bool) -> None:
+        """Train run after run that no other process holds, until none is left."""
+        tried: set[str] = set()
+        while taken := self._take(tried):
+            status, block, hold = taken
+            tried.add(block.name)
+            with hold, self._noting(block.name):
+                self._train(status, block)
+                if publish:
+                    self._publish(
+                        _waiting_teams(status, dataclasses.replace(block, state="finished"))
+                    )
+            self.record()
+
+    def complete(self) -> None:
+        """Make the release the default one once every team of the plan is in it."""
+        loaded = self.load()
+        wanted = {
+            str(team_id(group, (m.disability, m.seed), self.plan.release))
+            for group in self.plan.groups
+            for m in group.members
+        }
+        if loaded and wanted <= loaded.data.teams.keys():
+            with self._noting(f"release {self.plan.release}"):
+                complete_release(self.registry, self.plan.release)
+
+    def write_curves(self, folder: Path) -> None:
+        """Write the learning curves of the finished runs that have their metrics."""
+        for group in self.groups:
+            finished = [
+                block for block in find_blocks(group, self.out) if block.state == "finished"
+            ]
+            runs = [
+                RunFolder(block.folder)
+                for block in finished
+                if (block.folder / "metrics.parquet").is_file()
+            ]
+            if runs:
+                with self._noting(f"curves of {group.name}"):
+                    configs = [run.config() for run in runs]
+                    tables = [
+                        run.read_metrics(config.updates)
+                        for run, config in zip(runs, configs, strict=True)
+                    ]
+                    write_curves(
+                        folder / f"{group.name}.parquet", list(zip(tables, configs, strict=True))
+                    )
+
+    def _take(self, tried: set[str]) -> tuple[Status, Block, AcquireReturnProxy] | None:
+        """Return the first run to be trained that no other process holds, with the lock on it."""
+        for name in [
+            block.name
+            for status in self.survey()
+            for block in status.blocks
+            if block.state != "finished"
+        ]:
+            if name in tried or not (hold := _hold(self.out, name)):
+                continue
+            for status in (
+                self.survey()
+            ):  # again, under the lock: another process may have finished it meanwhile
+                for block in status.blocks:
+                    if block.name == name and block.state != "finished":
+                        return status, block, hold
+            hold.lock.release()
+        return None
+
+    def _train(self, status: Status, block: Block) -> None:
+        from population.runs.logged_run import run_training
+
+        teams = f"{len(block.members)} teams, {status.group.task} {status.group.algorithm}"
+        print(
+            f"{block.name}: {teams}, {block.config().steps} steps each", file=sys.stderr, flush=True
+        )
+        if block.state == "begun" and (differences := block.differences()):
+            print(
+                f"{block.name} goes on as it was begun, not as the plan says: {differences}",
+                file=sys.stderr,
+                flush=True,
+            )
+        self.record(trying=block.name)
+        config = block.config()
+        with self.shown(block) as progress:
+            run_training(config, self.backend, block.folder, progress=progress)
+
+    def _adopted(self, status: Status) -> list[TrainedTeam]:
+        registry, release = self.load(), status.group.adopt
+        assert registry is not None and release is not None
+        return read_published(
+            registry, [team_id(status.group, key, release) for key in sorted(status.adoptable)]
+        )
+
+    def _publish(self, teams: Sequence[TrainedTeam]) -> None:
+        if teams:
+            publish(
+                teams,
+                self.registry,
+                self.plan.release,
+                description=self.plan.description,
+                complete=False,
+            )
+            print(
+                f"published {len(teams)} teams in release {self.plan.release}",
+                file=sys.stderr,
+                flush=True,
+            )
+
+    @contextlib.contextmanager
+    def _noting(self, what: str | Path) -> Generator[None]:
+        """Note an error under a name and go on.
+
+        A diverged run, a full disk, a device out of memory.
+        """
+        name = str(what)
+        try:
+            self.errors.pop(name, None)
+            yield
+        except Exception as error:
+            self.errors[name] = str(error).partition("\n")[0] or type(error).__name__
+            print(f"{name} failed: {self.errors[name]}", file=sys.stderr, flush=True)
+
+
+def _hold(out: Path, name: str) -> AcquireReturnProxy | None:
+    """Take the lock of a run, or return None if another process has it.
+
+    A killed process lets go.
+    """
+    try:
+        return exclusive(out / name).acquire(blocking=False)
+    except Timeout:
+        return None
+
+
+def _waiting_teams(status: Status, block: Block) -> list[TrainedTeam]:
+    """Return the teams of a finished run that the group wants and the release does not have."""
+    waiting = status.waiting(block)
+    return [team for team in read_run(block.folder) if (team.disability, team.seed) in waiting]

@@ -1,0 +1,228 @@
+"""Publishing to a folder or a hub, where it is one commit and a tag: all is seen, or nothing."""
+
+import contextlib
+import dataclasses
+import functools
+import tempfile
+from collections.abc import Generator, Sequence
+from pathlib import Path
+from typing import Any
+
+from assistax_base.errors import (
+    MissingFileError,
+    MissingRepositoryError,
+    PublishError,
+    ZooError,
+    shorten,
+)
+from assistax_base.files import atomic_write
+from assistax_workshop.press.model_card import MARK, model_card
+from assistax_workshop.press.publish import publish
+from assistax_workshop.press.trained_runs import TrainedTeam
+from zoo.registry import MAX_REGISTRY_BYTES, Registry, load_registry
+from zoo.transport.hub import HubRemote, hub_errors
+from zoo.transport.remotes import TransientError, open_remote, read_file, with_retries
+
+MAX_CARD_BYTES = 1024 * 1024
+
+
+@dataclasses.dataclass(frozen=True)
+class Publication:
+    """What was published where."""
+
+    registry: str
+    release: str
+    added: tuple[str, ...]  # policy ids
+    policies: int
+    commit: str | None = None  # of a hub
+    tag: str | None = None
+
+
+def publish_to(
+    teams: Sequence[TrainedTeam], to: str, release: str, **arguments: Any
+) -> Publication:
+    """Publish teams and egos to a folder or a hub repository: what everything published goes by.
+
+    Args:
+        teams: Trained teams, or robots that `train-ego` trained.
+        to: A folder, or `hf://org/name`, which is made if it does not exist; or a registry.json,
+            beside which no card is written.
+        release: Release that they join.
+        **arguments: `date`, `description` and the others of
+        `assistax_workshop.press.publish.publish`.
+
+    Raises:
+        PublishError: The teams are refused, or somebody else published meanwhile.
+        RemoteError: The hub cannot be reached, or does not let this user write.
+    """
+    if not to.startswith("hf://"):
+        if "://" in to:
+            raise PublishError(
+                f"remote {shorten(to)}",
+                "a folder or hf://org/name",
+                "a remote that can only be read",
+                "use one",
+            )
+        return _publish_to_folder(teams, Path(to), release, **arguments)
+    remote = open_remote(to)
+    assert isinstance(remote, HubRemote)
+    if remote.ref != "main":
+        raise PublishError(
+            to,
+            "hf://org/name, whose newest state is extended",
+            f"revision {remote.ref}",
+            "leave it out",
+        )
+    return _publish_to_hub(teams, remote, release, **arguments)
+
+
+def _publish_to_folder(
+    teams: Sequence[TrainedTeam], to: Path, release: str, **arguments: Any
+) -> Publication:
+    """Publish to a folder with the layout of a remote, its card last; or to a registry alone."""
+    path = to if to.suffix == ".json" else to / "registry.json"
+    before = _ids(path)
+    registry = publish(teams, path, release, **arguments)
+    card = to / "README.md"
+    if to != path and (not card.exists() or MARK in card.read_text("utf-8", errors="replace")):
+        atomic_write(card, model_card(registry, to.resolve().name).encode())
+    added = tuple(entry.id for entry in registry.policies if entry.id not in before)
+    return Publication(str(path), release, added, len(registry.policies))
+
+
+def _publish_to_hub(
+    teams: Sequence[TrainedTeam], remote: HubRemote, release: str, **arguments: Any
+) -> Publication:
+    from huggingface_hub import HfApi, constants
+
+    api = HfApi(endpoint=constants.ENDPOINT, library_name="assistax-zoo")
+    with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as temporary:
+        path = Path(temporary) / "registry.json"
+        _create(api, remote)
+        published = _read_optional(remote, "registry.json", MAX_REGISTRY_BYTES)
+        if published is not None:
+            path.write_bytes(published)
+        before = _ids(path)
+        registry = publish(teams, path, release, **arguments)
+        added = tuple(entry.id for entry in registry.policies if entry.id not in before)
+        commit = remote.revision
+        if path.read_bytes() != published:
+            commit = _commit(api, remote, _files(remote, registry), release, len(added))
+        tag = _tag(api, remote, release, commit)
+    return Publication(f"{remote.name}@{tag}", release, added, len(registry.policies), commit, tag)
+
+
+def _create(api: Any, remote: HubRemote) -> None:
+    """Make the repository if there is none; `remote.revision` is then what is built on."""
+    try:
+        remote.revision  # noqa: B018  asks the hub
+    except MissingRepositoryError:
+
+        def create() -> None:
+            with _hub(remote, "make the repository"):
+                api.create_repo(remote.repo, exist_ok=True)
+
+        with_retries(create, remote.name)
+
+
+def _read_optional(remote: HubRemote, path: str, limit: int) -> bytes | None:
+    try:
+        return read_file(remote, path, limit)
+    except MissingFileError:
+        return None
+
+
+def _files(remote: HubRemote, registry: Registry) -> dict[str, bytes]:
+    """Return what the commit adds: new shards, the registry, and the card if it is ours."""
+    root = registry.path.parent
+    files = {
+        shard: (root / shard).read_bytes()
+        for shard in registry.data.shards
+        if (root / shard).is_file()
+    }
+    files["registry.json"] = registry.path.read_bytes()
+    card = _read_optional(remote, "README.md", MAX_CARD_BYTES)
+    if card is None or MARK.encode() in card:
+        files["README.md"] = model_card(registry, remote.repo).encode()
+    return files
+
+
+def _commit(api: Any, remote: HubRemote, files: dict[str, bytes], release: str, added: int) -> str:
+    """Make the commit, return its id; a lost answer is looked up, so that none is made twice."""
+    from huggingface_hub import CommitOperationAdd
+
+    def commit() -> str:
+        try:
+            with _hub(remote, "commit"):
+                return api.create_commit(
+                    remote.repo,
+                    [CommitOperationAdd(path, data) for path, data in files.items()],
+                    commit_message=f"Release {release}: {added} policies",
+                    parent_commit=remote.revision,
+                ).oid
+        except (TransientError, _ConflictError) as error:
+            head = HubRemote(remote.name, remote.repo, remote.ref)
+            if _read_optional(head, "registry.json", MAX_REGISTRY_BYTES) == files["registry.json"]:
+                return head.revision
+            if isinstance(error, TransientError) and head.revision == remote.revision:
+                raise
+            expected = f"commit {remote.revision} as its newest"
+            found = f"{head.revision}: somebody published meanwhile"
+            raise PublishError(remote.name, expected, found, "publish again") from None
+
+    advice = "publish again; what was sent is not visible"
+    refuse = functools.partial(PublishError, remote.name, "a commit", next_step=advice)
+    return with_retries(commit, remote.name, refuse=refuse)
+
+
+def _tag(api: Any, remote: HubRemote, release: str, commit: str) -> str:
+    """Tag the commit with the release's name, `v1`; later states of it are `v1.1`, `v1.2`, ..."""
+
+    def tag() -> str:
+        with _hub(remote, "tag"):
+            tags = {ref.name: ref.target_commit for ref in api.list_repo_refs(remote.repo).tags}
+            mine = [
+                name for name in tags if tags[name] == commit and name.partition(".")[0] == release
+            ]
+            if mine:
+                return mine[0]
+            names = [release, *(f"{release}.{number}" for number in range(1, len(tags) + 2))]
+            name = next(name for name in names if name not in tags)
+            api.create_tag(remote.repo, tag=name, revision=commit)
+            return name
+
+    return with_retries(
+        tag, f"tag of {remote.name}; commit {commit} is published, publishing again adds the tag"
+    )
+
+
+class _ConflictError(Exception):
+    """The repository has another newest commit than the one that the publication builds on."""
+
+
+@contextlib.contextmanager
+def _hub(remote: HubRemote, deed: str) -> Generator[None]:
+    """Turn what a writing call raises into `PublishError`, `TransientError` or a conflict."""
+    from huggingface_hub.errors import HfHubHTTPError
+
+    try:
+        with hub_errors(remote):
+            try:
+                yield
+            except HfHubHTTPError as error:
+                if error.response.status_code in (409, 412):
+                    raise _ConflictError from None
+                raise
+            except RuntimeError as error:  # how the client reports a failed upload
+                cause = error.__cause__
+                raise (cause if isinstance(cause, Exception) else error) from None
+    except (ZooError, TransientError, _ConflictError):
+        raise
+    except ValueError as error:  # what the client or the hub refuses
+        raise PublishError(
+            remote.name, f"to {deed}", shorten(str(error)), "correct what it names"
+        ) from None
+
+
+def _ids(path: Path) -> set[str]:
+    return {entry.id for entry in load_registry(path).policies} if path.exists() else set()

@@ -1,0 +1,402 @@
+"""Publishing teams: shards first, the registry last, and published bytes never change.
+
+Teams that a release does not hold yet go into new shards; the shards and ids that exist stay as
+they are. A shard left behind by a killed publication is in no registry, hence invisible, and the
+next publication replaces it.
+"""
+
+import dataclasses
+import datetime
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import ValidationError
+
+from assistax_base.errors import ImmutableError, PublishError, listing
+from assistax_base.files import atomic_write, exclusive, sha256
+from assistax_envs.disability import DISABILITY_SETTINGS
+from assistax_envs.versions import VERSIONS
+from assistax_workshop.press.release import completed, signed
+from assistax_workshop.press.trained_runs import TrainedTeam
+from population.networks.spec import PolicySpec, Role
+from zoo.history.official import writable_registry
+from zoo.ids import EGO, TeamId, check_name, same_team
+from zoo.locations import shard_root
+from zoo.parameters.storage import check_params, encode_shard
+from zoo.parameters.tensors import Leaves, flatten, row_sha256
+from zoo.registry import Registry, load_registry, save_registry
+from zoo.schema import (
+    SCHEMA_VERSION,
+    Citation,
+    Ego,
+    PolicyRow,
+    RegistryFile,
+    Release,
+    SelfPlay,
+    Shard,
+    Team,
+    TrainedAgainst,
+    Training,
+    first_problem,
+)
+from zoo.verify import installed_settings
+
+Check = Callable[[PolicySpec, Leaves, str], None]
+_IDENTITY = (
+    "run",
+    "task",
+    "algorithm",
+    "disability",
+    "seed",
+    "release",
+)  # stand in the id or as the run's key
+
+
+@dataclasses.dataclass(frozen=True)
+class _Candidate:
+    """A team to publish, with what its registry entry needs."""
+
+    team: TeamId
+    specs: Mapping[Role, PolicySpec]
+    leaves: Mapping[Role, Leaves]
+    hashes: Mapping[Role, str]
+    run: str
+    training: Training
+    self_play: SelfPlay | None
+    trained_against: TrainedAgainst | None
+
+    def entry(self, run: str, policies: dict[Role, PolicyRow]) -> Team | Ego:
+        """Return its registry entry."""
+        if self.trained_against is None:
+            return Team(run=run, self_play=self.self_play, policies=policies)
+        rows: dict[Literal["robot"], PolicyRow] = {"robot": policies["robot"]}
+        return Ego(run=run, trained_against=self.trained_against, policies=rows)
+
+
+def publish(
+    teams: Sequence[TrainedTeam],
+    registry_path: Path | str,
+    release: str,
+    *,
+    environments: Mapping[str, int] | None = None,
+    date: str | None = None,
+    description: str = "",
+    citation: Citation | None = None,
+    complete: bool = True,
+    check: Check = check_params,
+    key: Path | None = None,
+) -> Registry:
+    """Add teams and egos to a release, with shards and the default split; return the registry.
+
+    Publishing the same bytes again changes nothing. A release that grows over days is published
+    with `complete` false: its teams can be listed, fetched and played, but the default release and
+    its splits stay until `assistax_workshop.press.release.complete_release`.
+
+    Args:
+        teams: Trained teams; `assistax_workshop.press.trained_runs.read_run` reads them from a run
+            folder.
+        registry_path: The registry; it is created if it does not exist. Shards go to `zoo/shards`
+            beside it.
+        release: Release they join, such as "v0"; it is created if it does not exist.
+        environments: Environment version of each task; those of the installed `assistax_envs` if
+            not given.
+        date: ISO date of a new release; today if not given.
+        description: What a new release is, in one sentence.
+        citation: How the release is to be cited; a later one takes the place of an earlier one.
+        complete: Whether the release is whole with these teams.
+        check: Called with spec, leaves and policy id; raises if the parameters are not those of the
+            spec.
+        key: Ed25519 private key, PEM, by which the release is signed.
+
+    Raises:
+        ImmutableError: An id, a figure or an environment version that is already published would
+            change.
+        PublishError: A team lacks provenance, occurs twice, or has the parameters of another; or
+            the registry is official.
+    """
+    path = Path(registry_path)
+    writable_registry(path)
+    check_name("release", release)
+    created = Release(date=_day(date), description=description, environments={}, citation=citation)
+    candidates = [_candidate(team, release, check) for team in teams]
+    with exclusive(path):
+        old = load_registry(path) if path.exists() else None
+        base = old.data if old else _empty(release, created)
+        fresh = _fresh(base, candidates)
+        if old and not fresh and not key and not citation:
+            return old
+        data = _with_release(base, release, created, fresh, environments or VERSIONS)
+        if old and not fresh and not key and data == old.data:
+            return old
+        _check_sizes(data, release, fresh)
+        data, files = _with_members(data, release, fresh)
+        data = completed(data, release) if complete else data
+        return _write(signed(data, release, key) if key else data, files, path)
+
+
+def _day(date: str | None) -> str:
+    try:
+        return (datetime.date.fromisoformat(date) if date else datetime.date.today()).isoformat()
+    except ValueError as error:
+        raise PublishError(
+            "date of the release", "an ISO date such as 2027-01-31", f"{date!r} ({error})"
+        ) from None
+
+
+def _candidate(team: TrainedTeam, release: str, check: Check) -> _Candidate:
+    name = _name(team, release)
+    leaves = {role: flatten(team.params[role]) for role in team.specs}
+    for role, spec in team.specs.items():
+        check(spec, leaves[role], f"parameters of {name}/{role}")
+    hashes = {role: row_sha256(leaves[role]) for role in leaves}
+    training = dict(team.training)
+    run = str(training.get("run") or f"{team.task}-{team.algorithm}")
+    try:
+        provenance = Training.model_validate_json(json.dumps(_sorted_provenance(training)))
+        figures = (
+            SelfPlay.model_validate_json(json.dumps(team.self_play)) if team.self_play else None
+        )
+        against = TrainedAgainst(**team.trained_against) if team.trained_against else None
+    except (ValidationError, TypeError) as error:
+        found = first_problem(error) if isinstance(error, ValidationError) else str(error)
+        raise PublishError(f"team {name}", "provenance and figures of the schema", found) from None
+    return _Candidate(name, team.specs, leaves, hashes, run, provenance, figures, against)
+
+
+def _name(team: TrainedTeam, release: str) -> TeamId:
+    """Return the id under which a team, or the robot of a `train-ego` run, is published."""
+    if team.is_ego:
+        if not team.trained_against:
+            found = "none: split.json is missing (`assistax-zoo train-ego --resume` writes it)"
+            raise PublishError(
+                f"ego {team.task}/{team.algorithm} seed {team.seed}",
+                "the split that it was trained against",
+                found,
+            )
+        return TeamId(team.task, team.algorithm, EGO, team.seed, release)
+    if team.disability not in DISABILITY_SETTINGS:
+        label = f"disability of {team.task}/{team.algorithm} seed {team.seed}"
+        raise PublishError(label, f"one of {listing(DISABILITY_SETTINGS, 12)}", team.disability)
+    return TeamId(team.task, team.algorithm, team.disability, team.seed, release)
+
+
+def _sorted_provenance(training: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the training record by the schema's fields; the rest goes to `notes`, flattened."""
+    fields = Training.model_fields
+    known = {name: training[name] for name in fields if training.get(name) is not None}
+    rest = {name: training[name] for name in training if name not in (*fields, *_IDENTITY)}
+    known["notes"] = {**known.get("notes", {}), **rest}
+    for field in ("hyperparameters", "notes"):
+        known[field] = dict(sorted(_scalars(known.get(field, {})).items()))
+    return known
+
+
+def _scalars(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            flat |= _scalars(value, f"{prefix}{name}.")
+        elif isinstance(value, list | tuple):
+            flat[f"{prefix}{name}"] = ",".join(map(str, value))
+        else:
+            flat[f"{prefix}{name}"] = value
+    return flat
+
+
+def _empty(release: str, created: Release) -> RegistryFile:
+    return RegistryFile(
+        schema_version=SCHEMA_VERSION,
+        release=release,
+        releases={release: created},
+        disability_settings=installed_settings(),
+        runs={},
+        shards={},
+        teams={},
+    )
+
+
+def _fresh(data: RegistryFile, candidates: Sequence[_Candidate]) -> list[_Candidate]:
+    """Return the candidates not published yet, in order; refuse what would change others."""
+    if not candidates:
+        raise PublishError("publication", "at least one team", "none")
+    owners = {
+        (role, row.sha256): team
+        for team, entry in data.members.items()
+        for role, row in entry.policies.items()
+    }
+    fresh: dict[str, _Candidate] = {}
+    for candidate in sorted(candidates, key=lambda candidate: candidate.team.order):
+        name = str(candidate.team)
+        if name in data.members:
+            _check_unchanged(name, data.members[name], candidate)
+            continue
+        if name in fresh:
+            raise PublishError(f"team {name}", "each team once", "it is given twice")
+        for role, digest in candidate.hashes.items():
+            other = owners.setdefault((role, digest), name)
+            if not same_team(other, name):
+                raise PublishError(
+                    f"parameters of {name}/{role}",
+                    "parameters of its own",
+                    f"those of {other}/{role}",
+                )
+        fresh[name] = candidate
+    return list(fresh.values())
+
+
+def _check_unchanged(name: str, published: Team | Ego, candidate: _Candidate) -> None:
+    hashes = {role: row.sha256 for role, row in published.policies.items()}
+    if hashes != candidate.hashes:
+        raise ImmutableError(
+            f"team {name}", f"the published sha256 {hashes}", f"{dict(candidate.hashes)}"
+        )
+    for field in ("self_play", "trained_against"):
+        before, now = getattr(published, field, None), getattr(candidate, field)
+        if now not in (None, before):
+            raise ImmutableError(
+                f"{field.replace('_', '-')} of {name}", f"the published {before}", f"{now}"
+            )
+
+
+def _with_release(
+    data: RegistryFile,
+    release: str,
+    created: Release,
+    fresh: Sequence[_Candidate],
+    environments: Mapping[str, int],
+) -> RegistryFile:
+    """Return the registry with the release, its new tasks' environment versions added."""
+    if data.disability_settings != installed_settings():
+        found = f"{installed_settings()} in the installed environments"
+        raise ImmutableError(
+            "disability settings", f"the registry's {data.disability_settings}", found
+        )
+    entry = data.releases.get(release, created)
+    versions = dict(entry.environments)
+    for candidate in fresh:
+        task, trained = candidate.team.task, candidate.training.env_version
+        if task not in environments:
+            raise PublishError(
+                f"task {task}",
+                f"one of {listing(environments)}",
+                "a task without environment version",
+            )
+        if environments[task] != versions.setdefault(task, environments[task]):
+            expected = f"version {versions[task]} of {task}, as release {release} has it"
+            raise ImmutableError(f"release {release}", expected, f"version {environments[task]}")
+        if trained != versions[task]:
+            raise PublishError(
+                f"team {candidate.team}",
+                f"training on {task} version {versions[task]}",
+                f"on {trained}",
+            )
+    now = {
+        "environments": dict(sorted(versions.items())),
+        "citation": created.citation or entry.citation,
+    }
+    releases = {**data.releases, release: entry.model_copy(update=now)}
+    return data.model_copy(update={"releases": releases})
+
+
+def _check_sizes(data: RegistryFile, release: str, fresh: Sequence[_Candidate]) -> None:
+    """Refuse policies that see or do other than the task's others in this environment."""
+    versions = data.releases[release].environments
+    known = {
+        (shard.task, shard.role): (shard.spec.observation_size, shard.spec.action_size)
+        for shard in data.shards.values()
+        if data.releases[shard.release].environments[shard.task] == versions.get(shard.task)
+    }
+    for candidate in fresh:
+        for role, spec in candidate.specs.items():
+            found = spec.observation_size, spec.action_size
+            expected = known.setdefault((candidate.team.task, role), found)
+            if found != expected:
+                raise PublishError(
+                    f"policy {candidate.team}/{role}",
+                    "{} observations and {} actions, as the task's others have".format(*expected),
+                    "{} and {}".format(*found),
+                )
+
+
+def _with_members(
+    data: RegistryFile, release: str, fresh: Sequence[_Candidate]
+) -> tuple[RegistryFile, dict[str, bytes]]:
+    """Return the registry with the new teams and egos, and the bytes of their shards by path."""
+    runs, shards, files = dict(data.runs), dict(data.shards), {}
+    rows: dict[tuple[str, Role], PolicyRow] = {}
+    for (task, algorithm, role, spec), members in _by_shard(fresh):
+        path = _free_path(f"zoo/shards/{release}/{task}-{algorithm}-{role}-{spec.digest}", shards)
+        content, hashes = encode_shard(
+            spec, [(f"{member.team}/{role}", member.leaves[role]) for member in members]
+        )
+        files[path] = content
+        shards[path] = Shard(
+            sha256=sha256(content),
+            bytes=len(content),
+            task=task,
+            algorithm=algorithm,
+            role=role,
+            release=release,
+            rows=len(members),
+            spec=spec,
+        )
+        for row, (member, digest) in enumerate(zip(members, hashes, strict=True)):
+            rows[str(member.team), role] = PolicyRow(shard=path, row=row, sha256=digest)
+    members = dict(data.members)
+    for candidate in fresh:
+        name, run = str(candidate.team), _run_key(runs, candidate)
+        runs[run] = candidate.training
+        policies = {role: rows[name, role] for role in sorted(candidate.specs, reverse=True)}
+        members[name] = candidate.entry(run, policies)
+    tables = {
+        "teams": {name: entry for name, entry in members.items() if isinstance(entry, Team)},
+        "egos": {name: entry for name, entry in members.items() if isinstance(entry, Ego)},
+    }
+    return data.model_copy(update={"runs": runs, "shards": shards, **tables}), files
+
+
+def _by_shard(
+    fresh: Iterable[_Candidate],
+) -> list[tuple[tuple[str, str, Role, PolicySpec], list[_Candidate]]]:
+    """Return the teams of each new shard, by task, algorithm, role and spec."""
+    groups: dict[tuple[str, str, Role, PolicySpec], list[_Candidate]] = {}
+    for candidate in fresh:
+        for role, spec in candidate.specs.items():
+            groups.setdefault(
+                (candidate.team.task, candidate.team.algorithm, role, spec), []
+            ).append(candidate)
+    return sorted(groups.items(), key=lambda group: (*group[0][:3], group[0][3].digest))
+
+
+def _free_path(stem: str, taken: Mapping[str, Shard]) -> str:
+    number = 1
+    while (
+        path := f"{stem}.safetensors" if number == 1 else f"{stem}-{number}.safetensors"
+    ) in taken:
+        number += 1
+    return path
+
+
+def _run_key(runs: Mapping[str, Training], candidate: _Candidate) -> str:
+    """Return the run's name, with a digest where another provenance has that name already."""
+    if runs.get(candidate.run, candidate.training) == candidate.training:
+        return candidate.run
+    return f"{candidate.run}-{sha256(candidate.training.model_dump_json().encode())[:8]}"
+
+
+def _write(data: RegistryFile, files: Mapping[str, bytes], path: Path) -> Registry:
+    """Write the shards, then the registry; a failure takes the shards back."""
+    written: list[Path] = []
+    try:
+        for name, content in files.items():
+            written.append(shard_root(path) / name)
+            atomic_write(written[-1], content)
+        return save_registry(data, path)
+    except (
+        Exception
+    ):  # the registry is not yet replaced; an interrupt may come later, then shards stay unlisted
+        for file in written:
+            file.unlink(missing_ok=True)
+        raise

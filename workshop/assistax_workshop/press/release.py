@@ -1,0 +1,56 @@
+"""A release as a whole: its default splits, those made by hand, and its signature."""
+
+from pathlib import Path
+
+from assistax_base.files import exclusive
+from zoo.history.merkle import release_root
+from zoo.history.signing import sign
+from zoo.ids import parse_team, release_number
+from zoo.registry import Registry, load_registry, save_registry
+from zoo.schema import RegistryFile
+from zoo.splits import half_side, make_split
+from zoo.splitting.create import partner_teams, with_defaults
+
+
+def complete_release(registry_path: Path | str, release: str) -> Registry:
+    """Make a release that was published in parts the default one; return the registry."""
+    path = Path(registry_path)
+    with exclusive(path):
+        registry = load_registry(path)
+        data = completed(registry.data, release)
+        return registry if data == registry.data else save_registry(data, path)
+
+
+def completed(data: RegistryFile, release: str) -> RegistryFile:
+    """Return the registry with the release's default splits; it is the default unless older."""
+    newest = max(data.release, release, key=release_number)
+    return _with_default_splits(data.model_copy(update={"release": newest}), release)
+
+
+def signed(data: RegistryFile, release: str, key: Path) -> RegistryFile:
+    """Return the registry with the release signed as it is."""
+    root = release_root(data, release)
+    fields = {"root": root, "signature": sign(release, root, key)}
+    entry = data.releases[release].model_copy(update=fields)
+    return data.model_copy(update={"releases": {**data.releases, release: entry}})
+
+
+def _with_default_splits(data: RegistryFile, release: str) -> RegistryFile:
+    """Return the registry with a default split, `half` of seed 0, where both halves have teams.
+
+    A split that no longer covers the release stays in the registry; the default moves on to the new
+    one, unless it was chosen by hand.
+    """
+    splits, halves = {split.id: split for split in data.splits}, {}
+    for task in data.releases[release].environments:
+        partners = partner_teams(data, task, release)
+        if len({half_side(parse_team(team)) for team in partners}) == 2:
+            split = make_split(partners, task=task, release=release)
+            splits[split.id], halves[task] = split, split.id
+    chosen = {
+        task: split
+        for task, split in data.releases[release].splits.items()
+        if not split.startswith(f"{task}/half-s0-{release}-")
+    }
+    grown = data.model_copy(update={"splits": tuple(splits.values())})
+    return with_defaults(grown, release, {**halves, **chosen})

@@ -1,0 +1,1 @@
+"""What is published never changes: the tree of leaves, signatures, official and own splits."""

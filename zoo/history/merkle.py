@@ -1,0 +1,141 @@
+"""One digest for all that a release is: the root of a Merkle tree over its entries.
+
+A leaf is the sha256 of one entry: a team with its self-play, an ego, a shard, a run's provenance, a
+split, a disability setting that is used, and the release's own record. A tree's node is the sha256
+of its children's; an odd one goes up as it is. Entries are written without the fields that are at
+their defaults, so that a later schema gives the same leaves. A release grows by leaves, and never
+loses one but its own record, which names its default splits.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from assistax_base.errors import ImmutableError, IntegrityError, listing
+from zoo.ids import EGO, parse_team
+from zoo.schema import RegistryFile
+
+RECORD = "release"  # the kind of the one leaf that may change
+
+
+def leaves(data: RegistryFile, release: str) -> dict[str, str]:
+    """Return the sha256 of each entry of a release by kind and name, as "team scratch/..."."""
+    members = {
+        name: (parse_team(name).disability, entry)
+        for name, entry in data.members.items()
+        if parse_team(name).release == release
+    }
+    shards = {row.shard for _, entry in members.values() for row in entry.policies.values()}
+    used = {disability for disability, _ in members.values()} - {EGO}
+    found: dict[str, Any] = {
+        f"{RECORD} {release}": data.releases[release].model_copy(
+            update={"root": None, "signature": None}
+        )
+    }
+    found |= {
+        f"{'ego' if disability == EGO else 'team'} {name}": entry
+        for name, (disability, entry) in members.items()
+    }
+    found |= {f"run {name}": data.runs[name] for name in {e.run for _, e in members.values()}}
+    found |= {f"shard {path}": data.shards[path] for path in shards}
+    found |= {f"setting {name}": data.disability_settings[name] for name in used}
+    found |= {f"split {split.id}": split for split in data.splits if split.release == release}
+    return {name: _leaf(name, entry) for name, entry in sorted(found.items())}
+
+
+def merkle_root(hashes: Iterable[str]) -> str:
+    """Return the root over leaves in hex; leaves and nodes have different prefixes."""
+    level = [bytes.fromhex(one) for one in hashes]
+    while len(level) > 1:
+        pairs = [level[start : start + 2] for start in range(0, len(level), 2)]
+        level = [
+            hashlib.sha256(b"\x01" + b"".join(pair)).digest() if len(pair) == 2 else pair[0]
+            for pair in pairs
+        ]
+    return level[0].hex()
+
+
+def release_root(data: RegistryFile, release: str) -> str:
+    """Return the root of what the registry holds of a release now, whatever it records."""
+    return merkle_root(leaves(data, release).values())
+
+
+def with_roots(data: RegistryFile) -> RegistryFile:
+    """Return the registry with every release's root recorded; a signature of another root goes."""
+    releases = {}
+    for name, release in data.releases.items():
+        root = release_root(data, name)
+        signature = release.signature if release.root == root else None
+        releases[name] = release.model_copy(update={"root": root, "signature": signature})
+    return data.model_copy(update={"releases": releases})
+
+
+def root_problems(data: RegistryFile) -> list[str]:
+    """Return the releases whose entries are not those of the root that is recorded."""
+    return [
+        f"release {name}: expected root {release.root}, found {found}; an entry, a split, a "
+        "setting or the provenance of a run was changed, added or removed"
+        for name, release in data.releases.items()
+        if (found := release_root(data, name)) != release.root
+    ]
+
+
+def check_roots(data: RegistryFile, source: str) -> None:
+    """Check that every release is what its root says; `source` names the registry in the error.
+
+    Raises:
+        IntegrityError: An entry was changed, added or removed.
+    """
+    if problems := root_problems(data):
+        raise IntegrityError(
+            f"registry {source}",
+            "releases with the roots that it records",
+            problems[0],
+            "restore the registry; `assistax-zoo verify` lists all that is wrong",
+            "nothing was read",
+        )
+
+
+def lost_leaves(old: RegistryFile, new: RegistryFile) -> list[str]:
+    """Return what the old registry published and the new one lacks or has otherwise."""
+    lost = []
+    for release, record in old.releases.items():
+        versions = new.releases[release].environments if release in new.releases else {}
+        lost += [
+            f"version {version} of {task} in {release}"
+            for task, version in record.environments.items()
+            if versions.get(task) != version
+        ]
+        now: Mapping[str, str] = leaves(new, release) if release in new.releases else {}
+        lost += [
+            name
+            for name, digest in leaves(old, release).items()
+            if not name.startswith(RECORD) and now.get(name) != digest
+        ]
+    return lost
+
+
+def check_grown(old: RegistryFile, new: RegistryFile) -> None:
+    """Check that a registry holds all that it published before.
+
+    Raises:
+        ImmutableError: An entry, a split or a setting is gone or changed.
+    """
+    if lost := lost_leaves(old, new):
+        raise ImmutableError(
+            "registry",
+            "all that was published, unchanged",
+            f"{listing(lost)} gone or changed",
+            "publish under a new release",
+            "nothing was written: what is published never changes",
+        )
+
+
+def _leaf(name: str, entry: Any) -> str:
+    content = json.dumps(
+        [name, entry.model_dump(mode="json", exclude_defaults=True)],
+        sort_keys=True,
+        separators=(",", ":"),
+    )
+    return hashlib.sha256(b"\x00" + content.encode()).hexdigest()

@@ -1,0 +1,1 @@
+"""Parameters of policies: shards on disk and tensors in them."""

@@ -1,0 +1,241 @@
+"""Stacked shards and single-policy files: hashed by row and by file, verified on every load."""
+
+import functools
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from assistax_base.errors import FormatError, IntegrityError, shorten
+from assistax_base.files import atomic_write, sha256
+from population.networks.spec import PolicySpec
+from population.networks.stack import PolicyStack, stack_policies, unflatten
+from zoo.parameters.tensors import (
+    Leaves,
+    damaged_row,
+    decode,
+    encode,
+    flatten,
+    read_bytes,
+    row_sha256,
+)
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry, spec_from_json
+
+
+class PolicyFile(NamedTuple):
+    """A single-policy file: leaves of `params` are float32 without the stacked axis."""
+
+    spec: PolicySpec
+    params: dict[str, Any]
+    metadata: dict[str, Any]
+
+
+class StackedFile(NamedTuple):
+    """A file of stacked parameters: leaves [P, ...], and what its metadata says of each row."""
+
+    spec: PolicySpec
+    leaves: Leaves
+    rows: list[Any]
+
+
+def load_stacks(registry: Registry, entries: Iterable[PolicyEntry]) -> tuple[PolicyStack, ...]:
+    """Return the parameters of the entries as float32, one stack for each spec, in the order asked.
+
+    Stacks come in the order in which their specs first occur. Every shard's sha256 and every
+    returned row's sha256 is held against the registry.
+
+    Raises:
+        IntegrityError: A shard is missing or its bytes are not those of the registry.
+        FormatError: A shard's content contradicts the registry.
+    """
+    entries = list(entries)
+    leaves = load_leaves(registry, entries)
+    forms: dict[PolicySpec, tuple[str, dict[str, tuple[int, ...]]]] = {}
+    for entry in entries:
+        form = {name: value.shape for name, value in leaves[entry.id].items()}
+        first, expected = forms.setdefault(entry.spec, (entry.id, form))
+        if form != expected:
+            raise FormatError(f"parameters of {entry.id}", f"the leaves of {first}", "others")
+    return stack_policies((entry.id, entry.spec, _float32(leaves[entry.id])) for entry in entries)
+
+
+def load_leaves(registry: Registry, entries: Iterable[PolicyEntry]) -> dict[str, Leaves]:
+    """Return the leaves of each entry by its id, in the dtype that is stored; verified."""
+    entries = list(entries)
+    shards = {path: read_shard(registry, path) for path in dict.fromkeys(e.shard for e in entries)}
+    return {entry.id: _verified_row(shards[entry.shard], entry.row, entry) for entry in entries}
+
+
+def read_shard(registry: Registry, path: str) -> StackedFile:
+    """Return one shard of the registry, its file verified; rows are when they are taken."""
+    shard = registry.data.shards[path]
+    data = read_bytes(
+        registry.shard_path(path), f"shard {path}", size=shard.bytes, digest=shard.sha256
+    )
+    stacked = parse_stacked(data, f"shard {path}")
+    if stacked.spec != shard.spec or len(stacked.rows) != shard.rows:
+        found = f"{len(stacked.rows)} rows of spec {stacked.spec.digest}"
+        raise FormatError(f"shard {path}", f"{shard.rows} rows of spec {shard.spec.digest}", found)
+    return stacked
+
+
+def parse_stacked(data: bytes, source: str) -> StackedFile:
+    """Return the content of stacked safetensors bytes: leaves [P, ...], metadata {"spec", "rows"}.
+
+    Raises:
+        FormatError: The file is malformed, its spec is no policy spec, or its leaves disagree on P.
+    """
+    leaves, metadata = decode(data, source)
+    spec, rows = _spec(metadata, source), metadata.get("rows")
+    if not isinstance(rows, list) or not rows:
+        raise FormatError(
+            source, "metadata rows: a list with one item for each policy", shorten(rows)
+        )
+    wrong = [
+        f"{name} {value.shape}" for name, value in leaves.items() if value.shape[:1] != (len(rows),)
+    ]
+    if wrong:
+        raise FormatError(source, f"leaves with a first axis of {len(rows)}", wrong[0])
+    return StackedFile(spec, leaves, rows)
+
+
+def take_row(stacked: StackedFile, row: int) -> Leaves:
+    """Return one policy's leaves as stored, without the stacked axis."""
+    return {name: value[row] for name, value in stacked.leaves.items()}
+
+
+def encode_shard(
+    spec: PolicySpec, policies: Sequence[tuple[str, Leaves]]
+) -> tuple[bytes, list[str]]:
+    """Return a shard's bytes and its rows' sha256, for (policy id, leaves) in row order.
+
+    Raises:
+        FormatError: The policies' leaves differ in name, shape or dtype.
+    """
+    forms = [
+        {name: (value.shape, value.dtype.name) for name, value in leaves.items()}
+        for _, leaves in policies
+    ]
+    for (policy, _), form in zip(policies, forms, strict=True):
+        if form != forms[0]:
+            odd = next(
+                name for name in {**forms[0], **form} if form.get(name) != forms[0].get(name)
+            )
+            expected = f"{odd} {forms[0].get(odd)} as in {policies[0][0]}"
+            raise FormatError(f"parameters of {policy}", expected, f"{odd} {form.get(odd)}")
+    hashes = [row_sha256(leaves) for _, leaves in policies]
+    rows = [
+        {"id": policy, "sha256": digest}
+        for (policy, _), digest in zip(policies, hashes, strict=True)
+    ]
+    stacked = {name: np.stack([leaves[name] for _, leaves in policies]) for name in forms[0]}
+    return encode(stacked, {"spec": spec.to_json(), "rows": rows}), hashes
+
+
+def read_policy_file(path: Path | str) -> PolicyFile:
+    """Return the policy of a single-policy `.safetensors` file.
+
+    Raises:
+        FormatError: The file is missing, malformed, not finite, or holds no spec.
+        IntegrityError: The parameters are not those that the file's own sha256 was made of.
+    """
+    source = f"policy file {path}"
+    if not Path(path).is_file():
+        raise FormatError(source, "a .safetensors file", "no such file")
+    leaves, metadata = decode(read_bytes(Path(path), source), source)
+    spec = _spec(metadata, source)
+    extra = metadata.get("metadata", {})
+    if not isinstance(extra, dict):
+        raise FormatError(source, "metadata that is an object", shorten(extra))
+    found = _content_sha256(spec, extra, leaves)
+    if metadata.get("sha256") != found:
+        raise IntegrityError(
+            source,
+            f"sha256 {shorten(metadata.get('sha256'))}",
+            f"sha256 {found}",
+            "fetch or export the file again; it was changed after it was written",
+        )
+    return PolicyFile(spec, _float32(leaves), extra)
+
+
+def write_policy_file(
+    path: Path | str,
+    spec: PolicySpec,
+    params: Mapping[str, Any],
+    metadata: Mapping[str, Any] | None = None,
+) -> None:
+    """Write one policy as `.safetensors`, atomically; see `policy_bytes`."""
+    atomic_write(Path(path), policy_bytes(spec, params, metadata))
+
+
+def policy_bytes(
+    spec: PolicySpec, params: Mapping[str, Any], metadata: Mapping[str, Any] | None = None
+) -> bytes:
+    """Return one policy as the bytes of a `.safetensors` file; `metadata` is kept as JSON.
+
+    Raises:
+        FormatError: The parameters are not float32 or float16, or not finite.
+    """
+    leaves = flatten(params)
+    extra = dict(metadata or {})
+    content = {
+        "spec": spec.to_json(),
+        "sha256": _content_sha256(spec, extra, leaves),
+        "metadata": extra,
+    }
+    return encode(leaves, content)
+
+
+def check_params(spec: PolicySpec, leaves: Leaves, source: str) -> None:
+    """Check that leaves (without the stacked axis) are those that `Policy(spec)` has; imports JAX.
+
+    Raises:
+        FormatError: A leaf is missing, unknown, or of another shape.
+    """
+    expected = _expected_shapes(spec)
+    found = {name: tuple(value.shape) for name, value in leaves.items()}
+    if found != expected:
+        odd = next(name for name in {**expected, **found} if found.get(name) != expected.get(name))
+        raise FormatError(
+            source, f"{odd} of shape {expected.get(odd)} for its spec", f"shape {found.get(odd)}"
+        )
+
+
+@functools.lru_cache
+def _expected_shapes(spec: PolicySpec) -> dict[str, tuple[int, ...]]:
+    import jax
+
+    from population.networks.policy import Policy
+
+    tree = jax.eval_shape(Policy(spec).init, jax.random.key(0))
+    paths = jax.tree_util.tree_flatten_with_path(tree)[0]
+    return {"/".join(key.key for key in path): tuple(leaf.shape) for path, leaf in paths}
+
+
+def _verified_row(stacked: StackedFile, row: int, entry: PolicyEntry) -> Leaves:
+    leaves = take_row(stacked, row)
+    found = row_sha256(leaves)
+    if found != entry.sha256:
+        raise damaged_row(entry.id, entry.sha256, found)
+    return leaves
+
+
+def _float32(leaves: Leaves) -> dict[str, Any]:
+    return unflatten({name: value.astype(np.float32, copy=False) for name, value in leaves.items()})
+
+
+def _content_sha256(spec: PolicySpec, metadata: Mapping[str, Any], leaves: Leaves) -> str:
+    """Return the sha256 that a policy file carries of itself: of spec, metadata and leaves."""
+    return sha256(
+        json.dumps([spec.to_json(), dict(metadata), row_sha256(leaves)], sort_keys=True).encode()
+    )
+
+
+def _spec(metadata: Mapping[str, Any], source: str) -> PolicySpec:
+    try:
+        return spec_from_json(metadata.get("spec"))
+    except ValueError as error:
+        raise FormatError(source, "a policy spec in the metadata", shorten(str(error))) from None

@@ -1,0 +1,158 @@
+"""Parameters as bytes: flat leaves, their canonical hash, safetensors files. Never a pickle."""
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors
+import safetensors.numpy
+
+from assistax_base.bounded_reading import parse_json
+from assistax_base.errors import FormatError, IntegrityError, shorten
+from assistax_base.files import sha256
+from population.networks import stack
+
+METADATA_KEY = "assistax"  # the only metadata key: bytes are stable with at most one
+MAX_HEADER_BYTES = 4 * 1024 * 1024
+MAX_FILE_BYTES = 4 * 1024 * 1024 * 1024
+DTYPES = {"F32": np.dtype("<f4"), "F16": np.dtype("<f2")}
+_LEAF = re.compile(r"[A-Za-z0-9_]{1,64}(/[A-Za-z0-9_]{1,64}){0,7}")
+
+Leaves = dict[str, np.ndarray]
+
+
+def flatten(params: Mapping[str, Any]) -> Leaves:
+    """Return a nested dict's arrays by '/'-joined path, in sorted order.
+
+    Raises:
+        FormatError: A name or a value cannot be stored.
+    """
+    leaves = stack.flatten(params)
+    _check_leaves(leaves, "parameters")
+    return dict(sorted(leaves.items()))
+
+
+def row_sha256(leaves: Mapping[str, np.ndarray]) -> str:
+    """Return the sha256 of one policy's leaves: name, dtype, shape, little-endian bytes of each."""
+    digest = hashlib.sha256()
+    for name in sorted(leaves):
+        value = np.ascontiguousarray(leaves[name])
+        digest.update(
+            f"{name}\0{value.dtype.name}\0{'x'.join(map(str, np.shape(leaves[name])))}\0".encode()
+        )
+        digest.update(value.astype(value.dtype.newbyteorder("<"), copy=False).data)
+    return digest.hexdigest()
+
+
+def encode(leaves: Leaves, metadata: Mapping[str, Any]) -> bytes:
+    """Return the safetensors bytes of leaves, with JSON metadata; the same for equal input."""
+    _check_leaves(leaves, "parameters")
+    text = json.dumps(metadata, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    contiguous = {name: np.require(value, requirements="C") for name, value in leaves.items()}
+    data = safetensors.numpy.save(contiguous, {METADATA_KEY: text})
+    if int.from_bytes(data[:8], "little") > MAX_HEADER_BYTES:
+        raise FormatError(
+            "parameters", f"a header of at most {MAX_HEADER_BYTES} bytes", "a larger one"
+        )
+    return data
+
+
+def decode(data: bytes, source: str) -> tuple[Leaves, dict[str, Any]]:
+    """Return leaves and metadata of safetensors bytes.
+
+    Raises:
+        FormatError: The bytes are truncated, malformed, of another dtype, not finite, or lack the
+            metadata.
+    """
+    header, tensors = _deserialize(data, source)
+    try:
+        metadata = parse_json(header["__metadata__"][METADATA_KEY])
+        if not isinstance(metadata, dict):
+            raise ValueError(f"metadata {METADATA_KEY!r} is no JSON object")
+    except KeyError as error:
+        raise FormatError(
+            source, f"metadata {METADATA_KEY!r} with spec and rows", f"no {error}"
+        ) from None
+    except (ValueError, TypeError, RecursionError) as error:
+        raise FormatError(source, "a safetensors file", f"{shorten(str(error))}") from None
+    return _leaves(tensors, source), metadata
+
+
+def _deserialize(data: bytes, source: str) -> tuple[dict[str, Any], list[tuple[str, Any]]]:
+    length = int.from_bytes(data[:8], "little")
+    if len(data) < 8 or length > min(MAX_HEADER_BYTES, len(data) - 8):
+        raise FormatError(
+            source, "a safetensors file", f"{len(data)} bytes whose header claims {length}"
+        )
+    try:
+        tensors = safetensors.deserialize(data)
+        return parse_json(data[8 : 8 + length].decode()), tensors
+    except (safetensors.SafetensorError, ValueError, TypeError, RecursionError) as error:
+        raise FormatError(source, "a safetensors file", f"{shorten(str(error))}") from None
+
+
+def _leaves(tensors: list[tuple[str, Any]], source: str) -> Leaves:
+    leaves = {}
+    for name, tensor in tensors:
+        if tensor["dtype"] not in DTYPES:
+            raise FormatError(
+                source, f"leaves of {' or '.join(DTYPES)}", f"{shorten(name)} of {tensor['dtype']}"
+            )
+        leaves[name] = np.frombuffer(tensor["data"], DTYPES[tensor["dtype"]]).reshape(
+            tensor["shape"]
+        )
+    _check_leaves(leaves, source)
+    return dict(sorted(leaves.items()))
+
+
+def read_bytes(
+    path: Path, source: str, *, size: int | None = None, digest: str | None = None
+) -> bytes:
+    """Return a file's bytes, held against the size and sha256 that the registry records.
+
+    Raises:
+        IntegrityError: The file is missing, or has another size or sha256.
+    """
+    if not path.is_file():
+        raise IntegrityError(source, "a file", f"no file at {path}")
+    found = path.stat().st_size
+    if found > (MAX_FILE_BYTES if size is None else size) or (size is not None and found != size):
+        raise IntegrityError(
+            source,
+            f"{size if size is not None else f'at most {MAX_FILE_BYTES}'} bytes",
+            f"{found} bytes",
+        )
+    data = path.read_bytes()
+    if digest is not None and sha256(data) != digest:
+        raise IntegrityError(source, f"sha256 {digest}", f"sha256 {sha256(data)}")
+    return data
+
+
+def damaged_row(policy: str, expected: str, found: str) -> IntegrityError:
+    """Return the error for a row whose bytes are not those of the registry."""
+    return IntegrityError(f"parameters of {policy}", f"sha256 {expected}", f"sha256 {found}")
+
+
+def _check_leaves(leaves: Mapping[str, np.ndarray], source: str) -> None:
+    if not leaves:
+        raise FormatError(source, "at least one leaf", "none")
+    for name, value in leaves.items():
+        if not _LEAF.fullmatch(name):
+            raise FormatError(source, "leaf names like Dense_0/kernel", shorten(name))
+        if value.dtype not in DTYPES.values():
+            raise FormatError(source, "float32 or float16 leaves", f"{name} of {value.dtype}")
+        if not np.isfinite(value).all():
+            raise FormatError(source, "finite parameters", f"NaN or infinity in {name}")
+    for name in leaves:
+        parents = name.split("/")[:-1]
+        clash = next(
+            (p for i in range(len(parents)) if (p := "/".join(parents[: i + 1])) in leaves), None
+        )
+        if clash:
+            raise FormatError(
+                source, "leaves that form a tree", f"{clash} both a leaf and the parent of {name}"
+            )

@@ -1,0 +1,1 @@
+"""How zoos travel: remotes, downloads, zoos of others."""

@@ -1,0 +1,86 @@
+"""What another zoo changed since it was last read: a rewritten history is refused, the rest shown.
+
+A zoo grows by entries, and may then give a task another default split or release. Who evaluates
+with its defaults gets other figures, so such a change is taken only by who accepts it.
+"""
+
+from collections.abc import Callable, Sequence
+
+from assistax_base.errors import IntegrityError, UpdateError, listing
+from zoo.history.merkle import lost_leaves
+from zoo.registry import Registry
+from zoo.schema import RegistryFile, Split
+
+Accept = Callable[[Sequence[str]], bool]  # given the changes; returns whether they are taken
+
+
+def take_none(changes: Sequence[str]) -> bool:
+    """Accept no change."""
+    return False
+
+
+def check_update(old: Registry, new: Registry, source: str, accept: Accept = take_none) -> None:
+    """Check that a zoo still has all that it had, and that its changes are accepted.
+
+    Args:
+        old: The registry of before.
+        new: The registry of now.
+        source: Name of the zoo's remote.
+        accept: Called with the changes if there are any.
+
+    Raises:
+        IntegrityError: Something that was published is gone or changed.
+        UpdateError: Changes are not accepted; the error lists them.
+    """
+    kept = "nothing was fetched; the registry of before is kept"
+    if lost := lost_leaves(old.data, new.data):
+        roots = [f"{release} {old.root(release)[:12]}" for release in old.data.releases]
+        raise IntegrityError(
+            f"registry.json of {source}",
+            f"all that it published before (roots {', '.join(roots)}): published bytes never "
+            "change",
+            f"another history: {listing(lost)} gone or changed",
+            f"ask its owner; to believe the new one, delete {old.path}",
+            kept,
+        )
+    found = changes(old.data, new.data)
+    if found and not accept(found):
+        refuse_changes(source, found)
+
+
+def refuse_changes(source: str, found: Sequence[str]) -> None:
+    """Raise the error for changes that were not accepted."""
+    raise UpdateError(
+        f"registry.json of {source}", "what it was when it was last read", "; ".join(found)
+    )
+
+
+def changes(old: RegistryFile, new: RegistryFile) -> list[str]:
+    """Return what a registry that has grown otherwise changed, in words."""
+    found = []
+    if new.release != old.release:
+        found.append(f"the default release is {new.release}, was {old.release}")
+    for name, release in old.releases.items():
+        now = new.releases[name]
+        for task in sorted({*release.splits, *now.splits}):
+            before, after = _default(old, name, task), _default(new, name, task)
+            if before != after:
+                found.append(f"the default split of {task} in {name} is {after}, was {before}")
+        found += [
+            f"{field} of {name} is {getattr(now, field)!r}, was {getattr(release, field)!r}"
+            for field in ("date", "description", "citation")
+            if getattr(now, field) != getattr(release, field)
+        ]
+    return found + [
+        f"disability setting {name} is another"
+        for name, setting in old.disability_settings.items()
+        if new.disability_settings.get(name) != setting
+    ]
+
+
+def _default(data: RegistryFile, release: str, task: str) -> str:
+    name = data.releases[release].splits.get(task)
+    split: Split | None = next((split for split in data.splits if split.id == name), None)
+    if split is None:
+        return "none"
+    return f"{split.id} ({len(split.train)} train, {len(split.test)} test)"
