@@ -1,0 +1,246 @@
+"""The house's bars, held against the code: who imports whom, how large, and what stands twice.
+
+`python -m tools.house` prints every figure beside its bar and fails where one is missed;
+`python -m tools.house picture` writes the picture of the rooms into CONTRIBUTING.md.
+"""
+
+import ast
+import dataclasses
+import functools
+import itertools
+import re
+import sys
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+CORE = ("assistax_base", "assistax_envs", "population", "zoo", "evaluation", "assistax_zoo")
+FOLDERS = {
+    **{package: package for package in CORE},
+    "assistax_workshop": "workshop/assistax_workshop",
+    "assistax_board": "board/assistax_board",
+}
+APART = ("physics/fused", "tasks/gentle_")  # counted apart: the engine, and the gentle tasks
+CLOSURES = {("open_zoo", "Partner"): 2000, ("evaluate",): 5600, ("cross_play",): 5600}
+MOST_STATEMENTS, MOST_DEPENDENCIES = 16137, 20
+MOST_MODULES, MOST_LINES, MOST_FUNCTION_LINES, MOST_PARAMETERS = 12, 350, 60, 12
+OPTION = re.compile(r"(?<![\w-])--[a-z]")
+# What may stand once, and where: a pattern of source text, and the one file that may hold it.
+ONCE = {
+    r"def (\w*canonical\w*|json_sha256|\w*_digest)\(": "assistax_base/digest.py",
+    r"def \w*merkle_root\(": "assistax_base/digest.py",
+    r"def first_problem\(": "assistax_base/validated.py",
+    r"\btrim_mean\(": "evaluation/figures/statistics.py",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Module:
+    """A module: its dotted name, file and tree."""
+
+    name: str
+    path: Path
+    tree: ast.Module
+
+    @functools.cached_property
+    def statements(self) -> int:
+        """How many statements it has, docstrings not counted."""
+        nodes = list(ast.walk(self.tree))
+        texts = sum(isinstance(n, ast.Expr) and isinstance(n.value, ast.Constant) for n in nodes)
+        return sum(isinstance(n, ast.stmt) for n in nodes) - texts
+
+    @functools.cached_property
+    def functions(self) -> list[ast.FunctionDef | ast.AsyncFunctionDef]:
+        """All its functions and methods."""
+        kinds = ast.FunctionDef, ast.AsyncFunctionDef
+        return [node for node in ast.walk(self.tree) if isinstance(node, kinds)]
+
+    def imports(self, modules: Mapping[str, "Module"], *, typing: bool = False) -> set[str]:
+        """Return the modules of ours that it imports, inside functions too.
+
+        Args:
+            modules: All of ours, by name.
+            typing: With those that only type checkers import.
+        """
+        skipped = set() if typing else _type_checking(self.tree)
+        names = set()
+        for node in ast.walk(self.tree):
+            if id(node) in skipped:
+                continue
+            if isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                inside = {f"{node.module}.{alias.name}" for alias in node.names} & modules.keys()
+                names |= inside or {node.module}
+        return names & modules.keys() - {self.name}
+
+
+def read_modules(root: Path = ROOT) -> dict[str, Module]:
+    """Return all modules of the distributions by name."""
+    modules = {}
+    for package, folder in FOLDERS.items():
+        for path in sorted((root / folder).rglob("*.py")):
+            parts = path.relative_to(root / folder).with_suffix("").parts
+            name = ".".join((package, *parts)).removesuffix(".__init__")
+            modules[name] = Module(name, path, ast.parse(path.read_text(encoding="utf-8")))
+    return modules
+
+
+def closure(modules: Mapping[str, Module], doors: tuple[str, ...]) -> set[str]:
+    """Return every module that names of the front door need, the imports of functions too."""
+    homes = _literal(modules["assistax_zoo"].tree, "_HOMES")
+    waiting = [home for home, names in homes.items() if {*names} & {*doors}]
+    reached: set[str] = set()
+    while waiting:
+        name = waiting.pop()
+        if name not in reached:
+            reached.add(name)
+            waiting += modules[name].imports(modules)
+    return reached
+
+
+def problems(root: Path = ROOT) -> Iterator[str]:
+    """Yield what misses its bar, with the figure."""
+    modules = read_modules(root)
+    yield from _sizes(modules, root)
+    yield from _raised_options(modules, root)
+    yield from _second_copies(modules, root)
+    for name, figure, most in figures(modules, root):
+        if figure > most:
+            yield f"{name}: {figure}, at most {most}"
+    for package in FOLDERS:
+        yield from floors(modules, package)[1]
+
+
+def figures(modules: Mapping[str, Module], root: Path = ROOT) -> Iterator[tuple[str, int, int]]:
+    """Yield what is counted over the whole: name, figure, and the most that is allowed."""
+    for doors, most in CLOSURES.items():
+        reached = closure(modules, doors)
+        name = f"statements behind {' and '.join(doors)}, {len(reached)} modules"
+        yield name, sum(modules[each].statements for each in reached), most
+    counted = [m for m in modules.values() if not any(part in str(m.path) for part in APART)]
+    name = "statements of core, workshop and board"
+    yield name, sum(module.statements for module in counted), MOST_STATEMENTS
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    yield "dependencies of the core", len(project["dependencies"]), MOST_DEPENDENCIES
+
+
+def floors(modules: Mapping[str, Module], package: str) -> tuple[list[list[str]], list[str]]:
+    """Return a package's rooms by floor, the lowest first, and which of them import each other.
+
+    A room is a folder, or a module beside the folders; one stands above all that it imports.
+    """
+    arrows: dict[str, set[str]] = {}
+    for module in modules.values():
+        if module.name.startswith(f"{package}."):
+            room = module.name.split(".")[1]
+            below = {
+                n.split(".")[1] for n in module.imports(modules) if n.startswith(f"{package}.")
+            }
+            arrows.setdefault(room, set()).update(below - {room})
+    left, built = dict(arrows), []
+    while left:
+        floor = sorted(room for room, below in left.items() if not below & left.keys())
+        if not floor:
+            return built, [f"{package}: rooms import each other: {', '.join(sorted(left))}"]
+        built.append(floor)
+        left = {room: below for room, below in left.items() if room not in floor}
+    return built, []
+
+
+def picture(modules: Mapping[str, Module]) -> str:
+    """Return the rooms as Markdown: a line for each package, from the lowest floor up."""
+    lines = ["| package | its rooms, each above all that it imports |", "|---|---|"]
+    for package in FOLDERS:
+        rooms = (", ".join(f"`{room}`" for room in floor) for floor in floors(modules, package)[0])
+        lines.append(f"| `{package}` | {' ← '.join(rooms)} |")
+    return "\n".join(lines)
+
+
+def write_picture(root: Path = ROOT) -> bool:
+    """Bring CONTRIBUTING's picture up to date; return whether it had to change."""
+    path = root / "CONTRIBUTING.md"
+    text = path.read_text(encoding="utf-8")
+    start, end = "<!-- rooms -->\n", "\n<!-- end of rooms -->"
+    before, _, rest = text.partition(start)
+    new = before + start + picture(read_modules(root)) + end + rest.partition(end)[2]
+    path.write_text(new, encoding="utf-8")
+    return new != text
+
+
+def _sizes(modules: Mapping[str, Module], root: Path) -> Iterator[str]:
+    by_folder = itertools.groupby(sorted(m.path for m in modules.values()), lambda p: p.parent)
+    for folder, paths in by_folder:
+        count = sum(path.name != "__init__.py" for path in paths)
+        if count > MOST_MODULES:
+            yield f"{folder.relative_to(root)}: {count} modules, at most {MOST_MODULES}"
+    for module in modules.values():
+        place = module.path.relative_to(root)
+        lines = len(module.path.read_text(encoding="utf-8").splitlines())
+        if lines > MOST_LINES:
+            yield f"{place}: {lines} lines, at most {MOST_LINES}"
+        for function in module.functions:
+            if place.parent == Path("assistax_zoo"):  # the front door
+                continue
+            long = (function.end_lineno or 0) - function.lineno + 1
+            arguments = function.args
+            wide = len([*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs])
+            if long > MOST_FUNCTION_LINES:
+                yield f"{place}: {function.name} has {long} lines, at most {MOST_FUNCTION_LINES}"
+            if wide > MOST_PARAMETERS and "commands" not in place.parts:
+                yield f"{place}: {function.name} has {wide} parameters, at most {MOST_PARAMETERS}"
+
+
+def _raised_options(modules: Mapping[str, Module], root: Path) -> Iterator[str]:
+    """Yield errors that name an option of the command line, below the commands."""
+    for module in modules.values():
+        if {"commands", "shell"} & {*module.name.split(".")}:
+            continue
+        for raised in (node for node in ast.walk(module.tree) if isinstance(node, ast.Raise)):
+            for node in ast.walk(raised):
+                text = node.value if isinstance(node, ast.Constant) else None
+                if isinstance(text, str) and OPTION.search(text):
+                    yield f"{module.path.relative_to(root)}:{node.lineno}: an option in an error"
+
+
+def _second_copies(modules: Mapping[str, Module], root: Path) -> Iterator[str]:
+    for module in modules.values():
+        place = module.path.relative_to(root).as_posix()
+        for pattern, home in ONCE.items():
+            if place != home and re.search(pattern, module.path.read_text(encoding="utf-8")):
+                yield f"{place}: has a second copy of what stands in {home}"
+
+
+def _type_checking(tree: ast.Module) -> set[int]:
+    """Return the ids of nodes that only type checkers read."""
+    blocks = (
+        n
+        for n in ast.walk(tree)
+        if isinstance(n, ast.If) and "TYPE_CHECKING" in ast.unparse(n.test)
+    )
+    return {id(node) for block in blocks for node in ast.walk(block)}
+
+
+def _literal(tree: ast.Module, name: str) -> dict[str, tuple[str, ...]]:
+    """Return the dictionary that a module assigns to a name."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name:
+            return ast.literal_eval(node.value)
+    raise ValueError(f"there is no {name} at the module's top")
+
+
+def main(arguments: list[str]) -> int:
+    """Print the figures, then what misses its bar; or write the picture."""
+    if arguments == ["picture"]:
+        write_picture()
+        return 0
+    for name, figure, most in figures(read_modules()):
+        print(f"{name}: {figure} (at most {most})")
+    missed = list(problems())
+    print("\n".join(missed))
+    return bool(missed)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
