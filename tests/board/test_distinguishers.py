@@ -107,7 +107,7 @@ def two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Season, Season
     clock = functools.partial(next, itertools.count(0.0, 1e6))
     monkeypatch.setattr("assistax_board.pages.PageCache", lambda: PageCache(clock))
     current = ["?"]
-    for module in ("submissions", "jobs", "tokens", "ids"):
+    for module in ("rules.submissions", "rules.jobs", "rules.tokens", "ids"):
         monkeypatch.setattr(f"assistax_board.{module}.new_id", new_id, raising=False)
     seasons = []
     for number in range(2):

@@ -152,7 +152,7 @@ def test_programs_that_cannot_be_kept_are_one_warning(read_only: Path, tmp_path:
         "    for shift in range(3): jax.jit(lambda x: x + shift)(1.0)\n"
         "    print('done')\n"
     )
-    script = "import sys; from assistax_zoo import main; sys.argv[1:] = ['planted']\n"
+    script = "import sys; from assistax_zoo.shell import main; sys.argv[1:] = ['planted']\n"
     script += "from assistax_zoo.__main__ import start\n"
     script += "main.COMMANDS['planted'] = 'planted:planted'; sys.exit(start())"
     removed = ("JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS")

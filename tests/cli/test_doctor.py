@@ -114,7 +114,14 @@ def test_every_extra_that_is_named_exists() -> None:
     """In messages, docs and docstrings."""
     known = set(PROJECT["optional-dependencies"])
     files = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
-    for package in ("assistax_envs", "population", "zoo", "evaluation", "assistax_zoo"):
+    for package in (
+        "assistax_base",
+        "assistax_envs",
+        "population",
+        "zoo",
+        "evaluation",
+        "assistax_zoo",
+    ):
         files += (ROOT / package).rglob("*.py")
     named = re.compile(r"assistax-zoo\[([\w,]+)\]|'\.\[([\w,]+)\]|\bextra `(\w+)`|`(\w+)` extra\b")
     wrong = [

@@ -170,7 +170,7 @@ def test_ctrl_c_in_the_last_moments_is_one_line(moment: str) -> None:
     program = """
 import atexit, os, signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
-from assistax_zoo import main
+from assistax_zoo.shell import main
 
 def press():
     os.kill(os.getpid(), signal.SIGINT)
