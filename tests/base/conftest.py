@@ -1,5 +1,5 @@
 """The small population of the zoo's tests, whose files are damaged here."""
 
-from tests.zoo.conftest import cache, large, registry
+from tests.zoo.conftest import cache, hub, large, registry
 
-__all__ = ["cache", "large", "registry"]
+__all__ = ["cache", "hub", "large", "registry"]
