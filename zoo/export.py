@@ -4,8 +4,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
+from assistax_base.digest import sha256
 from assistax_base.errors import ExportError
-from assistax_base.files import atomic_write, sha256
+from assistax_base.files import atomic_write
 from population.networks.spec import PolicySpec
 from zoo.met import met_in_training
 from zoo.parameters.storage import load_stacks, policy_bytes, read_policy_file

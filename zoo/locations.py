@@ -14,7 +14,6 @@ read-only.
 """
 
 import errno
-import hashlib
 import json
 import os
 import re
@@ -23,6 +22,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
+from assistax_base.digest import sha256
 from assistax_base.errors import CacheError
 from assistax_base.files import write_json
 
@@ -75,7 +75,7 @@ def cached_shard(digest: str) -> Path:
 def cached_registry(remote: str) -> Path:
     """Return where a remote's registry lies if it was fetched; the name is the user's for it."""
     words = re.sub(r"[^A-Za-z0-9.]+", "-", remote).strip("-.")[-60:]
-    digest = hashlib.sha256(remote.encode()).hexdigest()[:8]
+    digest = sha256(remote.encode())[:8]
     return cache_root() / "registries" / f"{words}-{digest}" / "registry.json"
 
 

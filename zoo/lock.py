@@ -15,13 +15,15 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from assistax_base.bounded_reading import parse_json, read_text
+from assistax_base.digest import canonical_json, json_sha256, sha256
 from assistax_base.errors import LockError, ZooError, listing, shorten
-from assistax_base.files import atomic_write, sha256
+from assistax_base.files import atomic_write
+from assistax_base.validated import first_problem
 from zoo.history.merkle import leaves
 from zoo.namespaces import split_namespace
 from zoo.registry import Registry, build_registry
-from zoo.schema import Name, PolicyEntry, Sha256, Split, StrictModel, Team, first_problem
-from zoo.splits import check_split, content_sha256, parse_split
+from zoo.schema import Name, PolicyEntry, Sha256, Split, StrictModel, Team
+from zoo.splits import check_split, parse_split
 
 LOCK_VERSION = 3  # 2: one digest of all disability settings; 1: without the root and the leaves
 MAX_LOCK_BYTES = 16 * 1024 * 1024
@@ -104,8 +106,8 @@ def make_lock(
         "shards": {shard: tables["shards"][shard] for shard in sorted({e.shard for e in entries})},
         "policies": {entry.id: entry.sha256 for entry in entries},
     }
-    content = {"lock_version": LOCK_VERSION, "sha256": content_sha256(content), **content}
-    return Lock.model_validate_json(json.dumps(content))
+    content = {"lock_version": LOCK_VERSION, "sha256": json_sha256(content), **content}
+    return Lock.model_validate_json(canonical_json(content))
 
 
 def write_lock(lock: Lock, path: Path) -> None:
@@ -143,7 +145,7 @@ def read_lock(path: Path) -> Lock:
     if fields != _FIELDS[lock.lock_version]:
         raise LockError(source, f"content of version {version}", "another's: it was edited", remedy)
     dumped = lock.model_dump(mode="json", exclude={"lock_version", "sha256"}, exclude_unset=True)
-    found = content_sha256(dumped)
+    found = json_sha256(dumped)
     if found != lock.sha256:
         raise LockError(
             source, f"content of sha256 {lock.sha256}", f"sha256 {found}: it was edited", remedy
@@ -239,7 +241,7 @@ def _tables(registry: Registry, release: str) -> dict[str, Mapping[str, Any]]:
     settings = {key: setting.model_dump() for key, setting in part.disability_settings.items()}
     return {
         "environments": registry.data.releases[release].environments,
-        "disability_settings": {"": content_sha256(settings)},
+        "disability_settings": {"": json_sha256(settings)},
         "splits": {split.id: split.sha256 for split in registry.splits},
         "shards": {path: shard.sha256 for path, shard in registry.data.shards.items()},
         "policies": {entry.id: entry.sha256 for entry in registry.policies},

@@ -11,12 +11,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
+from assistax_base.digest import json_sha256
 from assistax_base.errors import IdError, shorten
 from zoo.ids import parse_team
 from zoo.namespaces import split_namespace
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Sha256, Split, StrictModel, Team, TrainedAgainst
-from zoo.splits import content_sha256
 
 NOBODY = "nobody"  # what is declared of a robot that met no partner of the zoo
 Humans = dict[Annotated[str, Field(max_length=200)], Sha256 | None]  # team -> sha256 of its human
@@ -66,7 +66,7 @@ def met_in_training(registry: Registry, robot: PolicyEntry) -> Met:
         if split.id == split_namespace(against.split)[1]
     ]
     for place, teams, split in named:
-        if against.sha256 == split.sha256 == content_sha256(split.content):
+        if against.sha256 == split.sha256 == json_sha256(split.content):
             names = [f"{place}:{team}" if place else team for team in split.train]
             partners = _humans(teams, names, place)
             return Met(source="registry", partners=partners, split=against)

@@ -18,6 +18,7 @@ from assistax_base.errors import (
     shorten,
 )
 from assistax_base.files import atomic_write
+from assistax_base.validated import first_problem
 from zoo.history.merkle import check_grown, check_roots, release_root, with_roots
 from zoo.history.official import check_writable
 from zoo.history.own_splits import own_splits
@@ -38,7 +39,6 @@ from zoo.schema import (
     Split,
     Team,
     dump_registry,
-    first_problem,
 )
 from zoo.selection import refuse_unknown, select
 from zoo.splits import check_split, refuse_leak, shared_parameters

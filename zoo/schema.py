@@ -16,7 +16,6 @@ from pydantic import (
     Field,
     PlainSerializer,
     PlainValidator,
-    ValidationError,
     model_validator,
 )
 
@@ -335,16 +334,6 @@ def dump_registry(file: RegistryFile) -> str:
         data[table] = dict(sorted(data[table].items()))
     data["splits"] = sorted(data.get("splits", []), key=lambda split: split["id"])
     return _lay_out(data, 0) + "\n"
-
-
-def first_problem(error: ValidationError) -> str:
-    """Return the first problem that validation found, where it is, and how many more there are."""
-    problems = error.errors(include_url=False, include_input=False)
-    where = ".".join(map(str, problems[0]["loc"])) or "the file"
-    kind, message = problems[0]["type"], problems[0]["msg"]
-    what = "unknown field" if kind == "extra_forbidden" else message.removeprefix("Value error, ")
-    more = f" and {len(problems) - 1} more problems" if len(problems) > 1 else ""
-    return f"{what} at {where[:200]}{more}"
 
 
 def _parse(team: str) -> Any:

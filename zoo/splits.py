@@ -28,13 +28,11 @@ with consecutive seeds are halved exactly; the odd one of an odd stratum falls b
 either side.
 """
 
-import hashlib
-import json
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, Literal, NoReturn, get_args
 
+from assistax_base.digest import json_sha256, sha256
 from assistax_base.errors import LeakageError, SplitError, listing, shorten
-from assistax_base.files import sha256
 from assistax_envs.preferences import check_preferences, preferences_of
 from zoo.ids import TeamId, parse_team
 from zoo.schema import Rule, Split, Team
@@ -124,7 +122,7 @@ def make_split(
     }
     preferences = _preferences(task, sorted(train_preferences), sorted(test_preferences))
     content |= {"preferences": preferences} if preferences else {}
-    split = Split.model_validate({"id": _id(content), "sha256": content_sha256(content), **content})
+    split = Split.model_validate({"id": _id(content), "sha256": json_sha256(content), **content})
     check_split(split)
     return split
 
@@ -132,7 +130,7 @@ def make_split(
 def half_side(team: TeamId, seed: int = 0) -> Literal["train", "test"]:
     """Return the side of a team in the `half` split: a function of its id and the split's seed."""
     stratum = f"{team.task}/{team.algorithm}-{team.disability}-{team.release}"
-    coin = hashlib.sha256(f"{seed}:{stratum}:{team.seed // 2}".encode()).digest()[-1] & 1
+    coin = int(sha256(f"{seed}:{stratum}:{team.seed // 2}".encode())[-1], 16) & 1
     return "train" if team.seed % 2 == coin else "test"
 
 
@@ -144,7 +142,7 @@ def check_split(split: Split) -> None:
         LeakageError: A team or a preference is on both sides.
     """
     content = split.content
-    digest = content_sha256(content)
+    digest = json_sha256(content)
     if digest != split.sha256:
         raise SplitError(f"split {split.id}", f"sha256 {split.sha256}", f"sha256 {digest}")
     if _id(content) != split.id:
@@ -261,17 +259,12 @@ def _custom(known: Sequence[str], train: list[str], test: list[str]) -> tuple[li
     return sorted(set(train)), sorted(set(test))
 
 
-def content_sha256(content: Mapping[str, object]) -> str:
-    """Return the sha256 of a manifest's content, whatever the order of its fields."""
-    return sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode())
-
-
 def _id(content: Mapping[str, Any]) -> str:
     slug = {
         "leave-one-algorithm-out": f"without-{content['held_out']}",
         "leave-one-disability-out": f"without-{content['held_out']}",
         "small-train": f"small-{content['n']}",
     }.get(str(content["rule"]), str(content["rule"]))
-    digest = content_sha256(content)[:8]
+    digest = json_sha256(content)[:8]
     slug = "-".join((slug, *content.get("preferences", {}).get("test", ())))
     return f"{content['task']}/{slug}-s{content['seed']}-{content['release']}-{digest}"

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from assistax_base.digest import json_sha256
 from assistax_base.errors import LockError, SplitError, UnknownIdError
 from assistax_zoo.shell.main import run
 from zoo.history.merkle import check_roots, with_roots
@@ -12,7 +13,6 @@ from zoo.lock import Lock, apply_lock, locked_entries, make_lock, read_lock, wri
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry, parse_registry
 from zoo.schema import dump_registry
-from zoo.splits import content_sha256
 from zoo.splitting.create import create_split
 from zoo.transport.fetch import remote_registry
 from zoo.transport.remotes import open_remote
@@ -66,10 +66,10 @@ def earlier(lock: Lock, registry: Registry, version: int, path: Path) -> Lock:
     """Return the lock as an earlier version of this package wrote it."""
     content = lock.model_dump(mode="json", exclude={"lock_version", "sha256"}, exclude_unset=True)
     settings = {name: one.model_dump() for name, one in registry.data.disability_settings.items()}
-    content["disability_settings"] = content_sha256(settings)
+    content["disability_settings"] = json_sha256(settings)
     if version == 1:
         del content["root"], content["leaves"]
-    content = {"lock_version": version, "sha256": content_sha256(content), **content}
+    content = {"lock_version": version, "sha256": json_sha256(content), **content}
     path.write_text(json.dumps(content))
     return read_lock(path)
 

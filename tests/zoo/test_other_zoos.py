@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from assistax_base.digest import sha256
 from assistax_base.errors import (
     IdError,
     ImmutableError,
@@ -17,7 +18,6 @@ from assistax_base.errors import (
     UnknownIdError,
     UpdateError,
 )
-from assistax_base.files import sha256
 from assistax_workshop.press.publish import publish
 from assistax_workshop.press.trained_runs import TrainedTeam
 from assistax_zoo.shell.main import run

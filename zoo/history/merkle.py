@@ -7,11 +7,10 @@ their defaults, so that a later schema gives the same leaves. A release grows by
 loses one but its own record, which names its default splits.
 """
 
-import hashlib
-import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
+from assistax_base.digest import leaf_sha256, merkle_root
 from assistax_base.errors import ImmutableError, IntegrityError, listing
 from zoo.ids import EGO, parse_team
 from zoo.schema import RegistryFile
@@ -42,18 +41,6 @@ def leaves(data: RegistryFile, release: str) -> dict[str, str]:
     found |= {f"setting {name}": data.disability_settings[name] for name in used}
     found |= {f"split {split.id}": split for split in data.splits if split.release == release}
     return {name: _leaf(name, entry) for name, entry in sorted(found.items())}
-
-
-def merkle_root(hashes: Iterable[str]) -> str:
-    """Return the root over leaves in hex; leaves and nodes have different prefixes."""
-    level = [bytes.fromhex(one) for one in hashes]
-    while len(level) > 1:
-        pairs = [level[start : start + 2] for start in range(0, len(level), 2)]
-        level = [
-            hashlib.sha256(b"\x01" + b"".join(pair)).digest() if len(pair) == 2 else pair[0]
-            for pair in pairs
-        ]
-    return level[0].hex()
 
 
 def release_root(data: RegistryFile, release: str) -> str:
@@ -133,9 +120,4 @@ def check_grown(old: RegistryFile, new: RegistryFile) -> None:
 
 
 def _leaf(name: str, entry: Any) -> str:
-    content = json.dumps(
-        [name, entry.model_dump(mode="json", exclude_defaults=True)],
-        sort_keys=True,
-        separators=(",", ":"),
-    )
-    return hashlib.sha256(b"\x00" + content.encode()).hexdigest()
+    return leaf_sha256([name, entry.model_dump(mode="json", exclude_defaults=True)])

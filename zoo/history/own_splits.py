@@ -12,9 +12,10 @@ from pydantic import ValidationError
 from assistax_base.bounded_reading import read_text
 from assistax_base.errors import RegistryError, SplitError
 from assistax_base.files import atomic_write
+from assistax_base.validated import first_problem
 from zoo.history.official import is_official
 from zoo.locations import own_splits_file, write_errors
-from zoo.schema import RegistryFile, Split, StrictModel, first_problem
+from zoo.schema import RegistryFile, Split, StrictModel
 
 MAX_SPLITS_BYTES = 16 * 1024 * 1024
 

@@ -1,15 +1,15 @@
 """Stacked shards and single-policy files: hashed by row and by file, verified on every load."""
 
 import functools
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from assistax_base.digest import json_sha256
 from assistax_base.errors import FormatError, IntegrityError, shorten
-from assistax_base.files import atomic_write, sha256
+from assistax_base.files import atomic_write
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack, stack_policies, unflatten
 from zoo.parameters.tensors import (
@@ -229,9 +229,8 @@ def _float32(leaves: Leaves) -> dict[str, Any]:
 
 def _content_sha256(spec: PolicySpec, metadata: Mapping[str, Any], leaves: Leaves) -> str:
     """Return the sha256 that a policy file carries of itself: of spec, metadata and leaves."""
-    return sha256(
-        json.dumps([spec.to_json(), dict(metadata), row_sha256(leaves)], sort_keys=True).encode()
-    )
+    content = [spec.to_json(), dict(metadata), row_sha256(leaves)]
+    return json_sha256(content, spaced=True)
 
 
 def _spec(metadata: Mapping[str, Any], source: str) -> PolicySpec:

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
+from assistax_base.digest import sha256
 from assistax_base.errors import printable
-from assistax_base.files import sha256
 from assistax_zoo.commands.options import Source
 from assistax_zoo.shell.console import answer
 from zoo.history.official import is_official

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 from typing import Any, Protocol
 
-from assistax_board.store.canonical import digest
+from assistax_base.digest import json_sha256
 
 HIDDEN_EPISODES = 16  # at least, with each partner of panels A and B
 CHUNK = 25  # partners in a job: 200 to 450 simulations, seconds of two cores
@@ -43,7 +43,7 @@ class Catalogue(Protocol):
 
 def version_id(identity: dict[str, Any]) -> str:
     """Return the id of a version: scores of two are never mixed."""
-    return digest(identity)
+    return json_sha256(identity)
 
 
 def panel_episodes(task: str, panel: str) -> int:
@@ -93,7 +93,7 @@ class ZooCatalogue:
             "evaluator": EVALUATOR_VERSION,
             "engine": engine(self._backend),
             "jax": version("jax"),
-            "panel": digest([[entry.id, entry.sha256] for entry in self._entries(task)]),
+            "panel": json_sha256([[entry.id, entry.sha256] for entry in self._entries(task)]),
             "episodes": panel_episodes(task, "public"),
             "hidden_episodes": panel_episodes(task, "A"),
             "starts": "own",  # of each partner, the same for every robot

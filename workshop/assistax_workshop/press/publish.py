@@ -14,8 +14,10 @@ from typing import Any, Literal
 
 from pydantic import ValidationError
 
+from assistax_base.digest import sha256
 from assistax_base.errors import ImmutableError, PublishError, listing
-from assistax_base.files import atomic_write, exclusive, sha256
+from assistax_base.files import atomic_write, exclusive
+from assistax_base.validated import first_problem
 from assistax_envs.disability import DISABILITY_SETTINGS
 from assistax_envs.versions import VERSIONS
 from assistax_workshop.press.release import completed, signed
@@ -39,7 +41,6 @@ from zoo.schema import (
     Team,
     TrainedAgainst,
     Training,
-    first_problem,
 )
 from zoo.verify import installed_settings
 
