@@ -90,6 +90,12 @@ def added_registries() -> dict[str, Path]:
     return {path.parent.name: path for path in found}
 
 
+def added_remote(namespace: str) -> str | None:
+    """Return where a zoo was added from; None for the user's own zoo."""
+    path = added_registry(namespace).with_name("remote")
+    return None if namespace == OWN else path.read_text("utf-8")
+
+
 def own_registry() -> Path:
     """Return where the user's own zoo lies: beside the zoos that were added, as one of them."""
     return added_registry(OWN)

@@ -17,10 +17,8 @@ from assistax_base.errors import (
     nearest,
     shorten,
 )
-from assistax_base.files import atomic_write
 from assistax_base.validated import first_problem
-from zoo.history.merkle import check_grown, check_roots, release_root, with_roots
-from zoo.history.official import check_writable
+from zoo.history.merkle import check_roots, release_root, with_roots
 from zoo.history.own_splits import own_splits
 from zoo.ids import parse_team
 from zoo.locations import (
@@ -31,15 +29,7 @@ from zoo.locations import (
     shard_root,
 )
 from zoo.namespaces import merge, qualify_split, split_namespace
-from zoo.schema import (
-    SCHEMA_VERSION,
-    Ego,
-    PolicyEntry,
-    RegistryFile,
-    Split,
-    Team,
-    dump_registry,
-)
+from zoo.schema import SCHEMA_VERSION, Ego, PolicyEntry, RegistryFile, Split, Team
 from zoo.selection import refuse_unknown, select
 from zoo.splits import check_split, refuse_leak, shared_parameters
 
@@ -214,10 +204,12 @@ def load_registry(path: Path | str | None = None, *, roots: bool = True) -> Regi
         RegistryVersionError: A file is of a newer schema.
         IntegrityError: An entry of a release was changed, added or removed.
     """
-    base = _read(registry_path(path), roots)
+    base = read_registry(registry_path(path), roots)
     if path is not None:
         return base
-    added = {namespace: _read(file, roots) for namespace, file in added_registries().items()}
+    added = {
+        namespace: read_registry(file, roots) for namespace, file in added_registries().items()
+    }
     splits = own_splits(base.data)
     if not added and not splits:
         return base
@@ -296,28 +288,8 @@ def build_registry(data: RegistryFile, path: Path) -> Registry:
     return Registry(data=data, path=path, policies=policies)
 
 
-def save_registry(data: RegistryFile, path: Path) -> Registry:
-    """Write the content with its roots, atomically, and return it as a registry.
-
-    It is validated once more as text, and held against what the file published before.
-
-    Raises:
-        RegistryError: It would not load.
-        ImmutableError: Something that was published is gone or changed.
-        PublishError: What the file published before is an official release.
-    """
-    data = with_roots(data)
-    text = dump_registry(data)
-    registry = build_registry(parse_registry(text, str(path)), path)
-    if path.exists():
-        before = _read(path).data
-        check_writable(before, path)
-        check_grown(before, registry.data)
-    atomic_write(path, text.encode())
-    return registry
-
-
-def _read(path: Path, roots: bool = True) -> Registry:
+def read_registry(path: Path, roots: bool = True) -> Registry:
+    """Return the registry of one file, alone."""
     remedy = f"give its path with --registry or ${REGISTRY_VARIABLE}, or restore it"
     data = parse_registry(
         read_text(path, MAX_REGISTRY_BYTES, RegistryError, "registry", remedy), str(path)

@@ -7,7 +7,6 @@ installation does not know is refused by it, with the advice to upgrade.
 """
 
 import dataclasses
-import json
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -24,7 +23,6 @@ from population.networks.spec import PolicySpec, Role
 from zoo.ids import parse_team, release_number
 
 SCHEMA_VERSION = 2  # 1: without egos and roots; self-play's `mean_ci` was called `ci`
-_WIDTH = 190  # of a line of the file
 
 Scalar = float | int | bool | str | None
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -323,19 +321,6 @@ class PolicyEntry:
         return {**{name: getattr(self, name) for name in names}, "self_play": figures}
 
 
-def dump_registry(file: RegistryFile) -> str:
-    """Return the registry's text: sorted, one line for each small object, for small diffs."""
-    data = file.model_dump(mode="json", exclude_defaults=True)
-    for table in ("teams", "egos"):
-        names = sorted(data.get(table, {}), key=lambda text: _parse(text).order)
-        data |= {table: {name: data[table][name] for name in names}} if names else {}
-    data.setdefault("teams", {})
-    for table in ("releases", "runs", "shards"):
-        data[table] = dict(sorted(data[table].items()))
-    data["splits"] = sorted(data.get("splits", []), key=lambda split: split["id"])
-    return _lay_out(data, 0) + "\n"
-
-
 def _parse(team: str) -> Any:
     try:
         return parse_team(team)
@@ -348,32 +333,3 @@ def _known(what: str, name: str, table: Any) -> None:
         raise ValueError(
             f"{what} {name!r} is not among {', '.join(map(str, table)) or 'none'}"[:300]
         )
-
-
-def _lay_out(value: Any, indent: int) -> str:
-    """Return JSON: a container on one line where it fits and is shallow, else one item a line."""
-    flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
-    if (
-        not isinstance(value, dict | list)
-        or not value
-        or (indent and _shallow(value) and len(flat) + indent <= _WIDTH)
-    ):
-        return flat
-    inner = " " * (indent + 1)
-    if isinstance(value, list):
-        items = [inner + _lay_out(item, indent + 1) for item in value]
-    else:
-        items = [
-            f"{inner}{json.dumps(key)}: {_lay_out(item, indent + 1)}" for key, item in value.items()
-        ]
-    opening, closing = ("[", "]") if isinstance(value, list) else ("{", "}")
-    return opening + "\n" + ",\n".join(items) + "\n" + " " * indent + closing
-
-
-def _shallow(value: Any) -> bool:
-    """Return whether a container holds scalars only, or one short list as well."""
-    items = value.values() if isinstance(value, dict) else value
-    return all(
-        not isinstance(item, dict) and (not isinstance(item, list) or len(item) <= 4)
-        for item in items
-    )

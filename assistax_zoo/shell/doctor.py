@@ -20,13 +20,13 @@ from zoo.locations import (
     CACHE_VARIABLE,
     DATA_VARIABLE,
     added_registries,
+    added_remote,
     cache_root,
     data_root,
     default_remote,
     registry_path,
 )
 from zoo.registry import Registry, load_registry
-from zoo.transport.other_zoos import added_remote
 from zoo.transport.remotes import TransientError, open_remote
 
 State = Literal["broken", "advice", "ok"]

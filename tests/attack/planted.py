@@ -104,7 +104,7 @@ DEFECTS = {
         "tests/zoo/test_own.py::test_an_own_split_leaves_the_official_registry_and_its_root",
     ),
     "nobody reads what an ego was trained against": Defect(
-        "zoo/met.py",
+        "zoo/met/published.py",
         r"against = robot\.trained_against",
         "against = None",
         "tests/evaluation/test_met_partners.py::test_m_test_leaves_out_whom_an_ego_was_trained_with",

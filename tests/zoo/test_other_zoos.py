@@ -25,14 +25,14 @@ from assistax_zoo.zoos import open_zoo
 from evaluation.studies import choose_partners, in_release
 from tests.zoo.hub_server import Hub
 from zoo.history.merkle import check_grown, with_roots
-from zoo.locations import default_remote, set_default_remote
+from zoo.history.saving import dump_registry
+from zoo.locations import added_remote, default_remote, set_default_remote
 from zoo.lock import apply_lock, make_lock, read_lock
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry
-from zoo.schema import dump_registry
 from zoo.splitting.create import create_split
 from zoo.transport.fetch import fetch, remote_registry
-from zoo.transport.other_zoos import add, added_remote, remove
+from zoo.transport.other_zoos import add, remove
 from zoo.transport.remotes import open_remote
 from zoo.verify import verify
 

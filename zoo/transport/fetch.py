@@ -11,6 +11,7 @@ from assistax_base.parallel import run_all
 from zoo.history.merkle import root_problems
 from zoo.locations import (
     REMOTE_VARIABLE,
+    added_remote,
     cache_root,
     cached_registry,
     cached_shard,
@@ -28,7 +29,6 @@ from zoo.registry import (
     parse_registry,
 )
 from zoo.schema import PolicyEntry
-from zoo.transport.other_zoos import added_remote
 from zoo.transport.remotes import Remote, open_remote, read_file
 from zoo.transport.transfer import Item, download
 from zoo.transport.updates import Accept, check_update, take_none

@@ -9,8 +9,8 @@ from assistax_zoo.commands.partners.listing import table_lines
 from assistax_zoo.shell.console import answer
 from zoo.registry import Registry, load_registry
 from zoo.schema import Rule, Split
-from zoo.splits import LEAVE_ONE_OUT
 from zoo.splitting.create import create_split, partner_teams
+from zoo.splitting.rules import LEAVE_ONE_OUT
 
 
 def list_splits(

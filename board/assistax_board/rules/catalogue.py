@@ -108,7 +108,8 @@ class ZooCatalogue:
         """
         from evaluation.figures.normalised import REFERENCE_ROWS, SELF_PLAY
         from zoo.ids import EGO
-        from zoo.met import known_humans, met_in_training
+        from zoo.met.claims import known_humans
+        from zoo.met.published import met_in_training
 
         robots = self._registry.of_task(task, "robot")
         found = {name: name for name in REFERENCE_ROWS}
