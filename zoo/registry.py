@@ -91,8 +91,13 @@ class Registry:
 
     def root(self, release: str) -> str:
         """Return the root over all that a release holds here: what a result is traced to."""
-        namespace, name = split_namespace(release)
-        return release_root(self.part(namespace).data, name)
+        part, name = self.part_of(release)
+        return release_root(part.data, name)
+
+    def part_of(self, key: str) -> tuple["Registry", str]:
+        """Return the registry of the zoo that a key names, and the key there."""
+        namespace, name = split_namespace(key)
+        return self.part(namespace), name
 
     def part(self, namespace: str) -> "Registry":
         """Return the registry of one zoo alone: an added one, or "" for its own."""

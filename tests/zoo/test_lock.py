@@ -8,9 +8,10 @@ import pytest
 from assistax_base.digest import json_sha256
 from assistax_base.errors import LockError, SplitError, UnknownIdError
 from assistax_zoo.shell.main import run
-from zoo.history.merkle import check_roots, with_roots
+from zoo.history.merkle import check_roots, leaves, with_roots
 from zoo.history.saving import dump_registry
-from zoo.lock import Lock, apply_lock, locked_entries, make_lock, read_lock, write_lock
+from zoo.lock import Lock, apply_lock, locked_entries, read_lock
+from zoo.locking import make_lock, write_lock
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry, parse_registry
 from zoo.splitting.create import create_split
@@ -142,7 +143,7 @@ def test_a_registry_that_differs_is_refused(
 
     for table, edit, told in (
         ("teams", other_row, f"policy {team}/human"),
-        ("shards", other_shard, "shard zoo/shards/v0/"),
+        ("shards", other_shard, "entry shard zoo/shards/v0/"),
         ("disability_settings", other_settings, "entry setting d9"),
         ("releases", other_version, "environment version of scratch 1"),
     ):
@@ -216,3 +217,19 @@ def test_commands(registry: Registry, cache: Path, tmp_path: Path, capsys, monke
         == 1
     )
     assert "as locked" in capsys.readouterr().err
+
+
+def test_a_lock_pins_all_bytes_by_the_leaves_of_the_release(
+    registry: Registry, lock: Lock, tmp_path: Path
+) -> None:
+    """Version 3: no digest stands twice in it but those that users cite."""
+    text = json.loads((tmp_path / "assistax-zoo.lock").read_text())
+    assert not {"shards", "disability_settings"} & set(text)
+    tree = leaves(registry.data, "v0")
+    assert lock.leaves == {name: digest for name, digest in tree.items() if name in lock.leaves}
+    kinds = {name.partition(" ")[0] for name in tree} - {"release"}
+    assert {name.partition(" ")[0] for name in lock.leaves} == kinds
+    few = make_lock(registry, registry.select("scratch/ippo-d1-*/human"))
+    assert {name.split()[0] for name in few.leaves} == {"team", "run", "setting", "shard"}
+    pinned = [name for name in few.leaves if name.startswith("shard")]
+    assert len(pinned) == len({entry.shard for entry in locked_entries(registry, few)})

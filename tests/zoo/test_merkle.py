@@ -12,7 +12,8 @@ from assistax_base.errors import ImmutableError, IntegrityError, LockError, Sign
 from assistax_zoo.shell.main import run
 from zoo.history.merkle import leaves, lost_leaves, merkle_root
 from zoo.history.saving import save_registry
-from zoo.lock import apply_lock, make_lock
+from zoo.lock import apply_lock
+from zoo.locking import make_lock
 from zoo.registry import Registry, load_registry
 from zoo.splitting.create import create_split
 from zoo.transport.fetch import remote_registry

@@ -27,7 +27,8 @@ from tests.zoo.hub_server import Hub
 from zoo.history.merkle import check_grown, with_roots
 from zoo.history.saving import dump_registry
 from zoo.locations import added_remote, default_remote, set_default_remote
-from zoo.lock import apply_lock, make_lock, read_lock
+from zoo.lock import apply_lock, read_lock
+from zoo.locking import make_lock
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry
 from zoo.splitting.create import create_split

@@ -14,7 +14,8 @@ from zoo.history.official import is_official
 from zoo.history.own_splits import SplitsFile
 from zoo.history.saving import MAKER_VARIABLE, save_registry
 from zoo.locations import own_registry, own_splits_file
-from zoo.lock import apply_lock, make_lock, read_lock, write_lock
+from zoo.lock import apply_lock, read_lock
+from zoo.locking import make_lock, write_lock
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry
 from zoo.splitting.create import create_split

@@ -253,7 +253,6 @@ def test_a_default_that_was_chosen_stays_when_the_release_grows(
 
 
 def test_every_rule_has_a_row_in_the_documentation() -> None:
-    import zoo.splits
 
     assert all(f"`{rule}`" in (rules.__doc__ or "") for rule in RULES)
 

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from assistax_base.digest import json_sha256
 from assistax_base.errors import shorten
-from zoo.namespaces import split_namespace
+from zoo.namespaces import plain_name, split_namespace
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Sha256, Split, StrictModel, Team, TrainedAgainst
 
@@ -60,7 +60,7 @@ def met_in_training(registry: Registry, robot: PolicyEntry) -> Met:
     named = [
         (place, teams, split)
         for place, teams, split in _published_splits(registry, namespace)
-        if split.id == split_namespace(against.split)[1]
+        if split.id == plain_name(against.split)
     ]
     for place, teams, split in named:
         if against.sha256 == split.sha256 == json_sha256(split.content):

@@ -19,7 +19,7 @@ from zoo.locations import (
     shard_root,
     write_errors,
 )
-from zoo.namespaces import split_namespace
+from zoo.namespaces import plain_name, split_namespace
 from zoo.parameters.storage import read_shard
 from zoo.registry import (
     MAX_REGISTRY_BYTES,
@@ -81,7 +81,7 @@ def fetch(
     counts, sources = [0, 0, 0], []  # shards, of them present, bytes
     for namespace, members in policies.items():
         source = _source(namespace, remote)
-        shards = list(dict.fromkeys(split_namespace(entry.shard)[1] for entry in members))
+        shards = list(dict.fromkeys(plain_name(entry.shard) for entry in members))
         sources += [source.name] if source else []
         found = _fetch_part(registry.part(namespace), shards, source, on_total)
         counts = [before + now for before, now in zip(counts, found, strict=True)]

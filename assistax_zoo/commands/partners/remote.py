@@ -12,8 +12,9 @@ from assistax_base.errors import printable
 from assistax_zoo.shell.console import answer, confirm, progress
 from zoo.ids import release_number
 from zoo.locations import default_remote, set_default_remote
-from zoo.lock import locked_entries, make_lock, read_lock, write_lock
-from zoo.namespaces import split_namespace
+from zoo.lock import locked_entries, read_lock
+from zoo.locking import make_lock, write_lock
+from zoo.namespaces import plain_name, split_namespace
 from zoo.registry import load_registry
 from zoo.transport.remotes import open_remote
 
@@ -187,7 +188,8 @@ def lock(
         pinned = made.splits.get(name)
         told = f"split {pinned.id}" if pinned else "no split: not all its partners are locked"
         lines.append(f"  {name}: {told}")
-    answer(json, {"lock": out, **made.model_dump(mode="json")}, *lines)
+    shards = {entry.shard: loaded.data.shards[entry.shard].sha256 for entry in entries}
+    answer(json, {"lock": out, **made.model_dump(mode="json"), "shards": shards}, *lines)
 
 
 def _accept(remote: str, yes: bool) -> Callable[[Sequence[str]], bool]:
@@ -196,7 +198,7 @@ def _accept(remote: str, yes: bool) -> Callable[[Sequence[str]], bool]:
 
 def _task_split(name: str, task: str | None) -> tuple[str, str]:
     """Return the task that a split's name says, or `task`, and the name."""
-    rest = split_namespace(name)[1]
+    rest = plain_name(name)
     said, slash, _ = rest.partition("/")
     if not slash and task is None:
         raise ValueError(f"split is {name!r}; name its task too, as TASK/{rest}")
