@@ -68,7 +68,7 @@ def write_card(cards: Sequence[Mapping[str, Any]], path: Path, image: Path | Non
     """
     if image is not None and not image.is_file():
         raise ValueError(
-            f"no picture at {image}; render one with `assistax-zoo render`, or leave --image out"
+            f"no picture at {image}; render one with `assistax-zoo render`, or leave it out"
         )
     folder = path.resolve().parent
     place = Path(os.path.relpath(image.resolve(), folder)).as_posix() if image else None

@@ -295,7 +295,7 @@ def build_registry(data: RegistryFile, path: Path) -> Registry:
 
 def read_registry(path: Path, roots: bool = True) -> Registry:
     """Return the registry of one file, alone."""
-    remedy = f"give its path with --registry or ${REGISTRY_VARIABLE}, or restore it"
+    remedy = f"name another registry, also by ${REGISTRY_VARIABLE}, or restore it"
     data = parse_registry(
         read_text(path, MAX_REGISTRY_BYTES, RegistryError, "registry", remedy), str(path)
     )

@@ -85,5 +85,5 @@ def refuse_empty() -> NoReturn:
         "no policies to select from",
         "a registry with at least one policy",
         "an empty one",
-        "publish a population with `assistax-zoo publish RUN --release v0`",
+        "publish a population with `assistax-zoo publish`",
     )

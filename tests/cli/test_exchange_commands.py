@@ -161,9 +161,7 @@ def test_split_verify_reports_partners_that_act_alike(zoo: Path, capsys, monkeyp
 
 def test_split_create_names_the_twins_that_it_leaves_out(zoo: Path, capsys, monkeypatch) -> None:
     twin = Pair("scratch/ippo-d1-s2-v0", "scratch/ippo-d9-s0-v0", 0.01)
-    monkeypatch.setattr(
-        "zoo.splitting.similar_humans.similar_pairs", lambda registry, split: [twin]
-    )
+    monkeypatch.setattr("zoo.splitting.create.similar_pairs", lambda registry, split: [twin])
     assert (
         run(
             [

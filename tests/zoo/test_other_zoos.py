@@ -24,8 +24,8 @@ from assistax_zoo.shell.main import run
 from assistax_zoo.zoos import open_zoo
 from evaluation.studies import choose_partners, in_release
 from tests.zoo.hub_server import Hub
-from zoo.history.merkle import check_grown, with_roots
-from zoo.history.saving import dump_registry
+from zoo.history.merkle import with_roots
+from zoo.history.saving import check_grown, dump_registry
 from zoo.locations import added_remote, default_remote, set_default_remote
 from zoo.lock import apply_lock, read_lock
 from zoo.locking import make_lock

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from assistax_base.digest import leaf_sha256, merkle_root
-from assistax_base.errors import ImmutableError, IntegrityError, listing
+from assistax_base.errors import IntegrityError
 from zoo.ids import EGO, parse_team
 from zoo.schema import RegistryFile
 
@@ -101,22 +101,6 @@ def lost_leaves(old: RegistryFile, new: RegistryFile) -> list[str]:
             if not name.startswith(RECORD) and now.get(name) != digest
         ]
     return lost
-
-
-def check_grown(old: RegistryFile, new: RegistryFile) -> None:
-    """Check that a registry holds all that it published before.
-
-    Raises:
-        ImmutableError: An entry, a split or a setting is gone or changed.
-    """
-    if lost := lost_leaves(old, new):
-        raise ImmutableError(
-            "registry",
-            "all that was published, unchanged",
-            f"{listing(lost)} gone or changed",
-            "publish under a new release",
-            "nothing was written: what is published never changes",
-        )
 
 
 def _leaf(name: str, entry: Any) -> str:

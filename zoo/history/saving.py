@@ -9,14 +9,15 @@ import os
 from pathlib import Path
 from typing import Any, NoReturn
 
-from assistax_base.errors import PublishError
+from assistax_base.errors import ImmutableError, PublishError, listing
 from assistax_base.files import atomic_write
-from zoo.history.merkle import check_grown, with_roots
+from zoo.history.merkle import lost_leaves, with_roots
 from zoo.history.official import is_official, is_official_file
+from zoo.history.own_splits import SplitsFile, read_splits
 from zoo.ids import parse_team
-from zoo.locations import registry_path
+from zoo.locations import own_splits_file, registry_path, write_errors
 from zoo.registry import Registry, build_registry, parse_registry, read_registry
-from zoo.schema import RegistryFile
+from zoo.schema import RegistryFile, Split
 
 MAKER_VARIABLE = "ASSISTAX_ZOO_MAKER"  # set by those who make official releases
 _WIDTH = 190  # of a line of the file
@@ -41,6 +42,33 @@ def save_registry(data: RegistryFile, path: Path) -> Registry:
         check_grown(before, registry.data)
     atomic_write(path, text.encode())
     return registry
+
+
+def check_grown(old: RegistryFile, new: RegistryFile) -> None:
+    """Check that a registry holds all that it published before.
+
+    Raises:
+        ImmutableError: An entry, a split or a setting is gone or changed.
+    """
+    if lost := lost_leaves(old, new):
+        raise ImmutableError(
+            "registry",
+            "all that was published, unchanged",
+            f"{listing(lost)} gone or changed",
+            "publish under a new release",
+            "nothing was written: what is published never changes",
+        )
+
+
+def keep_split(split: Split) -> None:
+    """Add a split to the user's own, under `assistax_base.files.exclusive(own_splits_file())`."""
+    kept = {own.id: own for own in read_splits()} if own_splits_file().is_file() else {}
+    if kept.get(split.id) == split:
+        return
+    content = SplitsFile(splits=(*kept.values(), split)).model_dump(mode="json")
+    text = json.dumps(content, indent=1) + "\n"
+    with write_errors(own_splits_file(), len(text)):
+        atomic_write(own_splits_file(), text.encode())
 
 
 def writable_registry(path: Path | str | None = None) -> Path | None:

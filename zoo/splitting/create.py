@@ -6,8 +6,7 @@ from typing import Any
 
 from assistax_base.errors import SplitError, listing, shorten
 from assistax_base.files import exclusive
-from zoo.history.own_splits import keep_split
-from zoo.history.saving import save_registry, writable_registry
+from zoo.history.saving import keep_split, save_registry, writable_registry
 from zoo.ids import parse_team
 from zoo.locations import OWN, own_registry, own_splits_file
 from zoo.namespaces import qualify_split, split_namespace
@@ -140,5 +139,5 @@ def _no_partners(data: RegistryFile, task: str, release: str) -> SplitError:
         f"split of {shorten(task)} {shorten(release)}",
         f"a task and release with partners ({listing(present)})",
         "no partners",
-        "`assistax-zoo list --role human` prints the partners",
+        "`assistax-zoo list` prints the partners",
     )

@@ -112,5 +112,5 @@ def similar_leak(split: str, pairs: Sequence[Pair]) -> LeakageError:
         f"split {split} leaks",
         f"humans whose actions differ by {THRESHOLD} or more across its sides",
         f"{len(pairs)} nearly alike: {listing(map(str, pairs), 3)}",
-        "put both of a pair on one side, or leave one out: `split create --rule custom`",
+        "put both of a pair on one side, or leave one out, by the rule `custom`",
     )

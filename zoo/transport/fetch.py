@@ -110,8 +110,9 @@ def check_local(registry: Registry, entries: Iterable[PolicyEntry]) -> None:
             f"parameters of {sum(shard in missing for shard in shards)} of {len(shards)} policies",
             "all on this machine",
             f"{len(missing)} shards missing ({listing(sorted(missing), 2)})",
-            "add --fetch, or run `assistax-zoo fetch` before",
+            "fetch them before, by `assistax-zoo fetch` or `assistax_zoo.fetch`",
             "nothing was loaded",
+            remedy="fetch before",
         )
 
 
@@ -211,6 +212,7 @@ def _no_remote(registry: Registry, missing: Sequence[str]) -> RemoteError:
         f"shards of {registry.path}",
         f"all in {shard_root(registry.path)} or in the cache",
         f"{len(missing)} missing ({listing(missing, 2)})",
-        "say where to take them from: --from FOLDER, https://... or hf://org/name, "
-        f"`assistax-zoo config remote`, or ${REMOTE_VARIABLE}",
+        "say where to take them from: a folder, https://... or hf://org/name, also by "
+        f"`assistax-zoo config remote` or ${REMOTE_VARIABLE}",
+        remedy="name a remote",
     )

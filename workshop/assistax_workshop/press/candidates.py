@@ -72,7 +72,7 @@ def _name(team: TrainedTeam, release: str) -> TeamId:
     """Return the id under which a team, or the robot of a `train-ego` run, is published."""
     if team.is_ego:
         if not team.trained_against:
-            found = "none: split.json is missing (`assistax-zoo train-ego --resume` writes it)"
+            found = "none: split.json is missing (resuming the training writes it)"
             raise PublishError(
                 f"ego {team.task}/{team.algorithm} seed {team.seed}",
                 "the split that it was trained against",
