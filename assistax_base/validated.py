@@ -18,7 +18,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
-def checked(cls: type[C]) -> type[C]:
+def validated(cls: type[C]) -> type[C]:
     """Make a class a frozen dataclass; creating it with other values raises a ValueError.
 
     Numbers are finite, and a text is not taken for a number, nor true for 1.

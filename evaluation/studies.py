@@ -38,7 +38,7 @@ from zoo.locations import CACHE_VARIABLE
 from zoo.namespaces import split_namespace
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
-from zoo.splits import SIDES, parse_split
+from zoo.splitting.sides import SIDES, parse_split
 
 if TYPE_CHECKING:
     from assistax_envs import Env

@@ -21,7 +21,8 @@ from assistax_base.validated import first_problem
 from zoo.history.merkle import leaves
 from zoo.registry import Registry, build_registry
 from zoo.schema import Name, PolicyEntry, Sha256, Split, StrictModel, Team
-from zoo.splits import check_split, parse_split
+from zoo.splits import check_split
+from zoo.splitting.sides import parse_split
 
 # 2: one digest of all disability settings, and shards apart; 1: without the root and the leaves
 LOCK_VERSION = 3

@@ -6,13 +6,13 @@ from typing import Literal
 from pydantic import PositiveInt
 
 from assistax_base.digest import json_sha256
-from assistax_base.validated import Widths, checked
+from assistax_base.validated import Widths, validated
 
 Role = Literal["robot", "human"]
 ROLES: tuple[Role, ...] = ("robot", "human")
 
 
-@checked
+@validated
 class PolicySpec:
     """Shape of a policy network; policies of one spec can be stacked and mapped over."""
 

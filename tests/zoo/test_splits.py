@@ -10,10 +10,11 @@ from zoo.history.merkle import with_roots
 from zoo.history.saving import dump_registry
 from zoo.ids import parse_team
 from zoo.registry import Registry, load_registry, parse_registry
-from zoo.splits import check_split, parse_split, shared_parameters
+from zoo.splits import check_split, shared_parameters
 from zoo.splitting import rules
 from zoo.splitting.create import create_split
 from zoo.splitting.rules import RULES, half_side, make_split
+from zoo.splitting.sides import parse_split
 
 
 def ids(

@@ -31,7 +31,7 @@ from assistax_base.errors import SplitError, listing, shorten
 from assistax_envs.preferences import preferences_of
 from zoo.ids import TeamId, parse_team
 from zoo.schema import Rule, Split
-from zoo.splits import SIDES, check_split, split_id
+from zoo.splits import check_split, split_id
 
 RULES = get_args(Rule)
 LEAVE_ONE_OUT = {
@@ -93,7 +93,7 @@ def make_split(
         "held_out": held_out if rule in LEAVE_ONE_OUT else None,
         "n": n if rule == "small-train" else None,
         "seed": seed if rule in ("half", "small-train") else 0,
-        **{side: tuple(own) for side, own in zip(SIDES["both"], sides, strict=True)},
+        **{side: tuple(own) for side, own in zip(("train", "test"), sides, strict=True)},
     }
     preferences = _preferences(task, sorted(train_preferences), sorted(test_preferences))
     content |= {"preferences": preferences} if preferences else {}
