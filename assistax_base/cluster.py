@@ -165,12 +165,12 @@ def _resolved(ray: Any, cluster: RayCluster) -> RayCluster:
 def _slots(ray: Any, cluster: RayCluster) -> int:
     """Return how many blocks the cluster runs at once."""
     has = ray.cluster_resources()
-    wanted = {"CPU": cluster.cpus or 0.0, "GPU": cluster.gpus}
-    slots = min(int(has.get(name, 0) / amount) for name, amount in wanted.items() if amount > 0)
+    block = {"CPU": cluster.cpus or 0.0, "GPU": cluster.gpus}
+    slots = min(int(has.get(name, 0) / amount) for name, amount in block.items() if amount > 0)
     if slots < 1:
         raise ValueError(
             f"the Ray cluster has {has.get('CPU', 0):g} CPUs and {has.get('GPU', 0):g} GPUs, and a "
-            f"block takes {wanted['CPU']:g} and {wanted['GPU']:g}; give a block fewer CPUs or "
+            f"block takes {block['CPU']:g} and {block['GPU']:g}; give a block fewer CPUs or "
             "GPUs"
         )
     return slots

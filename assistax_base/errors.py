@@ -182,9 +182,9 @@ class LockError(ZooError):
     """A lock file that is malformed, or something else than what it pins."""
 
 
-def nearest(wanted: str, known: Iterable[str]) -> list[str]:
+def nearest(name: str, known: Iterable[str]) -> list[str]:
     """Return up to three known names that look most like the wanted one, best first."""
-    return difflib.get_close_matches(wanted, sorted(known), n=3, cutoff=0.5)
+    return difflib.get_close_matches(name, sorted(known), n=3, cutoff=0.5)
 
 
 def listing(names: Iterable[str], limit: int = 6) -> str:

@@ -45,8 +45,8 @@ def export_policy(
         raise ExportError(str(out), "no file, or the same policy", "other content")
     if not there:
         atomic_write(out, content)
-    told = {"id": name, "format": format, "file": str(out), "bytes": len(content)}
-    return {**told, "sha256": sha256(content), "written": not there}
+    facts = {"id": name, "format": format, "file": str(out), "bytes": len(content)}
+    return {**facts, "sha256": sha256(content), "written": not there}
 
 
 def _read_policy(

@@ -86,8 +86,8 @@ def added_registry(namespace: str) -> Path:
 
 def added_registries() -> dict[str, Path]:
     """Return the registries of all added zoos by namespace, in order."""
-    found = sorted((data_root() / "added").glob("[a-z]*/registry.json"))
-    return {path.parent.name: path for path in found}
+    files = sorted((data_root() / "added").glob("[a-z]*/registry.json"))
+    return {path.parent.name: path for path in files}
 
 
 def added_remote(namespace: str) -> str | None:
@@ -156,10 +156,10 @@ def check_room(folder: Path, size: int) -> None:
 
 def _settings() -> dict[str, str]:
     try:
-        found = json.loads((data_root() / "config.json").read_bytes()[:65536])
+        settings = json.loads((data_root() / "config.json").read_bytes()[:65536])
     except (OSError, ValueError):
         return {}
-    pairs = found.items() if isinstance(found, dict) else ()
+    pairs = settings.items() if isinstance(settings, dict) else ()
     return {name: value for name, value in pairs if isinstance(value, str)}
 
 

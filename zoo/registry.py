@@ -147,8 +147,8 @@ class Registry:
         """
         namespace, name = split_namespace(id or release or "")
         if namespace in self.parts and namespace:
-            wanted = {"id": name or None} if id else {"release": name}
-            theirs = qualify_split(self.parts[namespace].split(task, **wanted), namespace)
+            arguments = {"id": name or None} if id else {"release": name}
+            theirs = qualify_split(self.parts[namespace].split(task, **arguments), namespace)
             if theirs not in self.splits:  # narrowed down by a lock to others
                 raise SplitError(f"split {theirs.id}", "one of this registry", "none")
             return theirs
@@ -170,14 +170,14 @@ class Registry:
         known = [split for split in self.splits if split.task == task]
         full = name if "/" in name else f"{task}/{name}"
         exact = [split for split in known if split.id == full]
-        found = exact or [split for split in known if split.id.startswith(full)]
+        matching = exact or [split for split in known if split.id.startswith(full)]
         newest = self.release_of(task)
-        for candidates in (found, [split for split in found if split.release == newest]):
+        for candidates in (matching, [split for split in matching if split.release == newest]):
             if len(candidates) == 1:
                 return candidates[0]
         ids = [split.id for split in known]
         close = nearest(full, ids) or ids
-        what = f"{len(found)} that begin so" if found else "none"
+        what = f"{len(matching)} that begin so" if matching else "none"
         raise SplitError(
             f"split {shorten(name)} of task {shorten(task)}", f"one split ({listing(close)})", what
         )

@@ -272,9 +272,9 @@ class RegistryFile(StrictModel):
         for role, place in entry.policies.items():
             _known(f"{team}/{role}: shard", place.shard, self.shards)
             shard = self.shards[place.shard]
-            found = (shard.task, shard.algorithm, shard.role, shard.release)
-            if found != (parts.task, parts.algorithm, role, parts.release):
-                raise ValueError(f"{team}/{role} points to a shard of {' '.join(found)}")
+            identity = (shard.task, shard.algorithm, shard.role, shard.release)
+            if identity != (parts.task, parts.algorithm, role, parts.release):
+                raise ValueError(f"{team}/{role} points to a shard of {' '.join(identity)}")
             if place.row >= shard.rows:
                 raise ValueError(
                     f"{team}/{role} is row {place.row} of a shard with {shard.rows} rows"

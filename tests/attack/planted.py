@@ -37,7 +37,7 @@ DEFECTS = {
     ),
     "the hash of a policy is not checked": Defect(
         "zoo/parameters/storage.py",
-        r"if found != entry\.sha256:",
+        r"if digest != entry\.sha256:",
         "if False:",
         "tests/zoo/test_storage.py::test_a_row_that_is_not_the_registrys_is_refused",
     ),

@@ -27,20 +27,20 @@ def leaves(data: RegistryFile, release: str) -> dict[str, str]:
     }
     shards = {row.shard for _, entry in members.values() for row in entry.policies.values()}
     used = {disability for disability, _ in members.values()} - {EGO}
-    found: dict[str, Any] = {
+    entries: dict[str, Any] = {
         f"{RECORD} {release}": data.releases[release].model_copy(
             update={"root": None, "signature": None}
         )
     }
-    found |= {
+    entries |= {
         f"{'ego' if disability == EGO else 'team'} {name}": entry
         for name, (disability, entry) in members.items()
     }
-    found |= {f"run {name}": data.runs[name] for name in {e.run for _, e in members.values()}}
-    found |= {f"shard {path}": data.shards[path] for path in shards}
-    found |= {f"setting {name}": data.disability_settings[name] for name in used}
-    found |= {f"split {split.id}": split for split in data.splits if split.release == release}
-    return {name: _leaf(name, entry) for name, entry in sorted(found.items())}
+    entries |= {f"run {name}": data.runs[name] for name in {e.run for _, e in members.values()}}
+    entries |= {f"shard {path}": data.shards[path] for path in shards}
+    entries |= {f"setting {name}": data.disability_settings[name] for name in used}
+    entries |= {f"split {split.id}": split for split in data.splits if split.release == release}
+    return {name: _leaf(name, entry) for name, entry in sorted(entries.items())}
 
 
 def release_root(data: RegistryFile, release: str) -> str:

@@ -57,14 +57,14 @@ def _load(key: Path, private: bool) -> Any:
     try:
         with key.open("rb") as file:
             data = file.read(MAX_KEY_BYTES)
-        found = (
+        loaded = (
             serialization.load_pem_private_key(data, None)
             if private
             else serialization.load_pem_public_key(data)
         )
-        if isinstance(found, kind):
-            return found
-        reason = f"a {type(found).__name__}"
+        if isinstance(loaded, kind):
+            return loaded
+        reason = f"a {type(loaded).__name__}"
     except (OSError, ValueError, TypeError, UnsupportedAlgorithm) as error:
         reason = shorten(str(error))
     side = "private" if private else "public"

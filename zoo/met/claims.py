@@ -37,8 +37,8 @@ def claimed_met(registry: Registry, metadata: Mapping[str, Any]) -> Met:
     named = metadata.get("id"), metadata.get("sha256")
     for entry in registry.policies:
         if (entry.id, entry.sha256) == named and entry.role == "robot":
-            found = met_in_training(registry, entry)
-            return found.model_copy(update={"source": "file"}) if found.known else found
+            met = met_in_training(registry, entry)
+            return met.model_copy(update={"source": "file"}) if met.known else met
     for split in registry.splits if "split" in metadata else ():
         if split.id == metadata["split"]:
             return side_met(registry, split).model_copy(update={"source": "file"})
@@ -77,15 +77,17 @@ def declared_met(registry: Registry, task: str, trained_with: str | Sequence[str
         else:
             splits.append(registry.split(task, name))
             partners |= humans_of(registry.data.teams, splits[-1].train)
-    one = splits[0] if len(splits) == len(names) == 1 else None
-    against = TrainedAgainst(split=one.id, sha256=one.sha256) if one else None
+    split = splits[0] if len(splits) == len(names) == 1 else None
+    against = TrainedAgainst(split=split.id, sha256=split.sha256) if split else None
     return Met(source="declared", partners=partners, split=against)
 
 
 def known_humans(entries: Iterable[PolicyEntry], humans: Humans) -> frozenset[str]:
     """Return the ids of the entries, humans all, that are among those a robot met."""
     digests = set(humans.values())
-    return frozenset(one.id for one in entries if one.team in humans or one.sha256 in digests)
+    return frozenset(
+        entry.id for entry in entries if entry.team in humans or entry.sha256 in digests
+    )
 
 
 def _names_teams(text: str) -> bool:

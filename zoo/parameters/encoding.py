@@ -45,11 +45,13 @@ def check_params(spec: PolicySpec, leaves: Leaves, source: str) -> None:
         FormatError: A leaf is missing, unknown, or of another shape.
     """
     expected = _expected_shapes(spec)
-    found = {name: tuple(value.shape) for name, value in leaves.items()}
-    if found != expected:
-        odd = next(name for name in {**expected, **found} if found.get(name) != expected.get(name))
+    shapes = {name: tuple(value.shape) for name, value in leaves.items()}
+    if shapes != expected:
+        odd = next(
+            name for name in {**expected, **shapes} if shapes.get(name) != expected.get(name)
+        )
         raise FormatError(
-            source, f"{odd} of shape {expected.get(odd)} for its spec", f"shape {found.get(odd)}"
+            source, f"{odd} of shape {expected.get(odd)} for its spec", f"shape {shapes.get(odd)}"
         )
 
 

@@ -121,12 +121,12 @@ def read_policy_file(path: Path | str) -> PolicyFile:
     extra = metadata.get("metadata", {})
     if not isinstance(extra, dict):
         raise FormatError(source, "metadata that is an object", shorten(extra))
-    found = _content_sha256(spec, extra, leaves)
-    if metadata.get("sha256") != found:
+    digest = _content_sha256(spec, extra, leaves)
+    if metadata.get("sha256") != digest:
         raise IntegrityError(
             source,
             f"sha256 {shorten(metadata.get('sha256'))}",
-            f"sha256 {found}",
+            f"sha256 {digest}",
             "fetch or export the file again; it was changed after it was written",
         )
     return PolicyFile(spec, _float32(leaves), extra)
@@ -162,9 +162,9 @@ def policy_bytes(
 
 def _verified_row(stacked: StackedFile, row: int, entry: PolicyEntry) -> Leaves:
     leaves = take_row(stacked, row)
-    found = row_sha256(leaves)
-    if found != entry.sha256:
-        raise damaged_row(entry.id, entry.sha256, found)
+    digest = row_sha256(leaves)
+    if digest != entry.sha256:
+        raise damaged_row(entry.id, entry.sha256, digest)
     return leaves
 
 

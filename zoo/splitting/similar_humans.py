@@ -62,10 +62,10 @@ def similar_pairs(registry: Registry, split: Split, threshold: float = THRESHOLD
             for side in (split.train, split.test)
         )
         if train and test:
-            found = differences(probe_actions(group))[np.ix_(train, test)]
+            distances = differences(probe_actions(group))[np.ix_(train, test)]
             pairs += [
-                Pair(names[train[i]], names[test[j]], float(found[i, j]))
-                for i, j in np.argwhere(found < threshold)
+                Pair(names[train[i]], names[test[j]], float(distances[i, j]))
+                for i, j in np.argwhere(distances < threshold)
             ]
     return sorted(pairs, key=lambda pair: pair.difference)
 

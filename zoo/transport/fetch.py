@@ -83,8 +83,8 @@ def fetch(
         source = _source(namespace, remote)
         shards = list(dict.fromkeys(plain_name(entry.shard) for entry in members))
         sources += [source.name] if source else []
-        found = _fetch_part(registry.part(namespace), shards, source, on_total)
-        counts = [before + now for before, now in zip(counts, found, strict=True)]
+        fetched = _fetch_part(registry.part(namespace), shards, source, on_total)
+        counts = [before + now for before, now in zip(counts, fetched, strict=True)]
     return Report(
         registry=str(registry.path),
         remote=", ".join(sources) or None,

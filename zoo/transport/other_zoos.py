@@ -36,14 +36,14 @@ def add(remote: str, namespace: str, accept: Accept = take_none) -> Registry:
         raise IdError("namespace", "another name", f"{OWN!r}, which the user's own zoo has")
     path, source = added_registry(check_name("namespace", namespace)), open_remote(remote)
     accept = _once(accept)
-    found = remote_registry(source, accept)
+    registry = remote_registry(source, accept)
     if path.is_file():
         before = added_remote(namespace)
         moved = [f"it comes from {source.name}, not from {before}"] if before != source.name else []
         if moved and not accept(moved):
             refuse_changes(source.name, moved)
-        check_update(load_registry(path), found, source.name, accept)
-    content = found.path.read_bytes()
+        check_update(load_registry(path), registry, source.name, accept)
+    content = registry.path.read_bytes()
     with write_errors(path, len(content)):
         atomic_write(path.with_name("remote"), source.name.encode())
         atomic_write(path, content)

@@ -41,12 +41,12 @@ def cite(*, release: str | None = None, source: Source = Source(), json: bool = 
         assistax-zoo cite --lock assistax-zoo.lock >> paper.bib
     """
     registry = load_registry(source.registry)
-    found = {
+    entries = {
         "paper": PAPER,
         "software": _software(registry.data.releases[registry.release].date[:4]),
         "partners": _partners(registry, release, source.lock),
     }
-    answer(json, found, "\n\n".join(found.values()))
+    answer(json, entries, "\n\n".join(entries.values()))
 
 
 def _software(year: str) -> str:

@@ -112,8 +112,8 @@ def add(
 
     added = add_zoo(remote, as_, _accept(remote, yes))
     count = len(added.policies)
-    told = f"{count} policies as {as_}:...; next: assistax-zoo fetch '{as_}:*'"
-    answer(json, {"name": as_, "policies": count, "registry": added.path}, told)
+    line = f"{count} policies as {as_}:...; next: assistax-zoo fetch '{as_}:*'"
+    answer(json, {"name": as_, "policies": count, "registry": added.path}, line)
 
 
 def remove(name: str) -> None:
@@ -176,8 +176,8 @@ def lock(
     """
     loaded = load_registry(registry)
     if release is None:
-        found = loaded.select(pattern, task=task)
-        own = [entry for entry in found if ":" not in entry.release] or found
+        matching = loaded.select(pattern, task=task)
+        own = [entry for entry in matching if ":" not in entry.release] or matching
         zoos = {(entry.task, split_namespace(entry.release)[0]) for entry in own}
         release = max(starmap(loaded.release_of, zoos), key=release_number)
     entries = loaded.select(pattern, task=task, release=release)
@@ -186,8 +186,8 @@ def lock(
     lines = [f"locked {len(made.policies)} policies of release {made.release} in {out}"]
     for name in made.environments:
         pinned = made.splits.get(name)
-        told = f"split {pinned.id}" if pinned else "no split: not all its partners are locked"
-        lines.append(f"  {name}: {told}")
+        text = f"split {pinned.id}" if pinned else "no split: not all its partners are locked"
+        lines.append(f"  {name}: {text}")
     shards = {entry.shard: loaded.data.shards[entry.shard].sha256 for entry in entries}
     answer(json, {"lock": out, **made.model_dump(mode="json"), "shards": shards}, *lines)
 

@@ -211,13 +211,13 @@ def _check_sizes(data: RegistryFile, release: str, fresh: Sequence[Candidate]) -
     }
     for candidate in fresh:
         for role, spec in candidate.specs.items():
-            found = spec.observation_size, spec.action_size
-            expected = known.setdefault((candidate.team.task, role), found)
-            if found != expected:
+            sizes = spec.observation_size, spec.action_size
+            expected = known.setdefault((candidate.team.task, role), sizes)
+            if sizes != expected:
                 raise PublishError(
                     f"policy {candidate.team}/{role}",
                     "{} observations and {} actions, as the task's others have".format(*expected),
-                    "{} and {}".format(*found),
+                    "{} and {}".format(*sizes),
                 )
 
 
