@@ -7,6 +7,7 @@ registry that has grown since is as good as the one that the lock was made of; o
 pinned differs is refused.
 """
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
@@ -209,12 +210,10 @@ def _check_split(registry: Registry, lock: Lock, task: str, split: str | None) -
     name, _ = parse_split(split, registry.parts)
     if name is None:
         return
-    pinned = lock.splits.get(task)
-    try:
-        id = registry.split(task, name).id
-    except ZooError:
-        id = name
-    if pinned is None or id != pinned.id:
+    pinned, chosen = lock.splits.get(task), name
+    with contextlib.suppress(ZooError):
+        chosen = registry.split(task, name).id
+    if pinned is None or chosen != pinned.id:
         expected = f"the locked one ({pinned.id if pinned else 'none'})"
         advice = "name no split, or only a side: test, train or both"
-        raise LockError(f"split {shorten(name)}", expected, id, advice)
+        raise LockError(f"split {shorten(name)}", expected, chosen, advice)

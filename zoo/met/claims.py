@@ -27,13 +27,12 @@ def claimed_met(registry: Registry, metadata: Mapping[str, Any]) -> Met:
     Files that were written before they carried it name the policy that they are of, or the split.
     """
     if "met" in metadata:
-        claim = metadata["met"]
-        if not isinstance(claim, Mapping) or set(claim) - set(CLAIMED):
-            return Met(source="not known", reason="its file does not say it in a known form")
         try:
-            return Met.model_validate({"source": "file", **claim})
-        except ValidationError:
-            return Met(source="not known", reason="its file does not say it in a known form")
+            if not set(metadata["met"]) - set(CLAIMED):
+                return Met.model_validate({"source": "file", **metadata["met"]})
+        except (ValidationError, TypeError):
+            pass
+        return Met(source="not known", reason="its file does not say it in a known form")
     named = metadata.get("id"), metadata.get("sha256")
     for entry in registry.policies:
         if (entry.id, entry.sha256) == named and entry.role == "robot":

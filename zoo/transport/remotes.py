@@ -52,12 +52,10 @@ class Remote(Protocol):
     @property
     def name(self) -> str:
         """How the user called it."""
-        ...
 
     @property
     def revision(self) -> str | None:
         """The commit that is read, where the remote has commits; it is asked for once."""
-        ...
 
     def open(self, path: str, start: int = 0) -> contextlib.AbstractContextManager[Stream]:
         """Open a file's bytes from `start` on.
@@ -66,7 +64,6 @@ class Remote(Protocol):
             RemoteError: The file is not there or cannot be read.
             TransientError: It may be there on the next attempt.
         """
-        ...
 
 
 def open_remote(text: str | Path) -> Remote:
