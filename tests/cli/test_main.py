@@ -130,7 +130,7 @@ def test_an_interrupt_exits_130(fake: Callable, capsys: pytest.CaptureFixture[st
 
 def test_a_reader_that_leaves_is_no_error() -> None:
     script = (
-        "import sys, types; from assistax_zoo import main\n"
+        "import sys, types; from assistax_zoo.shell import main\n"
         "module = sys.modules['fakes'] = types.ModuleType('fakes')\n"
         "exec('def fake():\\n    for i in range(10**6): print(i)', module.__dict__)\n"
         "main.COMMANDS['fake'] = 'fakes:fake'; sys.exit(main.run(['fake']))"
