@@ -7,7 +7,7 @@ which of them counts.
 import collections
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from assistax_base.errors import ZooError
 
@@ -41,12 +41,13 @@ def parse_json(text: str) -> Any:
     """Return the value of JSON text.
 
     Raises:
-        ValueError: It is no JSON, has a key twice in one object, or too many values.
+        ValueError: It is no JSON, has a key twice in one object, a number that is NaN or infinite,
+            or too many values.
         RecursionError: It is nested too deeply.
     """
     if text.count(",") > MAX_VALUES:
         raise ValueError(f"more than {MAX_VALUES} values")
-    return json.loads(text, object_pairs_hook=unique)
+    return json.loads(text, object_pairs_hook=unique, parse_constant=_refuse_constant)
 
 
 def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -56,3 +57,7 @@ def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         counts = collections.Counter(name for name, _ in pairs)
         raise ValueError(f"key {counts.most_common(1)[0][0]!r} twice in one object")
     return table
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name}, which is no number of JSON")

@@ -14,9 +14,8 @@ from typing import Any
 
 from assistax_base.extras import optional
 
-NOT_SHARED = (
-    "give an --out that all machines of the cluster share under the same path"  # of missing results
-)
+# Of missing results.
+NOT_SHARED = "write to a folder that all machines of the cluster share under the same path"
 _INHERITED = ("JAX_PLATFORMS", "XLA_FLAGS")  # what a worker elsewhere must know of the caller's JAX
 
 
@@ -142,7 +141,7 @@ def _connect(ray: Any, address: str | None, **options: Any) -> None:
     except OSError as error:
         raise ValueError(
             f"no Ray cluster answers at {address!r} ({_first_line(error)}); start one with `ray "
-            "start --head`, or leave --ray-address out to use this machine alone"
+            "start`, or give no address to use this machine alone"
         ) from None
 
 
@@ -166,13 +165,13 @@ def _resolved(ray: Any, cluster: RayCluster) -> RayCluster:
 def _slots(ray: Any, cluster: RayCluster) -> int:
     """Return how many blocks the cluster runs at once."""
     has = ray.cluster_resources()
-    wanted = {"CPU": cluster.cpus or 0.0, "GPU": cluster.gpus}
-    slots = min(int(has.get(name, 0) / amount) for name, amount in wanted.items() if amount > 0)
+    block = {"CPU": cluster.cpus or 0.0, "GPU": cluster.gpus}
+    slots = min(int(has.get(name, 0) / amount) for name, amount in block.items() if amount > 0)
     if slots < 1:
         raise ValueError(
             f"the Ray cluster has {has.get('CPU', 0):g} CPUs and {has.get('GPU', 0):g} GPUs, and a "
-            f"block takes {wanted['CPU']:g} and {wanted['GPU']:g}; give a smaller --ray-cpus or "
-            "--ray-gpus"
+            f"block takes {block['CPU']:g} and {block['GPU']:g}; give a block fewer CPUs or "
+            "GPUs"
         )
     return slots
 

@@ -13,19 +13,29 @@ class ZooError(Exception):
     """Base of the family; its message is one line, ready for a user."""
 
     done, next_step = "nothing was done", ""
+    remedy = ""  # a key of what to do next, by which a shell names its own option for it
 
-    def __init_subclass__(cls, done: str = "", next_step: str = "") -> None:
+    def __init_subclass__(cls, done: str = "", next_step: str = "", remedy: str = "") -> None:
         """Set what was done and what to do next where an error of this class says nothing else."""
         cls.done, cls.next_step = done or cls.done, next_step or cls.next_step
+        cls.remedy = remedy  # of this class's own next step alone
 
     def __init__(
-        self, problem: str, expected: str, found: str, next_step: str = "", done: str = ""
+        self,
+        problem: str,
+        expected: str,
+        found: str,
+        next_step: str = "",
+        done: str = "",
+        *,
+        remedy: str = "",
     ) -> None:
         """Build the line from its five parts; the last two are the class's own where not given."""
         self.problem, self.expected, self.found = problem, expected, found
+        self.remedy = remedy if next_step else self.remedy
         self.next_step, self.done = next_step or self.next_step, done or self.done
-        told = f"expected {expected}, found {found}; {self.done}; next: {self.next_step}"
-        super().__init__(printable(f"{problem}: {told}"))
+        text = f"expected {expected}, found {found}; {self.done}; next: {self.next_step}"
+        super().__init__(printable(f"{problem}: {text}"))
 
 
 class IdError(
@@ -54,7 +64,7 @@ class RegistryError(
 
 class RegistryVersionError(
     RegistryError,
-    next_step="upgrade with `pip install --upgrade assistax-zoo`",
+    next_step="upgrade with `pip install -U assistax-zoo`",
 ):
     """A registry written for a newer schema than this installation knows."""
 
@@ -103,7 +113,8 @@ class PublishError(
 class ExportError(
     ZooError,
     done="nothing was written",
-    next_step="choose another --out, or give --force to replace it",
+    next_step="choose another file, or replace this one",
+    remedy="replace the file",
 ):
     """A file that would be overwritten."""
 
@@ -119,7 +130,8 @@ class SignatureError(
 class ImmutableError(
     PublishError,
     done="nothing was published: what is published never changes",
-    next_step="publish under a new release, for example --release v1",
+    next_step="publish under a new release",
+    remedy="new release",
 ):
     """A publication that would change what is already published."""
 
@@ -153,8 +165,8 @@ class OfflineError(
 class UpdateError(
     ZooError,
     done="nothing was fetched; the registry of before is kept",
-    next_step="if they are meant, accept them: `assistax-zoo fetch --from REMOTE --yes`, `add` "
-    "with --yes, or open_zoo(..., accept_changes=True)",
+    next_step="if they are meant, accept them, in Python by open_zoo(..., accept_changes=True)",
+    remedy="accept changes",
 ):
     """Another zoo that changed what its users get by default."""
 
@@ -170,9 +182,9 @@ class LockError(ZooError):
     """A lock file that is malformed, or something else than what it pins."""
 
 
-def nearest(wanted: str, known: Iterable[str]) -> list[str]:
+def nearest(name: str, known: Iterable[str]) -> list[str]:
     """Return up to three known names that look most like the wanted one, best first."""
-    return difflib.get_close_matches(wanted, sorted(known), n=3, cutoff=0.5)
+    return difflib.get_close_matches(name, sorted(known), n=3, cutoff=0.5)
 
 
 def listing(names: Iterable[str], limit: int = 6) -> str:

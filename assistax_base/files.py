@@ -8,7 +8,6 @@ is an hour old, since a younger one may be another process's.
 
 import contextlib
 import glob
-import hashlib
 import json
 import os
 import secrets
@@ -74,11 +73,6 @@ def exclusive(path: Path) -> FileLock:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     return FileLock(path.with_name(f".{path.name}.lock"))
-
-
-def sha256(data: bytes) -> str:
-    """Return the hex sha256 of the bytes."""
-    return hashlib.sha256(data).hexdigest()
 
 
 def _flush(path: Path) -> None:

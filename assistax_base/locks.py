@@ -33,7 +33,7 @@ def locked(
         except Timeout:
             raise ValueError(
                 f"another process is writing to {folder}; wait until it is done, or choose another "
-                "--out"
+                "folder"
             ) from None
         except sqlite3.OperationalError:
             pass

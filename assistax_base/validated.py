@@ -2,11 +2,12 @@
 
 import dataclasses
 import functools
-import reprlib
 from typing import Annotated, Any, TypeVar, dataclass_transform
 
 import pydantic
 from pydantic import ConfigDict, Field, ValidationError
+
+from assistax_base.errors import shorten
 
 C = TypeVar("C")
 T = TypeVar("T")
@@ -17,7 +18,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
-def checked(cls: type[C]) -> type[C]:
+def validated(cls: type[C]) -> type[C]:
     """Make a class a frozen dataclass; creating it with other values raises a ValueError.
 
     Numbers are finite, and a text is not taken for a number, nor true for 1.
@@ -38,16 +39,20 @@ def checked(cls: type[C]) -> type[C]:
 
 
 def first_problem(error: ValidationError) -> str:
-    """Say in one line which value is refused, and what is allowed."""
-    problem = error.errors(include_url=False)[0]
-    where = ".".join(map(str, problem["loc"]))
-    if problem["type"] == "value_error":  # said by the class itself, which names its field
-        return f"{where}: {problem['ctx']['error']}".removeprefix(": ")
-    if problem["type"] == "json_invalid":
-        return f"it is not JSON ({problem['ctx']['error']})"
-    if problem["type"] == "unexpected_keyword_argument":
-        return f"unknown field {where}"
-    if problem["type"] == "missing":
-        return f"{where} is missing"
-    allowed = problem["msg"].replace("Input should", "it must")
-    return f"{where} is {reprlib.repr(problem['input'])}; {allowed}"
+    """Say in one line which value is refused, what is allowed, and how many problems follow."""
+    problems = error.errors(include_url=False)
+    problem, more = problems[0], len(problems) - 1
+    where = ".".join(map(str, problem["loc"]))[:200]
+    match problem["type"]:
+        case "value_error":  # said by the class itself, which names its field
+            text = f"{where}: {problem['ctx']['error']}".removeprefix(": ")
+        case "json_invalid":
+            text = f"it is not JSON ({problem['ctx']['error']})"
+        case "unexpected_keyword_argument" | "extra_forbidden":
+            text = f"unknown field {where}"
+        case "missing":
+            text = f"{where} is missing"
+        case _:
+            allowed = problem["msg"].replace("Input should", "it must")
+            text = f"{where} is {shorten(problem['input'])}; {allowed}"
+    return f"{text}, and {more} more problem{'s' if more > 1 else ''}" if more else text

@@ -18,7 +18,8 @@ from population.config import (
 )
 from population.runs.folder import TrainedRun
 from population.runs.logged_run import run_training
-from zoo.met import Met, side_met
+from zoo.met.claims import side_met
+from zoo.met.published import Met
 from zoo.parameters.storage import load_stacks, write_policy_file
 from zoo.registry import Registry
 from zoo.schema import Split

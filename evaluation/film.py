@@ -18,8 +18,8 @@ from PIL import Image
 from assistax_base.files import atomic_path
 from assistax_envs import Disability, Env, EnvState, disability_params
 from assistax_envs.preferences import check_preferences
-from evaluation.cast.partners import seat_policy
 from evaluation.play.jobs import episode_seeds
+from evaluation.seats import seat_policy
 from zoo.registry import Registry
 
 RATE = 50  # control steps a second

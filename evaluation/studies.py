@@ -38,7 +38,7 @@ from zoo.locations import CACHE_VARIABLE
 from zoo.namespaces import split_namespace
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
-from zoo.splits import SIDES, parse_split
+from zoo.splitting.sides import SIDES, parse_split
 
 if TYPE_CHECKING:
     from assistax_envs import Env
@@ -106,7 +106,7 @@ def evaluate_policies(
         split: "test" (default), "train" or "both" sides of the default split, or ID:SIDE.
         partners: Globs over partners, to play only some of those sides; see `choose_partners`.
         include_own: Count partners that were trained with one of the robots.
-        trained_with: Whom the robots met in training, see `zoo.met.declared_met`.
+        trained_with: Whom the robots met in training, see `zoo.met.claims.declared_met`.
         references: Folder that keeps the episodes of reference egos, see
         `evaluation.play.baselines`;
             None plays none.

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
-from assistax_base.validated import Many, Share, Widths, checked
+from assistax_base.validated import Many, Share, Widths, validated
 from assistax_envs.disability import DISABILITY_SETTINGS
 from assistax_envs.preferences import check_preferences
 from assistax_envs.versions import TASKS
@@ -20,7 +20,7 @@ LogStd = Annotated[float, Field(ge=-5, le=1)]
 Precision = Literal["float32", "float16"]
 
 
-@checked
+@validated
 class Hyperparameters:
     """What both trainers have."""
 
@@ -43,7 +43,7 @@ class Hyperparameters:
         return self.num_envs * self.rollout_steps
 
 
-@checked
+@validated
 class PPOConfig(Hyperparameters):
     """Hyperparameters of PPO.
 
@@ -104,7 +104,7 @@ class PPOConfig(Hyperparameters):
             )
 
 
-@checked
+@validated
 class SACConfig(Hyperparameters):
     """Hyperparameters of SAC.
 
@@ -222,7 +222,7 @@ def preset(algorithm: str, **changes: Any) -> TrainerConfig:
     return _KINDS[kind](**{**differences, **changes})
 
 
-@checked
+@validated
 class Member:
     """A team in training, robot and human together, or one ego that learns with partners."""
 
@@ -239,7 +239,7 @@ class Member:
         return f"{self.disability}-s{self.seed}"
 
 
-@checked
+@validated
 class TrainConfig:
     """A run: its members train side by side in one compiled program."""
 

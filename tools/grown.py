@@ -10,7 +10,7 @@ import subprocess
 from pathlib import Path
 
 from assistax_base.errors import ImmutableError
-from zoo.history.merkle import check_grown
+from zoo.history.saving import check_grown
 from zoo.registry import load_registry, parse_registry
 from zoo.schema import RegistryFile
 

@@ -28,8 +28,8 @@ def find_cards(registry: Registry, name: str) -> list[dict[str, Any]]:
     Raises:
         UnknownIdError: There is none of that id; the nearest ids are named.
     """
-    found = [entry for entry in registry.policies if name in (entry.id, entry.team)]
-    return [policy_card(registry, entry) for entry in found or [registry.policy(name)]]
+    entries = [entry for entry in registry.policies if name in (entry.id, entry.team)]
+    return [policy_card(registry, entry) for entry in entries or [registry.policy(name)]]
 
 
 def policy_card(registry: Registry, entry: PolicyEntry) -> dict[str, Any]:
@@ -68,7 +68,7 @@ def write_card(cards: Sequence[Mapping[str, Any]], path: Path, image: Path | Non
     """
     if image is not None and not image.is_file():
         raise ValueError(
-            f"no picture at {image}; render one with `assistax-zoo render`, or leave --image out"
+            f"no picture at {image}; render one with `assistax-zoo render`, or leave it out"
         )
     folder = path.resolve().parent
     place = Path(os.path.relpath(image.resolve(), folder)).as_posix() if image else None
@@ -108,10 +108,10 @@ def _figures(card: Mapping[str, Any]) -> dict[str, str]:
     if not (figures := card["self_play"]):
         return {"self-play return": "not measured"}
     low, high = figures["mean_ci"]
-    told = f"{figures['mean']:.1f}, 95% interval {low:.1f} to {high:.1f}"
-    found = {"self-play return": f"{told} over {figures['n']} episodes"}
+    text = f"{figures['mean']:.1f}, 95% interval {low:.1f} to {high:.1f}"
+    rows = {"self-play return": f"{text} over {figures['n']} episodes"}
     success = figures.get("success")
-    return found if success is None else {**found, "self-play success": f"{success:.0%}"}
+    return rows if success is None else {**rows, "self-play success": f"{success:.0%}"}
 
 
 def _flat(training: Mapping[str, Any]) -> list[tuple[str, Any]]:
@@ -149,4 +149,6 @@ def escape(value: Any) -> str:
 
 
 def _address(image: str) -> str:
-    return "".join(one for one in image if one.isprintable() and one not in "<>")
+    return "".join(
+        character for character in image if character.isprintable() and character not in "<>"
+    )

@@ -1,17 +1,24 @@
 """One policy as a file that needs nothing of this project: safetensors, ONNX, or PyTorch."""
 
+import pkgutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
+from assistax_base.digest import sha256
 from assistax_base.errors import ExportError
-from assistax_base.files import atomic_write, sha256
+from assistax_base.files import atomic_write
 from population.networks.spec import PolicySpec
-from zoo.met import met_in_training
-from zoo.parameters.storage import load_stacks, policy_bytes, read_policy_file
+from zoo.met.published import met_in_training
+from zoo.parameters.storage import load_stacks, read_policy_file
 from zoo.registry import Registry
 
 Format = Literal["safetensors", "onnx", "torch"]
+_WRITERS: dict[Format, str] = {  # functions of spec, parameters and metadata; loaded when used
+    "safetensors": "zoo.parameters.storage:policy_bytes",
+    "onnx": "population.networks.onnx_export:to_onnx",
+    "torch": "population.networks.torch_export:to_torch",
+}
 
 
 def export_policy(
@@ -32,26 +39,14 @@ def export_policy(
         ExportError: The file exists with other content.
         ZooError: The policy is not there, or damaged.
     """
-    content = _encode(format, *_read_policy(name, registry))
+    content = pkgutil.resolve_name(_WRITERS[format])(*_read_policy(name, registry))
     there = out.is_file() and out.read_bytes() == content
     if out.exists() and not there and not force:
         raise ExportError(str(out), "no file, or the same policy", "other content")
     if not there:
         atomic_write(out, content)
-    told = {"id": name, "format": format, "file": str(out), "bytes": len(content)}
-    return {**told, "sha256": sha256(content), "written": not there}
-
-
-def _encode(format: Format, spec: PolicySpec, params: Any, metadata: dict[str, Any]) -> bytes:
-    if format == "onnx":
-        from population.networks.onnx_export import to_onnx
-
-        return to_onnx(spec, params, metadata)
-    if format == "torch":
-        from population.networks.torch_export import to_torch
-
-        return to_torch(spec, params, metadata)
-    return policy_bytes(spec, params, metadata)
+    facts = {"id": name, "format": format, "file": str(out), "bytes": len(content)}
+    return {**facts, "sha256": sha256(content), "written": not there}
 
 
 def _read_policy(

@@ -102,12 +102,12 @@ def parse_team(text: str) -> TeamId:
     )
 
 
-def same_team(one: str, other: str) -> bool:
+def same_team(team: str, other: str) -> bool:
     """Return whether two team ids differ in their release at most.
 
     A release may take over a team of an earlier one.
     """
-    return one.rpartition("-")[0] == other.rpartition("-")[0]
+    return team.rpartition("-")[0] == other.rpartition("-")[0]
 
 
 def release_number(name: str) -> int:

@@ -14,7 +14,6 @@ read-only.
 """
 
 import errno
-import hashlib
 import json
 import os
 import re
@@ -23,6 +22,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
+from assistax_base.digest import sha256
 from assistax_base.errors import CacheError
 from assistax_base.files import write_json
 
@@ -75,7 +75,7 @@ def cached_shard(digest: str) -> Path:
 def cached_registry(remote: str) -> Path:
     """Return where a remote's registry lies if it was fetched; the name is the user's for it."""
     words = re.sub(r"[^A-Za-z0-9.]+", "-", remote).strip("-.")[-60:]
-    digest = hashlib.sha256(remote.encode()).hexdigest()[:8]
+    digest = sha256(remote.encode())[:8]
     return cache_root() / "registries" / f"{words}-{digest}" / "registry.json"
 
 
@@ -86,8 +86,14 @@ def added_registry(namespace: str) -> Path:
 
 def added_registries() -> dict[str, Path]:
     """Return the registries of all added zoos by namespace, in order."""
-    found = sorted((data_root() / "added").glob("[a-z]*/registry.json"))
-    return {path.parent.name: path for path in found}
+    files = sorted((data_root() / "added").glob("[a-z]*/registry.json"))
+    return {path.parent.name: path for path in files}
+
+
+def added_remote(namespace: str) -> str | None:
+    """Return where a zoo was added from; None for the user's own zoo."""
+    path = added_registry(namespace).with_name("remote")
+    return None if namespace == OWN else path.read_text("utf-8")
 
 
 def own_registry() -> Path:
@@ -150,10 +156,10 @@ def check_room(folder: Path, size: int) -> None:
 
 def _settings() -> dict[str, str]:
     try:
-        found = json.loads((data_root() / "config.json").read_bytes()[:65536])
+        settings = json.loads((data_root() / "config.json").read_bytes()[:65536])
     except (OSError, ValueError):
         return {}
-    pairs = found.items() if isinstance(found, dict) else ()
+    pairs = settings.items() if isinstance(settings, dict) else ()
     return {name: value for name, value in pairs if isinstance(value, str)}
 
 

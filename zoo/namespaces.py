@@ -16,6 +16,11 @@ def split_namespace(name: str) -> tuple[str, str]:
     return namespace, rest
 
 
+def plain_name(name: str) -> str:
+    """Return a key without its namespace."""
+    return name.rpartition(":")[2]
+
+
 def merge(own: RegistryFile, added: Mapping[str, RegistryFile]) -> RegistryFile:
     """Return a registry with others' content under their namespaces; each was validated alone."""
     tables: dict[str, Any] = {

@@ -17,9 +17,8 @@ from assistax_base.errors import (
     nearest,
     shorten,
 )
-from assistax_base.files import atomic_write
-from zoo.history.merkle import check_grown, check_roots, release_root, with_roots
-from zoo.history.official import check_writable
+from assistax_base.validated import first_problem
+from zoo.history.merkle import check_roots, release_root, with_roots
 from zoo.history.own_splits import own_splits
 from zoo.ids import parse_team
 from zoo.locations import (
@@ -30,16 +29,7 @@ from zoo.locations import (
     shard_root,
 )
 from zoo.namespaces import merge, qualify_split, split_namespace
-from zoo.schema import (
-    SCHEMA_VERSION,
-    Ego,
-    PolicyEntry,
-    RegistryFile,
-    Split,
-    Team,
-    dump_registry,
-    first_problem,
-)
+from zoo.schema import SCHEMA_VERSION, Ego, PolicyEntry, RegistryFile, Split, Team
 from zoo.selection import refuse_unknown, select
 from zoo.splits import check_split, refuse_leak, shared_parameters
 
@@ -101,8 +91,13 @@ class Registry:
 
     def root(self, release: str) -> str:
         """Return the root over all that a release holds here: what a result is traced to."""
-        namespace, name = split_namespace(release)
-        return release_root(self.part(namespace).data, name)
+        part, name = self.part_of(release)
+        return release_root(part.data, name)
+
+    def part_of(self, key: str) -> tuple["Registry", str]:
+        """Return the registry of the zoo that a key names, and the key there."""
+        namespace, name = split_namespace(key)
+        return self.part(namespace), name
 
     def part(self, namespace: str) -> "Registry":
         """Return the registry of one zoo alone: an added one, or "" for its own."""
@@ -152,8 +147,8 @@ class Registry:
         """
         namespace, name = split_namespace(id or release or "")
         if namespace in self.parts and namespace:
-            wanted = {"id": name or None} if id else {"release": name}
-            theirs = qualify_split(self.parts[namespace].split(task, **wanted), namespace)
+            arguments = {"id": name or None} if id else {"release": name}
+            theirs = qualify_split(self.parts[namespace].split(task, **arguments), namespace)
             if theirs not in self.splits:  # narrowed down by a lock to others
                 raise SplitError(f"split {theirs.id}", "one of this registry", "none")
             return theirs
@@ -175,14 +170,14 @@ class Registry:
         known = [split for split in self.splits if split.task == task]
         full = name if "/" in name else f"{task}/{name}"
         exact = [split for split in known if split.id == full]
-        found = exact or [split for split in known if split.id.startswith(full)]
+        matching = exact or [split for split in known if split.id.startswith(full)]
         newest = self.release_of(task)
-        for candidates in (found, [split for split in found if split.release == newest]):
+        for candidates in (matching, [split for split in matching if split.release == newest]):
             if len(candidates) == 1:
                 return candidates[0]
         ids = [split.id for split in known]
         close = nearest(full, ids) or ids
-        what = f"{len(found)} that begin so" if found else "none"
+        what = f"{len(matching)} that begin so" if matching else "none"
         raise SplitError(
             f"split {shorten(name)} of task {shorten(task)}", f"one split ({listing(close)})", what
         )
@@ -214,10 +209,12 @@ def load_registry(path: Path | str | None = None, *, roots: bool = True) -> Regi
         RegistryVersionError: A file is of a newer schema.
         IntegrityError: An entry of a release was changed, added or removed.
     """
-    base = _read(registry_path(path), roots)
+    base = read_registry(registry_path(path), roots)
     if path is not None:
         return base
-    added = {namespace: _read(file, roots) for namespace, file in added_registries().items()}
+    added = {
+        namespace: read_registry(file, roots) for namespace, file in added_registries().items()
+    }
     splits = own_splits(base.data)
     if not added and not splits:
         return base
@@ -296,29 +293,9 @@ def build_registry(data: RegistryFile, path: Path) -> Registry:
     return Registry(data=data, path=path, policies=policies)
 
 
-def save_registry(data: RegistryFile, path: Path) -> Registry:
-    """Write the content with its roots, atomically, and return it as a registry.
-
-    It is validated once more as text, and held against what the file published before.
-
-    Raises:
-        RegistryError: It would not load.
-        ImmutableError: Something that was published is gone or changed.
-        PublishError: What the file published before is an official release.
-    """
-    data = with_roots(data)
-    text = dump_registry(data)
-    registry = build_registry(parse_registry(text, str(path)), path)
-    if path.exists():
-        before = _read(path).data
-        check_writable(before, path)
-        check_grown(before, registry.data)
-    atomic_write(path, text.encode())
-    return registry
-
-
-def _read(path: Path, roots: bool = True) -> Registry:
-    remedy = f"give its path with --registry or ${REGISTRY_VARIABLE}, or restore it"
+def read_registry(path: Path, roots: bool = True) -> Registry:
+    """Return the registry of one file, alone."""
+    remedy = f"name another registry, also by ${REGISTRY_VARIABLE}, or restore it"
     data = parse_registry(
         read_text(path, MAX_REGISTRY_BYTES, RegistryError, "registry", remedy), str(path)
     )

@@ -7,7 +7,6 @@ installation does not know is refused by it, with the advice to upgrade.
 """
 
 import dataclasses
-import json
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -16,7 +15,6 @@ from pydantic import (
     Field,
     PlainSerializer,
     PlainValidator,
-    ValidationError,
     model_validator,
 )
 
@@ -25,7 +23,6 @@ from population.networks.spec import PolicySpec, Role
 from zoo.ids import parse_team, release_number
 
 SCHEMA_VERSION = 2  # 1: without egos and roots; self-play's `mean_ci` was called `ci`
-_WIDTH = 190  # of a line of the file
 
 Scalar = float | int | bool | str | None
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -275,9 +272,9 @@ class RegistryFile(StrictModel):
         for role, place in entry.policies.items():
             _known(f"{team}/{role}: shard", place.shard, self.shards)
             shard = self.shards[place.shard]
-            found = (shard.task, shard.algorithm, shard.role, shard.release)
-            if found != (parts.task, parts.algorithm, role, parts.release):
-                raise ValueError(f"{team}/{role} points to a shard of {' '.join(found)}")
+            identity = (shard.task, shard.algorithm, shard.role, shard.release)
+            if identity != (parts.task, parts.algorithm, role, parts.release):
+                raise ValueError(f"{team}/{role} points to a shard of {' '.join(identity)}")
             if place.row >= shard.rows:
                 raise ValueError(
                     f"{team}/{role} is row {place.row} of a shard with {shard.rows} rows"
@@ -324,29 +321,6 @@ class PolicyEntry:
         return {**{name: getattr(self, name) for name in names}, "self_play": figures}
 
 
-def dump_registry(file: RegistryFile) -> str:
-    """Return the registry's text: sorted, one line for each small object, for small diffs."""
-    data = file.model_dump(mode="json", exclude_defaults=True)
-    for table in ("teams", "egos"):
-        names = sorted(data.get(table, {}), key=lambda text: _parse(text).order)
-        data |= {table: {name: data[table][name] for name in names}} if names else {}
-    data.setdefault("teams", {})
-    for table in ("releases", "runs", "shards"):
-        data[table] = dict(sorted(data[table].items()))
-    data["splits"] = sorted(data.get("splits", []), key=lambda split: split["id"])
-    return _lay_out(data, 0) + "\n"
-
-
-def first_problem(error: ValidationError) -> str:
-    """Return the first problem that validation found, where it is, and how many more there are."""
-    problems = error.errors(include_url=False, include_input=False)
-    where = ".".join(map(str, problems[0]["loc"])) or "the file"
-    kind, message = problems[0]["type"], problems[0]["msg"]
-    what = "unknown field" if kind == "extra_forbidden" else message.removeprefix("Value error, ")
-    more = f" and {len(problems) - 1} more problems" if len(problems) > 1 else ""
-    return f"{what} at {where[:200]}{more}"
-
-
 def _parse(team: str) -> Any:
     try:
         return parse_team(team)
@@ -359,32 +333,3 @@ def _known(what: str, name: str, table: Any) -> None:
         raise ValueError(
             f"{what} {name!r} is not among {', '.join(map(str, table)) or 'none'}"[:300]
         )
-
-
-def _lay_out(value: Any, indent: int) -> str:
-    """Return JSON: a container on one line where it fits and is shallow, else one item a line."""
-    flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
-    if (
-        not isinstance(value, dict | list)
-        or not value
-        or (indent and _shallow(value) and len(flat) + indent <= _WIDTH)
-    ):
-        return flat
-    inner = " " * (indent + 1)
-    if isinstance(value, list):
-        items = [inner + _lay_out(item, indent + 1) for item in value]
-    else:
-        items = [
-            f"{inner}{json.dumps(key)}: {_lay_out(item, indent + 1)}" for key, item in value.items()
-        ]
-    opening, closing = ("[", "]") if isinstance(value, list) else ("{", "}")
-    return opening + "\n" + ",\n".join(items) + "\n" + " " * indent + closing
-
-
-def _shallow(value: Any) -> bool:
-    """Return whether a container holds scalars only, or one short list as well."""
-    items = value.values() if isinstance(value, dict) else value
-    return all(
-        not isinstance(item, dict) and (not isinstance(item, list) or len(item) <= 4)
-        for item in items
-    )

@@ -36,16 +36,16 @@ def select(
         UnknownIdError: A pattern or the fields match nothing; the nearest ids are named.
     """
     entries = list(entries)
-    wanted = dict(zip(FIELDS, (task, algorithm, disability, role, release), strict=True))
+    filters = dict(zip(FIELDS, (task, algorithm, disability, role, release), strict=True))
     chosen = entries
-    for field, value in wanted.items():
+    for field, value in filters.items():
         chosen = chosen if value is None else _with_field(chosen, field, value)
     if pattern is None:
         return chosen or refuse_empty()
     patterns = [pattern] if isinstance(pattern, str) else list(pattern)
     keep: set[str] = set()
-    for one in patterns:
-        keep |= _matching(one, chosen, entries)
+    for glob in patterns:
+        keep |= _matching(glob, chosen, entries)
     return [entry for entry in chosen if entry.id in keep]
 
 
@@ -64,15 +64,15 @@ def _with_field(entries: list[PolicyEntry], field: str, value: str) -> list[Poli
 
 def _matching(pattern: str, entries: list[PolicyEntry], everything: list[PolicyEntry]) -> set[str]:
     matches = compile_pattern(pattern).match
-    found = {entry.id for entry in entries if matches(entry.id) or matches(entry.team)}
-    return found or refuse_unknown(pattern, [entry.id for entry in entries or everything])
+    ids = {entry.id for entry in entries if matches(entry.id) or matches(entry.team)}
+    return ids or refuse_unknown(pattern, [entry.id for entry in entries or everything])
 
 
-def refuse_unknown(wanted: str, known: Sequence[str], what: str = "policy") -> NoReturn:
+def refuse_unknown(name: str, known: Sequence[str], what: str = "policy") -> NoReturn:
     """Raise the error for an id or glob that matches none of the known ids, naming the nearest."""
-    close = nearest(wanted, known)
+    close = nearest(name, known)
     raise UnknownIdError(
-        f"unknown {what} {shorten(wanted)}",
+        f"unknown {what} {shorten(name)}",
         f"an id or glob that matches one of the {len(known)} candidates",
         "no match",
         f"nearest: {', '.join(close)}" if close else "",
@@ -85,5 +85,5 @@ def refuse_empty() -> NoReturn:
         "no policies to select from",
         "a registry with at least one policy",
         "an empty one",
-        "publish a population with `assistax-zoo publish RUN --release v0`",
+        "publish a population with `assistax-zoo publish`",
     )

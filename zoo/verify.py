@@ -82,11 +82,11 @@ def _shards_problems(registry: Registry) -> Iterator[str]:
 
 
 def _signature_problems(registry: Registry, key: Path) -> list[str]:
-    found = [
+    problems = [
         check_signature(name, registry.root(name), release.signature, key)
         for name, release in registry.data.releases.items()
     ]
-    return [problem for problem in found if problem]
+    return [problem for problem in problems if problem]
 
 
 def _shard_problems(registry: Registry, shard: str) -> Iterator[str]:
@@ -105,9 +105,9 @@ def _shard_problems(registry: Registry, shard: str) -> Iterator[str]:
 
 
 def _row_problems(stacked: StackedFile, entry: PolicyEntry) -> Iterator[str]:
-    found = row_sha256(take_row(stacked, entry.row))
-    if found != entry.sha256:
-        yield str(damaged_row(entry.id, entry.sha256, found))
+    digest = row_sha256(take_row(stacked, entry.row))
+    if digest != entry.sha256:
+        yield str(damaged_row(entry.id, entry.sha256, digest))
     recorded = stacked.rows[entry.row]
     if recorded != {"id": entry.id, "sha256": entry.sha256}:
         yield (

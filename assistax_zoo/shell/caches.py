@@ -90,8 +90,8 @@ def held(kind: str) -> Held:
     """Return what the cache holds of a kind; a link counts as itself."""
     files = [file for entry in _entries(KINDS[kind]) for file in _files(entry)]
     sizes = [size for file in files if (size := _size(file)) is not None]
-    found = KINDS[kind]
-    return Held(kind, found.what, str(found.folder()), len(sizes), sum(sizes))
+    place = KINDS[kind]
+    return Held(kind, place.what, str(place.folder()), len(sizes), sum(sizes))
 
 
 def chosen_kinds(names: Sequence[str] = ()) -> list[str]:

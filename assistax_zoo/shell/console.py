@@ -170,11 +170,11 @@ def _lines(description: str, total: int, is_bytes: bool) -> Generator[Callable[[
         nonlocal done, first
         done += count
         now = time.monotonic()
-        told = f"{description}: {figures()}, {now - start:.0f} s"
+        text = f"{description}: {figures()}, {now - start:.0f} s"
         first = first or (now, done)  # compilation comes before it, and is not part of the speed
         if done > first[1]:
-            told += f", {(now - first[0]) * (total - done) / (done - first[1]):.0f} s left"
-        line.show(told, last=done >= total)
+            text += f", {(now - first[0]) * (total - done) / (done - first[1]):.0f} s left"
+        line.show(text, last=done >= total)
 
     with closing(Line()) as line:
         yield advance
@@ -214,12 +214,12 @@ class TrainingLine(Line):
         mean = progress.rows["return"].mean()
         self._return = self._return if mean is None else f"return {mean:.1f}"
         reward = f"reward {progress.rows['reward'].mean():.2f} a step, no whole episode yet"
-        told = (
+        text = (
             f"{self._name}: {_count(progress.steps)} of {_count(progress.total_steps)} steps, "
             f"{progress.steps_per_second:,.0f} steps/s, {self._return or reward}, "
             f"{_duration(progress.seconds_left)} left"
         )
-        self.show(told, last=progress.update == progress.updates)
+        self.show(text, last=progress.update == progress.updates)
 
 
 def _count(steps: int) -> str:

@@ -20,13 +20,13 @@ from zoo.locations import (
     CACHE_VARIABLE,
     DATA_VARIABLE,
     added_registries,
+    added_remote,
     cache_root,
     data_root,
     default_remote,
     registry_path,
 )
 from zoo.registry import Registry, load_registry
-from zoo.transport.other_zoos import added_remote
 from zoo.transport.remotes import TransientError, open_remote
 
 State = Literal["broken", "advice", "ok"]
@@ -61,10 +61,10 @@ def examine() -> list[Finding]:
 
 
 def _python() -> Iterator[Finding]:
-    wanted, version = required_python(), ".".join(map(str, sys.version_info[:3]))
-    right = wanted is None or wanted.contains(version)
+    allowed, version = required_python(), ".".join(map(str, sys.version_info[:3]))
+    right = allowed is None or allowed.contains(version)
     state = "ok" if right else "broken"
-    text = f"Python {version}" if right else f"Python {version}; allowed is {wanted}"
+    text = f"Python {version}" if right else f"Python {version}; allowed is {allowed}"
     yield Finding("python", state, f"{text}, {sys.executable}", {"version": version})
 
 
@@ -73,7 +73,7 @@ def _packages() -> Iterator[Finding]:
         text = f"{package.told}; install it with: pip install '{package.requirement}'"
         yield Finding("packages", "broken", text, {"package": package.name})
     names = ("assistax-zoo", *PACKAGES)
-    versions = {name: found for name in names if (found := version_of(name))}
+    versions = {name: installed for name in names if (installed := version_of(name))}
     pairs = {versions.get(name, "").rpartition(".")[0] for name in ("mujoco", "mujoco-mjx")}
     if len(pairs) > 1:
         text = f"mujoco {versions.get('mujoco')} and mujoco-mjx {versions.get('mujoco-mjx')}"
@@ -100,41 +100,41 @@ def _extras() -> Iterator[Finding]:
 
 
 def _machine() -> Iterator[Finding]:
-    found = _probe()
-    yield _jax(found["jax"])
-    if "error" in found["jax"]:
+    probed = _probe()
+    yield _jax(probed["jax"])
+    if "error" in probed["jax"]:
         return
-    if error := found["backend"].get("error"):
+    if error := probed["backend"].get("error"):
         yield Finding("backend", "broken", f"auto: {error}")
     else:
-        auto = found["backend"]["found"]
+        auto = probed["backend"]["found"]
         yield Finding("backend", "ok", f"auto is {auto}", {"auto": auto})
-    yield from _compilers(found)
+    yield from _compilers(probed)
 
 
-def _compilers(found: Mapping[str, Any]) -> Iterator[Finding]:
-    if reason := found["fused"].get("found") or found["fused"].get("error"):
+def _compilers(probed: Mapping[str, Any]) -> Iterator[Finding]:
+    if reason := probed["fused"].get("found") or probed["fused"].get("error"):
         yield Finding("compilers", "advice", f"the fused engine cannot run here: {reason}")
         return
     for name in ("clang", "nvrtc"):
-        if error := found[name].get("error"):
+        if error := probed[name].get("error"):
             yield Finding("compilers", "broken", f"{name} of warp-lang: {error}")
-        elif (seconds := found[name]["found"]) is not None:
+        elif (seconds := probed[name]["found"]) is not None:
             text = f"{name} of warp-lang compiled a small program in {seconds:.1f} s"
             yield Finding("compilers", "ok", text, {"compiler": name, "seconds": seconds})
 
 
-def _jax(found: Mapping[str, Any]) -> Finding:
+def _jax(probed: Mapping[str, Any]) -> Finding:
     chosen = os.environ.get("JAX_PLATFORMS", "")
-    told = f" (JAX_PLATFORMS is {shorten(chosen)})" if chosen else ""
-    if "error" in found:
-        return Finding("jax", "broken", f"{found['error']}{told}")
-    platform, devices = found["found"]["platform"], found["found"]["devices"]
-    text = f"{len(devices)} {platform} device{'s' * (len(devices) > 1)}: {devices[0]}{told}"
+    setting = f" (JAX_PLATFORMS is {shorten(chosen)})" if chosen else ""
+    if "error" in probed:
+        return Finding("jax", "broken", f"{probed['error']}{setting}")
+    platform, devices = probed["found"]["platform"], probed["found"]["devices"]
+    text = f"{len(devices)} {platform} device{'s' * (len(devices) > 1)}: {devices[0]}{setting}"
     if platform == "cpu" and _GPU.exists() and not chosen:
         text += "; this machine has an NVIDIA GPU, use it with: pip install 'jax[cuda12]'"
-        return Finding("jax", "advice", text, found["found"])
-    return Finding("jax", "ok", text, found["found"])
+        return Finding("jax", "advice", text, probed["found"])
+    return Finding("jax", "ok", text, probed["found"])
 
 
 def _probe() -> dict[str, Any]:
@@ -158,9 +158,9 @@ def _probe() -> dict[str, Any]:
 
 def _cache() -> Iterator[Finding]:
     for kind in KINDS:
-        found = held(kind)
-        text = f"{kind}: {found.files} files, {found.bytes / 1e6:.1f} MB in {found.folder}"
-        yield Finding("cache", "ok", text, vars(found))
+        content = held(kind)
+        text = f"{kind}: {content.files} files, {content.bytes / 1e6:.1f} MB in {content.folder}"
+        yield Finding("cache", "ok", text, vars(content))
     own, chosen = str(cache_root() / "xla"), os.environ.get("JAX_COMPILATION_CACHE_DIR")
     if chosen and chosen != own:
         text = f"programs that JAX compiles are kept in {shorten(chosen)}, not in {own}"
@@ -250,28 +250,28 @@ def _remote() -> Iterator[Finding]:
         return
     problem = _unreachable(name)
     state = "ok" if problem is None else "broken" if absent else "advice"
-    told = problem or "it answers"
+    answer = problem or "it answers"
     yield Finding(
-        "remote", state, printable(f"{name}: {told}"), {"name": name, "answers": not problem}
+        "remote", state, printable(f"{name}: {answer}"), {"name": name, "answers": not problem}
     )
 
 
 def _unreachable(name: str) -> str | None:
     """Return why a remote's registry cannot be read, None where it can; wait a few seconds."""
-    told: list[str | None] = []
+    answers: list[str | None] = []
 
     def ask() -> None:
         try:
             with open_remote(name).open("registry.json") as (_, chunks):
                 next(chunks, b"")
-            told.append(None)
+            answers.append(None)
         except (ZooError, TransientError, OSError, ValueError) as error:
-            told.append(str(error))
+            answers.append(str(error))
 
     asking = threading.Thread(target=ask, daemon=True)
     asking.start()
     asking.join(REMOTE_SECONDS)
-    return told[0] if told else f"no answer within {REMOTE_SECONDS:.0f} s"
+    return answers[0] if answers else f"no answer within {REMOTE_SECONDS:.0f} s"
 
 
 CHECKS: dict[str, Callable[[], Iterator[Finding]]] = {

@@ -17,6 +17,7 @@ from assistax_base.errors import ZooError, printable
 from assistax_zoo.shell.console import remember_command
 from assistax_zoo.shell.installed import check_installed, installed_commands, installed_groups
 from assistax_zoo.shell.interrupts import EXIT_INTERRUPT, end_now, ended_by_interrupts, interrupted
+from assistax_zoo.shell.remedies import in_options
 from zoo.locations import cache_root
 
 DEBUG_VARIABLE = "ASSISTAX_ZOO_DEBUG"
@@ -194,7 +195,7 @@ def _message(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror and error.filename:
         return printable(f"{error.strerror}: {error.filename}")
     if isinstance(error, ZooError | ValueError | TypeError | OSError):
-        return printable(str(error))  # it may name what a stranger wrote
+        return printable(str(error)) + in_options(error)  # it may name what a stranger wrote
     if isinstance(error, MemoryError) or "can't start new thread" in str(error):
         return "this process may take no more memory, or start no more threads; see `ulimit -a`"
     first_line = printable(str(error).partition("\n")[0])

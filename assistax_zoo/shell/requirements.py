@@ -58,17 +58,19 @@ def missing_of(extra: str) -> list[Missing]:
         needs = requires(NAME) or ()
     except PackageNotFoundError:
         raise ValueError(f"{NAME} is not installed; install it with: pip install -e .") from None
-    found = []
+    missing = []
     for text in needs:
-        wanted = Requirement(text)
-        always = wanted.marker is None or wanted.marker.evaluate({"extra": ""})
-        needed = always if not extra else _only_with(wanted, extra)
-        have = version_of(wanted.name)
-        if needed and (have is None or not wanted.specifier.contains(have, prereleases=True)):
-            found.append(Missing(wanted.name, f"{wanted.name}{wanted.specifier}", have))
-    return found
+        requirement = Requirement(text)
+        always = requirement.marker is None or requirement.marker.evaluate({"extra": ""})
+        needed = always if not extra else _only_with(requirement, extra)
+        have = version_of(requirement.name)
+        if needed and (have is None or not requirement.specifier.contains(have, prereleases=True)):
+            missing.append(
+                Missing(requirement.name, f"{requirement.name}{requirement.specifier}", have)
+            )
+    return missing
 
 
-def _only_with(wanted: Requirement, extra: str) -> bool:
-    marker = wanted.marker
+def _only_with(requirement: Requirement, extra: str) -> bool:
+    marker = requirement.marker
     return marker is not None and marker.evaluate({"extra": extra}) > marker.evaluate({"extra": ""})

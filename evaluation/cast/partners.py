@@ -1,34 +1,20 @@
 """One frozen policy in one seat of one simulation: NumPy observations in, NumPy actions out."""
 
 import functools
-import itertools
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from assistax_base.errors import UnknownIdError
-from assistax_envs.disability import DISABILITY_SETTINGS, Disability
-from evaluation.cast.egos import call_ego, read_egos
-from evaluation.cast.players import make_player
-from evaluation.cast.robot_names import parse_reference
-from evaluation.cast.roster import HostEgo
+from assistax_envs.disability import Disability
+from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
-from zoo.parameters.storage import load_stacks, read_policy_file
+from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
-
-
-class Seats(Protocol):
-    """What is asked of an environment to put a policy into it."""
-
-    @property
-    def observation_size(self) -> dict[str, int]: ...
-    @property
-    def action_size(self) -> dict[str, int]: ...
 
 
 class Partner:
@@ -89,7 +75,7 @@ class Partner:
         batch = np.broadcast_to(obs, (2, *obs.shape)) if obs.ndim == 1 else obs
         first = np.full(batch.shape[:-1], self._carry is None)
         if self._carry is None:
-            self._carry = make_player(self.spec).initial_carry(first.shape)
+            self._carry = _player(self.spec).initial_carry(first.shape)
         self._carry, action = _acting(self.spec)(self._params, self._carry, batch, first)
         return np.array(action[0] if obs.ndim == 1 else action)
 
@@ -118,86 +104,14 @@ def zoo_partner(registry: Registry, policy: str, role: str = "human") -> Partner
     return Partner(entry.id, group.spec, group.row(0), entry.setting, entry)
 
 
-def seat_policy(
-    reference: str,
-    role: str,
-    env: Seats,
-    registry: Callable[[], Registry],
-    task: str,
-    seed: int = 0,
-) -> Callable[[np.ndarray], np.ndarray]:
-    """Return who plays `role`, checked to fit: from an observation [O] to an action [A].
-
-    Args:
-        reference: zoo:ID, a path to a .safetensors file, "zero", or "random"; for the robot also
-            python: and onnx:.
-        role: "robot" or "human".
-        env: the environment.
-        registry: read when it is needed.
-        task: the environment's.
-        seed: of random actions.
-
-    Raises:
-        ValueError: the reference has none of the known forms, or does not fit.
-        ZooError: an id or a file that is not there or not what it says.
-    """
-    size, named = env.action_size[role], parse_reference(reference)
-    named.check(task, role)
-    if named.kind == "zero":
-        return lambda obs: np.zeros(size, np.float32)
-    if named.kind == "random":
-        rng = np.random.default_rng([seed, list(env.action_size).index(role)])
-        return lambda obs: rng.uniform(-1.0, 1.0, size).astype(np.float32)
-    if named.kind in ("python", "onnx"):
-        return _outside(reference, role, env, registry(), task)
-    if named.kind == "zoo":
-        policy = zoo_partner(registry(), named.source, role)
-    else:
-        spec, params, metadata = read_policy_file(Path(named.source))
-        setting = DISABILITY_SETTINGS.get(str(metadata.get("disability")))
-        policy = Partner(reference, spec, params, setting)
-    _check_seat(policy, role, env)
-    return policy
-
-
-def _check_seat(policy: Partner, role: str, env: Seats) -> None:
-    spec = policy.spec
-    if spec.role != role:
-        raise ValueError(
-            f"{policy.id} plays the {spec.role}, not the {role}; give it with --{spec.role}"
-        )
-    expected, found = (
-        (env.observation_size[role], env.action_size[role]),
-        (spec.observation_size, spec.action_size),
-    )
-    if found != expected:
-        raise ValueError(
-            f"{policy.id} takes {found[0]} observations to {found[1]} actions; the {role} of "
-            f"this task has {expected[0]} and {expected[1]}: give a policy that was trained on "
-            "this task"
-        )
-
-
-def _outside(
-    reference: str, role: str, env: Seats, registry: Registry, task: str
-) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a robot from outside, which takes batches, as a callable on one observation."""
-    if role != "robot":
-        raise ValueError(
-            f"policy {reference!r} cannot play the {role}; code and ONNX files play the robot"
-        )
-    [ego] = read_egos([reference], registry, task).stacks
-    if not isinstance(ego, HostEgo):  # an ONNX file that is played as a program
-        policy = Partner(reference, ego.spec, ego.row(0))
-        _check_seat(policy, role, env)
-        return policy
-    act, steps = call_ego(ego, ["its partner"], 1, env.action_size[role]), itertools.count()
-    return lambda obs: act(obs[None], next(steps))[0]
-
-
 @functools.cache
 def _acting(spec: PolicySpec) -> Callable[..., tuple[Any, jax.Array]]:
-    policy = make_player(spec)
+    policy = _player(spec)
     return jax.jit(
         lambda params, carry, obs, first: policy.act(params, carry, jnp.asarray(obs), first)
     )
+
+
+def _player(spec: Any) -> Any:
+    """Return what plays a spec: a network from outside, such as of an ONNX file, brings its own."""
+    return spec.make_policy() if hasattr(spec, "make_policy") else Policy(spec)

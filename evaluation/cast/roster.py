@@ -8,7 +8,7 @@ from typing import Any
 from assistax_envs.disability import Disability
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
-from zoo.met import NOT_KNOWN, Met, met_in_training
+from zoo.met.published import NOT_KNOWN, Met, met_in_training
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry

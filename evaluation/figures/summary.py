@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 from pydantic import TypeAdapter, ValidationError
 
+from assistax_base.validated import first_problem
 from evaluation.figures.bootstrap import Draws, Estimate, Interval, estimate
 from evaluation.figures.metrics import (
     CrossPlay,
@@ -158,11 +159,9 @@ def read_summary(folder: Path) -> EvaluationSummary | CrossPlaySummary:
     try:
         return TypeAdapter(kind).validate_python(content)
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))
         raise ValueError(
-            f"{folder / tables.SUMMARY_FILE} is damaged, or of another version: {place}: "
-            f"{first['msg']}; run again"
+            f"{folder / tables.SUMMARY_FILE} is damaged, or of another version: "
+            f"{first_problem(error)}; run again"
         ) from None
 
 

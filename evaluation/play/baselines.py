@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from assistax_base.files import sha256
+from assistax_base.digest import sha256
 from assistax_envs import scripted
 from assistax_envs.scripted import SCRIPTS
 from evaluation.cast.roster import Member, ReferenceSpec, Roster, ScriptSpec, joined

@@ -19,7 +19,7 @@ from typing import Any
 import jax
 import polars as pl
 
-from assistax_base.files import sha256
+from assistax_base.digest import sha256
 from assistax_base.locks import locked
 from evaluation.cast.roster import HostEgo
 from evaluation.play.devices import devices_for

@@ -10,7 +10,6 @@ import datetime
 import functools
 import hashlib
 import importlib.metadata
-import json
 import os
 import platform
 import stat
@@ -18,8 +17,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from assistax_base.digest import json_sha256
 from assistax_base.errors import printable, shorten
-from assistax_base.files import sha256
 from assistax_base.parquet import check_readable
 from evaluation.record import tables
 
@@ -99,7 +98,7 @@ def received_sha256(path: Path) -> str:
 
 def identity_digest(identity: Any) -> str:
     """Return the sha256 of what decides a result, JSON-ready, such as a job's identity."""
-    return sha256(json.dumps(identity, sort_keys=True).encode())
+    return json_sha256(identity, spaced=True)
 
 
 def write_manifest(folder: Path, content: Mapping[str, Any]) -> None:

@@ -13,7 +13,8 @@ import polars as pl
 
 from assistax_base.errors import listing, shorten
 from evaluation.cast.roster import Member, Roster
-from zoo.met import Met, declared_met, known_humans
+from zoo.met.claims import declared_met, known_humans
+from zoo.met.published import Met
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 
@@ -70,7 +71,7 @@ def declare(
         egos: The robots, all trained alike.
         registry: Where the partners are looked up.
         task: Whose partners.
-        trained_with: See `zoo.met.declared_met`; None declares nothing.
+        trained_with: See `zoo.met.claims.declared_met`; None declares nothing.
 
     Raises:
         ValueError: It is malformed, or says "nobody" of a robot that is known to have met some.

@@ -13,7 +13,7 @@ from typing import Any
 from assistax_base.errors import ZooError, shorten
 from evaluation.record import manifest as provenance
 from zoo.locations import registry_path
-from zoo.lock import used_leaves
+from zoo.locking import used_leaves
 from zoo.parameters.storage import load_leaves
 from zoo.registry import Registry, load_registry
 from zoo.schema import PolicyEntry

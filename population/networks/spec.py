@@ -1,19 +1,18 @@
 """What a policy network looks like, as data. Imports no JAX: the registry reads it too."""
 
 import dataclasses
-import hashlib
-import json
 from typing import Literal
 
 from pydantic import PositiveInt
 
-from assistax_base.validated import Widths, checked
+from assistax_base.digest import json_sha256
+from assistax_base.validated import Widths, validated
 
 Role = Literal["robot", "human"]
 ROLES: tuple[Role, ...] = ("robot", "human")
 
 
-@checked
+@validated
 class PolicySpec:
     """Shape of a policy network; policies of one spec can be stacked and mapped over."""
 
@@ -36,4 +35,4 @@ class PolicySpec:
     @property
     def digest(self) -> str:
         """First eight hex digits of the spec's sha256: names the shard of its policies."""
-        return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()[:8]
+        return json_sha256(self.to_json(), spaced=True)[:8]

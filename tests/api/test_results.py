@@ -160,7 +160,7 @@ def test_what_is_missing_is_named_or_fetched(
     bare.write_bytes(zoo.registry.path.read_bytes())
     monkeypatch.setenv("ASSISTAX_ZOO_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("ASSISTAX_ZOO_REMOTE", str(zoo.registry.path.parent))
-    with pytest.raises(RemoteError, match=r"5 of 5 policies.* 2 shards missing.*add --fetch"):
+    with pytest.raises(RemoteError, match=r"5 of 5 policies.* 2 shards missing.*fetch them before"):
         evaluate(robot, az.open_zoo(bare))
     with pytest.raises(RemoteError, match=r"8 of 8 policies.* 2 shards missing"):
         evaluate(lambda obs: obs[:, :7], az.open_zoo(bare), references=True)

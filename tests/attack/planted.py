@@ -37,7 +37,7 @@ DEFECTS = {
     ),
     "the hash of a policy is not checked": Defect(
         "zoo/parameters/storage.py",
-        r"if found != entry\.sha256:",
+        r"if digest != entry\.sha256:",
         "if False:",
         "tests/zoo/test_storage.py::test_a_row_that_is_not_the_registrys_is_refused",
     ),
@@ -45,25 +45,25 @@ DEFECTS = {
         "zoo/history/merkle.py",
         r"if \(found := release_root\(data, name\)\) != release\.root",
         "if (found := release_root(data, name)) is None",
-        "tests/zoo/test_roots.py::test_a_changed_entry_no_longer_passes_verify",
+        "tests/zoo/test_merkle.py::test_a_changed_entry_no_longer_passes_verify",
     ),
     "what was published may change": Defect(
-        "zoo/history/merkle.py",
+        "zoo/history/saving.py",
         r"if lost := lost_leaves\(old, new\):",
         "if lost := []:",
-        "tests/zoo/test_roots.py::test_what_was_published_cannot_be_saved_away",
+        "tests/zoo/test_merkle.py::test_what_was_published_cannot_be_saved_away",
     ),
     "the hashes of a folder's files are not checked": Defect(
         "evaluation/record/manifest.py",
         r"return None if found == digest else",
         "return None if True else",
-        "tests/evaluation/test_provenance.py::test_one_bit_of_any_file_is_found",
+        "tests/evaluation/test_manifest.py::test_one_bit_of_any_file_is_found",
     ),
     "a manifest's own hash is not checked": Defect(
         "evaluation/record/manifest.py",
         r'if found\.get\("sha256"\) != identity_digest\(bare\):',
         "if False:",
-        "tests/evaluation/test_provenance.py::test_one_bit_of_any_file_is_found",
+        "tests/evaluation/test_manifest.py::test_one_bit_of_any_file_is_found",
     ),
     "a folder's manifest is not read by what draws figures": Defect(
         "evaluation/figures/summary.py",
@@ -104,7 +104,7 @@ DEFECTS = {
         "tests/zoo/test_own.py::test_an_own_split_leaves_the_official_registry_and_its_root",
     ),
     "nobody reads what an ego was trained against": Defect(
-        "zoo/met.py",
+        "zoo/met/published.py",
         r"against = robot\.trained_against",
         "against = None",
         "tests/evaluation/test_met_partners.py::test_m_test_leaves_out_whom_an_ego_was_trained_with",
@@ -113,7 +113,7 @@ DEFECTS = {
         "evaluation/replay/rederive.py",
         r"    with tempfile\.TemporaryDirectory\(\) as name:\n",
         "    return []\n    with tempfile.TemporaryDirectory() as name:\n",
-        "tests/evaluation/test_provenance.py::test_every_figure_is_drawn_again",
+        "tests/evaluation/test_manifest.py::test_every_figure_is_drawn_again",
     ),
     "starts that all partners share are not resampled": Defect(
         "evaluation/record/tables.py",

@@ -27,7 +27,8 @@ from tests.attack.ledger import Ledger, attack
 from tests.attack.watch import Watch
 from tests.evaluation.matrix_game import MatrixGame
 from tests.evaluation.test_evaluator import make_job, unfinished
-from zoo.lock import make_lock, read_lock, write_lock
+from zoo.lock import read_lock
+from zoo.locking import make_lock, write_lock
 from zoo.parameters.storage import load_stacks, read_policy_file, write_policy_file
 from zoo.parameters.tensors import flatten
 from zoo.registry import Registry, load_registry

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from assistax_base import parallel
+from assistax_base.digest import sha256
 from assistax_base.errors import ZooError
-from assistax_base.files import sha256
 from tests.attack import web_server
 from tests.attack.ledger import Ledger, attack
 from tests.attack.web_server import Misbehave, answer, changed, endless, plain, raw, serving

@@ -98,7 +98,7 @@ def test_results_that_are_not_here_are_missed(tmp_path, monkeypatch):
     )  # workers that wrote to a disk of their own
     with pytest.raises(
         ValueError,
-        match=r"lacks block-000, block-001, block-002 here; give an --out that all machines",
+        match=r"lacks block-000, block-001, block-002 here; write to a folder that all machines",
     ):
         run_sweep(plan(), partial(ToyEnv, match), tmp_path / "ray", RayCluster())
 

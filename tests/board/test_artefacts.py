@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from assistax_base.files import sha256
+from assistax_base.digest import sha256
 from assistax_board.problems import Problem
 from assistax_board.store.artefacts import Artefacts
 

@@ -11,6 +11,7 @@ import pytest
 import sqlalchemy as sa
 from starlette.testclient import TestClient
 
+from assistax_base.digest import leaf_sha256, merkle_root
 from assistax_board.api.app import create_app
 from assistax_board.pages.boards import Boards
 from assistax_board.pages.crossplays import CrossPlays
@@ -19,7 +20,6 @@ from assistax_board.problems import Problem
 from assistax_board.rules import seasons
 from assistax_board.service import Service
 from assistax_board.store import schema as t
-from assistax_board.store.merkle import merkle_root
 from tests.board.fakes import (
     TASK,
     FakeScorer,
@@ -58,7 +58,7 @@ def open_season(service: Service, budget: int = 3) -> str:
     }
     with service.database.write() as connection:
         connection.execute(sa.insert(t.seasons).values(row))
-    assert service.open_season("spring") == merkle_root(leaves)
+    assert service.open_season("spring") == merkle_root(map(leaf_sha256, leaves))
     return row["id"]
 
 
@@ -78,7 +78,7 @@ def test_a_season_from_its_opening_to_its_reveal(tmp_path: Path) -> None:
     panels = {score.panel: score.figures for score in service.queries.scores(submission=id)}
     assert panels["B"]["n"] == SIZE
     told = seasons.revealed(service.database, season)
-    assert merkle_root(told["leaves"]) == told["root"]
+    assert merkle_root(map(leaf_sha256, told["leaves"])) == told["root"]
 
 
 def test_nothing_hidden_is_in_any_answer(tmp_path: Path) -> None:

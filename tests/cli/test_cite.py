@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from assistax_base.files import sha256
+from assistax_base.digest import sha256
 from assistax_zoo.shell.main import run
 from tests.cli.test_zoo_commands import write_run
 from zoo.registry import load_registry

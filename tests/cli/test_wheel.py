@@ -82,7 +82,7 @@ def test_a_wheel_does_the_three_jobs_with_a_remote(
     evaluate = ("assistax-zoo", "evaluate", *PLAY, "--policy", f"{TEAM}/robot", "--split", "both")
     evaluate = (*evaluate, "--partners", PARTNERS, "--include-own", "--out", "results")
     told = call(*evaluate, code=1)
-    assert "parameters of 4 of 4 policies" in told and "add --fetch" in told
+    assert "parameters of 4 of 4 policies" in told and "--fetch does so" in told
     assert "--from FOLDER" in call(*evaluate, "--fetch", code=1)
     assert call("assistax-zoo", "config", "remote", remote) == f"{remote}\n"
     assert "M_test" in call(*evaluate, "--fetch")

@@ -20,11 +20,12 @@ from evaluation.record.manifest import read_manifest
 from evaluation.record.met_partners import MetSummary, declare, met_partners
 from tests.untrained import HUMAN, ROBOT, params_of, published, teams_of, untrained_team
 from zoo.export import Format, export_policy
-from zoo.met import Met, met_in_training
+from zoo.history.saving import save_registry
+from zoo.met.published import Met, met_in_training
 from zoo.parameters.storage import read_policy_file, write_policy_file
-from zoo.registry import Registry, load_registry, save_registry
+from zoo.registry import Registry, load_registry
 from zoo.schema import TrainedAgainst
-from zoo.splits import make_split
+from zoo.splitting.rules import make_split
 
 TASK, EGO, D1 = "scratch", "scratch/ppo-ego-s0-v0/robot", "without-d1"
 

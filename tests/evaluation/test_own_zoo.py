@@ -34,7 +34,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Any:
             patch.setattr(f"{module}.shipped_registry", lambda: registry)
         patch.setattr("assistax_envs.make", toy)
         # Untrained humans all act nearly alike.
-        patch.setattr("zoo.splitting.similar_humans.similar_pairs", lambda registry, split: [])
+        patch.setattr("zoo.splitting.create.similar_pairs", lambda registry, split: [])
         yield home
 
 

@@ -75,12 +75,12 @@ def test_parts_that_are_not_here_are_missed(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(
         blocks, "run_blocks", lambda *_: None
     )  # workers that wrote to a disk of their own
-    with pytest.raises(ValueError, match=r"has 0 of 2 parts here; give an --out that all machines"):
+    with pytest.raises(ValueError, match=r"has 0 of 2 parts here; write to a folder that all"):
         run_blocks_on_ray(MatrixGame, job, tmp_path, RayCluster(), max_envs=1)
     monkeypatch.setattr(
         blocks, "run_blocks", lambda *args: blocks._run_remotely(0, 2, *args[3])
     )  # one of two did not
-    with pytest.raises(ValueError, match=r"has 1 of 2 parts here; give an --out that all machines"):
+    with pytest.raises(ValueError, match=r"has 1 of 2 parts here; write to a folder that all"):
         run_blocks_on_ray(MatrixGame, job, tmp_path, RayCluster(), max_envs=1)
 
 

@@ -139,7 +139,7 @@ def test_one_bit_of_the_registry_is_found(home: Path) -> None:
             found += not about_the_figures
     path.write_bytes(whole)
     kinds = {name.partition(" ")[0] for name in release["entries"]}
-    assert found > 50 and kinds == {"team", "run", "split", "setting"}
+    assert found > 50 and kinds == {"team", "run", "split", "setting", "shard"}
 
 
 def same_content(one: bytes, other: bytes) -> bool:

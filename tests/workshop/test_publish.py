@@ -131,7 +131,7 @@ def test_changed_bytes_are_refused(registry: Registry, team, publish_to) -> None
     before = contents(registry.path.parent)
     changed = team(params=with_log_std(team(), 0.5))
     with pytest.raises(
-        ImmutableError, match=r"ippo-d1-s0-v0: expected the published sha256 .* --release v1"
+        ImmutableError, match=r"ippo-d1-s0-v0: expected the published sha256 .* under a new release"
     ):
         publish_to([changed], registry.path)
     with pytest.raises(ImmutableError, match="self-play"):

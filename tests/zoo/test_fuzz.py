@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from assistax_base.digest import sha256
 from assistax_base.errors import ZooError
-from assistax_base.files import sha256
 from tests.attack.damage import cut, flip, grow, splice, zero
 from zoo.parameters.storage import load_stacks, parse_stacked
 from zoo.parameters.tensors import flatten, row_sha256

@@ -5,14 +5,15 @@ from typing import Any
 
 import pytest
 
+from assistax_base.digest import json_sha256
 from assistax_base.errors import LockError, SplitError, UnknownIdError
 from assistax_zoo.shell.main import run
-from zoo.history.merkle import check_roots, with_roots
-from zoo.lock import Lock, apply_lock, locked_entries, make_lock, read_lock, write_lock
+from zoo.history.merkle import check_roots, leaves, with_roots
+from zoo.history.saving import dump_registry
+from zoo.lock import Lock, apply_lock, locked_entries, read_lock
+from zoo.locking import make_lock, write_lock
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry, parse_registry
-from zoo.schema import dump_registry
-from zoo.splits import content_sha256
 from zoo.splitting.create import create_split
 from zoo.transport.fetch import remote_registry
 from zoo.transport.remotes import open_remote
@@ -66,10 +67,10 @@ def earlier(lock: Lock, registry: Registry, version: int, path: Path) -> Lock:
     """Return the lock as an earlier version of this package wrote it."""
     content = lock.model_dump(mode="json", exclude={"lock_version", "sha256"}, exclude_unset=True)
     settings = {name: one.model_dump() for name, one in registry.data.disability_settings.items()}
-    content["disability_settings"] = content_sha256(settings)
+    content["disability_settings"] = json_sha256(settings)
     if version == 1:
         del content["root"], content["leaves"]
-    content = {"lock_version": version, "sha256": content_sha256(content), **content}
+    content = {"lock_version": version, "sha256": json_sha256(content), **content}
     path.write_text(json.dumps(content))
     return read_lock(path)
 
@@ -142,7 +143,7 @@ def test_a_registry_that_differs_is_refused(
 
     for table, edit, told in (
         ("teams", other_row, f"policy {team}/human"),
-        ("shards", other_shard, "shard zoo/shards/v0/"),
+        ("shards", other_shard, "entry shard zoo/shards/v0/"),
         ("disability_settings", other_settings, "entry setting d9"),
         ("releases", other_version, "environment version of scratch 1"),
     ):
@@ -216,3 +217,19 @@ def test_commands(registry: Registry, cache: Path, tmp_path: Path, capsys, monke
         == 1
     )
     assert "as locked" in capsys.readouterr().err
+
+
+def test_a_lock_pins_all_bytes_by_the_leaves_of_the_release(
+    registry: Registry, lock: Lock, tmp_path: Path
+) -> None:
+    """Version 3: no digest stands twice in it but those that users cite."""
+    text = json.loads((tmp_path / "assistax-zoo.lock").read_text())
+    assert not {"shards", "disability_settings"} & set(text)
+    tree = leaves(registry.data, "v0")
+    assert lock.leaves == {name: digest for name, digest in tree.items() if name in lock.leaves}
+    kinds = {name.partition(" ")[0] for name in tree} - {"release"}
+    assert {name.partition(" ")[0] for name in lock.leaves} == kinds
+    few = make_lock(registry, registry.select("scratch/ippo-d1-*/human"))
+    assert {name.split()[0] for name in few.leaves} == {"team", "run", "setting", "shard"}
+    pinned = [name for name in few.leaves if name.startswith("shard")]
+    assert len(pinned) == len({entry.shard for entry in locked_entries(registry, few)})

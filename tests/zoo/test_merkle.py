@@ -2,17 +2,26 @@
 
 import hashlib
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from assistax_base.errors import ImmutableError, IntegrityError, LockError, SignatureError
+from assistax_base.errors import (
+    ImmutableError,
+    IntegrityError,
+    LockError,
+    RemoteError,
+    SignatureError,
+)
 from assistax_zoo.shell.main import run
 from zoo.history.merkle import leaves, lost_leaves, merkle_root
-from zoo.lock import apply_lock, make_lock
-from zoo.registry import Registry, load_registry, save_registry
+from zoo.history.saving import save_registry
+from zoo.lock import apply_lock
+from zoo.locking import make_lock
+from zoo.registry import Registry, load_registry
 from zoo.splitting.create import create_split
 from zoo.transport.fetch import remote_registry
 from zoo.transport.remotes import open_remote
@@ -164,3 +173,17 @@ def write_keys(folder: Path, name: str) -> tuple[Path, Path]:
     paths[0].write_bytes(key.private_bytes(pem, form.PrivateFormat.PKCS8, plain))
     paths[1].write_bytes(key.public_key().public_bytes(pem, form.PublicFormat.SubjectPublicKeyInfo))
     return paths
+
+
+def test_without_cryptography_a_signature_names_its_extra(
+    registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "cryptography", None)
+    with pytest.raises(ValueError, match=r"pip install 'assistax-zoo\[sign\]'"):
+        verify(registry, key=tmp_path / "key.pub.pem")
+
+
+def test_without_fsspec_an_address_names_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "fsspec", None)
+    with pytest.raises(RemoteError, match=r"pip install 'assistax-zoo\[remotes\]'"):
+        remote_registry(open_remote("s3://bucket/zoo"))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from assistax_base.digest import sha256
 from assistax_base.errors import (
     IdError,
     ImmutableError,
@@ -17,22 +18,22 @@ from assistax_base.errors import (
     UnknownIdError,
     UpdateError,
 )
-from assistax_base.files import sha256
 from assistax_workshop.press.publish import publish
 from assistax_workshop.press.trained_runs import TrainedTeam
 from assistax_zoo.shell.main import run
 from assistax_zoo.zoos import open_zoo
 from evaluation.studies import choose_partners, in_release
 from tests.zoo.hub_server import Hub
-from zoo.history.merkle import check_grown, with_roots
-from zoo.locations import default_remote, set_default_remote
-from zoo.lock import apply_lock, make_lock, read_lock
+from zoo.history.merkle import with_roots
+from zoo.history.saving import check_grown, dump_registry
+from zoo.locations import added_remote, default_remote, set_default_remote
+from zoo.lock import apply_lock, read_lock
+from zoo.locking import make_lock
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry
-from zoo.schema import dump_registry
 from zoo.splitting.create import create_split
 from zoo.transport.fetch import fetch, remote_registry
-from zoo.transport.other_zoos import add, added_remote, remove
+from zoo.transport.other_zoos import add, remove
 from zoo.transport.remotes import open_remote
 from zoo.verify import verify
 

@@ -11,11 +11,13 @@ from hypothesis import strategies as st
 
 from assistax_base.errors import UnknownIdError, ZooError
 from population.networks.spec import PolicySpec
+from zoo.history.saving import dump_registry
 from zoo.ids import TeamId, parse_team
 from zoo.registry import Registry, build_registry, parse_registry
-from zoo.schema import SCHEMA_VERSION, RegistryFile, dump_registry
+from zoo.schema import SCHEMA_VERSION, RegistryFile
 from zoo.selection import FIELDS, select
-from zoo.splits import check_split, make_split
+from zoo.splits import check_split
+from zoo.splitting.rules import make_split
 
 SPEC = PolicySpec("human", 6, 3, hidden=(4,))
 TEAMS = st.builds(

@@ -7,11 +7,14 @@ from hypothesis import strategies as st
 
 from assistax_base.errors import LeakageError, SplitError
 from zoo.history.merkle import with_roots
+from zoo.history.saving import dump_registry
 from zoo.ids import parse_team
 from zoo.registry import Registry, load_registry, parse_registry
-from zoo.schema import dump_registry
-from zoo.splits import RULES, check_split, half_side, make_split, parse_split, shared_parameters
+from zoo.splits import check_split, shared_parameters
+from zoo.splitting import rules
 from zoo.splitting.create import create_split
+from zoo.splitting.rules import RULES, half_side, make_split
+from zoo.splitting.sides import parse_split
 
 
 def ids(
@@ -251,9 +254,8 @@ def test_a_default_that_was_chosen_stays_when_the_release_grows(
 
 
 def test_every_rule_has_a_row_in_the_documentation() -> None:
-    import zoo.splits
 
-    assert all(f"`{rule}`" in (zoo.splits.__doc__ or "") for rule in RULES)
+    assert all(f"`{rule}`" in (rules.__doc__ or "") for rule in RULES)
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from assistax_base.errors import FormatError, IntegrityError, ZooError
 from population.networks.spec import PolicySpec
 from population.networks.stack import unflatten
+from zoo.parameters.encoding import check_params, encode_shard
 from zoo.parameters.storage import (
-    check_params,
-    encode_shard,
     load_stacks,
     parse_stacked,
     read_policy_file,

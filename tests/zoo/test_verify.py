@@ -5,9 +5,10 @@ from typing import Any
 
 import pytest
 
-from assistax_base.files import sha256
+from assistax_base.digest import sha256
 from assistax_envs.versions import VERSIONS
-from zoo.parameters.storage import encode_shard, read_shard, take_row
+from zoo.parameters.encoding import encode_shard
+from zoo.parameters.storage import read_shard, take_row
 from zoo.registry import Registry, load_registry
 from zoo.verify import verify
 

@@ -21,7 +21,7 @@ from pydantic import Field, PositiveInt, TypeAdapter, ValidationError
 from assistax_base.cluster import NOT_SHARED, RayCluster, run_blocks
 from assistax_base.files import write_json
 from assistax_base.parquet import read_parquet, write_parquet
-from assistax_base.validated import checked, first_problem
+from assistax_base.validated import first_problem, validated
 from population.config import Member, TrainConfig, check_names, make_run, preset
 from population.runs.train import Progress, train
 from population.trainers.environment import Environment
@@ -30,7 +30,7 @@ RESULTS, BEST = "sweep.parquet", "preset.json"
 FINAL_SHARE = 0.1  # of a run: the final return is the mean over its last tenth
 
 
-@checked
+@validated
 class Range:
     """Values of a continuous hyperparameter."""
 
@@ -75,7 +75,7 @@ SPACES: Mapping[str, Space] = {
 }
 
 
-@checked
+@validated
 class Sweep:
     """What to try."""
 

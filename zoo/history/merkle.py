@@ -7,12 +7,11 @@ their defaults, so that a later schema gives the same leaves. A release grows by
 loses one but its own record, which names its default splits.
 """
 
-import hashlib
-import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-from assistax_base.errors import ImmutableError, IntegrityError, listing
+from assistax_base.digest import leaf_sha256, merkle_root
+from assistax_base.errors import IntegrityError
 from zoo.ids import EGO, parse_team
 from zoo.schema import RegistryFile
 
@@ -28,32 +27,20 @@ def leaves(data: RegistryFile, release: str) -> dict[str, str]:
     }
     shards = {row.shard for _, entry in members.values() for row in entry.policies.values()}
     used = {disability for disability, _ in members.values()} - {EGO}
-    found: dict[str, Any] = {
+    entries: dict[str, Any] = {
         f"{RECORD} {release}": data.releases[release].model_copy(
             update={"root": None, "signature": None}
         )
     }
-    found |= {
+    entries |= {
         f"{'ego' if disability == EGO else 'team'} {name}": entry
         for name, (disability, entry) in members.items()
     }
-    found |= {f"run {name}": data.runs[name] for name in {e.run for _, e in members.values()}}
-    found |= {f"shard {path}": data.shards[path] for path in shards}
-    found |= {f"setting {name}": data.disability_settings[name] for name in used}
-    found |= {f"split {split.id}": split for split in data.splits if split.release == release}
-    return {name: _leaf(name, entry) for name, entry in sorted(found.items())}
-
-
-def merkle_root(hashes: Iterable[str]) -> str:
-    """Return the root over leaves in hex; leaves and nodes have different prefixes."""
-    level = [bytes.fromhex(one) for one in hashes]
-    while len(level) > 1:
-        pairs = [level[start : start + 2] for start in range(0, len(level), 2)]
-        level = [
-            hashlib.sha256(b"\x01" + b"".join(pair)).digest() if len(pair) == 2 else pair[0]
-            for pair in pairs
-        ]
-    return level[0].hex()
+    entries |= {f"run {name}": data.runs[name] for name in {e.run for _, e in members.values()}}
+    entries |= {f"shard {path}": data.shards[path] for path in shards}
+    entries |= {f"setting {name}": data.disability_settings[name] for name in used}
+    entries |= {f"split {split.id}": split for split in data.splits if split.release == release}
+    return {name: _leaf(name, entry) for name, entry in sorted(entries.items())}
 
 
 def release_root(data: RegistryFile, release: str) -> str:
@@ -116,26 +103,5 @@ def lost_leaves(old: RegistryFile, new: RegistryFile) -> list[str]:
     return lost
 
 
-def check_grown(old: RegistryFile, new: RegistryFile) -> None:
-    """Check that a registry holds all that it published before.
-
-    Raises:
-        ImmutableError: An entry, a split or a setting is gone or changed.
-    """
-    if lost := lost_leaves(old, new):
-        raise ImmutableError(
-            "registry",
-            "all that was published, unchanged",
-            f"{listing(lost)} gone or changed",
-            "publish under a new release",
-            "nothing was written: what is published never changes",
-        )
-
-
 def _leaf(name: str, entry: Any) -> str:
-    content = json.dumps(
-        [name, entry.model_dump(mode="json", exclude_defaults=True)],
-        sort_keys=True,
-        separators=(",", ":"),
-    )
-    return hashlib.sha256(b"\x00" + content.encode()).hexdigest()
+    return leaf_sha256([name, entry.model_dump(mode="json", exclude_defaults=True)])

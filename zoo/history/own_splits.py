@@ -4,17 +4,16 @@ A split's id ends in a digest of its content, so an own split needs no namespace
 of the same id has the same teams. A split of the user's own teams lies in their registry.
 """
 
-import json
 from typing import Literal
 
 from pydantic import ValidationError
 
 from assistax_base.bounded_reading import read_text
 from assistax_base.errors import RegistryError, SplitError
-from assistax_base.files import atomic_write
+from assistax_base.validated import first_problem
 from zoo.history.official import is_official
-from zoo.locations import own_splits_file, write_errors
-from zoo.schema import RegistryFile, Split, StrictModel, first_problem
+from zoo.locations import own_splits_file
+from zoo.schema import RegistryFile, Split, StrictModel
 
 MAX_SPLITS_BYTES = 16 * 1024 * 1024
 
@@ -36,7 +35,7 @@ def own_splits(data: RegistryFile) -> tuple[Split, ...]:
     if not own_splits_file().is_file() or not is_official(data):
         return ()
     published = {split.id: split for split in data.splits}
-    own = [split for split in _read() if split.release in data.releases]
+    own = [split for split in read_splits() if split.release in data.releases]
     for split in own:
         if published.get(split.id, split) != split:
             raise SplitError(
@@ -48,18 +47,8 @@ def own_splits(data: RegistryFile) -> tuple[Split, ...]:
     return tuple(split for split in own if split.id not in published)
 
 
-def keep_split(split: Split) -> None:
-    """Add a split to the user's own, under `assistax_base.files.exclusive(own_splits_file())`."""
-    kept = {own.id: own for own in _read()} if own_splits_file().is_file() else {}
-    if kept.get(split.id) == split:
-        return
-    content = SplitsFile(splits=(*kept.values(), split)).model_dump(mode="json")
-    text = json.dumps(content, indent=1) + "\n"
-    with write_errors(own_splits_file(), len(text)):
-        atomic_write(own_splits_file(), text.encode())
-
-
-def _read() -> tuple[Split, ...]:
+def read_splits() -> tuple[Split, ...]:
+    """Return all splits of the file, which must be there."""
     path = own_splits_file()
     remedy = "restore it, or delete it and make your splits again"
     text = read_text(path, MAX_SPLITS_BYTES, RegistryError, "own splits", remedy)

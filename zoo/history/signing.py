@@ -3,13 +3,14 @@
     openssl genpkey -algorithm ed25519 -out key.pem
     openssl pkey -in key.pem -pubout -out key.pub.pem
 
-`cryptography` is imported where it is needed: reading a registry does not.
+They need `cryptography`, of the extra `sign`; reading a registry does not.
 """
 
 from pathlib import Path
 from typing import Any
 
 from assistax_base.errors import SignatureError, shorten
+from assistax_base.extras import optional
 
 MAX_KEY_BYTES = 64 * 1024
 
@@ -19,6 +20,7 @@ def sign(release: str, root: str, key: Path) -> str:
 
     Raises:
         SignatureError: The file holds no such key.
+        ValueError: `cryptography` is not installed.
     """
     return _load(key, private=True).sign(_message(release, root)).hex()
 
@@ -29,9 +31,9 @@ def check_signature(release: str, root: str, signature: str | None, key: Path) -
     Raises:
         SignatureError: The file holds no such key.
     """
+    public = _load(key, private=False)
     from cryptography.exceptions import InvalidSignature
 
-    public = _load(key, private=False)
     if signature is None:
         return f"release {release} is not signed"
     try:
@@ -46,6 +48,7 @@ def _message(release: str, root: str) -> bytes:
 
 
 def _load(key: Path, private: bool) -> Any:
+    optional("cryptography", "a signature", "sign")
     from cryptography.exceptions import UnsupportedAlgorithm
     from cryptography.hazmat.primitives import serialization
     from cryptography.hazmat.primitives.asymmetric import ed25519
@@ -54,14 +57,14 @@ def _load(key: Path, private: bool) -> Any:
     try:
         with key.open("rb") as file:
             data = file.read(MAX_KEY_BYTES)
-        found = (
+        loaded = (
             serialization.load_pem_private_key(data, None)
             if private
             else serialization.load_pem_public_key(data)
         )
-        if isinstance(found, kind):
-            return found
-        reason = f"a {type(found).__name__}"
+        if isinstance(loaded, kind):
+            return loaded
+        reason = f"a {type(loaded).__name__}"
     except (OSError, ValueError, TypeError, UnsupportedAlgorithm) as error:
         reason = shorten(str(error))
     side = "private" if private else "public"

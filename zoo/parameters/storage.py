@@ -1,15 +1,14 @@
 """Stacked shards and single-policy files: hashed by row and by file, verified on every load."""
 
-import functools
-import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from assistax_base.digest import json_sha256
 from assistax_base.errors import FormatError, IntegrityError, shorten
-from assistax_base.files import atomic_write, sha256
+from assistax_base.files import atomic_write
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack, stack_policies, unflatten
 from zoo.parameters.tensors import (
@@ -107,34 +106,6 @@ def take_row(stacked: StackedFile, row: int) -> Leaves:
     return {name: value[row] for name, value in stacked.leaves.items()}
 
 
-def encode_shard(
-    spec: PolicySpec, policies: Sequence[tuple[str, Leaves]]
-) -> tuple[bytes, list[str]]:
-    """Return a shard's bytes and its rows' sha256, for (policy id, leaves) in row order.
-
-    Raises:
-        FormatError: The policies' leaves differ in name, shape or dtype.
-    """
-    forms = [
-        {name: (value.shape, value.dtype.name) for name, value in leaves.items()}
-        for _, leaves in policies
-    ]
-    for (policy, _), form in zip(policies, forms, strict=True):
-        if form != forms[0]:
-            odd = next(
-                name for name in {**forms[0], **form} if form.get(name) != forms[0].get(name)
-            )
-            expected = f"{odd} {forms[0].get(odd)} as in {policies[0][0]}"
-            raise FormatError(f"parameters of {policy}", expected, f"{odd} {form.get(odd)}")
-    hashes = [row_sha256(leaves) for _, leaves in policies]
-    rows = [
-        {"id": policy, "sha256": digest}
-        for (policy, _), digest in zip(policies, hashes, strict=True)
-    ]
-    stacked = {name: np.stack([leaves[name] for _, leaves in policies]) for name in forms[0]}
-    return encode(stacked, {"spec": spec.to_json(), "rows": rows}), hashes
-
-
 def read_policy_file(path: Path | str) -> PolicyFile:
     """Return the policy of a single-policy `.safetensors` file.
 
@@ -150,12 +121,12 @@ def read_policy_file(path: Path | str) -> PolicyFile:
     extra = metadata.get("metadata", {})
     if not isinstance(extra, dict):
         raise FormatError(source, "metadata that is an object", shorten(extra))
-    found = _content_sha256(spec, extra, leaves)
-    if metadata.get("sha256") != found:
+    digest = _content_sha256(spec, extra, leaves)
+    if metadata.get("sha256") != digest:
         raise IntegrityError(
             source,
             f"sha256 {shorten(metadata.get('sha256'))}",
-            f"sha256 {found}",
+            f"sha256 {digest}",
             "fetch or export the file again; it was changed after it was written",
         )
     return PolicyFile(spec, _float32(leaves), extra)
@@ -189,37 +160,11 @@ def policy_bytes(
     return encode(leaves, content)
 
 
-def check_params(spec: PolicySpec, leaves: Leaves, source: str) -> None:
-    """Check that leaves (without the stacked axis) are those that `Policy(spec)` has; imports JAX.
-
-    Raises:
-        FormatError: A leaf is missing, unknown, or of another shape.
-    """
-    expected = _expected_shapes(spec)
-    found = {name: tuple(value.shape) for name, value in leaves.items()}
-    if found != expected:
-        odd = next(name for name in {**expected, **found} if found.get(name) != expected.get(name))
-        raise FormatError(
-            source, f"{odd} of shape {expected.get(odd)} for its spec", f"shape {found.get(odd)}"
-        )
-
-
-@functools.lru_cache
-def _expected_shapes(spec: PolicySpec) -> dict[str, tuple[int, ...]]:
-    import jax
-
-    from population.networks.policy import Policy
-
-    tree = jax.eval_shape(Policy(spec).init, jax.random.key(0))
-    paths = jax.tree_util.tree_flatten_with_path(tree)[0]
-    return {"/".join(key.key for key in path): tuple(leaf.shape) for path, leaf in paths}
-
-
 def _verified_row(stacked: StackedFile, row: int, entry: PolicyEntry) -> Leaves:
     leaves = take_row(stacked, row)
-    found = row_sha256(leaves)
-    if found != entry.sha256:
-        raise damaged_row(entry.id, entry.sha256, found)
+    digest = row_sha256(leaves)
+    if digest != entry.sha256:
+        raise damaged_row(entry.id, entry.sha256, digest)
     return leaves
 
 
@@ -229,9 +174,8 @@ def _float32(leaves: Leaves) -> dict[str, Any]:
 
 def _content_sha256(spec: PolicySpec, metadata: Mapping[str, Any], leaves: Leaves) -> str:
     """Return the sha256 that a policy file carries of itself: of spec, metadata and leaves."""
-    return sha256(
-        json.dumps([spec.to_json(), dict(metadata), row_sha256(leaves)], sort_keys=True).encode()
-    )
+    content = [spec.to_json(), dict(metadata), row_sha256(leaves)]
+    return json_sha256(content, spaced=True)
 
 
 def _spec(metadata: Mapping[str, Any], source: str) -> PolicySpec:

@@ -1,7 +1,6 @@
 """Parameters as bytes: flat leaves, their canonical hash, safetensors files. Never a pickle."""
 
 import hashlib
-import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,8 +11,8 @@ import safetensors
 import safetensors.numpy
 
 from assistax_base.bounded_reading import parse_json
+from assistax_base.digest import canonical_json, sha256
 from assistax_base.errors import FormatError, IntegrityError, shorten
-from assistax_base.files import sha256
 from population.networks import stack
 
 METADATA_KEY = "assistax"  # the only metadata key: bytes are stable with at most one
@@ -51,7 +50,7 @@ def row_sha256(leaves: Mapping[str, np.ndarray]) -> str:
 def encode(leaves: Leaves, metadata: Mapping[str, Any]) -> bytes:
     """Return the safetensors bytes of leaves, with JSON metadata; the same for equal input."""
     _check_leaves(leaves, "parameters")
-    text = json.dumps(metadata, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    text = canonical_json(metadata).decode()
     contiguous = {name: np.require(value, requirements="C") for name, value in leaves.items()}
     data = safetensors.numpy.save(contiguous, {METADATA_KEY: text})
     if int.from_bytes(data[:8], "little") > MAX_HEADER_BYTES:

@@ -6,14 +6,14 @@ from typing import Any
 
 from assistax_base.errors import SplitError, listing, shorten
 from assistax_base.files import exclusive
-from zoo.history.official import writable_registry
-from zoo.history.own_splits import keep_split
+from zoo.history.saving import keep_split, save_registry, writable_registry
 from zoo.ids import parse_team
 from zoo.locations import OWN, own_registry, own_splits_file
 from zoo.namespaces import qualify_split, split_namespace
-from zoo.registry import Registry, load_registry, save_registry
+from zoo.registry import Registry, load_registry
 from zoo.schema import RegistryFile, Split
-from zoo.splits import LEAVE_ONE_OUT, make_split, refuse_leak, shared_parameters
+from zoo.splits import refuse_leak, shared_parameters
+from zoo.splitting.rules import LEAVE_ONE_OUT, make_split
 from zoo.splitting.similar_humans import similar_leak, similar_pairs
 
 
@@ -37,11 +37,11 @@ def create_split(
         registry_path: The registry to write to; if not given, the one in use, or the user's own
             splits if that one is official.
         task: Task of the split.
-        rule: One of `zoo.splits.RULES`.
+        rule: One of `zoo.splitting.rules.RULES`.
         release: Release of the partners; the newest whole one that has the task if not given.
             "own:v0" is one of the user's own zoo.
         default: Make it the release's default split of the task.
-        **arguments: The others of `zoo.splits.make_split`.
+        **arguments: The others of `zoo.splitting.rules.make_split`.
 
     Raises:
         SplitError: The rule cannot be applied to the partners of the release.
@@ -139,5 +139,5 @@ def _no_partners(data: RegistryFile, task: str, release: str) -> SplitError:
         f"split of {shorten(task)} {shorten(release)}",
         f"a task and release with partners ({listing(present)})",
         "no partners",
-        "`assistax-zoo list --role human` prints the partners",
+        "`assistax-zoo list` prints the partners",
     )

@@ -62,10 +62,10 @@ def similar_pairs(registry: Registry, split: Split, threshold: float = THRESHOLD
             for side in (split.train, split.test)
         )
         if train and test:
-            found = differences(probe_actions(group))[np.ix_(train, test)]
+            distances = differences(probe_actions(group))[np.ix_(train, test)]
             pairs += [
-                Pair(names[train[i]], names[test[j]], float(found[i, j]))
-                for i, j in np.argwhere(found < threshold)
+                Pair(names[train[i]], names[test[j]], float(distances[i, j]))
+                for i, j in np.argwhere(distances < threshold)
             ]
     return sorted(pairs, key=lambda pair: pair.difference)
 
@@ -112,5 +112,5 @@ def similar_leak(split: str, pairs: Sequence[Pair]) -> LeakageError:
         f"split {split} leaks",
         f"humans whose actions differ by {THRESHOLD} or more across its sides",
         f"{len(pairs)} nearly alike: {listing(map(str, pairs), 3)}",
-        "put both of a pair on one side, or leave one out: `split create --rule custom`",
+        "put both of a pair on one side, or leave one out, by the rule `custom`",
     )

@@ -11,6 +11,7 @@ from assistax_base.parallel import run_all
 from zoo.history.merkle import root_problems
 from zoo.locations import (
     REMOTE_VARIABLE,
+    added_remote,
     cache_root,
     cached_registry,
     cached_shard,
@@ -18,7 +19,7 @@ from zoo.locations import (
     shard_root,
     write_errors,
 )
-from zoo.namespaces import split_namespace
+from zoo.namespaces import plain_name, split_namespace
 from zoo.parameters.storage import read_shard
 from zoo.registry import (
     MAX_REGISTRY_BYTES,
@@ -28,7 +29,6 @@ from zoo.registry import (
     parse_registry,
 )
 from zoo.schema import PolicyEntry
-from zoo.transport.other_zoos import added_remote
 from zoo.transport.remotes import Remote, open_remote, read_file
 from zoo.transport.transfer import Item, download
 from zoo.transport.updates import Accept, check_update, take_none
@@ -81,10 +81,10 @@ def fetch(
     counts, sources = [0, 0, 0], []  # shards, of them present, bytes
     for namespace, members in policies.items():
         source = _source(namespace, remote)
-        shards = list(dict.fromkeys(split_namespace(entry.shard)[1] for entry in members))
+        shards = list(dict.fromkeys(plain_name(entry.shard) for entry in members))
         sources += [source.name] if source else []
-        found = _fetch_part(registry.part(namespace), shards, source, on_total)
-        counts = [before + now for before, now in zip(counts, found, strict=True)]
+        fetched = _fetch_part(registry.part(namespace), shards, source, on_total)
+        counts = [before + now for before, now in zip(counts, fetched, strict=True)]
     return Report(
         registry=str(registry.path),
         remote=", ".join(sources) or None,
@@ -110,8 +110,9 @@ def check_local(registry: Registry, entries: Iterable[PolicyEntry]) -> None:
             f"parameters of {sum(shard in missing for shard in shards)} of {len(shards)} policies",
             "all on this machine",
             f"{len(missing)} shards missing ({listing(sorted(missing), 2)})",
-            "add --fetch, or run `assistax-zoo fetch` before",
+            "fetch them before, by `assistax-zoo fetch` or `assistax_zoo.fetch`",
             "nothing was loaded",
+            remedy="fetch before",
         )
 
 
@@ -211,6 +212,7 @@ def _no_remote(registry: Registry, missing: Sequence[str]) -> RemoteError:
         f"shards of {registry.path}",
         f"all in {shard_root(registry.path)} or in the cache",
         f"{len(missing)} missing ({listing(missing, 2)})",
-        "say where to take them from: --from FOLDER, https://... or hf://org/name, "
-        f"`assistax-zoo config remote`, or ${REMOTE_VARIABLE}",
+        "say where to take them from: a folder, https://... or hf://org/name, also by "
+        f"`assistax-zoo config remote` or ${REMOTE_VARIABLE}",
+        remedy="name a remote",
     )

@@ -4,6 +4,9 @@ import contextlib
 from collections.abc import Generator
 from typing import NoReturn
 
+from huggingface_hub import HfApi, constants, errors, hf_hub_url
+from huggingface_hub.utils import build_hf_headers
+
 from assistax_base.errors import MissingRepositoryError, RemoteError, listing, nearest
 from zoo.transport.remotes import HttpRemote, network_errors, refuse_status, with_retries
 
@@ -25,19 +28,13 @@ class HubRemote(HttpRemote):
 
     def url(self, path: str) -> str:
         """Return the address of a file at the commit."""
-        from huggingface_hub import constants, hf_hub_url
-
         return hf_hub_url(self.repo, path, revision=self.revision, endpoint=constants.ENDPOINT)
 
     def headers(self) -> dict[str, str]:
         """Return the hub's headers: the user's token, if any, and the client's name."""
-        from huggingface_hub.utils import build_hf_headers
-
         return build_hf_headers(library_name="assistax-zoo")
 
     def _resolve(self) -> str:
-        from huggingface_hub import HfApi, constants
-
         with hub_errors(self):
             info = HfApi(endpoint=constants.ENDPOINT).model_info(
                 self.repo, revision=self.ref, timeout=_timeout()
@@ -52,8 +49,6 @@ class HubRemote(HttpRemote):
 @contextlib.contextmanager
 def hub_errors(remote: HubRemote) -> Generator[None]:
     """Turn what the hub's client raises into `RemoteError` and `TransientError`."""
-    from huggingface_hub import errors
-
     try:
         with network_errors(remote):
             yield
@@ -73,8 +68,6 @@ def hub_errors(remote: HubRemote) -> Generator[None]:
 
 
 def _refuse_revision(remote: HubRemote) -> NoReturn:
-    from huggingface_hub import HfApi, constants
-
     with network_errors(remote):
         refs = HfApi(endpoint=constants.ENDPOINT).list_repo_refs(remote.repo)
     known = [ref.name for ref in (*refs.branches, *refs.tags)]
@@ -88,11 +81,8 @@ def _refuse_revision(remote: HubRemote) -> NoReturn:
 
 
 def _refuse_repository(remote: HubRemote) -> NoReturn:
-    from huggingface_hub import HfApi, constants
-    from huggingface_hub.errors import HfHubHTTPError
-
     for kind in ("dataset", "space"):
-        with contextlib.suppress(HfHubHTTPError), network_errors(remote):
+        with contextlib.suppress(errors.HfHubHTTPError), network_errors(remote):
             HfApi(endpoint=constants.ENDPOINT).repo_info(
                 remote.repo, repo_type=kind, timeout=_timeout()
             )
@@ -107,6 +97,4 @@ def _refuse_repository(remote: HubRemote) -> NoReturn:
 
 
 def _timeout() -> float:
-    from huggingface_hub import constants
-
     return constants.HF_HUB_DOWNLOAD_TIMEOUT

@@ -10,8 +10,10 @@ from collections.abc import Sequence
 from assistax_base.errors import IdError, UnknownIdError, listing
 from assistax_base.files import atomic_write
 from zoo.ids import check_name
-from zoo.locations import OWN, added_registries, added_registry, write_errors
+from zoo.locations import OWN, added_registries, added_registry, added_remote, write_errors
 from zoo.registry import Registry, load_registry
+from zoo.transport.fetch import remote_registry
+from zoo.transport.remotes import open_remote
 from zoo.transport.updates import Accept, check_update, refuse_changes, take_none
 
 
@@ -30,21 +32,18 @@ def add(remote: str, namespace: str, accept: Accept = take_none) -> Registry:
         UpdateError: Changes are not accepted; the error lists them.
         ZooError: The remote has no registry, or cannot be reached.
     """
-    from zoo.transport.fetch import remote_registry
-    from zoo.transport.remotes import open_remote
-
     if namespace == OWN:
         raise IdError("namespace", "another name", f"{OWN!r}, which the user's own zoo has")
     path, source = added_registry(check_name("namespace", namespace)), open_remote(remote)
     accept = _once(accept)
-    found = remote_registry(source, accept)
+    registry = remote_registry(source, accept)
     if path.is_file():
         before = added_remote(namespace)
         moved = [f"it comes from {source.name}, not from {before}"] if before != source.name else []
         if moved and not accept(moved):
             refuse_changes(source.name, moved)
-        check_update(load_registry(path), found, source.name, accept)
-    content = found.path.read_bytes()
+        check_update(load_registry(path), registry, source.name, accept)
+    content = registry.path.read_bytes()
     with write_errors(path, len(content)):
         atomic_write(path.with_name("remote"), source.name.encode())
         atomic_write(path, content)
@@ -61,12 +60,6 @@ def _once(accept: Accept) -> Accept:
         return list(changes) in accepted
 
     return ask
-
-
-def added_remote(namespace: str) -> str | None:
-    """Return where a zoo was added from; None for the user's own zoo."""
-    path = added_registry(namespace).with_name("remote")
-    return None if namespace == OWN else path.read_text("utf-8")
 
 
 def remove(namespace: str) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NoReturn, Protocol, TypeVar
 
 from assistax_base.errors import MissingFileError, OfflineError, RemoteError, ZooError, shorten
+from assistax_base.extras import optional
 from assistax_base.parallel import run_all
 
 CHUNK = 1 << 20
@@ -51,12 +52,10 @@ class Remote(Protocol):
     @property
     def name(self) -> str:
         """How the user called it."""
-        ...
 
     @property
     def revision(self) -> str | None:
         """The commit that is read, where the remote has commits; it is asked for once."""
-        ...
 
     def open(self, path: str, start: int = 0) -> contextlib.AbstractContextManager[Stream]:
         """Open a file's bytes from `start` on.
@@ -65,7 +64,6 @@ class Remote(Protocol):
             RemoteError: The file is not there or cannot be read.
             TransientError: It may be there on the next attempt.
         """
-        ...
 
 
 def open_remote(text: str | Path) -> Remote:
@@ -159,12 +157,16 @@ class FileRemote:
         """Open a file's bytes, as `Remote.open`."""
         with contextlib.ExitStack() as stack:
             with self._errors(path):
-                import fsspec
-
-                system, root = fsspec.url_to_fs(self.name)
-                file = stack.enter_context(system.open(f"{root.rstrip('/')}/{path}", "rb"))
+                file = stack.enter_context(self._opened(path))
                 file.seek(start)
             yield start, self._chunks(file, path)
+
+    def _opened(self, path: str) -> Any:
+        if "://" not in self.name:
+            return Path(self.name, path).open("rb")
+        fsspec = optional("fsspec", f"a remote such as {shorten(self.name)}", "remotes")
+        system, root = fsspec.url_to_fs(self.name)
+        return system.open(f"{root.rstrip('/')}/{path}", "rb")
 
     def _chunks(self, file: Any, path: str) -> Iterator[bytes]:
         while True:

@@ -89,12 +89,12 @@ class _Transfer:
         if self.size > self.item.bytes:
             self._restart()
         resumed = self.size > 0
-        found = self._complete()
-        if found != self.item.sha256 and resumed:
+        digest = self._complete()
+        if digest != self.item.sha256 and resumed:
             self._restart()
-            found = self._complete()
-        if found != self.item.sha256:
-            self._refuse(f"sha256 {self.item.sha256}", f"sha256 {found}")
+            digest = self._complete()
+        if digest != self.item.sha256:
+            self._refuse(f"sha256 {self.item.sha256}", f"sha256 {digest}")
 
     def _complete(self) -> str:
         """Fetch what is missing, and return the sha256 of the whole."""

@@ -43,35 +43,35 @@ def check_update(old: Registry, new: Registry, source: str, accept: Accept = tak
             f"ask its owner; to believe the new one, delete {old.path}",
             kept,
         )
-    found = changes(old.data, new.data)
-    if found and not accept(found):
-        refuse_changes(source, found)
+    changed = changes(old.data, new.data)
+    if changed and not accept(changed):
+        refuse_changes(source, changed)
 
 
-def refuse_changes(source: str, found: Sequence[str]) -> None:
+def refuse_changes(source: str, changed: Sequence[str]) -> None:
     """Raise the error for changes that were not accepted."""
     raise UpdateError(
-        f"registry.json of {source}", "what it was when it was last read", "; ".join(found)
+        f"registry.json of {source}", "what it was when it was last read", "; ".join(changed)
     )
 
 
 def changes(old: RegistryFile, new: RegistryFile) -> list[str]:
     """Return what a registry that has grown otherwise changed, in words."""
-    found = []
+    changed = []
     if new.release != old.release:
-        found.append(f"the default release is {new.release}, was {old.release}")
+        changed.append(f"the default release is {new.release}, was {old.release}")
     for name, release in old.releases.items():
         now = new.releases[name]
         for task in sorted({*release.splits, *now.splits}):
             before, after = _default(old, name, task), _default(new, name, task)
             if before != after:
-                found.append(f"the default split of {task} in {name} is {after}, was {before}")
-        found += [
+                changed.append(f"the default split of {task} in {name} is {after}, was {before}")
+        changed += [
             f"{field} of {name} is {getattr(now, field)!r}, was {getattr(release, field)!r}"
             for field in ("date", "description", "citation")
             if getattr(now, field) != getattr(release, field)
         ]
-    return found + [
+    return changed + [
         f"disability setting {name} is another"
         for name, setting in old.disability_settings.items()
         if new.disability_settings.get(name) != setting

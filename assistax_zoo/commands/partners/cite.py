@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
+from assistax_base.digest import sha256
 from assistax_base.errors import printable
-from assistax_base.files import sha256
 from assistax_zoo.commands.options import Source
 from assistax_zoo.shell.console import answer
 from zoo.history.official import is_official
 from zoo.lock import read_lock
-from zoo.namespaces import split_namespace
+from zoo.namespaces import plain_name
 from zoo.registry import Registry, load_registry
 
 PAPER = """@inproceedings{hinckeldey2025assistax,
@@ -41,12 +41,12 @@ def cite(*, release: str | None = None, source: Source = Source(), json: bool = 
         assistax-zoo cite --lock assistax-zoo.lock >> paper.bib
     """
     registry = load_registry(source.registry)
-    found = {
+    entries = {
         "paper": PAPER,
         "software": _software(registry.data.releases[registry.release].date[:4]),
         "partners": _partners(registry, release, source.lock),
     }
-    answer(json, found, "\n\n".join(found.values()))
+    answer(json, entries, "\n\n".join(entries.values()))
 
 
 def _software(year: str) -> str:
@@ -67,8 +67,7 @@ def _partners(registry: Registry, release: str | None, lock: Path | None) -> str
     name = release or (pinned.release if pinned else registry.release)
     registry.select(release=name)  # refuses an unknown one
     published = registry.data.releases[name]
-    namespace, plain = split_namespace(name)
-    part = registry.part(namespace)
+    part, plain = registry.part_of(name)
     splits, facts = published.splits.values(), [f"root {registry.root(name)}"]
     if pinned and lock:
         if pinned.release != name:
@@ -76,12 +75,12 @@ def _partners(registry: Registry, release: str | None, lock: Path | None) -> str
         splits = [split.id for split in pinned.splits.values()]
         facts = [f"root {pinned.root}", f"lock {pinned.sha256}"]
     facts += [f"registry {sha256(part.path.read_bytes())}"]
-    facts += [f"split {split_namespace(split)[1]}" for split in sorted(splits)]
+    facts += [f"split {plain_name(split)}" for split in sorted(splits)]
     fields = {"title": f"assistax-zoo Partners, Release {plain}", **_authorship(part, plain)}
     fields |= {"year": published.date[:4], "note": "; ".join(facts)}
     lines = ",\n".join(f"  {field} = {{{value}}}" for field, value in fields.items())
     unnamed = "" if "author" in fields else f"% release {name} names no authors: ask its makers\n"
-    key = "_".join(filter(None, ("assistax_zoo", namespace, plain)))
+    key = "_".join(filter(None, ("assistax_zoo", *name.split(":"))))
     return f"{unnamed}@misc{{{key},\n{lines}\n}}"
 
 

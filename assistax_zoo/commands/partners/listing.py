@@ -192,8 +192,8 @@ def _replay_teams(
 def _replay_lines(result: "SelfPlayReport") -> list[str]:
     """Return expected and found returns of each team, the versions, and a verdict."""
     done = "replayed" if result.ok else f"{len(result.problems)} problems in"
-    told = "not replayed, trained on another version of the environment: "
-    outdated = [told + ", ".join(result.outdated)] if result.outdated else []
+    start = "not replayed, trained on another version of the environment: "
+    outdated = [start + ", ".join(result.outdated)] if result.outdated else []
     return [
         ", ".join(f"{name} {version}" for name, version in result.versions.items()),
         *(_team_line(team, result.episodes) for team in result.teams),

@@ -12,8 +12,9 @@ from assistax_base.errors import printable
 from assistax_zoo.shell.console import answer, confirm, progress
 from zoo.ids import release_number
 from zoo.locations import default_remote, set_default_remote
-from zoo.lock import locked_entries, make_lock, read_lock, write_lock
-from zoo.namespaces import split_namespace
+from zoo.lock import locked_entries, read_lock
+from zoo.locking import make_lock, write_lock
+from zoo.namespaces import plain_name, split_namespace
 from zoo.registry import load_registry
 from zoo.transport.remotes import open_remote
 
@@ -111,8 +112,8 @@ def add(
 
     added = add_zoo(remote, as_, _accept(remote, yes))
     count = len(added.policies)
-    told = f"{count} policies as {as_}:...; next: assistax-zoo fetch '{as_}:*'"
-    answer(json, {"name": as_, "policies": count, "registry": added.path}, told)
+    line = f"{count} policies as {as_}:...; next: assistax-zoo fetch '{as_}:*'"
+    answer(json, {"name": as_, "policies": count, "registry": added.path}, line)
 
 
 def remove(name: str) -> None:
@@ -175,8 +176,8 @@ def lock(
     """
     loaded = load_registry(registry)
     if release is None:
-        found = loaded.select(pattern, task=task)
-        own = [entry for entry in found if ":" not in entry.release] or found
+        matching = loaded.select(pattern, task=task)
+        own = [entry for entry in matching if ":" not in entry.release] or matching
         zoos = {(entry.task, split_namespace(entry.release)[0]) for entry in own}
         release = max(starmap(loaded.release_of, zoos), key=release_number)
     entries = loaded.select(pattern, task=task, release=release)
@@ -185,9 +186,10 @@ def lock(
     lines = [f"locked {len(made.policies)} policies of release {made.release} in {out}"]
     for name in made.environments:
         pinned = made.splits.get(name)
-        told = f"split {pinned.id}" if pinned else "no split: not all its partners are locked"
-        lines.append(f"  {name}: {told}")
-    answer(json, {"lock": out, **made.model_dump(mode="json")}, *lines)
+        text = f"split {pinned.id}" if pinned else "no split: not all its partners are locked"
+        lines.append(f"  {name}: {text}")
+    shards = {entry.shard: loaded.data.shards[entry.shard].sha256 for entry in entries}
+    answer(json, {"lock": out, **made.model_dump(mode="json"), "shards": shards}, *lines)
 
 
 def _accept(remote: str, yes: bool) -> Callable[[Sequence[str]], bool]:
@@ -196,7 +198,7 @@ def _accept(remote: str, yes: bool) -> Callable[[Sequence[str]], bool]:
 
 def _task_split(name: str, task: str | None) -> tuple[str, str]:
     """Return the task that a split's name says, or `task`, and the name."""
-    rest = split_namespace(name)[1]
+    rest = plain_name(name)
     said, slash, _ = rest.partition("/")
     if not slash and task is None:
         raise ValueError(f"split is {name!r}; name its task too, as TASK/{rest}")

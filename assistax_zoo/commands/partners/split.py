@@ -9,8 +9,8 @@ from assistax_zoo.commands.partners.listing import table_lines
 from assistax_zoo.shell.console import answer
 from zoo.registry import Registry, load_registry
 from zoo.schema import Rule, Split
-from zoo.splits import LEAVE_ONE_OUT
 from zoo.splitting.create import create_split, partner_teams
+from zoo.splitting.rules import LEAVE_ONE_OUT
 
 
 def list_splits(
@@ -31,11 +31,11 @@ def list_splits(
     defaults = {
         split for release in loaded.data.releases.values() for split in release.splits.values()
     }
-    found = [{**_brief(split), "default": split.id in defaults} for split in splits]
+    table = [{**_brief(split), "default": split.id in defaults} for split in splits]
     names = ("id", "rule", "n_train", "n_test")
-    rows = [(*(str(one[name]) for name in names), "yes" * one["default"]) for one in found]
+    rows = [(*(str(row[name]) for name in names), "yes" * row["default"]) for row in table]
     columns = ("split", "rule", "train", "test", "default")
-    answer(json, found, *table_lines(columns, rows, f"{len(splits)} splits"))
+    answer(json, table, *table_lines(columns, rows, f"{len(splits)} splits"))
 
 
 def show(id: str, *, registry: Path | None = None, json: bool = False) -> None:
@@ -152,9 +152,9 @@ def verify(id: str | None = None, *, registry: Path | None = None, json: bool = 
                 problems[name] = str(similar_leak(name, alike))
         except ZooError as error:
             problems[name] = str(error)
-    told = f"{len(names) - len(problems)} of {len(names)} splits verified"
+    verdict = f"{len(names) - len(problems)} of {len(names)} splits verified"
     content = {"ok": not problems, "splits": names, "problems": problems}
-    answer(json, content, *problems.values(), told)
+    answer(json, content, *problems.values(), verdict)
     if problems:
         raise SystemExit(1)
 

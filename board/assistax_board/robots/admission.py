@@ -122,7 +122,8 @@ def make_policy(spec: Any) -> Any:
 
 def _read_safetensors(data: bytes, observation_size: int, action_size: int) -> Robot:
     from assistax_base.errors import ZooError
-    from zoo.parameters.storage import check_params, read_policy_file
+    from zoo.parameters.encoding import check_params
+    from zoo.parameters.storage import read_policy_file
     from zoo.parameters.tensors import flatten
 
     with tempfile.TemporaryDirectory() as folder:

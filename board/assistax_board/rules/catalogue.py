@@ -4,7 +4,7 @@ import dataclasses
 import functools
 from typing import Any, Protocol
 
-from assistax_board.store.canonical import digest
+from assistax_base.digest import json_sha256
 
 HIDDEN_EPISODES = 16  # at least, with each partner of panels A and B
 CHUNK = 25  # partners in a job: 200 to 450 simulations, seconds of two cores
@@ -43,7 +43,7 @@ class Catalogue(Protocol):
 
 def version_id(identity: dict[str, Any]) -> str:
     """Return the id of a version: scores of two are never mixed."""
-    return digest(identity)
+    return json_sha256(identity)
 
 
 def panel_episodes(task: str, panel: str) -> int:
@@ -93,7 +93,7 @@ class ZooCatalogue:
             "evaluator": EVALUATOR_VERSION,
             "engine": engine(self._backend),
             "jax": version("jax"),
-            "panel": digest([[entry.id, entry.sha256] for entry in self._entries(task)]),
+            "panel": json_sha256([[entry.id, entry.sha256] for entry in self._entries(task)]),
             "episodes": panel_episodes(task, "public"),
             "hidden_episodes": panel_episodes(task, "A"),
             "starts": "own",  # of each partner, the same for every robot
@@ -108,7 +108,8 @@ class ZooCatalogue:
         """
         from evaluation.figures.normalised import REFERENCE_ROWS, SELF_PLAY
         from zoo.ids import EGO
-        from zoo.met import known_humans, met_in_training
+        from zoo.met.claims import known_humans
+        from zoo.met.published import met_in_training
 
         robots = self._registry.of_task(task, "robot")
         found = {name: name for name in REFERENCE_ROWS}

@@ -6,13 +6,13 @@ accepted once (see `results`).
 """
 
 import dataclasses
-import hashlib
 import secrets
 from collections.abc import Sequence
 from typing import Any
 
 import sqlalchemy as sa
 
+from assistax_base.digest import sha256
 from assistax_board.ids import new_id
 from assistax_board.store import schema as t
 from assistax_board.store.database import Database
@@ -86,7 +86,7 @@ def lease_job(
         secret = secrets.token_urlsafe(32)
         values = {
             "state": "leased",
-            "lease": _sha256(secret),
+            "lease": sha256(secret.encode()),
             "worker": worker,
             "leased_at": now,
             "expires_at": now + LEASE_SECONDS,
@@ -142,7 +142,7 @@ def fail_job(database: Database, job: str, secret: str) -> str | None:
 def held_job(connection: sa.Connection, job: str, secret: str) -> Any:
     """Return the row of a job that this lease was the last to hold, also after it ran out."""
     row = connection.execute(sa.select(t.jobs).where(c.id == job)).first()
-    return row if row is not None and row.lease == _sha256(secret) else None
+    return row if row is not None and row.lease == sha256(secret.encode()) else None
 
 
 def release_held(connection: sa.Connection, submission: str, version: str) -> None:
@@ -166,8 +166,4 @@ def _put_back(connection: sa.Connection, job: str, failures: int) -> None:
 
 
 def _held(job: str, secret: str) -> tuple[Any, ...]:
-    return c.id == job, c.state == "leased", c.lease == _sha256(secret)
-
-
-def _sha256(secret: str) -> str:
-    return hashlib.sha256(secret.encode()).hexdigest()
+    return c.id == job, c.state == "leased", c.lease == sha256(secret.encode())

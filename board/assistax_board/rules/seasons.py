@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import sqlalchemy as sa
 
+from assistax_base.digest import leaf_sha256, merkle_root
 from assistax_board.ids import new_id
 from assistax_board.problems import Problem
 from assistax_board.rules.closing import find_season
@@ -23,7 +24,6 @@ from assistax_board.store import ledger
 from assistax_board.store import schema as t
 from assistax_board.store.artefacts import Artefacts, record_artefact
 from assistax_board.store.database import Database
-from assistax_board.store.merkle import merkle_root
 
 if TYPE_CHECKING:
     from zoo.registry import Registry
@@ -119,7 +119,7 @@ def open_season(database: Database, name: str, now: float, closes_at: float | No
     with database.write() as connection:
         row = find_season(database, connection, name, "draft", None)
         _check_unseen(connection, row.id, row.secret["leaves"])
-        root = merkle_root(row.secret["leaves"])
+        root = merkle_root(map(leaf_sha256, row.secret["leaves"]))
         values = {"state": "open", "root": root, "opened_at": now, "closes_at": closes_at}
         connection.execute(sa.update(t.seasons).where(c.id == row.id).values(values))
         body = {"season": row.id, "name": row.name, "task": row.task, "root": root}
@@ -164,7 +164,7 @@ def verify_season(statement: dict[str, Any], packed: bytes, root: str, folder: P
     Raises:
         ValueError: Something differs.
     """
-    if merkle_root(statement["leaves"]) != root:
+    if merkle_root(map(leaf_sha256, statement["leaves"])) != root:
         raise ValueError("the leaves are not those whose root was published when it opened")
     entries = hidden_partners(unpack(packed, folder), statement["task"])
     told = [leaf for leaf in statement["leaves"] if "policy" in leaf]

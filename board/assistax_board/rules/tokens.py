@@ -1,12 +1,12 @@
 """Tokens: who asks, and what they may do. Only hashes are kept; they travel in headers alone."""
 
 import dataclasses
-import hashlib
 import secrets
 from collections.abc import Sequence
 
 import sqlalchemy as sa
 
+from assistax_base.digest import sha256
 from assistax_board.ids import new_id
 from assistax_board.problems import Problem
 from assistax_board.store import schema as t
@@ -65,7 +65,7 @@ def create_token(
         owner = find_or_add(connection, submitter, contact, now) if submitter else None
         row = {
             "id": new_id(8),
-            "sha256": _sha256(token),
+            "sha256": sha256(token.encode()),
             "scopes": list(scopes),
             "submitter": owner,
             "label": label,
@@ -83,7 +83,9 @@ def authenticate(database: Database, token: str) -> Principal:
     """
     c = t.tokens.c
     with database.read() as connection:
-        query = sa.select(t.tokens).where(c.sha256 == _sha256(token), c.revoked_at.is_(None))
+        query = sa.select(t.tokens).where(
+            c.sha256 == sha256(token.encode()), c.revoked_at.is_(None)
+        )
         row = connection.execute(query).first()
     if row is None:
         raise Problem("not_signed_in", "this token is not valid; ask the organiser for one")
@@ -134,7 +136,3 @@ def find_or_add(connection: sa.Connection, name: str, contact: str | None, now: 
     row = {"id": new_id(), "name": name, "contact": contact, "created_at": now}
     connection.execute(sa.insert(t.submitters).values(row))
     return row["id"]
-
-
-def _sha256(token: str) -> str:
-    return hashlib.sha256(token.encode()).hexdigest()

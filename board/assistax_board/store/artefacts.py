@@ -6,7 +6,8 @@ from typing import Any
 import fsspec
 import sqlalchemy as sa
 
-from assistax_base.files import atomic_write, sha256
+from assistax_base.digest import sha256
+from assistax_base.files import atomic_write
 from assistax_board.problems import Problem
 from assistax_board.store import schema as t
 from assistax_board.store.database import insert_once

@@ -9,7 +9,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from assistax_board.store.canonical import digest
+from assistax_base.digest import json_sha256
 from assistax_board.store.database import Database
 from assistax_board.store.queries import LedgerEntry
 from assistax_board.store.schema import ledger
@@ -32,7 +32,7 @@ def append(
 
 def entry_hash(seq: int, at: float, kind: str, body: dict[str, Any], previous: str) -> str:
     """Return the sha256 over an entry and the hash of the one before."""
-    return digest([seq, at, kind, body, previous])
+    return json_sha256([seq, at, kind, body, previous])
 
 
 def check_chain(entries: Iterable[LedgerEntry], previous: str = START, seq: int = 0) -> int:

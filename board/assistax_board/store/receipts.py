@@ -12,8 +12,8 @@ from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
+from assistax_base.digest import canonical_json
 from assistax_base.files import atomic_write
-from assistax_board.store.canonical import canonical
 
 KEY_FILE = "signing-key.pem"
 
@@ -32,7 +32,7 @@ class Signer:
 
     def sign(self, content: dict[str, Any]) -> str:
         """Return the signature of a content, as base64."""
-        return base64.b64encode(self._key.sign(canonical(content))).decode("ascii")
+        return base64.b64encode(self._key.sign(canonical_json(content))).decode("ascii")
 
 
 def load_signer(folder: Path) -> Signer:
@@ -62,7 +62,7 @@ def verify_receipt(receipt: dict[str, Any], public_key: str) -> dict[str, Any]:
     try:
         content, signature = receipt["content"], base64.b64decode(receipt["signature"])
         key = Ed25519PublicKey.from_public_bytes(base64.b64decode(public_key))
-        key.verify(signature, canonical(content))
+        key.verify(signature, canonical_json(content))
     except InvalidSignature:
         raise ValueError(
             "the receipt was not signed by this key, or was changed after it was signed"

@@ -13,7 +13,7 @@ from assistax_workshop.plans.training import PlanTraining
 from assistax_zoo.commands.partners.listing import table_lines
 from assistax_zoo.commands.training.train import shown_training
 from assistax_zoo.shell.console import answer
-from zoo.history.official import writable_registry
+from zoo.history.saving import writable_registry
 from zoo.locations import own_registry
 
 

@@ -27,7 +27,7 @@ from pydantic import (
 )
 
 from assistax_base.files import atomic_path
-from assistax_base.validated import Many, checked, first_problem
+from assistax_base.validated import Many, first_problem, validated
 from population.config import (
     Member,
     Precision,
@@ -48,7 +48,7 @@ Key = tuple[str, int]  # disability setting and seed: a team within its group
 Release = Annotated[str, Field(pattern=r"^v(0|[1-9][0-9]*)$")]
 
 
-@checked
+@validated
 class Group:
     """Teams of one task and algorithm that train side by side."""
 
@@ -110,7 +110,7 @@ class Group:
         )
 
 
-@checked
+@validated
 class Plan:
     """The teams of a release."""
 

@@ -18,7 +18,7 @@ from assistax_workshop.press.release import complete_release
 from assistax_workshop.press.republish import read_published
 from assistax_workshop.press.trained_runs import TrainedTeam, read_run
 from population.runs.folder import RunFolder
-from zoo.history.official import writable_registry
+from zoo.history.saving import writable_registry
 from zoo.registry import Registry, load_registry
 
 # Given a block, a context that lends what its training reports to.

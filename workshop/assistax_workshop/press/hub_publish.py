@@ -8,6 +8,9 @@ from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
 
+from huggingface_hub import CommitOperationAdd, HfApi, constants
+from huggingface_hub.errors import HfHubHTTPError
+
 from assistax_base.errors import (
     MissingFileError,
     MissingRepositoryError,
@@ -93,8 +96,6 @@ def _publish_to_folder(
 def _publish_to_hub(
     teams: Sequence[TrainedTeam], remote: HubRemote, release: str, **arguments: Any
 ) -> Publication:
-    from huggingface_hub import HfApi, constants
-
     api = HfApi(endpoint=constants.ENDPOINT, library_name="assistax-zoo")
     with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as temporary:
         path = Path(temporary) / "registry.json"
@@ -149,7 +150,6 @@ def _files(remote: HubRemote, registry: Registry) -> dict[str, bytes]:
 
 def _commit(api: Any, remote: HubRemote, files: dict[str, bytes], release: str, added: int) -> str:
     """Make the commit, return its id; a lost answer is looked up, so that none is made twice."""
-    from huggingface_hub import CommitOperationAdd
 
     def commit() -> str:
         try:
@@ -203,8 +203,6 @@ class _ConflictError(Exception):
 @contextlib.contextmanager
 def _hub(remote: HubRemote, deed: str) -> Generator[None]:
     """Turn what a writing call raises into `PublishError`, `TransientError` or a conflict."""
-    from huggingface_hub.errors import HfHubHTTPError
-
     try:
         with hub_errors(remote):
             try:

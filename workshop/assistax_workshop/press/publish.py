@@ -5,28 +5,23 @@ they are. A shard left behind by a killed publication is in no registry, hence i
 next publication replaces it.
 """
 
-import dataclasses
 import datetime
-import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
 
-from pydantic import ValidationError
-
+from assistax_base.digest import sha256
 from assistax_base.errors import ImmutableError, PublishError, listing
-from assistax_base.files import atomic_write, exclusive, sha256
-from assistax_envs.disability import DISABILITY_SETTINGS
+from assistax_base.files import atomic_write, exclusive
 from assistax_envs.versions import VERSIONS
+from assistax_workshop.press.candidates import Candidate, Check, make_candidate
 from assistax_workshop.press.release import completed, signed
 from assistax_workshop.press.trained_runs import TrainedTeam
 from population.networks.spec import PolicySpec, Role
-from zoo.history.official import writable_registry
-from zoo.ids import EGO, TeamId, check_name, same_team
+from zoo.history.saving import save_registry, writable_registry
+from zoo.ids import check_name, same_team
 from zoo.locations import shard_root
-from zoo.parameters.storage import check_params, encode_shard
-from zoo.parameters.tensors import Leaves, flatten, row_sha256
-from zoo.registry import Registry, load_registry, save_registry
+from zoo.parameters.encoding import check_params, encode_shard
+from zoo.registry import Registry, load_registry
 from zoo.schema import (
     SCHEMA_VERSION,
     Citation,
@@ -34,45 +29,11 @@ from zoo.schema import (
     PolicyRow,
     RegistryFile,
     Release,
-    SelfPlay,
     Shard,
     Team,
-    TrainedAgainst,
     Training,
-    first_problem,
 )
 from zoo.verify import installed_settings
-
-Check = Callable[[PolicySpec, Leaves, str], None]
-_IDENTITY = (
-    "run",
-    "task",
-    "algorithm",
-    "disability",
-    "seed",
-    "release",
-)  # stand in the id or as the run's key
-
-
-@dataclasses.dataclass(frozen=True)
-class _Candidate:
-    """A team to publish, with what its registry entry needs."""
-
-    team: TeamId
-    specs: Mapping[Role, PolicySpec]
-    leaves: Mapping[Role, Leaves]
-    hashes: Mapping[Role, str]
-    run: str
-    training: Training
-    self_play: SelfPlay | None
-    trained_against: TrainedAgainst | None
-
-    def entry(self, run: str, policies: dict[Role, PolicyRow]) -> Team | Ego:
-        """Return its registry entry."""
-        if self.trained_against is None:
-            return Team(run=run, self_play=self.self_play, policies=policies)
-        rows: dict[Literal["robot"], PolicyRow] = {"robot": policies["robot"]}
-        return Ego(run=run, trained_against=self.trained_against, policies=rows)
 
 
 def publish(
@@ -120,7 +81,7 @@ def publish(
     writable_registry(path)
     check_name("release", release)
     created = Release(date=_day(date), description=description, environments={}, citation=citation)
-    candidates = [_candidate(team, release, check) for team in teams]
+    candidates = [make_candidate(team, release, check) for team in teams]
     with exclusive(path):
         old = load_registry(path) if path.exists() else None
         base = old.data if old else _empty(release, created)
@@ -145,66 +106,6 @@ def _day(date: str | None) -> str:
         ) from None
 
 
-def _candidate(team: TrainedTeam, release: str, check: Check) -> _Candidate:
-    name = _name(team, release)
-    leaves = {role: flatten(team.params[role]) for role in team.specs}
-    for role, spec in team.specs.items():
-        check(spec, leaves[role], f"parameters of {name}/{role}")
-    hashes = {role: row_sha256(leaves[role]) for role in leaves}
-    training = dict(team.training)
-    run = str(training.get("run") or f"{team.task}-{team.algorithm}")
-    try:
-        provenance = Training.model_validate_json(json.dumps(_sorted_provenance(training)))
-        figures = (
-            SelfPlay.model_validate_json(json.dumps(team.self_play)) if team.self_play else None
-        )
-        against = TrainedAgainst(**team.trained_against) if team.trained_against else None
-    except (ValidationError, TypeError) as error:
-        found = first_problem(error) if isinstance(error, ValidationError) else str(error)
-        raise PublishError(f"team {name}", "provenance and figures of the schema", found) from None
-    return _Candidate(name, team.specs, leaves, hashes, run, provenance, figures, against)
-
-
-def _name(team: TrainedTeam, release: str) -> TeamId:
-    """Return the id under which a team, or the robot of a `train-ego` run, is published."""
-    if team.is_ego:
-        if not team.trained_against:
-            found = "none: split.json is missing (`assistax-zoo train-ego --resume` writes it)"
-            raise PublishError(
-                f"ego {team.task}/{team.algorithm} seed {team.seed}",
-                "the split that it was trained against",
-                found,
-            )
-        return TeamId(team.task, team.algorithm, EGO, team.seed, release)
-    if team.disability not in DISABILITY_SETTINGS:
-        label = f"disability of {team.task}/{team.algorithm} seed {team.seed}"
-        raise PublishError(label, f"one of {listing(DISABILITY_SETTINGS, 12)}", team.disability)
-    return TeamId(team.task, team.algorithm, team.disability, team.seed, release)
-
-
-def _sorted_provenance(training: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the training record by the schema's fields; the rest goes to `notes`, flattened."""
-    fields = Training.model_fields
-    known = {name: training[name] for name in fields if training.get(name) is not None}
-    rest = {name: training[name] for name in training if name not in (*fields, *_IDENTITY)}
-    known["notes"] = {**known.get("notes", {}), **rest}
-    for field in ("hyperparameters", "notes"):
-        known[field] = dict(sorted(_scalars(known.get(field, {})).items()))
-    return known
-
-
-def _scalars(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for name, value in table.items():
-        if isinstance(value, Mapping):
-            flat |= _scalars(value, f"{prefix}{name}.")
-        elif isinstance(value, list | tuple):
-            flat[f"{prefix}{name}"] = ",".join(map(str, value))
-        else:
-            flat[f"{prefix}{name}"] = value
-    return flat
-
-
 def _empty(release: str, created: Release) -> RegistryFile:
     return RegistryFile(
         schema_version=SCHEMA_VERSION,
@@ -217,7 +118,7 @@ def _empty(release: str, created: Release) -> RegistryFile:
     )
 
 
-def _fresh(data: RegistryFile, candidates: Sequence[_Candidate]) -> list[_Candidate]:
+def _fresh(data: RegistryFile, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Return the candidates not published yet, in order; refuse what would change others."""
     if not candidates:
         raise PublishError("publication", "at least one team", "none")
@@ -226,7 +127,7 @@ def _fresh(data: RegistryFile, candidates: Sequence[_Candidate]) -> list[_Candid
         for team, entry in data.members.items()
         for role, row in entry.policies.items()
     }
-    fresh: dict[str, _Candidate] = {}
+    fresh: dict[str, Candidate] = {}
     for candidate in sorted(candidates, key=lambda candidate: candidate.team.order):
         name = str(candidate.team)
         if name in data.members:
@@ -246,7 +147,7 @@ def _fresh(data: RegistryFile, candidates: Sequence[_Candidate]) -> list[_Candid
     return list(fresh.values())
 
 
-def _check_unchanged(name: str, published: Team | Ego, candidate: _Candidate) -> None:
+def _check_unchanged(name: str, published: Team | Ego, candidate: Candidate) -> None:
     hashes = {role: row.sha256 for role, row in published.policies.items()}
     if hashes != candidate.hashes:
         raise ImmutableError(
@@ -264,7 +165,7 @@ def _with_release(
     data: RegistryFile,
     release: str,
     created: Release,
-    fresh: Sequence[_Candidate],
+    fresh: Sequence[Candidate],
     environments: Mapping[str, int],
 ) -> RegistryFile:
     """Return the registry with the release, its new tasks' environment versions added."""
@@ -300,7 +201,7 @@ def _with_release(
     return data.model_copy(update={"releases": releases})
 
 
-def _check_sizes(data: RegistryFile, release: str, fresh: Sequence[_Candidate]) -> None:
+def _check_sizes(data: RegistryFile, release: str, fresh: Sequence[Candidate]) -> None:
     """Refuse policies that see or do other than the task's others in this environment."""
     versions = data.releases[release].environments
     known = {
@@ -310,18 +211,18 @@ def _check_sizes(data: RegistryFile, release: str, fresh: Sequence[_Candidate]) 
     }
     for candidate in fresh:
         for role, spec in candidate.specs.items():
-            found = spec.observation_size, spec.action_size
-            expected = known.setdefault((candidate.team.task, role), found)
-            if found != expected:
+            sizes = spec.observation_size, spec.action_size
+            expected = known.setdefault((candidate.team.task, role), sizes)
+            if sizes != expected:
                 raise PublishError(
                     f"policy {candidate.team}/{role}",
                     "{} observations and {} actions, as the task's others have".format(*expected),
-                    "{} and {}".format(*found),
+                    "{} and {}".format(*sizes),
                 )
 
 
 def _with_members(
-    data: RegistryFile, release: str, fresh: Sequence[_Candidate]
+    data: RegistryFile, release: str, fresh: Sequence[Candidate]
 ) -> tuple[RegistryFile, dict[str, bytes]]:
     """Return the registry with the new teams and egos, and the bytes of their shards by path."""
     runs, shards, files = dict(data.runs), dict(data.shards), {}
@@ -358,10 +259,10 @@ def _with_members(
 
 
 def _by_shard(
-    fresh: Iterable[_Candidate],
-) -> list[tuple[tuple[str, str, Role, PolicySpec], list[_Candidate]]]:
+    fresh: Iterable[Candidate],
+) -> list[tuple[tuple[str, str, Role, PolicySpec], list[Candidate]]]:
     """Return the teams of each new shard, by task, algorithm, role and spec."""
-    groups: dict[tuple[str, str, Role, PolicySpec], list[_Candidate]] = {}
+    groups: dict[tuple[str, str, Role, PolicySpec], list[Candidate]] = {}
     for candidate in fresh:
         for role, spec in candidate.specs.items():
             groups.setdefault(
@@ -379,7 +280,7 @@ def _free_path(stem: str, taken: Mapping[str, Shard]) -> str:
     return path
 
 
-def _run_key(runs: Mapping[str, Training], candidate: _Candidate) -> str:
+def _run_key(runs: Mapping[str, Training], candidate: Candidate) -> str:
     """Return the run's name, with a digest where another provenance has that name already."""
     if runs.get(candidate.run, candidate.training) == candidate.training:
         return candidate.run

@@ -4,12 +4,13 @@ from pathlib import Path
 
 from assistax_base.files import exclusive
 from zoo.history.merkle import release_root
+from zoo.history.saving import save_registry
 from zoo.history.signing import sign
 from zoo.ids import parse_team, release_number
-from zoo.registry import Registry, load_registry, save_registry
+from zoo.registry import Registry, load_registry
 from zoo.schema import RegistryFile
-from zoo.splits import half_side, make_split
 from zoo.splitting.create import partner_teams, with_defaults
+from zoo.splitting.rules import half_side, make_split
 
 
 def complete_release(registry_path: Path | str, release: str) -> Registry:

@@ -22,13 +22,13 @@ def republishable(
         release: The earlier release.
         steps: Environment steps that a team must have been trained for.
     """
-    found = []
+    same = []
     for team in teams:
         entry = registry.data.teams.get(str(in_release(team, release)))
         training = registry.data.runs[entry.run] if entry else None
         if training and training.steps >= steps and training.env_version == VERSIONS.get(team.task):
-            found.append(team)
-    return found
+            same.append(team)
+    return same
 
 
 def read_published(registry: Registry, teams: Iterable[TeamId]) -> list[TrainedTeam]:

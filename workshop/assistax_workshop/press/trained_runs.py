@@ -17,11 +17,12 @@ from pydantic import ValidationError
 
 from assistax_base.bounded_reading import parse_json, read_text
 from assistax_base.errors import FormatError, shorten
+from assistax_base.validated import first_problem
 from population.networks.spec import PolicySpec, Role
 from population.networks.stack import unflatten
 from zoo.parameters.storage import StackedFile, parse_stacked, take_row
 from zoo.parameters.tensors import read_bytes
-from zoo.schema import Split, first_problem, spec_from_json
+from zoo.schema import Split, spec_from_json
 from zoo.splits import check_split
 
 _MAX_TEAMS_BYTES = 16 * 1024 * 1024

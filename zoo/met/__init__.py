@@ -1,0 +1,1 @@
+"""Whom a robot met in training: as the registry has it, and as others claim."""

@@ -1,0 +1,100 @@
+"""Whom a robot from outside met in training, as its file claims or its user declares."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from pydantic import ValidationError
+
+from assistax_base.errors import IdError, shorten
+from zoo.ids import parse_team
+from zoo.met.published import CLAIMED, Humans, Met, humans_of, met_in_training
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry, Split, TrainedAgainst
+
+NOBODY = "nobody"  # what is declared of a robot that met no partner of the zoo
+
+
+def side_met(registry: Registry, split: Split) -> Met:
+    """Return what a robot met that was trained with a split's training side."""
+    partners = humans_of(registry.data.teams, split.train)
+    against = TrainedAgainst(split=split.id, sha256=split.sha256)
+    return Met(source="registry", partners=partners, split=against)
+
+
+def claimed_met(registry: Registry, metadata: Mapping[str, Any]) -> Met:
+    """Return whom a robot met as its file claims; whoever wrote the file may have said anything.
+
+    Files that were written before they carried it name the policy that they are of, or the split.
+    """
+    if "met" in metadata:
+        try:
+            if not set(metadata["met"]) - set(CLAIMED):
+                return Met.model_validate({"source": "file", **metadata["met"]})
+        except (ValidationError, TypeError):
+            pass
+        return Met(source="not known", reason="its file does not say it in a known form")
+    named = metadata.get("id"), metadata.get("sha256")
+    for entry in registry.policies:
+        if (entry.id, entry.sha256) == named and entry.role == "robot":
+            met = met_in_training(registry, entry)
+            return met.model_copy(update={"source": "file"}) if met.known else met
+    for split in registry.splits if "split" in metadata else ():
+        if split.id == metadata["split"]:
+            return side_met(registry, split).model_copy(update={"source": "file"})
+    return Met(source="not known", reason="its file does not say it")
+
+
+def declared_met(registry: Registry, task: str, trained_with: str | Sequence[str]) -> Met:
+    """Return whom a robot met as its user declares.
+
+    Args:
+        registry: Where the partners are looked up.
+        task: Whose partners.
+        trained_with: "nobody"; or split ids, each for its training side, and globs over partners or
+            teams.
+
+    Raises:
+        ValueError: It is no text and no list of texts, or "nobody" stands beside others.
+        ZooError: There is no such split, or no partner matches.
+    """
+    names = [trained_with] if isinstance(trained_with, str) else list(trained_with)
+    if not names or not all(isinstance(name, str) for name in names):
+        raise ValueError(
+            f"trained_with is {shorten(trained_with)}; allowed are {NOBODY!r}, or split ids and "
+            "globs over partners"
+        )
+    if names == [NOBODY]:
+        return Met(source="declared")
+    if NOBODY in names:
+        raise ValueError(f"trained_with has {NOBODY!r} beside others; leave one of them out")
+    partners: Humans = {}
+    splits = []
+    for name in names:
+        if _names_teams(name):
+            chosen = registry.select(name, task=task, role="human")
+            partners |= {entry.team: entry.sha256 for entry in chosen}
+        else:
+            splits.append(registry.split(task, name))
+            partners |= humans_of(registry.data.teams, splits[-1].train)
+    split = splits[0] if len(splits) == len(names) == 1 else None
+    against = TrainedAgainst(split=split.id, sha256=split.sha256) if split else None
+    return Met(source="declared", partners=partners, split=against)
+
+
+def known_humans(entries: Iterable[PolicyEntry], humans: Humans) -> frozenset[str]:
+    """Return the ids of the entries, humans all, that are among those a robot met."""
+    digests = set(humans.values())
+    return frozenset(
+        entry.id for entry in entries if entry.team in humans or entry.sha256 in digests
+    )
+
+
+def _names_teams(text: str) -> bool:
+    """Return whether a text is a glob, or the id of a team or a policy, and no split's."""
+    if set(text) & set("*?["):
+        return True
+    try:
+        parse_team(text.removesuffix("/human").removesuffix("/robot"))
+    except IdError:
+        return False
+    return True

@@ -1,0 +1,94 @@
+"""Whom a robot met in training: the partners that are not new to it.
+
+A team's robot learned with its own human. An ego was trained with frozen humans, those of a split's
+training side. Humans are told apart by the sha256 of their parameters, so that a human that was
+published under two ids is one human. `zoo.met.claims` has what others say of their robots.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from assistax_base.digest import json_sha256
+from assistax_base.errors import shorten
+from zoo.namespaces import plain_name, split_namespace
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry, Sha256, Split, StrictModel, Team, TrainedAgainst
+
+Humans = dict[Annotated[str, Field(max_length=200)], Sha256 | None]  # team -> sha256 of its human
+
+
+class Met(StrictModel):
+    """Whom a robot met in training, and who says so."""
+
+    source: Literal["registry", "file", "declared", "not known"]
+    own: Humans = Field(default={})  # humans that learned together with it
+    partners: Humans = Field(default={})  # frozen humans that it was trained with
+    split: TrainedAgainst | None = None  # whose training side these are
+    reason: str = ""  # why nothing is known
+
+    @property
+    def known(self) -> bool:
+        """Whether anybody says it."""
+        return self.source != "not known"
+
+    @property
+    def claim(self) -> dict[str, Any]:
+        """What a file of the robot says, JSON-ready; empty where nothing is known."""
+        if not self.known:
+            return {}
+        return {"met": self.model_dump(mode="json", include=set(CLAIMED), exclude_none=True)}
+
+
+NOT_KNOWN = Met(source="not known")
+CLAIMED = ("own", "partners", "split")
+
+
+def met_in_training(registry: Registry, robot: PolicyEntry) -> Met:
+    """Return whom a published robot met, as the registry has it.
+
+    Args:
+        registry: Has the robot; an ego's split may be of any zoo that was added to it.
+        robot: A team's robot, or an ego.
+    """
+    namespace = split_namespace(robot.team)[0]
+    against = robot.trained_against
+    if against is None:
+        teams = registry.part(namespace).data.teams
+        return Met(source="registry", own=humans_of(teams, [robot.team], namespace))
+    named = [
+        (place, teams, split)
+        for place, teams, split in _published_splits(registry, namespace)
+        if split.id == plain_name(against.split)
+    ]
+    for place, teams, split in named:
+        if against.sha256 == split.sha256 == json_sha256(split.content):
+            names = [f"{place}:{team}" if place else team for team in split.train]
+            partners = humans_of(teams, names, place)
+            return Met(source="registry", partners=partners, split=against)
+    problem = "has another sha256 in this registry" if named else "is not in this registry"
+    reason = f"split {shorten(against.split)}, with whose training side it was trained, {problem}"
+    return Met(source="not known", split=against, reason=reason)
+
+
+def _published_splits(
+    registry: Registry, first: str
+) -> Iterator[tuple[str, Mapping[str, Team], Split]]:
+    """Yield namespace, teams and split of each zoo, one zoo's before all others'."""
+    for namespace in dict.fromkeys([first, *registry.parts]):
+        data = registry.part(namespace).data
+        for split in data.splits:
+            yield namespace, data.teams, split
+    for split in registry.splits:
+        yield "", registry.data.teams, split
+
+
+def humans_of(teams: Mapping[str, Team], names: Iterable[str], namespace: str = "") -> Humans:
+    """Return the sha256 of each team's human; None where the zoo has none."""
+    humans: Humans = {}
+    for name in names:
+        team = teams.get(name) or teams.get(name.removeprefix(f"{namespace}:"))
+        human = team.policies.get("human") if team else None
+        humans[name] = human.sha256 if human else None
+    return humans
