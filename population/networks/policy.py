@@ -11,6 +11,7 @@ import numpy as np
 from flax import linen as nn
 from jaxtyping import Array, Bool, Float
 
+from population.networks import gru
 from population.networks.spec import PolicySpec
 
 Params = dict[str, Any]  # nested dicts of arrays
@@ -144,7 +145,6 @@ class Critic(_Network):
         output: Any = self._module.apply({"params": params}, carry, obs, first)
         return output
 
-
     def _heads(self, params: Params, features: jax.Array) -> jax.Array:
         return _linear(params[f"Dense_{len(self.spec.hidden) - 1}"], features)[..., 0]
 
@@ -277,30 +277,19 @@ def _remember(
     spec: PolicySpec | CriticSpec,
     params: Params,
     carry: Carry,
-    obs: Float[Array, "T *batch O"],
-    first: Bool[Array, "T *batch"],
-) -> tuple[Carry, Float[Array, "T *batch H"]]:
+    obs: Float[Array, " T *batch O"],
+    first: Bool[Array, " T *batch"],
+) -> tuple[Carry, Float[Array, " T *batch H"]]:
     """Apply the hidden layers of a recurrent torso to a chunk of T steps; see `nn.GRUCell`."""
     activation = {"tanh": nn.tanh, "relu": nn.relu}[spec.activation]
     features = obs
     for layer in range(len(spec.hidden) - 1):
         features = activation(_linear(params[f"Dense_{layer}"], features))
     cell = params["GRUCell_0"]
-    inputs = jnp.concatenate([_linear(cell[f"i{gate}"], features) for gate in "rzn"], axis=-1)
-    kernel = jnp.concatenate([cell[f"h{gate}"]["kernel"] for gate in "rzn"], axis=-1)  # [H, 3 H]
-
-    def step(hidden: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        inputs, starts = now
-        hidden = jnp.where(starts[..., None], 0.0, hidden)
-        reset, update, new = jnp.split(inputs, 3, axis=-1)
-        of_reset, of_update, of_new = jnp.split(hidden @ kernel, 3, axis=-1)
-        update = nn.sigmoid(update + of_update)
-        bias = jnp.broadcast_to(cell["hn"]["bias"], of_new.shape)
-        new = nn.tanh(new + nn.sigmoid(reset + of_reset) * (of_new + bias))
-        hidden = (1.0 - update) * new + update * hidden
-        return hidden, hidden
-
-    return jax.lax.scan(step, carry, (inputs, first))
+    inputs = jnp.concatenate([_linear(cell[f"i{gate}"], features) for gate in gru.GATES], axis=-1)
+    kernel = jnp.concatenate([cell[f"h{gate}"]["kernel"] for gate in gru.GATES], axis=-1)
+    states = gru.remember(kernel, cell["hn"]["bias"], carry, inputs, first)
+    return states[-1], states
 
 
 def _linear(layer: Params, inputs: jax.Array) -> jax.Array:
