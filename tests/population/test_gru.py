@@ -1,0 +1,78 @@
+"""The recurrence with a gradient of its own is that of the cell, step by step."""
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+from population.networks.policy import Policy
+from population.networks.spec import PolicySpec
+
+T, N = 24, 6
+SPECS = (
+    PolicySpec("robot", 5, 2, torso="gru", hidden=(8, 16)),
+    PolicySpec("robot", 5, 2, torso="gru", hidden=(16,), std="state", squash="tanh"),
+)
+
+
+@pytest.fixture(params=SPECS, ids=["two widths", "state-dependent deviation"])
+def policy(request: pytest.FixtureRequest) -> Policy:
+    return Policy(request.param)
+
+
+def unrolled(policy: Policy, params, first, *, by_step: bool):
+    """Return carry and outputs over T steps, by the cell itself or all at once."""
+    obs = jax.random.normal(jax.random.key(1), (T, N, 5))
+    carry = jax.random.normal(jax.random.key(2), policy.initial_carry((N,)).shape)
+    if by_step:
+        return jax.lax.scan(lambda c, x: policy.step(params, c, *x), carry, (obs, first))
+    return policy.unroll(params, carry, obs, first)
+
+
+def params_and_first(policy: Policy):
+    first = jax.random.bernoulli(jax.random.key(3), 0.1, (T, N))
+    return policy.init(jax.random.key(0)), first
+
+
+def test_outputs_are_those_of_the_cell(policy: Policy) -> None:
+    params, first = params_and_first(policy)
+    pair = (unrolled(policy, params, first, by_step=by_step) for by_step in (True, False))
+    for expected, value in zip(*map(jax.tree.leaves, pair), strict=True):
+        assert jnp.allclose(expected, value, atol=1e-6)
+
+
+def test_gradients_are_those_of_the_cell(policy: Policy) -> None:
+    params, first = params_and_first(policy)
+
+    def loss(params, by_step: bool):
+        carry, gaussian = unrolled(policy, params, first, by_step=by_step)
+        return gaussian.log_prob(jnp.full((T, N, 2), 0.3)).mean() + jnp.square(carry).mean()
+
+    expected, gradient = (jax.grad(loss)(params, by_step) for by_step in (True, False))
+    for a, b in zip(jax.tree.leaves(expected), jax.tree.leaves(gradient), strict=True):
+        assert jnp.linalg.norm(a - b) <= 2e-6 * jnp.linalg.norm(a) + 1e-9
+
+
+def test_nothing_is_remembered_over_an_episode_s_start_even_if_it_diverged(policy: Policy) -> None:
+    params, _ = params_and_first(policy)
+    first = jnp.zeros((T, N), bool).at[0].set(True)
+
+    def total(params, carry):
+        obs = jnp.ones((T, N, 5))
+        return policy.unroll(params, carry, obs, first)[1].mean.sum()
+
+    diverged = jnp.full(policy.initial_carry((N,)).shape, jnp.nan)
+    gradient = jax.grad(total)(params, diverged)
+    assert all(jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+
+
+def test_members_side_by_side_have_their_own_gradients(policy: Policy) -> None:
+    _, first = params_and_first(policy)
+    stacked = jax.vmap(policy.init)(jax.random.split(jax.random.key(4), 3))
+
+    def loss(params):
+        return jnp.square(unrolled(policy, params, first, by_step=False)[1].mean).mean()
+
+    whole = jax.vmap(jax.grad(loss))(stacked)
+    one = jax.grad(loss)(jax.tree.map(lambda leaf: leaf[1], stacked))
+    for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(one), strict=True):
+        assert jnp.allclose(a[1], b, rtol=1e-5, atol=1e-8)
