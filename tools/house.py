@@ -162,9 +162,10 @@ def write_picture(root: Path = ROOT) -> bool:
     """Bring CONTRIBUTING's picture up to date; return whether it had to change."""
     path = root / "CONTRIBUTING.md"
     text = path.read_text(encoding="utf-8")
-    start, end = "<!-- rooms -->\n", "\n<!-- end of rooms -->"
-    before, _, rest = text.partition(start)
-    new = before + start + picture(read_modules(root)) + end + rest.partition(end)[2]
+    rooms = re.compile(r"(?<=<!-- rooms -->\n).*(?=<!-- end of rooms -->)", re.DOTALL)
+    if not rooms.search(text):
+        raise ValueError(f"{path} has no place for the picture: its two comments are missing")
+    new = rooms.sub(lambda _: picture(read_modules(root)) + "\n", text)
     path.write_text(new, encoding="utf-8")
     return new != text
 
@@ -201,7 +202,8 @@ def _raised_options(modules: Mapping[str, Module], root: Path) -> Iterator[str]:
             for node in ast.walk(raised):
                 text = node.value if isinstance(node, ast.Constant) else None
                 if isinstance(text, str) and OPTION.search(text):
-                    yield f"{module.path.relative_to(root)}:{node.lineno}: an option in an error"
+                    line = getattr(node, "lineno", raised.lineno)
+                    yield f"{module.path.relative_to(root)}:{line}: an option in an error"
 
 
 def _second_copies(modules: Mapping[str, Module], root: Path) -> Iterator[str]:
