@@ -98,7 +98,7 @@ class Zoo:
             ValueError: The ending is another, or the format's package is not installed.
             ZooError: There is no such policy, or its bytes are not those of the registry.
         """
-        from zoo.export import Format, export_policy
+        from zoo.exports.policies import Format, export_policy
 
         formats: dict[str, Format] = {
             ".safetensors": "safetensors",

@@ -10,8 +10,8 @@ import subprocess
 from pathlib import Path
 
 from assistax_base.errors import ImmutableError
-from zoo.history.saving import check_grown
 from zoo.registry import load_registry, parse_registry
+from zoo.saving import check_grown
 from zoo.schema import RegistryFile
 
 FILE = "registry.json"

@@ -48,7 +48,7 @@ DEFECTS = {
         "tests/zoo/test_merkle.py::test_a_changed_entry_no_longer_passes_verify",
     ),
     "what was published may change": Defect(
-        "zoo/history/saving.py",
+        "zoo/saving.py",
         r"if lost := lost_leaves\(old, new\):",
         "if lost := []:",
         "tests/zoo/test_merkle.py::test_what_was_published_cannot_be_saved_away",

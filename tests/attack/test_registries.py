@@ -16,10 +16,10 @@ import pytest
 from tests.attack.ledger import attack
 from tests.attack.test_damage import REFUSALS, told
 from zoo.history.merkle import with_roots
-from zoo.history.saving import dump_registry
 from zoo.lock import apply_lock
 from zoo.locking import make_lock
 from zoo.registry import build_registry, load_registry, parse_registry
+from zoo.saving import dump_registry
 from zoo.schema import RegistryFile
 from zoo.transport.other_zoos import add
 

@@ -14,9 +14,9 @@ from population.networks.spec import PolicySpec
 from tests import untrained
 from tests.untrained import ROBOT, params_of
 from zoo.history.merkle import with_roots
-from zoo.history.saving import dump_registry
 from zoo.parameters.storage import write_policy_file
 from zoo.registry import parse_registry
+from zoo.saving import dump_registry
 
 STEPS = 20
 FIGURE = {"mean", "iqm", "iqm_ci", "n"}

@@ -19,11 +19,11 @@ from evaluation.record import tables
 from evaluation.record.manifest import read_manifest
 from evaluation.record.met_partners import MetSummary, declare, met_partners
 from tests.untrained import HUMAN, ROBOT, params_of, published, teams_of, untrained_team
-from zoo.export import Format, export_policy
-from zoo.history.saving import save_registry
+from zoo.exports.policies import Format, export_policy
 from zoo.met.published import Met, met_in_training
 from zoo.parameters.storage import read_policy_file, write_policy_file
 from zoo.registry import Registry, load_registry
+from zoo.saving import save_registry
 from zoo.schema import TrainedAgainst
 from zoo.splitting.rules import make_split
 

@@ -15,10 +15,10 @@ from assistax_base.errors import FormatError, RegistryError, RemoteError, shorte
 from assistax_workshop.press.trained_runs import read_run
 from assistax_zoo.shell.main import run
 from tests.zoo.hub_server import Fault, Hub
-from zoo.card import find_cards, markdown_card
-from zoo.history.saving import save_registry
+from zoo.exports.card import find_cards, markdown_card
 from zoo.locations import cached_shard
 from zoo.registry import Registry, load_registry, parse_registry
+from zoo.saving import save_registry
 from zoo.transport.fetch import fetch
 from zoo.transport.remotes import open_remote
 

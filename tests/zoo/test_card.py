@@ -2,7 +2,7 @@ import dataclasses
 from typing import Any
 
 from assistax_workshop.press.model_card import model_card
-from zoo.card import markdown_card
+from zoo.exports.card import markdown_card
 from zoo.registry import Registry
 
 CARD: dict[str, Any] = {

@@ -9,11 +9,11 @@ from assistax_base.digest import json_sha256
 from assistax_base.errors import LockError, SplitError, UnknownIdError
 from assistax_zoo.shell.main import run
 from zoo.history.merkle import check_roots, leaves, with_roots
-from zoo.history.saving import dump_registry
 from zoo.lock import Lock, apply_lock, locked_entries, read_lock
 from zoo.locking import make_lock, write_lock
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry, parse_registry
+from zoo.saving import dump_registry
 from zoo.splitting.create import create_split
 from zoo.transport.fetch import remote_registry
 from zoo.transport.remotes import open_remote

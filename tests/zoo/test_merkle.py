@@ -18,10 +18,10 @@ from assistax_base.errors import (
 )
 from assistax_zoo.shell.main import run
 from zoo.history.merkle import leaves, lost_leaves, merkle_root
-from zoo.history.saving import save_registry
 from zoo.lock import apply_lock
 from zoo.locking import make_lock
 from zoo.registry import Registry, load_registry
+from zoo.saving import save_registry
 from zoo.splitting.create import create_split
 from zoo.transport.fetch import remote_registry
 from zoo.transport.remotes import open_remote

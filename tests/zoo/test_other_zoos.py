@@ -25,12 +25,12 @@ from assistax_zoo.zoos import open_zoo
 from evaluation.studies import choose_partners, in_release
 from tests.zoo.hub_server import Hub
 from zoo.history.merkle import with_roots
-from zoo.history.saving import check_grown, dump_registry
 from zoo.locations import added_remote, default_remote, set_default_remote
 from zoo.lock import apply_lock, read_lock
 from zoo.locking import make_lock
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry
+from zoo.saving import check_grown, dump_registry
 from zoo.splitting.create import create_split
 from zoo.transport.fetch import fetch, remote_registry
 from zoo.transport.other_zoos import add, remove

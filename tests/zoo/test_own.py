@@ -12,12 +12,12 @@ from assistax_zoo.shell.main import run
 from tests.cli.test_zoo_commands import write_run
 from zoo.history.official import is_official
 from zoo.history.own_splits import SplitsFile
-from zoo.history.saving import MAKER_VARIABLE, save_registry
 from zoo.locations import own_registry, own_splits_file
 from zoo.lock import apply_lock, read_lock
 from zoo.locking import make_lock, write_lock
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry
+from zoo.saving import MAKER_VARIABLE, save_registry
 from zoo.splitting.create import create_split
 from zoo.transport.fetch import fetch
 from zoo.transport.other_zoos import add, remove

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from assistax_base.errors import UnknownIdError, ZooError
 from population.networks.spec import PolicySpec
-from zoo.history.saving import dump_registry
 from zoo.ids import TeamId, parse_team
 from zoo.registry import Registry, build_registry, parse_registry
+from zoo.saving import dump_registry
 from zoo.schema import SCHEMA_VERSION, RegistryFile
 from zoo.selection import FIELDS, select
 from zoo.splits import check_split

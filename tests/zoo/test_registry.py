@@ -16,8 +16,8 @@ from assistax_base.errors import (
     ZooError,
 )
 from assistax_envs.disability import DISABILITY_SETTINGS
-from zoo.history.saving import dump_registry, save_registry
 from zoo.registry import Registry, load_registry, parse_registry
+from zoo.saving import dump_registry, save_registry
 from zoo.schema import SCHEMA_VERSION, RegistryFile, spec_from_json
 
 

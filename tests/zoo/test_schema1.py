@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from assistax_base.errors import LockError
-from zoo.history.saving import save_registry
 from zoo.lock import apply_lock, locked_entries, read_lock
 from zoo.parameters.storage import load_stacks
 from zoo.registry import load_registry
+from zoo.saving import save_registry
 from zoo.verify import verify
 
 OLD = Path(__file__).parent / "schema1"

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from assistax_base.errors import LeakageError, SplitError
 from zoo.history.merkle import with_roots
-from zoo.history.saving import dump_registry
 from zoo.ids import parse_team
 from zoo.registry import Registry, load_registry, parse_registry
+from zoo.saving import dump_registry
 from zoo.splits import check_split, shared_parameters
 from zoo.splitting import rules
 from zoo.splitting.create import create_split

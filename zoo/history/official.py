@@ -1,7 +1,7 @@
 """Official registries: releases of this project, which only those who make them may change.
 
 A registry is official if one of its releases has the root of a release that came with this code,
-whatever the file is called and wherever it lies. `zoo.history.saving` writes to none of them.
+whatever the file is called and wherever it lies. `zoo.saving` writes to none of them.
 """
 
 from pathlib import Path

@@ -6,11 +6,11 @@ from typing import Any
 
 from assistax_base.errors import SplitError, listing, shorten
 from assistax_base.files import exclusive
-from zoo.history.saving import keep_split, save_registry, writable_registry
 from zoo.ids import parse_team
 from zoo.locations import OWN, own_registry, own_splits_file
 from zoo.namespaces import qualify_split, split_namespace
 from zoo.registry import Registry, load_registry
+from zoo.saving import keep_split, save_registry, writable_registry
 from zoo.schema import RegistryFile, Split
 from zoo.splits import refuse_leak, shared_parameters
 from zoo.splitting.rules import LEAVE_ONE_OUT, make_split

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from assistax_zoo.shell.console import answer, stdout_is_data
-from zoo.export import Format, export_policy
+from zoo.exports.policies import Format, export_policy
 from zoo.registry import load_registry
 
 

@@ -10,7 +10,7 @@ from assistax_base.errors import printable
 from assistax_zoo.commands.partners.provenance import verify_results
 from assistax_zoo.shell.console import answer, progress, stdout_is_data
 from population.networks.spec import Role
-from zoo.card import find_cards, write_card
+from zoo.exports.card import find_cards, write_card
 from zoo.registry import Registry, load_registry
 from zoo.schema import SelfPlay
 

@@ -44,7 +44,7 @@ def read_file(path: Path) -> bytes:
 
 
 def _robot_of_zoo(id: str) -> bytes:
-    from zoo.export import export_policy
+    from zoo.exports.policies import export_policy
     from zoo.registry import load_registry
 
     with tempfile.TemporaryDirectory() as folder:

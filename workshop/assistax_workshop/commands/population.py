@@ -13,8 +13,8 @@ from assistax_workshop.plans.training import PlanTraining
 from assistax_zoo.commands.partners.listing import table_lines
 from assistax_zoo.commands.training.train import shown_training
 from assistax_zoo.shell.console import answer
-from zoo.history.saving import writable_registry
 from zoo.locations import own_registry
+from zoo.saving import writable_registry
 
 
 def population(

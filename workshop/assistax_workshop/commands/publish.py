@@ -8,8 +8,8 @@ from pydantic import ValidationError
 
 from assistax_base.validated import first_problem
 from assistax_zoo.shell.console import answer
-from zoo.history.saving import writable_registry
 from zoo.locations import OWN, own_registry
+from zoo.saving import writable_registry
 from zoo.schema import Citation
 
 if TYPE_CHECKING:

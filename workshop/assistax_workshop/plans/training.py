@@ -18,8 +18,8 @@ from assistax_workshop.press.release import complete_release
 from assistax_workshop.press.republish import read_published
 from assistax_workshop.press.trained_runs import TrainedTeam, read_run
 from population.runs.folder import RunFolder
-from zoo.history.saving import writable_registry
 from zoo.registry import Registry, load_registry
+from zoo.saving import writable_registry
 
 # Given a block, a context that lends what its training reports to.
 Shown = Callable[[Any], contextlib.AbstractContextManager[Callable[[Any], None]]]

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import yaml
 
-from zoo.card import render
+from zoo.exports.card import render
 from zoo.ids import release_number
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry

@@ -17,11 +17,11 @@ from assistax_workshop.press.candidates import Candidate, Check, make_candidate
 from assistax_workshop.press.release import completed, signed
 from assistax_workshop.press.trained_runs import TrainedTeam
 from population.networks.spec import PolicySpec, Role
-from zoo.history.saving import save_registry, writable_registry
 from zoo.ids import check_name, same_team
 from zoo.locations import shard_root
 from zoo.parameters.encoding import check_params, encode_shard
 from zoo.registry import Registry, load_registry
+from zoo.saving import save_registry, writable_registry
 from zoo.schema import (
     SCHEMA_VERSION,
     Citation,

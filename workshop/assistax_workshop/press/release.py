@@ -4,10 +4,10 @@ from pathlib import Path
 
 from assistax_base.files import exclusive
 from zoo.history.merkle import release_root
-from zoo.history.saving import save_registry
 from zoo.history.signing import sign
 from zoo.ids import parse_team, release_number
 from zoo.registry import Registry, load_registry
+from zoo.saving import save_registry
 from zoo.schema import RegistryFile
 from zoo.splitting.create import partner_teams, with_defaults
 from zoo.splitting.rules import half_side, make_split
