@@ -16,7 +16,7 @@ import sqlalchemy as sa
 
 from assistax_board.client.submitting import for_reader
 from assistax_board.serve import open_service
-from assistax_board.store import schema as t
+from assistax_board.store.schema import JOB
 from assistax_zoo.shell.main import run
 from tests.untrained import HUMAN, ROBOT, params_of, published, untrained_team
 from zoo.parameters.storage import write_policy_file
@@ -154,7 +154,7 @@ def test_a_stop_gives_the_job_under_way_back(board: dict[str, Any], tmp_path: Pa
     stop(board["process"])
     service = open_service(board["data"], registry=board["registry"])
     with service.database.read() as connection:
-        rows = connection.execute(sa.select(t.jobs.c.state, t.jobs.c.failures)).all()
+        rows = connection.execute(sa.select(JOB.state, JOB.failures)).all()
     assert [tuple(row) for row in rows] == [("waiting", 0)]
 
 
@@ -189,3 +189,18 @@ def test_who_watches_reads_the_range_of_ranks() -> None:
     for lowest, text in ((4, "2–4 of 9 on http://x/tasks/scratch"), (2, "2 of 9 on")):
         ranks = {"board_place": 2, "board_lowest": lowest}
         assert for_reader(found | ranks, "http://x")["place"].startswith(text)
+
+
+@pytest.mark.parametrize(
+    ("module", "place", "extra"),
+    [
+        ("psycopg", {"database": "postgresql+psycopg://nobody@127.0.0.1:1/x"}, "postgres"),
+        ("s3fs", {"artefacts": "s3://bucket/path"}, "s3"),
+    ],
+)
+def test_a_missing_extra_is_named_with_what_installs_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, place: Any, extra: str
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ValueError, match=rf"pip install 'assistax-zoo-board\[{extra}\]'"):
+        open_service(tmp_path, **place)

@@ -30,8 +30,9 @@ from assistax_board.pages.cache import PageCache
 from assistax_board.rules import results
 from assistax_board.rules.scoring import Work, encode_table
 from assistax_board.service import Service
-from assistax_board.store import schema as t
+from assistax_board.store import schema
 from assistax_board.store.queries import Queries
+from assistax_board.store.schema import RESULT, SEASON, SUBMISSION
 from tests.board.fakes import TASK, FakeScorer, draft, new_service, new_submitter
 from tests.board.test_season import SIZE, open_season
 
@@ -83,13 +84,13 @@ def new_season(folder: Path, number: int) -> Season:
     service = new_service(folder)
     open_season(service, budget=9)
     with service.database.write() as connection:
-        [secret] = connection.execute(sa.select(t.seasons.c.secret)).scalars()
+        [secret] = connection.execute(sa.select(SEASON.secret)).scalars()
         for place, leaf in enumerate(secret["leaves"]):
             leaf["salt"] = f"{number:02d}{place}"
             leaf["policy"] = f"secret-{(place + number) % (2 * SIZE)}"
         secret["leaves"][0]["seeds"] = {"A": f"{number:032x}", "B": f"{number + 5:032x}"}
         release = service.artefacts.put(f"release {number}".encode())
-        connection.execute(sa.update(t.seasons).values(secret=secret, release=release))
+        connection.execute(sa.update(schema.seasons).values(secret=secret, release=release))
     http = TestClient(create_app(service), raise_server_exceptions=False)
     http.app.state.limiter.hit = lambda *_: None  # ty: ignore[missing-attribute]
     return Season(service, http, HiddenScorer(7 * number))
@@ -210,8 +211,9 @@ def test_answers_logs_and_statements_are_the_same(two: tuple[Season, Season]) ->
 
 def hidden_returns(service: Service) -> list[float]:
     with service.database.read() as connection:
-        s = t.submissions.c
-        first = connection.execute(sa.select(s.id, t.results.c.version).join(t.results)).first()
+        first = connection.execute(
+            sa.select(SUBMISSION.id, RESULT.version).join(schema.results)
+        ).first()
         assert first is not None
         table = results.panel_table(service.artefacts, connection, first.id, first.version, "A")
     return table.sort("partner", "episode")["return"].to_list()
@@ -234,7 +236,7 @@ def test_a_planted_leak_is_found(
         if leak == "log":
             log.info("scored", extra={"fields": {"worst": value}})
         if leak == "body":
-            update = sa.update(t.submissions).where(t.submissions.c.id == job.submission)
+            update = sa.update(schema.submissions).where(SUBMISSION.id == job.submission)
             connection.execute(update.values(method=f"mine {value}"))
         if leak == "statements":
             plant_statements(monkeypatch, value)

@@ -18,8 +18,9 @@ from sqlalchemy import event
 from assistax_board.rules import jobs
 from assistax_board.rules.scoring import encode_table
 from assistax_board.service import Service
-from assistax_board.store import schema as t
+from assistax_board.store import schema
 from assistax_board.store.ledger import check_chain
+from assistax_board.store.schema import ENTRY
 from tests.board.fakes import FakeClock, FakeScorer, draft, new_service, new_submitter, work_off
 from tests.board.test_season import open_season
 
@@ -122,10 +123,10 @@ def _check(service: Service, season: str, count: int) -> None:
         attempt = "spent" if each.state == "scored" else "refunded"
         assert (each.attempt, each.place) == (attempt, None)
     with service.database.read() as connection:
-        results = connection.execute(sa.select(sa.func.count()).select_from(t.results))
+        results = connection.execute(sa.select(sa.func.count()).select_from(schema.results))
         scored = sum(each.state == "scored" for each in found)
         assert results.scalar_one() == 5 * scored
-        kinds = connection.execute(sa.select(t.ledger.c.kind)).scalars().all()
+        kinds = connection.execute(sa.select(ENTRY.kind)).scalars().all()
     assert kinds.count("submission") == count
     assert kinds.count("end") == count
     assert kinds.count("score") == scored

@@ -257,9 +257,10 @@ def fill_in(page: Page, token: str) -> None:
 
 def finish(folder: Path, submission: str) -> None:
     """End a submission behind the page's back."""
-    from assistax_board.store import schema as t
+    from assistax_board.store import schema
     from assistax_board.store.database import Database
+    from assistax_board.store.schema import SUBMISSION
 
     with Database(f"sqlite:///{folder / 'service.db'}").write() as connection:
-        update = t.submissions.update().where(t.submissions.c.id == submission)
+        update = schema.submissions.update().where(SUBMISSION.id == submission)
         connection.execute(update.values(state="refused", reason="subgraph"))

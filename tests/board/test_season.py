@@ -18,8 +18,9 @@ from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.problems import Problem
 from assistax_board.rules import seasons
 from assistax_board.service import Service
-from assistax_board.store import schema as t
+from assistax_board.store import schema
 from assistax_board.store.merkle import merkle_root
+from assistax_board.store.schema import SEASON
 from tests.board.fakes import (
     TASK,
     FakeScorer,
@@ -57,7 +58,7 @@ def open_season(service: Service, budget: int = 3) -> str:
         "created_at": 0.0,
     }
     with service.database.write() as connection:
-        connection.execute(sa.insert(t.seasons).values(row))
+        connection.execute(sa.insert(schema.seasons).values(row))
     assert service.open_season("spring") == merkle_root(leaves)
     return row["id"]
 
@@ -110,7 +111,7 @@ def test_a_planted_leak_is_found(tmp_path: Path) -> None:
 def hidden_words(service: Service) -> list[str]:
     scorer = FakeScorer()
     with service.database.read() as connection:
-        [secret] = connection.execute(sa.select(t.seasons.c.secret)).scalars()
+        [secret] = connection.execute(sa.select(SEASON.secret)).scalars()
     returns = []
     service.submit(new_submitter(service, "probe"), draft(2.0, season="season1"))
     for panel in ("A", "B"):
@@ -447,9 +448,9 @@ def test_a_release_that_a_season_had_is_in_no_other(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     season = open_season(service)
     with service.database.write() as connection:
-        row = connection.execute(sa.select(t.seasons)).mappings().one()
+        row = connection.execute(sa.select(schema.seasons)).mappings().one()
         again = {"id": "season2", "name": "summer", "state": "draft", "root": None}
-        connection.execute(sa.insert(t.seasons).values({**row, **again}))
+        connection.execute(sa.insert(schema.seasons).values({**row, **again}))
     for _ in range(2):
         with pytest.raises(Problem, match=r"were in season spring.*new seeds"):
             service.open_season("summer")

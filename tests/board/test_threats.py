@@ -37,7 +37,7 @@ def missing(text: str) -> list[str]:
 
 def _is_there(file: str, test: str = "") -> bool:
     tests = Path(__file__).parents[1]
-    rooms = [room for room in ("service", "evaluation") if (tests / room / f"{file}.py").is_file()]
+    rooms = [room for room in ("board", "evaluation") if (tests / room / f"{file}.py").is_file()]
     if not rooms:
         return False
     module = importlib.import_module(f"tests.{rooms[0]}.{file}")

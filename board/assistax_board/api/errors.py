@@ -1,7 +1,7 @@
 """One form for every error: {"error": {"code", "message"}}, without traceback or values."""
 
 import logging
-from typing import Any
+from typing import Any, TypeVar
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -13,6 +13,7 @@ from starlette.exceptions import HTTPException
 from assistax_board.problems import CODES, Problem
 
 log = logging.getLogger("assistax_board")
+Value = TypeVar("Value")
 _STATUS_CODES = {404: "not_found", 405: "invalid", 413: "too_large"}
 
 
@@ -33,6 +34,17 @@ class ErrorAnswer(BaseModel):
 RESPONSES: dict[int | str, dict[str, Any]] = {
     status: {"model": ErrorAnswer} for status in sorted({*CODES.values(), 400, 500})
 }
+
+
+def existing(value: Value | None, what: str) -> Value:
+    """Return a value that is there.
+
+    Raises:
+        Problem: It is not.
+    """
+    if value is None:
+        raise Problem("not_found", f"no such {what}")
+    return value
 
 
 def add_error_handlers(app: FastAPI) -> None:

@@ -8,10 +8,10 @@ import sqlalchemy as sa
 from assistax_board.client.client import Client
 from assistax_board.problems import Problem
 from assistax_board.service import Service
-from assistax_board.store import schema as t
 from assistax_board.store.ledger import START, check_chain
-from assistax_board.store.queries import LedgerEntry
 from assistax_board.store.receipts import verify_receipt
+from assistax_board.store.schema import ARTEFACT, RECEIPT
+from assistax_board.store.shown import LedgerEntry
 
 _PAGE = 1000  # entries that are read at once
 
@@ -28,9 +28,14 @@ def check_service(service: Service) -> dict[str, Any]:
             if found != "ok":
                 found = " ".join(found.split())
                 raise ValueError(f"the database is damaged ({found}); restore a backup")
-        a, r = t.artefacts.c, t.receipts.c
-        names = connection.execute(sa.select(a.sha256).where(a.erased_at.is_(None))).scalars().all()
-        receipts = connection.execute(sa.select(r.content, r.signature)).mappings().all()
+        names = (
+            connection.execute(sa.select(ARTEFACT.sha256).where(ARTEFACT.erased_at.is_(None)))
+            .scalars()
+            .all()
+        )
+        receipts = (
+            connection.execute(sa.select(RECEIPT.content, RECEIPT.signature)).mappings().all()
+        )
     entries = list(_pages(service.queries.ledger))
     last = check_chain(entries)
     damaged = [problem for name in names if (problem := _artefact_problem(service, name))]

@@ -10,7 +10,6 @@ from typing import Any
 import polars as pl
 
 from assistax_board.client.client import Client
-from assistax_board.commands.commands import BACKEND
 from assistax_board.ids import new_id
 from assistax_board.problems import Refusal
 from assistax_board.robots.admission import Admission, robot_sizes
@@ -24,7 +23,7 @@ from assistax_board.rules.catalogue import (
 )
 from assistax_board.rules.scoring import Work, cut
 from assistax_board.rules.submissions import MAX_BYTES
-from assistax_board.vocabulary import FINAL_STATES
+from assistax_board.vocabulary import BACKEND, FINAL_STATES
 from assistax_board.work.zoo_scorer import ZooScorer
 from assistax_envs.preferences import preferences_of
 
@@ -81,7 +80,7 @@ def check_file(
         works = _server_works(catalogue, task, format)
     else:
         few = panel[:: max(1, len(panel) // CHECK_PARTNERS)][:CHECK_PARTNERS]
-        works = [_try_work(task, format, tuple(partner.id for partner in few))]
+        works = [_try_work(task, format, few)]
     scorer = ZooScorer(loaded, catalogue, BACKEND)
     tables = [scorer.play(work, data, None) for work in works]
     table = pl.concat([table.sort("partner", "episode") for table in tables])
@@ -188,8 +187,6 @@ def _server_works(catalogue: ZooCatalogue, task: str, format: str) -> list[Work]
         "preferences": tuple(catalogue.identity(task).get("preferences", ())),
     }
     return [
-        dataclasses.replace(
-            _try_work(task, format, tuple(partner.id for partner in partners)), **played
-        )
+        dataclasses.replace(_try_work(task, format, partners), **played)
         for partners in cut(catalogue.public_panel(task), CHUNK)
     ]

@@ -22,7 +22,7 @@ from assistax_board.pages.routes.partners import explorer_router, pair_router, p
 from assistax_board.pages.routes.seasons import season_router
 from assistax_board.pages.routes.submitting import submit_router
 from assistax_board.pages.season_boards import SeasonBoards
-from assistax_board.pages.security import FormTokens, SecurityHeaders
+from assistax_board.pages.security import FormTokens
 from assistax_board.pages.site import NotFoundError, Site
 from assistax_board.pages.videos import Videos, run_command
 from assistax_board.store.queries import Queries
@@ -110,4 +110,3 @@ def add_pages(
         return site.fresh("error.html", request.url.path, 404, message=str(error))
 
     app.add_exception_handler(NotFoundError, not_found)
-    app.add_middleware(SecurityHeaders)

@@ -13,8 +13,9 @@ import numpy as np
 
 from assistax_board.pages.behind import Behind
 from assistax_board.pages.crossplays import CrossPlay, CrossPlays
-from assistax_board.places.boards import Method, Panel, Standing, standings, unplaced
-from assistax_board.store.queries import PartnerScore, Queries, Submission
+from assistax_board.places.boards import BoardRow, Method, Panel, board_rows, unplaced
+from assistax_board.store.queries import Queries
+from assistax_board.store.shown import PartnerScore, Submission
 from assistax_board.vocabulary import REFERENCE
 from evaluation.figures.metrics import SEED_SDS, Bounds
 from evaluation.figures.normalised import RANDOM, SELF_PLAY, ZERO
@@ -50,7 +51,7 @@ class Board:
     version: str
     identity: Mapping[str, Any]
     partners: tuple[PartnerScore, ...]  # one of each partner, for its name and traits
-    rows: tuple[tuple[Standing, Played], ...]  # the highest M_test first
+    rows: tuple[tuple[BoardRow, Played], ...]  # the highest M_test first
 
     @property
     def episodes(self) -> int:
@@ -58,11 +59,11 @@ class Board:
         return self.rows[0][1].returns.shape[2]
 
     @property
-    def methods(self) -> tuple[tuple[Standing, Played], ...]:
+    def methods(self) -> tuple[tuple[BoardRow, Played], ...]:
         """The rows that compete, the highest M_test first."""
         return tuple(row for row in self.rows if not row[1].is_reference)
 
-    def of(self, submission: str) -> tuple[Standing, Played] | None:
+    def of(self, submission: str) -> tuple[BoardRow, Played] | None:
         """Return the row that a submission is a seed of."""
         for standing, played in self.rows:
             if any(one.id == submission for one in played.submissions):
@@ -116,7 +117,7 @@ class Boards:
             SEED_SDS.get(task),
         )
         by_name = {method.newest.id: method for method in methods}
-        rows = standings(
+        rows = board_rows(
             [Method(name, one.returns, not one.is_reference) for name, one in by_name.items()],
             panel,
             memory.figures(by_name),
@@ -142,7 +143,7 @@ class _Memory:
         self._partners: dict[str, PartnerScore] = {}
         # Of each submission its partners, in order, and returns [P, K].
         self._returns: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
-        self._figures: dict[Hashable, Standing] = {}
+        self._figures: dict[Hashable, BoardRow] = {}
 
     def learn(self, queries: Queries, scored: _Scored) -> None:
         """Read the returns of the submissions that are new, and forget those that are gone."""
@@ -181,11 +182,11 @@ class _Memory:
             for group in groups.values()
         ]
 
-    def figures(self, methods: Mapping[str, Played]) -> Callable[[Method, Panel], Standing]:
+    def figures(self, methods: Mapping[str, Played]) -> Callable[[Method, Panel], BoardRow]:
         """Return what makes a method's row, or finds it among those of the board before."""
         kept, self._figures = self._figures, {}
 
-        def of(method: Method, panel: Panel) -> Standing:
+        def of(method: Method, panel: Panel) -> BoardRow:
             bounds = panel.bounds and (panel.bounds.best.tobytes(), panel.bounds.low.tobytes())
             seeds = tuple(one.id for one in methods[method.name].submissions)
             key = (seeds, panel.disabilities, bounds)

@@ -8,8 +8,9 @@ import polars as pl
 
 from assistax_board.pages.behind import Behind
 from assistax_board.pages.boards import bounds_of
-from assistax_board.places.boards import Method, Panel, Standing, standings
-from assistax_board.store.queries import Queries, Season, Submission
+from assistax_board.places.boards import BoardRow, Method, Panel, board_rows
+from assistax_board.store.queries import Queries
+from assistax_board.store.shown import Season, Submission
 from assistax_board.vocabulary import REFERENCE
 from evaluation.figures.metrics import SEED_SDS
 from evaluation.record.tables import with_safety
@@ -43,9 +44,9 @@ class SeasonBoards:
 
     def __init__(self, queries: Queries, panel_b: PanelB) -> None:
         self._queries, self._panel_b = queries, panel_b
-        self._boards: Behind[tuple[tuple[Standing, Entry], ...]] = Behind()
+        self._boards: Behind[tuple[tuple[BoardRow, Entry], ...]] = Behind()
 
-    def of(self, season: Season) -> tuple[tuple[Standing, Entry], ...]:
+    def of(self, season: Season) -> tuple[tuple[BoardRow, Entry], ...]:
         """Return the rows of a season, the highest first; none before it closed."""
         if season.state != "closed":
             return ()
@@ -55,7 +56,7 @@ class SeasonBoards:
         """Return whether the board of a closed season is being computed."""
         return self._boards.is_behind(season.id)
 
-    def _rows(self, season: Season) -> tuple[tuple[Standing, Entry], ...]:
+    def _rows(self, season: Season) -> tuple[tuple[BoardRow, Entry], ...]:
         entries = self._entries(season)
         if not entries:
             return ()
@@ -66,7 +67,7 @@ class SeasonBoards:
         )
         by_name = {entry.newest.id: entry for entry in entries}
         methods = [Method(id, one.returns, not one.is_reference) for id, one in by_name.items()]
-        return tuple((row, by_name[row.name]) for row in standings(methods, panel))
+        return tuple((row, by_name[row.name]) for row in board_rows(methods, panel))
 
     def _entries(self, season: Season) -> list[Entry]:
         groups: dict[tuple[str, str], list[tuple[Submission, pl.DataFrame]]] = {}

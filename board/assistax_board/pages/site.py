@@ -14,7 +14,8 @@ from assistax_board.pages.rendering import render
 from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.pages.security import FIELD, FormTokens
 from assistax_board.pages.videos import Videos
-from assistax_board.store.queries import Queries, Submission
+from assistax_board.store.queries import Queries
+from assistax_board.store.shown import Submission
 from zoo.registry import Registry
 
 LIVE = 1.0  # seconds that a page of the database may be old

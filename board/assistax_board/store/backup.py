@@ -6,7 +6,8 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-from assistax_board.serve import ARTEFACTS_FOLDER, DATABASE_FILE
+from assistax_board.store.artefacts import ARTEFACTS_FOLDER
+from assistax_board.store.database import DATABASE_FILE
 from assistax_board.store.receipts import KEY_FILE
 
 

@@ -189,3 +189,8 @@ receipts = sa.Table(
     sa.Column("signature", sa.String(128), nullable=False),
     sa.Column("created_at", sa.Float, nullable=False),
 )
+
+# Columns, for queries: `JOB.state == "waiting"`.
+SUBMITTER, TOKEN, ARTEFACT, SEASON = submitters.c, tokens.c, artefacts.c, seasons.c
+SUBMISSION, VERSION, JOB, RESULT = submissions.c, versions.c, jobs.c, results.c
+SCORE, PARTNER_SCORE, ENTRY, RECEIPT = scores.c, partner_scores.c, ledger.c, receipts.c

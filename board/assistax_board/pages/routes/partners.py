@@ -12,7 +12,7 @@ from assistax_board.api.guards import FILMS, client_of
 from assistax_board.pages import security
 from assistax_board.pages.cache import respond
 from assistax_board.pages.charts import axis_over
-from assistax_board.pages.partners import TRAITS, Partner, choices, choose, list_partners
+from assistax_board.pages.partners import TRAITS, PartnerCard, choices, choose, list_partners
 from assistax_board.pages.rendering import table_rows
 from assistax_board.pages.site import STILL, NotFoundError, Site
 from assistax_board.pages.videos import Pair
@@ -186,7 +186,7 @@ def find_policies(site: Site, task: str, robot: str, human: str) -> Pair:
     return Pair(task, seats[0].id, seats[1].id, (seats[0].sha256, seats[1].sha256), version)
 
 
-def _partner(site: Site, task: str, team: str) -> Partner:
+def _partner(site: Site, task: str, team: str) -> PartnerCard:
     for one in list_partners(site.registry, task, site.crossplays.of(task)):
         if one.name == team:
             return one

@@ -11,7 +11,7 @@ from starlette.responses import Response
 from assistax_board.pages.charts import axis_over
 from assistax_board.pages.rendering import table_rows
 from assistax_board.pages.site import LIVE, NotFoundError, Site
-from assistax_board.store.queries import PartnerScore, Score, Submission
+from assistax_board.store.shown import PartnerScore, Score, Submission
 
 _ENTRIES = 200  # of the ledger on one page
 LAST_ENTRY = 2**31 - 1  # that a database counts to
