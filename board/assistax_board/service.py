@@ -10,16 +10,25 @@ import sqlalchemy as sa
 from assistax_board.clock import Clock, system_clock
 from assistax_board.live.rooms import GONE_SECONDS, LIFE_SECONDS, Rooms
 from assistax_board.problems import Problem
-from assistax_board.rules import closing, jobs, results, seasons, submissions, tokens, upgrading
+from assistax_board.rules import (
+    closing,
+    jobs,
+    organising,
+    results,
+    seasons,
+    submissions,
+    tokens,
+    upgrading,
+)
 from assistax_board.rules.catalogue import CHUNK, PUBLIC_SEED, Catalogue, panel_episodes
 from assistax_board.rules.scoring import Work
 from assistax_board.rules.submissions import Draft
-from assistax_board.store import ledger, schema
+from assistax_board.store import notices, schema
 from assistax_board.store.artefacts import Artefacts
 from assistax_board.store.database import Database
 from assistax_board.store.queries import Queries
 from assistax_board.store.receipts import Signer
-from assistax_board.store.schema import ARTEFACT, JOB, RECEIPT, SUBMISSION, SUBMITTER, TOKEN
+from assistax_board.store.schema import JOB, SUBMISSION
 from assistax_board.vocabulary import FINAL_STATES, REFERENCE
 
 Admit = Callable[[bytes, str], str]  # (file, task) -> format; raises Refusal
@@ -175,7 +184,28 @@ class Service:
 
     def erase_submitter(self, submitter: str) -> None:
         """Remove a lab's name, contact and files; hashes and scores stay, under a pseudonym."""
-        erase_submitter(self, submitter)
+        organising.erase_submitter(self, submitter)
+
+    def failures(self) -> list[organising.Failure]:
+        """Return the submissions of which jobs have failed, the newest first."""
+        return organising.failures(self.database)
+
+    def retry(self, submission: str) -> None:
+        """Queue a submission again that the workers failed."""
+        organising.retry(self, submission)
+
+    def disqualify(self, season: str, lab: str) -> int:
+        """Take a lab, by its name, out of a season; return how many submissions that was."""
+        return organising.disqualify(self, season, lab)
+
+    def extend_season(self, name: str, closes_at: float) -> None:
+        """Let an open season close later than was announced."""
+        organising.extend(self.database, name, closes_at, self.clock())
+
+    def note(self, kind: str, about: str) -> None:
+        """Tell the organiser something; see `notices`."""
+        with self.database.write() as connection:
+            notices.note(connection, kind, about, self.clock())
 
     def add_references(self) -> None:
         """Queue what every board measures by, each once, to be played when nobody else waits."""
@@ -203,6 +233,8 @@ class Service:
     def _fail(self, submission: str, reason: str) -> None:
         with self.database.write() as connection:
             submissions.fail(self.database, connection, submission, reason, self.clock())
+            if reason == "worker_errors":
+                notices.note(connection, reason, submission, self.clock())
             self._reveal(connection, submission)
 
     def _reveal(self, connection: sa.Connection, submission: str) -> None:
@@ -253,54 +285,6 @@ class Service:
         else:
             names = seasons.panel_partners(season.secret["leaves"], job.panel)
         return tuple(names[job.chunk * CHUNK : (job.chunk + 1) * CHUNK])
-
-
-def erase_submitter(service: Service, submitter: str) -> None:
-    """Remove a person's data; the ledger holds ids and hashes alone, so its chain stays whole."""
-    now = service.clock()
-    with service.database.write() as connection:
-        where = SUBMITTER.id == submitter
-        row = connection.execute(sa.select(schema.submitters).where(where)).first()
-        if row is None:
-            raise Problem("not_found", f"no submitter {submitter!r}")
-        values = {"name": f"erased-{submitter}", "contact": None, "erased_at": now}
-        connection.execute(sa.update(schema.submitters).where(where).values(values))
-        open_tokens = sa.update(schema.tokens).where(TOKEN.submitter == submitter)
-        connection.execute(open_tokens.values(revoked_at=now, label="erased"))
-        columns = SUBMISSION.id, SUBMISSION.artefact, SUBMISSION.season
-        mine = connection.execute(
-            sa.select(*columns).where(SUBMISSION.submitter == submitter)
-        ).all()
-        for row in mine:
-            submissions.fail(service.database, connection, row.id, "withdrawn", now)
-            jobs.cancel_jobs(connection, row.id)  # of a scored one, whose file goes too
-            update = sa.update(schema.submissions).where(SUBMISSION.id == row.id)
-            # Its client chose the request, and may have written anything.
-            connection.execute(update.values(method="erased", request=row.id))
-            _sign_anew(service, connection, row.id)
-        others = sa.select(SUBMISSION.artefact).where(
-            SUBMISSION.submitter != submitter, SUBMISSION.artefact.is_not(None)
-        )
-        kept = set(connection.execute(others).scalars())
-        gone = {row.artefact for row in mine if row.artefact} - kept
-        erased = sa.update(schema.artefacts).where(ARTEFACT.sha256.in_(gone)).values(erased_at=now)
-        connection.execute(erased)
-        ledger.append(service.database, connection, now, "erase", {"submitter": submitter})
-        for season in {row.season for row in mine if row.season}:
-            closing.go_on(service.database, connection, season, now)
-    for name in gone:
-        service.artefacts.erase(name)
-
-
-def _sign_anew(service: Service, connection: sa.Connection, submission: str) -> None:
-    """Sign receipts without the method's name: the same score, at the same place of the ledger."""
-    query = sa.select(RECEIPT.version, RECEIPT.content).where(RECEIPT.submission == submission)
-    for row in connection.execute(query).all():
-        content = row.content | {"method": "erased"}
-        mine = sa.update(schema.receipts).where(
-            RECEIPT.submission == submission, RECEIPT.version == row.version
-        )
-        connection.execute(mine.values(content=content, signature=service.signer.sign(content)))
 
 
 def _task_of(connection: sa.Connection, submission: str) -> str:

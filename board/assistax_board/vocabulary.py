@@ -50,6 +50,7 @@ FAILURES = {
     "client_gone": "the live robot did not come back within the time allowed",
     "season_closed": "the season closed before it was played",
     "time_bank": "the live robot used up its time for thinking",
+    "disqualified": "the organiser disqualified its lab; ask the organiser",
     "broke_down": "it returned numbers that are not finite to hidden partners",
 }
 # Failures by the robot's own doing: after it met hidden partners they cost the attempt, or each

@@ -73,6 +73,7 @@ def addresses(client: TestClient) -> list[str]:
         "/ledger",
         "/submit",
         "/submit?task=bed_bath",
+        "/organise",
         "/tasks/nowhere",
     ]
 

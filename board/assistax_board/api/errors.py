@@ -1,5 +1,6 @@
 """One form for every error: {"error": {"code", "message"}}, without traceback or values."""
 
+import contextlib
 import logging
 from typing import Any, TypeVar
 
@@ -52,6 +53,8 @@ def add_error_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(Problem)
     def problem(request: Request, error: Problem) -> Response:
+        if error.code == "too_full":
+            _note(request, "too_full", "files")
         after = error.retry_after
         headers = None if after is None else {"Retry-After": str(after)}
         return _answer(request, CODES[error.code], error.code, error.message, headers)
@@ -84,8 +87,15 @@ def add_error_handlers(app: FastAPI) -> None:
             place = place.tb_next
         line = f"{place.tb_frame.f_code.co_filename}:{place.tb_lineno}" if place else "?"
         log.error("unexpected", extra={"fields": {"error": type(error).__name__, "at": line}})
-        message = "something broke; the organiser finds it in the log"
+        _note(request, "unexpected", f"{type(error).__name__} at {line}")
+        message = "something broke; the organiser has been told"
         return _answer(request, 500, "unexpected", message)
+
+
+def _note(request: Request, kind: str, about: str) -> None:
+    """Tell the organiser, if that can be done now."""
+    with contextlib.suppress(Exception):
+        request.app.state.service.note(kind, about)
 
 
 def _answer(

@@ -9,6 +9,7 @@ from assistax_board.client.client import Client
 from assistax_board.problems import Problem
 from assistax_board.service import Service
 from assistax_board.store.ledger import START, check_chain
+from assistax_board.store.notices import list_notices
 from assistax_board.store.receipts import verify_receipt
 from assistax_board.store.schema import ARTEFACT, RECEIPT
 from assistax_board.store.shown import LedgerEntry
@@ -36,7 +37,7 @@ def check_service(service: Service) -> dict[str, Any]:
         receipts = (
             connection.execute(sa.select(RECEIPT.content, RECEIPT.signature)).mappings().all()
         )
-    entries = list(_pages(service.queries.ledger))
+    entries = list(ledger_pages(service.queries.ledger))
     last = check_chain(entries)
     damaged = [problem for name in names if (problem := _artefact_problem(service, name))]
     if damaged:
@@ -46,7 +47,8 @@ def check_service(service: Service) -> dict[str, Any]:
         quoted = verify_receipt(dict(receipt), service.signer.public_key)["ledger"]
         if hashes.get(quoted["seq"]) != quoted["hash"]:
             raise ValueError(f"a receipt quotes another ledger entry {quoted['seq']}")
-    return {"ledger": last, "artefacts": len(names), "receipts": len(receipts), "whole": True}
+    counts = {"ledger": last, "artefacts": len(names), "receipts": len(receipts)}
+    return {**counts, "notices": len(list_notices(service.database)), "whole": True}
 
 
 def check_ledger(client: Client) -> dict[str, Any]:
@@ -61,13 +63,13 @@ def check_ledger(client: Client) -> dict[str, Any]:
         return [LedgerEntry(**entry) for entry in answer.json()]
 
     previous, seq = START, 0
-    for entry in _pages(page):
+    for entry in ledger_pages(page):
         seq = check_chain([entry], previous, seq)
         previous = entry.hash
     return {"entries": seq, "last_hash": previous, "whole": True}
 
 
-def _pages(page: Any) -> Iterator[LedgerEntry]:
+def ledger_pages(page: Any) -> Iterator[LedgerEntry]:
     """Yield all entries of a ledger that is read page by page."""
     after = 0
     while entries := page(after, _PAGE):

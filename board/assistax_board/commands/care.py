@@ -1,5 +1,6 @@
 """Care of what a service keeps."""
 
+import tempfile
 from pathlib import Path
 
 from assistax_board.commands.opening import open_client, open_folder, print_answer
@@ -24,15 +25,19 @@ def ledger_verify(*, url: str | None = None, json: bool = False) -> None:
 
 def service_check(
     *,
-    data: Path,
+    data: Path | None = None,
+    backup: Path | None = None,
     database: str | None = None,
     artefacts: str | None = None,
     json: bool = False,
 ) -> None:
     """Check that what a service keeps is whole: database, ledger, artefacts and receipts.
 
+    It counts the organiser's notices too; `service notices` lists them.
+
     Args:
-        data: Folder of the service, or one that a backup was restored to.
+        data: Folder of the service.
+        backup: A backup to check instead: it is restored to a folder that goes again.
         database: URL, where it is not the folder's.
         artefacts: Address, where it is not the folder's.
         json: Print JSON.
@@ -42,7 +47,15 @@ def service_check(
     """
     from assistax_board.client.checking import check_service
 
-    print_answer(check_service(open_folder(data, database, artefacts)), json)
+    if backup is None and data is not None:
+        print_answer(check_service(open_folder(data, database, artefacts)), json)
+    elif backup is not None and data is None:
+        with tempfile.TemporaryDirectory() as folder:
+            restored = Path(folder) / "board"
+            service_restore(backup, data=restored)
+            print_answer(check_service(open_folder(restored)), json)
+    else:
+        raise ValueError("give --data with a service's folder, or --backup with a backup's file")
 
 
 def service_backup(target: Path, /, *, data: Path) -> None:

@@ -4,6 +4,7 @@ import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
+from assistax_board.clock import seconds_of
 from assistax_board.commands.opening import open_folder
 
 
@@ -89,10 +90,8 @@ def season_open(
     Example:
         assistax-zoo season open spring --closes 2026-12-01T12:00 --data board
     """
-    if closes is not None and closes.tzinfo is None:
-        closes = closes.replace(tzinfo=UTC)
     service = open_folder(data, database)
-    print(service.open_season(name, closes.timestamp() if closes else None))
+    print(service.open_season(name, seconds_of(closes) if closes else None))
     opened = service.queries.season(name)
     date = datetime.fromtimestamp(opened.closes_at, UTC) if opened and opened.closes_at else None
     print(f"it closes by itself at {date:%Y-%m-%d %H:%M} UTC", file=sys.stderr)

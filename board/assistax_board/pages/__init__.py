@@ -18,6 +18,7 @@ from assistax_board.pages.cache import PageCache, respond
 from assistax_board.pages.crossplays import PUBLISHED, CrossPlays
 from assistax_board.pages.rendering import static_files
 from assistax_board.pages.routes.boards import board_router
+from assistax_board.pages.routes.organising import organiser_router
 from assistax_board.pages.routes.partners import explorer_router, pair_router, partner_router
 from assistax_board.pages.routes.seasons import season_router
 from assistax_board.pages.routes.submitting import submit_router
@@ -92,7 +93,7 @@ def add_pages(
         tokens=FormTokens(form_key),
     )
     routers = board_router, season_router, submit_router, partner_router, pair_router
-    for router in (*routers, explorer_router):
+    for router in (*routers, explorer_router, organiser_router):
         app.include_router(router(site), dependencies=[Depends(count_page)])
 
     @app.get("/static/{name}", include_in_schema=False)

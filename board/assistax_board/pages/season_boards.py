@@ -50,7 +50,9 @@ class SeasonBoards:
         """Return the rows of a season, the highest first; none before it closed."""
         if season.state != "closed":
             return ()
-        return self._boards.value(season.id, season.closed_at, lambda: self._rows(season)) or ()
+        scores = self._queries.scores(season=season.id, panel="B")
+        key = tuple(score.submission for score in scores)  # one may be disqualified later
+        return self._boards.value(season.id, key, lambda: self._rows(season)) or ()
 
     def is_behind(self, season: Season) -> bool:
         """Return whether the board of a closed season is being computed."""

@@ -20,6 +20,7 @@ from assistax_board.problems import Problem
 from assistax_board.rules import jobs, submissions
 from assistax_board.store import ledger, schema
 from assistax_board.store.database import Database
+from assistax_board.store.notices import note
 from assistax_board.store.schema import ARTEFACT, JOB, SCORE, SEASON, SUBMISSION, SUBMITTER
 from assistax_board.vocabulary import FINAL_STATES, REFERENCE
 
@@ -237,3 +238,4 @@ def _reveal(database: Database, connection: sa.Connection, season: Any, now: flo
     connection.execute(sa.update(schema.seasons).where(SEASON.id == season.id).values(values))
     body = {"season": season.id, "root": season.root, "release": season.release}
     ledger.append(database, connection, now, "season_reveal", body)
+    note(connection, "season_closed", season.name, now)

@@ -158,6 +158,20 @@ def cancel_jobs(connection: sa.Connection, submission: str, version: str | None 
     connection.execute(sa.update(schema.jobs).where(where).values(state="cancelled"))
 
 
+def queue_again(connection: sa.Connection, submission: str, version: str) -> bool:
+    """Queue what is not done of a submission as if nothing had failed; False if there is nothing.
+
+    Its hidden panel is held back until the public one is done.
+    """
+    mine = JOB.submission == submission, JOB.version == version
+    jobs = connection.execute(sa.select(JOB.panel, JOB.state).where(*mine)).all()
+    held = any(panel == "public" and state != "done" for panel, state in jobs)
+    for panel, state in (("public", "waiting"), ("A", "held" if held else "waiting")):
+        again = sa.update(schema.jobs).where(*mine, JOB.panel == panel, JOB.state == "cancelled")
+        connection.execute(again.values(state=state, failures=0, lease=None, expires_at=None))
+    return bool(jobs)
+
+
 def _put_back(connection: sa.Connection, job: str, failures: int) -> None:
     # The lease's hash stays: should its worker answer after all, the answer counts.
     state = "cancelled" if failures >= MAX_FAILURES else "waiting"

@@ -137,6 +137,7 @@ def panel_b(
         .join(schema.submissions, SUBMISSION.id == SCORE.submission)
         .join(schema.seasons, SEASON.id == SUBMISSION.season)
         .where(SEASON.id == season, SEASON.state == "closed", SCORE.panel == "B")
+        .where(SUBMISSION.reason.is_distinct_from("disqualified"))
         .order_by(SCORE.created_at.desc(), SCORE.submission)
     )
     with database.read() as connection:

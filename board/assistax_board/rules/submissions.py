@@ -97,7 +97,8 @@ def submit(
             database.one_at_a_time(connection, f"season {draft.season}")
         season = _open_season(connection, draft, now) if draft.season else None
         if season is not None and draft.refusal is None:
-            _check_budget(connection, season, submitter)
+            _check_not_disqualified(connection, season, submitter)
+            check_budget(connection, season, submitter)
         if kept is not None and draft.data is not None:
             record_artefact(connection, kept, len(draft.data), now)
         row = _row(connection, submitter, draft, kept, now)
@@ -252,7 +253,7 @@ def _open_season(connection: sa.Connection, draft: Draft, now: float) -> Any:
     return row
 
 
-def _check_budget(connection: sa.Connection, season: Any, submitter: str) -> None:
+def check_budget(connection: sa.Connection, season: Any, submitter: str) -> None:
     """Count attempts anew each time: a counter could be lost between two transactions."""
     taken = SUBMISSION.attempt.in_(("reserved", "spent"))
     query = sa.select(sa.func.count()).where(
@@ -264,6 +265,13 @@ def _check_budget(connection: sa.Connection, season: Any, submitter: str) -> Non
             f"all {season.budget} attempts of season {season.name} are made or under way; submit "
             "without a season to be scored on the public partners",
         )
+
+
+def _check_not_disqualified(connection: sa.Connection, season: Any, submitter: str) -> None:
+    out = SUBMISSION.submitter == submitter, SUBMISSION.reason == "disqualified"
+    query = sa.select(SUBMISSION.id).where(SUBMISSION.season == season.id, *out)
+    if connection.execute(query.limit(1)).first():
+        raise Problem("not_allowed", f"the organiser disqualified you from season {season.name}")
 
 
 def _met_hidden(connection: sa.Connection, id: str) -> bool:

@@ -103,7 +103,10 @@ class Queries:
             .order_by(SCORE.created_at, SCORE.submission)
         )
         if submission is None:  # off every board; its own page still tells
-            query = query.where((SUBMISSION.state != "retracted") | (SCORE.panel == "B"))
+            query = query.where(
+                (SUBMISSION.state != "retracted")
+                | ((SCORE.panel == "B") & (SUBMISSION.reason != "disqualified"))
+            )
         wanted = (
             (SUBMISSION.task, task),
             (SCORE.submission, submission),

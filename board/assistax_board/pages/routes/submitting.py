@@ -4,6 +4,7 @@ The token is typed, or filled in by the browser's own store, with each form. No 
 in, so no other site can act for its owner; the form itself is answered only to who was given it.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 from fastapi import APIRouter, Request
@@ -66,15 +67,17 @@ def submit_router(site: Site) -> APIRouter:
     return router
 
 
-async def read_form(request: Request) -> tuple[dict[str, str], bytes]:
+async def read_form(
+    request: Request, names: Sequence[str] = FIELDS
+) -> tuple[dict[str, str], bytes]:
     """Return a form's texts, empty where it lacks one, and its file.
 
     Raises:
         Problem: It is no form of this page.
     """
     try:
-        async with request.form(max_files=1, max_fields=len(FIELDS)) as form:
-            texts = {name: form.get(name, "") for name in FIELDS}
+        async with request.form(max_files=1, max_fields=len(names)) as form:
+            texts = {name: form.get(name, "") for name in names}
             file = form.get("file")
             data = b"" if file is None or isinstance(file, str) else await file.read()
     except (HTTPException, ClientDisconnect):
