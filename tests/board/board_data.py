@@ -51,7 +51,7 @@ ROBOTS = (
 
 def make_app(folder: Path, robots: tuple[Robot, ...] = ROBOTS, **options: Any) -> FastAPI:
     """Return an application of pages alone, over a new database."""
-    app = FastAPI(middleware=[Middleware(SecurityHeaders)])
+    app = FastAPI(docs_url=None, middleware=[Middleware(SecurityHeaders)])
     app.state.limiter = Limiter()
     add_error_handlers(app)
     catalogue = SimpleNamespace(tasks=("scratch", "bed_bath", "arm_assist"))

@@ -74,6 +74,7 @@ def addresses(client: TestClient) -> list[str]:
         "/submit",
         "/submit?task=bed_bath",
         "/organise",
+        "/docs",
         "/tasks/nowhere",
     ]
 

@@ -19,7 +19,7 @@ PAGES = (
     *("/", "/tasks/scratch", "/tasks/arm_assist", "/tasks/scratch/compare", "/tasks/nowhere"),
     *("/tasks/scratch/partners?disability=d3", "/partners/scratch/ippo-d1-s0-v1"),
     *("/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1", "/tasks/scratch/explorer"),
-    *("/seasons", "/seasons/5ea5011", "/submit?task=scratch", "/ledger", "/organise"),
+    *("/seasons", "/seasons/5ea5011", "/submit?task=scratch", "/ledger", "/organise", "/docs"),
 )
 WIDTHS = (400, 800, 1600)
 expect.set_options(timeout=60_000)  # waits no longer than it must

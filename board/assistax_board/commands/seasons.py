@@ -15,6 +15,7 @@ def season_plan(
     out: Path,
     task: str | None = None,
     release: str | None = None,
+    teams: int | None = None,
 ) -> None:
     """Write a private plan: a public one's teams, with seeds that nobody can guess.
 
@@ -26,16 +27,17 @@ def season_plan(
         out: File to write, for its owner alone; one that exists is never overwritten.
         task: Only the groups of this task; default all.
         release: Name of the private release, such as v3; default the plan's.
+        teams: At most so many, by fewer seeds in every group; default as many as the plan has.
 
     Example:
         assistax-zoo season plan zoo/plans/v2.json --task gentle_scratch --out private/plan.json
     """
     from assistax_workshop.plans.plan import private_plan, read_plan, write_private_plan
 
-    private = private_plan(read_plan(plan), task, release)
+    private = private_plan(read_plan(plan), task, release, teams)
     write_private_plan(private, out)
-    teams = sum(len(group.members) for group in private.groups)
-    print(f"{out} has {teams} teams; keep it secret, since it is all one needs to train them")
+    count = sum(len(group.members) for group in private.groups)
+    print(f"{out} has {count} teams; keep it secret, since it is all one needs to train them")
 
 
 def season_create(

@@ -20,6 +20,7 @@ from assistax_board.pages.rendering import static_files
 from assistax_board.pages.routes.boards import board_router
 from assistax_board.pages.routes.organising import organiser_router
 from assistax_board.pages.routes.partners import explorer_router, pair_router, partner_router
+from assistax_board.pages.routes.reference import reference_router
 from assistax_board.pages.routes.seasons import season_router
 from assistax_board.pages.routes.submitting import submit_router
 from assistax_board.pages.season_boards import SeasonBoards
@@ -29,6 +30,10 @@ from assistax_board.pages.videos import Videos, run_command
 from assistax_board.store.queries import Queries
 from zoo.registry import load_registry
 
+ROUTERS = (
+    *(board_router, season_router, submit_router, partner_router, pair_router),
+    *(explorer_router, organiser_router, reference_router),
+)
 FILMS = Path("~/.cache/assistax-zoo/films")  # where no other folder is given
 
 
@@ -92,8 +97,7 @@ def add_pages(
         cache=PageCache(),
         tokens=FormTokens(form_key),
     )
-    routers = board_router, season_router, submit_router, partner_router, pair_router
-    for router in (*routers, explorer_router, organiser_router):
+    for router in ROUTERS:
         app.include_router(router(site), dependencies=[Depends(count_page)])
 
     @app.get("/static/{name}", include_in_schema=False)
