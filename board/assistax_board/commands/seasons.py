@@ -1,6 +1,9 @@
 """Seasons, for their organiser."""
 
+import contextlib
 import sys
+import tempfile
+import time
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -111,3 +114,36 @@ def season_close(name: str, /, *, data: Path, database: str | None = None) -> No
         assistax-zoo season close spring --data board
     """
     open_folder(data, database).close_season(name)
+
+
+def season_rehearse(
+    *,
+    task: str = "scratch",
+    data: Path | None = None,
+    registry: Path | None = None,
+    minutes: float = 2.0,
+) -> None:
+    """Rehearse a whole tiny season on this machine: ten minutes of two cores.
+
+    Trains hidden teams, serves, lets two labs hand in files and a live robot, closes by date,
+    reveals, proves, and prints what it does.
+
+    Args:
+        task: Task.
+        data: Folder to make and to leave for a look; default one that goes again.
+        registry: Registry of the public partners instead of the installed one.
+        minutes: For which labs may hand in.
+
+    Example:
+        assistax-zoo season rehearse --data rehearsal
+    """
+    from assistax_board.rehearsal import Stage, rehearse
+
+    if data is not None and data.exists():
+        raise ValueError(f"{data} exists; name a new folder")
+    began = time.monotonic()
+    with contextlib.ExitStack() as stack:
+        folder = data or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        for line in rehearse(Stage(folder, task, registry, open_seconds=60 * minutes)):
+            print(f"{time.monotonic() - began:4.0f} s  {line}", flush=True)
