@@ -16,6 +16,7 @@ from assistax_board.api import guards
 from assistax_board.client.client import Client
 from assistax_board.live import client as live_client
 from assistax_board.live.robot import LiveRobot
+from assistax_board.rules import jobs
 from assistax_board.service import Service
 from assistax_board.vocabulary import Scope
 from assistax_board.work.worker import Worker
@@ -218,13 +219,14 @@ def test_a_full_database_refuses_for_a_while_and_nothing_is_lost(tmp_path: Path)
     assert states == dict.fromkeys(taken, "scored")
 
 
+@pytest.mark.parametrize("refused", [2, 3 * jobs.MAX_FAILURES])
 def test_a_disk_that_fills_up_at_a_result_costs_no_score(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: int
 ) -> None:
-    """The worker is told so, and the job is done again when there is space."""
+    """The worker is told so, and brings the result again when there is space."""
     service = new_service(tmp_path)
     service.submit(new_submitter(service), draft())
-    real, left = service.artefacts.put, [2]
+    real, left = service.artefacts.put, [refused]
 
     def put(data: bytes) -> str:
         if left[0]:

@@ -38,7 +38,7 @@ from tests.untrained import published, teams_of
 SIZE = 30  # partners of each panel
 
 
-def open_season(service: Service, budget: int = 3) -> str:
+def open_season(service: Service, budget: int = 3, closes_at: float | None = None) -> str:
     """Put a season of made-up partners into the database, as `create_season` would."""
     leaves = [{"seeds": {"A": "a1" * 16, "B": "b2" * 16}, "salt": "00"}]
     leaves += [
@@ -59,7 +59,7 @@ def open_season(service: Service, budget: int = 3) -> str:
     }
     with service.database.write() as connection:
         connection.execute(sa.insert(schema.seasons).values(row))
-    assert service.open_season("spring") == merkle_root(leaves)
+    assert service.open_season("spring", closes_at) == merkle_root(leaves)
     return row["id"]
 
 
