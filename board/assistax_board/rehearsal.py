@@ -169,9 +169,11 @@ def hand_in(stage: Stage, service: Service, new_client: Callable[[str], Client])
     yield f"{lab} connected a live robot as {live['id']}: it meets public partners alone"
     for client, id in submitted:
         wait(f"{id} ends", lambda c=client, i=id: c.submission(i)["state"] in FINAL_STATES)
-        found = client.submission(id)
-        if found["state"] != "scored":
-            raise ValueError(f"submission {id} is {found['state']}: {found['reason_text']}")
+        submission = client.submission(id)
+        if submission["state"] != "scored":
+            raise ValueError(
+                f"submission {id} is {submission['state']}: {submission['reason_text']}"
+            )
         shown = {score["panel"]: score["figures"]["mean"] for score in client.scores(id)}
         means = ", ".join(f"{panel} {mean:.1f}" for panel, mean in sorted(shown.items()))
         yield f"{id} is scored ({means}); its receipt is signed: {bool(client.receipt(id))}"

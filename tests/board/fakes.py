@@ -138,9 +138,9 @@ def work_off(service: Service, worker: str = "w", version: int = 1, most: int = 
 
 
 def shown(service: Service, id: str) -> Submission:
-    found = service.queries.submission(id)
-    assert found is not None
-    return found
+    submission = service.queries.submission(id)
+    assert submission is not None
+    return submission
 
 
 def take(service: Service, version: int = 1) -> Work:

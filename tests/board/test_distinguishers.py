@@ -139,7 +139,7 @@ def live_through(season: Season) -> None:
 def addresses(season: Season) -> list[str]:
     """Return all that can be asked for without a token, and much that cannot."""
     app: Any = season.http.app
-    ids = [each.id for each in season.service.queries.submissions()]
+    ids = [row.id for row in season.service.queries.submissions()]
     paths = [path for path, methods in app.openapi()["paths"].items() if "get" in methods]
     paths += ["/", f"/tasks/{TASK}", "/ledger", "/seasons", "/seasons/{id}", "/submissions/{id}"]
     names = [*ids, "season1", "hidden-0001"]
@@ -191,21 +191,21 @@ def looked_at(season: Season) -> Generator[None]:
     finally:
         log.removeHandler(handler)
         log.setLevel(level)
-    lines = [f"{each.getMessage()} {json.dumps(vars(each).get('fields'))}" for each in records]
+    lines = [f"{row.getMessage()} {json.dumps(vars(row).get('fields'))}" for row in records]
     season.seen += [COMMITMENTS.sub("#", line) for line in lines]
 
 
 def differences(seasons: tuple[Season, Season]) -> list[tuple[str, str]]:
-    first, second = (each.seen for each in seasons)
+    first, second = (row.seen for row in seasons)
     assert len(first) == len(second) > 100
     return [(a, b) for a, b in zip(first, second, strict=True) if a != b]
 
 
 def test_answers_logs_and_statements_are_the_same(two: tuple[Season, Season]) -> None:
-    hidden = [hidden_returns(each.service) for each in two]
+    hidden = [hidden_returns(row.service) for row in two]
     assert sorted(hidden[0]) == sorted(hidden[1])
     assert hidden[0] != hidden[1], "what is hidden differs"
-    assert any('"panel":"A"' in each for each in two[0].seen), "a score on panel A is shown"
+    assert any('"panel":"A"' in row for row in two[0].seen), "a score on panel A is shown"
     assert differences(two) == []
 
 
@@ -276,7 +276,7 @@ def p_value(found: np.ndarray) -> float:
     swapped = np.random.default_rng(1).random((2000, len(found), 1)) < 0.5
     drawn = np.where(swapped, found[:, ::-1], found)  # [2000, N, 2]
     seen, chance = (
-        np.abs(np.diff(np.quantile(each, 0.25, axis=-2), axis=-1)) for each in (found, drawn)
+        np.abs(np.diff(np.quantile(row, 0.25, axis=-2), axis=-1)) for row in (found, drawn)
     )
     return float((1 + (chance >= seen).sum()) / 2001)
 
@@ -300,7 +300,7 @@ def test_a_planted_leak_of_time_is_found(
 ) -> None:
     """A few milliseconds more or less, by what the first hidden partner was good for."""
     real = Queries.attempts
-    values = {id(each.service.database): hidden_returns(each.service)[0] for each in two}
+    values = {id(row.service.database): hidden_returns(row.service)[0] for row in two}
     assert len(set(values.values())) == 2
 
     def attempts(self: Queries, season: str) -> Any:

@@ -61,8 +61,8 @@ class Process:
 
 def losses(service: Service, season: str, count: int) -> tuple[dict[str, int], list[str]]:
     """Return how many submissions ended how, and everything that was lost or counted twice."""
-    found = service.queries.submissions(limit=1000)
-    lost = [] if len(found) == count else [f"{len(found)} submissions of {count}"]
+    rows = service.queries.submissions(limit=1000)
+    lost = [] if len(rows) == count else [f"{len(rows)} submissions of {count}"]
     with service.database.read() as connection:
         results = Counter(connection.execute(sa.select(RESULT.submission)).scalars())
         struck = set(
@@ -79,21 +79,21 @@ def losses(service: Service, season: str, count: int) -> tuple[dict[str, int], l
         check_chain(service.queries.ledger())
     except ValueError as error:
         lost.append(str(error))
-    for one in found:
-        by_design = one.reason == "worker_errors" and one.id in struck
-        if one.state not in FINAL_STATES or (one.state == "failed" and not by_design):
-            lost.append(f"{one.id} is {one.state} for {one.reason}")
-        if one.attempt != ("spent" if one.state == "scored" else "refunded"):
-            lost.append(f"{one.id} is {one.state} and its attempt is {one.attempt}")
-        if one.state == "scored" and results[one.id] != JOBS:
-            lost.append(f"{one.id} has {results[one.id]} results")
-        told = kinds["submission", one.id], kinds["end", one.id], kinds["score", one.id]
-        if told != (1, 1, int(one.state == "scored")):
-            lost.append(f"{one.id} is told {told} times in the ledger")
+    for row in rows:
+        by_design = row.reason == "worker_errors" and row.id in struck
+        if row.state not in FINAL_STATES or (row.state == "failed" and not by_design):
+            lost.append(f"{row.id} is {row.state} for {row.reason}")
+        if row.attempt != ("spent" if row.state == "scored" else "refunded"):
+            lost.append(f"{row.id} is {row.state} and its attempt is {row.attempt}")
+        if row.state == "scored" and results[row.id] != JOBS:
+            lost.append(f"{row.id} has {results[row.id]} results")
+        told = kinds["submission", row.id], kinds["end", row.id], kinds["score", row.id]
+        if told != (1, 1, int(row.state == "scored")):
+            lost.append(f"{row.id} is told {told} times in the ledger")
     lost += wrong_scores(service)
-    held = [each for each in service.queries.attempts(season) if each.reserved]
-    lost += [f"{each.submitter} has {each.reserved} attempts reserved" for each in held]
-    return dict(Counter(one.state for one in found)), lost
+    held = [row for row in service.queries.attempts(season) if row.reserved]
+    lost += [f"{row.submitter} has {row.reserved} attempts reserved" for row in held]
+    return dict(Counter(row.state for row in rows)), lost
 
 
 def wrong_scores(service: Service) -> list[str]:
@@ -264,4 +264,4 @@ def test_a_planted_loss_is_found(tmp_path: Path, name: str) -> None:
     statement, told = PLANTED[name]
     with service.database.write() as connection:
         connection.execute(statement)
-    assert any(told in each for each in losses(service, season, 2)[1])
+    assert any(told in row for row in losses(service, season, 2)[1])

@@ -131,7 +131,7 @@ def test_a_live_robot_that_thinks_long_is_not_hung_up_on(
         return np.zeros((len(obs), 3), np.float32)
 
     id = play(service, slow)
-    [found] = [each for each in service.queries.submissions() if each.id == id]
+    [found] = [row for row in service.queries.submissions() if row.id == id]
     assert found.state == "scored"
 
 
@@ -215,7 +215,7 @@ def test_a_full_database_refuses_for_a_while_and_nothing_is_lost(tmp_path: Path)
         service.database.close()
         taken.append(client.submit(b"robot 1.0", request_id=request, **fields)["id"])
     work_off(service)
-    states = {each.id: each.state for each in service.queries.submissions(limit=1000)}
+    states = {row.id: row.state for row in service.queries.submissions(limit=1000)}
     assert states == dict.fromkeys(taken, "scored")
 
 
@@ -243,7 +243,7 @@ def test_a_disk_that_fills_up_at_a_result_costs_no_score(
         working = server.client("work")
         object.__setattr__(service.artefacts, "put", put)
         Worker(working, FakeScorer(), idle=0.05, beat=1.0).run(until_empty=True)
-    assert [each.state for each in service.queries.submissions()] == ["scored"]
+    assert [row.state for row in service.queries.submissions()] == ["scored"]
 
 
 @pytest.mark.parametrize(("proxy", "answered"), [(None, 30), ("127.0.0.1", 60)])

@@ -143,9 +143,9 @@ def test_who_is_disqualified_after_the_close_leaves_panel_b(service: Service) ->
     boards = SeasonBoards(service.queries, service.panel_b)
 
     def labs() -> set[str]:
-        found = service.queries.season(season)
-        assert found is not None
-        return {entry.newest.submitter for _, entry in boards.of(found)}
+        row = service.queries.season(season)
+        assert row is not None
+        return {entry.newest.submitter for _, entry in boards.of(row)}
 
     assert labs() == {"bad", "good"}
     service.disqualify("spring", "bad")

@@ -78,8 +78,8 @@ def test_a_season_from_its_opening_to_its_reveal(tmp_path: Path) -> None:
     assert work_off(service) == 2
     panels = {score.panel: score.figures for score in service.queries.scores(submission=id)}
     assert panels["B"]["n"] == SIZE
-    told = seasons.revealed(service.database, season)
-    assert merkle_root(told["leaves"]) == told["root"]
+    statement = seasons.revealed(service.database, season)
+    assert merkle_root(statement["leaves"]) == statement["root"]
 
 
 def test_nothing_hidden_is_in_any_answer(tmp_path: Path) -> None:
@@ -361,10 +361,10 @@ def test_another_root_proves_nothing(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     season = open_season(service)
     service.close_season("spring")
-    told = seasons.revealed(service.database, season)
-    told["leaves"][3]["panel"] = "B"
+    statement = seasons.revealed(service.database, season)
+    statement["leaves"][3]["panel"] = "B"
     with pytest.raises(ValueError, match="not those whose root"):
-        seasons.verify_season(told, b"", told["root"], tmp_path)
+        seasons.verify_season(statement, b"", statement["root"], tmp_path)
 
 
 def closing(folder: Path) -> tuple[Service, str]:

@@ -31,7 +31,7 @@ def test_a_cluster_of_workers_empties_the_queue(two_cpus: None, tmp_path: Path) 
     with served(service) as server:
         client = server.client("work")
         run_workers_on_ray(RayCluster(cpus=1), client, FakeScorer, until_empty=True)
-    assert {one.state for one in service.queries.submissions()} == {"scored"}
+    assert {row.state for row in service.queries.submissions()} == {"scored"}
     with service.database.read() as connection:
         names = {row.worker for row in connection.execute(schema.jobs.select())}
     assert len(names) == 2, "both CPUs had one"

@@ -153,7 +153,7 @@ def season_id(service: Service, season: str | None) -> str | None:
     """Return the id of a season that is given by id or name."""
     if season is None:
         return None
-    found = service.queries.season(season)
-    if found is None:
+    row = service.queries.season(season)
+    if row is None:
         raise Problem("not_found", f"no season {season!r}; GET /api/seasons lists them")
-    return found.id
+    return row.id

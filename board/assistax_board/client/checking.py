@@ -25,10 +25,10 @@ def check_service(service: Service) -> dict[str, Any]:
     """
     with service.database.read() as connection:
         if service.database.is_sqlite:
-            found = str(connection.exec_driver_sql("PRAGMA integrity_check(1)").scalar())
-            if found != "ok":
-                found = " ".join(found.split())
-                raise ValueError(f"the database is damaged ({found}); restore a backup")
+            integrity = str(connection.exec_driver_sql("PRAGMA integrity_check(1)").scalar())
+            if integrity != "ok":
+                integrity = " ".join(integrity.split())
+                raise ValueError(f"the database is damaged ({integrity}); restore a backup")
         names = (
             connection.execute(sa.select(ARTEFACT.sha256).where(ARTEFACT.erased_at.is_(None)))
             .scalars()

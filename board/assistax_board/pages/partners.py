@@ -41,17 +41,19 @@ def list_partners(registry: Registry, task: str, crossplay: CrossPlay | None) ->
 def choices(partners: list[PartnerCard]) -> dict[str, list[str]]:
     """Return what each trait can be chosen by."""
     return {
-        trait: sorted({value for one in partners if (value := getattr(one, trait)) is not None})
+        trait: sorted(
+            {value for partner in partners if (value := getattr(partner, trait)) is not None}
+        )
         for trait in TRAITS
     }
 
 
-def choose(partners: list[PartnerCard], wanted: dict[str, str]) -> list[PartnerCard]:
+def choose(partners: list[PartnerCard], traits: dict[str, str]) -> list[PartnerCard]:
     """Keep the partners that have every wanted trait; an empty wish is none."""
     return [
-        one
-        for one in partners
-        if all(not value or getattr(one, trait) == value for trait, value in wanted.items())
+        partner
+        for partner in partners
+        if all(not value or getattr(partner, trait) == value for trait, value in traits.items())
     ]
 
 

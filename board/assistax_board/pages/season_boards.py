@@ -63,12 +63,14 @@ class SeasonBoards:
         if not entries:
             return ()
         [*names], [*settings] = zip(*_partners(self._panel_b(season.id)[0][1]), strict=True)
-        references = {one.newest.method: one.returns for one in entries if one.is_reference}
+        references = {entry.newest.method: entry.returns for entry in entries if entry.is_reference}
         panel = Panel(
             tuple(settings), bounds_of(names, references, None), SEED_SDS.get(season.task)
         )
         by_name = {entry.newest.id: entry for entry in entries}
-        methods = [Method(id, one.returns, not one.is_reference) for id, one in by_name.items()]
+        methods = [
+            Method(id, entry.returns, not entry.is_reference) for id, entry in by_name.items()
+        ]
         return tuple((row, by_name[row.name]) for row in board_rows(methods, panel))
 
     def _entries(self, season: Season) -> list[Entry]:

@@ -48,17 +48,17 @@ class Site:
 
     def crossplay(self, task: str) -> CrossPlay:
         """Return a task's cross-play."""
-        found = self.crossplays.of(self.task(task))
-        if found is None:
+        crossplay = self.crossplays.of(self.task(task))
+        if crossplay is None:
             raise NotFoundError(f"Nobody has played the cross-play of {task} on this server yet.")
-        return found
+        return crossplay
 
     def submission(self, id: str) -> Submission:
         """Return a submission."""
-        found = self.queries.submission(id)
-        if found is None:
+        submission = self.queries.submission(id)
+        if submission is None:
             raise NotFoundError(f"There is no submission {id!r}; look for it on its task's board.")
-        return found
+        return submission
 
     def page(
         self,

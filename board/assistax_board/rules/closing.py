@@ -46,23 +46,23 @@ def enter(
     with database.write() as connection:
         row = find_season(database, connection, season, "open", now)
         mine = SUBMISSION.season == row.id, SUBMISSION.submitter == submitter
-        found = connection.execute(
+        rows = connection.execute(
             sa.select(schema.submissions).where(*mine, SUBMISSION.id.in_(chosen))
         ).all()
-        _check(found, chosen)
+        _check(rows, chosen)
         connection.execute(sa.update(schema.submissions).where(*mine).values(entered_at=None))
-        wanted = sa.update(schema.submissions).where(*mine, SUBMISSION.id.in_(chosen))
-        connection.execute(wanted.values(entered_at=now))
+        entered = sa.update(schema.submissions).where(*mine, SUBMISSION.id.in_(chosen))
+        connection.execute(entered.values(entered_at=now))
         body = {"season": row.id, "submitter": submitter, "submissions": sorted(set(chosen))}
         ledger.append(database, connection, now, "entry", body)
 
 
-def _check(found: Sequence[Any], chosen: Sequence[str]) -> None:
-    if missing := set(chosen) - {row.id for row in found}:
+def _check(rows: Sequence[Any], chosen: Sequence[str]) -> None:
+    if missing := set(chosen) - {row.id for row in rows}:
         raise Problem("not_found", f"you have no submission {min(missing)} in this season")
-    if ended := [row for row in found if row.state in ("refused", "failed", "retracted")]:
+    if ended := [row for row in rows if row.state in ("refused", "failed", "retracted")]:
         raise Problem("invalid", f"submission {ended[0].id} is {ended[0].state}")
-    methods = [row.method for row in found]
+    methods = [row.method for row in rows]
     if len(set(methods)) > ENTRIES:
         raise Problem("invalid", f"{len(set(methods))} methods; a lab enters at most {ENTRIES}")
     if methods and max(map(methods.count, methods)) > SEEDS:
@@ -166,8 +166,8 @@ def _entries(connection: sa.Connection, season: str) -> list[Any]:
     return [
         row
         for lab in sorted(by_lab)
-        for row in [one for one in by_lab[lab] if one.entered_at is not None]
-        or [one for one in by_lab[lab] if one.id == shown.get(lab)]
+        for row in [candidate for candidate in by_lab[lab] if candidate.entered_at is not None]
+        or [candidate for candidate in by_lab[lab] if candidate.id == shown.get(lab)]
     ]
 
 

@@ -125,14 +125,14 @@ def disqualify(service: "Service", season: str, lab: str) -> int:
     database, now = service.database, service.clock()
     with database.write() as connection:
         is_season = (SEASON.id == season) | (SEASON.name == season)
-        found = connection.execute(sa.select(schema.seasons).where(is_season)).first()
+        season_row = connection.execute(sa.select(schema.seasons).where(is_season)).first()
         owner = connection.execute(sa.select(SUBMITTER.id).where(SUBMITTER.name == lab)).scalar()
-        if found is None or owner is None:
-            missing = f"season {season!r}" if found is None else f"lab {lab!r}"
+        if season_row is None or owner is None:
+            missing = f"season {season!r}" if season_row is None else f"lab {lab!r}"
             raise Problem("not_found", f"there is no {missing}")
         database.one_at_a_time(connection, f"submitter {owner}")
-        database.one_at_a_time(connection, f"season {found.id}")
-        mine = SUBMISSION.season == found.id, SUBMISSION.submitter == owner
+        database.one_at_a_time(connection, f"season {season_row.id}")
+        mine = SUBMISSION.season == season_row.id, SUBMISSION.submitter == owner
         standing = SUBMISSION.state.in_(("queued", "running", "scored"))
         rows = connection.execute(sa.select(schema.submissions).where(*mine, standing)).all()
         if not rows:
@@ -145,9 +145,13 @@ def disqualify(service: "Service", season: str, lab: str) -> int:
         connection.execute(scored.values(values))
         for row in rows:
             jobs.cancel_jobs(connection, row.id)
-        body = {"season": found.id, "submitter": owner, "submissions": [row.id for row in rows]}
+        body = {
+            "season": season_row.id,
+            "submitter": owner,
+            "submissions": [row.id for row in rows],
+        }
         ledger.append(database, connection, now, "disqualify", body)
-        closing.go_on(database, connection, found.id, now)
+        closing.go_on(database, connection, season_row.id, now)
     return len(rows)
 
 

@@ -157,16 +157,16 @@ def figures(table: pl.DataFrame) -> dict[str, Any]:
     from evaluation.figures.bootstrap import estimate
     from evaluation.record import tables
 
-    found = {
+    values = {
         **tables.to_json(estimate(partner_means(table)[None, :])),
         "nonfinite": int(table["nonfinite"].sum()),
         "success": float(table["success"].to_numpy().mean()),
     }
     if "preference" not in table.columns:
-        return found
+        return values
     safe = tables.with_safety(table)["safe_success"]
     liked = table.group_by("preference").agg(pl.col("return").cast(pl.Float64).mean())
-    return found | {
+    return values | {
         "safe_success": float(safe.to_numpy().mean()),
         "violations": float(table["violated"].to_numpy().mean()),
         "by_preference": dict(liked.sort("preference").rows()),

@@ -110,8 +110,8 @@ def decode_table(
         raise Problem("invalid", f"a result is JSON with the columns {names}") from None
     table = pl.DataFrame(rows, schema=columns)
     expected = {(name, episode) for name in partners for episode in range(episodes)}
-    found = table.select("partner", "episode").rows()
-    if len(found) != len(expected) or set(found) != expected:
+    present = table.select("partner", "episode").rows()
+    if len(present) != len(expected) or set(present) != expected:
         raise Problem("invalid", "the result lacks episodes of this job, or has others")
     if not table["return"].is_finite().all():
         raise Problem("invalid", "the result has returns that are not finite")

@@ -141,8 +141,8 @@ def revealed(database: Database, name: str) -> dict[str, Any]:
         raise Problem(
             "too_late", f"season {row.name} is {row.state}; it is revealed when it closed"
         )
-    told = {"season": row.id, "name": row.name, "task": row.task, "root": row.root}
-    return {**told, "release": row.release, "leaves": row.secret["leaves"]}
+    statement = {"season": row.id, "name": row.name, "task": row.task, "root": row.root}
+    return {**statement, "release": row.release, "leaves": row.secret["leaves"]}
 
 
 def revealed_release(database: Database, artefacts: Artefacts, name: str) -> bytes:
@@ -165,8 +165,10 @@ def verify_season(statement: dict[str, Any], packed: bytes, root: str, folder: P
     if merkle_root(statement["leaves"]) != root:
         raise ValueError("the leaves are not those whose root was published when it opened")
     entries = hidden_partners(unpack(packed, folder), statement["task"])
-    told = [leaf for leaf in statement["leaves"] if "policy" in leaf]
-    if [(leaf["policy"], leaf["sha256"]) for leaf in told] != [(e.id, e.sha256) for e in entries]:
+    partners = [leaf for leaf in statement["leaves"] if "policy" in leaf]
+    if [(leaf["policy"], leaf["sha256"]) for leaf in partners] != [
+        (e.id, e.sha256) for e in entries
+    ]:
         raise ValueError("the release holds other partners than the leaves say")
     from zoo.parameters.storage import load_stacks
 

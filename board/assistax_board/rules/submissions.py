@@ -105,8 +105,8 @@ def submit(
         connection.execute(sa.insert(schema.submissions).values(row))
         if draft.refusal is None:
             plan_jobs(connection, catalogue, row, season, now)
-        told = ("id", "submitter", "task", "kind", "artefact", "season", "state", "reason")
-        body = {name: row[name] for name in told}
+        names = ("id", "submitter", "task", "kind", "artefact", "season", "state", "reason")
+        body = {name: row[name] for name in names}
         ledger.append(database, connection, now, "submission", body)
     return row["id"]
 

@@ -118,17 +118,17 @@ def list_tokens(database: Database) -> list[TokenInfo]:
 def submitter_id(database: Database, name: str) -> str:
     """Return the id of the lab of this name."""
     with database.read() as connection:
-        found = connection.execute(sa.select(SUBMITTER.id).where(SUBMITTER.name == name)).scalar()
-    if found is None:
+        owner = connection.execute(sa.select(SUBMITTER.id).where(SUBMITTER.name == name)).scalar()
+    if owner is None:
         raise Problem("not_found", f"no submitter {name!r}")
-    return found
+    return owner
 
 
 def find_or_add(connection: sa.Connection, name: str, contact: str | None, now: float) -> str:
     """Return the id of the lab of this name, which is made if it is new."""
-    found = connection.execute(sa.select(SUBMITTER.id).where(SUBMITTER.name == name)).scalar()
-    if found is not None:
-        return found
+    owner = connection.execute(sa.select(SUBMITTER.id).where(SUBMITTER.name == name)).scalar()
+    if owner is not None:
+        return owner
     row = {"id": new_id(), "name": name, "contact": contact, "created_at": now}
     connection.execute(sa.insert(schema.submitters).values(row))
     return row["id"]

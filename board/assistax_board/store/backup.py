@@ -72,13 +72,13 @@ def _copy_database(source: Path, target: Path) -> None:
     ):
         try:
             reader.backup(writer)
-            found = writer.execute("PRAGMA integrity_check(1)").fetchone()[0]
+            integrity = writer.execute("PRAGMA integrity_check(1)").fetchone()[0]
         except sqlite3.DatabaseError as error:
-            found = str(error)
-    if found != "ok":
+            integrity = str(error)
+    if integrity != "ok":
         raise ValueError(
-            f"{source} is damaged ({' '.join(found.split())}); restore the newest backup to a new "
-            "folder, or see `.recover` of SQLite's command line"
+            f"{source} is damaged ({' '.join(integrity.split())}); restore the newest backup to a "
+            "new folder, or see `.recover` of SQLite's command line"
         )
 
 

@@ -107,14 +107,14 @@ class Queries:
                 (SUBMISSION.state != "retracted")
                 | ((SCORE.panel == "B") & (SUBMISSION.reason != "disqualified"))
             )
-        wanted = (
+        conditions = (
             (SUBMISSION.task, task),
             (SCORE.submission, submission),
             (SCORE.panel, panel),
             (SUBMISSION.season, season),
             (SCORE.version, version),
         )
-        for column, value in wanted:
+        for column, value in conditions:
             query = query if value is None else query.where(column == value)
         with self._database.read() as connection:
             return [_score(row) for row in connection.execute(query)]
@@ -166,13 +166,13 @@ class Queries:
             .where(SUBMISSION.season == season, SUBMISSION.kind != "reference")
             .group_by(SUBMITTER.name, SUBMISSION.attempt, SEASON.budget)
         )
-        found: dict[str, dict[str, int]] = {}
+        counts: dict[str, dict[str, int]] = {}
         with self._database.read() as connection:
             for name, attempt, budget, count in connection.execute(query):
-                found.setdefault(name, {"budget": budget})[attempt] = count
+                counts.setdefault(name, {"budget": budget})[attempt] = count
         return [
             Attempts(name, row.get("spent", 0), row.get("reserved", 0), row["budget"])
-            for name, row in sorted(found.items())
+            for name, row in sorted(counts.items())
         ]
 
     def ledger(self, after: int = 0, limit: int = 1000) -> list[LedgerEntry]:
