@@ -90,6 +90,6 @@ def test_too_slow_costs_the_attempt_once_it_met_hidden_partners(
 
 def test_a_worker_that_begins_anew_runs_the_same_command() -> None:
     code = "import sys; sys.argv = ['worker', '--version']; import assistax_board"
-    code += ".working_process as w; w._start_anew()"
+    code += ".work.working_process as w; w._start_anew()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout[0].isdigit()

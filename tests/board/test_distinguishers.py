@@ -108,7 +108,7 @@ def two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Season, Season
     clock = functools.partial(next, itertools.count(0.0, 1e6))
     monkeypatch.setattr("assistax_board.pages.PageCache", lambda: PageCache(clock))
     current = ["?"]
-    for module in ("submissions", "jobs", "tokens", "ids"):
+    for module in ("rules.submissions", "rules.jobs", "rules.tokens", "ids"):
         monkeypatch.setattr(f"assistax_board.{module}.new_id", new_id, raising=False)
     seasons = []
     for number in range(2):
@@ -191,21 +191,23 @@ def looked_at(season: Season) -> Generator[None]:
     finally:
         log.removeHandler(handler)
         log.setLevel(level)
-    lines = [f"{row.getMessage()} {json.dumps(vars(row).get('fields'))}" for row in records]
+    lines = [
+        f"{record.getMessage()} {json.dumps(vars(record).get('fields'))}" for record in records
+    ]
     season.seen += [COMMITMENTS.sub("#", line) for line in lines]
 
 
 def differences(seasons: tuple[Season, Season]) -> list[tuple[str, str]]:
-    first, second = (row.seen for row in seasons)
+    first, second = (season.seen for season in seasons)
     assert len(first) == len(second) > 100
     return [(a, b) for a, b in zip(first, second, strict=True) if a != b]
 
 
 def test_answers_logs_and_statements_are_the_same(two: tuple[Season, Season]) -> None:
-    hidden = [hidden_returns(row.service) for row in two]
+    hidden = [hidden_returns(season.service) for season in two]
     assert sorted(hidden[0]) == sorted(hidden[1])
     assert hidden[0] != hidden[1], "what is hidden differs"
-    assert any('"panel":"A"' in row for row in two[0].seen), "a score on panel A is shown"
+    assert any('"panel":"A"' in line for line in two[0].seen), "a score on panel A is shown"
     assert differences(two) == []
 
 
@@ -276,7 +278,7 @@ def p_value(found: np.ndarray) -> float:
     swapped = np.random.default_rng(1).random((2000, len(found), 1)) < 0.5
     drawn = np.where(swapped, found[:, ::-1], found)  # [2000, N, 2]
     seen, chance = (
-        np.abs(np.diff(np.quantile(row, 0.25, axis=-2), axis=-1)) for row in (found, drawn)
+        np.abs(np.diff(np.quantile(times, 0.25, axis=-2), axis=-1)) for times in (found, drawn)
     )
     return float((1 + (chance >= seen).sum()) / 2001)
 
@@ -300,7 +302,7 @@ def test_a_planted_leak_of_time_is_found(
 ) -> None:
     """A few milliseconds more or less, by what the first hidden partner was good for."""
     real = Queries.attempts
-    values = {id(row.service.database): hidden_returns(row.service)[0] for row in two}
+    values = {id(season.service.database): hidden_returns(season.service)[0] for season in two}
     assert len(set(values.values())) == 2
 
     def attempts(self: Queries, season: str) -> Any:
