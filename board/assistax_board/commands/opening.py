@@ -1,8 +1,11 @@
 """What commands share: the service of a folder, a server's client, and how an answer is printed."""
 
+import dataclasses
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from cyclopts import Parameter
 
 from assistax_board.vocabulary import SERVER_VARIABLE, TOKEN_VARIABLE
 from assistax_zoo.shell.console import print_json
@@ -12,6 +15,20 @@ if TYPE_CHECKING:
     from assistax_board.service import Service
 
 SERVER = "http://127.0.0.1:8800"
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Server:
+    """Which server, and who asks.
+
+    Attributes:
+        url: Address of the server; default $ASSISTAX_ZOO_SERVER, else this machine's.
+        token_file: File with your token; default the token in $ASSISTAX_ZOO_TOKEN.
+    """
+
+    url: str | None = None
+    token_file: Path | None = None
 
 
 def open_folder(data: Path, database: str | None = None, artefacts: str | None = None) -> "Service":

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from assistax_board.commands.opening import open_client, print_answer
+from assistax_board.commands.opening import Server, open_client, print_answer
 
 
 def submit(
@@ -17,8 +17,7 @@ def submit(
     check: bool = False,
     all: bool = False,
     watch: bool = False,
-    url: str | None = None,
-    token_file: Path | None = None,
+    server: Server = Server(),
     registry: Path | None = None,
     json: bool = False,
 ) -> None:
@@ -35,8 +34,7 @@ def submit(
         check: Only check: the server's own admission, and a few episodes with public partners.
         all: With `--check`: play the whole public half as the server does, and print its figures.
         watch: Wait for the end: print place in the queue and time left, then place on the board.
-        url: Address of the server; default $ASSISTAX_ZOO_SERVER, else this machine's.
-        token_file: File with your token; default the token in $ASSISTAX_ZOO_TOKEN.
+        server: Which server, and who asks.
         registry: Registry to check with instead of the installed one.
         json: Print JSON.
 
@@ -60,7 +58,7 @@ def submit(
         )
     else:
         fields = {"task": task, "method": method, "season": season, "licence": licence}
-        client = open_client(url, token_file)
+        client = open_client(server.url, server.token_file)
         answer = submitting.hand_in(client, file, live, fields, watch=watch)
         answer = answer if json else submitting.for_reader(answer, client.address)
     print_answer(answer, json)
