@@ -227,7 +227,7 @@ class Member:
     """A team in training, robot and human together, or one ego that learns with partners."""
 
     # Draws its networks, its resets and its actions.
-    seed: Annotated[int, Field(ge=0, lt=2**31)]
+    seed: Annotated[int, Field(ge=0, lt=2**63)]
     # The human's setting, "d1".."d9"; "mixed" for an ego, whose partners each have their own.
     disability: str
     # Its own values of traced hyperparameters.

@@ -16,6 +16,7 @@ import re
 from assistax_base.errors import IdError, shorten
 
 _NUMBER = r"(?:0|[1-9][0-9]{0,9})"
+_SEED = r"(?:0|[1-9][0-9]{0,18})"
 _NAME = r"[a-z][a-z0-9_]{0,31}"
 _PATTERNS = {
     "task": re.compile(_NAME),
@@ -26,9 +27,9 @@ _PATTERNS = {
 }
 _TEAM = re.compile(
     rf"(?:(?P<namespace>{_NAME}):)?(?P<task>{_NAME})/(?P<algorithm>{_NAME})"
-    rf"-(?P<disability>d[1-9][0-9]{{0,3}}|ego)-s(?P<seed>{_NUMBER})-(?P<release>v{_NUMBER})"
+    rf"-(?P<disability>d[1-9][0-9]{{0,3}}|ego)-s(?P<seed>{_SEED})-(?P<release>v{_NUMBER})"
 )
-_MAX_SEED = 10**10
+_MAX_SEED = 2**63  # a season's seeds have as many bits as fit a table's column
 EGO = "ego"  # stands for the disability setting where no human was trained
 
 

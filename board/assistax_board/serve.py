@@ -26,16 +26,15 @@ import uvicorn
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-from assistax_board.commands.commands import BACKEND, TOKEN_VARIABLE
 from assistax_board.robots.limited import stop_limited
 from assistax_board.rules import tokens
 from assistax_board.rules.catalogue import ZooCatalogue
 from assistax_board.service import Service
-from assistax_board.store.artefacts import Artefacts
-from assistax_board.store.database import Database
+from assistax_board.store.artefacts import ARTEFACTS_FOLDER, Artefacts
+from assistax_board.store.database import DATABASE_FILE, Database
 from assistax_board.store.receipts import load_signer
+from assistax_board.vocabulary import BACKEND, TOKEN_VARIABLE
 
-DATABASE_FILE, ARTEFACTS_FOLDER = "service.db", "artefacts"
 WORKER_TOKEN_FILE = "worker-token"
 _stopping = threading.Event()
 SETTLED_SECONDS = 120.0  # until references are queued
@@ -43,6 +42,7 @@ STOP_SECONDS = 20  # for requests and jobs that are under way
 SILENT_SECONDS = 10.0  # a connection may say nothing, or half a request
 TAKING_LOOKS = 30  # times that long, a client may take for an answer
 CLOSE_SECONDS = 10.0  # for a live client to take the last message
+EXTRAS = {"psycopg": "postgres", "s3fs": "s3"}  # module -> extra of this distribution
 PARENT_VARIABLE = "ASSISTAX_ZOO_PARENT"  # a local worker ends when this process is gone
 
 
@@ -68,16 +68,33 @@ def open_service(
 
     data.mkdir(parents=True, exist_ok=True)
     data.chmod(0o700)  # robots, tokens' hashes and private releases are nobody else's business
-    opened = Database(database or f"sqlite:///{(data / DATABASE_FILE).absolute()}")
+    with _extras_named():
+        opened = Database(database or f"sqlite:///{(data / DATABASE_FILE).absolute()}")
+        store = Artefacts(artefacts or str((data / ARTEFACTS_FOLDER).absolute()))
     opened.upgrade()
     loaded = load_registry(registry)
     return Service(
         opened,
-        Artefacts(artefacts or str((data / ARTEFACTS_FOLDER).absolute())),
+        store,
         ZooCatalogue(loaded, backend),
         load_signer(data),
         Admission(robot_sizes(loaded)),
     )
+
+
+@contextlib.contextmanager
+def _extras_named() -> Generator[None]:
+    """Say what to install where a module of an extra is missing."""
+    try:
+        yield
+    except ImportError as error:
+        for module, extra in EXTRAS.items():
+            if module in str(error):
+                raise ValueError(
+                    f"{module} is not installed; install it with: "
+                    f"pip install 'assistax-zoo-board[{extra}]'"
+                ) from None
+        raise
 
 
 def add_references_later(service: Service, seconds: float = SETTLED_SECONDS) -> threading.Timer:
@@ -160,7 +177,7 @@ def config_of(app: Any, host: str, port: int, proxy: str | None = None) -> uvico
         access_log=False,  # it would hold addresses and queries; ours holds routes
         timeout_graceful_shutdown=STOP_SECONDS,
         limit_concurrency=1000,
-        http=_Impatient,
+        http=_IdleTimeout,
         ws=_Brief,
         ws_max_size=4 * 1024 * 1024,
         server_header=False,
@@ -169,7 +186,7 @@ def config_of(app: Any, host: str, port: int, proxy: str | None = None) -> uvico
     )
 
 
-class _Impatient(AutoHTTPProtocol):  # ty: ignore[unsupported-base]
+class _IdleTimeout(AutoHTTPProtocol):  # ty: ignore[unsupported-base]
     """Hangs up on who says nothing, or takes nothing: a thousand of them would be all there are."""
 
     def connection_made(self, transport: Any) -> None:

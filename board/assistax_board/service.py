@@ -10,16 +10,25 @@ import sqlalchemy as sa
 from assistax_board.clock import Clock, system_clock
 from assistax_board.live.rooms import GONE_SECONDS, LIFE_SECONDS, Rooms
 from assistax_board.problems import Problem
-from assistax_board.rules import closing, jobs, results, seasons, submissions, tokens, upgrading
+from assistax_board.rules import (
+    closing,
+    jobs,
+    organising,
+    results,
+    seasons,
+    submissions,
+    tokens,
+    upgrading,
+)
 from assistax_board.rules.catalogue import CHUNK, PUBLIC_SEED, Catalogue, panel_episodes
 from assistax_board.rules.scoring import Work
 from assistax_board.rules.submissions import Draft
-from assistax_board.store import ledger
-from assistax_board.store import schema as t
+from assistax_board.store import notices, schema
 from assistax_board.store.artefacts import Artefacts
 from assistax_board.store.database import Database
 from assistax_board.store.queries import Queries
 from assistax_board.store.receipts import Signer
+from assistax_board.store.schema import JOB, SUBMISSION
 from assistax_board.vocabulary import FINAL_STATES, REFERENCE
 
 Admit = Callable[[bytes, str], str]  # (file, task) -> format; raises Refusal
@@ -47,8 +56,9 @@ class Service:
         if known := submissions.known(self.database, submitter, draft.request):
             return known
         draft = submissions.admitted(self.admit, draft)
-        args = self.database, self.artefacts, self.catalogue, submitter, draft
-        return submissions.submit(*args, self.clock())
+        return submissions.submit(
+            self.database, self.artefacts, self.catalogue, submitter, draft, self.clock()
+        )
 
     def withdraw(self, submission: str, submitter: str) -> None:
         """End a submission because its submitter wants so; a scored one leaves its board."""
@@ -95,22 +105,26 @@ class Service:
     def result(self, job: str, secret: str, data: bytes, seconds: float) -> bool:
         """Take a job's result; False where it was there already."""
         with self.database.read() as connection:
-            row = connection.execute(sa.select(t.jobs).where(t.jobs.c.id == job)).first()
+            row = connection.execute(sa.select(schema.jobs).where(JOB.id == job)).first()
             if row is None:
                 raise Problem("not_found", f"no job {job!r}")
             partners = self._partners(connection, row)
             preferences = self._preferences(connection, row.submission)
             episodes = panel_episodes(_task_of(connection, row.submission), row.panel)
-        desk = results.Desk(self.database, self.artefacts, self.signer)
-        given = data, partners, episodes, preferences, seconds
-        return results.accept(desk, job, secret, *given, self.clock())
+        store = results.ResultStore(self.database, self.artefacts, self.signer)
+        return results.accept(
+            store, job, secret, data, partners, episodes, preferences, seconds, self.clock()
+        )
 
     def owns_live(self, submission: str, submitter: str | None) -> bool:
         """Return whether a live submission that has not ended is this lab's."""
-        s = t.submissions.c
-        where = s.id == submission, s.submitter == submitter, s.kind == "live"
+        where = (
+            SUBMISSION.id == submission,
+            SUBMISSION.submitter == submitter,
+            SUBMISSION.kind == "live",
+        )
         with self.database.read() as connection:
-            query = sa.select(s.id).where(*where, s.state.not_in(FINAL_STATES))
+            query = sa.select(SUBMISSION.id).where(*where, SUBMISSION.state.not_in(FINAL_STATES))
             return connection.execute(query).first() is not None
 
     def live_submission(self, job: str, secret: str) -> str:
@@ -144,8 +158,9 @@ class Service:
 
     def create_season(self, plan: seasons.Plan, folder: Path, public: Any) -> str:
         """Make a season of a private release; see `seasons`."""
-        args = self.database, self.artefacts, plan, folder, public
-        return seasons.create_season(*args, self.clock())
+        return seasons.create_season(
+            self.database, self.artefacts, plan, folder, public, self.clock()
+        )
 
     def open_season(self, name: str, closes_at: float | None = None) -> str:
         """Open a season until a date, and return its Merkle root."""
@@ -169,7 +184,28 @@ class Service:
 
     def erase_submitter(self, submitter: str) -> None:
         """Remove a lab's name, contact and files; hashes and scores stay, under a pseudonym."""
-        erase_submitter(self, submitter)
+        organising.erase_submitter(self, submitter)
+
+    def failures(self) -> list[organising.Failure]:
+        """Return the submissions of which jobs have failed, the newest first."""
+        return organising.failures(self.database)
+
+    def retry(self, submission: str) -> None:
+        """Queue a submission again that the workers failed."""
+        organising.retry(self, submission)
+
+    def disqualify(self, season: str, lab: str) -> int:
+        """Take a lab, by its name, out of a season; return how many submissions that was."""
+        return organising.disqualify(self, season, lab)
+
+    def extend_season(self, name: str, closes_at: float) -> None:
+        """Let an open season close later than was announced."""
+        organising.extend(self.database, name, closes_at, self.clock())
+
+    def note(self, kind: str, about: str) -> None:
+        """Tell the organiser something; see `notices`."""
+        with self.database.write() as connection:
+            notices.note(connection, kind, about, self.clock())
 
     def add_references(self) -> None:
         """Queue what every board measures by, each once, to be played when nobody else waits."""
@@ -186,10 +222,9 @@ class Service:
 
     def _end_absent(self, rooms: Rooms) -> None:
         """End live submissions whose clients have not come for too long."""
-        s = t.submissions.c
-        live = sa.select(s.id, s.created_at).where(s.kind == "live")
+        live = sa.select(SUBMISSION.id, SUBMISSION.created_at).where(SUBMISSION.kind == "live")
         with self.database.read() as connection:
-            waiting = connection.execute(live.where(s.state.not_in(FINAL_STATES))).all()
+            waiting = connection.execute(live.where(SUBMISSION.state.not_in(FINAL_STATES))).all()
         for row in waiting:
             is_old = self.clock() - row.created_at > LIFE_SECONDS
             if is_old or rooms.away_for(row.id) > GONE_SECONDS:
@@ -198,6 +233,8 @@ class Service:
     def _fail(self, submission: str, reason: str) -> None:
         with self.database.write() as connection:
             submissions.fail(self.database, connection, submission, reason, self.clock())
+            if reason == "worker_errors":
+                notices.note(connection, reason, submission, self.clock())
             self._reveal(connection, submission)
 
     def _reveal(self, connection: sa.Connection, submission: str) -> None:
@@ -208,8 +245,9 @@ class Service:
 
     def _work(self, lease: jobs.Lease) -> Work:
         with self.database.read() as connection:
-            s = t.submissions.c
-            row = connection.execute(sa.select(t.submissions).where(s.id == lease.submission)).one()
+            row = connection.execute(
+                sa.select(schema.submissions).where(SUBMISSION.id == lease.submission)
+            ).one()
             partners = self._partners(connection, lease)
             season = closing.season_of(connection, lease.submission)
             preferences = self._preferences(connection, lease.submission)
@@ -243,56 +281,12 @@ class Service:
         season = closing.season_of(connection, job.submission)
         if job.panel == "public":
             task = _task_of(connection, job.submission)
-            names = [partner.id for partner in self.catalogue.public_panel(task)]
+            names = self.catalogue.public_panel(task)
         else:
             names = seasons.panel_partners(season.secret["leaves"], job.panel)
         return tuple(names[job.chunk * CHUNK : (job.chunk + 1) * CHUNK])
 
 
-def erase_submitter(service: Service, submitter: str) -> None:
-    """Remove a person's data; the ledger holds ids and hashes alone, so its chain stays whole."""
-    now, s = service.clock(), t.submissions.c
-    with service.database.write() as connection:
-        where = t.submitters.c.id == submitter
-        row = connection.execute(sa.select(t.submitters).where(where)).first()
-        if row is None:
-            raise Problem("not_found", f"no submitter {submitter!r}")
-        values = {"name": f"erased-{submitter}", "contact": None, "erased_at": now}
-        connection.execute(sa.update(t.submitters).where(where).values(values))
-        open_tokens = sa.update(t.tokens).where(t.tokens.c.submitter == submitter)
-        connection.execute(open_tokens.values(revoked_at=now, label="erased"))
-        columns = s.id, s.artefact, s.season
-        mine = connection.execute(sa.select(*columns).where(s.submitter == submitter)).all()
-        for each in mine:
-            submissions.fail(service.database, connection, each.id, "withdrawn", now)
-            jobs.cancel_jobs(connection, each.id)  # of a scored one, whose file goes too
-            update = sa.update(t.submissions).where(s.id == each.id)
-            # Its client chose the request, and may have written anything.
-            connection.execute(update.values(method="erased", request=each.id))
-            _sign_anew(service, connection, each.id)
-        others = sa.select(s.artefact).where(s.submitter != submitter, s.artefact.is_not(None))
-        kept = set(connection.execute(others).scalars())
-        gone = {each.artefact for each in mine if each.artefact} - kept
-        a = t.artefacts.c
-        erased = sa.update(t.artefacts).where(a.sha256.in_(gone)).values(erased_at=now)
-        connection.execute(erased)
-        ledger.append(service.database, connection, now, "erase", {"submitter": submitter})
-        for season in {each.season for each in mine if each.season}:
-            closing.go_on(service.database, connection, season, now)
-    for name in gone:
-        service.artefacts.erase(name)
-
-
-def _sign_anew(service: Service, connection: sa.Connection, submission: str) -> None:
-    """Sign receipts without the method's name: the same score, at the same place of the ledger."""
-    r = t.receipts.c
-    query = sa.select(r.version, r.content).where(r.submission == submission)
-    for row in connection.execute(query).all():
-        content = row.content | {"method": "erased"}
-        mine = sa.update(t.receipts).where(r.submission == submission, r.version == row.version)
-        connection.execute(mine.values(content=content, signature=service.signer.sign(content)))
-
-
 def _task_of(connection: sa.Connection, submission: str) -> str:
-    query = sa.select(t.submissions.c.task).where(t.submissions.c.id == submission)
+    query = sa.select(SUBMISSION.task).where(SUBMISSION.id == submission)
     return connection.execute(query).scalar_one()

@@ -15,6 +15,10 @@ Kind = Literal["file", "live", "reference"]  # a reference is nobody's: zero act
 AttemptState = Literal["free", "reserved", "spent", "refunded"]
 Scope = Literal["submit", "work", "organise"]
 
+BACKEND = "fused"  # what a service plays with, if no other is named
+# Where commands find the server and the token that no option names.
+SERVER_VARIABLE, TOKEN_VARIABLE = "ASSISTAX_ZOO_SERVER", "ASSISTAX_ZOO_TOKEN"
+
 REFERENCE = "reference"  # the submitter of rows that others are measured by
 FINAL_STATES: tuple[SubmissionState, ...] = ("scored", "refused", "failed", "retracted")
 SCOPES: tuple[Scope, ...] = ("submit", "work", "organise")
@@ -46,6 +50,7 @@ FAILURES = {
     "client_gone": "the live robot did not come back within the time allowed",
     "season_closed": "the season closed before it was played",
     "time_bank": "the live robot used up its time for thinking",
+    "disqualified": "the organiser disqualified its lab; ask the organiser",
     "broke_down": "it returned numbers that are not finite to hidden partners",
 }
 # Failures by the robot's own doing: after it met hidden partners they cost the attempt, or each

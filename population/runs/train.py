@@ -153,8 +153,14 @@ def initial_state(
 
 
 def member_key(member: Member) -> jax.Array:
-    """Return a member's key: its own, whoever trains beside it."""
-    return jax.random.fold_in(jax.random.key(member.seed), zlib.crc32(member.disability.encode()))
+    """Return a member's key: its own, whoever trains beside it.
+
+    JAX keeps 32 bits of a seed, so those above them are folded in: seeds of seasons have 63.
+    """
+    key = jax.random.key(np.uint32(member.seed % 2**32))
+    if upper := member.seed >> 32:
+        key = jax.random.fold_in(key, upper)
+    return jax.random.fold_in(key, zlib.crc32(member.disability.encode()))
 
 
 def _check(config: TrainConfig, env: Environment, partners: FrozenPartners | None) -> None:

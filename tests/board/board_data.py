@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import sqlalchemy as sa
 from fastapi import FastAPI
+from starlette.middleware import Middleware
 
 from assistax_board.api.errors import add_error_handlers
 from assistax_board.api.guards import Limiter
 from assistax_board.pages import add_pages
-from assistax_board.store import schema as t
+from assistax_board.pages.security import SecurityHeaders
+from assistax_board.store import schema
 from assistax_board.store.database import Database
 from assistax_board.store.queries import Queries
 from evaluation.studies import choose_partners
@@ -49,7 +51,7 @@ ROBOTS = (
 
 def make_app(folder: Path, robots: tuple[Robot, ...] = ROBOTS, **options: Any) -> FastAPI:
     """Return an application of pages alone, over a new database."""
-    app = FastAPI()
+    app = FastAPI(docs_url=None, middleware=[Middleware(SecurityHeaders)])
     app.state.limiter = Limiter()
     add_error_handlers(app)
     catalogue = SimpleNamespace(tasks=("scratch", "bed_bath", "arm_assist"))
@@ -70,7 +72,7 @@ def fill(folder: Path, robots: tuple[Robot, ...]) -> Database:
         write = Writer(connection)
         write.season()
         connection.execute(
-            t.versions.insert(),
+            schema.versions.insert(),
             {
                 "id": VERSION,
                 "task": "scratch",
@@ -105,7 +107,7 @@ class Writer:
         if name not in self._submitters:
             self._submitters[name] = self.id()
             row = {"id": self._submitters[name], "name": name, "created_at": START}
-            self._connection.execute(t.submitters.insert(), row)
+            self._connection.execute(schema.submitters.insert(), row)
         return self._submitters[name]
 
     def submission(
@@ -128,7 +130,7 @@ class Writer:
             "created_at": START + self._count,
             "finished_at": None if state == "queued" else START + self._count + 60,
         }
-        self._connection.execute(t.submissions.insert(), row)
+        self._connection.execute(schema.submissions.insert(), row)
         return row["id"]
 
     def scored(self, robot: Robot, seed: int, partners: list[Any], returns: np.ndarray) -> str:
@@ -146,7 +148,7 @@ class Writer:
             }
             for entry, row in zip(partners, returns, strict=True)
         ]
-        self._connection.execute(t.partner_scores.insert(), rows)
+        self._connection.execute(schema.partner_scores.insert(), rows)
         mean = float(returns.mean())
         figures = {"mean": mean, "mean_ci": [mean - 1, mean + 1], "n": returns.size}
         row = {
@@ -157,7 +159,7 @@ class Writer:
             "released": figures,
             "created_at": START + self._count,
         }
-        self._connection.execute(t.scores.insert(), row)
+        self._connection.execute(schema.scores.insert(), row)
         content = {"submission": id, "method": robot.method, "mean": mean, "seed": seed}
         receipt = {
             "submission": id,
@@ -166,7 +168,7 @@ class Writer:
             "signature": "0" * 128,
             "created_at": START,
         }
-        self._connection.execute(t.receipts.insert(), receipt)
+        self._connection.execute(schema.receipts.insert(), receipt)
         return id
 
     def season(self) -> None:
@@ -184,7 +186,7 @@ class Writer:
             "created_at": START,
             "opened_at": START,
         }
-        self._connection.execute(t.seasons.insert(), season)
+        self._connection.execute(schema.seasons.insert(), season)
         entry = {
             "seq": 1,
             "at": START,
@@ -193,4 +195,4 @@ class Writer:
             "previous": "0" * 64,
             "hash": "c" * 64,
         }
-        self._connection.execute(t.ledger.insert(), entry)
+        self._connection.execute(schema.ledger.insert(), entry)

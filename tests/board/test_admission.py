@@ -45,11 +45,11 @@ def at_the_server(service: Service, submitter: str, request: str, data: bytes) -
         id = service.submit(submitter, draft(data=data, request=request))
     except Problem as problem:
         return problem.code
-    found = shown(service, id)
-    if found.reason is not None:
-        return found.reason
-    admitted = service.admit(service.artefacts.get(str(found.artefact)), TASK)
-    assert found.state == "queued"
+    submission = shown(service, id)
+    if submission.reason is not None:
+        return submission.reason
+    admitted = service.admit(service.artefacts.get(str(submission.artefact)), TASK)
+    assert submission.state == "queued"
     return admitted
 
 

@@ -1,6 +1,8 @@
 """The API from outside: who may do what, what is refused, and a submission from end to end."""
 
+import html
 import logging
+import re
 from pathlib import Path
 
 import pytest
@@ -240,6 +242,13 @@ def test_who_asked_too_often_is_told_when_to_come_back(http: TestClient) -> None
     answers = [http.post("/api/work/lease") for _ in range(31)]
     assert answers[-1].status_code == 429
     assert 1 <= int(answers[-1].headers["retry-after"]) <= 60
+
+
+def test_the_docs_name_every_operation_and_fetch_nothing(http: TestClient) -> None:
+    text = html.unescape(http.get("/docs").text)
+    paths = http.get("/openapi.json").json()["paths"]
+    assert len(paths) > 20 and all(f" {path}</code>" in text for path in paths)
+    assert not re.search(r"(?:src|href)=\"https?:", text)
 
 
 def test_the_schema_says_who_needs_a_token(http: TestClient) -> None:

@@ -23,13 +23,13 @@ def whole(service: Service) -> list[str]:
     entries = service.queries.ledger()
     if check_chain(entries) != len(entries):
         wrong.append("ledger")
-    for one in service.queries.submissions(limit=1000):
+    for row in service.queries.submissions(limit=1000):
         try:
-            service.artefacts.get(str(one.artefact))
+            service.artefacts.get(str(row.artefact))
         except Problem as problem:
             wrong.append(str(problem))
-        if one.state == "scored":
-            receipt = service.queries.receipt(one.id)
+        if row.state == "scored":
+            receipt = service.queries.receipt(row.id)
             assert receipt is not None
             verify_receipt(receipt, service.signer.public_key)
     return wrong
@@ -65,7 +65,7 @@ def test_a_backup_of_a_server_at_work_is_whole_and_goes_on(tmp_path: Path) -> No
         assert whole(again) == []
         advance(again, 3600.0)  # leases of the workers that it had then are over
         work_off(again)
-        assert {each.state for each in again.queries.submissions(limit=1000)} == {"scored"}
+        assert {row.state for row in again.queries.submissions(limit=1000)} == {"scored"}
         assert again.queries.receipt(id) == service.queries.receipt(id)
         assert shown(again, id).attempt == "spent"
         assert again.queries.season(season) == service.queries.season(season)
@@ -81,9 +81,9 @@ def test_a_file_that_the_backup_lacks_is_found(tmp_path: Path) -> None:
         zipfile.ZipFile(tmp_path / "whole.zip") as source,
         zipfile.ZipFile(tmp_path / "less.zip", "w") as target,
     ):
-        for each in source.namelist():
-            if name not in each:
-                target.writestr(each, source.read(each))
+        for row in source.namelist():
+            if name not in row:
+                target.writestr(row, source.read(row))
     restore(tmp_path / "less.zip", tmp_path / "again")
     assert whole(new_service(tmp_path / "again")) == [f"no artefact {name}"]
 

@@ -84,8 +84,8 @@ def test_too_slow_costs_the_attempt_once_it_met_hidden_partners(
     id = service.submit(new_submitter(service), draft(season=open_season(service)))
     work_off(service, most=met)
     work_with(service, "clock", clock_seconds=0.5)
-    found = shown(service, id)
-    assert (found.reason, found.attempt) == ("too_slow", attempt)
+    submission = shown(service, id)
+    assert (submission.reason, submission.attempt) == ("too_slow", attempt)
 
 
 def test_a_worker_that_begins_anew_runs_the_same_command() -> None:

@@ -12,7 +12,8 @@ from assistax_board.client import checking
 from assistax_board.client.checking import check_ledger, check_service
 from assistax_board.client.client import Client
 from assistax_board.service import Service
-from assistax_board.store import schema as t
+from assistax_board.store import schema
+from assistax_board.store.schema import ENTRY
 from tests.board.fakes import draft, new_service, new_submitter, shown, work_off
 
 
@@ -32,7 +33,8 @@ def changed(service: Service, statement: Any) -> None:
 def test_a_whole_service_is_whole(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(checking, "_PAGE", 2)  # several pages
     found = check_service(service)
-    assert found == {"ledger": 3, "artefacts": 4, "receipts": 1, "whole": True}
+    counts = {"ledger": 3, "artefacts": 4, "receipts": 1, "notices": 0}
+    assert found == {**counts, "whole": True}
     client = Client("", transport=TestClient(create_app(service)))
     assert check_ledger(client)["entries"] == 3
     assert check_ledger(client)["last_hash"] == service.queries.ledger()[-1].hash
@@ -40,7 +42,7 @@ def test_a_whole_service_is_whole(service: Service, monkeypatch: pytest.MonkeyPa
 
 def test_a_changed_entry_is_found_from_outside_and_at_home(service: Service) -> None:
     entry = service.queries.ledger()[1]
-    changed(service, sa.update(t.ledger).where(t.ledger.c.seq == 2).values(at=entry.at + 1))
+    changed(service, sa.update(schema.ledger).where(ENTRY.seq == 2).values(at=entry.at + 1))
     with pytest.raises(ValueError, match="entry 2 does not follow"):
         check_service(service)
     with pytest.raises(ValueError, match="entry 2 does not follow"):
@@ -55,10 +57,10 @@ def test_a_missing_artefact_is_found(service: Service) -> None:
 
 
 def test_a_receipt_of_another_ledger_is_found(service: Service) -> None:
-    [receipt] = [service.queries.receipt(one.id) for one in service.queries.submissions()]
+    [receipt] = [service.queries.receipt(row.id) for row in service.queries.submissions()]
     assert receipt is not None
     content = receipt["content"] | {"ledger": {"seq": 2, "hash": "0" * 64}}
     signature = service.signer.sign(content)
-    changed(service, sa.update(t.receipts).values(content=content, signature=signature))
+    changed(service, sa.update(schema.receipts).values(content=content, signature=signature))
     with pytest.raises(ValueError, match="another ledger entry 2"):
         check_service(service)

@@ -16,7 +16,7 @@ import sqlalchemy as sa
 
 from assistax_board.client.submitting import for_reader
 from assistax_board.serve import open_service
-from assistax_board.store import schema as t
+from assistax_board.store.schema import JOB
 from assistax_zoo.shell.main import run
 from tests.untrained import HUMAN, ROBOT, params_of, published, untrained_team
 from zoo.parameters.storage import write_policy_file
@@ -66,8 +66,8 @@ def board(tmp_path: Path) -> Iterator[dict[str, Any]]:
     environment = {"ASSISTAX_ZOO_SERVER": address, "ASSISTAX_ZOO_TOKEN": token}
     _wait_until_it_answers(address)
     lines = iter(process.stderr.readline, "")
-    found = {"data": data, "registry": registry, "environment": environment}
-    yield {**found, "lines": lines, "process": process}
+    answer = {"data": data, "registry": registry, "environment": environment}
+    yield {**answer, "lines": lines, "process": process}
     stop(process)
 
 
@@ -105,20 +105,20 @@ def test_a_season_by_its_commands(board: dict[str, Any], tmp_path: Path) -> None
     )
     assert json.loads(checked)["check"] == "admitted"
     submitted = command(*by, "mine", "--json", **environment)
-    found = json.loads(submitted)
-    assert (found["state"], found["scores"].keys()) == ("scored", {"public", "A"})
-    assert (found["board_place"], found["of_methods"]) == (1, 1)
-    told = command(*by, "again", **environment)
-    assert "place: 1–2 of 2 on http://127.0.0.1" in told, "the same robot shares its place"
-    assert f"mean return, public: {found['scores']['public']['mean']:.1f}" in told
+    answer = json.loads(submitted)
+    assert (answer["state"], answer["scores"].keys()) == ("scored", {"public", "A"})
+    assert (answer["board_place"], answer["of_methods"]) == (1, 1)
+    output = command(*by, "again", **environment)
+    assert "place: 1–2 of 2 on http://127.0.0.1" in output, "the same robot shares its place"
+    assert f"mean return, public: {answer['scores']['public']['mean']:.1f}" in output
     scores = httpx2.get(f"{environment['ASSISTAX_ZOO_SERVER']}/api/boards/scratch").json()["scores"]
     public = [score["figures"] for score in scores if score["panel"] == "public"]
-    assert public == [found["scores"]["public"]] * 2, "the same robot, the same score, every bit"
+    assert public == [answer["scores"]["public"]] * 2, "the same robot, the same score, every bit"
     (tmp_path / "receipt.json").write_text(submitted)
-    key = found["receipt"]["content"]["key"]
+    key = answer["receipt"]["content"]["key"]
     command("receipt", "verify", tmp_path / "receipt.json", "--key", key)
-    entered = command("season", "enter", "spring", found["id"], "--json", **environment)
-    assert [one["id"] for one in json.loads(entered)] == [found["id"]]
+    entered = command("season", "enter", "spring", answer["id"], "--json", **environment)
+    assert [row["id"] for row in json.loads(entered)] == [answer["id"]]
     command("season", "close", *season)
     proved = _wait_for_proof(root, environment)
     assert (proved["proved"], proved["partners"]) == (True, 4)
@@ -154,7 +154,7 @@ def test_a_stop_gives_the_job_under_way_back(board: dict[str, Any], tmp_path: Pa
     stop(board["process"])
     service = open_service(board["data"], registry=board["registry"])
     with service.database.read() as connection:
-        rows = connection.execute(sa.select(t.jobs.c.state, t.jobs.c.failures)).all()
+        rows = connection.execute(sa.select(JOB.state, JOB.failures)).all()
     assert [tuple(row) for row in rows] == [("waiting", 0)]
 
 
@@ -185,7 +185,22 @@ def test_a_robot_is_not_handed_in_without_a_name(
 
 
 def test_who_watches_reads_the_range_of_ranks() -> None:
-    found = {"id": "7kq2", "state": "scored", "of_methods": 9, "board": "/tasks/scratch"}
+    answer = {"id": "7kq2", "state": "scored", "of_methods": 9, "board": "/tasks/scratch"}
     for lowest, text in ((4, "2–4 of 9 on http://x/tasks/scratch"), (2, "2 of 9 on")):
         ranks = {"board_place": 2, "board_lowest": lowest}
-        assert for_reader(found | ranks, "http://x")["place"].startswith(text)
+        assert for_reader(answer | ranks, "http://x")["place"].startswith(text)
+
+
+@pytest.mark.parametrize(
+    ("module", "place", "extra"),
+    [
+        ("psycopg", {"database": "postgresql+psycopg://nobody@127.0.0.1:1/x"}, "postgres"),
+        ("s3fs", {"artefacts": "s3://bucket/path"}, "s3"),
+    ],
+)
+def test_a_missing_extra_is_named_with_what_installs_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, place: Any, extra: str
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ValueError, match=rf"pip install 'assistax-zoo-board\[{extra}\]'"):
+        open_service(tmp_path, **place)

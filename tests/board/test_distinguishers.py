@@ -30,8 +30,9 @@ from assistax_board.pages.cache import PageCache
 from assistax_board.rules import results
 from assistax_board.rules.scoring import Work, encode_table
 from assistax_board.service import Service
-from assistax_board.store import schema as t
+from assistax_board.store import schema
 from assistax_board.store.queries import Queries
+from assistax_board.store.schema import RESULT, SEASON, SUBMISSION
 from tests.board.fakes import TASK, FakeScorer, draft, new_service, new_submitter
 from tests.board.test_season import SIZE, open_season
 
@@ -83,13 +84,13 @@ def new_season(folder: Path, number: int) -> Season:
     service = new_service(folder)
     open_season(service, budget=9)
     with service.database.write() as connection:
-        [secret] = connection.execute(sa.select(t.seasons.c.secret)).scalars()
+        [secret] = connection.execute(sa.select(SEASON.secret)).scalars()
         for place, leaf in enumerate(secret["leaves"]):
             leaf["salt"] = f"{number:02d}{place}"
             leaf["policy"] = f"secret-{(place + number) % (2 * SIZE)}"
         secret["leaves"][0]["seeds"] = {"A": f"{number:032x}", "B": f"{number + 5:032x}"}
         release = service.artefacts.put(f"release {number}".encode())
-        connection.execute(sa.update(t.seasons).values(secret=secret, release=release))
+        connection.execute(sa.update(schema.seasons).values(secret=secret, release=release))
     http = TestClient(create_app(service), raise_server_exceptions=False)
     http.app.state.limiter.hit = lambda *_: None  # ty: ignore[missing-attribute]
     return Season(service, http, HiddenScorer(7 * number))
@@ -138,7 +139,7 @@ def live_through(season: Season) -> None:
 def addresses(season: Season) -> list[str]:
     """Return all that can be asked for without a token, and much that cannot."""
     app: Any = season.http.app
-    ids = [each.id for each in season.service.queries.submissions()]
+    ids = [row.id for row in season.service.queries.submissions()]
     paths = [path for path, methods in app.openapi()["paths"].items() if "get" in methods]
     paths += ["/", f"/tasks/{TASK}", "/ledger", "/seasons", "/seasons/{id}", "/submissions/{id}"]
     names = [*ids, "season1", "hidden-0001"]
@@ -190,28 +191,31 @@ def looked_at(season: Season) -> Generator[None]:
     finally:
         log.removeHandler(handler)
         log.setLevel(level)
-    lines = [f"{each.getMessage()} {json.dumps(vars(each).get('fields'))}" for each in records]
+    lines = [
+        f"{record.getMessage()} {json.dumps(vars(record).get('fields'))}" for record in records
+    ]
     season.seen += [COMMITMENTS.sub("#", line) for line in lines]
 
 
 def differences(seasons: tuple[Season, Season]) -> list[tuple[str, str]]:
-    first, second = (each.seen for each in seasons)
+    first, second = (season.seen for season in seasons)
     assert len(first) == len(second) > 100
     return [(a, b) for a, b in zip(first, second, strict=True) if a != b]
 
 
 def test_answers_logs_and_statements_are_the_same(two: tuple[Season, Season]) -> None:
-    hidden = [hidden_returns(each.service) for each in two]
+    hidden = [hidden_returns(season.service) for season in two]
     assert sorted(hidden[0]) == sorted(hidden[1])
     assert hidden[0] != hidden[1], "what is hidden differs"
-    assert any('"panel":"A"' in each for each in two[0].seen), "a score on panel A is shown"
+    assert any('"panel":"A"' in line for line in two[0].seen), "a score on panel A is shown"
     assert differences(two) == []
 
 
 def hidden_returns(service: Service) -> list[float]:
     with service.database.read() as connection:
-        s = t.submissions.c
-        first = connection.execute(sa.select(s.id, t.results.c.version).join(t.results)).first()
+        first = connection.execute(
+            sa.select(SUBMISSION.id, RESULT.version).join(schema.results)
+        ).first()
         assert first is not None
         table = results.panel_table(service.artefacts, connection, first.id, first.version, "A")
     return table.sort("partner", "episode")["return"].to_list()
@@ -234,7 +238,7 @@ def test_a_planted_leak_is_found(
         if leak == "log":
             log.info("scored", extra={"fields": {"worst": value}})
         if leak == "body":
-            update = sa.update(t.submissions).where(t.submissions.c.id == job.submission)
+            update = sa.update(schema.submissions).where(SUBMISSION.id == job.submission)
             connection.execute(update.values(method=f"mine {value}"))
         if leak == "statements":
             plant_statements(monkeypatch, value)
@@ -274,7 +278,7 @@ def p_value(found: np.ndarray) -> float:
     swapped = np.random.default_rng(1).random((2000, len(found), 1)) < 0.5
     drawn = np.where(swapped, found[:, ::-1], found)  # [2000, N, 2]
     seen, chance = (
-        np.abs(np.diff(np.quantile(each, 0.25, axis=-2), axis=-1)) for each in (found, drawn)
+        np.abs(np.diff(np.quantile(times, 0.25, axis=-2), axis=-1)) for times in (found, drawn)
     )
     return float((1 + (chance >= seen).sum()) / 2001)
 
@@ -298,7 +302,7 @@ def test_a_planted_leak_of_time_is_found(
 ) -> None:
     """A few milliseconds more or less, by what the first hidden partner was good for."""
     real = Queries.attempts
-    values = {id(each.service.database): hidden_returns(each.service)[0] for each in two}
+    values = {id(season.service.database): hidden_returns(season.service)[0] for season in two}
     assert len(set(values.values())) == 2
 
     def attempts(self: Queries, season: str) -> Any:

@@ -18,8 +18,9 @@ from sqlalchemy import event
 from assistax_board.rules import jobs
 from assistax_board.rules.scoring import encode_table
 from assistax_board.service import Service
-from assistax_board.store import schema as t
+from assistax_board.store import schema
 from assistax_board.store.ledger import check_chain
+from assistax_board.store.schema import ENTRY
 from tests.board.fakes import FakeClock, FakeScorer, draft, new_service, new_submitter, work_off
 from tests.board.test_season import open_season
 
@@ -110,28 +111,28 @@ def _work_once(service: Service, fate: Fate) -> None:
 
 
 def _unfinished(service: Service) -> bool:
-    states = [each.state for each in service.queries.submissions(limit=1000)]
+    states = [row.state for row in service.queries.submissions(limit=1000)]
     return any(state in ("queued", "running") for state in states)
 
 
 def _check(service: Service, season: str, count: int) -> None:
-    found = service.queries.submissions(limit=1000)
-    assert len(found) == count  # none lost, none twice
-    assert {each.state for each in found} == {"scored", "refused"}
-    for each in found:
-        attempt = "spent" if each.state == "scored" else "refunded"
-        assert (each.attempt, each.place) == (attempt, None)
+    rows = service.queries.submissions(limit=1000)
+    assert len(rows) == count  # none lost, none twice
+    assert {row.state for row in rows} == {"scored", "refused"}
+    for row in rows:
+        attempt = "spent" if row.state == "scored" else "refunded"
+        assert (row.attempt, row.place) == (attempt, None)
     with service.database.read() as connection:
-        results = connection.execute(sa.select(sa.func.count()).select_from(t.results))
-        scored = sum(each.state == "scored" for each in found)
+        results = connection.execute(sa.select(sa.func.count()).select_from(schema.results))
+        scored = sum(row.state == "scored" for row in rows)
         assert results.scalar_one() == 5 * scored
-        kinds = connection.execute(sa.select(t.ledger.c.kind)).scalars().all()
+        kinds = connection.execute(sa.select(ENTRY.kind)).scalars().all()
     assert kinds.count("submission") == count
     assert kinds.count("end") == count
     assert kinds.count("score") == scored
     entries = service.queries.ledger(limit=100_000)
     assert check_chain(entries) == len(entries)
-    spent = sum(each.spent for each in service.queries.attempts(season))
+    spent = sum(row.spent for row in service.queries.attempts(season))
     assert spent == scored
 
 
@@ -179,6 +180,6 @@ def test_what_was_answered_survives_sigkill(tmp_path: Path) -> None:
     assert isinstance(service.clock, FakeClock)
     service.clock.now += jobs.LEASE_SECONDS + 1
     work_off(service)
-    assert {each.state for each in service.queries.submissions()} == {"scored"}
+    assert {row.state for row in service.queries.submissions()} == {"scored"}
     entries = service.queries.ledger()
     assert check_chain(entries) == len(entries)

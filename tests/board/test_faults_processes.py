@@ -25,8 +25,9 @@ from assistax_board.client.client import Client
 from assistax_board.rules import jobs
 from assistax_board.serve import free_port
 from assistax_board.service import Service
-from assistax_board.store import schema as t
+from assistax_board.store import schema
 from assistax_board.store.ledger import check_chain
+from assistax_board.store.schema import ENTRY, JOB, RESULT, SCORE, SUBMISSION
 from assistax_board.vocabulary import FINAL_STATES
 from tests.board.fakes import FakeScorer, draft, new_service, new_submitter, take, work_off
 from tests.board.faulty import PATIENCE, real_service
@@ -60,48 +61,49 @@ class Process:
 
 def losses(service: Service, season: str, count: int) -> tuple[dict[str, int], list[str]]:
     """Return how many submissions ended how, and everything that was lost or counted twice."""
-    found = service.queries.submissions(limit=1000)
-    lost = [] if len(found) == count else [f"{len(found)} submissions of {count}"]
+    rows = service.queries.submissions(limit=1000)
+    lost = [] if len(rows) == count else [f"{len(rows)} submissions of {count}"]
     with service.database.read() as connection:
-        results = Counter(connection.execute(sa.select(t.results.c.submission)).scalars())
+        results = Counter(connection.execute(sa.select(RESULT.submission)).scalars())
         struck = set(
             connection.execute(
-                sa.select(t.jobs.c.submission).where(t.jobs.c.failures >= jobs.MAX_FAILURES)
+                sa.select(JOB.submission).where(JOB.failures >= jobs.MAX_FAILURES)
             ).scalars()
         )
         kinds = Counter(
             (entry.kind, entry.body["id"])
-            for entry in connection.execute(sa.select(t.ledger))
+            for entry in connection.execute(sa.select(schema.ledger))
             if "id" in entry.body
         )
     try:
         check_chain(service.queries.ledger())
     except ValueError as error:
         lost.append(str(error))
-    for one in found:
-        by_design = one.reason == "worker_errors" and one.id in struck
-        if one.state not in FINAL_STATES or (one.state == "failed" and not by_design):
-            lost.append(f"{one.id} is {one.state} for {one.reason}")
-        if one.attempt != ("spent" if one.state == "scored" else "refunded"):
-            lost.append(f"{one.id} is {one.state} and its attempt is {one.attempt}")
-        if one.state == "scored" and results[one.id] != JOBS:
-            lost.append(f"{one.id} has {results[one.id]} results")
-        told = kinds["submission", one.id], kinds["end", one.id], kinds["score", one.id]
-        if told != (1, 1, int(one.state == "scored")):
-            lost.append(f"{one.id} is told {told} times in the ledger")
+    for row in rows:
+        by_design = row.reason == "worker_errors" and row.id in struck
+        if row.state not in FINAL_STATES or (row.state == "failed" and not by_design):
+            lost.append(f"{row.id} is {row.state} for {row.reason}")
+        if row.attempt != ("spent" if row.state == "scored" else "refunded"):
+            lost.append(f"{row.id} is {row.state} and its attempt is {row.attempt}")
+        if row.state == "scored" and results[row.id] != JOBS:
+            lost.append(f"{row.id} has {results[row.id]} results")
+        told = kinds["submission", row.id], kinds["end", row.id], kinds["score", row.id]
+        if told != (1, 1, int(row.state == "scored")):
+            lost.append(f"{row.id} is told {told} times in the ledger")
     lost += wrong_scores(service)
-    held = [each for each in service.queries.attempts(season) if each.reserved]
-    lost += [f"{each.submitter} has {each.reserved} attempts reserved" for each in held]
-    return dict(Counter(one.state for one in found)), lost
+    held = [row for row in service.queries.attempts(season) if row.reserved]
+    lost += [f"{row.submitter} has {row.reserved} attempts reserved" for row in held]
+    return dict(Counter(row.state for row in rows)), lost
 
 
 def wrong_scores(service: Service) -> list[str]:
     """Return the scores on the public panel that are not what undisturbed work gives."""
     wrong, scorer = [], FakeScorer()
     with service.database.read() as connection:
-        s = t.submissions.c
-        query = sa.select(t.scores, s.artefact).join(t.submissions, s.id == t.scores.c.submission)
-        rows = connection.execute(query.where(t.scores.c.panel == "public")).all()
+        query = sa.select(schema.scores, SUBMISSION.artefact).join(
+            schema.submissions, SUBMISSION.id == SCORE.submission
+        )
+        rows = connection.execute(query.where(SCORE.panel == "public")).all()
     for row in rows:
         strength = float(service.artefacts.get(row.artefact).decode().split()[1])
         mean = row.figures["mean"]
@@ -116,7 +118,7 @@ def public_ease(scorer: FakeScorer, known: list[float] = []) -> float:  # noqa: 
         from assistax_board.rules.catalogue import PUBLIC_SEED, panel_episodes
         from tests.board.fakes import FakeCatalogue, noise
 
-        names = [partner.id for partner in FakeCatalogue().public_panel("scratch")]
+        names = FakeCatalogue().public_panel("scratch")
         episodes = range(panel_episodes("scratch", "public"))
         values = [noise(f"{PUBLIC_SEED:x}", name, k) for name in names for k in episodes]
         known.append(sum(values) / len(values))
@@ -232,25 +234,25 @@ def test_a_failure_by_design_is_no_loss(tmp_path: Path) -> None:
     assert losses(service, season, 2) == ({"scored": 1, "failed": 1}, [])
 
 
-S, R = sa.update(t.submissions), t.submissions.c
+S = sa.update(schema.submissions)
 PLANTED: dict[str, tuple[Any, str]] = {
-    "one never ends": (S.where(R.state == "scored").values(state="running"), "is running"),
+    "one never ends": (S.where(SUBMISSION.state == "scored").values(state="running"), "is running"),
     "one fails though no job was struck at all its tries": (
-        sa.update(t.jobs).values(failures=1),
+        sa.update(schema.jobs).values(failures=1),
         "is failed for worker_errors",
     ),
-    "the ledger lacks one": (sa.delete(t.ledger).where(t.ledger.c.seq == 2), "does not follow"),
+    "the ledger lacks one": (sa.delete(schema.ledger).where(ENTRY.seq == 2), "does not follow"),
     "an attempt is lost": (
-        S.where(R.state == "failed").values(attempt="spent"),
+        S.where(SUBMISSION.state == "failed").values(attempt="spent"),
         "its attempt is spent",
     ),
     "an attempt stays reserved": (
-        S.where(R.state == "failed").values(attempt="reserved"),
+        S.where(SUBMISSION.state == "failed").values(attempt="reserved"),
         "1 attempts reserved",
     ),
-    "a result is missing": (sa.delete(t.results).where(t.results.c.panel == "A"), "3 results"),
+    "a result is missing": (sa.delete(schema.results).where(RESULT.panel == "A"), "3 results"),
     "a result is counted twice": (
-        sa.update(t.scores).where(t.scores.c.panel == "public").values(figures={"mean": 2.9}),
+        sa.update(schema.scores).where(SCORE.panel == "public").values(figures={"mean": 2.9}),
         "has 2.9",
     ),
 }
@@ -262,4 +264,4 @@ def test_a_planted_loss_is_found(tmp_path: Path, name: str) -> None:
     statement, told = PLANTED[name]
     with service.database.write() as connection:
         connection.execute(statement)
-    assert any(told in each for each in losses(service, season, 2)[1])
+    assert any(told in row for row in losses(service, season, 2)[1])

@@ -16,6 +16,7 @@ from assistax_board.api import guards
 from assistax_board.client.client import Client
 from assistax_board.live import client as live_client
 from assistax_board.live.robot import LiveRobot
+from assistax_board.rules import jobs
 from assistax_board.service import Service
 from assistax_board.vocabulary import Scope
 from assistax_board.work.worker import Worker
@@ -63,7 +64,7 @@ def test_who_says_nothing_is_hung_up_on(
 
 @pytest.mark.slow
 def test_without_that_they_would_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serve._Impatient, "_look", lambda *_: None)
+    monkeypatch.setattr(serve._IdleTimeout, "_look", lambda *_: None)
     with served(new_service(tmp_path)) as server:
         silent = connected(server)
         silent.settimeout(2.0)
@@ -130,7 +131,7 @@ def test_a_live_robot_that_thinks_long_is_not_hung_up_on(
         return np.zeros((len(obs), 3), np.float32)
 
     id = play(service, slow)
-    [found] = [each for each in service.queries.submissions() if each.id == id]
+    [found] = [row for row in service.queries.submissions() if row.id == id]
     assert found.state == "scored"
 
 
@@ -214,17 +215,18 @@ def test_a_full_database_refuses_for_a_while_and_nothing_is_lost(tmp_path: Path)
         service.database.close()
         taken.append(client.submit(b"robot 1.0", request_id=request, **fields)["id"])
     work_off(service)
-    states = {each.id: each.state for each in service.queries.submissions(limit=1000)}
+    states = {row.id: row.state for row in service.queries.submissions(limit=1000)}
     assert states == dict.fromkeys(taken, "scored")
 
 
+@pytest.mark.parametrize("refused", [2, 3 * jobs.MAX_FAILURES])
 def test_a_disk_that_fills_up_at_a_result_costs_no_score(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: int
 ) -> None:
-    """The worker is told so, and the job is done again when there is space."""
+    """The worker is told so, and brings the result again when there is space."""
     service = new_service(tmp_path)
     service.submit(new_submitter(service), draft())
-    real, left = service.artefacts.put, [2]
+    real, left = service.artefacts.put, [refused]
 
     def put(data: bytes) -> str:
         if left[0]:
@@ -241,7 +243,7 @@ def test_a_disk_that_fills_up_at_a_result_costs_no_score(
         working = server.client("work")
         object.__setattr__(service.artefacts, "put", put)
         Worker(working, FakeScorer(), idle=0.05, beat=1.0).run(until_empty=True)
-    assert [each.state for each in service.queries.submissions()] == ["scored"]
+    assert [row.state for row in service.queries.submissions()] == ["scored"]
 
 
 @pytest.mark.parametrize(("proxy", "answered"), [(None, 30), ("127.0.0.1", 60)])

@@ -144,7 +144,7 @@ def test_readers_do_not_wait_for_files_that_are_looked_at(tmp_path: Path) -> Non
         assert httpx2.get(f"{server.address}/api/health", timeout=20.0).status_code == 200
         took = time.monotonic() - began
         go_on.set()
-        ids = [one.result() for one in answers]
+        ids = [row.result() for row in answers]
     assert took < 1.0
     assert {shown(service, id).state for id in ids} == {"queued"}
 
@@ -170,7 +170,7 @@ def test_one_lab_keeps_few_places_at_the_desk(tmp_path: Path) -> None:
             many.submit(b"robot 1.0", request_id="request-9", **fields)
         threading.Timer(0.5, go_on.set).start()
         assert hand_in(other)
-        assert len({one.result()["id"] for one in answers}) == 4
+        assert len({row.result()["id"] for row in answers}) == 4
 
 
 def test_a_busy_machine_refuses_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

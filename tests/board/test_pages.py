@@ -27,8 +27,9 @@ from assistax_board.pages.crossplays import PUBLISHED, CrossPlays
 from assistax_board.pages.routes import partners as partner_routes
 from assistax_board.pages.security import FIELD
 from assistax_board.pages.videos import Pair, Videos, run_command
-from assistax_board.store import schema as t
+from assistax_board.store import schema
 from assistax_board.store.queries import STATEMENT
+from assistax_board.store.schema import SCORE
 from tests.board.board_data import HOSTILE, make_app
 from tests.board.fakes import TASK, draft, new_service, new_submitter, work_off
 from tests.untrained import published, teams_of
@@ -72,6 +73,8 @@ def addresses(client: TestClient) -> list[str]:
         "/ledger",
         "/submit",
         "/submit?task=bed_bath",
+        "/organise",
+        "/docs",
         "/tasks/nowhere",
     ]
 
@@ -497,10 +500,10 @@ def test_a_gentle_board_says_how_often_somebody_was_hurt(tmp_path: Path) -> None
     work_off(service)
     assert "Violations" not in TestClient(create_app(service)).get(f"/tasks/{TASK}").text
     with service.database.write() as connection:
-        rows = connection.execute(sa.select(t.scores).order_by(t.scores.c.submission)).all()
+        rows = connection.execute(sa.select(schema.scores).order_by(SCORE.submission)).all()
         for row, violations in zip(rows, (0.1, 0.3), strict=True):
             gentle = {"violations": violations, "safe_success": 0.55, "by_preference": {}}
-            update = sa.update(t.scores).where(t.scores.c.submission == row.submission)
+            update = sa.update(schema.scores).where(SCORE.submission == row.submission)
             connection.execute(update.values(released=row.released | gentle))
     page = TestClient(create_app(service)).get(f"/tasks/{TASK}").text
     assert 'data-label="Violations">20%<' in page  # of two seeds

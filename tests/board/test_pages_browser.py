@@ -19,7 +19,7 @@ PAGES = (
     *("/", "/tasks/scratch", "/tasks/arm_assist", "/tasks/scratch/compare", "/tasks/nowhere"),
     *("/tasks/scratch/partners?disability=d3", "/partners/scratch/ippo-d1-s0-v1"),
     *("/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1", "/tasks/scratch/explorer"),
-    *("/seasons", "/seasons/5ea5011", "/submit?task=scratch", "/ledger"),
+    *("/seasons", "/seasons/5ea5011", "/submit?task=scratch", "/ledger", "/organise", "/docs"),
 )
 WIDTHS = (400, 800, 1600)
 expect.set_options(timeout=60_000)  # waits no longer than it must
@@ -257,9 +257,10 @@ def fill_in(page: Page, token: str) -> None:
 
 def finish(folder: Path, submission: str) -> None:
     """End a submission behind the page's back."""
-    from assistax_board.store import schema as t
+    from assistax_board.store import schema
     from assistax_board.store.database import Database
+    from assistax_board.store.schema import SUBMISSION
 
     with Database(f"sqlite:///{folder / 'service.db'}").write() as connection:
-        update = t.submissions.update().where(t.submissions.c.id == submission)
+        update = schema.submissions.update().where(SUBMISSION.id == submission)
         connection.execute(update.values(state="refused", reason="subgraph"))

@@ -19,7 +19,8 @@ from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.problems import Problem
 from assistax_board.rules import seasons
 from assistax_board.service import Service
-from assistax_board.store import schema as t
+from assistax_board.store import schema
+from assistax_board.store.schema import SEASON
 from tests.board.fakes import (
     TASK,
     FakeScorer,
@@ -37,7 +38,7 @@ from tests.untrained import published, teams_of
 SIZE = 30  # partners of each panel
 
 
-def open_season(service: Service, budget: int = 3) -> str:
+def open_season(service: Service, budget: int = 3, closes_at: float | None = None) -> str:
     """Put a season of made-up partners into the database, as `create_season` would."""
     leaves = [{"seeds": {"A": "a1" * 16, "B": "b2" * 16}, "salt": "00"}]
     leaves += [
@@ -57,8 +58,8 @@ def open_season(service: Service, budget: int = 3) -> str:
         "created_at": 0.0,
     }
     with service.database.write() as connection:
-        connection.execute(sa.insert(t.seasons).values(row))
-    assert service.open_season("spring") == merkle_root(map(leaf_sha256, leaves))
+        connection.execute(sa.insert(schema.seasons).values(row))
+    assert service.open_season("spring", closes_at) == merkle_root(map(leaf_sha256, leaves))
     return row["id"]
 
 
@@ -77,8 +78,8 @@ def test_a_season_from_its_opening_to_its_reveal(tmp_path: Path) -> None:
     assert work_off(service) == 2
     panels = {score.panel: score.figures for score in service.queries.scores(submission=id)}
     assert panels["B"]["n"] == SIZE
-    told = seasons.revealed(service.database, season)
-    assert merkle_root(map(leaf_sha256, told["leaves"])) == told["root"]
+    statement = seasons.revealed(service.database, season)
+    assert merkle_root(map(leaf_sha256, statement["leaves"])) == statement["root"]
 
 
 def test_nothing_hidden_is_in_any_answer(tmp_path: Path) -> None:
@@ -110,7 +111,7 @@ def test_a_planted_leak_is_found(tmp_path: Path) -> None:
 def hidden_words(service: Service) -> list[str]:
     scorer = FakeScorer()
     with service.database.read() as connection:
-        [secret] = connection.execute(sa.select(t.seasons.c.secret)).scalars()
+        [secret] = connection.execute(sa.select(SEASON.secret)).scalars()
     returns = []
     service.submit(new_submitter(service, "probe"), draft(2.0, season="season1"))
     for panel in ("A", "B"):
@@ -360,10 +361,10 @@ def test_another_root_proves_nothing(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     season = open_season(service)
     service.close_season("spring")
-    told = seasons.revealed(service.database, season)
-    told["leaves"][3]["panel"] = "B"
+    statement = seasons.revealed(service.database, season)
+    statement["leaves"][3]["panel"] = "B"
     with pytest.raises(ValueError, match="not those whose root"):
-        seasons.verify_season(told, b"", told["root"], tmp_path)
+        seasons.verify_season(statement, b"", statement["root"], tmp_path)
 
 
 def closing(folder: Path) -> tuple[Service, str]:
@@ -447,9 +448,9 @@ def test_a_release_that_a_season_had_is_in_no_other(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     season = open_season(service)
     with service.database.write() as connection:
-        row = connection.execute(sa.select(t.seasons)).mappings().one()
+        row = connection.execute(sa.select(schema.seasons)).mappings().one()
         again = {"id": "season2", "name": "summer", "state": "draft", "root": None}
-        connection.execute(sa.insert(t.seasons).values({**row, **again}))
+        connection.execute(sa.insert(schema.seasons).values({**row, **again}))
     for _ in range(2):
         with pytest.raises(Problem, match=r"were in season spring.*new seeds"):
             service.open_season("summer")

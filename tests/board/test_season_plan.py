@@ -2,15 +2,21 @@
 
 import dataclasses
 import json
+import zlib
 from pathlib import Path
 from typing import Any
 
+import jax
 import pytest
 
+from assistax_base.errors import IdError
 from assistax_board.serve import open_service
-from assistax_workshop.plans.plan import Group, Plan, private_plan, read_plan
+from assistax_workshop.plans.plan import SECRET_SEEDS, Group, Plan, private_plan, read_plan
 from assistax_zoo.shell.main import run
+from population.config import Member
+from population.runs.train import member_key
 from tests.workshop.test_population_command import ONE, OTHER, use_toy, write_plan
+from zoo.ids import parse_team
 from zoo.registry import load_registry
 
 PLANS = Path(__file__).parents[2] / "zoo" / "plans"
@@ -48,9 +54,52 @@ def test_a_draw_of_public_seeds_is_passed_over(monkeypatch: pytest.MonkeyPatch) 
             return population[:k]
 
     monkeypatch.setattr("assistax_workshop.plans.plan.secrets.SystemRandom", Counting)
-    groups = (Group(**ONE), Group(**{**OTHER, "seeds": [2, 4]}))
-    private = private_plan(Plan(version=1, release="v1", groups=groups))
-    assert [group.seeds for group in private.groups] == [(3, 5), (6, 7)], "public are 0, 1, 2, 4"
+    first = 2**31  # of the seeds that are drawn
+    public = Group(**{**OTHER, "seeds": [first, first + 2]})
+    private = private_plan(Plan(version=1, release="v1", groups=(Group(**ONE), public)))
+    expected = [(first + 1, first + 3), (first + 4, first + 5)]
+    assert [group.seeds for group in private.groups] == expected
+
+
+def test_seeds_have_62_bits_and_more(tmp_path: Path) -> None:
+    seeds = seeds_of(read_plan(make(tmp_path / "plan.json")))
+    assert SECRET_SEEDS.stop - SECRET_SEEDS.start > 2**62 and all(s in SECRET_SEEDS for s in seeds)
+    assert max(seeds) > 2**60, "none of 126 has 60 bits with a chance of 2 to the power of -28"
+
+
+def test_every_bit_of_a_seed_decides_what_is_trained() -> None:
+    """JAX alone would keep 32 of them: a guess of the lower half would be enough."""
+    keys = {
+        seed: key_of(seed) for seed in (5, 2**31 + 5, 2**32 + 5, 2**62 + 5, 2**63 - 1, 2**31 - 1)
+    }
+    assert len(set(keys.values())) == len(keys)
+    settled = jax.random.fold_in(jax.random.key(5), zlib.crc32(b"d1"))
+    assert keys[5] == tuple(jax.random.key_data(settled).tolist()), "published teams train again"
+    team = f"scratch/ippo-d1-s{2**63 - 1}-v1"
+    assert str(parse_team(team)) == team
+    with pytest.raises(IdError):
+        parse_team(f"scratch/ippo-d1-s{2**63}-v1")
+
+
+def key_of(seed: int) -> tuple[int, ...]:
+    return tuple(jax.random.key_data(member_key(Member(seed, "d1"))).tolist())
+
+
+def test_a_smaller_plan_has_fewer_seeds_of_every_group(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    task = ("--task", "gentle_scratch")
+    private = read_plan(make(tmp_path / "plan.json", *task, "--teams", "130"))
+    public = {group.name: group for group in read_plan(V2).groups}
+    assert 110 <= sum(len(group.members) for group in private.groups) <= 130
+    for group in private.groups:
+        assert group.disabilities == public[group.name].disabilities
+        fewest = 2 if group.trainer.population_coef else 1
+        assert fewest <= len(group.seeds) <= len(public[group.name].seeds)
+    assert (
+        run(["season", "plan", str(V2), "--out", str(tmp_path / "x"), *task, "--teams", "9"]) == 1
+    )
+    assert "every group needs a seed, which is 57 teams" in capsys.readouterr().err
 
 
 def test_one_task_in_a_release_of_another_name(tmp_path: Path) -> None:

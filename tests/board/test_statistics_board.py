@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from assistax_board.places.boards import Method, Panel, standings, worst_tenth
+from assistax_board.places.boards import Method, Panel, board_rows, worst_tenth
 from evaluation.figures.metrics import Bounds
 
 PARTNERS = 20
@@ -17,7 +17,7 @@ def method(name: str, mean: float, seed: int, seeds: int = 3, episodes: int = 4)
 
 def test_rows_come_with_the_highest_mean_first_and_shared_places() -> None:
     methods = [method("low", 100, 0), method("high", 150, 1), method("twin", 150, 1)]
-    rows = standings(methods, Panel(DISABILITIES))
+    rows = board_rows(methods, Panel(DISABILITIES))
     assert [(row.name, row.place, row.lowest) for row in rows] == [
         ("high", 1, 2),
         ("twin", 1, 2),
@@ -27,13 +27,13 @@ def test_rows_come_with_the_highest_mean_first_and_shared_places() -> None:
 
 def test_a_row_to_measure_by_takes_no_place() -> None:
     low, high = method("low", 100, 0), method("high", 150, 1)
-    rows = standings([low, Method("reference", high.returns, competes=False)], Panel(DISABILITIES))
+    rows = board_rows([low, Method("reference", high.returns, competes=False)], Panel(DISABILITIES))
     assert [(row.name, row.place) for row in rows] == [("reference", None), ("low", 1)]
 
 
 def test_figures_are_those_of_the_scores() -> None:
     one = method("one", 100, 2)
-    [row] = standings([one], Panel(DISABILITIES))
+    [row] = board_rows([one], Panel(DISABILITIES))
     scores = one.returns.mean(axis=2)
     assert row.m_test.mean == pytest.approx(scores.mean())
     assert row.m_test.mean_ci is not None
@@ -52,13 +52,13 @@ def test_a_random_robot_is_0_and_the_best_response_1() -> None:
     bounds = Bounds(best, low)
     for level, expected in ((10.0, 0.0), (110.0, 1.0), (60.0, 0.5)):
         played = Method("x", np.full((2, PARTNERS, 2), level))
-        [row] = standings([played], Panel(DISABILITIES, bounds))
+        [row] = board_rows([played], Panel(DISABILITIES, bounds))
         assert row.normalised is not None
         assert row.normalised.mean == pytest.approx(expected)
 
 
 def test_one_episode_and_unknown_disabilities_leave_gaps_and_not_guesses() -> None:
-    [row] = standings([method("x", 1, 3, episodes=1)], Panel((None,) * PARTNERS))
+    [row] = board_rows([method("x", 1, 3, episodes=1)], Panel((None,) * PARTNERS))
     assert (row.cvar, row.fairness, row.normalised) == (None, None, None)
 
 
@@ -73,14 +73,14 @@ def test_one_partner_in_ten_earns_no_more_than_the_worst_tenth() -> None:
 def test_a_method_that_missed_partners_is_refused_by_name() -> None:
     short = Method("short", np.zeros((1, PARTNERS - 1, 4)))
     with pytest.raises(ValueError, match="short has returns of shape"):
-        standings([method("x", 1, 5), short], Panel(DISABILITIES))
+        board_rows([method("x", 1, 5), short], Panel(DISABILITIES))
     with pytest.raises(ValueError, match="no methods"):
-        standings([], Panel(DISABILITIES))
+        board_rows([], Panel(DISABILITIES))
 
 
 def test_a_lone_partner_gives_figures_and_no_place() -> None:
     methods = [Method(name, np.full((1, 1, 4), level)) for name, level in (("a", 1.0), ("b", 2.0))]
-    rows = standings(methods, Panel(("d1",)))
+    rows = board_rows(methods, Panel(("d1",)))
     assert [(row.name, row.place, row.m_test.mean) for row in rows] == [
         ("b", None, 2.0),
         ("a", None, 1.0),
@@ -92,7 +92,7 @@ def test_a_row_of_two_unlike_robots_erases_nobodys_place() -> None:
     methods = [method(f"m{mean}", mean, mean) for mean in means]
     odd = method("odd", 500, 7, seeds=2)
     unlike = Method("odd", odd.returns + np.array([-400.0, 400.0])[:, None, None])
-    rows = standings([*methods, unlike], Panel(DISABILITIES))
+    rows = board_rows([*methods, unlike], Panel(DISABILITIES))
     places = {row.name: row.place for row in rows}
     assert [places[f"m{mean}"] for mean in means] == list(range(1, 9))
     assert places["odd"] == 1

@@ -61,8 +61,12 @@ def test_its_receipt_is_valid_and_a_changed_one_is_not(tmp_path: Path) -> None:
 def test_a_refused_file_ends_at_once_with_a_word(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     id = service.submit(new_submitter(service), draft(data=b"\x80pickle"))
-    found = shown(service, id)
-    assert (found.state, found.reason, found.artefact) == ("refused", "unknown_format", None)
+    submission = shown(service, id)
+    assert (submission.state, submission.reason, submission.artefact) == (
+        "refused",
+        "unknown_format",
+        None,
+    )
 
 
 def test_a_worker_may_refuse_too(tmp_path: Path) -> None:
@@ -81,7 +85,7 @@ def test_references_are_queued_once_and_played_when_nobody_else_waits(tmp_path: 
     assert work_off(service, most=3) == 3
     assert shown(service, id).state == "scored"
     assert work_off(service) == 6
-    names = {each.method for each in service.queries.submissions() if each.kind == "reference"}
+    names = {row.method for row in service.queries.submissions() if row.kind == "reference"}
     assert names == {"zero-action", "self-play"}
     means = {s.method: s.figures["mean"] for s in service.queries.scores(task="scratch")}
     assert means["zero-action"] < means["mine"] < means["self-play"]
@@ -227,8 +231,8 @@ def test_erasing_a_person_leaves_the_chain_whole(tmp_path: Path) -> None:
     sha256 = shown(service, id).artefact
     service.erase_submitter(submitter)
     check_chain(service.queries.ledger())
-    found = shown(service, id)
-    assert (found.submitter, found.method) == (f"erased-{submitter}", "erased")
+    submission = shown(service, id)
+    assert (submission.submitter, submission.method) == (f"erased-{submitter}", "erased")
     with pytest.raises(Problem, match="no artefact"):
         service.artefacts.get(sha256)
     assert "Lovelace" not in repr(service.queries.ledger())

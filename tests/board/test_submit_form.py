@@ -43,9 +43,9 @@ def test_a_form_sent_twice_is_one_submission(service: Service, reader: TestClien
     token = service.create_token(("submit",), submitter="lab")
     form = filled(reader, token)
     answers = [send(reader, form) for _ in range(2)]
-    [found] = service.queries.submissions()
-    assert {a.headers["location"] for a in answers} == {f"/submissions/{found.id}"}
-    assert (answers[0].status_code, found.method, found.licence) == (303, "mine", "MIT")
+    [submission] = service.queries.submissions()
+    assert {a.headers["location"] for a in answers} == {f"/submissions/{submission.id}"}
+    assert (answers[0].status_code, submission.method, submission.licence) == (303, "mine", "MIT")
     assert send(reader, filled(reader, token)).status_code == 303
     assert len(service.queries.submissions()) == 2
 

@@ -7,7 +7,7 @@ import pytest
 
 from assistax_base import cluster as ray_blocks
 from assistax_base.cluster import RayCluster
-from assistax_board.store import schema as t
+from assistax_board.store import schema
 from assistax_board.work.working_process import run_workers_on_ray
 from tests.board.fakes import FakeScorer, draft, new_service, new_submitter
 from tests.board.running import served
@@ -31,7 +31,7 @@ def test_a_cluster_of_workers_empties_the_queue(two_cpus: None, tmp_path: Path) 
     with served(service) as server:
         client = server.client("work")
         run_workers_on_ray(RayCluster(cpus=1), client, FakeScorer, until_empty=True)
-    assert {one.state for one in service.queries.submissions()} == {"scored"}
+    assert {row.state for row in service.queries.submissions()} == {"scored"}
     with service.database.read() as connection:
-        names = {row.worker for row in connection.execute(t.jobs.select())}
+        names = {row.worker for row in connection.execute(schema.jobs.select())}
     assert len(names) == 2, "both CPUs had one"

@@ -133,10 +133,14 @@ def _at_a_server(
     service = dataclasses.replace(new_service(folder), catalogue=catalogue, admit=admission)
     id = service.submit(new_submitter(service), draft(data=data))
     scorer, tables = scorer_of(registry), []
-    while asked := service.lease("w", scorer.versions()):
-        played = encode_table(scorer.play(asked, service.artefacts.get(asked.artefact), None))
-        tables.append(decode_table(played, asked.partners, asked.episodes, asked.preferences))
-        service.result(asked.job, asked.lease, played, 1.0)
+    while work_item := service.lease("w", scorer.versions()):
+        played = encode_table(
+            scorer.play(work_item, service.artefacts.get(work_item.artefact), None)
+        )
+        tables.append(
+            decode_table(played, work_item.partners, work_item.episodes, work_item.preferences)
+        )
+        service.result(work_item.job, work_item.lease, played, 1.0)
     [score] = service.queries.scores(submission=id)
     return pl.concat(tables).sort("partner", "episode"), score.figures
 
@@ -157,6 +161,29 @@ def test_a_score_names_its_episodes_and_their_starts(registry: Registry) -> None
     assert (identity["episodes"], identity["hidden_episodes"], identity["starts"]) == (8, 16, "own")
     gentle = [panel_episodes("gentle_scratch", panel) for panel in ("public", "A", "B")]
     assert gentle == [18, 18, 18], "each wish as often, of nine and of three"
+
+
+# What decides a job's table, and what a version's identity calls it; None: the robot's own, or the
+# same for every board.
+DECIDES = {
+    **{name: name for name in ("task", "env_version", "engine", "episodes", "seed", "preferences")},
+    **{"evaluator_version": "evaluator", "backend": "engine", "software": "jax"},
+    **{"partners": "panel", "apart": "starts"},
+    **dict.fromkeys(("egos", "stochastic", "paired", "series", "side_preferences")),
+}
+
+
+def test_a_version_accounts_for_all_that_decides_a_table(registry: Registry) -> None:
+    """The board's identity is read without JAX, so it is a second one: the two must agree."""
+    entries = registry.select(task=TASK, role="human")
+    _, job = make_job(registry, reference_roster(34, 7), entries, Settings(TASK, 8, 0, "native"))
+    decided, version_of = job.identity(), ZooCatalogue(registry, "native").identity(TASK)
+    assert decided.keys() <= DECIDES.keys(), "new: add it to the identity of a version, or say why"
+    assert {name for name in DECIDES.values() if name} <= {*version_of, "preferences"}
+    for name in ("task", "env_version", "engine", "episodes", "seed"):
+        assert version_of[name] == decided[name]
+    assert version_of["evaluator"] == decided["evaluator_version"]
+    assert version_of["jax"] == decided["software"]["jax"]
 
 
 def test_a_private_release_is_played_under_ordinals(
@@ -190,10 +217,10 @@ def test_a_gentle_tasks_preferences_are_in_job_table_and_identity(tmp_path: Path
     assert version_id(identity) != version_id(identity | {"preferences": ["p1"]})
     [partner, _] = (entry.id for entry in registry.select(task=task, role="human"))
     write_policy_file(tmp_path / "robot.safetensors", specs["robot"], params_of(specs["robot"], 7))
-    asked = dataclasses.replace(_try_work(task, "safetensors", (partner,)), episodes=9)
-    table = scorer_of(registry).play(asked, (tmp_path / "robot.safetensors").read_bytes(), None)
+    work_item = dataclasses.replace(_try_work(task, "safetensors", (partner,)), episodes=9)
+    table = scorer_of(registry).play(work_item, (tmp_path / "robot.safetensors").read_bytes(), None)
     assert sorted(table["preference"]) == list(PREFERENCES), "each once in nine episodes"
-    arrived = decode_table(encode_table(table), asked.partners, 9, asked.preferences)
+    arrived = decode_table(encode_table(table), work_item.partners, 9, work_item.preferences)
     shown = figures(arrived)
     assert list(shown["by_preference"]) == list(PREFERENCES)
     assert 0.0 <= shown["safe_success"] <= shown["success"] <= 1.0
@@ -204,9 +231,9 @@ def test_a_gentle_tasks_preferences_are_in_job_table_and_identity(tmp_path: Path
 def test_reference_rows_are_what_evaluate_plays(registry: Registry, tmp_path: Path) -> None:
     """Its robots, its episodes, its numbers: `evaluation.play.baselines`."""
     partners = tuple(entry.id for entry in registry.select(task=TASK, role="human"))
-    asked = work(partners)
+    work_item = work(partners)
     entries = [registry.policy(name) for name in partners]
-    settings = Settings(TASK, asked.episodes, int(asked.seed, 16), "native")
+    settings = Settings(TASK, work_item.episodes, int(work_item.seed, 16), "native")
     env, job = make_job(registry, reference_roster(34, 7), entries, settings)
     assert job.apart, "as the identity of a version says"
     jobs = reference_jobs(env, job, own_robots(registry, entries))[:2]
@@ -215,7 +242,7 @@ def test_reference_rows_are_what_evaluate_plays(registry: Registry, tmp_path: Pa
     )
     egos = pl.col("ego"), pl.col("ego").str.starts_with(TASK)
     for name, chosen in ((RANDOM, egos[0] == RANDOM), (SELF_PLAY, egos[1])):
-        reference = dataclasses.replace(asked, kind="reference", format=name)
+        reference = dataclasses.replace(work_item, kind="reference", format=name)
         found = scorer_of(registry).play(reference, None, None)
         expected = played.filter(chosen).sort("partner", "episode")
         assert found.sort("partner", "episode")["return"].equals(expected["return"])
@@ -228,9 +255,9 @@ def test_references_play_a_private_release_too(registry: Registry, tmp_path: Pat
     private = _registry(tmp_path, first=100)
     humans = hidden_partners(private, TASK)
     for name in (ZERO, SELF_PLAY):
-        asked = dataclasses.replace(work((ordinal(1),)), kind="reference", format=name)
-        hidden = scorer_of(registry).play(asked, None, pack(private.path.parent))
-        open_ = dataclasses.replace(asked, partners=(humans[1].id,))
+        work_item = dataclasses.replace(work((ordinal(1),)), kind="reference", format=name)
+        hidden = scorer_of(registry).play(work_item, None, pack(private.path.parent))
+        open_ = dataclasses.replace(work_item, partners=(humans[1].id,))
         assert hidden["return"].equals(scorer_of(private).play(open_, None, None)["return"])
 
 
@@ -249,8 +276,8 @@ def test_published_egos_are_rows_to_measure_by(registry: Registry, tmp_path: Pat
     write_policy_file(tmp_path / "robot.safetensors", ROBOT, params_of(ROBOT, 5))
     handed_in = (tmp_path / "robot.safetensors").read_bytes()
     tables = [
-        scorer_of(wider).play(asked, robot, None)
-        for asked, robot in ((reference, None), (work(partners), handed_in))
+        scorer_of(wider).play(work_item, robot, None)
+        for work_item, robot in ((reference, None), (work(partners), handed_in))
     ]
     assert table_bytes(tables[0]) == table_bytes(tables[1])
 

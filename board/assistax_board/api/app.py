@@ -1,31 +1,48 @@
-"""The application: routes, guards, and the pages if they are installed."""
+"""The application: routes, guards and pages."""
 
-import importlib.util
 from typing import Any
 
 from fastapi import FastAPI
+from starlette.middleware import Middleware
+from starlette.middleware.base import BaseHTTPMiddleware
 
 from assistax_board.api import operations, public, submitting, working
 from assistax_board.api.desk import Desk
 from assistax_board.api.errors import add_error_handlers
 from assistax_board.api.guards import BodyLimit, HeadAsGet, Limiter
-from assistax_board.live.routes import add_live
+from assistax_board.live import routes as live
+from assistax_board.live.rooms import Rooms
+from assistax_board.pages import add_pages
+from assistax_board.pages.security import SecurityHeaders
 from assistax_board.service import Service
 
 DESCRIPTION = "Submit a robot, and be scored on partners that nobody has."
+# The first has the first word.
+MIDDLEWARE = (
+    Middleware(SecurityHeaders),
+    Middleware(HeadAsGet),
+    Middleware(BodyLimit),
+    Middleware(BaseHTTPMiddleware, dispatch=operations.observe),
+)
+ROUTERS = (
+    *(public.router, submitting.router, working.router, operations.router),
+    *(live.asking, live.router),
+)
 
 
 def create_app(service: Service, **pages: Any) -> FastAPI:
     """Return the application that serves the API and the pages; `pages` go to `add_pages`."""
-    app = FastAPI(title="assistax-zoo", description=DESCRIPTION, docs_url=None, redoc_url=None)
+    app = FastAPI(
+        title="assistax-zoo",
+        description=DESCRIPTION,
+        docs_url=None,
+        redoc_url=None,
+        middleware=list(MIDDLEWARE),
+    )
     app.state.service, app.state.limiter, app.state.desk = service, Limiter(), Desk()
-    for module in (public, submitting, working, operations):
-        app.include_router(module.router)
-    add_live(app)
+    app.state.rooms, app.state.metrics = Rooms(), operations.Metrics()
+    for router in ROUTERS:
+        app.include_router(router)
     add_error_handlers(app)
-    operations.add_observation(app)
-    app.add_middleware(BodyLimit)
-    app.add_middleware(HeadAsGet)
-    if importlib.util.find_spec("assistax_board.pages"):
-        importlib.import_module("assistax_board.pages").add_pages(app, service, **pages)
+    add_pages(app, service, **pages)
     return app

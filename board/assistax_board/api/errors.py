@@ -1,7 +1,8 @@
 """One form for every error: {"error": {"code", "message"}}, without traceback or values."""
 
+import contextlib
 import logging
-from typing import Any
+from typing import Any, TypeVar
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -13,6 +14,7 @@ from starlette.exceptions import HTTPException
 from assistax_board.problems import CODES, Problem
 
 log = logging.getLogger("assistax_board")
+Value = TypeVar("Value")
 _STATUS_CODES = {404: "not_found", 405: "invalid", 413: "too_large"}
 
 
@@ -35,11 +37,24 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
 }
 
 
+def existing(value: Value | None, what: str) -> Value:
+    """Return a value that is there.
+
+    Raises:
+        Problem: It is not.
+    """
+    if value is None:
+        raise Problem("not_found", f"no such {what}")
+    return value
+
+
 def add_error_handlers(app: FastAPI) -> None:
     """Answer every error in the one form; a browser on a page gets a page of it."""
 
     @app.exception_handler(Problem)
     def problem(request: Request, error: Problem) -> Response:
+        if error.code == "too_full":
+            _note(request, "too_full", "files")
         after = error.retry_after
         headers = None if after is None else {"Retry-After": str(after)}
         return _answer(request, CODES[error.code], error.code, error.message, headers)
@@ -72,8 +87,15 @@ def add_error_handlers(app: FastAPI) -> None:
             place = place.tb_next
         line = f"{place.tb_frame.f_code.co_filename}:{place.tb_lineno}" if place else "?"
         log.error("unexpected", extra={"fields": {"error": type(error).__name__, "at": line}})
-        message = "something broke; the organiser finds it in the log"
+        _note(request, "unexpected", f"{type(error).__name__} at {line}")
+        message = "something broke; the organiser has been told"
         return _answer(request, 500, "unexpected", message)
+
+
+def _note(request: Request, kind: str, about: str) -> None:
+    """Tell the organiser, if that can be done now."""
+    with contextlib.suppress(Exception):
+        request.app.state.service.note(kind, about)
 
 
 def _answer(

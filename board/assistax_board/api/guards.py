@@ -18,6 +18,7 @@ from assistax_board.problems import CODES, Problem
 from assistax_board.rules.scoring import MAX_TABLE_BYTES
 from assistax_board.rules.submissions import MAX_BYTES
 from assistax_board.rules.tokens import Principal, authenticate
+from assistax_board.service import Service
 from assistax_board.vocabulary import Scope
 
 SMALL_BODY = 64 * 1024  # of JSON and of forms without files
@@ -84,8 +85,8 @@ class BodyLimit:
             await self._app(scope, receive, send)
             return
         most = min(self._most, largest_body(scope["path"]))
-        told = dict(scope["headers"]).get(b"content-length", b"0")
-        if not told.isdigit() or int(told) > most:
+        length = dict(scope["headers"]).get(b"content-length", b"0")
+        if not length.isdigit() or int(length) > most:
             await _answer(send, Problem("too_large", f"this request has at most {most} bytes"))
             return
         await self._app(scope, self._counted(receive, most), send)
@@ -126,13 +127,21 @@ def json_body(model: type[BaseModel]) -> tuple[Any, dict[str, Any]]:
     async def read(request: Request) -> BaseModel:
         try:
             return model.model_validate_json(await request.body())
-        except ValidationError as error:
-            errors = error.errors(include_url=False)
-            found = [{**one, "loc": ("body", *one["loc"])} for one in errors]
-            raise RequestValidationError(found) from None
+        except ValidationError as invalid:
+            errors = invalid.errors(include_url=False)
+            placed = [{**error, "loc": ("body", *error["loc"])} for error in errors]
+            raise RequestValidationError(placed) from None
 
     content = {"application/json": {"schema": model.model_json_schema()}}
     return Depends(read), {"requestBody": {"required": True, "content": content}}
+
+
+def service_of(request: Request) -> Service:
+    """Return the service that an application is of."""
+    return request.app.state.service
+
+
+TheService = Annotated[Service, Depends(service_of)]
 
 
 def client_of(request: Request) -> str:
@@ -169,7 +178,7 @@ def sign_in(request: Request, token: str, scope: Scope) -> Principal:
     try:
         if not token:
             raise Problem("not_signed_in", "send a token: Authorization: Bearer TOKEN")
-        principal = authenticate(request.app.state.service.database, token)
+        principal = authenticate(service_of(request).database, token)
     except Problem:
         request.app.state.limiter.hit(SIGN_IN, client_of(request))  # guessing is slow
         raise

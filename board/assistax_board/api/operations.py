@@ -6,10 +6,11 @@ import time
 from collections.abc import Awaitable, Callable
 
 import sqlalchemy as sa
-from fastapi import APIRouter, FastAPI, Request, Response
+from fastapi import APIRouter, Request, Response
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 
-from assistax_board.store import schema as t
+from assistax_board.api.guards import TheService
+from assistax_board.store import schema
 
 router = APIRouter(tags=["operate"])
 log = logging.getLogger("assistax_board")
@@ -43,7 +44,7 @@ class Metrics:
 
     def read(self, connection: sa.Connection) -> None:
         """Count jobs and submissions."""
-        for gauge, table in ((self.jobs, t.jobs), (self.submissions, t.submissions)):
+        for gauge, table in ((self.jobs, schema.jobs), (self.submissions, schema.submissions)):
             gauge.clear()
             state = table.c.state
             counts = sa.select(state, sa.func.count()).group_by(state)
@@ -52,46 +53,42 @@ class Metrics:
 
 
 @router.get("/api/health")
-def health(request: Request) -> dict[str, str]:
+def health(service: TheService) -> dict[str, str]:
     """Answer while the process and its database do."""
-    with request.app.state.service.database.read() as connection:
+    with service.database.read() as connection:
         connection.execute(sa.select(1))
     return {"status": "ok"}
 
 
 @router.get("/metrics", response_class=Response)
-def metrics(request: Request) -> Response:
+def metrics(service: TheService, request: Request) -> Response:
     """Return metrics in Prometheus's text format."""
-    found: Metrics = request.app.state.metrics
-    with request.app.state.service.database.read() as connection:
-        found.read(connection)
-    return Response(generate_latest(found.registry), media_type="text/plain; version=0.0.4")
+    counted: Metrics = request.app.state.metrics
+    with service.database.read() as connection:
+        counted.read(connection)
+    return Response(generate_latest(counted.registry), media_type="text/plain; version=0.0.4")
 
 
-def add_observation(app: FastAPI) -> None:
-    """Count, time and log every request by its route: never its query, headers or body."""
-    app.state.metrics = Metrics()
-
-    @app.middleware("http")
-    async def observe(
-        request: Request, call_next: Callable[[Request], Awaitable[Response]]
-    ) -> Response:
-        began = time.perf_counter()
-        response = await call_next(request)
-        seconds = time.perf_counter() - began
-        route = getattr(request.scope.get("route"), "path", "none")
-        metrics: Metrics = app.state.metrics
-        metrics.requests.labels(request.method, route, response.status_code).inc()
-        metrics.seconds.labels(route).observe(seconds)
-        fields = {
-            "method": request.method,
-            "route": route,
-            "status": response.status_code,
-            "ms": round(1000 * seconds, 1),
-            "token": getattr(request.state, "token", None),
-        }
-        log.info("request", extra={"fields": fields})
-        return response
+async def observe(
+    request: Request, call_next: Callable[[Request], Awaitable[Response]]
+) -> Response:
+    """Count, time and log a request by its route: never its query, headers or body."""
+    began = time.perf_counter()
+    response = await call_next(request)
+    seconds = time.perf_counter() - began
+    route = getattr(request.scope.get("route"), "path", "none")
+    metrics: Metrics = request.app.state.metrics
+    metrics.requests.labels(request.method, route, response.status_code).inc()
+    metrics.seconds.labels(route).observe(seconds)
+    fields = {
+        "method": request.method,
+        "route": route,
+        "status": response.status_code,
+        "ms": round(1000 * seconds, 1),
+        "token": getattr(request.state, "token", None),
+    }
+    log.info("request", extra={"fields": fields})
+    return response
 
 
 def log_to_stderr() -> None:

@@ -5,12 +5,12 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request
 
-from assistax_board.api.errors import RESPONSES
-from assistax_board.api.guards import SUBMIT, Submitter
+from assistax_board.api.errors import RESPONSES, existing
+from assistax_board.api.guards import SUBMIT, Submitter, TheService
 from assistax_board.problems import Problem
 from assistax_board.rules.submissions import Draft
 from assistax_board.rules.tokens import Principal
-from assistax_board.store.queries import Submission
+from assistax_board.store.shown import Submission
 
 router = APIRouter(prefix="/api", tags=["submit"], responses=RESPONSES)
 
@@ -58,27 +58,26 @@ async def hand_in(request: Request, principal: Principal, draft: Draft) -> Submi
 
 
 def _hand_in(service: Any, submitter: str, draft: Draft) -> Submission:
-    found = service.queries.season(draft.season) if draft.season else None
-    if draft.season and found is None:
+    season = service.queries.season(draft.season) if draft.season else None
+    if draft.season and season is None:
         raise Problem("not_found", f"no season {draft.season!r}; GET /api/seasons lists them")
-    draft = dataclasses.replace(draft, season=found.id if found else None)
+    draft = dataclasses.replace(draft, season=season.id if season else None)
     return service.queries.submission(service.submit(submitter, draft))
 
 
 @router.post("/submissions/{id}/withdraw")
-def withdraw(request: Request, principal: Submitter, id: str) -> Submission:
+def withdraw(service: TheService, principal: Submitter, id: str) -> Submission:
     """Take a submission back; its attempt is refunded unless it met hidden partners.
 
     A scored one leaves its board; its score, its attempt and its receipt stay known.
     """
-    service = request.app.state.service
     service.withdraw(id, str(principal.submitter))
-    return service.queries.submission(id)
+    return existing(service.queries.submission(id), "submission")
 
 
 @router.post("/seasons/{id}/entries")
 def enter(
-    request: Request,
+    service: TheService,
     principal: Submitter,
     id: str,
     submission: Annotated[list[str] | None, Query(max_length=20)] = None,
@@ -88,8 +87,8 @@ def enter(
     At most two methods, each with the submissions that are its seeds. Without any choice it is the
     submission whose score on panel A was shown last.
     """
-    service, submitter = request.app.state.service, str(principal.submitter)
+    submitter = str(principal.submitter)
     service.enter(id, submitter, submission or [])
-    season = service.queries.season(id)
+    season = existing(service.queries.season(id), "season")
     mine = service.queries.submissions(submitter=submitter, season=season.id, limit=1000)
-    return [one for one in mine if one.entered]
+    return [submission for submission in mine if submission.entered]

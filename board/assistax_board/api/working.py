@@ -6,7 +6,7 @@ from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from pydantic import BaseModel, Field
 
 from assistax_board.api.errors import RESPONSES
-from assistax_board.api.guards import Worker, json_body
+from assistax_board.api.guards import TheService, Worker, json_body
 from assistax_board.api.submitting import whole_body
 from assistax_board.rules.scoring import MAX_TABLE_BYTES, Work
 from assistax_board.vocabulary import REFUSALS
@@ -47,46 +47,47 @@ _REFUSED, _REFUSED_BODY = json_body(Refused)
 
 
 @router.post("/lease", responses={204: {"description": "nothing waits"}}, openapi_extra=_LEASE_BODY)
-def lease(request: Request, worker: Worker, body: Annotated[Any, _LEASE]) -> Any:
+def lease(
+    service: TheService, request: Request, worker: Worker, body: Annotated[Any, _LEASE]
+) -> Any:
     """Take the next job, or 204 where nothing waits."""
-    service, rooms = request.app.state.service, request.app.state.rooms
-    work: Work | None = service.lease(body.worker, body.versions, rooms)
+    work: Work | None = service.lease(body.worker, body.versions, request.app.state.rooms)
     return Response(status_code=204) if work is None else work
 
 
 @router.post("/{job}/beat")
-def beat(request: Request, worker: Worker, job: str, lease: LeaseSecret) -> Held:
+def beat(service: TheService, worker: Worker, job: str, lease: LeaseSecret) -> Held:
     """Say that the job is still being done."""
-    return Held(held=request.app.state.service.beat(job, lease))
+    return Held(held=service.beat(job, lease))
 
 
 @router.post("/{job}/give-back", status_code=204)
-def give_back(request: Request, worker: Worker, job: str, lease: LeaseSecret) -> None:
+def give_back(service: TheService, worker: Worker, job: str, lease: LeaseSecret) -> None:
     """Return a job undone, because this worker stops."""
-    request.app.state.service.give_back(job, lease)
+    service.give_back(job, lease)
 
 
 @router.post("/{job}/failed", status_code=204)
-def failed(request: Request, worker: Worker, job: str, lease: LeaseSecret) -> None:
+def failed(service: TheService, worker: Worker, job: str, lease: LeaseSecret) -> None:
     """Return a job that could not be done; the cause is in the worker's own log."""
-    request.app.state.service.job_failed(job, lease)
+    service.job_failed(job, lease)
 
 
 @router.post("/{job}/refused", status_code=204, openapi_extra=_REFUSED_BODY)
 def refused(
-    request: Request,
+    service: TheService,
     worker: Worker,
     job: str,
     lease: LeaseSecret,
     body: Annotated[Any, _REFUSED],
 ) -> None:
     """End a submission whose robot cannot be played."""
-    request.app.state.service.job_refused(job, lease, body.code)
+    service.job_refused(job, lease, body.code)
 
 
 @router.put("/{job}/result")
 def result(
-    request: Request,
+    service: TheService,
     worker: Worker,
     job: str,
     lease: LeaseSecret,
@@ -95,11 +96,11 @@ def result(
 ) -> Counted:
     """Bring a result; one that is there already is not counted again."""
     data = body[: MAX_TABLE_BYTES + 1]
-    return Counted(counted=request.app.state.service.result(job, lease, data, seconds))
+    return Counted(counted=service.result(job, lease, data, seconds))
 
 
 @router.get("/artefacts/{sha256}", response_class=Response)
-def artefact(request: Request, worker: Worker, sha256: str) -> Response:
+def artefact(service: TheService, worker: Worker, sha256: str) -> Response:
     """Return a robot or a packed private release."""
-    data = request.app.state.service.artefacts.get(sha256)
+    data = service.artefacts.get(sha256)
     return Response(data, media_type="application/octet-stream")

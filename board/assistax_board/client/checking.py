@@ -8,10 +8,11 @@ import sqlalchemy as sa
 from assistax_board.client.client import Client
 from assistax_board.problems import Problem
 from assistax_board.service import Service
-from assistax_board.store import schema as t
 from assistax_board.store.ledger import START, check_chain
-from assistax_board.store.queries import LedgerEntry
+from assistax_board.store.notices import list_notices
 from assistax_board.store.receipts import verify_receipt
+from assistax_board.store.schema import ARTEFACT, RECEIPT
+from assistax_board.store.shown import LedgerEntry
 
 _PAGE = 1000  # entries that are read at once
 
@@ -24,14 +25,19 @@ def check_service(service: Service) -> dict[str, Any]:
     """
     with service.database.read() as connection:
         if service.database.is_sqlite:
-            found = str(connection.exec_driver_sql("PRAGMA integrity_check(1)").scalar())
-            if found != "ok":
-                found = " ".join(found.split())
-                raise ValueError(f"the database is damaged ({found}); restore a backup")
-        a, r = t.artefacts.c, t.receipts.c
-        names = connection.execute(sa.select(a.sha256).where(a.erased_at.is_(None))).scalars().all()
-        receipts = connection.execute(sa.select(r.content, r.signature)).mappings().all()
-    entries = list(_pages(service.queries.ledger))
+            integrity = str(connection.exec_driver_sql("PRAGMA integrity_check(1)").scalar())
+            if integrity != "ok":
+                integrity = " ".join(integrity.split())
+                raise ValueError(f"the database is damaged ({integrity}); restore a backup")
+        names = (
+            connection.execute(sa.select(ARTEFACT.sha256).where(ARTEFACT.erased_at.is_(None)))
+            .scalars()
+            .all()
+        )
+        receipts = (
+            connection.execute(sa.select(RECEIPT.content, RECEIPT.signature)).mappings().all()
+        )
+    entries = list(ledger_pages(service.queries.ledger))
     last = check_chain(entries)
     damaged = [problem for name in names if (problem := _artefact_problem(service, name))]
     if damaged:
@@ -41,7 +47,8 @@ def check_service(service: Service) -> dict[str, Any]:
         quoted = verify_receipt(dict(receipt), service.signer.public_key)["ledger"]
         if hashes.get(quoted["seq"]) != quoted["hash"]:
             raise ValueError(f"a receipt quotes another ledger entry {quoted['seq']}")
-    return {"ledger": last, "artefacts": len(names), "receipts": len(receipts), "whole": True}
+    counts = {"ledger": last, "artefacts": len(names), "receipts": len(receipts)}
+    return {**counts, "notices": len(list_notices(service.database)), "whole": True}
 
 
 def check_ledger(client: Client) -> dict[str, Any]:
@@ -56,13 +63,13 @@ def check_ledger(client: Client) -> dict[str, Any]:
         return [LedgerEntry(**entry) for entry in answer.json()]
 
     previous, seq = START, 0
-    for entry in _pages(page):
+    for entry in ledger_pages(page):
         seq = check_chain([entry], previous, seq)
         previous = entry.hash
     return {"entries": seq, "last_hash": previous, "whole": True}
 
 
-def _pages(page: Any) -> Iterator[LedgerEntry]:
+def ledger_pages(page: Any) -> Iterator[LedgerEntry]:
     """Yield all entries of a ledger that is read page by page."""
     after = 0
     while entries := page(after, _PAGE):

@@ -10,7 +10,6 @@ from typing import Any
 import polars as pl
 
 from assistax_board.client.client import Client
-from assistax_board.commands.commands import BACKEND
 from assistax_board.ids import new_id
 from assistax_board.problems import Refusal
 from assistax_board.robots.admission import Admission, robot_sizes
@@ -24,7 +23,7 @@ from assistax_board.rules.catalogue import (
 )
 from assistax_board.rules.scoring import Work, cut
 from assistax_board.rules.submissions import MAX_BYTES
-from assistax_board.vocabulary import FINAL_STATES
+from assistax_board.vocabulary import BACKEND, FINAL_STATES
 from assistax_board.work.zoo_scorer import ZooScorer
 from assistax_envs.preferences import preferences_of
 
@@ -81,7 +80,7 @@ def check_file(
         works = _server_works(catalogue, task, format)
     else:
         few = panel[:: max(1, len(panel) // CHECK_PARTNERS)][:CHECK_PARTNERS]
-        works = [_try_work(task, format, tuple(partner.id for partner in few))]
+        works = [_try_work(task, format, few)]
     scorer = ZooScorer(loaded, catalogue, BACKEND)
     tables = [scorer.play(work, data, None) for work in works]
     table = pl.concat([table.sort("partner", "episode") for table in tables])
@@ -105,9 +104,9 @@ def hand_in(
 ) -> dict[str, Any]:
     """Submit a file or play a live robot, and return the submission as it then stands."""
     data = b"" if file is None else read_file(file)
-    given = {name: value for name, value in fields.items() if value is not None}
+    set_fields = {name: value for name, value in fields.items() if value is not None}
     kind = "live" if live else "file"
-    submission = client.submit(data, request_id=new_id(20), kind=kind, **given)
+    submission = client.submit(data, request_id=new_id(20), kind=kind, **set_fields)
     if live:
         from assistax_board.live.client import play_live
 
@@ -117,38 +116,40 @@ def hand_in(
 
 def watch_submission(client: Client, id: str) -> dict[str, Any]:
     """Wait for a submission's end; say place and time left whenever they change."""
-    told = None
+    last_line = None
     while True:
-        found = client.submission(id)
-        if found["state"] in FINAL_STATES:
+        submission = client.submission(id)
+        if submission["state"] in FINAL_STATES:
             break
-        line = f"{found['state']}, {found['jobs_done']} of {found['jobs']} jobs done"
-        if found["place"]:
-            line += f", place {found['place']}, about {found['eta_seconds']:.0f} s left"
-        if line != told:
+        line = f"{submission['state']}, {submission['jobs_done']} of {submission['jobs']} jobs done"
+        if submission["place"]:
+            line += f", place {submission['place']}, about {submission['eta_seconds']:.0f} s left"
+        if line != last_line:
             print(line, file=sys.stderr, flush=True)
-            told = line
+            last_line = line
         time.sleep(POLL_SECONDS)
-    if found["state"] != "scored":
-        return found
+    if submission["state"] != "scored":
+        return submission
     scores = {score["panel"]: score["figures"] for score in client.scores(id)}
-    return {**found, **client.standing(id), "scores": scores, "receipt": client.receipt(id)}
+    return {**submission, **client.standing(id), "scores": scores, "receipt": client.receipt(id)}
 
 
-def for_reader(found: dict[str, Any], address: str) -> dict[str, Any]:
+def for_reader(submission: dict[str, Any], address: str) -> dict[str, Any]:
     """Return of a submission what its submitter reads first; --json has all."""
-    shown = {name: found[name] for name in ("id", "state", "reason_text") if found.get(name)}
-    for panel, figures in found.get("scores", {}).items():
+    shown = {
+        name: submission[name] for name in ("id", "state", "reason_text") if submission.get(name)
+    }
+    for panel, figures in submission.get("scores", {}).items():
         interval = figures.get("mean_ci")
         within = f" ({interval[0]:.1f} to {interval[1]:.1f})" if interval else ""
         shown[f"mean return, {panel}"] = f"{figures['mean']:.1f}{within}"
-    if place := found.get("board_place"):
-        lowest = found.get("board_lowest") or place
+    if place := submission.get("board_place"):
+        lowest = submission.get("board_lowest") or place
         shown["place"] = (
-            f"{place if lowest == place else f'{place}–{lowest}'} of {found['of_methods']} on "
-            f"{address}{found['board']}"
+            f"{place if lowest == place else f'{place}–{lowest}'} of {submission['of_methods']} on "
+            f"{address}{submission['board']}"
         )
-    return shown | {"page": f"{address}/submissions/{found['id']}"}
+    return shown | {"page": f"{address}/submissions/{submission['id']}"}
 
 
 def verify_revealed(client: Client, name: str, root: str) -> dict[str, Any]:
@@ -188,8 +189,6 @@ def _server_works(catalogue: ZooCatalogue, task: str, format: str) -> list[Work]
         "preferences": tuple(catalogue.identity(task).get("preferences", ())),
     }
     return [
-        dataclasses.replace(
-            _try_work(task, format, tuple(partner.id for partner in partners)), **played
-        )
+        dataclasses.replace(_try_work(task, format, partners), **played)
         for partners in cut(catalogue.public_panel(task), CHUNK)
     ]

@@ -29,17 +29,17 @@ def decode(data: Any, *kinds: str) -> dict[str, Any]:
     if not isinstance(data, bytes) or len(data) > MAX_BYTES:
         raise ValueError(f"a message is at most {MAX_BYTES} bytes of msgpack")
     try:
-        found = msgpack.unpackb(data, raw=False, strict_map_key=True, ext_hook=_no_extensions)
+        message = msgpack.unpackb(data, raw=False, strict_map_key=True, ext_hook=_no_extensions)
     except (ValueError, msgpack.UnpackException) as error:
         raise ValueError(f"not a message ({type(error).__name__})") from None
-    if not isinstance(found, dict) or found.get("type") not in kinds:
+    if not isinstance(message, dict) or message.get("type") not in kinds:
         raise ValueError(f"expected a message of type {' or '.join(kinds)}")
-    fields = TYPES[found.pop("type")]
-    if found.keys() != fields.keys():
+    fields = TYPES[message.pop("type")]
+    if message.keys() != fields.keys():
         raise ValueError(f"expected the fields {', '.join(fields)}")
-    if wrong := [name for name, kind in fields.items() if type(found[name]) is not kind]:
+    if wrong := [name for name, kind in fields.items() if type(message[name]) is not kind]:
         raise ValueError(f"field {wrong[0]} has another type")
-    return found
+    return message
 
 
 def pack_rows(rows: np.ndarray) -> dict[str, Any]:

@@ -10,11 +10,11 @@ from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocketDisconnect
 
 from assistax_board.api.errors import RESPONSES
-from assistax_board.api.guards import READ, SIGN_IN, UPGRADE, Worker
+from assistax_board.api.guards import READ, SIGN_IN, UPGRADE, TheService, Worker
 from assistax_board.api.submitting import whole_body
 from assistax_board.api.working import LeaseSecret
 from assistax_board.live.messages import decode, encode, unpack_rows
-from assistax_board.live.rooms import Away, BankEmpty, Room, Rooms, Seat
+from assistax_board.live.rooms import Away, BankEmpty, Room, Seat
 from assistax_board.problems import CODES, Problem
 from assistax_board.rules.tokens import authenticate
 from assistax_board.vocabulary import FINAL_STATES
@@ -30,13 +30,14 @@ POLICY_VIOLATION = 1008  # a WebSocket's closing code
 @asking.post("/{job}/ask", response_class=Response)
 async def ask(
     request: Request,
+    service: TheService,
     worker: Worker,
     job: str,
     lease: LeaseSecret,
     body: bytes = Depends(whole_body),
 ) -> Response:
     """Put a batch of observations to the live robot; 202 if it has not answered yet: ask again."""
-    service, rooms = request.app.state.service, request.app.state.rooms
+    rooms = request.app.state.rooms
     submission = await run_in_threadpool(service.live_submission, job, lease)
     try:
         message = decode(body, "observe")
@@ -169,10 +170,3 @@ def _check_owner(socket: WebSocket, submission: str) -> str:
     if owner is None or not state.service.owns_live(submission, owner):
         raise Problem("not_found", "you have no live submission of this id")
     return owner
-
-
-def add_live(app: Any) -> None:
-    """Add rooms and routes to the application."""
-    app.state.rooms = Rooms()
-    app.include_router(asking)
-    app.include_router(router)

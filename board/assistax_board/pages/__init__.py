@@ -18,16 +18,22 @@ from assistax_board.pages.cache import PageCache, respond
 from assistax_board.pages.crossplays import PUBLISHED, CrossPlays
 from assistax_board.pages.rendering import static_files
 from assistax_board.pages.routes.boards import board_router
+from assistax_board.pages.routes.organising import organiser_router
 from assistax_board.pages.routes.partners import explorer_router, pair_router, partner_router
+from assistax_board.pages.routes.reference import reference_router
 from assistax_board.pages.routes.seasons import season_router
 from assistax_board.pages.routes.submitting import submit_router
 from assistax_board.pages.season_boards import SeasonBoards
-from assistax_board.pages.security import FormTokens, SecurityHeaders
+from assistax_board.pages.security import FormTokens
 from assistax_board.pages.site import NotFoundError, Site
 from assistax_board.pages.videos import Videos, run_command
 from assistax_board.store.queries import Queries
 from zoo.registry import load_registry
 
+ROUTERS = (
+    *(board_router, season_router, submit_router, partner_router, pair_router),
+    *(explorer_router, organiser_router, reference_router),
+)
 FILMS = Path("~/.cache/assistax-zoo/films")  # where no other folder is given
 
 
@@ -91,8 +97,7 @@ def add_pages(
         cache=PageCache(),
         tokens=FormTokens(form_key),
     )
-    routers = board_router, season_router, submit_router, partner_router, pair_router
-    for router in (*routers, explorer_router):
+    for router in ROUTERS:
         app.include_router(router(site), dependencies=[Depends(count_page)])
 
     @app.get("/static/{name}", include_in_schema=False)
@@ -110,4 +115,3 @@ def add_pages(
         return site.fresh("error.html", request.url.path, 404, message=str(error))
 
     app.add_exception_handler(NotFoundError, not_found)
-    app.add_middleware(SecurityHeaders)

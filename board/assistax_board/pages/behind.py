@@ -20,7 +20,7 @@ class Behind(Generic[Value]):
         """Return the value of a name: of this key, else an older one, else None."""
         with self._lock:
             kept = self._kept.setdefault(name, _Kept())
-            kept.wanted = key
+            kept.newest_key = key
             if kept.key != key and (kept.thread is None or not kept.thread.is_alive()):
                 kept.thread = threading.Thread(target=kept.renew, args=(key, make), daemon=True)
                 kept.thread.start()
@@ -31,13 +31,13 @@ class Behind(Generic[Value]):
     def is_behind(self, name: str) -> bool:
         """Return whether the value of a name is older than what was asked for last."""
         kept = self._kept.get(name)
-        return kept is not None and kept.wanted != kept.key
+        return kept is not None and kept.newest_key != kept.key
 
 
 @dataclasses.dataclass
 class _Kept(Generic[Value]):
     key: Hashable = None
-    wanted: Hashable = None
+    newest_key: Hashable = None
     value: Value | None = None
     thread: threading.Thread | None = None
 

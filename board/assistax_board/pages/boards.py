@@ -13,8 +13,9 @@ import numpy as np
 
 from assistax_board.pages.behind import Behind
 from assistax_board.pages.crossplays import CrossPlay, CrossPlays
-from assistax_board.places.boards import Method, Panel, Standing, standings, unplaced
-from assistax_board.store.queries import PartnerScore, Queries, Submission
+from assistax_board.places.boards import BoardRow, Method, Panel, board_rows, unplaced
+from assistax_board.store.queries import Queries
+from assistax_board.store.shown import PartnerScore, Submission
 from assistax_board.vocabulary import REFERENCE
 from evaluation.figures.metrics import SEED_SDS, Bounds
 from evaluation.figures.normalised import RANDOM, SELF_PLAY, ZERO
@@ -50,7 +51,7 @@ class Board:
     version: str
     identity: Mapping[str, Any]
     partners: tuple[PartnerScore, ...]  # one of each partner, for its name and traits
-    rows: tuple[tuple[Standing, Played], ...]  # the highest M_test first
+    rows: tuple[tuple[BoardRow, Played], ...]  # the highest M_test first
 
     @property
     def episodes(self) -> int:
@@ -58,14 +59,14 @@ class Board:
         return self.rows[0][1].returns.shape[2]
 
     @property
-    def methods(self) -> tuple[tuple[Standing, Played], ...]:
+    def methods(self) -> tuple[tuple[BoardRow, Played], ...]:
         """The rows that compete, the highest M_test first."""
         return tuple(row for row in self.rows if not row[1].is_reference)
 
-    def of(self, submission: str) -> tuple[Standing, Played] | None:
+    def of(self, submission: str) -> tuple[BoardRow, Played] | None:
         """Return the row that a submission is a seed of."""
         for standing, played in self.rows:
-            if any(one.id == submission for one in played.submissions):
+            if any(seed.id == submission for seed in played.submissions):
                 return standing, played
         return None
 
@@ -86,7 +87,7 @@ class Boards:
         scored = self._scored(task)
         if scored is None:
             return None
-        key = scored.version, tuple((one.id, one.submitter) for one in scored.submissions)
+        key = scored.version, tuple((seed.id, seed.submitter) for seed in scored.submissions)
         return self._boards.value(task, key, lambda: self._board(task, scored))
 
     def is_behind(self, task: str) -> bool:
@@ -99,7 +100,7 @@ class Boards:
         if not versions:
             return None
         every = self._queries.submissions(task=task, limit=_NEWEST)
-        scored = tuple(one for one in every if one.state == "scored")
+        scored = tuple(row for row in every if row.state == "scored")
         return _Scored(*versions[0], scored)
 
     def _board(self, task: str, scored: "_Scored") -> Board | None:
@@ -109,15 +110,22 @@ class Boards:
         if not methods:
             return None
         partners = memory.panel()
-        references = {one.newest.method: one.returns for one in methods if one.is_reference}
+        references = {
+            method.newest.method: method.returns for method in methods if method.is_reference
+        }
         panel = Panel(
-            tuple(one.disability for one in partners),
-            bounds_of([one.partner for one in partners], references, self._crossplays.of(task)),
+            tuple(partner.disability for partner in partners),
+            bounds_of(
+                [partner.partner for partner in partners], references, self._crossplays.of(task)
+            ),
             SEED_SDS.get(task),
         )
         by_name = {method.newest.id: method for method in methods}
-        rows = standings(
-            [Method(name, one.returns, not one.is_reference) for name, one in by_name.items()],
+        rows = board_rows(
+            [
+                Method(name, method.returns, not method.is_reference)
+                for name, method in by_name.items()
+            ],
             panel,
             memory.figures(by_name),
         )
@@ -142,17 +150,17 @@ class _Memory:
         self._partners: dict[str, PartnerScore] = {}
         # Of each submission its partners, in order, and returns [P, K].
         self._returns: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
-        self._figures: dict[Hashable, Standing] = {}
+        self._figures: dict[Hashable, BoardRow] = {}
 
     def learn(self, queries: Queries, scored: _Scored) -> None:
         """Read the returns of the submissions that are new, and forget those that are gone."""
         if scored.version != self._version:
             self.__init__()
             self._version = scored.version
-        wanted = [one.id for one in scored.submissions]
-        for gone in self._returns.keys() - set(wanted):
+        ids = [row.id for row in scored.submissions]
+        for gone in self._returns.keys() - set(ids):
             del self._returns[gone]
-        new = [id for id in wanted if id not in self._returns]
+        new = [id for id in ids if id not in self._returns]
         for start in range(0, len(new), _AT_ONCE):
             scores = queries.partner_scores(new[start : start + _AT_ONCE], scored.version)
             for id, group in itertools.groupby(scores, key=lambda score: score.submission):
@@ -171,23 +179,25 @@ class _Memory:
         A submission without a score from the whole panel is left out: it has yet to be scored under
         this version.
         """
-        partners = tuple(one.partner for one in self.panel())
+        partners = tuple(score.partner for score in self.panel())
         groups: dict[tuple[str, str], list[Submission]] = {}
-        for one in sorted(submissions, key=lambda one: (one.created_at, one.id)):
-            if self._returns.get(one.id, ((),))[0] == partners:
-                groups.setdefault((one.submitter, one.method), []).append(one)
+        for submission in sorted(
+            submissions, key=lambda submission: (submission.created_at, submission.id)
+        ):
+            if self._returns.get(submission.id, ((),))[0] == partners:
+                groups.setdefault((submission.submitter, submission.method), []).append(submission)
         return [
-            Played(tuple(group), np.stack([self._returns[one.id][1] for one in group]))
+            Played(tuple(group), np.stack([self._returns[seed.id][1] for seed in group]))
             for group in groups.values()
         ]
 
-    def figures(self, methods: Mapping[str, Played]) -> Callable[[Method, Panel], Standing]:
+    def figures(self, methods: Mapping[str, Played]) -> Callable[[Method, Panel], BoardRow]:
         """Return what makes a method's row, or finds it among those of the board before."""
         kept, self._figures = self._figures, {}
 
-        def of(method: Method, panel: Panel) -> Standing:
+        def of(method: Method, panel: Panel) -> BoardRow:
             bounds = panel.bounds and (panel.bounds.best.tobytes(), panel.bounds.low.tobytes())
-            seeds = tuple(one.id for one in methods[method.name].submissions)
+            seeds = tuple(seed.id for seed in methods[method.name].submissions)
             key = (seeds, panel.disabilities, bounds)
             self._figures[key] = kept.get(key) or unplaced(method, panel)
             return self._figures[key]

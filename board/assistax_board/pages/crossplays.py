@@ -55,26 +55,30 @@ class CrossPlay:
     @functools.cached_property
     def humans(self) -> dict[str, dict[str, Any]]:
         """What each human did with its best robot, by team: its behaviour cluster and features."""
-        found = self.strategies or {"partners": []}
-        return {one["partner"].rpartition("/")[0]: one for one in found["partners"]}
+        strategies = self.strategies or {"partners": []}
+        return {row["partner"].rpartition("/")[0]: row for row in strategies["partners"]}
 
     @functools.cached_property
     def best_returns(self) -> dict[str, float]:
         """The highest mean return with each human, by the id of its policy."""
         best = self.values["return"].max(axis=0)
         return {
-            one["name"]: float(value) for one, value in zip(self.data["columns"], best, strict=True)
+            column["name"]: float(value)
+            for column, value in zip(self.data["columns"], best, strict=True)
         }
 
     def blocks(self, trait: str) -> tuple[list[str], list[str], list[list[float]]]:
         """Mean return by a trait of robot and human: its values, and the means [robots][humans]."""
         rows, columns = (
-            np.array([one[trait] for one in self.data[side]]) for side in ("rows", "columns")
+            np.array([policy[trait] for policy in self.data[side]]) for side in ("rows", "columns")
         )
         row_names, column_names = sorted(set(rows.tolist())), sorted(set(columns.tolist()))
         returns = self.values["return"]
         means = [
-            [float(returns[np.ix_(rows == row, columns == one)].mean()) for one in column_names]
+            [
+                float(returns[np.ix_(rows == row, columns == column)].mean())
+                for column in column_names
+            ]
             for row in row_names
         ]
         return row_names, column_names, means
@@ -91,7 +95,9 @@ class CrossPlays:
     @functools.cached_property
     def tasks(self) -> tuple[str, ...]:
         """Tasks that somebody has played. No other name is ever joined to a path."""
-        return tuple(sorted(one.parent.name for one in self._folder.glob(f"*/{tables.PAIRS_FILE}")))
+        return tuple(
+            sorted(file.parent.name for file in self._folder.glob(f"*/{tables.PAIRS_FILE}"))
+        )
 
     def of(self, task: str) -> CrossPlay | None:
         """Return a task's cross-play, read when the first reader asks; None if there is none."""
@@ -115,7 +121,7 @@ def read_crossplay(task: str, folder: Path) -> CrossPlay:
         values[name] = pairs[name].cast(pl.Float32).to_numpy().reshape(shape)
         del measure["values"]  # they follow as bytes
     digest = hashlib.sha256(json.dumps(data).encode())
-    for one in values.values():
-        digest.update(one.tobytes())
+    for value in values.values():
+        digest.update(value.tobytes())
     facts = tables.read_json(folder / tables.SUMMARY_FILE)
     return CrossPlay(task, facts, pairs, data, values, strategies, digest.hexdigest()[:16])

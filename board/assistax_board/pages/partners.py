@@ -11,7 +11,7 @@ TRAITS = ("algorithm", "disability", "behaviour", "side")
 
 
 @dataclasses.dataclass(frozen=True)
-class Partner:
+class PartnerCard:
     """A human of the zoo as a list shows it."""
 
     team: str  # "scratch/ippo-d3-s5-v1"
@@ -28,7 +28,7 @@ class Partner:
         return self.team.partition("/")[2]
 
 
-def list_partners(registry: Registry, task: str, crossplay: CrossPlay | None) -> list[Partner]:
+def list_partners(registry: Registry, task: str, crossplay: CrossPlay | None) -> list[PartnerCard]:
     """Return the humans of the task's default release, in the registry's order."""
     split = registry.split(task)
     played = crossplay.humans if crossplay else {}
@@ -38,27 +38,29 @@ def list_partners(registry: Registry, task: str, crossplay: CrossPlay | None) ->
     ]
 
 
-def choices(partners: list[Partner]) -> dict[str, list[str]]:
+def choices(partners: list[PartnerCard]) -> dict[str, list[str]]:
     """Return what each trait can be chosen by."""
     return {
-        trait: sorted({value for one in partners if (value := getattr(one, trait)) is not None})
+        trait: sorted(
+            {value for partner in partners if (value := getattr(partner, trait)) is not None}
+        )
         for trait in TRAITS
     }
 
 
-def choose(partners: list[Partner], wanted: dict[str, str]) -> list[Partner]:
+def choose(partners: list[PartnerCard], traits: dict[str, str]) -> list[PartnerCard]:
     """Keep the partners that have every wanted trait; an empty wish is none."""
     return [
-        one
-        for one in partners
-        if all(not value or getattr(one, trait) == value for trait, value in wanted.items())
+        partner
+        for partner in partners
+        if all(not value or getattr(partner, trait) == value for trait, value in traits.items())
     ]
 
 
-def _partner(entry: PolicyEntry, side: str | None, played: dict[str, Any] | None) -> Partner:
+def _partner(entry: PolicyEntry, side: str | None, played: dict[str, Any] | None) -> PartnerCard:
     features = dict(played or {})
     cluster = features.pop("cluster", None)
-    return Partner(
+    return PartnerCard(
         team=entry.team,
         algorithm=entry.algorithm,
         disability=entry.disability,

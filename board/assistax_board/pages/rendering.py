@@ -35,12 +35,12 @@ def static_files() -> dict[str, Page]:
     """Return what /static serves, by "name" with the hash of its content before the ending."""
     folder = resources.files(_PACKAGE) / "static"
     # The cross-play's viewer is that of reports: one matrix, one script.
-    found = [*folder.iterdir(), resources.files("evaluation.report") / "assets" / "matrix.js"]
+    sources = [*folder.iterdir(), resources.files("evaluation.report") / "assets" / "matrix.js"]
     files = {}
-    for one in found:
-        stem, dot, ending = one.name.rpartition(".")
+    for source in sources:
+        stem, dot, ending = source.name.rpartition(".")
         if f".{ending}" in _MEDIA_TYPES:
-            body = one.read_bytes()
+            body = source.read_bytes()
             digest = hashlib.sha256(body).hexdigest()[:12]
             files[f"{stem}.{digest}.{ending}"] = pack(body, _MEDIA_TYPES[dot + ending])
     return files

@@ -8,8 +8,9 @@ import polars as pl
 
 from assistax_board.pages.behind import Behind
 from assistax_board.pages.boards import bounds_of
-from assistax_board.places.boards import Method, Panel, Standing, standings
-from assistax_board.store.queries import Queries, Season, Submission
+from assistax_board.places.boards import BoardRow, Method, Panel, board_rows
+from assistax_board.store.queries import Queries
+from assistax_board.store.shown import Season, Submission
 from assistax_board.vocabulary import REFERENCE
 from evaluation.figures.metrics import SEED_SDS
 from evaluation.record.tables import with_safety
@@ -43,30 +44,34 @@ class SeasonBoards:
 
     def __init__(self, queries: Queries, panel_b: PanelB) -> None:
         self._queries, self._panel_b = queries, panel_b
-        self._boards: Behind[tuple[tuple[Standing, Entry], ...]] = Behind()
+        self._boards: Behind[tuple[tuple[BoardRow, Entry], ...]] = Behind()
 
-    def of(self, season: Season) -> tuple[tuple[Standing, Entry], ...]:
+    def of(self, season: Season) -> tuple[tuple[BoardRow, Entry], ...]:
         """Return the rows of a season, the highest first; none before it closed."""
         if season.state != "closed":
             return ()
-        return self._boards.value(season.id, season.closed_at, lambda: self._rows(season)) or ()
+        scores = self._queries.scores(season=season.id, panel="B")
+        key = tuple(score.submission for score in scores)  # one may be disqualified later
+        return self._boards.value(season.id, key, lambda: self._rows(season)) or ()
 
     def is_behind(self, season: Season) -> bool:
         """Return whether the board of a closed season is being computed."""
         return self._boards.is_behind(season.id)
 
-    def _rows(self, season: Season) -> tuple[tuple[Standing, Entry], ...]:
+    def _rows(self, season: Season) -> tuple[tuple[BoardRow, Entry], ...]:
         entries = self._entries(season)
         if not entries:
             return ()
         [*names], [*settings] = zip(*_partners(self._panel_b(season.id)[0][1]), strict=True)
-        references = {one.newest.method: one.returns for one in entries if one.is_reference}
+        references = {entry.newest.method: entry.returns for entry in entries if entry.is_reference}
         panel = Panel(
             tuple(settings), bounds_of(names, references, None), SEED_SDS.get(season.task)
         )
         by_name = {entry.newest.id: entry for entry in entries}
-        methods = [Method(id, one.returns, not one.is_reference) for id, one in by_name.items()]
-        return tuple((row, by_name[row.name]) for row in standings(methods, panel))
+        methods = [
+            Method(id, entry.returns, not entry.is_reference) for id, entry in by_name.items()
+        ]
+        return tuple((row, by_name[row.name]) for row in board_rows(methods, panel))
 
     def _entries(self, season: Season) -> list[Entry]:
         groups: dict[tuple[str, str], list[tuple[Submission, pl.DataFrame]]] = {}

@@ -14,7 +14,8 @@ from assistax_board.pages.rendering import render
 from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.pages.security import FIELD, FormTokens
 from assistax_board.pages.videos import Videos
-from assistax_board.store.queries import Queries, Submission
+from assistax_board.store.queries import Queries
+from assistax_board.store.shown import Submission
 from zoo.registry import Registry
 
 LIVE = 1.0  # seconds that a page of the database may be old
@@ -47,17 +48,17 @@ class Site:
 
     def crossplay(self, task: str) -> CrossPlay:
         """Return a task's cross-play."""
-        found = self.crossplays.of(self.task(task))
-        if found is None:
+        crossplay = self.crossplays.of(self.task(task))
+        if crossplay is None:
             raise NotFoundError(f"Nobody has played the cross-play of {task} on this server yet.")
-        return found
+        return crossplay
 
     def submission(self, id: str) -> Submission:
         """Return a submission."""
-        found = self.queries.submission(id)
-        if found is None:
+        submission = self.queries.submission(id)
+        if submission is None:
             raise NotFoundError(f"There is no submission {id!r}; look for it on its task's board.")
-        return found
+        return submission
 
     def page(
         self,

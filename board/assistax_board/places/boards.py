@@ -45,7 +45,7 @@ class Method:
 
 
 @dataclasses.dataclass(frozen=True)
-class Standing:
+class BoardRow:
     """One row of a board."""
 
     name: str
@@ -58,11 +58,11 @@ class Standing:
     normalised: Estimate | None  # 0 is a random robot, 1 the best response; None without bounds
 
 
-def standings(
+def board_rows(
     methods: Sequence[Method],
     panel: Panel,
-    figures: Callable[[Method, Panel], Standing] | None = None,
-) -> tuple[Standing, ...]:
+    figures: Callable[[Method, Panel], BoardRow] | None = None,
+) -> tuple[BoardRow, ...]:
     """Return the board, the highest M_test first.
 
     Args:
@@ -96,12 +96,12 @@ def _rank_competitors(methods: Sequence[Method], panel: Panel) -> dict[str, tupl
 
 def unplaced(
     method: Method, panel: Panel, *, resamples: int = RESAMPLES, seed: int = 0
-) -> Standing:
+) -> BoardRow:
     """Return a method's row without its place: no other method has a part in it."""
     scores = method.returns.mean(axis=2)
     groups = group_draws(scores, panel.disabilities, resamples=resamples, seed=seed)
     has_halves = method.returns.shape[2] > 1
-    return Standing(
+    return BoardRow(
         name=method.name,
         place=None,
         lowest=None,

@@ -33,29 +33,29 @@ def _cost(jaxpr: Any, varies: list[bool]) -> tuple[float, list[bool]]:
     varying = {var for var, does in zip(jaxpr.invars, varies, strict=True) if does}
     total = 0.0
     for equation in jaxpr.eqns:
-        given = [not hasattr(var, "val") and var in varying for var in equation.invars]
-        cost, outputs = _equation(equation, given)
+        varies = [not hasattr(var, "val") and var in varying for var in equation.invars]
+        cost, outputs = _equation(equation, varies)
         varying |= {var for var, does in zip(equation.outvars, outputs, strict=True) if does}
-        total += cost if any(given) else cost / ROWS
+        total += cost if any(varies) else cost / ROWS
     return total, [not hasattr(var, "val") and var in varying for var in jaxpr.outvars]
 
 
-def _equation(equation: Any, given: list[bool]) -> tuple[float, list[bool]]:
+def _equation(equation: Any, varies: list[bool]) -> tuple[float, list[bool]]:
     inner = [_plain(value) for value in equation.params.values() if _plain(value) is not None]
-    fitting = [jaxpr for jaxpr in inner if len(jaxpr.invars) == len(given)]
+    fitting = [jaxpr for jaxpr in inner if len(jaxpr.invars) == len(varies)]
     if fitting:  # a function of JAX's own, such as a softmax; its weights' part is counted in full
-        return max(_cost(jaxpr, given) for jaxpr in fitting)
+        return max(_cost(jaxpr, varies) for jaxpr in fitting)
     if inner:
         return math.inf, [True] * len(equation.outvars)  # loops and branches: none is let in
     if equation.primitive.name in _FREE:
-        return 0.0, [any(given)] * len(equation.outvars)
+        return 0.0, [any(varies)] * len(equation.outvars)
     size = sum(math.prod(var.aval.shape) for var in equation.outvars)
     cost = NUMBER * max([size, *(math.prod(v.aval.shape) for v in equation.invars)])
     if equation.primitive.name == "dot_general":
         (contracted, _), _ = equation.params["dimension_numbers"]
         shape = equation.invars[0].aval.shape
         cost = NUMBER * size + PRODUCT * size * math.prod(shape[axis] for axis in contracted)
-    return cost, [any(given)] * len(equation.outvars)
+    return cost, [any(varies)] * len(equation.outvars)
 
 
 def _plain(value: Any) -> Any:

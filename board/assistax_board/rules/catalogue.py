@@ -1,6 +1,5 @@
 """What the service scores with: tasks, public panels and the version of everything that plays."""
 
-import dataclasses
 import functools
 from typing import Any, Protocol
 
@@ -11,15 +10,6 @@ CHUNK = 25  # partners in a job: 200 to 450 simulations, seconds of two cores
 PUBLIC_SEED = 0  # of the public half's episodes, the same for all
 
 
-@dataclasses.dataclass(frozen=True)
-class Partner:
-    """A partner as the board shows it."""
-
-    id: str
-    algorithm: str
-    disability: str
-
-
 class Catalogue(Protocol):
     """What the service knows about tasks. Tests have a small one that needs no registry."""
 
@@ -28,8 +18,8 @@ class Catalogue(Protocol):
         """The tasks that have a board."""
         ...
 
-    def public_panel(self, task: str) -> tuple[Partner, ...]:
-        """Return the public test partners, in the order in which they are cut into jobs."""
+    def public_panel(self, task: str) -> tuple[str, ...]:
+        """Return the ids of the public test partners, in the order that cuts them into jobs."""
         ...
 
     def identity(self, task: str) -> dict[str, Any]:
@@ -72,10 +62,9 @@ class ZooCatalogue:
         )
 
     @functools.cache  # noqa: B019
-    def public_panel(self, task: str) -> tuple[Partner, ...]:
-        """Return the public test partners: one spec after another, so that few programs compile."""
-        entries = self._entries(task)
-        return tuple(Partner(entry.id, entry.algorithm, entry.disability) for entry in entries)
+    def public_panel(self, task: str) -> tuple[str, ...]:
+        """Return the ids of the public test partners: one spec after another compiles least."""
+        return tuple(entry.id for entry in self._entries(task))
 
     @functools.cache  # noqa: B019
     def identity(self, task: str) -> dict[str, Any]:
@@ -112,9 +101,9 @@ class ZooCatalogue:
         from zoo.met.published import met_in_training
 
         robots = self._registry.of_task(task, "robot")
-        found = {name: name for name in REFERENCE_ROWS}
+        methods = {name: name for name in REFERENCE_ROWS}
         if not {entry.team for entry in self._entries(task)} <= {entry.team for entry in robots}:
-            del found[SELF_PLAY]
+            del methods[SELF_PLAY]
         egos = [
             entry
             for entry in robots
@@ -123,7 +112,7 @@ class ZooCatalogue:
                 self._entries(task), met_in_training(self._registry, entry).partners
             )
         ]
-        return found | {one.team.partition("/")[2]: f"{one.algorithm} ego" for one in egos}
+        return methods | {ego.team.partition("/")[2]: f"{ego.algorithm} ego" for ego in egos}
 
     def _entries(self, task: str) -> list[Any]:
         split = self._registry.split(task)

@@ -18,16 +18,14 @@ import sqlalchemy as sa
 from assistax_board.ids import new_id
 from assistax_board.problems import Problem
 from assistax_board.rules import jobs, submissions
-from assistax_board.store import ledger
-from assistax_board.store import schema as t
+from assistax_board.store import ledger, schema
 from assistax_board.store.database import Database
+from assistax_board.store.notices import note
+from assistax_board.store.schema import ARTEFACT, JOB, SCORE, SEASON, SUBMISSION, SUBMITTER
 from assistax_board.vocabulary import FINAL_STATES, REFERENCE
 
 ENTRIES = 2  # methods of one lab on panel B
 SEEDS = 10  # submissions of one of them
-
-c = t.seasons.c
-s = t.submissions.c
 
 
 def enter(
@@ -47,22 +45,24 @@ def enter(
     """
     with database.write() as connection:
         row = find_season(database, connection, season, "open", now)
-        mine = s.season == row.id, s.submitter == submitter
-        found = connection.execute(sa.select(t.submissions).where(*mine, s.id.in_(chosen))).all()
-        _check(found, chosen)
-        connection.execute(sa.update(t.submissions).where(*mine).values(entered_at=None))
-        wanted = sa.update(t.submissions).where(*mine, s.id.in_(chosen))
-        connection.execute(wanted.values(entered_at=now))
+        mine = SUBMISSION.season == row.id, SUBMISSION.submitter == submitter
+        rows = connection.execute(
+            sa.select(schema.submissions).where(*mine, SUBMISSION.id.in_(chosen))
+        ).all()
+        _check(rows, chosen)
+        connection.execute(sa.update(schema.submissions).where(*mine).values(entered_at=None))
+        entered = sa.update(schema.submissions).where(*mine, SUBMISSION.id.in_(chosen))
+        connection.execute(entered.values(entered_at=now))
         body = {"season": row.id, "submitter": submitter, "submissions": sorted(set(chosen))}
         ledger.append(database, connection, now, "entry", body)
 
 
-def _check(found: Sequence[Any], chosen: Sequence[str]) -> None:
-    if missing := set(chosen) - {row.id for row in found}:
+def _check(rows: Sequence[Any], chosen: Sequence[str]) -> None:
+    if missing := set(chosen) - {row.id for row in rows}:
         raise Problem("not_found", f"you have no submission {min(missing)} in this season")
-    if ended := [row for row in found if row.state in ("refused", "failed", "retracted")]:
+    if ended := [row for row in rows if row.state in ("refused", "failed", "retracted")]:
         raise Problem("invalid", f"submission {ended[0].id} is {ended[0].state}")
-    methods = [row.method for row in found]
+    methods = [row.method for row in rows]
     if len(set(methods)) > ENTRIES:
         raise Problem("invalid", f"{len(set(methods))} methods; a lab enters at most {ENTRIES}")
     if methods and max(map(methods.count, methods)) > SEEDS:
@@ -78,7 +78,7 @@ def close_season(database: Database, name: str, now: float) -> None:
 
 def close_due(database: Database, now: float) -> None:
     """Close the seasons whose date has come."""
-    due = sa.select(c.id).where(c.state == "open", c.closes_at <= now)
+    due = sa.select(SEASON.id).where(SEASON.state == "open", SEASON.closes_at <= now)
     with database.read() as connection:
         if not connection.execute(due).first():
             return
@@ -90,18 +90,19 @@ def close_due(database: Database, now: float) -> None:
 def go_on(database: Database, connection: sa.Connection, season: str, now: float) -> None:
     """Take a closing season to its next step, if all of the one before is done."""
     database.one_at_a_time(connection, f"season {season}")
-    row = connection.execute(sa.select(t.seasons).where(c.id == season)).one()
+    row = connection.execute(sa.select(schema.seasons).where(SEASON.id == season)).one()
     if row.state != "closing":
         return
-    of_labs = s.season == season, s.kind != "reference"
-    waiting = sa.select(s.id).where(*of_labs, s.state.not_in(FINAL_STATES)).limit(1)
+    of_labs = SUBMISSION.season == season, SUBMISSION.kind != "reference"
+    waiting = (
+        sa.select(SUBMISSION.id).where(*of_labs, SUBMISSION.state.not_in(FINAL_STATES)).limit(1)
+    )
     if connection.execute(waiting).first():
         return
-    j = t.jobs.c
     of_b = (
-        sa.select(j.state)
-        .join(t.submissions, s.id == j.submission)
-        .where(s.season == season, j.panel == "B")
+        sa.select(JOB.state)
+        .join(schema.submissions, SUBMISSION.id == JOB.submission)
+        .where(SUBMISSION.season == season, JOB.panel == "B")
     )
     states = connection.execute(of_b).scalars().all()
     if not states and (entries := _entries(connection, season)):
@@ -125,7 +126,7 @@ def find_season(
     Raises:
         Problem: There is none, or it is in another state.
     """
-    query = sa.select(t.seasons).where((c.id == name) | (c.name == name))
+    query = sa.select(schema.seasons).where((SEASON.id == name) | (SEASON.name == name))
     row = connection.execute(query if database.is_sqlite else query.with_for_update()).first()
     if row is None:
         raise Problem(
@@ -140,23 +141,24 @@ def find_season(
 
 def season_of(connection: sa.Connection, submission: str) -> Any:
     """Return the season of a submission, secrets included: never to be shown."""
-    s = t.submissions.c
-    query = sa.select(t.seasons).join(t.submissions, s.season == t.seasons.c.id)
-    return connection.execute(query.where(s.id == submission)).first()
+    query = sa.select(schema.seasons).join(schema.submissions, SUBMISSION.season == SEASON.id)
+    return connection.execute(query.where(SUBMISSION.id == submission)).first()
 
 
 def _close(database: Database, connection: sa.Connection, season: str, now: float) -> None:
-    connection.execute(sa.update(t.seasons).where(c.id == season).values(state="closing"))
+    connection.execute(sa.update(schema.seasons).where(SEASON.id == season).values(state="closing"))
     ledger.append(database, connection, now, "season_close", {"season": season})
     go_on(database, connection, season, now)
 
 
 def _entries(connection: sa.Connection, season: str) -> list[Any]:
     """Return the submissions that play panel B: those entered, else each lab's last one shown."""
-    erased = sa.select(t.artefacts.c.sha256).where(t.artefacts.c.erased_at.is_not(None))
-    query = sa.select(t.submissions).where(s.season == season, s.kind == "file")
-    query = query.where(s.artefact.not_in(erased))
-    scored = connection.execute(query.where(s.state == "scored")).all()
+    erased = sa.select(ARTEFACT.sha256).where(ARTEFACT.erased_at.is_not(None))
+    query = sa.select(schema.submissions).where(
+        SUBMISSION.season == season, SUBMISSION.kind == "file"
+    )
+    query = query.where(SUBMISSION.artefact.not_in(erased))
+    scored = connection.execute(query.where(SUBMISSION.state == "scored")).all()
     by_lab: dict[str, list[Any]] = {}
     for row in scored:
         by_lab.setdefault(row.submitter, []).append(row)
@@ -164,20 +166,19 @@ def _entries(connection: sa.Connection, season: str) -> list[Any]:
     return [
         row
         for lab in sorted(by_lab)
-        for row in [one for one in by_lab[lab] if one.entered_at is not None]
-        or [one for one in by_lab[lab] if one.id == shown.get(lab)]
+        for row in [candidate for candidate in by_lab[lab] if candidate.entered_at is not None]
+        or [candidate for candidate in by_lab[lab] if candidate.id == shown.get(lab)]
     ]
 
 
 def _last_shown(connection: sa.Connection, season: str) -> dict[str, str]:
     """Return each lab's submission whose score on panel A was shown last, of those that stand."""
-    score = t.scores.c
     query = (
-        sa.select(s.submitter, s.id)
-        .join(t.scores, score.submission == s.id)
-        .where(s.season == season, s.state == "scored")
-        .where(score.panel == "A", score.released.is_not(None))
-        .order_by(score.created_at, s.created_at, s.id)
+        sa.select(SUBMISSION.submitter, SUBMISSION.id)
+        .join(schema.scores, SCORE.submission == SUBMISSION.id)
+        .where(SUBMISSION.season == season, SUBMISSION.state == "scored")
+        .where(SCORE.panel == "A", SCORE.released.is_not(None))
+        .order_by(SCORE.created_at, SUBMISSION.created_at, SUBMISSION.id)
     )
     return {row.submitter: row.id for row in connection.execute(query)}
 
@@ -188,10 +189,11 @@ def _play_b(
     """Queue panel B for the entries, and for the rows that they are measured by."""
     ids = [row.id for row in entries]
     # The version that they were planned under last: after an upgrade no worker plays another.
-    j = t.jobs.c
-    newest = sa.select(j.version).where(j.submission.in_(ids))
-    version = connection.execute(newest.order_by(j.created_at.desc()).limit(1)).scalar_one()
-    connection.execute(sa.update(t.submissions).where(s.id.in_(ids)).values(entered_at=now))
+    newest = sa.select(JOB.version).where(JOB.submission.in_(ids))
+    version = connection.execute(newest.order_by(JOB.created_at.desc()).limit(1)).scalar_one()
+    connection.execute(
+        sa.update(schema.submissions).where(SUBMISSION.id.in_(ids)).values(entered_at=now)
+    )
     chunks = submissions.count_chunks(season.panel_sizes["B"])
     for id in (*ids, *_references(connection, season, now)):
         jobs.add_jobs(connection, id, version, "B", chunks, turn=0, now=now)
@@ -202,10 +204,14 @@ def _play_b(
 def _references(connection: sa.Connection, season: Any, now: float) -> list[str]:
     """Add the references of the public board to a season, and return their submissions."""
     query = (
-        sa.select(t.submissions)
-        .join(t.submitters, t.submitters.c.id == s.submitter)
-        .where(t.submitters.c.name == REFERENCE, s.kind == "reference")
-        .where(s.task == season.task, s.season.is_(None), s.state != "retracted")
+        sa.select(schema.submissions)
+        .join(schema.submitters, SUBMITTER.id == SUBMISSION.submitter)
+        .where(SUBMITTER.name == REFERENCE, SUBMISSION.kind == "reference")
+        .where(
+            SUBMISSION.task == season.task,
+            SUBMISSION.season.is_(None),
+            SUBMISSION.state != "retracted",
+        )
     )
     rows: list[dict[str, Any]] = [
         {
@@ -222,13 +228,14 @@ def _references(connection: sa.Connection, season: Any, now: float) -> list[str]
         for row in connection.execute(query).mappings().all()
     ]
     if rows:
-        connection.execute(sa.insert(t.submissions), rows)
+        connection.execute(sa.insert(schema.submissions), rows)
     return [row["id"] for row in rows]
 
 
 def _reveal(database: Database, connection: sa.Connection, season: Any, now: float) -> None:
     """Publish the leaves of a season; the weights go with them."""
     values = {"state": "closed", "closed_at": now}
-    connection.execute(sa.update(t.seasons).where(c.id == season.id).values(values))
+    connection.execute(sa.update(schema.seasons).where(SEASON.id == season.id).values(values))
     body = {"season": season.id, "root": season.root, "release": season.release}
     ledger.append(database, connection, now, "season_reveal", body)
+    note(connection, "season_closed", season.name, now)

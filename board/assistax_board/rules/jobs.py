@@ -14,13 +14,12 @@ import sqlalchemy as sa
 
 from assistax_base.digest import sha256
 from assistax_board.ids import new_id
-from assistax_board.store import schema as t
+from assistax_board.store import schema
 from assistax_board.store.database import Database
+from assistax_board.store.schema import JOB, SUBMISSION
 
 LEASE_SECONDS = 60.0
 MAX_FAILURES = 5  # then the submission fails, and its attempt is refunded
-
-c = t.jobs.c
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,7 +56,7 @@ def add_jobs(
         "created_at": now,
     }
     rows = [{"id": new_id(), "chunk": chunk, **common} for chunk in range(chunks)]
-    connection.execute(sa.insert(t.jobs), rows)
+    connection.execute(sa.insert(schema.jobs), rows)
 
 
 def lease_job(
@@ -76,10 +75,12 @@ def lease_job(
     """
     with database.write() as connection:
         exhausted = expire_leases(database, connection, now)
-        query = sa.select(t.jobs).where(c.state == "waiting", c.version.in_(versions))
-        live = sa.select(t.submissions.c.id).where(t.submissions.c.kind == "live")
-        query = query.where(c.submission.not_in(live) | c.submission.in_(connected))
-        order = query.order_by(c.turn, c.created_at, c.submission, c.panel, c.chunk).limit(1)
+        query = sa.select(schema.jobs).where(JOB.state == "waiting", JOB.version.in_(versions))
+        live = sa.select(SUBMISSION.id).where(SUBMISSION.kind == "live")
+        query = query.where(JOB.submission.not_in(live) | JOB.submission.in_(connected))
+        order = query.order_by(
+            JOB.turn, JOB.created_at, JOB.submission, JOB.panel, JOB.chunk
+        ).limit(1)
         row = connection.execute(database.take(order)).first()
         if row is None:
             return None, exhausted
@@ -91,10 +92,9 @@ def lease_job(
             "leased_at": now,
             "expires_at": now + LEASE_SECONDS,
         }
-        connection.execute(sa.update(t.jobs).where(c.id == row.id).values(values))
-        s = t.submissions.c
-        begun = (s.id == row.submission) & (s.state == "queued")
-        connection.execute(sa.update(t.submissions).where(begun).values(state="running"))
+        connection.execute(sa.update(schema.jobs).where(JOB.id == row.id).values(values))
+        begun = (SUBMISSION.id == row.submission) & (SUBMISSION.state == "queued")
+        connection.execute(sa.update(schema.submissions).where(begun).values(state="running"))
     return Lease(row.id, secret, row.submission, row.version, row.panel, row.chunk), exhausted
 
 
@@ -104,9 +104,9 @@ def expire_leases(database: Database, connection: sa.Connection, now: float) -> 
     A lease that begins in the future was given before the clock was set back; nobody knows how old
     it is, so it is over.
     """
-    broken = (c.expires_at < now) | (c.leased_at > now)
+    broken = (JOB.expires_at < now) | (JOB.leased_at > now)
     query = database.take(
-        sa.select(c.id, c.submission, c.failures).where(c.state == "leased", broken)
+        sa.select(JOB.id, JOB.submission, JOB.failures).where(JOB.state == "leased", broken)
     )
     rows = connection.execute(query).all()
     for row in rows:
@@ -118,21 +118,21 @@ def beat(database: Database, job: str, secret: str, now: float) -> bool:
     """Extend a lease; return False where it is no longer held: the worker may stop."""
     with database.write() as connection:
         values = {"leased_at": now, "expires_at": now + LEASE_SECONDS}
-        held = sa.update(t.jobs).where(*_held(job, secret)).values(values)
+        held = sa.update(schema.jobs).where(*_held(job, secret)).values(values)
         return connection.execute(held).rowcount == 1
 
 
 def give_back(database: Database, job: str, secret: str) -> None:
     """Return a job undone, by a worker that stops; this is no failure."""
     with database.write() as connection:
-        held = sa.update(t.jobs).where(*_held(job, secret))
+        held = sa.update(schema.jobs).where(*_held(job, secret))
         connection.execute(held.values(state="waiting", lease=None, expires_at=None))
 
 
 def fail_job(database: Database, job: str, secret: str) -> str | None:
     """Put back a job that a worker could not do; name its submission if it failed too often."""
     with database.write() as connection:
-        row = connection.execute(sa.select(t.jobs).where(*_held(job, secret))).first()
+        row = connection.execute(sa.select(schema.jobs).where(*_held(job, secret))).first()
         if row is None:
             return None
         _put_back(connection, job, row.failures + 1)
@@ -141,29 +141,43 @@ def fail_job(database: Database, job: str, secret: str) -> str | None:
 
 def held_job(connection: sa.Connection, job: str, secret: str) -> Any:
     """Return the row of a job that this lease was the last to hold, also after it ran out."""
-    row = connection.execute(sa.select(t.jobs).where(c.id == job)).first()
+    row = connection.execute(sa.select(schema.jobs).where(JOB.id == job)).first()
     return row if row is not None and row.lease == sha256(secret.encode()) else None
 
 
 def release_held(connection: sa.Connection, submission: str, version: str) -> None:
     """Let the hidden panels of a submission be played, once its public panel is done."""
-    where = (c.submission == submission) & (c.version == version) & (c.state == "held")
-    connection.execute(sa.update(t.jobs).where(where).values(state="waiting"))
+    where = (JOB.submission == submission) & (JOB.version == version) & (JOB.state == "held")
+    connection.execute(sa.update(schema.jobs).where(where).values(state="waiting"))
 
 
 def cancel_jobs(connection: sa.Connection, submission: str, version: str | None = None) -> None:
     """Take what is left of a submission out of the queue."""
-    where = (c.submission == submission) & c.state.in_(("held", "waiting", "leased"))
-    where = where if version is None else where & (c.version == version)
-    connection.execute(sa.update(t.jobs).where(where).values(state="cancelled"))
+    where = (JOB.submission == submission) & JOB.state.in_(("held", "waiting", "leased"))
+    where = where if version is None else where & (JOB.version == version)
+    connection.execute(sa.update(schema.jobs).where(where).values(state="cancelled"))
+
+
+def queue_again(connection: sa.Connection, submission: str, version: str) -> bool:
+    """Queue what is not done of a submission as if nothing had failed; False if there is nothing.
+
+    Its hidden panel is held back until the public one is done.
+    """
+    mine = JOB.submission == submission, JOB.version == version
+    jobs = connection.execute(sa.select(JOB.panel, JOB.state).where(*mine)).all()
+    held = any(panel == "public" and state != "done" for panel, state in jobs)
+    for panel, state in (("public", "waiting"), ("A", "held" if held else "waiting")):
+        again = sa.update(schema.jobs).where(*mine, JOB.panel == panel, JOB.state == "cancelled")
+        connection.execute(again.values(state=state, failures=0, lease=None, expires_at=None))
+    return bool(jobs)
 
 
 def _put_back(connection: sa.Connection, job: str, failures: int) -> None:
     # The lease's hash stays: should its worker answer after all, the answer counts.
     state = "cancelled" if failures >= MAX_FAILURES else "waiting"
     values = {"state": state, "failures": failures, "expires_at": None}
-    connection.execute(sa.update(t.jobs).where(c.id == job).values(values))
+    connection.execute(sa.update(schema.jobs).where(JOB.id == job).values(values))
 
 
 def _held(job: str, secret: str) -> tuple[Any, ...]:
-    return c.id == job, c.state == "leased", c.lease == sha256(secret.encode())
+    return JOB.id == job, JOB.state == "leased", JOB.lease == sha256(secret.encode())

@@ -11,18 +11,16 @@ import sqlalchemy as sa
 from assistax_board.problems import Problem
 from assistax_board.rules import closing, jobs, submissions
 from assistax_board.rules.scoring import decode_table, table_bytes
-from assistax_board.store import ledger
-from assistax_board.store import schema as t
+from assistax_board.store import ledger, schema
 from assistax_board.store.artefacts import Artefacts, record_artefact
 from assistax_board.store.database import Database, insert_once
 from assistax_board.store.receipts import Signer
+from assistax_board.store.schema import JOB, RESULT, SCORE, SEASON, SUBMISSION
 from assistax_board.vocabulary import FINAL_STATES
-
-c = t.results.c
 
 
 @dataclasses.dataclass(frozen=True)
-class Desk:
+class ResultStore:
     """What accepting a result needs."""
 
     database: Database
@@ -31,7 +29,7 @@ class Desk:
 
 
 def accept(
-    desk: Desk,
+    store: ResultStore,
     job: str,
     secret: str,
     data: bytes,
@@ -46,25 +44,25 @@ def accept(
     Raises:
         Problem: The lease was not the last to hold this job, or the table is not of this job.
     """
-    with desk.database.read() as connection:
+    with store.database.read() as connection:
         row = jobs.held_job(connection, job, secret)
     if row is None or row.state == "cancelled":
         raise Problem("lease_lost", "this job is no longer yours; take the next")
     kept = table_bytes(decode_table(data, partners, episodes, preferences))
-    name = desk.artefacts.put(kept)
-    with desk.database.write() as connection:
+    name = store.artefacts.put(kept)
+    with store.database.write() as connection:
         # The last two results of a panel must see each other.
-        submissions.lock_submission(desk.database, connection, row.submission)
+        submissions.lock_submission(store.database, connection, row.submission)
         held = jobs.held_job(connection, job, secret)
         if held is None or held.state not in ("leased", "waiting"):
             return False
         record_artefact(connection, name, len(kept), now)
-        if not insert_once(connection, t.results, _result(row, name, seconds, now)):
+        if not insert_once(connection, schema.results, _result(row, name, seconds, now)):
             return False
-        done = sa.update(t.jobs).where(t.jobs.c.id == job).values(state="done", done_at=now)
+        done = sa.update(schema.jobs).where(JOB.id == job).values(state="done", done_at=now)
         connection.execute(done)
         if _left(connection, row, row.panel) == 0:
-            _finish_panel(desk, connection, row, now)
+            _finish_panel(store, connection, row, now)
     return True
 
 
@@ -75,19 +73,18 @@ def _result(job: Any, name: str, seconds: float, now: float) -> dict[str, Any]:
 
 def _left(connection: sa.Connection, job: Any, *panels: str) -> int:
     """Return how many jobs of these panels are not done."""
-    j = t.jobs.c
     where = [
-        j.submission == job.submission,
-        j.version == job.version,
-        j.panel.in_(panels),
-        j.state != "done",
+        JOB.submission == job.submission,
+        JOB.version == job.version,
+        JOB.panel.in_(panels),
+        JOB.state != "done",
     ]
     return connection.execute(sa.select(sa.func.count()).where(*where)).scalar_one()
 
 
-def _finish_panel(desk: Desk, connection: sa.Connection, job: Any, now: float) -> None:
+def _finish_panel(store: ResultStore, connection: sa.Connection, job: Any, now: float) -> None:
     """Make the score of a panel whose last result has come, and go on to what comes next."""
-    table = panel_table(desk.artefacts, connection, job.submission, job.version, job.panel)
+    table = panel_table(store.artefacts, connection, job.submission, job.version, job.panel)
     row = {
         "submission": job.submission,
         "version": job.version,
@@ -97,35 +94,37 @@ def _finish_panel(desk: Desk, connection: sa.Connection, job: Any, now: float) -
     }
     # Panel B is played when nobody submits any more: all of it may be shown.
     row["released"] = row["figures"] if job.panel == "B" else None
-    connection.execute(sa.insert(t.scores).values(row))
+    connection.execute(sa.insert(schema.scores).values(row))
     if job.panel == "B":
-        _finish_b(desk, connection, job, row["figures"], now)
+        _finish_b(store, connection, job, row["figures"], now)
         return
     if job.panel == "public":
-        connection.execute(sa.insert(t.partner_scores), _partner_rows(job, table))
+        connection.execute(sa.insert(schema.partner_scores), _partner_rows(job, table))
         jobs.release_held(connection, job.submission, job.version)
     if _left(connection, job, "public", "A") == 0:
-        _release(desk, connection, job, now)
+        _release(store, connection, job, now)
 
 
 def _finish_b(
-    desk: Desk, connection: sa.Connection, job: Any, figures: dict[str, Any], now: float
+    store: ResultStore, connection: sa.Connection, job: Any, figures: dict[str, Any], now: float
 ) -> None:
     """Note a score on panel B, and reveal the season after its last one."""
     body = {"id": job.submission, "version": job.version, "released": {"B": figures}}
-    ledger.append(desk.database, connection, now, "score", body)
-    row = submissions.lock_submission(desk.database, connection, job.submission)
+    ledger.append(store.database, connection, now, "score", body)
+    row = submissions.lock_submission(store.database, connection, job.submission)
     if row.state not in FINAL_STATES:  # a reference plays this panel alone
-        submissions.end(desk.database, connection, row, "scored", None, "spent", now)
-    closing.go_on(desk.database, connection, row.season, now)
+        submissions.end(store.database, connection, row, "scored", None, "spent", now)
+    closing.go_on(store.database, connection, row.season, now)
 
 
 def panel_table(
     artefacts: Artefacts, connection: sa.Connection, submission: str, version: str, panel: str
 ) -> pl.DataFrame:
     """Return all episodes of a panel, in the order of its chunks."""
-    where = c.submission == submission, c.version == version, c.panel == panel
-    names = connection.execute(sa.select(c.table).where(*where).order_by(c.chunk)).scalars()
+    where = RESULT.submission == submission, RESULT.version == version, RESULT.panel == panel
+    names = connection.execute(
+        sa.select(RESULT.table).where(*where).order_by(RESULT.chunk)
+    ).scalars()
     return pl.concat([pl.read_parquet(io.BytesIO(artefacts.get(name))) for name in names])
 
 
@@ -133,13 +132,13 @@ def panel_b(
     database: Database, artefacts: Artefacts, season: str
 ) -> list[tuple[str, pl.DataFrame]]:
     """Return the episodes of every submission on the panel B of a season, once it is closed."""
-    s, r, z = t.scores.c, t.submissions.c, t.seasons.c
     query = (
-        sa.select(s.submission, s.version)
-        .join(t.submissions, r.id == s.submission)
-        .join(t.seasons, z.id == r.season)
-        .where(z.id == season, z.state == "closed", s.panel == "B")
-        .order_by(s.created_at.desc(), s.submission)
+        sa.select(SCORE.submission, SCORE.version)
+        .join(schema.submissions, SUBMISSION.id == SCORE.submission)
+        .join(schema.seasons, SEASON.id == SUBMISSION.season)
+        .where(SEASON.id == season, SEASON.state == "closed", SCORE.panel == "B")
+        .where(SUBMISSION.reason.is_distinct_from("disqualified"))
+        .order_by(SCORE.created_at.desc(), SCORE.submission)
     )
     with database.read() as connection:
         rows = connection.execute(query).all()
@@ -158,16 +157,16 @@ def figures(table: pl.DataFrame) -> dict[str, Any]:
     from evaluation.figures.bootstrap import estimate
     from evaluation.record import tables
 
-    found = {
+    values = {
         **tables.to_json(estimate(partner_means(table)[None, :])),
         "nonfinite": int(table["nonfinite"].sum()),
         "success": float(table["success"].to_numpy().mean()),
     }
     if "preference" not in table.columns:
-        return found
+        return values
     safe = tables.with_safety(table)["safe_success"]
     liked = table.group_by("preference").agg(pl.col("return").cast(pl.Float64).mean())
-    return found | {
+    return values | {
         "safe_success": float(safe.to_numpy().mean()),
         "violations": float(table["violated"].to_numpy().mean()),
         "by_preference": dict(liked.sort("preference").rows()),
@@ -190,45 +189,45 @@ def _partner_rows(job: Any, table: pl.DataFrame) -> list[dict[str, Any]]:
     return [{**identity, **row} for row in grouped.to_dicts()]
 
 
-def _release(desk: Desk, connection: sa.Connection, job: Any, now: float) -> None:
+def _release(store: ResultStore, connection: sa.Connection, job: Any, now: float) -> None:
     """Show what may be shown, end the submission, and sign the receipt: all in one transaction."""
-    s = t.scores.c
-    mine = (s.submission == job.submission) & (s.version == job.version)
-    public = connection.execute(sa.select(s.figures).where(mine, s.panel == "public")).scalar_one()
+    mine = (SCORE.submission == job.submission) & (SCORE.version == job.version)
+    public = connection.execute(
+        sa.select(SCORE.figures).where(mine, SCORE.panel == "public")
+    ).scalar_one()
     shown = {"public": public}
-    row = submissions.lock_submission(desk.database, connection, job.submission)
-    if _has_score(connection, job, "A") and (answer := _hidden_answer(desk, connection, job, row)):
+    row = submissions.lock_submission(store.database, connection, job.submission)
+    if _has_score(connection, job, "A") and (answer := _hidden_answer(store, connection, job, row)):
         shown["A"] = answer
     for panel, value in shown.items():
-        update = sa.update(t.scores).where(mine, s.panel == panel)
+        update = sa.update(schema.scores).where(mine, SCORE.panel == panel)
         connection.execute(update.values(released=value))
     body = {"id": row.id, "version": job.version, "released": shown}
-    entry = ledger.append(desk.database, connection, now, "score", body)
+    entry = ledger.append(store.database, connection, now, "score", body)
     if row.state not in FINAL_STATES:
-        submissions.end(desk.database, connection, row, "scored", None, "spent", now)
-    _sign(desk, connection, row, job.version, shown, entry, now)
+        submissions.end(store.database, connection, row, "scored", None, "spent", now)
+    _sign(store, connection, row, job.version, shown, entry, now)
     if row.season is not None:
-        closing.go_on(desk.database, connection, row.season, now)
+        closing.go_on(store.database, connection, row.season, now)
 
 
 def _has_score(connection: sa.Connection, job: Any, panel: str) -> bool:
-    s = t.scores.c
-    where = s.submission == job.submission, s.version == job.version, s.panel == panel
-    return connection.execute(sa.select(s.panel).where(*where)).first() is not None
+    where = SCORE.submission == job.submission, SCORE.version == job.version, SCORE.panel == panel
+    return connection.execute(sa.select(SCORE.panel).where(*where)).first() is not None
 
 
 def _hidden_answer(
-    desk: Desk, connection: sa.Connection, job: Any, row: Any
+    store: ResultStore, connection: sa.Connection, job: Any, row: Any
 ) -> dict[str, Any] | None:
     """Return what the Ladder shows of panel A: a rounded mean, or nothing."""
     from assistax_board.places.ladder import ladder_release
 
     def means(submission: str) -> np.ndarray:
-        table = panel_table(desk.artefacts, connection, submission, job.version, "A")
+        table = panel_table(store.artefacts, connection, submission, job.version, "A")
         return partner_means(table)
 
     # Two attempts of one lab that end at once must be compared one after the other.
-    desk.database.one_at_a_time(connection, f"ladder {row.season} {row.submitter}")
+    store.database.one_at_a_time(connection, f"ladder {row.season} {row.submitter}")
     best = _shown_last(connection, row, job.version)
     new = means(row.id)
     attempt = 1 + _scored_before(connection, row, job.version)
@@ -238,32 +237,38 @@ def _hidden_answer(
 
 def _scored_before(connection: sa.Connection, row: Any, version: str) -> int:
     """Return how many other submissions of this lab panel A has scored in this season."""
-    s, r = t.scores.c, t.submissions.c
     query = (
         sa.select(sa.func.count())
-        .select_from(t.scores)
-        .join(t.submissions, r.id == s.submission)
-        .where(r.season == row.season, r.submitter == row.submitter, r.id != row.id)
-        .where(s.panel == "A", s.version == version)
+        .select_from(schema.scores)
+        .join(schema.submissions, SUBMISSION.id == SCORE.submission)
+        .where(
+            SUBMISSION.season == row.season,
+            SUBMISSION.submitter == row.submitter,
+            SUBMISSION.id != row.id,
+        )
+        .where(SCORE.panel == "A", SCORE.version == version)
     )
     return connection.execute(query).scalar_one()
 
 
 def _shown_last(connection: sa.Connection, row: Any, version: str) -> str | None:
     """Return the submission of this lab whose score on panel A was shown last in this season."""
-    s, r = t.scores.c, t.submissions.c
     query = (
-        sa.select(s.submission)
-        .join(t.submissions, r.id == s.submission)
-        .where(r.season == row.season, r.submitter == row.submitter, r.id != row.id)
-        .where(s.panel == "A", s.version == version, s.released.is_not(None))
-        .order_by(s.created_at.desc())
+        sa.select(SCORE.submission)
+        .join(schema.submissions, SUBMISSION.id == SCORE.submission)
+        .where(
+            SUBMISSION.season == row.season,
+            SUBMISSION.submitter == row.submitter,
+            SUBMISSION.id != row.id,
+        )
+        .where(SCORE.panel == "A", SCORE.version == version, SCORE.released.is_not(None))
+        .order_by(SCORE.created_at.desc())
     )
     return connection.execute(query.limit(1)).scalar()
 
 
 def _sign(
-    desk: Desk,
+    store: ResultStore,
     connection: sa.Connection,
     row: Any,
     version: str,
@@ -281,13 +286,13 @@ def _sign(
         "scores": shown,
         "ledger": {"seq": entry.seq, "hash": entry.hash},
         "issued_at": now,
-        "key": desk.signer.public_key,
+        "key": store.signer.public_key,
     }
     values = {
         "submission": row.id,
         "version": version,
         "content": content,
-        "signature": desk.signer.sign(content),
+        "signature": store.signer.sign(content),
         "created_at": now,
     }
-    connection.execute(sa.insert(t.receipts).values(values))
+    connection.execute(sa.insert(schema.receipts).values(values))

@@ -9,7 +9,6 @@ import polars as pl
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from assistax_board.problems import Problem
-from assistax_board.rules.catalogue import Partner
 from assistax_board.vocabulary import Kind
 
 # Columns of a result, in this order: nothing else leaves a worker.
@@ -111,8 +110,8 @@ def decode_table(
         raise Problem("invalid", f"a result is JSON with the columns {names}") from None
     table = pl.DataFrame(rows, schema=columns)
     expected = {(name, episode) for name in partners for episode in range(episodes)}
-    found = table.select("partner", "episode").rows()
-    if len(found) != len(expected) or set(found) != expected:
+    present = table.select("partner", "episode").rows()
+    if len(present) != len(expected) or set(present) != expected:
         raise Problem("invalid", "the result lacks episodes of this job, or has others")
     if not table["return"].is_finite().all():
         raise Problem("invalid", "the result has returns that are not finite")
@@ -135,6 +134,6 @@ def _in_order(table: pl.DataFrame) -> pl.DataFrame:
     return typed.sort("partner", "episode")
 
 
-def cut(panel: tuple[Partner, ...], size: int) -> list[tuple[Partner, ...]]:
+def cut(panel: tuple[str, ...], size: int) -> list[tuple[str, ...]]:
     """Cut a panel into chunks; who plays them, and how many at once, changes nothing."""
     return [panel[start : start + size] for start in range(0, len(panel), size)]

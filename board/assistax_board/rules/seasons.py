@@ -20,10 +20,10 @@ from assistax_board.ids import new_id
 from assistax_board.problems import Problem
 from assistax_board.rules.closing import find_season
 from assistax_board.rules.release_pack import hidden_partners, ordinal, pack, unpack
-from assistax_board.store import ledger
-from assistax_board.store import schema as t
+from assistax_board.store import ledger, schema
 from assistax_board.store.artefacts import Artefacts, record_artefact
 from assistax_board.store.database import Database
+from assistax_board.store.schema import SEASON
 
 if TYPE_CHECKING:
     from zoo.registry import Registry
@@ -37,8 +37,6 @@ DEFAULT_RULES = (
     "they beat your last shown one beyond chance; panel B decides, once, when the season closes. "
     "Files are kept for the season and used for scoring alone, unless their licence says more."
 )
-
-c = t.seasons.c
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,11 +91,11 @@ def create_season(
         "created_at": now,
     }
     with database.write() as connection:
-        if connection.execute(sa.select(c.id).where(c.name == plan.name)).first():
+        if connection.execute(sa.select(SEASON.id).where(SEASON.name == plan.name)).first():
             raise Problem("conflict", f"there is a season {plan.name!r}; choose another name")
         _check_unseen(connection, row["id"], leaves)
         record_artefact(connection, row["release"], len(packed), now)
-        connection.execute(sa.insert(t.seasons).values(row))
+        connection.execute(sa.insert(schema.seasons).values(row))
     return row["id"]
 
 
@@ -121,7 +119,7 @@ def open_season(database: Database, name: str, now: float, closes_at: float | No
         _check_unseen(connection, row.id, row.secret["leaves"])
         root = merkle_root(map(leaf_sha256, row.secret["leaves"]))
         values = {"state": "open", "root": root, "opened_at": now, "closes_at": closes_at}
-        connection.execute(sa.update(t.seasons).where(c.id == row.id).values(values))
+        connection.execute(sa.update(schema.seasons).where(SEASON.id == row.id).values(values))
         body = {"season": row.id, "name": row.name, "task": row.task, "root": root}
         body |= {"panel_sizes": row.panel_sizes, "budget": row.budget, "closes_at": closes_at}
         ledger.append(database, connection, now, "season_open", body)
@@ -135,7 +133,7 @@ def revealed(database: Database, name: str) -> dict[str, Any]:
         Problem: It is not closed; nothing of it is told before.
     """
     with database.read() as connection:
-        query = sa.select(t.seasons).where((c.id == name) | (c.name == name))
+        query = sa.select(schema.seasons).where((SEASON.id == name) | (SEASON.name == name))
         row = connection.execute(query).first()
     if row is None:
         raise Problem("not_found", f"no season {name!r}")
@@ -143,8 +141,8 @@ def revealed(database: Database, name: str) -> dict[str, Any]:
         raise Problem(
             "too_late", f"season {row.name} is {row.state}; it is revealed when it closed"
         )
-    told = {"season": row.id, "name": row.name, "task": row.task, "root": row.root}
-    return {**told, "release": row.release, "leaves": row.secret["leaves"]}
+    statement = {"season": row.id, "name": row.name, "task": row.task, "root": row.root}
+    return {**statement, "release": row.release, "leaves": row.secret["leaves"]}
 
 
 def revealed_release(database: Database, artefacts: Artefacts, name: str) -> bytes:
@@ -167,8 +165,10 @@ def verify_season(statement: dict[str, Any], packed: bytes, root: str, folder: P
     if merkle_root(map(leaf_sha256, statement["leaves"])) != root:
         raise ValueError("the leaves are not those whose root was published when it opened")
     entries = hidden_partners(unpack(packed, folder), statement["task"])
-    told = [leaf for leaf in statement["leaves"] if "policy" in leaf]
-    if [(leaf["policy"], leaf["sha256"]) for leaf in told] != [(e.id, e.sha256) for e in entries]:
+    partners = [leaf for leaf in statement["leaves"] if "policy" in leaf]
+    if [(leaf["policy"], leaf["sha256"]) for leaf in partners] != [
+        (e.id, e.sha256) for e in entries
+    ]:
         raise ValueError("the release holds other partners than the leaves say")
     from zoo.parameters.storage import load_stacks
 
@@ -189,7 +189,7 @@ def panel_seed(leaves: Sequence[dict[str, Any]], panel: str) -> str:
 def _check_unseen(connection: sa.Connection, id: str, leaves: Sequence[dict[str, Any]]) -> None:
     """Refuse partners of a season that was opened: they are known, or will be when it closes."""
     mine = {leaf["sha256"] for leaf in leaves if "policy" in leaf}
-    others = sa.select(c.name, c.secret).where(c.id != id, c.state != "draft")
+    others = sa.select(SEASON.name, SEASON.secret).where(SEASON.id != id, SEASON.state != "draft")
     for name, secret in connection.execute(others):
         if any(leaf.get("sha256") in mine for leaf in secret["leaves"] if "policy" in leaf):
             raise Problem(

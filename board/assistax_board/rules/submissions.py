@@ -19,17 +19,15 @@ from assistax_board.problems import Problem, Refusal
 from assistax_board.rules import jobs
 from assistax_board.rules.catalogue import CHUNK, Catalogue, version_id
 from assistax_board.rules.scoring import cut
-from assistax_board.store import ledger
-from assistax_board.store import schema as t
+from assistax_board.store import ledger, schema
 from assistax_board.store.artefacts import Artefacts, record_artefact
 from assistax_board.store.database import Database, insert_once
+from assistax_board.store.schema import JOB, SEASON, SUBMISSION
 from assistax_board.vocabulary import FINAL_STATES, OWN_FAILURES, Kind
 
 MAX_BYTES = 16 * 1024 * 1024
 LAST = 1_000_000  # turn of the references: they are played when nobody else waits
 LICENCES = ("Apache-2.0", "MIT", "BSD-3-Clause", "CC-BY-4.0", "CC0-1.0", "evaluation-only")
-
-c = t.submissions.c
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,15 +97,16 @@ def submit(
             database.one_at_a_time(connection, f"season {draft.season}")
         season = _open_season(connection, draft, now) if draft.season else None
         if season is not None and draft.refusal is None:
-            _check_budget(connection, season, submitter)
+            _check_not_disqualified(connection, season, submitter)
+            check_budget(connection, season, submitter)
         if kept is not None and draft.data is not None:
             record_artefact(connection, kept, len(draft.data), now)
         row = _row(connection, submitter, draft, kept, now)
-        connection.execute(sa.insert(t.submissions).values(row))
+        connection.execute(sa.insert(schema.submissions).values(row))
         if draft.refusal is None:
             plan_jobs(connection, catalogue, row, season, now)
-        told = ("id", "submitter", "task", "kind", "artefact", "season", "state", "reason")
-        body = {name: row[name] for name in told}
+        names = ("id", "submitter", "task", "kind", "artefact", "season", "state", "reason")
+        body = {name: row[name] for name in names}
         ledger.append(database, connection, now, "submission", body)
     return row["id"]
 
@@ -127,7 +126,7 @@ def plan_jobs(
     identity = catalogue.identity(row["task"])
     version = version_id(identity)
     known = {"id": version, "task": row["task"], "identity": identity, "created_at": now}
-    insert_once(connection, t.versions, known)
+    insert_once(connection, schema.versions, known)
     public = len(cut(catalogue.public_panel(row["task"]), CHUNK))
     order: dict[str, Any] = {"turn": row["turn"], "now": now}
     jobs.add_jobs(connection, row["id"], version, "public", public, **order)
@@ -174,7 +173,7 @@ def end(
     """Bring a submission to its end, in state, attempt, queue and ledger."""
     attempt = attempt if row.season is not None else "free"
     values = {"state": state, "reason": reason, "attempt": attempt, "finished_at": now}
-    connection.execute(sa.update(t.submissions).where(c.id == row.id).values(values))
+    connection.execute(sa.update(schema.submissions).where(SUBMISSION.id == row.id).values(values))
     jobs.cancel_jobs(connection, row.id)
     body = {"id": row.id, "state": state, "reason": reason, "attempt": attempt}
     ledger.append(database, connection, now, "end", body)
@@ -183,7 +182,7 @@ def end(
 def withdraw(database: Database, id: str, submitter: str, now: float) -> None:
     """End a submission because its submitter wants so."""
     with database.write() as connection:
-        row = connection.execute(sa.select(t.submissions).where(c.id == id)).first()
+        row = connection.execute(sa.select(schema.submissions).where(SUBMISSION.id == id)).first()
         if row is None or row.submitter != submitter:
             raise Problem("not_found", f"you have no submission {id!r}")
         if row.state == "scored":
@@ -196,25 +195,24 @@ def withdraw(database: Database, id: str, submitter: str, now: float) -> None:
 
 def _retract(database: Database, connection: sa.Connection, row: Any, now: float) -> None:
     """Take a scored submission off its board; its score, attempt and receipt stay known."""
-    season = t.seasons.c
-    closing = sa.select(season.name).where(season.id == row.season, season.state == "closing")
+    closing = sa.select(SEASON.name).where(SEASON.id == row.season, SEASON.state == "closing")
     if name := connection.execute(closing).scalar():
         raise Problem("too_late", f"season {name} is closing; panel B is played with what is there")
     values = {"state": "retracted", "reason": "withdrawn", "entered_at": None}
-    connection.execute(sa.update(t.submissions).where(c.id == row.id).values(values))
+    connection.execute(sa.update(schema.submissions).where(SUBMISSION.id == row.id).values(values))
     jobs.cancel_jobs(connection, row.id)
     ledger.append(database, connection, now, "retract", {"id": row.id})
 
 
 def lock_submission(database: Database, connection: sa.Connection, id: str) -> Any:
     """Return a submission's row, which no other transaction changes until this one ends."""
-    query = sa.select(t.submissions).where(c.id == id)
+    query = sa.select(schema.submissions).where(SUBMISSION.id == id)
     return connection.execute(query if database.is_sqlite else query.with_for_update()).first()
 
 
 def _known(connection: sa.Connection, submitter: str, request: str) -> str | None:
-    where = c.submitter == submitter, c.request == request
-    return connection.execute(sa.select(c.id).where(*where)).scalar()
+    where = SUBMISSION.submitter == submitter, SUBMISSION.request == request
+    return connection.execute(sa.select(SUBMISSION.id).where(*where)).scalar()
 
 
 def _row(
@@ -222,7 +220,7 @@ def _row(
 ) -> dict[str, Any]:
     refused = draft.refusal is not None
     attempt = "free" if draft.season is None else "refunded" if refused else "reserved"
-    waiting = sa.select(sa.func.count()).where(c.submitter == submitter, _unfinished())
+    waiting = sa.select(sa.func.count()).where(SUBMISSION.submitter == submitter, _unfinished())
     return {
         "id": new_id(),
         "submitter": submitter,
@@ -245,7 +243,7 @@ def _row(
 
 
 def _open_season(connection: sa.Connection, draft: Draft, now: float) -> Any:
-    row = connection.execute(sa.select(t.seasons).where(t.seasons.c.id == draft.season)).first()
+    row = connection.execute(sa.select(schema.seasons).where(SEASON.id == draft.season)).first()
     if row is None or row.task != draft.task:
         raise Problem("not_found", f"no season {draft.season!r} of task {draft.task}")
     if row.state != "open":
@@ -255,10 +253,12 @@ def _open_season(connection: sa.Connection, draft: Draft, now: float) -> Any:
     return row
 
 
-def _check_budget(connection: sa.Connection, season: Any, submitter: str) -> None:
+def check_budget(connection: sa.Connection, season: Any, submitter: str) -> None:
     """Count attempts anew each time: a counter could be lost between two transactions."""
-    taken = c.attempt.in_(("reserved", "spent"))
-    query = sa.select(sa.func.count()).where(c.season == season.id, c.submitter == submitter, taken)
+    taken = SUBMISSION.attempt.in_(("reserved", "spent"))
+    query = sa.select(sa.func.count()).where(
+        SUBMISSION.season == season.id, SUBMISSION.submitter == submitter, taken
+    )
     if connection.execute(query).scalar_one() >= season.budget:
         raise Problem(
             "budget_spent",
@@ -267,15 +267,23 @@ def _check_budget(connection: sa.Connection, season: Any, submitter: str) -> Non
         )
 
 
+def _check_not_disqualified(connection: sa.Connection, season: Any, submitter: str) -> None:
+    out = SUBMISSION.submitter == submitter, SUBMISSION.reason == "disqualified"
+    query = sa.select(SUBMISSION.id).where(SUBMISSION.season == season.id, *out)
+    if connection.execute(query.limit(1)).first():
+        raise Problem("not_allowed", f"the organiser disqualified you from season {season.name}")
+
+
 def _met_hidden(connection: sa.Connection, id: str) -> bool:
     """Return whether a worker ever took up a hidden panel of this submission."""
-    j = t.jobs.c
-    query = sa.select(j.id).where(j.submission == id, j.panel == "A", j.leased_at.is_not(None))
+    query = sa.select(JOB.id).where(
+        JOB.submission == id, JOB.panel == "A", JOB.leased_at.is_not(None)
+    )
     return connection.execute(query.limit(1)).first() is not None
 
 
 def _unfinished() -> Any:
-    return c.state.not_in(FINAL_STATES)
+    return SUBMISSION.state.not_in(FINAL_STATES)
 
 
 def admitted(admit: Any, draft: Draft) -> Draft:

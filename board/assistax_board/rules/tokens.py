@@ -9,8 +9,9 @@ import sqlalchemy as sa
 from assistax_base.digest import sha256
 from assistax_board.ids import new_id
 from assistax_board.problems import Problem
-from assistax_board.store import schema as t
+from assistax_board.store import schema
 from assistax_board.store.database import Database
+from assistax_board.store.schema import SUBMITTER, TOKEN
 from assistax_board.vocabulary import SCOPES, Scope
 
 PREFIX = "azt_"  # so that scanners of leaked secrets can know one
@@ -71,7 +72,7 @@ def create_token(
             "label": label,
             "created_at": now,
         }
-        connection.execute(sa.insert(t.tokens).values(row))
+        connection.execute(sa.insert(schema.tokens).values(row))
     return token
 
 
@@ -81,10 +82,9 @@ def authenticate(database: Database, token: str) -> Principal:
     Raises:
         Problem: It is unknown or was revoked; which of the two is not told.
     """
-    c = t.tokens.c
     with database.read() as connection:
-        query = sa.select(t.tokens).where(
-            c.sha256 == sha256(token.encode()), c.revoked_at.is_(None)
+        query = sa.select(schema.tokens).where(
+            TOKEN.sha256 == sha256(token.encode()), TOKEN.revoked_at.is_(None)
         )
         row = connection.execute(query).first()
     if row is None:
@@ -94,21 +94,19 @@ def authenticate(database: Database, token: str) -> Principal:
 
 def revoke_token(database: Database, now: float, token_id: str) -> None:
     """Make a token invalid from now on."""
-    c = t.tokens.c
     with database.write() as connection:
-        where = (c.id == token_id) & c.revoked_at.is_(None)
-        changed = connection.execute(sa.update(t.tokens).where(where).values(revoked_at=now))
+        where = (TOKEN.id == token_id) & TOKEN.revoked_at.is_(None)
+        changed = connection.execute(sa.update(schema.tokens).where(where).values(revoked_at=now))
     if not changed.rowcount:
         raise Problem("not_found", f"no valid token {token_id!r}; `token list` shows them")
 
 
 def list_tokens(database: Database) -> list[TokenInfo]:
     """Return every token, the oldest first."""
-    c, s = t.tokens.c, t.submitters.c
     query = (
-        sa.select(t.tokens, s.name)
-        .outerjoin(t.submitters, s.id == c.submitter)
-        .order_by(c.created_at)
+        sa.select(schema.tokens, SUBMITTER.name)
+        .outerjoin(schema.submitters, SUBMITTER.id == TOKEN.submitter)
+        .order_by(TOKEN.created_at)
     )
     with database.read() as connection:
         return [
@@ -119,20 +117,18 @@ def list_tokens(database: Database) -> list[TokenInfo]:
 
 def submitter_id(database: Database, name: str) -> str:
     """Return the id of the lab of this name."""
-    c = t.submitters.c
     with database.read() as connection:
-        found = connection.execute(sa.select(c.id).where(c.name == name)).scalar()
-    if found is None:
+        owner = connection.execute(sa.select(SUBMITTER.id).where(SUBMITTER.name == name)).scalar()
+    if owner is None:
         raise Problem("not_found", f"no submitter {name!r}")
-    return found
+    return owner
 
 
 def find_or_add(connection: sa.Connection, name: str, contact: str | None, now: float) -> str:
     """Return the id of the lab of this name, which is made if it is new."""
-    c = t.submitters.c
-    found = connection.execute(sa.select(c.id).where(c.name == name)).scalar()
-    if found is not None:
-        return found
+    owner = connection.execute(sa.select(SUBMITTER.id).where(SUBMITTER.name == name)).scalar()
+    if owner is not None:
+        return owner
     row = {"id": new_id(), "name": name, "contact": contact, "created_at": now}
-    connection.execute(sa.insert(t.submitters).values(row))
+    connection.execute(sa.insert(schema.submitters).values(row))
     return row["id"]

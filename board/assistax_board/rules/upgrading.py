@@ -7,7 +7,8 @@ import sqlalchemy as sa
 from assistax_board.problems import Problem
 from assistax_board.rules import closing, jobs, submissions
 from assistax_board.rules.catalogue import version_id
-from assistax_board.store import schema as t
+from assistax_board.store import schema
+from assistax_board.store.schema import JOB, SEASON, SUBMISSION, VERSION
 
 if TYPE_CHECKING:
     from assistax_board.service import Service
@@ -22,19 +23,20 @@ def adopt_version(service: "Service") -> int:
     Raises:
         Problem: A season is closing under another version; nothing was changed.
     """
-    now, s, changed = service.clock(), t.submissions.c, 0
+    now, changed = service.clock(), 0
     for task in service.catalogue.tasks:
         _check_closing(service, task)
     for task in service.catalogue.tasks:
         version = version_id(service.catalogue.identity(task))
         with service.database.write() as connection:
-            planned = sa.select(t.jobs.c.submission).where(t.jobs.c.version == version)
-            stale = sa.select(t.submissions).where(
-                s.task == task,
-                s.state.in_(("queued", "running", "scored")),
-                s.kind.in_(("file", "reference")),
-                (s.kind == "file") | s.season.is_(None),  # a season's references play panel B alone
-                s.id.not_in(planned),
+            planned = sa.select(JOB.submission).where(JOB.version == version)
+            stale = sa.select(schema.submissions).where(
+                SUBMISSION.task == task,
+                SUBMISSION.state.in_(("queued", "running", "scored")),
+                SUBMISSION.kind.in_(("file", "reference")),
+                (SUBMISSION.kind == "file")
+                | SUBMISSION.season.is_(None),  # a season's references play panel B alone
+                SUBMISSION.id.not_in(planned),
             )
             for row in connection.execute(stale).mappings().all():
                 jobs.cancel_jobs(connection, row["id"])
@@ -48,14 +50,13 @@ def adopt_version(service: "Service") -> int:
 def _check_closing(service: "Service", task: str) -> None:
     """Refuse another version while a season closes: what was in by then is played once, by one."""
     identity = service.catalogue.identity(task)
-    j, s, v = t.jobs.c, t.submissions.c, t.versions.c
     query = (
-        sa.select(t.seasons.c.name, v.identity)
-        .join(t.submissions, s.season == t.seasons.c.id)
-        .join(t.jobs, j.submission == s.id)
-        .join(t.versions, v.id == j.version)
-        .where(s.task == task, t.seasons.c.state == "closing")
-        .where(j.state.in_(("held", "waiting", "leased")), j.version != version_id(identity))
+        sa.select(SEASON.name, VERSION.identity)
+        .join(schema.submissions, SUBMISSION.season == SEASON.id)
+        .join(schema.jobs, JOB.submission == SUBMISSION.id)
+        .join(schema.versions, VERSION.id == JOB.version)
+        .where(SUBMISSION.task == task, SEASON.state == "closing")
+        .where(JOB.state.in_(("held", "waiting", "leased")), JOB.version != version_id(identity))
     )
     with service.database.read() as connection:
         row = connection.execute(query.limit(1)).first()

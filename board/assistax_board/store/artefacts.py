@@ -9,8 +9,10 @@ import sqlalchemy as sa
 from assistax_base.digest import sha256
 from assistax_base.files import atomic_write
 from assistax_board.problems import Problem
-from assistax_board.store import schema as t
+from assistax_board.store import schema
 from assistax_board.store.database import insert_once
+
+ARTEFACTS_FOLDER = "artefacts"  # in a data folder, if no store is named
 
 
 class Artefacts:
@@ -73,4 +75,4 @@ class Artefacts:
 
 def record_artefact(connection: sa.Connection, name: str, size: int, now: float) -> None:
     """Note an artefact in the database, once."""
-    insert_once(connection, t.artefacts, {"sha256": name, "bytes": size, "created_at": now})
+    insert_once(connection, schema.artefacts, {"sha256": name, "bytes": size, "created_at": now})

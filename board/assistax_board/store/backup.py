@@ -6,7 +6,8 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-from assistax_board.serve import ARTEFACTS_FOLDER, DATABASE_FILE
+from assistax_board.store.artefacts import ARTEFACTS_FOLDER
+from assistax_board.store.database import DATABASE_FILE
 from assistax_board.store.receipts import KEY_FILE
 
 
@@ -71,13 +72,13 @@ def _copy_database(source: Path, target: Path) -> None:
     ):
         try:
             reader.backup(writer)
-            found = writer.execute("PRAGMA integrity_check(1)").fetchone()[0]
+            integrity = writer.execute("PRAGMA integrity_check(1)").fetchone()[0]
         except sqlite3.DatabaseError as error:
-            found = str(error)
-    if found != "ok":
+            integrity = str(error)
+    if integrity != "ok":
         raise ValueError(
-            f"{source} is damaged ({' '.join(found.split())}); restore the newest backup to a new "
-            "folder, or see `.recover` of SQLite's command line"
+            f"{source} is damaged ({' '.join(integrity.split())}); restore the newest backup to a "
+            "new folder, or see `.recover` of SQLite's command line"
         )
 
 

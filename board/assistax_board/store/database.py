@@ -15,6 +15,7 @@ from sqlalchemy import event
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
+DATABASE_FILE = "service.db"  # in a data folder, if no URL is given
 BUSY_SECONDS = 30  # a writer waits so long for the one before it
 MIGRATIONS = Path(__file__).parent / "migrations"
 

@@ -11,8 +11,8 @@ import sqlalchemy as sa
 
 from assistax_base.digest import json_sha256
 from assistax_board.store.database import Database
-from assistax_board.store.queries import LedgerEntry
 from assistax_board.store.schema import ledger
+from assistax_board.store.shown import LedgerEntry
 
 START = "0" * 64  # the hash before the first entry
 

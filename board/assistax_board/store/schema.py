@@ -189,3 +189,20 @@ receipts = sa.Table(
     sa.Column("signature", sa.String(128), nullable=False),
     sa.Column("created_at", sa.Float, nullable=False),
 )
+
+# What the organiser is to know: one row for each thing, however often it happened.
+notices = sa.Table(
+    "notices",
+    METADATA,
+    sa.Column("kind", sa.String(40), primary_key=True),  # a word of `notices.KINDS`
+    sa.Column("about", sa.String(200), primary_key=True),  # such as a submission's id
+    sa.Column("count", sa.Integer, nullable=False),
+    sa.Column("first_at", sa.Float, nullable=False),
+    sa.Column("last_at", sa.Float, nullable=False),
+)
+
+# Columns, for queries: `JOB.state == "waiting"`.
+SUBMITTER, TOKEN, ARTEFACT, SEASON = submitters.c, tokens.c, artefacts.c, seasons.c
+SUBMISSION, VERSION, JOB, RESULT = submissions.c, versions.c, jobs.c, results.c
+SCORE, PARTNER_SCORE, ENTRY, RECEIPT = scores.c, partner_scores.c, ledger.c, receipts.c
+NOTICE = notices.c

@@ -110,7 +110,8 @@ class Worker:
         try:
             with self._beating(work), self._watching(work):
                 table = self._scorer.play(work, self._robot(work), self._release(work))
-            counted = self._client.result(work, encode_table(table), time.monotonic() - began)
+            with self._beating(work):
+                counted = self._bring(work, encode_table(table), time.monotonic() - began)
             ended = "done" if counted else "was done already"
         except Refusal as refusal:
             ended = f"refused: {refusal.code}"
@@ -126,6 +127,18 @@ class Worker:
                 raise
         log.info("job ends", extra={"fields": {**fields, "ended": ended}})
         return ended == "done"
+
+    def _bring(self, work: Work, data: bytes, seconds: float) -> bool:
+        """Bring a result; while the server has no room for it, keep it and ask again.
+
+        A full disk is no fault of the job: five such answers would fail its submission.
+        """
+        while True:
+            try:
+                return self._client.result(work, data, seconds)
+            except Problem as problem:
+                if problem.code != "too_full" or self._stopping.wait(self._idle):
+                    raise
 
     def _tell(self, function: Callable[..., None], *args: Any) -> None:
         with contextlib.suppress(Problem, OSError):  # then the lease runs out

@@ -63,7 +63,7 @@ class ZooScorer:
             job = reference_job(env, job, str(work.format), own_robots(registry, entries))
         with tempfile.TemporaryDirectory() as folder:
             table = run_job(env, job, Path(folder) / "job").table
-        return _told(table, dict(zip([e.id for e in entries], work.partners, strict=True)))
+        return _leaving(table, dict(zip([e.id for e in entries], work.partners, strict=True)))
 
     def _egos(self, work: Work, robot: Any) -> Any:
         from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
@@ -84,11 +84,11 @@ class ZooScorer:
         return Roster(stacks, {member.id: member})
 
 
-def _told(table: pl.DataFrame, names: dict[str, str]) -> pl.DataFrame:
+def _leaving(table: pl.DataFrame, names: dict[str, str]) -> pl.DataFrame:
     """Return the columns that leave a worker, partners under the names that they were asked by."""
-    told = table.with_columns(
+    renamed = table.with_columns(
         pl.col("partner").replace_strict(names),
         pl.col("partner_algorithm").alias("algorithm"),
         pl.col("partner_disability").alias("disability"),
     )
-    return told.select(name for name in (*COLUMNS, *GENTLE_COLUMNS) if name in told.columns)
+    return renamed.select(name for name in (*COLUMNS, *GENTLE_COLUMNS) if name in renamed.columns)

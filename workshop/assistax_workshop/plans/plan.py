@@ -45,6 +45,7 @@ from population.runs.folder import RunFolder, differences
 _NAME = re.compile(r"[a-z][a-z0-9_]*((-[a-z0-9_]+)*-[0-9]*[a-z_][a-z0-9_]*)?")
 
 Key = tuple[str, int]  # disability setting and seed: a team within its group
+SECRET_SEEDS = range(2**31, 2**63)  # no public plan has any of them
 Release = Annotated[str, Field(pattern=r"^v(0|[1-9][0-9]*)$")]
 
 
@@ -166,34 +167,58 @@ def read_plan(path: Path) -> Plan:
         raise ValueError(f"plan {path}: {first_problem(error)}") from None
 
 
-def private_plan(plan: Plan, task: str | None = None, release: str | None = None) -> Plan:
+def private_plan(
+    plan: Plan, task: str | None = None, release: str | None = None, teams: int | None = None
+) -> Plan:
     """Return a plan like a public one, whose teams nobody else can train.
 
-    Each group has as many seeds as before, drawn from the system's secrets: no two of the plan are
-    the same, and none is a public one. It adopts nothing.
+    Seeds are drawn from the system's secrets, 63 bits each: no two of the plan are the same, and
+    none is a public one. It adopts nothing.
 
     Args:
         plan: The public plan.
         task: Task whose groups are kept; None keeps all.
         release: Release that the teams join; None keeps the plan's.
+        teams: At most so many, by fewer seeds in every group; None has as many seeds as before.
 
     Raises:
-        ValueError: The plan has no group of the task, or the release is not "v" and a number.
+        ValueError: The plan has no group of the task, the release is not "v" and a number, or so
+            few teams leave a group without seeds.
     """
     groups = [group for group in plan.groups if task in (None, group.task)]
     if not groups:
         tasks = ", ".join(dict.fromkeys(group.task for group in plan.groups))
         raise ValueError(f"task is {task!r}; the plan has {tasks}: name one, or none for all")
     public = {seed for group in plan.groups for seed in group.seeds}
-    enough = sum(len(group.seeds) for group in groups) + len(public)  # public ones may be drawn
-    drawn = secrets.SystemRandom().sample(range(2**31), enough)
+    counts = _seed_counts(groups, teams)
+    enough = sum(counts) + len(public)  # public ones may be drawn
+    drawn = secrets.SystemRandom().sample(SECRET_SEEDS, enough)
     fresh = (seed for seed in drawn if seed not in public)
     private = tuple(
-        dataclasses.replace(group, seeds=tuple(islice(fresh, len(group.seeds))), adopt=None)
-        for group in groups
+        dataclasses.replace(group, seeds=tuple(islice(fresh, count)), adopt=None)
+        for group, count in zip(groups, counts, strict=True)
     )
     release = plan.release if release is None else release
     return dataclasses.replace(plan, release=release, groups=private)
+
+
+def _seed_counts(groups: Sequence[Group], teams: int | None) -> list[int]:
+    """Return how many seeds each group has in a plan of so many teams: in proportion, one at least.
+
+    A population needs two.
+    """
+    whole = sum(len(group.members) for group in groups)
+    if teams is None or teams >= whole:
+        return [len(group.seeds) for group in groups]
+    least = [2 if group.together > 1 else 1 for group in groups]
+    fewest = sum(base * len(group.disabilities) for base, group in zip(least, groups, strict=True))
+    if teams < fewest:
+        raise ValueError(f"teams is {teams}; every group needs a seed, which is {fewest} teams")
+    share = (teams - fewest) / (whole - fewest)
+    return [
+        base + int((len(group.seeds) - base) * share)
+        for group, base in zip(groups, least, strict=True)
+    ]
 
 
 def write_private_plan(plan: Plan, path: Path) -> None:

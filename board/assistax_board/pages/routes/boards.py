@@ -55,14 +55,14 @@ def board_values(site: Site, task: str) -> dict[str, Any]:
     # Rows to measure by are far away and would press the others into one point.
     drawn = [row for row, played in rows if not played.is_reference] or [row for row, _ in rows]
     ends = [end for row in drawn for end in row.m_test.mean_ci or (row.m_test.mean,)]
-    waiting = [one for one in site.queries.submissions(task=task) if one.place is not None]
+    waiting = [row for row in site.queries.submissions(task=task) if row.place is not None]
     return {
         "task": task,
         "board": board,
         "safety": safety_of(site, board) if board else {},
         "is_behind": site.boards.is_behind(task),
         "axis": axis_over(ends),
-        "waiting": sorted(waiting, key=lambda one: one.place or 0),
+        "waiting": sorted(waiting, key=lambda row: row.place or 0),
         "seasons": site.queries.seasons(task),
         "has_crossplay": task in site.crossplays.tasks,
     }
@@ -71,14 +71,14 @@ def board_values(site: Site, task: str) -> dict[str, Any]:
 def safety_of(site: Site, board: Board) -> dict[str, tuple[float, float]]:
     """Return safe success and violations of each row of a gentle task; nothing of another task."""
     scores = site.queries.scores(task=board.task, panel="public", version=board.version)
-    figures = {one.submission: one.figures for one in scores if "violations" in one.figures}
-    found = {}
+    figures = {score.submission: score.figures for score in scores if "violations" in score.figures}
+    safety = {}
     for standing, played in board.rows:
-        seeds = [figures[one.id] for one in played.submissions if one.id in figures]
+        seeds = [figures[seed.id] for seed in played.submissions if seed.id in figures]
         if seeds:
             shares = [(seed["safe_success"], seed["violations"]) for seed in seeds]
-            found[standing.name] = tuple(np.mean(shares, axis=0).tolist())
-    return found
+            safety[standing.name] = tuple(np.mean(shares, axis=0).tolist())
+    return safety
 
 
 @functools.lru_cache(maxsize=64)  # a board is computed anew when a score is added, and only then
@@ -87,11 +87,11 @@ def compare_values(board: Board, a: str, b: str) -> dict[str, Any]:
 
     Without names they are the two that stand highest.
     """
-    rows = [row for row in (board.of(one) for one in (a, b) if one) if row]
-    if len(rows) < len([one for one in (a, b) if one]):
+    rows = [row for row in (board.of(id) for id in (a, b) if id) if row]
+    if len(rows) < len([id for id in (a, b) if id]):
         raise NotFoundError("One of the two is not on this board; choose from its list.")
     for row in (*board.methods, *board.rows):
-        if len(rows) < 2 and all(row is not one for one in rows):
+        if len(rows) < 2 and all(row is not leader for leader in rows):
             rows.append(row)
     if len(rows) < 2 or rows[0] is rows[1]:
         return {"first": rows[0], "second": None}
@@ -103,15 +103,20 @@ def compare_values(board: Board, a: str, b: str) -> dict[str, Any]:
         "found": paired_difference(first, second),
         "axis": axis_over(differences.tolist(), around=0.0),
         "pairs": [
-            (board.partners[i], float(first[:, i].mean()), float(second[:, i].mean()), float(one))
-            for i, one in sorted(enumerate(differences), key=lambda pair: -pair[1])
+            (
+                board.partners[i],
+                float(first[:, i].mean()),
+                float(second[:, i].mean()),
+                float(difference),
+            )
+            for i, difference in sorted(enumerate(differences), key=lambda pair: -pair[1])
         ],
         "groups": _by_disability(board, differences),
     }
 
 
 def _by_disability(board: Board, differences: np.ndarray) -> list[tuple[str, int, float]]:
-    settings = np.array([one.disability for one in board.partners])
+    settings = np.array([partner.disability for partner in board.partners])
     return [
         (name, int((settings == name).sum()), float(differences[settings == name].mean()))
         for name in sorted(set(settings.tolist()))

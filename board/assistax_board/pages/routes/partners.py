@@ -12,7 +12,7 @@ from assistax_board.api.guards import FILMS, client_of
 from assistax_board.pages import security
 from assistax_board.pages.cache import respond
 from assistax_board.pages.charts import axis_over
-from assistax_board.pages.partners import TRAITS, Partner, choices, choose, list_partners
+from assistax_board.pages.partners import TRAITS, PartnerCard, choices, choose, list_partners
 from assistax_board.pages.rendering import table_rows
 from assistax_board.pages.site import STILL, NotFoundError, Site
 from assistax_board.pages.videos import Pair
@@ -26,20 +26,20 @@ def partner_router(site: Site) -> APIRouter:
 
     @router.get("/tasks/{task}/partners")
     def partners(request: Request, task: str) -> Response:
-        wanted = {trait: request.query_params.get(trait, "") for trait in TRAITS}
+        traits = {trait: request.query_params.get(trait, "") for trait in TRAITS}
 
         def values() -> dict[str, Any]:
-            found = list_partners(site.registry, site.task(task), site.crossplays.of(task))
+            partners = list_partners(site.registry, site.task(task), site.crossplays.of(task))
             return {
                 "task": task,
-                "partners": choose(found, wanted),
-                "of": len(found),
-                "choices": choices(found),
-                "wanted": wanted,
+                "partners": choose(partners, traits),
+                "of": len(partners),
+                "choices": choices(partners),
+                "wanted": traits,
                 "strategies": behaviours(site, task),
             }
 
-        key = f"{task} {sorted(wanted.items())}"
+        key = f"{task} {sorted(traits.items())}"
         return site.page(request, key, STILL, "partners.html", values)
 
     @router.get("/partners/{task}/{team}")
@@ -94,24 +94,24 @@ def explorer_router(site: Site) -> APIRouter:
     @router.get("/tasks/{task}/explorer")
     def explorer(request: Request, task: str) -> Response:
         def values() -> dict[str, Any]:
-            found = site.crossplay(task)
+            crossplay = site.crossplay(task)
             names = {
-                side: sorted({one["team"].partition("/")[2] for one in found.data[side]})
+                side: sorted({policy["team"].partition("/")[2] for policy in crossplay.data[side]})
                 for side in ("rows", "columns")
             }
-            blocks = {trait: found.blocks(trait) for trait in ("algorithm", "disability")}
-            return {"task": task, "crossplay": found, "names": names, "blocks": blocks}
+            blocks = {trait: crossplay.blocks(trait) for trait in ("algorithm", "disability")}
+            return {"task": task, "crossplay": crossplay, "names": names, "blocks": blocks}
 
         return site.page(request, task, STILL, "explorer.html", values)
 
     @router.get("/crossplays/{task}/{digest}/{name}")
     def numbers(request: Request, task: str, digest: str, name: str) -> Response:
-        found = site.crossplay(task)
+        crossplay = site.crossplay(task)
         stem, _, ending = name.rpartition(".")
-        if digest == found.digest and name == "matrix.json":
-            return respond(request, found.description, immutable=True)
-        if digest == found.digest and ending == "f32" and stem in found.measures:
-            return respond(request, found.measures[stem], immutable=True)
+        if digest == crossplay.digest and name == "matrix.json":
+            return respond(request, crossplay.description, immutable=True)
+        if digest == crossplay.digest and ending == "f32" and stem in crossplay.measures:
+            return respond(request, crossplay.measures[stem], immutable=True)
         raise NotFoundError("There are no such numbers; open the explorer anew.")
 
     @router.get("/films/{key}")
@@ -138,10 +138,10 @@ def card_values(site: Site, task: str, team: str) -> dict[str, Any]:
     crossplay = site.crossplays.of(task)
     partner = _partner(site, task, team)
     robots: list[tuple[str, float]] = []
-    teams = [one["team"] for one in crossplay.data["columns"]] if crossplay else []
+    teams = [column["team"] for column in crossplay.data["columns"]] if crossplay else []
     if crossplay and partner.team in teams:
         returns = crossplay.values["return"][:, teams.index(partner.team)].tolist()
-        names = [one["team"].partition("/")[2] for one in crossplay.data["rows"]]
+        names = [row["team"].partition("/")[2] for row in crossplay.data["rows"]]
         robots = sorted(zip(names, returns, strict=True), key=lambda pair: -pair[1])
     training = partner.entry.training.model_dump(exclude={"hyperparameters", "notes"})
     return {
@@ -186,8 +186,8 @@ def find_policies(site: Site, task: str, robot: str, human: str) -> Pair:
     return Pair(task, seats[0].id, seats[1].id, (seats[0].sha256, seats[1].sha256), version)
 
 
-def _partner(site: Site, task: str, team: str) -> Partner:
-    for one in list_partners(site.registry, task, site.crossplays.of(task)):
-        if one.name == team:
-            return one
+def _partner(site: Site, task: str, team: str) -> PartnerCard:
+    for partner in list_partners(site.registry, task, site.crossplays.of(task)):
+        if partner.name == team:
+            return partner
     raise NotFoundError(f"There is no partner {team!r} of {task} in its default release.")

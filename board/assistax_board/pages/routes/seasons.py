@@ -11,7 +11,7 @@ from starlette.responses import Response
 from assistax_board.pages.charts import axis_over
 from assistax_board.pages.rendering import table_rows
 from assistax_board.pages.site import LIVE, NotFoundError, Site
-from assistax_board.store.queries import PartnerScore, Score, Submission
+from assistax_board.store.shown import PartnerScore, Score, Submission
 
 _ENTRIES = 200  # of the ledger on one page
 LAST_ENTRY = 2**31 - 1  # that a database counts to
@@ -30,24 +30,24 @@ def season_router(site: Site) -> APIRouter:
 
     @router.get("/submissions/{id}/standing.json")
     def standing(id: str) -> dict[str, Any]:
-        found = site.submission(id)
-        board = site.boards.of(found.task)
+        submission = site.submission(id)
+        board = site.boards.of(submission.task)
         row = board.of(id) if board else None
         if board is None or row is None:
             raise NotFoundError("It has no place yet: its score is not there.")
-        competing = sum(each.place is not None for each, _ in board.rows)
-        page = f"/tasks/{found.task}"
+        competing = sum(standing.place is not None for standing, _ in board.rows)
+        page = f"/tasks/{submission.task}"
         place, lowest = row[0].place, row[0].lowest
         answer = {"board_place": place, "board_lowest": lowest}
         return answer | {"of_methods": competing, "board": page}
 
     @router.get("/submissions/{id}/receipt.json")
     def receipt(id: str) -> Response:
-        found = site.queries.receipt(site.submission(id).id)
-        if found is None:
+        receipt = site.queries.receipt(site.submission(id).id)
+        if receipt is None:
             raise NotFoundError("There is no receipt yet: it is signed when the score is shown.")
         headers = {"Content-Disposition": 'attachment; filename="receipt.json"'}
-        return Response(json.dumps(found, indent=2), 200, headers, "application/json")
+        return Response(json.dumps(receipt, indent=2), 200, headers, "application/json")
 
     @router.get("/seasons")
     def seasons(request: Request) -> Response:
@@ -79,13 +79,13 @@ def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
     board = site.boards.of(submission.task) if submission.state == "scored" else None
     receipt = site.queries.receipt(submission.id)
     partners = site.queries.partner_scores([submission.id], versions[0]) if versions else []
-    means = [_mean(one) for one in partners]
+    means = [_mean(partner) for partner in partners]
     return {
         "submission": submission,
         "row": board.of(submission.id) if board else None,
         "own": _own_figures(scores, versions),
         "comparable": board is not None and len(board.rows) > 1,
-        "scores": sorted(scores, key=lambda one: (-one.created_at, one.panel)),
+        "scores": sorted(scores, key=lambda score: (-score.created_at, score.panel)),
         "newest": versions[0] if versions else None,
         "key": receipt["content"].get("key", "KEY") if receipt else None,
         "receipt": table_rows(receipt["content"]) if receipt else None,
@@ -112,7 +112,7 @@ def season_values(site: Site, id: str) -> dict[str, Any]:
     return {
         "season": season,
         "now": time.time(),
-        "attempts": {one.submitter: one for one in site.queries.attempts(season.id)},
+        "attempts": {row.submitter: row for row in site.queries.attempts(season.id)},
         "entered": _entered(site, season.id),
         "panel_a": best_of_each(site.queries.scores(season=season.id), "A"),
         "rows": rows,
@@ -124,21 +124,25 @@ def season_values(site: Site, id: str) -> dict[str, Any]:
 
 def _entered(site: Site, season: str) -> dict[str, list[Submission]]:
     """Return what each lab chose for panel B."""
-    found: dict[str, list[Submission]] = {}
-    for one in site.queries.submissions(season=season, limit=100_000):
-        if one.entered:
-            found.setdefault(one.submitter, []).append(one)
-    return found
+    entered: dict[str, list[Submission]] = {}
+    for submission in site.queries.submissions(season=season, limit=100_000):
+        if submission.entered:
+            entered.setdefault(submission.submitter, []).append(submission)
+    return entered
 
 
 def best_of_each(scores: Sequence[Score], panel: str) -> list[Score]:
     """Return each method's highest released score on a panel, the highest first."""
     best: dict[tuple[str, str], Score] = {}
-    for score in (one for one in scores if one.panel == panel and "mean" in one.figures):
+    for score in (
+        candidate
+        for candidate in scores
+        if candidate.panel == panel and "mean" in candidate.figures
+    ):
         kept = best.get((score.submitter, score.method))
         if kept is None or score.figures["mean"] > kept.figures["mean"]:
             best[score.submitter, score.method] = score
-    return sorted(best.values(), key=lambda one: (-one.figures["mean"], one.submitter))
+    return sorted(best.values(), key=lambda score: (-score.figures["mean"], score.submitter))
 
 
 def _mean(score: PartnerScore) -> float:

@@ -4,6 +4,7 @@ The token is typed, or filled in by the browser's own store, with each form. No 
 in, so no other site can act for its owner; the form itself is answered only to who was given it.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 from fastapi import APIRouter, Request
@@ -43,38 +44,40 @@ def submit_router(site: Site) -> APIRouter:
         try:
             state.limiter.hit(FORM, client_of(request))
             with state.desk.form():
-                given, file = await read_form(request)
+                texts, file = await read_form(request)
         except Problem as problem:
             message = problem.message
             return site.fresh("error.html", request.url.path, CODES[problem.code], message=message)
-        if not site.tokens.accepts(request, given[security.FIELD]):
+        if not site.tokens.accepts(request, texts[security.FIELD]):
             return site.fresh("error.html", request.url.path, 403, message=security.NOT_OURS)
         try:
-            token = given["account_token"].strip()
+            token = texts["account_token"].strip()
             owner = await run_in_threadpool(sign_in, request, token, "submit")
             if not file:
                 raise Problem("invalid", "choose a file that is not empty")
             names = ("task", "method", "request_id", "licence", "season")
-            task, method, request_id, licence, season = (given[name] for name in names)
+            task, method, request_id, licence, season = (texts[name] for name in names)
             draft = Draft(task, method.strip(), request_id, licence, season or None, data=file)
             with state.desk.place(str(owner.submitter)):
-                found = await hand_in(request, owner, draft)
+                submission = await hand_in(request, owner, draft)
         except Problem as problem:
-            return await run_in_threadpool(come_back, site, request, given, problem)
-        return RedirectResponse(f"/submissions/{found.id}", 303)
+            return await run_in_threadpool(come_back, site, request, texts, problem)
+        return RedirectResponse(f"/submissions/{submission.id}", 303)
 
     return router
 
 
-async def read_form(request: Request) -> tuple[dict[str, str], bytes]:
+async def read_form(
+    request: Request, names: Sequence[str] = FIELDS
+) -> tuple[dict[str, str], bytes]:
     """Return a form's texts, empty where it lacks one, and its file.
 
     Raises:
         Problem: It is no form of this page.
     """
     try:
-        async with request.form(max_files=1, max_fields=len(FIELDS)) as form:
-            texts = {name: form.get(name, "") for name in FIELDS}
+        async with request.form(max_files=1, max_fields=len(names)) as form:
+            texts = {name: form.get(name, "") for name in names}
             file = form.get("file")
             data = b"" if file is None or isinstance(file, str) else await file.read()
     except (HTTPException, ClientDisconnect):
@@ -82,16 +85,16 @@ async def read_form(request: Request) -> tuple[dict[str, str], bytes]:
     return {name: text if isinstance(text, str) else "" for name, text in texts.items()}, data
 
 
-def come_back(site: Site, request: Request, given: dict[str, str], problem: Problem) -> Response:
+def come_back(site: Site, request: Request, texts: dict[str, str], problem: Problem) -> Response:
     """Answer with the form as it was filled in, and why nothing was handed in."""
-    given = {name: given[name] for name in ("task", "method", "licence", "season")}
-    values = form_values(site, given, "Nothing was handed in: " + problem.message)
+    texts = {name: texts[name] for name in ("task", "method", "licence", "season")}
+    values = form_values(site, texts, "Nothing was handed in: " + problem.message)
     return site.form(request, "submit.html", CODES[problem.code], **values)
 
 
-def form_values(site: Site, given: dict[str, str], message: str = "") -> dict[str, Any]:
+def form_values(site: Site, texts: dict[str, str], message: str = "") -> dict[str, Any]:
     """Return what the form shows: the choices, what was given before, and why it came back."""
-    seasons = [one for one in site.queries.seasons() if one.state == "open"]
-    given = {"task": site.tasks[0], "method": "", "licence": LICENCES[-1], "season": ""} | given
+    seasons = [season for season in site.queries.seasons() if season.state == "open"]
+    texts = {"task": site.tasks[0], "method": "", "licence": LICENCES[-1], "season": ""} | texts
     choices = {"seasons": seasons, "licences": LICENCES}
-    return {**choices, "given": given, "message": message, "request_id": new_id(20)}
+    return {**choices, "given": texts, "message": message, "request_id": new_id(20)}

@@ -1,0 +1,106 @@
+"""Care of what a service keeps."""
+
+import tempfile
+from pathlib import Path
+
+from assistax_board.commands.opening import open_client, open_folder, print_answer
+
+
+def ledger_verify(*, url: str | None = None, json: bool = False) -> None:
+    """Check that a server's ledger is an unbroken chain, and print its end.
+
+    Keep what it prints: a later ledger that has another hash at this number was changed.
+
+    Args:
+        url: Address of the server; default $ASSISTAX_ZOO_SERVER, else this machine's.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo ledger verify --url https://board.example.org
+    """
+    from assistax_board.client.checking import check_ledger
+
+    print_answer(check_ledger(open_client(url, None)), json)
+
+
+def service_check(
+    *,
+    data: Path | None = None,
+    backup: Path | None = None,
+    database: str | None = None,
+    artefacts: str | None = None,
+    json: bool = False,
+) -> None:
+    """Check that what a service keeps is whole: database, ledger, artefacts and receipts.
+
+    It counts the organiser's notices too; `service notices` lists them.
+
+    Args:
+        data: Folder of the service.
+        backup: A backup to check instead: it is restored to a folder that goes again.
+        database: URL, where it is not the folder's.
+        artefacts: Address, where it is not the folder's.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo service check --data board
+    """
+    from assistax_board.client.checking import check_service
+
+    if backup is None and data is not None:
+        print_answer(check_service(open_folder(data, database, artefacts)), json)
+    elif backup is not None and data is None:
+        with tempfile.TemporaryDirectory() as folder:
+            restored = Path(folder) / "board"
+            service_restore(backup, data=restored)
+            print_answer(check_service(open_folder(restored)), json)
+    else:
+        raise ValueError("give --data with a service's folder, or --backup with a backup's file")
+
+
+def service_backup(target: Path, /, *, data: Path) -> None:
+    """Write a service's folder to one file, while it runs.
+
+    Args:
+        target: File to write.
+        data: Folder of the service.
+
+    Example:
+        assistax-zoo service backup board.zip --data board
+    """
+    from assistax_board.store.backup import back_up
+
+    count = back_up(data, target)
+    print(f"{target} has the database, the key and {count} artefacts")
+
+
+def service_restore(source: Path, /, *, data: Path) -> None:
+    """Write a backup to a new folder.
+
+    Args:
+        source: The backup.
+        data: Folder to make.
+
+    Example:
+        assistax-zoo service restore board.zip --data board2
+    """
+    from assistax_board.store.backup import restore as restore_backup
+
+    restore_backup(source, data)
+
+
+def service_erase(submitter: str, /, *, data: Path, database: str | None = None) -> None:
+    """Erase a lab: name, contact, method names and files; hashes and scores stay.
+
+    Args:
+        submitter: Name of the lab.
+        data: Folder of the service.
+        database: URL, where it is not the folder's.
+
+    Example:
+        assistax-zoo service erase 'Lab of Ada' --data board
+    """
+    from assistax_board.rules.tokens import submitter_id
+
+    service = open_folder(data, database)
+    service.erase_submitter(submitter_id(service.database, submitter))

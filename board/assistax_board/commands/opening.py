@@ -1,0 +1,61 @@
+"""What commands share: the service of a folder, a server's client, and how an answer is printed."""
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cyclopts import Parameter
+
+from assistax_board.vocabulary import SERVER_VARIABLE, TOKEN_VARIABLE
+from assistax_zoo.shell.console import print_json
+
+if TYPE_CHECKING:
+    from assistax_board.client.client import Client
+    from assistax_board.service import Service
+
+SERVER = "http://127.0.0.1:8800"
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Server:
+    """Which server, and who asks.
+
+    Attributes:
+        url: Address of the server; default $ASSISTAX_ZOO_SERVER, else this machine's.
+        token_file: File with your token; default the token in $ASSISTAX_ZOO_TOKEN.
+    """
+
+    url: str | None = None
+    token_file: Path | None = None
+
+
+def open_folder(data: Path, database: str | None = None, artefacts: str | None = None) -> "Service":
+    """Open the service of a folder that exists: a mistyped one must not make a new service."""
+    from assistax_board.serve import open_service
+
+    if not (data / "signing-key.pem").is_file():
+        raise ValueError(f"{data} is no folder of a service; `assistax-zoo serve` makes one")
+    return open_service(data, database=database, artefacts=artefacts)
+
+
+def open_client(url: str | None, token_file: Path | None) -> "Client":
+    """Return the client of a server, with a token from a file or the environment."""
+    from assistax_board.client.client import Client
+
+    address = url or os.environ.get(SERVER_VARIABLE) or SERVER
+    token = token_file.read_text().strip() if token_file else os.environ.get(TOKEN_VARIABLE)
+    return Client(address, token)
+
+
+def print_answer(answer: Any, json: bool) -> None:
+    """Print fields, or one row a line, or all of it as JSON."""
+    if json:
+        print_json(answer)
+    elif isinstance(answer, list):
+        for row in answer:
+            print("  ".join(f"{name} {value}" for name, value in row.items() if value is not None))
+    else:
+        for name, value in answer.items():
+            print(f"{name}: {value}")

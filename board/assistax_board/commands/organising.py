@@ -1,0 +1,106 @@
+"""What an organiser does to submissions, labs and seasons."""
+
+import dataclasses
+from datetime import UTC, datetime
+from pathlib import Path
+
+from assistax_board.clock import seconds_of
+from assistax_board.commands.opening import open_folder, print_answer
+
+
+def service_failures(*, data: Path, database: str | None = None, json: bool = False) -> None:
+    """List the submissions of which jobs have failed.
+
+    Args:
+        data: Folder of the service.
+        database: URL, where it is not the folder's.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo service failures --data board
+    """
+    print_answer([dataclasses.asdict(row) for row in open_folder(data, database).failures()], json)
+
+
+def service_retry(submission: str, /, *, data: Path, database: str | None = None) -> None:
+    """Queue a submission again that failed because the workers did.
+
+    Its attempt counts again, and what was played stays.
+
+    Args:
+        submission: As `service failures` shows it.
+        data: Folder of the service.
+        database: URL, where it is not the folder's.
+
+    Example:
+        assistax-zoo service retry 7kq2mz4a --data board
+    """
+    open_folder(data, database).retry(submission)
+
+
+def service_notices(
+    *, data: Path, clear: bool = False, database: str | None = None, json: bool = False
+) -> None:
+    """List what the organiser is to know: failures, errors, a full disk, seasons that closed.
+
+    Args:
+        data: Folder of the service.
+        clear: Forget them once they are listed.
+        database: URL, where it is not the folder's.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo service notices --data board
+    """
+    from assistax_board.store.notices import clear_notices, list_notices
+
+    service = open_folder(data, database)
+    notices = list_notices(service.database)
+    rows = [
+        {
+            "kind": notice.kind,
+            "about": notice.about,
+            "count": notice.count,
+            "last": datetime.fromtimestamp(notice.last_at, UTC).isoformat(timespec="seconds"),
+            "text": notice.text,
+        }
+        for notice in notices
+    ]
+    print_answer(rows, json)
+    if clear and notices:
+        clear_notices(service.database, notices[0].last_at)
+
+
+def season_disqualify(season: str, lab: str, /, *, data: Path, database: str | None = None) -> None:
+    """Take a lab out of a season: its submissions leave the boards, and it hands in no more.
+
+    Scores and receipts stay known, as they do of a submission that was taken back.
+
+    Args:
+        season: Name or id of the season.
+        lab: Name of the lab.
+        data: Folder of the service.
+        database: URL, where it is not the folder's.
+
+    Example:
+        assistax-zoo season disqualify spring 'Lab of Ada' --data board
+    """
+    count = open_folder(data, database).disqualify(season, lab)
+    print(f"{count} submissions of {lab} left season {season}")
+
+
+def season_extend(
+    name: str, /, *, closes: datetime, data: Path, database: str | None = None
+) -> None:
+    """Let an open season close later than was announced.
+
+    Args:
+        name: Name or id of the season.
+        closes: When it closes by itself, in UTC if no zone is given.
+        data: Folder of the service.
+        database: URL, where it is not the folder's.
+
+    Example:
+        assistax-zoo season extend spring --closes 2026-12-15T12:00 --data board
+    """
+    open_folder(data, database).extend_season(name, seconds_of(closes))

@@ -1,0 +1,149 @@
+"""Seasons, for their organiser."""
+
+import contextlib
+import sys
+import tempfile
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+from assistax_board.clock import seconds_of
+from assistax_board.commands.opening import open_folder
+
+
+def season_plan(
+    plan: Path,
+    /,
+    *,
+    out: Path,
+    task: str | None = None,
+    release: str | None = None,
+    teams: int | None = None,
+) -> None:
+    """Write a private plan: a public one's teams, with seeds that nobody can guess.
+
+    `train population` trains and publishes it to a private release. Whoever has the plan, the runs
+    or the registry has the partners: keep them out of repositories and shared folders.
+
+    Args:
+        plan: Public plan, such as zoo/plans/v2.json.
+        out: File to write, for its owner alone; one that exists is never overwritten.
+        task: Only the groups of this task; default all.
+        release: Name of the private release, such as v3; default the plan's.
+        teams: At most so many, by fewer seeds in every group; default as many as the plan has.
+
+    Example:
+        assistax-zoo season plan zoo/plans/v2.json --task gentle_scratch --out private/plan.json
+    """
+    from assistax_workshop.plans.plan import private_plan, read_plan, write_private_plan
+
+    private = private_plan(read_plan(plan), task, release, teams)
+    write_private_plan(private, out)
+    count = sum(len(group.members) for group in private.groups)
+    print(f"{out} has {count} teams; keep it secret, since it is all one needs to train them")
+
+
+def season_create(
+    name: str,
+    /,
+    *,
+    data: Path,
+    task: str,
+    release: Path,
+    budget: int = 20,
+    rules: Path | None = None,
+    small: bool = False,
+    database: str | None = None,
+    artefacts: str | None = None,
+) -> None:
+    """Make a season of a private release, which nobody sees yet.
+
+    Args:
+        name: Name of the season.
+        data: Folder of the service.
+        task: Task.
+        release: Folder of the private release: its registry.json and shards.
+        budget: Attempts of each lab.
+        rules: File with the season's rules; default those of docs/service.md.
+        small: Allow a panel B of fewer than 60 partners.
+        database: URL, where it is not the folder's.
+        artefacts: Address, where it is not the folder's.
+
+    Example:
+        assistax-zoo season create spring --task scratch --release private --data board
+    """
+    from assistax_board.rules import seasons
+    from zoo.registry import load_registry
+
+    text = seasons.DEFAULT_RULES if rules is None else rules.read_text(encoding="utf-8")
+    plan = seasons.Plan(name, task, budget, text, small)
+    service = open_folder(data, database, artefacts)
+    print(service.create_season(plan, release, load_registry()))
+
+
+def season_open(
+    name: str, /, *, data: Path, closes: datetime | None = None, database: str | None = None
+) -> None:
+    """Publish a season's Merkle root and its closing date, and let labs submit; print the root.
+
+    Args:
+        name: Name or id of the season.
+        data: Folder of the service.
+        closes: When it closes by itself, in UTC if no zone is given; default in 90 days.
+        database: URL, where it is not the folder's.
+
+    Example:
+        assistax-zoo season open spring --closes 2026-12-01T12:00 --data board
+    """
+    service = open_folder(data, database)
+    print(service.open_season(name, seconds_of(closes) if closes else None))
+    opened = service.queries.season(name)
+    date = datetime.fromtimestamp(opened.closes_at, UTC) if opened and opened.closes_at else None
+    print(f"it closes by itself at {date:%Y-%m-%d %H:%M} UTC", file=sys.stderr)
+
+
+def season_close(name: str, /, *, data: Path, database: str | None = None) -> None:
+    """Close a season before its date: workers play what is in, then panel B; all is revealed.
+
+    Args:
+        name: Name or id of the season.
+        data: Folder of the service.
+        database: URL, where it is not the folder's.
+
+    Example:
+        assistax-zoo season close spring --data board
+    """
+    open_folder(data, database).close_season(name)
+
+
+def season_rehearse(
+    *,
+    task: str = "scratch",
+    data: Path | None = None,
+    registry: Path | None = None,
+    minutes: float = 2.0,
+) -> None:
+    """Rehearse a whole tiny season on this machine: ten minutes of two cores.
+
+    Trains hidden teams, serves, lets two labs hand in files and a live robot, closes by date,
+    reveals, proves, and prints what it does.
+
+    Args:
+        task: Task.
+        data: Folder to make and to leave for a look; default one that goes again.
+        registry: Registry of the public partners instead of the installed one.
+        minutes: For which labs may hand in.
+
+    Example:
+        assistax-zoo season rehearse --data rehearsal
+    """
+    from assistax_board.rehearsal import Stage, rehearse
+
+    if data is not None and data.exists():
+        raise ValueError(f"{data} exists; name a new folder")
+    began = time.monotonic()
+    with contextlib.ExitStack() as stack:
+        folder = data or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        for line in rehearse(Stage(folder, task, registry, open_seconds=60 * minutes)):
+            print(f"{time.monotonic() - began:4.0f} s  {line}", flush=True)

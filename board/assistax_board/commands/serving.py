@@ -1,0 +1,100 @@
+"""Commands that run: a server, and workers."""
+
+import functools
+import sys
+from pathlib import Path
+
+from assistax_board.commands.opening import open_client
+from assistax_board.vocabulary import BACKEND
+from assistax_zoo.commands.options import Engine
+
+
+def serve(
+    *,
+    data: Path,
+    host: str = "127.0.0.1",
+    port: int = 8800,
+    workers: int = 1,
+    database: str | None = None,
+    artefacts: str | None = None,
+    registry: Path | None = None,
+    backend: str = BACKEND,
+    references: bool = True,
+    proxy: str | None = None,
+) -> None:
+    """Run the evaluation service: a web server, its data in a folder, and a local worker.
+
+    Prints the organiser's token once, when the folder is new.
+
+    Args:
+        data: Folder for the database, the artefacts and the signing key; made if it is new.
+        host: Address to listen on; 0.0.0.0 is all, behind a proxy that speaks TLS.
+        port: Port to listen on; 0 takes a free one.
+        workers: Local worker processes; 0 where all work elsewhere.
+        database: URL of a PostgreSQL database instead of SQLite in the folder.
+        artefacts: Address of a store instead of the folder, such as s3://bucket/path.
+        registry: Registry of the public partners instead of the installed one.
+        backend: Backend that plays, the same for every worker.
+        references: Play zero and random actions, scripts, published egos and the partners' own
+            robots whenever nobody waits: the rows that a board measures by.
+        proxy: Address of the proxy before the server, such as 127.0.0.1: whose word is taken for
+            where a request comes from; default nobody's.
+
+    Example:
+        assistax-zoo serve --data board
+    """
+    from assistax_board import serve as serving
+
+    serving.check_proxy(proxy)
+    with serving.stopped_by_signals():
+        service = serving.open_service(
+            data, database=database, artefacts=artefacts, registry=registry, backend=backend
+        )
+        port = serving.free_port(host, port)
+        own = serving.worker_token(service, data) if workers else ""
+        service.adopt_version()
+        if references:
+            serving.add_references_later(service)
+        address = f"http://{host}:{port}"
+        print(f"serving {address} from {data}; Ctrl-C stops", file=sys.stderr, flush=True)
+        if token := serving.first_token(service):
+            print(f"organiser's token, shown once: {token}", file=sys.stderr, flush=True)
+        options = ["--backend", backend, *(["--registry", str(registry)] if registry else [])]
+        local = address.replace("0.0.0.0", "127.0.0.1")
+        with serving.local_workers(workers, local, own, options) as stop_workers:
+            pages = serving.page_folders(data, registry)
+            serving.run_server(service, host, port, stop_workers, proxy, **pages)
+
+
+def worker(
+    *,
+    url: str | None = None,
+    token_file: Path | None = None,
+    registry: Path | None = None,
+    backend: str = BACKEND,
+    until_empty: bool = False,
+    engine: Engine = Engine(),
+) -> None:
+    """Take jobs from a service and play them, until stopped.
+
+    With `--engine ray` there are as many workers as a cluster has room for, each with its own jobs.
+
+    Args:
+        url: Address of the server; default $ASSISTAX_ZOO_SERVER.
+        token_file: File with a token that may work; default the token in $ASSISTAX_ZOO_TOKEN.
+        registry: Registry of the public partners instead of the installed one.
+        backend: Backend that plays, the server's.
+        until_empty: Stop when nothing waits.
+        engine: What runs workers.
+
+    Example:
+        assistax-zoo worker --url https://board.example.org --token-file worker-token
+    """
+    from assistax_board.work import working_process as working
+
+    client, cluster = open_client(url, token_file), engine.cluster()
+    if cluster is None:
+        working.run_worker(client, registry, backend, until_empty=until_empty)
+    else:
+        make = functools.partial(working.make_scorer, registry, backend)
+        working.run_workers_on_ray(cluster, client, make, until_empty=until_empty)

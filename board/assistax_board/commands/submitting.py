@@ -1,0 +1,130 @@
+"""Commands of who hands robots in."""
+
+from pathlib import Path
+
+from assistax_board.commands.opening import Server, open_client, print_answer
+
+
+def submit(
+    file: Path | None = None,
+    /,
+    *,
+    task: str,
+    method: str | None = None,
+    season: str | None = None,
+    licence: str = "evaluation-only",
+    live: str | None = None,
+    check: bool = False,
+    all: bool = False,
+    watch: bool = False,
+    server: Server = Server(),
+    registry: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Hand a robot in to a service, or check at home what the service will say.
+
+    Args:
+        file: The robot: .safetensors of this project, .onnx, or an id of the zoo.
+        task: Task, such as scratch.
+        method: Name on the board, asked for unless you only check; submissions of one name are
+            seeds of one method, and their mean counts.
+        season: Season to take part in; default the public board alone.
+        licence: What others may do with the file: evaluation-only, or a licence such as MIT.
+        live: A robot that stays here instead of a file, such as python:mine:make.
+        check: Only check: the server's own admission, and a few episodes with public partners.
+        all: With `--check`: play the whole public half as the server does, and print its figures.
+        watch: Wait for the end: print place in the queue and time left, then place on the board.
+        server: Which server, and who asks.
+        registry: Registry to check with instead of the installed one.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo submit robot.onnx --task scratch --check
+    """
+    if (file is None) == (live is None):
+        raise ValueError("give a file, or --live with a robot such as python:mine:make")
+    if all and not check:
+        raise ValueError("--all is about a check at home; give it with --check")
+    from assistax_board.client import submitting
+
+    if check:
+        if file is None:
+            raise ValueError("--check is about a file; a live robot is tried with `evaluate`")
+        answer = submitting.check_file(file, task, registry, whole=all)
+    elif method is None:
+        raise ValueError(
+            "give --method with a name for the board, such as --method ppo-large; submissions of "
+            "one name are seeds of one method, so another robot needs another name"
+        )
+    else:
+        fields = {"task": task, "method": method, "season": season, "licence": licence}
+        client = open_client(server.url, server.token_file)
+        answer = submitting.hand_in(client, file, live, fields, watch=watch)
+        answer = answer if json else submitting.for_reader(answer, client.address)
+    print_answer(answer, json)
+
+
+def season_enter(
+    name: str,
+    /,
+    *submissions: str,
+    url: str | None = None,
+    token_file: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Choose what of yours plays a season's panel B, in place of what you chose before.
+
+    At most two methods; submissions of one method are its seeds, and their mean counts. Without any
+    the submission whose score on panel A was shown last plays.
+
+    Args:
+        name: Name or id of the season.
+        submissions: Ids of your submissions.
+        url: Address of the server; default $ASSISTAX_ZOO_SERVER, else this machine's.
+        token_file: File with your token; default the token in $ASSISTAX_ZOO_TOKEN.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo season enter spring 7kq2mz4a 9xw4pd1c
+    """
+    entered = open_client(url, token_file).enter(name, submissions)
+    print_answer(
+        [{field: entry[field] for field in ("id", "method", "state")} for entry in entered], json
+    )
+
+
+def season_verify(name: str, /, *, root: str, url: str | None = None, json: bool = False) -> None:
+    """Prove that the partners that a closed season reveals are those it opened with.
+
+    Args:
+        name: Name or id of the season.
+        root: Merkle root as it was published when the season opened; keep a copy of your own.
+        url: Address of the server; default $ASSISTAX_ZOO_SERVER, else this machine's.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo season verify spring --root 3f0c...
+    """
+    from assistax_board.client.submitting import verify_revealed
+
+    print_answer(verify_revealed(open_client(url, None), name, root), json)
+
+
+def receipt_verify(file: Path, /, *, key: str, json: bool = False) -> None:
+    """Check a receipt without the server, and print what it states.
+
+    Args:
+        file: The receipt, as `submit --watch --json` or the web page gave it.
+        key: The server's public key, as GET /api/about shows it.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo receipt verify receipt.json --key 'mB0r...='
+    """
+    import json as decoder
+
+    from assistax_board.store.receipts import verify_receipt
+
+    receipt = decoder.loads(file.read_text(encoding="utf-8"))
+    receipt = receipt.get("receipt", receipt) if isinstance(receipt, dict) else receipt
+    print_answer(verify_receipt(receipt, key), json)

@@ -1,0 +1,66 @@
+"""Who may use a service."""
+
+import dataclasses
+from pathlib import Path
+from typing import Literal
+
+from assistax_board.commands.opening import open_folder, print_answer
+
+
+def token_create(
+    *scopes: Literal["submit", "work", "organise"],
+    data: Path,
+    submitter: str | None = None,
+    contact: str | None = None,
+    label: str = "",
+    database: str | None = None,
+) -> None:
+    """Make a token and print it: the only time that it is seen.
+
+    Args:
+        scopes: What it may do.
+        data: Folder of the service.
+        submitter: Lab that submits with it; made if it is new.
+        contact: How to reach a new lab.
+        label: For `token list`.
+        database: URL, where it is not the folder's.
+
+    Example:
+        assistax-zoo token create submit --submitter 'Lab of Ada' --data board
+    """
+    options = {"submitter": submitter, "contact": contact, "label": label}
+    print(open_folder(data, database).create_token(scopes, **options))
+
+
+def token_list(*, data: Path, database: str | None = None, json: bool = False) -> None:
+    """List the tokens; their secrets are known to nobody but their owners.
+
+    Args:
+        data: Folder of the service.
+        database: URL, where it is not the folder's.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo token list --data board
+    """
+    from assistax_board.rules.tokens import list_tokens
+
+    tokens = list_tokens(open_folder(data, database).database)
+    print_answer([dataclasses.asdict(token) for token in tokens], json)
+
+
+def token_revoke(id: str, /, *, data: Path, database: str | None = None) -> None:
+    """Make a token invalid.
+
+    Args:
+        id: As `token list` shows it.
+        data: Folder of the service.
+        database: URL, where it is not the folder's.
+
+    Example:
+        assistax-zoo token revoke 7kq2mz4a --data board
+    """
+    from assistax_board.rules.tokens import revoke_token
+
+    service = open_folder(data, database)
+    revoke_token(service.database, service.clock(), id)

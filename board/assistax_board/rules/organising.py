@@ -1,0 +1,224 @@
+"""What an organiser does to submissions, labs and seasons; all of it stands in the ledger."""
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import sqlalchemy as sa
+
+from assistax_board.problems import Problem
+from assistax_board.rules import closing, jobs, submissions
+from assistax_board.rules.catalogue import version_id
+from assistax_board.rules.seasons import MAX_OPEN_SECONDS
+from assistax_board.store import ledger, schema
+from assistax_board.store.database import Database
+from assistax_board.store.notices import withdraw_notice
+from assistax_board.store.schema import (
+    ARTEFACT,
+    JOB,
+    RECEIPT,
+    SEASON,
+    SUBMISSION,
+    SUBMITTER,
+    TOKEN,
+)
+from assistax_board.vocabulary import FINAL_STATES
+
+if TYPE_CHECKING:
+    from assistax_board.service import Service
+
+
+@dataclasses.dataclass(frozen=True)
+class Failure:
+    """A submission of which jobs have failed."""
+
+    submission: str
+    lab: str
+    method: str
+    task: str
+    season: str | None  # name
+    state: str
+    failures: int  # of the job that failed most often
+    jobs: int  # that failed, and are not done
+
+
+def failures(database: Database) -> list[Failure]:
+    """Return the submissions of which jobs have failed, the newest first."""
+    query = (
+        sa.select(
+            SUBMISSION.id,
+            SUBMITTER.name,
+            SUBMISSION.method,
+            SUBMISSION.task,
+            SEASON.name.label("season_name"),
+            SUBMISSION.state,
+            sa.func.max(JOB.failures),
+            sa.func.count(),
+        )
+        .join(schema.jobs, JOB.submission == SUBMISSION.id)
+        .join(schema.submitters, SUBMITTER.id == SUBMISSION.submitter)
+        .outerjoin(schema.seasons, SEASON.id == SUBMISSION.season)
+        .where(JOB.failures > 0, JOB.state != "done")
+        .group_by(SUBMISSION.id, SUBMITTER.name, SEASON.name)
+        .order_by(SUBMISSION.created_at.desc(), SUBMISSION.id)
+    )
+    with database.read() as connection:
+        return [Failure(*row) for row in connection.execute(query)]
+
+
+def retry(service: "Service", id: str) -> None:
+    """Queue a submission again that failed for its workers' errors.
+
+    Raises:
+        Problem: It did not, or its season takes no more.
+    """
+    with service.database.write() as connection:
+        row = submissions.lock_submission(service.database, connection, id)
+        if row is None:
+            raise Problem("not_found", f"no submission {id!r}; `service failures` lists them")
+        if (row.state, row.reason) != ("failed", "worker_errors"):
+            raise Problem(
+                "conflict",
+                f"submission {id} is {row.state}{f' ({row.reason})' if row.reason else ''}; only "
+                "one that failed for worker_errors is queued again",
+            )
+        season = closing.season_of(connection, id)
+        if season is not None:
+            _check_takes(connection, season)
+            submissions.check_budget(connection, season, row.submitter)
+        values = {"state": "queued", "reason": None, "finished_at": None}
+        values["attempt"] = "free" if season is None else "reserved"
+        again = sa.update(schema.submissions).where(SUBMISSION.id == id)
+        connection.execute(again.values(values))
+        version = version_id(service.catalogue.identity(row.task))
+        if not jobs.queue_again(connection, id, version):
+            mapping = row._mapping
+            submissions.plan_jobs(connection, service.catalogue, mapping, season, service.clock())
+        withdraw_notice(connection, "worker_errors", id)
+        ledger.append(service.database, connection, service.clock(), "retry", {"id": id})
+
+
+def _check_takes(connection: sa.Connection, season: Any) -> None:
+    """Refuse a season that plays panel B, or is over."""
+    of_b = (
+        sa.select(JOB.id)
+        .join(schema.submissions, SUBMISSION.id == JOB.submission)
+        .where(SUBMISSION.season == season.id, JOB.panel == "B")
+    )
+    if season.state == "closed" or connection.execute(of_b.limit(1)).first():
+        raise Problem("too_late", f"season {season.name} plays panel B, or has played it")
+
+
+def disqualify(service: "Service", season: str, lab: str) -> int:
+    """Take a lab out of a season: its submissions leave the boards, and it hands in no more.
+
+    Args:
+        service: The service.
+        season: Name or id.
+        lab: Name.
+
+    Returns:
+        How many submissions that was.
+
+    Raises:
+        Problem: There is no such season or lab, or nothing of the lab stands in it.
+    """
+    database, now = service.database, service.clock()
+    with database.write() as connection:
+        is_season = (SEASON.id == season) | (SEASON.name == season)
+        season_row = connection.execute(sa.select(schema.seasons).where(is_season)).first()
+        owner = connection.execute(sa.select(SUBMITTER.id).where(SUBMITTER.name == lab)).scalar()
+        if season_row is None or owner is None:
+            missing = f"season {season!r}" if season_row is None else f"lab {lab!r}"
+            raise Problem("not_found", f"there is no {missing}")
+        database.one_at_a_time(connection, f"submitter {owner}")
+        database.one_at_a_time(connection, f"season {season_row.id}")
+        mine = SUBMISSION.season == season_row.id, SUBMISSION.submitter == owner
+        standing = SUBMISSION.state.in_(("queued", "running", "scored"))
+        rows = connection.execute(sa.select(schema.submissions).where(*mine, standing)).all()
+        if not rows:
+            raise Problem("not_found", f"{lab} has no submission that stands in season {season}")
+        for row in rows:
+            if row.state not in FINAL_STATES:
+                submissions.end(database, connection, row, "failed", "disqualified", "spent", now)
+        values = {"state": "retracted", "reason": "disqualified", "entered_at": None}
+        scored = sa.update(schema.submissions).where(*mine, SUBMISSION.state == "scored")
+        connection.execute(scored.values(values))
+        for row in rows:
+            jobs.cancel_jobs(connection, row.id)
+        body = {
+            "season": season_row.id,
+            "submitter": owner,
+            "submissions": [row.id for row in rows],
+        }
+        ledger.append(database, connection, now, "disqualify", body)
+        closing.go_on(database, connection, season_row.id, now)
+    return len(rows)
+
+
+def extend(database: Database, name: str, closes_at: float, now: float) -> None:
+    """Let an open season close later than was announced.
+
+    Raises:
+        Problem: It is not open, or the date is not later.
+    """
+    with database.write() as connection:
+        row = closing.find_season(database, connection, name, "open", now)
+        if not (row.closes_at or now) < closes_at < now + MAX_OPEN_SECONDS:
+            raise Problem(
+                "invalid",
+                f"season {row.name} has a closing date that labs rely on; give a later one, within "
+                "three years from now, or close it by `season close`",
+            )
+        connection.execute(
+            sa.update(schema.seasons).where(SEASON.id == row.id).values(closes_at=closes_at)
+        )
+        body = {"season": row.id, "closes_at": closes_at}
+        ledger.append(database, connection, now, "season_extend", body)
+
+
+def erase_submitter(service: "Service", submitter: str) -> None:
+    """Remove a person's data; the ledger holds ids and hashes alone, so its chain stays whole."""
+    now = service.clock()
+    with service.database.write() as connection:
+        where = SUBMITTER.id == submitter
+        row = connection.execute(sa.select(schema.submitters).where(where)).first()
+        if row is None:
+            raise Problem("not_found", f"no submitter {submitter!r}")
+        values = {"name": f"erased-{submitter}", "contact": None, "erased_at": now}
+        connection.execute(sa.update(schema.submitters).where(where).values(values))
+        open_tokens = sa.update(schema.tokens).where(TOKEN.submitter == submitter)
+        connection.execute(open_tokens.values(revoked_at=now, label="erased"))
+        columns = SUBMISSION.id, SUBMISSION.artefact, SUBMISSION.season
+        mine = connection.execute(
+            sa.select(*columns).where(SUBMISSION.submitter == submitter)
+        ).all()
+        for row in mine:
+            submissions.fail(service.database, connection, row.id, "withdrawn", now)
+            jobs.cancel_jobs(connection, row.id)  # of a scored one, whose file goes too
+            update = sa.update(schema.submissions).where(SUBMISSION.id == row.id)
+            # Its client chose the request, and may have written anything.
+            connection.execute(update.values(method="erased", request=row.id))
+            _sign_anew(service, connection, row.id)
+        others = sa.select(SUBMISSION.artefact).where(
+            SUBMISSION.submitter != submitter, SUBMISSION.artefact.is_not(None)
+        )
+        kept = set(connection.execute(others).scalars())
+        gone = {row.artefact for row in mine if row.artefact} - kept
+        erased = sa.update(schema.artefacts).where(ARTEFACT.sha256.in_(gone)).values(erased_at=now)
+        connection.execute(erased)
+        ledger.append(service.database, connection, now, "erase", {"submitter": submitter})
+        for season in {row.season for row in mine if row.season}:
+            closing.go_on(service.database, connection, season, now)
+    for name in gone:
+        service.artefacts.erase(name)
+
+
+def _sign_anew(service: "Service", connection: sa.Connection, submission: str) -> None:
+    """Sign receipts without the method's name: the same score, at the same place of the ledger."""
+    query = sa.select(RECEIPT.version, RECEIPT.content).where(RECEIPT.submission == submission)
+    for row in connection.execute(query).all():
+        content = row.content | {"method": "erased"}
+        mine = sa.update(schema.receipts).where(
+            RECEIPT.submission == submission, RECEIPT.version == row.version
+        )
+        connection.execute(mine.values(content=content, signature=service.signer.sign(content)))

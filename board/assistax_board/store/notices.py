@@ -1,0 +1,68 @@
+"""What the organiser is told: `service check` and the organiser's page show it until it is cleared.
+
+A notice is about one thing and counts how often that happened, so that nobody fills the table.
+"""
+
+import dataclasses
+
+import sqlalchemy as sa
+
+from assistax_board.store import schema
+from assistax_board.store.database import Database, insert_once
+from assistax_board.store.schema import NOTICE
+
+KINDS = {
+    "worker_errors": "a job of this submission failed at all its tries: see `service failures`; "
+    "`service retry` queues it again",
+    "unexpected": "a request met an error of the service itself; the log has it",
+    "too_full": "the disk or the store took no more files, and submissions were refused",
+    "season_closed": "this season is closed, and its partners are revealed",
+}
+MAX_ABOUT = 200
+
+
+@dataclasses.dataclass(frozen=True)
+class Notice:
+    """One thing that the organiser is to know."""
+
+    kind: str  # a word of `KINDS`
+    about: str  # such as a submission's id
+    count: int  # how often it happened
+    first_at: float
+    last_at: float
+
+    @property
+    def text(self) -> str:
+        """What it means, and what to do."""
+        return KINDS[self.kind]
+
+
+def note(connection: sa.Connection, kind: str, about: str, now: float) -> None:
+    """Tell the organiser something, in the transaction in which it happens."""
+    key = {"kind": kind, "about": about[:MAX_ABOUT]}
+    row = {**key, "count": 1, "first_at": now, "last_at": now}
+    if not insert_once(connection, schema.notices, row):
+        again = sa.update(schema.notices).where(*_is(**key))
+        connection.execute(again.values(count=NOTICE.count + 1, last_at=now))
+
+
+def list_notices(database: Database) -> list[Notice]:
+    """Return the notices, the newest first."""
+    query = sa.select(schema.notices).order_by(NOTICE.last_at.desc(), NOTICE.kind, NOTICE.about)
+    with database.read() as connection:
+        return [Notice(**row) for row in connection.execute(query).mappings()]
+
+
+def clear_notices(database: Database, until: float) -> None:
+    """Forget the notices of what happened until a time: they were read."""
+    with database.write() as connection:
+        connection.execute(sa.delete(schema.notices).where(NOTICE.last_at <= until))
+
+
+def withdraw_notice(connection: sa.Connection, kind: str, about: str) -> None:
+    """Forget a notice of what was mended."""
+    connection.execute(sa.delete(schema.notices).where(*_is(kind, about)))
+
+
+def _is(kind: str, about: str) -> tuple[sa.ColumnElement[bool], ...]:
+    return NOTICE.kind == kind, NOTICE.about == about

@@ -1,0 +1,65 @@
+"""The queue of submissions: places, and the time left."""
+
+from typing import Any
+
+import sqlalchemy as sa
+
+from assistax_board.store.schema import JOB, RESULT, SUBMISSION
+from assistax_board.store.shown import Submission
+from assistax_board.vocabulary import FINAL_STATES, REASONS
+
+DEFAULT_JOB_SECONDS = 20.0  # of a job, before any was timed
+
+
+class Queue:
+    """The queue as one transaction sees it: who is before whom, and how long that takes."""
+
+    def __init__(self, connection: sa.Connection) -> None:
+        counts = sa.select(JOB.submission, JOB.state, sa.func.count()).group_by(
+            JOB.submission, JOB.state
+        )
+        self._jobs: dict[str, dict[str, int]] = {}
+        for submission, state, count in connection.execute(counts):
+            self._jobs.setdefault(submission, {})[state] = count
+        waiting = sa.select(SUBMISSION.id).where(SUBMISSION.state.not_in(FINAL_STATES))
+        order = waiting.order_by(SUBMISSION.turn, SUBMISSION.created_at, SUBMISSION.id)
+        self._order = [row.id for row in connection.execute(order)]
+        recent = sa.select(RESULT.seconds).order_by(RESULT.created_at.desc()).limit(50)
+        seconds = [row.seconds for row in connection.execute(recent)]
+        self._job_seconds = sum(seconds) / len(seconds) if seconds else DEFAULT_JOB_SECONDS
+        leased = sa.select(sa.func.count(sa.distinct(JOB.worker))).where(JOB.state == "leased")
+        self._workers = max(1, connection.execute(leased).scalar_one())
+
+    def describe(self, row: Any) -> Submission:
+        """Return a submission with its place and the time left."""
+        jobs = self._jobs.get(row.id, {})
+        live = {name: count for name, count in jobs.items() if name != "cancelled"}
+        place = eta = None
+        if row.id in self._order:
+            place = self._order.index(row.id) + 1
+            eta = sum(map(self._left, self._order[:place])) * self._job_seconds / self._workers
+        return Submission(
+            id=row.id,
+            submitter=row.submitter_name,
+            task=row.task,
+            method=row.method,
+            kind=row.kind,
+            season=row.season,
+            state=row.state,
+            reason=row.reason,
+            reason_text=REASONS.get(row.reason or ""),
+            attempt=row.attempt,
+            created_at=row.created_at,
+            finished_at=row.finished_at,
+            artefact=row.artefact,
+            licence=row.licence,
+            place=place,
+            eta_seconds=eta,
+            jobs_done=live.get("done", 0),
+            jobs=sum(live.values()),
+            entered=row.entered_at is not None,
+        )
+
+    def _left(self, submission: str) -> int:
+        jobs = self._jobs.get(submission, {})
+        return jobs.get("waiting", 0) + jobs.get("leased", 0)

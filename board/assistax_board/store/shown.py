@@ -1,0 +1,102 @@
+"""What may be shown to anybody of submissions, scores, seasons and the ledger."""
+
+import dataclasses
+from typing import Any
+
+from assistax_board.vocabulary import AttemptState, Kind, SeasonState, SubmissionState
+
+
+@dataclasses.dataclass(frozen=True)
+class Submission:
+    """One robot that was handed in."""
+
+    id: str
+    submitter: str  # name, or "erased"
+    task: str
+    method: str  # submissions of one submitter and method are seeds of one method
+    kind: Kind
+    season: str | None
+    state: SubmissionState
+    reason: str | None  # word of `vocabulary.REASONS`
+    reason_text: str | None
+    attempt: AttemptState
+    created_at: float
+    finished_at: float | None
+    artefact: str | None  # sha256 of the file
+    licence: str
+    place: int | None  # in the queue, 1 is next; None once it ended
+    eta_seconds: float | None
+    jobs_done: int
+    jobs: int
+    entered: bool  # chosen for panel B of its season
+
+
+@dataclasses.dataclass(frozen=True)
+class Score:
+    """What may be shown of one panel for one submission."""
+
+    submission: str
+    submitter: str
+    task: str
+    method: str
+    panel: str  # "public", "A" or "B"
+    version: str
+    figures: dict[str, Any]  # mean, mean_ci, iqm, iqm_ci, n; of A and B as it was released
+    created_at: float
+
+
+@dataclasses.dataclass(frozen=True)
+class PartnerScore:
+    """Returns of a submission with one public partner."""
+
+    submission: str
+    version: str
+    partner: str
+    algorithm: str
+    disability: str
+    returns: tuple[float, ...]  # [K]
+    successes: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Season:
+    """A private release and its rules; nothing secret."""
+
+    id: str
+    name: str
+    task: str
+    state: SeasonState
+    budget: int
+    rules: str
+    root: str | None
+    panel_sizes: dict[str, int]
+    opened_at: float | None
+    closes_at: float | None  # by itself
+    closed_at: float | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Attempts:
+    """A submitter's attempts in a season."""
+
+    submitter: str
+    spent: int
+    reserved: int
+    budget: int
+
+    @property
+    def left(self) -> int:
+        """How many may still be made."""
+        return max(0, self.budget - self.spent - self.reserved)
+
+
+@dataclasses.dataclass(frozen=True)
+class LedgerEntry:
+    """One entry of the ledger; `hash` covers the rest and the entry before."""
+
+    seq: int
+    at: float
+    kind: str
+    body: dict[str, Any]
+    previous: str
+    hash: str

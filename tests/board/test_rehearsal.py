@@ -1,0 +1,127 @@
+"""A whole tiny season by one command, and what would make it fail."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from assistax_board import rehearsal
+from assistax_board.serve import free_port
+from assistax_board.service import Service
+from assistax_board.store.ledger import check_chain
+from assistax_zoo.shell.main import run
+from tests.board.fakes import draft, new_submitter, shown
+from tests.board.faulty import real_service
+from tests.board.test_faults_processes import ROOT, Process
+from tests.board.test_season import open_season
+from tests.untrained import published, teams_of
+
+
+@pytest.mark.slow
+def test_a_season_is_rehearsed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    registry = published(teams_of(4), tmp_path / "public")
+    data = tmp_path / "rehearsal"
+    words = ["season", "rehearse", "--data", str(data), "--registry", str(registry)]
+    assert run(words) == 0, capsys.readouterr().err
+    lines = capsys.readouterr().out
+    for text in (
+        "trained 4 hidden teams",
+        "its root is ",
+        "Lab of Ada handed in robot.safetensors",
+        "Lab of Grace handed in robot.onnx",
+        "connected a live robot",
+        "the closing date came",
+        "proved: the 4 partners",
+        "panel B: ",
+        "are a chain",
+        "a backup has",
+        "has stopped",
+    ):
+        assert text in lines
+    assert (data / "board.zip").is_file()
+    assert run(words) == 1 and "exists; name a new folder" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_season_closes_through_a_full_disk_a_kill_and_an_upgrade(tmp_path: Path) -> None:
+    url, port = f"sqlite:///{tmp_path / 'service.db'}", free_port("127.0.0.1", 0)
+    service = real_service(tmp_path, url)
+    season = open_season(service, budget=8, closes_at=time.time() + 20.0)
+    ids = handed_in(service, season)
+    server = Process("serve", tmp_path, url, port)
+    work = service.create_token(("work",))
+    workers = [Process("work", f"http://127.0.0.1:{port}", work) for _ in range(2)]
+    try:
+        until(lambda: not waiting(service), "panel A is played", disk=tmp_path / "full")
+        until(lambda: state_of(service) == "closing", "the closing date comes")
+        server.kill()
+        assert state_of(service) == "closing", "killed too late to tell"
+        words = ("serve", tmp_path, url, port, 2)
+        upgraded = subprocess.run(
+            [sys.executable, "-m", "tests.board.faulty", *map(str, words)],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+        assert upgraded.returncode and "season spring is closing" in upgraded.stderr
+        server.start()
+        until(lambda: state_of(service) == "closed", "all is revealed", disk=tmp_path / "full")
+        server.kill()
+    finally:
+        for process in (server, *workers):
+            process.kill()
+    assert {shown(service, id).state for id in ids} == {"scored"}
+    assert {shown(service, id).attempt for id in ids} == {"spent"}
+    assert {id for id, _ in service.panel_b(season)} == set(ids)
+    entries = service.queries.ledger()
+    assert check_chain(entries) == len(entries)
+    assert real_service(tmp_path, url, 2).adopt_version() == len(ids), "the upgrade comes after it"
+
+
+def handed_in(service: Service, season: str) -> list[str]:
+    """Hand in two methods of two seeds for each of two labs, and enter them."""
+    ids = []
+    for lab in ("Ada", "Grace"):
+        submitter = new_submitter(service, lab)
+        mine = [
+            service.submit(
+                submitter, draft(float(n), f"{lab} {n}", season=season, method=f"{lab} {n % 2}")
+            )
+            for n in range(4)
+        ]
+        service.enter(season, submitter, mine)
+        ids += mine
+    return ids
+
+
+def until(is_so: Callable[[], bool], what: str, disk: Path | None = None) -> None:
+    """Wait until something is so; meanwhile the disk is full for some seconds."""
+    end = time.monotonic() + 300.0
+    if disk is not None:
+        time.sleep(1.0)
+        disk.touch()
+        time.sleep(4.0)
+        disk.unlink()
+    while not is_so():
+        assert time.monotonic() < end, f"in vain: {what}"
+        time.sleep(0.02)
+
+
+def waiting(service: Service) -> list[str]:
+    rows = service.queries.submissions(limit=1000)
+    return [row.id for row in rows if row.state in ("queued", "running")]
+
+
+def state_of(service: Service) -> str:
+    [season] = service.queries.seasons()
+    return season.state
+
+
+def test_what_never_happens_ends_a_rehearsal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rehearsal, "LIMIT_SECONDS", 0.0)
+    with pytest.raises(ValueError, match="in vain: the moon falls"):
+        rehearsal.wait("the moon falls", lambda: False)
