@@ -10,8 +10,8 @@ from assistax_zoo.zoos import Zoo, open_zoo
 
 if TYPE_CHECKING:
     from evaluation.ego_training import TrainedEgos
-    from population.runs.folder import TrainedRun
     from population.runs.train import Progress
+    from population.runs.trained import TrainedRun
 
 
 def train(

@@ -16,8 +16,8 @@ from population.config import (
     numbered,
     preset,
 )
-from population.runs.folder import TrainedRun
 from population.runs.logged_run import run_training
+from population.runs.trained import TrainedRun
 from zoo.met import Met, side_met
 from zoo.parameters.storage import load_stacks, write_policy_file
 from zoo.registry import Registry

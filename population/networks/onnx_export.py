@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from assistax_base.extras import optional
+from assistax_base.files import METADATA_KEY
 from population.networks.layers import GRU, Dense, NetworkPlan, network_plan
 from population.networks.policy import NORMALISED_LIMIT
 from population.networks.spec import PolicySpec
 
 OPSET = 17
 IR_VERSION = 8  # read by every runtime since 2022
-METADATA_KEY = "assistax"
 
 
 def to_onnx(

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from assistax_base.files import METADATA_KEY
 from population.networks.layers import Dense, network_plan
 from population.networks.spec import PolicySpec
-
-METADATA_KEY = "assistax"
 
 
 def to_torch(

@@ -8,7 +8,6 @@
 '/'-joined path
 """
 
-import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,13 +17,12 @@ import numpy as np
 import polars as pl
 import safetensors.numpy
 
-from assistax_base.files import atomic_write, write_json
+from assistax_base.files import METADATA_KEY, atomic_write, write_json
 from assistax_base.parquet import check_readable, read_parquet, write_parquet
 from population.config import Member, PPOConfig, TrainConfig, TrainerConfig
 from population.networks.spec import PolicySpec
-from population.networks.stack import PolicyStack, flatten, unflatten
+from population.networks.stack import flatten
 
-METADATA_KEY = "assistax"  # safetensors bytes are stable with one metadata key only
 OF_EPISODES = ("return", "success", "violated")  # metrics over those that ended, beside terms
 _MAY_CHANGE = (
     "checkpoint_every",
@@ -161,45 +159,6 @@ class RunFolder:
             return json.loads(self._config.read_text())
         except ValueError as error:
             raise ValueError(f"{self._config} is not JSON ({error}); choose a new folder") from None
-
-
-@dataclasses.dataclass(frozen=True)
-class TrainedRun:
-    """What a run made, member by member in the order of `config.members`."""
-
-    folder: Path
-    config: TrainConfig
-    training: Mapping[str, Any]  # steps, seconds, device, versions, and what else was recorded
-    # `mean`, `iqm`, `mean_ci`, `n` and `success` of each team; None of egos, and where left out.
-    self_play: tuple[Mapping[str, Any] | None, ...]
-    policies: Mapping[str, PolicyStack]  # by role; ids are "NAME/ROLE"
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of each member, "task/algorithm-setting-sN"."""
-        return self.config.names
-
-
-def read_trained_run(folder: Path | str) -> TrainedRun:
-    """Return the finished run of a folder that this machine wrote.
-
-    Raises:
-        OSError: The run is not finished.
-    """
-    run = RunFolder(folder)
-    teams, config = json.loads(run.teams.read_text()), run.config()
-    policies = {}
-    for role, place in teams[0]["roles"].items():
-        leaves = safetensors.numpy.load_file(run.folder / place["file"])
-        ids = tuple(f"{name}/{role}" for name in config.names)
-        policies[role] = PolicyStack(PolicySpec(**place["spec"]), ids, unflatten(leaves))
-    return TrainedRun(
-        run.folder,
-        config,
-        teams[0]["training"],
-        tuple(team["self_play"] for team in teams),
-        policies,
-    )
 
 
 def extends(trainer: TrainerConfig) -> bool:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from population.config import TrainConfig
-from population.runs.folder import TrainedRun, read_trained_run
+from population.runs.trained import TrainedRun, read_trained_run
 
 if TYPE_CHECKING:
     from population.runs.tensorboard import EventFiles

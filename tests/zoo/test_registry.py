@@ -16,8 +16,9 @@ from assistax_base.errors import (
     ZooError,
 )
 from assistax_envs.disability import DISABILITY_SETTINGS
+from population.networks.spec import spec_from_json
 from zoo.registry import Registry, load_registry, parse_registry, save_registry
-from zoo.schema import SCHEMA_VERSION, RegistryFile, dump_registry, spec_from_json
+from zoo.schema import SCHEMA_VERSION, RegistryFile, dump_registry
 
 
 def edit(registry: Registry, change) -> Path:

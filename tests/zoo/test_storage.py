@@ -11,16 +11,22 @@ from hypothesis import strategies as st
 from assistax_base.errors import FormatError, IntegrityError, ZooError
 from population.networks.spec import PolicySpec
 from population.networks.stack import unflatten
+from population.networks.tensors import (
+    MAX_HEADER_BYTES,
+    decode,
+    encode,
+    flatten,
+    parse_stacked,
+    row_sha256,
+    take_row,
+)
 from zoo.parameters.storage import (
     check_params,
     encode_shard,
     load_stacks,
-    parse_stacked,
     read_policy_file,
-    take_row,
     write_policy_file,
 )
-from zoo.parameters.tensors import MAX_HEADER_BYTES, decode, encode, flatten, row_sha256
 from zoo.registry import Registry, build_registry
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from assistax_base.files import sha256
 from assistax_envs.versions import VERSIONS
-from zoo.parameters.storage import encode_shard, read_shard, take_row
+from population.networks.tensors import take_row
+from zoo.parameters.storage import encode_shard, read_shard
 from zoo.registry import Registry, load_registry
 from zoo.verify import verify
 

@@ -13,8 +13,8 @@ from assistax_zoo.commands.options import Training
 from assistax_zoo.shell.console import TrainingLine, answer, stdout_is_data
 
 if TYPE_CHECKING:
-    from population.runs.folder import TrainedRun
     from population.runs.train import Progress
+    from population.runs.trained import TrainedRun
 
 
 def train(

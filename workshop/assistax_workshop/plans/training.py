@@ -16,8 +16,9 @@ from assistax_workshop.plans.status import Status, survey, team_id, write_progre
 from assistax_workshop.press.publish import publish
 from assistax_workshop.press.release import complete_release
 from assistax_workshop.press.republish import read_published
-from assistax_workshop.press.trained_runs import TrainedTeam, read_run
+from assistax_workshop.press.trained_runs import read_run
 from population.runs.folder import RunFolder
+from population.runs.trained import TrainedTeam
 from zoo.history.official import writable_registry
 from zoo.registry import Registry, load_registry
 

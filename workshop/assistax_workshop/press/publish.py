@@ -19,13 +19,13 @@ from assistax_base.files import atomic_write, exclusive, sha256
 from assistax_envs.disability import DISABILITY_SETTINGS
 from assistax_envs.versions import VERSIONS
 from assistax_workshop.press.release import completed, signed
-from assistax_workshop.press.trained_runs import TrainedTeam
 from population.networks.spec import PolicySpec, Role
+from population.networks.tensors import Leaves, flatten, row_sha256
+from population.runs.trained import TrainedTeam
 from zoo.history.official import writable_registry
 from zoo.ids import EGO, TeamId, check_name, same_team
 from zoo.locations import shard_root
 from zoo.parameters.storage import check_params, encode_shard
-from zoo.parameters.tensors import Leaves, flatten, row_sha256
 from zoo.registry import Registry, load_registry, save_registry
 from zoo.schema import (
     SCHEMA_VERSION,
