@@ -11,8 +11,8 @@ import jax.numpy as jnp
 
 from benchmarks.timing import REPEATS, calls_within, timed
 from population.config import Member, SACConfig, TrainConfig, TrainerConfig
+from population.environment import Environment
 from population.runs.train import initial_state, make_trainer
-from population.trainers.environment import Environment
 from population.trainers.trainer import Trainer
 
 

@@ -21,13 +21,13 @@ from assistax_envs.disability import Disability
 from assistax_envs.interrupts import interruptible
 from population.config import MIXED, Member, PPOConfig, TrainConfig
 from population.devices import SECOND_AXIS, WHOLE, Shares, state_specs
+from population.environment import Environment
+from population.play.self_play import self_play
 from population.runs.checkpoints import Checkpoints
 from population.runs.folder import RunFolder, extends, metrics_table
-from population.trainers.environment import Environment
 from population.trainers.frozen_partners import FrozenPartners
 from population.trainers.ppo import PPO
 from population.trainers.sac import SAC
-from population.trainers.self_play import self_play
 from population.trainers.trainer import Trainer, TrainState
 
 _SELF_PLAY = 1  # folded into a member's key: episodes of the final evaluation

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 
 from assistax_envs import select
+from population.environment import Environment, EnvState
 from population.networks.members import flatten, member_map, split
 from population.networks.policy import Carry, Gaussian, Params, Policy
-from population.trainers.environment import Environment, EnvState
 from population.trainers.frozen_partners import FrozenPartners
 
 EVER = ("success", "violated")  # measures of an episode that hold once they held at a step

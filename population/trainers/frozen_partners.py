@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 
 from assistax_envs.disability import Disability
+from population.environment import Environment
 from population.networks.members import member_map
 from population.networks.policy import Carry, Policy
 from population.networks.stack import PolicyStack
-from population.trainers.environment import Environment
 
 
 class FrozenPartners:

@@ -14,12 +14,12 @@ import optax
 from jaxtyping import Array, Float
 
 from population.config import Member, PPOConfig
+from population.environment import Environment
 from population.networks import shared_network
 from population.networks.members import member_map
 from population.networks.policy import Carry, Critic, Gaussian, Params, Policy, normalise
 from population.networks.spec import Role
 from population.trainers import diversity, experience, gae, normaliser
-from population.trainers.environment import Environment
 from population.trainers.experience import Batch
 from population.trainers.frozen_partners import FrozenPartners
 from population.trainers.trainer import (

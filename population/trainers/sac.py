@@ -17,11 +17,11 @@ import optax
 from jaxtyping import Array, Bool, Float
 
 from population.config import SACConfig
+from population.environment import Environment
 from population.networks.members import member_map
 from population.networks.policy import Gaussian, Params, normalise
 from population.networks.spec import Role
 from population.trainers import experience, normaliser, replay_buffer
-from population.trainers.environment import Environment
 from population.trainers.experience import Sampler
 from population.trainers.frozen_partners import FrozenPartners
 from population.trainers.replay_buffer import Replay, Transitions

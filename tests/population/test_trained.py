@@ -25,7 +25,7 @@ def write(folder: Path, precision: str = "float32") -> dict[str, Any]:
     run = RunFolder(folder)
     run.open(config, {"env_version": 1}, resume=False)
     run.write_teams(config, SPECS, params, {"steps": 100}, [{"mean": 1.0, "ci": [0.0, 2.0]}, None])
-    return params
+    return dict(params)
 
 
 @pytest.mark.parametrize("precision", ["float32", "float16"])

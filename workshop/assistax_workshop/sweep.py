@@ -23,8 +23,8 @@ from assistax_base.files import write_json
 from assistax_base.parquet import read_parquet, write_parquet
 from assistax_base.validated import checked, first_problem
 from population.config import Member, TrainConfig, check_names, make_run, preset
+from population.environment import Environment
 from population.runs.train import Progress, train
-from population.trainers.environment import Environment
 
 RESULTS, BEST = "sweep.parquet", "preset.json"
 FINAL_SHARE = 0.1  # of a run: the final return is the mean over its last tenth
