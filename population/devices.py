@@ -30,7 +30,7 @@ def own_devices(cores: int = 1) -> tuple[jax.Device, ...]:
     return found if jax.default_backend() != "cpu" else found[: max(1, cores)]
 
 
-class Shares:
+class DeviceShares:
     """Equal shares of M members, one for each device in use, in the order of the devices.
 
     With one device nothing is split: programs are those that stand outside.
@@ -53,7 +53,7 @@ class Shares:
     def __len__(self) -> int:
         return len(self.devices)
 
-    def __enter__(self) -> "Shares":
+    def __enter__(self) -> "DeviceShares":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -20,7 +20,7 @@ from assistax_envs import disability_params
 from assistax_envs.disability import Disability
 from assistax_envs.interrupts import interruptible
 from population.config import MIXED, Member, PPOConfig, TrainConfig
-from population.devices import SECOND_AXIS, WHOLE, Shares, state_specs
+from population.devices import SECOND_AXIS, WHOLE, DeviceShares, state_specs
 from population.environment import Environment
 from population.play.self_play import self_play
 from population.runs.checkpoints import Checkpoints
@@ -85,7 +85,7 @@ def train(
         resume: Whether to go on with a run that the folder holds.
         stop_on_divergence: A loss that is not finite ends the run; else that member goes on.
         progress: Called after every dispatch to the devices.
-        devices: Those that may be used; see `Shares` if not given.
+        devices: Those that may be used; see `DeviceShares` if not given.
 
     Raises:
         ValueError: Environment and configuration do not fit, or the folder holds another run.
@@ -108,7 +108,7 @@ def train(
         apart = 1 if config.trainer.population_coef else len(config.members)
         # The threads of the devices end before this does, whatever happens.
         with (
-            Shares(apart, devices) as shares,
+            DeviceShares(apart, devices) as shares,
             contextlib.closing(Checkpoints(run.checkpoints)) as checkpoints,
         ):
             training = _Training(config, trainer, shares, run, checkpoints)
@@ -132,10 +132,10 @@ def make_trainer(
 
 
 def initial_state(
-    config: TrainConfig, trainer: Trainer, shares: Shares | None = None
+    config: TrainConfig, trainer: Trainer, shares: DeviceShares | None = None
 ) -> TrainState:
     """Return the state of a run before its first update, on one device if there are no shares."""
-    shares = shares or Shares(len(config.members), jax.local_devices()[:1])
+    shares = shares or DeviceShares(len(config.members), jax.local_devices()[:1])
     keys = jnp.stack([member_key(member) for member in config.members])
     settings: list[str | Disability] = []
     likings: list[str] = []
@@ -184,7 +184,7 @@ class _Training:
 
     config: TrainConfig
     trainer: Trainer
-    shares: Shares
+    shares: DeviceShares
     run: RunFolder
     checkpoints: Checkpoints
 
@@ -336,7 +336,7 @@ def _divergence(
 
 
 def _provenance(
-    config: TrainConfig, env: Environment, shares: Shares, seconds: float
+    config: TrainConfig, env: Environment, shares: DeviceShares, seconds: float
 ) -> Mapping[str, Any]:
     """Return what a registry says about a run."""
     likes = {"preferences": list(config.preferences)} if config.preferences else {}

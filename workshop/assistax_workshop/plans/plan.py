@@ -1,7 +1,7 @@
 """A plan: every team of a release, in groups that train in one program each.
 
 A group is one task and one algorithm, with all its disability settings and seeds. Its run folders
-are `NAME`, `NAME-2`, ... in the folder of the plan's runs, each with a block of its members. What a
+are `NAME`, `NAME-2`, ... in the folder of the plan's runs, each with some of its members. What a
 run folder holds is decided when it is begun: a plan that changes later adds new folders, and never
 alters those that are there. Imports no JAX.
 """
@@ -216,7 +216,7 @@ def write_private_plan(plan: Plan, path: Path) -> None:
 
 
 @dataclasses.dataclass(frozen=True)
-class Block:
+class PlannedRun:
     """Members of a group in one run folder."""
 
     group: Group
@@ -248,10 +248,10 @@ class Block:
         return differences(self.config().to_json(), wanted.to_json())
 
 
-def find_blocks(group: Group, out: Path, done: Collection[Key] = ()) -> list[Block]:
+def planned_runs(group: Group, out: Path, done: Collection[Key] = ()) -> list[PlannedRun]:
     """Return the runs of a group that hold, or are to hold, members that are not done.
 
-    Members that no folder holds are cut in order into new blocks of at most `max_members`, so that
+    Members that no folder holds are cut in order into new runs of at most `max_members`, so that
     processes which look at different times cut alike. A population is never cut.
 
     Args:
@@ -263,7 +263,7 @@ def find_blocks(group: Group, out: Path, done: Collection[Key] = ()) -> list[Blo
         ValueError: Some members of a population are there, and some are not.
     """
     known = list(_existing(group, out))
-    held = {key for block in known for key in block.keys} | set(done)
+    held = {key for planned in known for key in planned.keys} | set(done)
     missing = [member for member in group.members if (member.disability, member.seed) not in held]
     for setting in group.disabilities if group.together > 1 else ():
         left = sum(member.disability == setting for member in missing)
@@ -276,15 +276,15 @@ def find_blocks(group: Group, out: Path, done: Collection[Key] = ()) -> list[Blo
     size = group.max_members or len(group.members)
     size -= size % group.together
     parts = [tuple(missing[start : start + size]) for start in range(0, len(missing), size)]
-    taken = {block.name for block in known}
+    taken = {planned.name for planned in known}
     names = (f"{group.name}-{number}" if number > 1 else group.name for number in count(1))
     free = (name for name in names if name not in taken)
-    new = [Block(group, out / next(free), part, "new") for part in parts]
+    new = [PlannedRun(group, out / next(free), part, "new") for part in parts]
     wanted = {(member.disability, member.seed) for member in group.members} - set(done)
-    return [block for block in known if block.keys & wanted] + new
+    return [planned for planned in known if planned.keys & wanted] + new
 
 
-def _existing(group: Group, out: Path) -> Iterator[Block]:
+def _existing(group: Group, out: Path) -> Iterator[PlannedRun]:
     """Yield the run folders of a group, by number."""
     pattern = re.compile(rf"{re.escape(group.name)}(?:-([0-9]+))?")
     places = [
@@ -294,11 +294,11 @@ def _existing(group: Group, out: Path) -> Iterator[Block]:
     ]
     for _, path in sorted(places):
         if (path / "teams.json").is_file():
-            yield Block(group, path, _finished_members(group, path / "teams.json"), "finished")
+            yield PlannedRun(group, path, _finished_members(group, path / "teams.json"), "finished")
         elif (path / "config.json").is_file():
             config = RunFolder(path).config()
             _check_owner(group, path, config.task, config.algorithm)
-            yield Block(group, path, config.members, "begun")
+            yield PlannedRun(group, path, config.members, "begun")
 
 
 def _finished_members(group: Group, path: Path) -> tuple[Member, ...]:
