@@ -19,7 +19,8 @@ import safetensors.numpy
 
 from assistax_base.files import METADATA_KEY, atomic_write, write_json
 from assistax_base.parquet import check_readable, read_parquet, write_parquet
-from population.config import Member, PPOConfig, TrainConfig, TrainerConfig
+from population.config import Member, TrainConfig
+from population.hyperparameters import PPOConfig, TrainerConfig
 from population.networks.spec import PolicySpec
 from population.networks.stack import flatten
 

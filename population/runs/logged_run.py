@@ -93,6 +93,6 @@ def read_preset(path: Path, algorithm: str | None = None) -> tuple[str, dict[str
         ) from None
     if algorithm not in (None, found):
         raise ValueError(
-            f"algorithm is {algorithm!r}, but {path} is a preset of {found}; leave --algorithm out"
+            f"algorithm is {algorithm!r}, but {path} is a preset of {found}; name that, or none"
         )
     return found, changes

@@ -19,11 +19,13 @@ import polars as pl
 from assistax_envs import disability_params
 from assistax_envs.disability import Disability
 from assistax_envs.interrupts import interruptible
-from population.config import MIXED, Member, PPOConfig, TrainConfig
+from population.config import MIXED, Member, TrainConfig
 from population.devices import SECOND_AXIS, WHOLE, DeviceShares, state_specs
 from population.environment import Environment
+from population.hyperparameters import PPOConfig
 from population.play.self_play import self_play
 from population.runs.checkpoints import Checkpoints
+from population.runs.divergence import DivergedError, describe_divergence, find_divergence
 from population.runs.folder import RunFolder, extends, metrics_table
 from population.trainers.frozen_partners import FrozenPartners
 from population.trainers.ppo import PPO
@@ -31,20 +33,7 @@ from population.trainers.sac import SAC
 from population.trainers.trainer import Trainer, TrainState
 
 _SELF_PLAY = 1  # folded into a member's key: episodes of the final evaluation
-_LOSSES = (
-    "policy_loss",
-    "value_loss",
-    "q_loss",
-    "entropy",
-    "alpha",
-    "actor_grad_norm",
-    "critic_grad_norm",
-)
 _LIBRARIES = ("jax", "flax", "optax", "mujoco")
-
-
-class DivergedError(ValueError):
-    """A loss is no longer a finite number."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -229,9 +218,9 @@ class _Training:
             done += updates
             saving = done // config.checkpoint_every > (done - updates) // config.checkpoint_every
             ending = done == config.updates
-            if stop_on_divergence and (bad := _diverged(values)):
+            if stop_on_divergence and (bad := find_divergence(values)):
                 self.run.write_metrics(pl.concat(metrics, how="diagonal"))
-                raise DivergedError(_divergence(bad, rows, config, self.checkpoints))
+                raise DivergedError(describe_divergence(bad, rows, config, self.checkpoints))
             if saving or ending:
                 metrics = [pl.concat(metrics, how="diagonal")]
                 self.run.write_metrics(metrics[0])
@@ -305,34 +294,6 @@ class _Clock:
         return Progress(
             done, config.updates, done * batch, total, speed, (total - done * batch) / speed, rows
         )
-
-
-def _diverged(values: Mapping[str, np.ndarray]) -> tuple[str, int] | None:
-    """Return the first metric that is not finite and the member it belongs to."""
-    for name, value in values.items():
-        if name.startswith(_LOSSES) and not np.isfinite(value).all():
-            return name, int(np.argwhere(~np.isfinite(value))[0, 1])
-    return None
-
-
-def _divergence(
-    bad: tuple[str, int], rows: pl.DataFrame, config: TrainConfig, checkpoints: Checkpoints
-) -> str:
-    name, index = bad
-    member, last = config.members[index], checkpoints.latest()
-    kept = (
-        f"the last good checkpoint is of update {last}" if last else "no checkpoint was written yet"
-    )
-    rates = {
-        name: member.overrides.get(name, getattr(config.trainer, name))
-        for name in config.trainer.rates
-    }
-    lower = ", ".join(f"{name} below {rate:g}" for name, rate in rates.items())
-    return (
-        f"training diverged: {name} of member {member.label} is {rows[name][index]} "
-        f"by update {rows['update'].max()}; {kept} in {checkpoints.folder}; "
-        f"start a new run with a {lower} or a max_grad_norm below {config.trainer.max_grad_norm:g}"
-    )
 
 
 def _provenance(

@@ -13,8 +13,9 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
-from population.config import Member, PPOConfig
+from population.config import Member
 from population.environment import Environment
+from population.hyperparameters import PPOConfig
 from population.networks import shared_network
 from population.networks.members import member_map
 from population.networks.policy import Carry, Critic, Gaussian, Params, Policy, normalise

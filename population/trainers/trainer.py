@@ -14,8 +14,9 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from population.config import Member, TrainerConfig, traced_values
+from population.config import Member, traced_values
 from population.environment import Environment
+from population.hyperparameters import TrainerConfig
 from population.networks.members import member_map
 from population.networks.policy import Critic, CriticSpec, Gaussian, Params, Policy
 from population.networks.spec import ROLES, PolicySpec, Role

@@ -17,8 +17,9 @@ import pytest
 import safetensors.numpy
 
 from assistax_envs.disability import DISABILITY_SETTINGS
-from population.config import MIXED, Member, TrainConfig, preset
+from population.config import MIXED, Member, TrainConfig
 from population.devices import DeviceShares
+from population.hyperparameters import preset
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from assistax_workshop.plans.plan import Group, planned_runs
-from assistax_workshop.sweep import Range, Sweep
-from population.config import Member, TrainConfig, make_members, make_run, populations, preset
+from assistax_workshop.sweep import Sweep
+from assistax_workshop.sweep_space import Range
+from population.config import Member, TrainConfig, make_members, make_run, populations
+from population.hyperparameters import preset
 from population.runs.train import train
 from population.trainers import diversity, experience
 from population.trainers.diversity import log_mean_density

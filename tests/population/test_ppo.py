@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from assistax_envs import disability_params
-from population.config import Member, PPOConfig, preset
+from population.config import Member
+from population.hyperparameters import PPOConfig, preset
 from population.networks.policy import Policy, normalise
 from population.play.self_play import self_play
 from population.runs.train import member_key

@@ -17,7 +17,8 @@ import pytest
 import safetensors
 import safetensors.numpy
 
-from population.config import Member, TrainConfig, make_members, preset
+from population.config import Member, TrainConfig, make_members
+from population.hyperparameters import preset
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from population.networks.stack import flatten

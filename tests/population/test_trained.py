@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from assistax_base.errors import FormatError
-from population.config import PPOConfig, TrainConfig, make_members
+from population.config import TrainConfig, make_members
+from population.hyperparameters import PPOConfig
 from population.networks.spec import ROLES, PolicySpec
 from population.runs.folder import RunFolder
 from population.runs.trained import read_teams, read_trained_run

@@ -8,7 +8,8 @@ import pytest
 
 from assistax_workshop.plans.learning_curves import thin, write_curves
 from assistax_workshop.plans.plan import Group, planned_runs, read_plan
-from population.config import TrainConfig, make_members, preset
+from population.config import TrainConfig, make_members
+from population.hyperparameters import preset
 from population.runs.folder import RunFolder
 
 V1 = Path(__file__).parents[2] / "zoo" / "plans" / "v1.json"

@@ -14,7 +14,8 @@ from assistax_base.errors import FormatError, ImmutableError, PublishError, Regi
 from assistax_workshop.press.publish import publish
 from assistax_workshop.press.release import complete_release
 from assistax_workshop.press.trained_runs import read_run
-from population.config import PPOConfig, TrainConfig, make_members
+from population.config import TrainConfig, make_members
+from population.hyperparameters import PPOConfig
 from population.networks.spec import PolicySpec
 from population.networks.tensors import encode, flatten
 from population.runs.folder import RunFolder

@@ -24,7 +24,8 @@ from assistax_zoo.commands.options import parse_changes, parse_seeds, parse_step
 from assistax_zoo.shell.console import TrainingLine
 from evaluation.cast.roster import Roster
 from evaluation.ego_training import shared_out
-from population.config import MIXED, TrainerConfig, make_members, make_run, preset
+from population.config import MIXED, make_members, make_run
+from population.hyperparameters import TrainerConfig, preset
 from population.networks.members import member_map, to_members, to_simulations
 from population.networks.policy import Carry
 from population.networks.stack import PolicyStack

@@ -32,13 +32,12 @@ from population.config import (
     Member,
     Precision,
     TrainConfig,
-    TrainerConfig,
     check_names,
     make_members,
     make_run,
     numbered,
-    preset,
 )
+from population.hyperparameters import TrainerConfig, preset
 from population.runs.folder import RunFolder, differences
 
 # The last word of a group's name is no number, or it were taken for another's second folder.
@@ -321,5 +320,5 @@ def _check_owner(group: Group, folder: Path, task: str, algorithm: str) -> None:
     if (task, algorithm) != (group.task, group.algorithm):
         raise ValueError(
             f"{folder} holds a run of {task} {algorithm}, but group {group.name} is {group.task} "
-            f"{group.algorithm}; choose another --out, or rename the group"
+            f"{group.algorithm}; choose another folder, or rename the group"
         )

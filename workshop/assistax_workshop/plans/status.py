@@ -13,7 +13,7 @@ from typing import Any
 from assistax_base.files import atomic_write, exclusive
 from assistax_workshop.plans.plan import Group, Key, Plan, PlannedRun, planned_runs
 from assistax_workshop.press.republish import republishable
-from population.config import PRESETS
+from population.hyperparameters import PRESETS
 from zoo.ids import TeamId
 from zoo.registry import Registry
 
@@ -140,7 +140,7 @@ def _adoptable(
         where = f"the registry {registry.path} has none" if registry else "there is no registry"
         raise ValueError(
             f"group {group.name} adopts teams of release {group.adopt}, but {where}; "
-            "name the registry that has it with --registry"
+            "name the registry that has it"
         )
     ids = [team_id(group, key, release) for key in sorted(keys)]
     return frozenset(
