@@ -115,12 +115,12 @@ class TrainConfig:
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON-ready values; `TrainConfig.from_json` gives the config back."""
-        told = {**dataclasses.asdict(self), "kind": self.trainer.kind}
+        content = {**dataclasses.asdict(self), "kind": self.trainer.kind}
         if not self.preferences:  # as in runs of before there were any
-            del told["preferences"]
+            del content["preferences"]
         if self.precision == "float32":
-            del told["precision"]
-        return told
+            del content["precision"]
+        return content
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> "TrainConfig":
@@ -171,11 +171,11 @@ def traced_values(config: TrainerConfig, members: Sequence[Member]) -> dict[str,
 
 def populations(members: Sequence[Member]) -> list[list[int]]:
     """Return the places of the members of each population: those that differ in seed alone."""
-    found: dict[Any, list[int]] = {}
+    places: dict[Any, list[int]] = {}
     for place, member in enumerate(members):
         key = member.disability, *sorted(member.overrides.items())
-        found.setdefault(key, []).append(place)
-    return list(found.values())
+        places.setdefault(key, []).append(place)
+    return list(places.values())
 
 
 def numbered(seeds: Any) -> Any:

@@ -160,12 +160,12 @@ def read_bytes(
     """
     if not path.is_file():
         raise IntegrityError(source, "a file", f"no file at {path}")
-    found = path.stat().st_size
-    if found > (MAX_FILE_BYTES if size is None else size) or (size is not None and found != size):
+    length = path.stat().st_size
+    if length > (MAX_FILE_BYTES if size is None else size) or (size is not None and length != size):
         raise IntegrityError(
             source,
             f"{size if size is not None else f'at most {MAX_FILE_BYTES}'} bytes",
-            f"{found} bytes",
+            f"{length} bytes",
         )
     data = path.read_bytes()
     if digest is not None and sha256(data) != digest:

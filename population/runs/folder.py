@@ -61,7 +61,7 @@ class RunFolder:
             ValueError: It holds another run, or one although `resume` is false.
             OSError: It cannot be written.
         """
-        wanted = {"config": config.to_json(), "environment": dict(environment)}
+        content = {"config": config.to_json(), "environment": dict(environment)}
         if not self._config.exists():
             if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
                 raise ValueError(
@@ -75,14 +75,14 @@ class RunFolder:
             )
         else:
             # As this version reads it: a run from before a hyperparameter existed has its default.
-            found = {**self._read_config(), "config": self.config().to_json()}
+            kept = {**self._read_config(), "config": self.config().to_json()}
             may_change = (*_MAY_CHANGE, *(("steps",) if extends(config.trainer) else ()))
-            if there := differences(found, wanted, may_change):
+            if there := differences(kept, content, may_change):
                 raise ValueError(
                     f"{self.folder} holds a run with another configuration: {there}; "
                     "repeat that configuration to resume it, or choose a new folder"
                 )
-        write_json(self._config, wanted)
+        write_json(self._config, content)
 
     def finished(self, config: TrainConfig) -> bool:
         """Return whether the folder holds the teams of this run, trained to its end."""
@@ -206,22 +206,20 @@ def metrics_table(
     return table.cast({name: dtype for name, dtype in _SCHEMA.items() if name in table.columns})
 
 
-def differences(
-    found: Any, wanted: Any, ignored: Sequence[str] = _MAY_CHANGE, path: str = ""
-) -> str:
+def differences(there: Any, here: Any, ignored: Sequence[str] = _MAY_CHANGE, path: str = "") -> str:
     """Describe the fields in which two configurations, or parts of them, differ."""
-    if isinstance(found, Mapping) and isinstance(wanted, Mapping):
+    if isinstance(there, Mapping) and isinstance(here, Mapping):
         parts = [
             differences(
-                found.get(name), wanted.get(name), ignored, f"{path}.{name}" if path else name
+                there.get(name), here.get(name), ignored, f"{path}.{name}" if path else name
             )
-            for name in dict.fromkeys([*found, *wanted])
+            for name in dict.fromkeys([*there, *here])
             if name not in ignored
         ]
         return "; ".join(part for part in parts if part)
-    if json.dumps(found) == json.dumps(wanted):
+    if json.dumps(there) == json.dumps(here):
         return ""
-    return f"{path.removeprefix('config.')} is {_short(found)} there and {_short(wanted)} here"
+    return f"{path.removeprefix('config.')} is {_short(there)} there and {_short(here)} here"
 
 
 def _short(value: Any) -> str:

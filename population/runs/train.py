@@ -180,10 +180,10 @@ class _Training:
     def load(self) -> tuple[TrainState, list[pl.DataFrame]]:
         """Return the state and metrics of the newest whole checkpoint, or of the beginning."""
         state = initial_state(self.config, self.trainer, self.shares)
-        found = self.checkpoints.restore_latest(state)
-        if found is None:
+        restored = self.checkpoints.restore_latest(state)
+        if restored is None:
             return state, []
-        done, state = found
+        done, state = restored
         if done > self.config.updates:
             raise ValueError(
                 f"{self.run.folder} has already trained "

@@ -96,7 +96,7 @@ class PPO(Trainer):
             "entropy_coef": config.anneal_entropy,
             "population_coef": config.anneal_entropy,
         }
-        hyper = {name: each * left if annealed.get(name) else each for name, each in hyper.items()}
+        hyper = {n: value * left if annealed.get(n) else value for n, value in hyper.items()}
         batch = experience.by_member(batch, len(keys))
         metrics = member_map(experience.episode_metrics)(batch)
         if config.population_coef:

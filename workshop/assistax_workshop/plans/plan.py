@@ -140,16 +140,16 @@ class Plan:
 
     def select(self, patterns: str) -> list[Group]:
         """Return the groups whose names match one of the comma-separated globs."""
-        wanted = [pattern.strip() for pattern in patterns.split(",")]
-        found = [
+        globs = [pattern.strip() for pattern in patterns.split(",")]
+        groups = [
             group
             for group in self.groups
-            if any(fnmatch.fnmatchcase(group.name, glob) for glob in wanted)
+            if any(fnmatch.fnmatchcase(group.name, glob) for glob in globs)
         ]
-        if not found:
+        if not groups:
             names = ", ".join(group.name for group in self.groups)
             raise ValueError(f"no group matches {patterns!r}; the plan has {names}")
-        return found
+        return groups
 
 
 def read_plan(path: Path) -> Plan:
@@ -243,8 +243,8 @@ class PlannedRun:
 
     def differences(self) -> str:
         """Say in what a begun run is another than the plan now wants; "" if in nothing."""
-        wanted = self.group.config(self.members)
-        return differences(self.config().to_json(), wanted.to_json())
+        config = self.group.config(self.members)
+        return differences(self.config().to_json(), config.to_json())
 
 
 def planned_runs(group: Group, out: Path, done: Collection[Key] = ()) -> list[PlannedRun]:
@@ -279,8 +279,8 @@ def planned_runs(group: Group, out: Path, done: Collection[Key] = ()) -> list[Pl
     names = (f"{group.name}-{number}" if number > 1 else group.name for number in count(1))
     free = (name for name in names if name not in taken)
     new = [PlannedRun(group, out / next(free), part, "new") for part in parts]
-    wanted = {(member.disability, member.seed) for member in group.members} - set(done)
-    return [planned for planned in known if planned.keys & wanted] + new
+    keys = {(member.disability, member.seed) for member in group.members} - set(done)
+    return [planned for planned in known if planned.keys & keys] + new
 
 
 def _existing(group: Group, out: Path) -> Iterator[PlannedRun]:

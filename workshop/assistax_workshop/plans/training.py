@@ -110,12 +110,12 @@ class PlanTraining:
     def complete(self) -> None:
         """Make the release the default one once every team of the plan is in it."""
         loaded = self.load()
-        wanted = {
+        teams = {
             str(team_id(group, (m.disability, m.seed), self.plan.release))
             for group in self.plan.groups
             for m in group.members
         }
-        if loaded and wanted <= loaded.data.teams.keys():
+        if loaded and teams <= loaded.data.teams.keys():
             with self._noting(f"release {self.plan.release}"):
                 complete_release(self.registry, self.plan.release)
 
