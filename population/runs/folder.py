@@ -17,6 +17,8 @@ import numpy as np
 import polars as pl
 import safetensors.numpy
 
+from assistax_base.bounded_reading import parse_json, read_text
+from assistax_base.errors import FormatError, shorten
 from assistax_base.files import METADATA_KEY, atomic_write, write_json
 from assistax_base.parquet import check_readable, read_parquet, write_parquet
 from population.config import Member, TrainConfig
@@ -24,6 +26,9 @@ from population.hyperparameters import PPOConfig, TrainerConfig
 from population.networks.spec import PolicySpec
 from population.networks.stack import flatten
 
+MAX_TEAMS_BYTES = 16 * 1024 * 1024
+REMEDY = "give the folder that training wrote, after the run has finished"
+DONE = "nothing was read"
 OF_EPISODES = ("return", "success", "violated")  # metrics over those that ended, beside terms
 _MAY_CHANGE = (
     "checkpoint_every",
@@ -89,13 +94,29 @@ class RunFolder:
         if not self.teams.exists():
             return False
         try:
-            steps = json.loads(self.teams.read_text())[0]["training"]["steps"]
-        except (ValueError, KeyError, TypeError, IndexError) as error:
+            steps = self.team_items()[0]["training"]["steps"]
+        except (FormatError, KeyError, TypeError) as error:
             raise ValueError(
                 f"{self.teams} is damaged ({type(error).__name__}: {error}); delete it, then the "
                 "same command writes it again"
             ) from None
         return steps == config.updates * config.trainer.batch_steps
+
+    def team_items(self) -> list[Any]:
+        """Return what `teams.json` says of each team, of which only the form is checked.
+
+        Raises:
+            FormatError: It is missing, too large, or no list of at least one team.
+        """
+        text = read_text(self.teams, MAX_TEAMS_BYTES, FormatError, "teams", REMEDY)
+        try:
+            items, problem = parse_json(text), ""
+        except (ValueError, RecursionError) as error:
+            items, problem = None, f"{type(error).__name__}: {error}"
+        if isinstance(items, list) and items:
+            return items
+        expected = "a JSON list of at least one team"
+        raise FormatError(str(self.teams), expected, problem or shorten(items), REMEDY, DONE)
 
     def config(self) -> TrainConfig:
         """Return the configuration of the run in this folder."""

@@ -11,17 +11,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from assistax_base.bounded_reading import parse_json, read_text
 from assistax_base.errors import FormatError, shorten
 from population.config import MIXED, TrainConfig
 from population.networks.spec import PolicySpec, Role, spec_from_json
 from population.networks.stack import PolicyStack, stack_policies, unflatten
 from population.networks.tensors import StackedFile, parse_stacked, read_bytes, take_row
-from population.runs.folder import RunFolder
-
-MAX_TEAMS_BYTES = 16 * 1024 * 1024
-REMEDY = "give the folder that training wrote, after the run has finished"
-DONE = "nothing was read"
+from population.runs.folder import DONE, REMEDY, RunFolder
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,22 +91,18 @@ def read_teams(folder: Path | str) -> list[TrainedTeam]:
     Raises:
         FormatError: `teams.json` or a file it names is missing or malformed.
     """
-    path = teams_folder(folder) / "teams.json"
-    text = read_text(path, MAX_TEAMS_BYTES, FormatError, "teams", REMEDY)
-    try:
-        items = parse_json(text)
-    except (ValueError, RecursionError) as error:
-        raise _error(str(path), "a JSON list of teams", _reason(error)) from None
-    if not isinstance(items, list) or not items:
-        raise _error(str(path), "a JSON list of at least one team", shorten(items))
+    run = RunFolder(teams_folder(folder))
     files: dict[str, StackedFile] = {}
     teams = []
-    for index, item in enumerate(items):
-        where = f"{path}, team {index}"
+    for index, item in enumerate(run.team_items()):
+        where = f"{run.teams}, team {index}"
         try:
-            teams.append(_team(path.parent, item, files, where))
+            teams.append(_team(run.folder, item, files, where))
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise _error(where, f"the fields that {__name__} describes", _reason(error)) from None
+            reason = (
+                f"no {error}" if isinstance(error, KeyError) else f"{type(error).__name__}: {error}"
+            )
+            raise _error(where, f"the fields that {__name__} describes", reason) from None
     return teams
 
 
@@ -170,10 +161,6 @@ def _stacked(home: Path, name: str, files: dict[str, StackedFile]) -> StackedFil
             raise _error(str(home), f"the file {name} that teams.json names", "no such file")
         files[name] = parse_stacked(read_bytes(path, str(path)), str(path))
     return files[name]
-
-
-def _reason(error: Exception) -> str:
-    return f"no {error}" if isinstance(error, KeyError) else f"{type(error).__name__}: {error}"
 
 
 def _error(source: str, expected: str, found: str) -> FormatError:

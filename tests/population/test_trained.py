@@ -72,3 +72,17 @@ def test_a_number_that_is_none_is_refused(tmp_path: Path) -> None:
     path.write_bytes(data[:-4] + np.float32(np.nan).tobytes())
     with pytest.raises(FormatError, match="NaN"):
         read_trained_run(tmp_path / "run")
+
+
+@pytest.mark.parametrize("damage", ["[{", "{}", "[]", '[{"team": 0, "team": 1}]'])
+def test_whoever_looks_at_the_teams_alone_reads_them_with_the_same_care(
+    tmp_path: Path, damage: str
+) -> None:
+    write(tmp_path / "run")
+    run = RunFolder(tmp_path / "run")
+    assert [item["team"]["seed"] for item in run.team_items()] == [0, 1]
+    run.teams.write_text(damage)
+    with pytest.raises(FormatError, match=r"teams\.json"):
+        run.team_items()
+    with pytest.raises(ValueError, match="is damaged"):
+        run.finished(run.config())

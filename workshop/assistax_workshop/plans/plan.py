@@ -293,26 +293,26 @@ def _existing(group: Group, out: Path) -> Iterator[PlannedRun]:
     ]
     for _, path in sorted(places):
         if (path / "teams.json").is_file():
-            yield PlannedRun(group, path, _finished_members(group, path / "teams.json"), "finished")
+            yield PlannedRun(group, path, _finished_members(group, path), "finished")
         elif (path / "config.json").is_file():
             config = RunFolder(path).config()
             _check_owner(group, path, config.task, config.algorithm)
             yield PlannedRun(group, path, config.members, "begun")
 
 
-def _finished_members(group: Group, path: Path) -> tuple[Member, ...]:
+def _finished_members(group: Group, folder: Path) -> tuple[Member, ...]:
     """Return the members that a run's teams.json names.
 
     All that is left of some runs but their parameters.
     """
     try:
-        teams = [item["team"] for item in json.loads(path.read_text(encoding="utf-8"))]
+        teams = [item["team"] for item in RunFolder(folder).team_items()]
         for team in teams:
-            _check_owner(group, path.parent, team["task"], team["algorithm"])
+            _check_owner(group, folder, team["task"], team["algorithm"])
         return tuple(Member(team["seed"], team["disability"]) for team in teams)
     except (KeyError, TypeError) as error:
         raise ValueError(
-            f"{path} is no list of teams ({type(error).__name__}: {error}); remove its folder"
+            f"{folder} has no list of teams ({type(error).__name__}: {error}); remove it"
         ) from None
 
 

@@ -14,6 +14,7 @@ from assistax_base.files import atomic_write, exclusive
 from assistax_workshop.plans.plan import Group, Key, Plan, PlannedRun, planned_runs
 from assistax_workshop.press.republish import republishable
 from population.hyperparameters import PRESETS
+from population.runs.folder import RunFolder
 from zoo.ids import TeamId
 from zoo.registry import Registry
 
@@ -191,7 +192,7 @@ def _finished_runs(runs_of_plan: Sequence[PlannedRun]) -> dict[str, dict[str, An
     runs = {}
     for planned in runs_of_plan:
         if planned.state == "finished":
-            teams = json.loads((planned.folder / "teams.json").read_text(encoding="utf-8"))
+            teams = RunFolder(planned.folder).team_items()
             training = teams[0]["training"]
             cost = _cost(training, training.get("devices", 1), len(teams), len(teams))
             runs[planned.name] = {"state": "trained"} | cost

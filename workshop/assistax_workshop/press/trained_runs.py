@@ -11,14 +11,8 @@ from pydantic import ValidationError
 
 from assistax_base.bounded_reading import read_text
 from assistax_base.errors import FormatError
-from population.runs.trained import (
-    DONE,
-    MAX_TEAMS_BYTES,
-    REMEDY,
-    TrainedTeam,
-    read_teams,
-    teams_folder,
-)
+from population.runs.folder import DONE, MAX_TEAMS_BYTES, REMEDY
+from population.runs.trained import TrainedTeam, read_teams, teams_folder
 from zoo.schema import Split, first_problem
 from zoo.splits import check_split
 
