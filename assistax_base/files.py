@@ -19,6 +19,9 @@ from typing import Any
 from filelock import FileLock
 
 STALE_SECONDS = 3600.0
+# Under which our files keep JSON about themselves: safetensors, Parquet, ONNX. It is the only key,
+# since the bytes of safetensors are stable with at most one.
+METADATA_KEY = "assistax"
 
 
 @contextlib.contextmanager

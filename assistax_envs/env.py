@@ -20,10 +20,11 @@ from assistax_envs.physics import (
     resolve_backend,
 )
 from assistax_envs.preferences import DRAWN, PREFERENCES
+from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks import TASK_CLASSES, Measures, Sensors, Task
 from assistax_envs.tasks.base import HUMAN_ACTUATORS, HUMAN_JOINTS, ROBOT_JOINTS
 from assistax_envs.tremor import TremorFilter
-from assistax_envs.versions import GENTLE_TASKS, TASKS, VERSIONS, engine
+from assistax_envs.versions import TASKS, VERSIONS, engine
 
 EPISODE_LENGTH = 1000  # control steps of 20 ms: always the full horizon
 LARGEST_STATE = 1e10  # beyond this MuJoCo itself calls a state unstable (mjMAXVAL)
@@ -77,7 +78,7 @@ class Env:
         self.backend = resolve_backend(backend)
         self.version = VERSIONS[task] if isinstance(task, str) else 0  # 0: of no release
         scene = getattr(of_task, "scene", self.task)
-        _check_frames(scene, self.backend)
+        _check_scene(scene, self.backend)
         self.engine: dict[str, str] = engine(self.backend)
         self.episode_length = EPISODE_LENGTH
         self.model: mujoco.MjModel = build_model(scene)
@@ -352,11 +353,16 @@ def _diverged(physics: PhysicsState, values: jax.Array, control: jax.Array) -> j
     return ~jnp.all(jnp.abs(rows) < LARGEST_STATE, axis=-1)
 
 
-def _check_frames(task: str, backend: str) -> None:
-    if task in GENTLE_TASKS and backend not in GIVES_CONTACT_FRAMES:
+def _check_scene(task: str, backend: str) -> None:
+    if task not in REGISTERED:
+        raise ValueError(
+            f"there is no scene {task!r}; let the class say in `scene` whose scene it takes, of "
+            f"{', '.join(TASKS)}"
+        )
+    if REGISTERED[task].felt and backend not in GIVES_CONTACT_FRAMES:
         raise ValueError(
             f"{task} needs to know which way a contact pushes, and backend {backend!r} does not "
-            f"say; use {' or '.join(GIVES_CONTACT_FRAMES)} (--backend native)"
+            f"say; use {' or '.join(GIVES_CONTACT_FRAMES)}"
         )
 
 

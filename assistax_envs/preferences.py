@@ -8,7 +8,7 @@ not, and the reward of both depends on it.
 import dataclasses
 from collections.abc import Sequence
 
-from assistax_envs.versions import GENTLE_TASKS
+from assistax_envs.registered import REGISTERED
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,9 +32,7 @@ DISTANCES = (0.1, 0.25, 0.6)  # m
 PLACES = (0.1, 0.2, 0.3)  # m
 # What of it matters in a task, and is observed there.
 WISHES: dict[str, tuple[str, ...]] = {
-    "gentle_scratch": ("force", "speed"),
-    "gentle_bath": ("force", "speed"),
-    "gentle_lift": ("distance", "place"),
+    name: task.wishes for name, task in REGISTERED.items() if task.wishes
 }
 VALUES = {"force": FORCES, "speed": SPEEDS, "distance": DISTANCES, "place": PLACES}
 
@@ -53,15 +51,15 @@ DRAWN = "drawn"  # a preference that is drawn anew, among all of them, at each e
 
 def preferences_of(task: str) -> tuple[str, ...]:
     """Return the preferences that humans play under if none are chosen; the paper's have none."""
-    return tuple(PREFERENCES) if task in GENTLE_TASKS else ()
+    return tuple(PREFERENCES) if task in WISHES else ()
 
 
 def check_preferences(task: str, names: Sequence[str]) -> None:
     """Refuse names that are no preferences, none, one twice, and any of them for another task."""
-    if task not in GENTLE_TASKS:
+    if task not in WISHES:
         raise ValueError(
             f"the humans of {task} have no preferences; leave them out, or choose "
-            f"{', '.join(GENTLE_TASKS)}"
+            f"{', '.join(WISHES)}"
         )
     unknown = [name for name in names if name not in PREFERENCES]
     if unknown or not names or len(set(names)) < len(names):

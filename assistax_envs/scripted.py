@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks.base import ROBOT_JOINTS, rotate
 
 DOWN = np.array([[0.0, 0.0, -1.0]], np.float32)
@@ -150,12 +151,7 @@ def bring(chain: Chain, obs: jax.Array) -> jax.Array:
 
 
 SCRIPTS: dict[str, Callable[[Chain, jax.Array], jax.Array]] = {
-    "scratch": go,
-    "bed_bath": go,
-    "arm_assist": lift,
-    "gentle_scratch": stroke,
-    "gentle_bath": wipe,
-    "gentle_lift": bring,
+    name: globals()[task.script] for name, task in REGISTERED.items()
 }
 
 

@@ -3,23 +3,18 @@
 A version is an integer. It is raised when the same actions from the same key give other
 observations, rewards or episode ends on the same MuJoCo version: a changed model, task, observation
 or reward. It is not raised for speed, rendering or documentation. `tests/envs/test_golden.py`
-guards it.
+guards it. Each stands in its task's row of `assistax_envs.registered`.
 """
 
 from importlib.metadata import version
 
-VERSIONS: dict[str, int] = {
-    "scratch": 1,
-    "bed_bath": 1,
-    "arm_assist": 2,
-    "gentle_scratch": 2,
-    "gentle_bath": 2,
-    "gentle_lift": 2,
-}
+from assistax_envs.registered import REGISTERED
 
-TASKS: tuple[str, ...] = tuple(VERSIONS)
-GENTLE_TASKS: tuple[str, ...] = ("gentle_scratch", "gentle_bath", "gentle_lift")
-PAPER_TASKS: tuple[str, ...] = ("scratch", "bed_bath", "arm_assist")
+VERSIONS: dict[str, int] = {name: task.version for name, task in REGISTERED.items()}
+
+TASKS: tuple[str, ...] = tuple(REGISTERED)
+PAPER_TASKS: tuple[str, ...] = tuple(name for name, task in REGISTERED.items() if task.paper)
+GENTLE_TASKS: tuple[str, ...] = tuple(name for name, task in REGISTERED.items() if task.felt)
 
 # Of the fused engine's generator: goes up whenever any number that a program computes changes.
 FUSED_VERSION = 1

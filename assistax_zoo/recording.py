@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from assistax_base.files import METADATA_KEY
 from assistax_zoo.zoos import Zoo, open_zoo
 
 if TYPE_CHECKING:
     import polars as pl
 
     from evaluation.film import Pair
-
-METADATA = "assistax"  # key of a file's metadata, whose value is JSON
 
 
 def trajectories(
@@ -159,4 +158,4 @@ def _write(table: "pl.DataFrame", path: Path, pair: "Pair", facts: Mapping[str, 
         **{role: _who(name, pair.seats[role]) for role, name in pair.references.items()},
         "machine": describe_machine(),
     }
-    write_parquet(table, path, metadata={METADATA: json.dumps(about)}, compression="zstd")
+    write_parquet(table, path, metadata={METADATA_KEY: json.dumps(about)}, compression="zstd")

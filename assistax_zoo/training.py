@@ -10,8 +10,8 @@ from assistax_zoo.zoos import Zoo, open_zoo
 
 if TYPE_CHECKING:
     from evaluation.ego_training import TrainedEgos
-    from population.runs.folder import TrainedRun
     from population.runs.train import Progress
+    from population.runs.trained import TrainedRun
 
 
 def train(
@@ -60,7 +60,8 @@ def train(
         >>> run.names
         ('scratch/ippo-d1-s0',)
     """
-    from population.config import check_names, make_members, make_run, numbered, preset
+    from population.config import check_names, make_members, make_run, numbered
+    from population.hyperparameters import preset
     from population.runs.logged_run import run_training
 
     check_names(task, disabilities)

@@ -166,7 +166,7 @@ def train(
     with stdout_is_data():
         from assistax_envs import make
         from benchmarks.training import measure_training
-        from population.config import preset
+        from population.hyperparameters import preset
 
         config = preset(algorithm, **changes)
         row = dataclasses.asdict(

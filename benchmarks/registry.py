@@ -19,8 +19,8 @@ import numpy as np
 
 from assistax_envs.disability import DISABILITY_SETTINGS
 from assistax_workshop.press.publish import publish
-from assistax_workshop.press.trained_runs import TrainedTeam
 from population.networks.spec import PolicySpec, Role
+from population.runs.trained import TrainedTeam
 from zoo.locations import CACHE_VARIABLE
 from zoo.registry import Registry
 

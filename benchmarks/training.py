@@ -10,9 +10,10 @@ import jax
 import jax.numpy as jnp
 
 from benchmarks.timing import REPEATS, calls_within, timed
-from population.config import Member, SACConfig, TrainConfig, TrainerConfig
+from population.config import Member, TrainConfig
+from population.environment import Environment
+from population.hyperparameters import SACConfig, TrainerConfig
 from population.runs.train import initial_state, make_trainer
-from population.trainers.environment import Environment
 from population.trainers.trainer import Trainer
 
 

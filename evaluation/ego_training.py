@@ -6,18 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assistax_base.files import atomic_write
-from population.config import (
-    MIXED,
-    Member,
-    TrainConfig,
-    TrainerConfig,
-    check_names,
-    make_run,
-    numbered,
-    preset,
-)
-from population.runs.folder import TrainedRun
+from population.config import MIXED, Member, TrainConfig, check_names, make_run, numbered
+from population.hyperparameters import TrainerConfig, preset
 from population.runs.logged_run import run_training
+from population.runs.trained import TrainedRun
 from zoo.met.claims import side_met
 from zoo.met.published import Met
 from zoo.parameters.storage import load_stacks, write_policy_file
@@ -176,7 +168,7 @@ def shared_out(trainer: TrainerConfig, partners: int, *, keep: bool) -> TrainerC
     if trainer.num_envs % partners:
         raise ValueError(
             f"num_envs is {trainer.num_envs} with {partners} partners; every partner gets the same "
-            f"share, so choose {fitting}, or leave --num-envs out"
+            f"share, so choose {fitting}, or let it be chosen"
         )
     return trainer
 

@@ -26,11 +26,11 @@ WHOLE = P()  # every device holds all of it
 
 def own_devices(cores: int = 1) -> tuple[jax.Device, ...]:
     """Return all GPUs of this process, or of its CPU devices at least one, at most `cores`."""
-    found = tuple(jax.local_devices())
-    return found if jax.default_backend() != "cpu" else found[: max(1, cores)]
+    devices = tuple(jax.local_devices())
+    return devices if jax.default_backend() != "cpu" else devices[: max(1, cores)]
 
 
-class Shares:
+class DeviceShares:
     """Equal shares of M members, one for each device in use, in the order of the devices.
 
     With one device nothing is split: programs are those that stand outside.
@@ -53,7 +53,7 @@ class Shares:
     def __len__(self) -> int:
         return len(self.devices)
 
-    def __enter__(self) -> "Shares":
+    def __enter__(self) -> "DeviceShares":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -75,8 +75,8 @@ class Shares:
         def call(*args: Any, **static: Any) -> Any:
             # All taken before the first is donated, which deletes the whole array that they are
             # parts of.
-            given = [jax.tree.map(partial(_part, device), args) for device in self.devices]
-            parts = list(self._threads.map(lambda args: jitted(*args, **static), given))
+            arguments = [jax.tree.map(partial(_part, device), args) for device in self.devices]
+            parts = list(self._threads.map(lambda args: jitted(*args, **static), arguments))
             return jax.tree.map(
                 lambda spec, *part: jax.tree.map(
                     lambda *leaves: _join(NamedSharding(mesh, spec), leaves), *part

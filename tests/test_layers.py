@@ -50,7 +50,7 @@ def test_packages_import_only_the_layers_below() -> None:
         ("zoo", "from population.trainers import ppo"),
         ("zoo", "import assistax_envs"),
         ("zoo", "from population.networking.spec import PolicySpec"),
-        ("zoo", "import importlib\nimportlib.import_module('evaluation.play.rollout')"),
+        ("zoo", "import importlib\nimportlib.import_module('population.play.rollout')"),
         ("evaluation", "from assistax_zoo.shell.console import print_json"),
         ("evaluation", "from . import statistics"),
     ],

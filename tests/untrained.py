@@ -9,9 +9,9 @@ import numpy as np
 
 from assistax_envs.versions import VERSIONS
 from assistax_workshop.press.publish import publish
-from assistax_workshop.press.trained_runs import TrainedTeam
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
+from population.runs.trained import TrainedTeam
 
 ROBOT = PolicySpec("robot", observation_size=34, action_size=7, hidden=(8,))
 HUMAN = PolicySpec("human", observation_size=38, action_size=3, hidden=(8,))

@@ -19,7 +19,7 @@ from pydantic import (
 )
 
 from assistax_envs.disability import Disability
-from population.networks.spec import PolicySpec, Role
+from population.networks.spec import PolicySpec, Role, spec_from_json
 from zoo.ids import parse_team, release_number
 
 SCHEMA_VERSION = 2  # 1: without egos and roots; self-play's `mean_ci` was called `ci`
@@ -36,22 +36,6 @@ Side = Annotated[str, Field(pattern=r"^(train|test)$")]
 Rule = Literal[
     "half", "leave-one-algorithm-out", "leave-one-disability-out", "small-train", "custom"
 ]
-
-
-def spec_from_json(value: object) -> PolicySpec:
-    """Return the spec that `PolicySpec.to_json` wrote.
-
-    Raises:
-        ValueError: A field is missing, unknown, or of another type.
-    """
-    if isinstance(value, PolicySpec):
-        return value
-    if not isinstance(value, dict):
-        raise ValueError(f"a policy spec is an object, not {type(value).__name__}")
-    try:
-        return PolicySpec(**value)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"policy spec: {error}") from None
 
 
 Spec = Annotated[PolicySpec, PlainValidator(spec_from_json), PlainSerializer(PolicySpec.to_json)]

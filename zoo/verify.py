@@ -7,12 +7,12 @@ from pathlib import Path
 from assistax_base.errors import ZooError, listing, shorten
 from assistax_envs.disability import DISABILITY_SETTINGS
 from assistax_envs.versions import VERSIONS
+from population.networks.tensors import StackedFile, damaged_row, row_sha256, take_row
 from zoo.history.merkle import root_problems
 from zoo.history.signing import check_signature
 from zoo.ids import parse_team, release_number, same_team
 from zoo.locations import shard_root
-from zoo.parameters.storage import StackedFile, read_shard, take_row
-from zoo.parameters.tensors import damaged_row, row_sha256
+from zoo.parameters.storage import read_shard
 from zoo.registry import Registry
 from zoo.schema import DisabilitySetting, PolicyEntry
 

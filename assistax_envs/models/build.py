@@ -2,7 +2,7 @@
 
 A scene file holds furniture, contact pairs and contact sensors, and attaches `human.xml` and
 `panda.xml` under the prefixes `human_` and `robot_`; here the task's tool is bolted to the robot's
-hand. Edit the MJCF files to change a scene; bump the task's version in `assistax_envs.versions`
+hand. Edit the MJCF files to change a scene; bump the task's version in `assistax_envs.registered`
 when you do.
 """
 
@@ -13,12 +13,8 @@ import numpy as np
 
 from assistax_envs.models.gentle_scenes import SCENES, soften
 from assistax_envs.models.looks import dress
+from assistax_envs.registered import REGISTERED
 
-TOOLS: dict[str, str] = {
-    "scratch": "stick",
-    "bed_bath": "pad",
-    "arm_assist": "hook",
-}  # tool file of each task
 LYING_LEFT_ARM = {
     "left_shoulder2": 0.84,
     "left_elbow": -1.571,
@@ -45,7 +41,7 @@ def _scene(task: str) -> mujoco.MjSpec:
     base = SCENES.get(task, task)
     with resources.as_file(resources.files("assistax_envs.models")) as folder:
         scene = mujoco.MjSpec.from_file(str(folder / f"{base}.xml"))
-        tool = mujoco.MjSpec.from_file(str(folder / f"{TOOLS[base]}.xml"))
+        tool = mujoco.MjSpec.from_file(str(folder / f"{REGISTERED[task].tool}.xml"))
         scene.body("robot_hand").add_frame().attach_body(tool.body("tool"), "robot_", "")
         for joint, angle in REST.get(base, {}).items():
             scene.joint(f"human_{joint}").springref = angle

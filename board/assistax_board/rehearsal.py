@@ -139,7 +139,6 @@ def running_server(stage: Stage) -> Generator[str]:
 def hand_in(stage: Stage, service: Service, new_client: Callable[[str], Client]) -> Iterator[str]:
     """Let two labs hand in: each a file to the season, and one of them a live robot too."""
     from zoo.exports.policies import export_policy
-
     from zoo.registry import load_registry
 
     registry = load_registry(stage.registry)

@@ -18,10 +18,10 @@ from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
 from evaluation.record.manifest import file_sha256, identity_digest
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack, stack_policies
+from population.networks.tensors import flatten, row_sha256
 from zoo.met.claims import claimed_met, declared_met
 from zoo.met.published import NOT_KNOWN, Met, met_in_training
 from zoo.parameters.storage import read_policy_file
-from zoo.parameters.tensors import flatten, row_sha256
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 

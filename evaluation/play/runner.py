@@ -24,10 +24,11 @@ from evaluation.cast.players import make_player
 from evaluation.cast.roster import HostEgo, Roster
 from evaluation.play.devices import devices_for
 from evaluation.play.jobs import TILE_ENVS, Chunk, Job, Share, Tile, plan
-from evaluation.play.rollout import Rollout, Tally
 from evaluation.record import tables
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
+from population.play.rollout import Rollout
+from population.play.tally import Tally
 
 
 @dataclasses.dataclass(frozen=True)

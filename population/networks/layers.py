@@ -33,7 +33,7 @@ class GRU:
 
 
 @dataclasses.dataclass(frozen=True)
-class NetworkPlan:
+class Layers:
     """The parts of a policy's deterministic action, in the order in which they apply."""
 
     spec: PolicySpec
@@ -46,7 +46,7 @@ class NetworkPlan:
     )  # a head on the torso, or one vector [A]; not part of the deterministic action
 
 
-def network_plan(spec: PolicySpec, params: Mapping[str, Any]) -> NetworkPlan:
+def layers_of(spec: PolicySpec, params: Mapping[str, Any]) -> Layers:
     """Return the parts of `Policy(spec)` with these parameters (nested, without a stacked axis).
 
     Raises:
@@ -54,7 +54,7 @@ def network_plan(spec: PolicySpec, params: Mapping[str, Any]) -> NetworkPlan:
     """
     embeddings = len(spec.hidden) - (spec.torso == "gru")
     try:
-        return NetworkPlan(
+        return Layers(
             spec=spec,
             normaliser=(_f32(params["normaliser"]["mean"]), _f32(params["normaliser"]["std"]))
             if spec.normalise

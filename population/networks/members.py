@@ -24,13 +24,13 @@ def member_map(function: Callable[..., Any]) -> Callable[..., Any]:
     return mapped
 
 
-def split(tree: Any, members: int) -> Any:
+def to_members(tree: Any, members: int) -> Any:
     """Reshape the simulation axis [N, ...] of every leaf to [M, N/M, ...]."""
     return jax.tree.map(
         lambda leaf: leaf.reshape(members, leaf.shape[0] // members, *leaf.shape[1:]), tree
     )
 
 
-def flatten(tree: Any) -> Any:
+def to_simulations(tree: Any) -> Any:
     """Reshape every leaf [M, N/M, ...] to [N, ...]."""
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), tree)

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from assistax_base.extras import optional
-from population.networks.layers import GRU, Dense, NetworkPlan, network_plan
+from assistax_base.files import METADATA_KEY
+from population.networks.layers import GRU, Dense, Layers, layers_of
 from population.networks.policy import NORMALISED_LIMIT
 from population.networks.spec import PolicySpec
 
 OPSET = 17
 IR_VERSION = 8  # read by every runtime since 2022
-METADATA_KEY = "assistax"
 
 
 def to_onnx(
@@ -36,8 +36,8 @@ def to_onnx(
     """
     onnx = optional("onnx", "the format onnx", "export")
     graph = _Graph(onnx.helper, onnx.numpy_helper)
-    plan = network_plan(spec, params)
-    inputs, outputs = _write(graph, plan)
+    layers = layers_of(spec, params)
+    inputs, outputs = _write(graph, layers)
     float_type, helper = onnx.TensorProto.FLOAT, onnx.helper
 
     def value(name: str) -> Any:
@@ -67,23 +67,23 @@ def to_onnx(
     return model.SerializeToString(deterministic=True)
 
 
-def _write(graph: "_Graph", plan: NetworkPlan) -> tuple[list[str], list[str]]:
+def _write(graph: "_Graph", layers: Layers) -> tuple[list[str], list[str]]:
     """Add the policy's nodes; return the names of the model's inputs and outputs."""
     features, inputs, outputs = "obs", ["obs"], ["action"]
-    if plan.normaliser is not None:
-        mean, std = (graph.constant(value) for value in plan.normaliser)
+    if layers.normaliser is not None:
+        mean, std = (graph.constant(value) for value in layers.normaliser)
         features = graph.clip(
             graph.add("Div", graph.add("Sub", features, mean), std), NORMALISED_LIMIT
         )
-    for layer in plan.hidden:
+    for layer in layers.hidden:
         features = graph.add(
-            {"tanh": "Tanh", "relu": "Relu"}[plan.spec.activation], graph.dense(features, layer)
+            {"tanh": "Tanh", "relu": "Relu"}[layers.spec.activation], graph.dense(features, layer)
         )
-    if plan.gru is not None:
+    if layers.gru is not None:
         inputs, outputs = ["obs", "carry", "first"], ["action", "next_carry"]
-        features = _gru(graph, plan.gru, features)
-    mean = graph.dense(features, plan.mean)
-    if plan.spec.squash == "tanh":
+        features = _gru(graph, layers.gru, features)
+    mean = graph.dense(features, layers.mean)
+    if layers.spec.squash == "tanh":
         graph.add("Tanh", mean, output="action")
     else:
         graph.clip(mean, 1.0, output="action")

@@ -36,3 +36,19 @@ class PolicySpec:
     def digest(self) -> str:
         """First eight hex digits of the spec's sha256: names the shard of its policies."""
         return json_sha256(self.to_json(), spaced=True)[:8]
+
+
+def spec_from_json(value: object) -> PolicySpec:
+    """Return the spec that `PolicySpec.to_json` wrote.
+
+    Raises:
+        ValueError: A field is missing, unknown, or of another type.
+    """
+    if isinstance(value, PolicySpec):
+        return value
+    if not isinstance(value, dict):
+        raise ValueError(f"a policy spec is an object, not {type(value).__name__}")
+    try:
+        return PolicySpec(**value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"policy spec: {error}") from None

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from population.networks.layers import Dense, network_plan
+from assistax_base.files import METADATA_KEY
+from population.networks.layers import Dense, layers_of
 from population.networks.spec import PolicySpec
-
-METADATA_KEY = "assistax"
 
 
 def to_torch(
@@ -30,21 +29,21 @@ def to_torch(
     """
     import safetensors.numpy
 
-    plan = network_plan(spec, params)
+    layers = layers_of(spec, params)
     state: dict[str, np.ndarray] = {}
-    for index, layer in enumerate(plan.hidden):
+    for index, layer in enumerate(layers.hidden):
         state |= _linear(f"layers.{index}", layer)
-    if plan.gru is not None:
-        for part, layer in (("ih", plan.gru.input), ("hh", plan.gru.recurrent)):
+    if layers.gru is not None:
+        for part, layer in (("ih", layers.gru.input), ("hh", layers.gru.recurrent)):
             state |= {f"gru.weight_{part}": layer.kernel.T, f"gru.bias_{part}": layer.bias}
-    state |= _linear("mean", plan.mean)
+    state |= _linear("mean", layers.mean)
     state |= (
-        _linear("log_std", plan.log_std)
-        if isinstance(plan.log_std, Dense)
-        else {"log_std": plan.log_std}
+        _linear("log_std", layers.log_std)
+        if isinstance(layers.log_std, Dense)
+        else {"log_std": layers.log_std}
     )
-    if plan.normaliser is not None:
-        state |= dict(zip(("obs_mean", "obs_std"), plan.normaliser, strict=True))
+    if layers.normaliser is not None:
+        state |= dict(zip(("obs_mean", "obs_std"), layers.normaliser, strict=True))
     text = json.dumps({"spec": spec.to_json(), **(metadata or {})}, sort_keys=True, allow_nan=False)
     return safetensors.numpy.save(
         {name: np.ascontiguousarray(value) for name, value in state.items()}, {METADATA_KEY: text}

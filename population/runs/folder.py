@@ -8,7 +8,6 @@
 '/'-joined path
 """
 
-import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,13 +17,18 @@ import numpy as np
 import polars as pl
 import safetensors.numpy
 
-from assistax_base.files import atomic_write, write_json
+from assistax_base.bounded_reading import parse_json, read_text
+from assistax_base.errors import FormatError, shorten
+from assistax_base.files import METADATA_KEY, atomic_write, write_json
 from assistax_base.parquet import check_readable, read_parquet, write_parquet
-from population.config import Member, PPOConfig, TrainConfig, TrainerConfig
+from population.config import Member, TrainConfig
+from population.hyperparameters import PPOConfig, TrainerConfig
 from population.networks.spec import PolicySpec
-from population.networks.stack import PolicyStack, flatten, unflatten
+from population.networks.stack import flatten
 
-METADATA_KEY = "assistax"  # safetensors bytes are stable with one metadata key only
+MAX_TEAMS_BYTES = 16 * 1024 * 1024
+REMEDY = "give the folder that training wrote, after the run has finished"
+DONE = "nothing was read"
 OF_EPISODES = ("return", "success", "violated")  # metrics over those that ended, beside terms
 _MAY_CHANGE = (
     "checkpoint_every",
@@ -62,7 +66,7 @@ class RunFolder:
             ValueError: It holds another run, or one although `resume` is false.
             OSError: It cannot be written.
         """
-        wanted = {"config": config.to_json(), "environment": dict(environment)}
+        content = {"config": config.to_json(), "environment": dict(environment)}
         if not self._config.exists():
             if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
                 raise ValueError(
@@ -76,27 +80,43 @@ class RunFolder:
             )
         else:
             # As this version reads it: a run from before a hyperparameter existed has its default.
-            found = {**self._read_config(), "config": self.config().to_json()}
+            kept = {**self._read_config(), "config": self.config().to_json()}
             may_change = (*_MAY_CHANGE, *(("steps",) if extends(config.trainer) else ()))
-            if there := differences(found, wanted, may_change):
+            if there := differences(kept, content, may_change):
                 raise ValueError(
                     f"{self.folder} holds a run with another configuration: {there}; "
                     "repeat that configuration to resume it, or choose a new folder"
                 )
-        write_json(self._config, wanted)
+        write_json(self._config, content)
 
     def finished(self, config: TrainConfig) -> bool:
         """Return whether the folder holds the teams of this run, trained to its end."""
         if not self.teams.exists():
             return False
         try:
-            steps = json.loads(self.teams.read_text())[0]["training"]["steps"]
-        except (ValueError, KeyError, TypeError, IndexError) as error:
+            steps = self.team_items()[0]["training"]["steps"]
+        except (FormatError, KeyError, TypeError) as error:
             raise ValueError(
                 f"{self.teams} is damaged ({type(error).__name__}: {error}); delete it, then the "
                 "same command writes it again"
             ) from None
         return steps == config.updates * config.trainer.batch_steps
+
+    def team_items(self) -> list[Any]:
+        """Return what `teams.json` says of each team, of which only the form is checked.
+
+        Raises:
+            FormatError: It is missing, too large, or no list of at least one team.
+        """
+        text = read_text(self.teams, MAX_TEAMS_BYTES, FormatError, "teams", REMEDY)
+        try:
+            items, problem = parse_json(text), ""
+        except (ValueError, RecursionError) as error:
+            items, problem = None, f"{type(error).__name__}: {error}"
+        if isinstance(items, list) and items:
+            return items
+        expected = "a JSON list of at least one team"
+        raise FormatError(str(self.teams), expected, problem or shorten(items), REMEDY, DONE)
 
     def config(self) -> TrainConfig:
         """Return the configuration of the run in this folder."""
@@ -163,45 +183,6 @@ class RunFolder:
             raise ValueError(f"{self._config} is not JSON ({error}); choose a new folder") from None
 
 
-@dataclasses.dataclass(frozen=True)
-class TrainedRun:
-    """What a run made, member by member in the order of `config.members`."""
-
-    folder: Path
-    config: TrainConfig
-    training: Mapping[str, Any]  # steps, seconds, device, versions, and what else was recorded
-    # `mean`, `iqm`, `mean_ci`, `n` and `success` of each team; None of egos, and where left out.
-    self_play: tuple[Mapping[str, Any] | None, ...]
-    policies: Mapping[str, PolicyStack]  # by role; ids are "NAME/ROLE"
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of each member, "task/algorithm-setting-sN"."""
-        return self.config.names
-
-
-def read_trained_run(folder: Path | str) -> TrainedRun:
-    """Return the finished run of a folder that this machine wrote.
-
-    Raises:
-        OSError: The run is not finished.
-    """
-    run = RunFolder(folder)
-    teams, config = json.loads(run.teams.read_text()), run.config()
-    policies = {}
-    for role, place in teams[0]["roles"].items():
-        leaves = safetensors.numpy.load_file(run.folder / place["file"])
-        ids = tuple(f"{name}/{role}" for name in config.names)
-        policies[role] = PolicyStack(PolicySpec(**place["spec"]), ids, unflatten(leaves))
-    return TrainedRun(
-        run.folder,
-        config,
-        teams[0]["training"],
-        tuple(team["self_play"] for team in teams),
-        policies,
-    )
-
-
 def extends(trainer: TrainerConfig) -> bool:
     """Return whether a run may be made longer.
 
@@ -246,22 +227,20 @@ def metrics_table(
     return table.cast({name: dtype for name, dtype in _SCHEMA.items() if name in table.columns})
 
 
-def differences(
-    found: Any, wanted: Any, ignored: Sequence[str] = _MAY_CHANGE, path: str = ""
-) -> str:
+def differences(there: Any, here: Any, ignored: Sequence[str] = _MAY_CHANGE, path: str = "") -> str:
     """Describe the fields in which two configurations, or parts of them, differ."""
-    if isinstance(found, Mapping) and isinstance(wanted, Mapping):
+    if isinstance(there, Mapping) and isinstance(here, Mapping):
         parts = [
             differences(
-                found.get(name), wanted.get(name), ignored, f"{path}.{name}" if path else name
+                there.get(name), here.get(name), ignored, f"{path}.{name}" if path else name
             )
-            for name in dict.fromkeys([*found, *wanted])
+            for name in dict.fromkeys([*there, *here])
             if name not in ignored
         ]
         return "; ".join(part for part in parts if part)
-    if json.dumps(found) == json.dumps(wanted):
+    if json.dumps(there) == json.dumps(here):
         return ""
-    return f"{path.removeprefix('config.')} is {_short(found)} there and {_short(wanted)} here"
+    return f"{path.removeprefix('config.')} is {_short(there)} there and {_short(here)} here"
 
 
 def _short(value: Any) -> str:

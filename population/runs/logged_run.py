@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from population.config import TrainConfig
-from population.runs.folder import TrainedRun, read_trained_run
+from population.runs.trained import TrainedRun, read_trained_run
 
 if TYPE_CHECKING:
     from population.runs.tensorboard import EventFiles
@@ -50,8 +50,8 @@ def run_training(
             reports.insert(0, stack.enter_context(contextlib.closing(files)))
 
         def report(state: "Progress") -> None:
-            for each in reports:
-                each(state)
+            for report_to in reports:
+                report_to(state)
 
         env = make(config.task, backend)
         train(
@@ -85,14 +85,14 @@ def read_preset(path: Path, algorithm: str | None = None) -> tuple[str, dict[str
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        found, changes = content["algorithm"], dict(content["hyperparameters"])
+        preset_of, changes = content["algorithm"], dict(content["hyperparameters"])
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(
             f"{path} is no preset ({type(error).__name__}: {error}); give a JSON object with "
             "algorithm and hyperparameters, such as the preset.json of `assistax-zoo sweep`"
         ) from None
-    if algorithm not in (None, found):
+    if algorithm not in (None, preset_of):
         raise ValueError(
-            f"algorithm is {algorithm!r}, but {path} is a preset of {found}; leave --algorithm out"
+            f"algorithm is {algorithm!r}, but {path} is a preset of {preset_of}; name that, or none"
         )
-    return found, changes
+    return preset_of, changes

@@ -55,7 +55,7 @@ class EventFiles:
         if there and not (run / "config.json").exists():
             raise ValueError(
                 f"{folder} holds event files of another run of {self._folders[0].name}; choose "
-                "another --tensorboard"
+                "another folder"
             )
         self._flushed = time.monotonic()
 

@@ -19,32 +19,21 @@ import polars as pl
 from assistax_envs import disability_params
 from assistax_envs.disability import Disability
 from assistax_envs.interrupts import interruptible
-from population.config import MIXED, Member, PPOConfig, TrainConfig
-from population.devices import SECOND_AXIS, WHOLE, Shares, state_specs
+from population.config import MIXED, Member, TrainConfig
+from population.devices import SECOND_AXIS, WHOLE, DeviceShares, state_specs
+from population.environment import Environment
+from population.hyperparameters import PPOConfig
+from population.play.self_play import self_play
 from population.runs.checkpoints import Checkpoints
+from population.runs.divergence import DivergedError, describe_divergence, find_divergence
 from population.runs.folder import RunFolder, extends, metrics_table
-from population.trainers.environment import Environment
 from population.trainers.frozen_partners import FrozenPartners
 from population.trainers.ppo import PPO
 from population.trainers.sac import SAC
-from population.trainers.self_play import self_play
 from population.trainers.trainer import Trainer, TrainState
 
 _SELF_PLAY = 1  # folded into a member's key: episodes of the final evaluation
-_LOSSES = (
-    "policy_loss",
-    "value_loss",
-    "q_loss",
-    "entropy",
-    "alpha",
-    "actor_grad_norm",
-    "critic_grad_norm",
-)
 _LIBRARIES = ("jax", "flax", "optax", "mujoco")
-
-
-class DivergedError(ValueError):
-    """A loss is no longer a finite number."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,7 +74,7 @@ def train(
         resume: Whether to go on with a run that the folder holds.
         stop_on_divergence: A loss that is not finite ends the run; else that member goes on.
         progress: Called after every dispatch to the devices.
-        devices: Those that may be used; see `Shares` if not given.
+        devices: Those that may be used; see `DeviceShares` if not given.
 
     Raises:
         ValueError: Environment and configuration do not fit, or the folder holds another run.
@@ -108,7 +97,7 @@ def train(
         apart = 1 if config.trainer.population_coef else len(config.members)
         # The threads of the devices end before this does, whatever happens.
         with (
-            Shares(apart, devices) as shares,
+            DeviceShares(apart, devices) as shares,
             contextlib.closing(Checkpoints(run.checkpoints)) as checkpoints,
         ):
             training = _Training(config, trainer, shares, run, checkpoints)
@@ -132,10 +121,10 @@ def make_trainer(
 
 
 def initial_state(
-    config: TrainConfig, trainer: Trainer, shares: Shares | None = None
+    config: TrainConfig, trainer: Trainer, shares: DeviceShares | None = None
 ) -> TrainState:
     """Return the state of a run before its first update, on one device if there are no shares."""
-    shares = shares or Shares(len(config.members), jax.local_devices()[:1])
+    shares = shares or DeviceShares(len(config.members), jax.local_devices()[:1])
     keys = jnp.stack([member_key(member) for member in config.members])
     settings: list[str | Disability] = []
     likings: list[str] = []
@@ -190,17 +179,17 @@ class _Training:
 
     config: TrainConfig
     trainer: Trainer
-    shares: Shares
+    shares: DeviceShares
     run: RunFolder
     checkpoints: Checkpoints
 
     def load(self) -> tuple[TrainState, list[pl.DataFrame]]:
         """Return the state and metrics of the newest whole checkpoint, or of the beginning."""
         state = initial_state(self.config, self.trainer, self.shares)
-        found = self.checkpoints.restore_latest(state)
-        if found is None:
+        restored = self.checkpoints.restore_latest(state)
+        if restored is None:
             return state, []
-        done, state = found
+        done, state = restored
         if done > self.config.updates:
             raise ValueError(
                 f"{self.run.folder} has already trained "
@@ -235,9 +224,9 @@ class _Training:
             done += updates
             saving = done // config.checkpoint_every > (done - updates) // config.checkpoint_every
             ending = done == config.updates
-            if stop_on_divergence and (bad := _diverged(values)):
+            if stop_on_divergence and (bad := find_divergence(values)):
                 self.run.write_metrics(pl.concat(metrics, how="diagonal"))
-                raise DivergedError(_divergence(bad, rows, config, self.checkpoints))
+                raise DivergedError(describe_divergence(bad, rows, config, self.checkpoints))
             if saving or ending:
                 metrics = [pl.concat(metrics, how="diagonal")]
                 self.run.write_metrics(metrics[0])
@@ -313,36 +302,8 @@ class _Clock:
         )
 
 
-def _diverged(values: Mapping[str, np.ndarray]) -> tuple[str, int] | None:
-    """Return the first metric that is not finite and the member it belongs to."""
-    for name, value in values.items():
-        if name.startswith(_LOSSES) and not np.isfinite(value).all():
-            return name, int(np.argwhere(~np.isfinite(value))[0, 1])
-    return None
-
-
-def _divergence(
-    bad: tuple[str, int], rows: pl.DataFrame, config: TrainConfig, checkpoints: Checkpoints
-) -> str:
-    name, index = bad
-    member, last = config.members[index], checkpoints.latest()
-    kept = (
-        f"the last good checkpoint is of update {last}" if last else "no checkpoint was written yet"
-    )
-    rates = {
-        name: member.overrides.get(name, getattr(config.trainer, name))
-        for name in config.trainer.rates
-    }
-    lower = ", ".join(f"{name} below {rate:g}" for name, rate in rates.items())
-    return (
-        f"training diverged: {name} of member {member.label} is {rows[name][index]} "
-        f"by update {rows['update'].max()}; {kept} in {checkpoints.folder}; "
-        f"start a new run with a {lower} or a max_grad_norm below {config.trainer.max_grad_norm:g}"
-    )
-
-
 def _provenance(
-    config: TrainConfig, env: Environment, shares: Shares, seconds: float
+    config: TrainConfig, env: Environment, shares: DeviceShares, seconds: float
 ) -> Mapping[str, Any]:
     """Return what a registry says about a run."""
     likes = {"preferences": list(config.preferences)} if config.preferences else {}

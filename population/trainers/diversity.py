@@ -39,7 +39,7 @@ def log_mean_density(
         batch: What the members did, leaves [M, T, N, ...].
     """
 
-    def one(peers: jax.Array, obs: jax.Array, first: jax.Array, raw: jax.Array) -> jax.Array:
+    def usual(peers: jax.Array, obs: jax.Array, first: jax.Array, raw: jax.Array) -> jax.Array:
         def density(peer: jax.Array) -> jax.Array:
             own = jax.tree.map(lambda leaf: leaf[peer], params)
             return policy.step(own, (), obs, first)[1].log_prob(raw)
@@ -48,4 +48,4 @@ def log_mean_density(
         densities = jax.lax.map(density, peers)
         return jax.nn.logsumexp(densities, axis=0) - jnp.log(len(densities))
 
-    return member_map(one)(peers, batch.obs[ROLE], batch.first, batch.raw[ROLE])
+    return member_map(usual)(peers, batch.obs[ROLE], batch.first, batch.raw[ROLE])

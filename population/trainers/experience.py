@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 
 from assistax_envs import select
-from population.networks.members import flatten, member_map, split
+from population.environment import Environment, EnvState
+from population.networks.members import member_map, to_members, to_simulations
 from population.networks.policy import Carry, Gaussian, Params, Policy
-from population.trainers.environment import Environment, EnvState
 from population.trainers.frozen_partners import FrozenPartners
 
 EVER = ("success", "violated")  # measures of an episode that hold once they held at a step
@@ -128,9 +128,9 @@ def collect(
 
     def step(loop: _Loop, keys: jax.Array) -> tuple[_Loop, dict[str, Any]]:
         state, tally = loop
-        obs = split({role: state.env.obs[role] for role in policies}, members)
-        carry, acted = act(params, state.carry, obs, split(state.first, members), keys)
-        action, raw, log_prob = flatten(acted)
+        obs = to_members({role: state.env.obs[role] for role in policies}, members)
+        carry, acted = act(params, state.carry, obs, to_members(state.first, members), keys)
+        action, raw, log_prob = to_simulations(acted)
         partner_carry = state.partners
         if partners:
             role = partners.role
@@ -151,7 +151,7 @@ def collect(
     (after, tally), seen = jax.lax.scan(step, (state, _empty_tally(state, inputs)), keys)
     last_obs = {name: after.env.obs[name] for name in inputs}
     ends = {"last_obs": last_obs, "last_first": after.first, "tally": tally}
-    return after, Batch(carry=flatten(state.carry), **seen, **ends)
+    return after, Batch(carry=to_simulations(state.carry), **seen, **ends)
 
 
 def by_member(batch: Batch, members: int) -> Batch:
@@ -163,7 +163,7 @@ def by_member(batch: Batch, members: int) -> Batch:
     timed = ("obs", "first", "raw", "log_prob", "reward", "terminated", "truncated")
     return Batch(
         **{
-            name: jax.tree.map(over_time, value) if name in timed else split(value, members)
+            name: jax.tree.map(over_time, value) if name in timed else to_members(value, members)
             for name, value in vars(batch).items()
         }
     )

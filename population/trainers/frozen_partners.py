@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 
 from assistax_envs.disability import Disability
+from population.environment import Environment
 from population.networks.members import member_map
 from population.networks.policy import Carry, Policy
 from population.networks.stack import PolicyStack
-from population.trainers.environment import Environment
 
 
 class FrozenPartners:
@@ -59,12 +59,12 @@ class FrozenPartners:
             ValueError: They cannot.
         """
         for stack in self.stacks:
-            found = stack.spec.observation_size, stack.spec.action_size
-            wanted = env.observation_size[self.role], env.action_size[self.role]
-            if found != wanted:
+            sizes = stack.spec.observation_size, stack.spec.action_size
+            seats = env.observation_size[self.role], env.action_size[self.role]
+            if sizes != seats:
                 raise ValueError(
-                    f"partner {stack.ids[0]} has observation and action size {found}; those of "
-                    f"the {self.role} in {env.task} are {wanted}: give partners of this task and "
+                    f"partner {stack.ids[0]} has observation and action size {sizes}; those of "
+                    f"the {self.role} in {env.task} are {seats}: give partners of this task and "
                     "environment version"
                 )
         if num_envs % len(self):

@@ -13,13 +13,14 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
-from population.config import Member, PPOConfig
+from population.config import Member
+from population.environment import Environment
+from population.hyperparameters import PPOConfig
 from population.networks import shared_network
 from population.networks.members import member_map
 from population.networks.policy import Carry, Critic, Gaussian, Params, Policy, normalise
 from population.networks.spec import Role
 from population.trainers import diversity, experience, gae, normaliser
-from population.trainers.environment import Environment
 from population.trainers.experience import Batch
 from population.trainers.frozen_partners import FrozenPartners
 from population.trainers.trainer import (
@@ -95,7 +96,7 @@ class PPO(Trainer):
             "entropy_coef": config.anneal_entropy,
             "population_coef": config.anneal_entropy,
         }
-        hyper = {name: each * left if annealed.get(name) else each for name, each in hyper.items()}
+        hyper = {n: value * left if annealed.get(n) else value for n, value in hyper.items()}
         batch = experience.by_member(batch, len(keys))
         metrics = member_map(experience.episode_metrics)(batch)
         if config.population_coef:

@@ -14,17 +14,22 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Bool, Float
 
-from population.config import SACConfig
+from population.environment import Environment
+from population.hyperparameters import SACConfig
 from population.networks.members import member_map
 from population.networks.policy import Gaussian, Params, normalise
 from population.networks.spec import Role
 from population.trainers import experience, normaliser, replay_buffer
-from population.trainers.environment import Environment
 from population.trainers.experience import Sampler
 from population.trainers.frozen_partners import FrozenPartners
 from population.trainers.replay_buffer import Replay, Transitions
+from population.trainers.sac_losses import (
+    critic_loss,
+    policy_loss,
+    soft_target,
+    temperature_gradient,
+)
 from population.trainers.trainer import (
     Hyper,
     MemberState,
@@ -339,67 +344,3 @@ class SAC(Trainer):
     ) -> optax.GradientTransformation:
         """Return the optimiser of a network; a temperature is one number, and not clipped."""
         return optimiser(self.config.adam_eps, None if name == "log_alpha" else max_grad_norm)
-
-
-def soft_target(
-    reward: Float[Array, " B"],
-    terminated: Bool[Array, " B"],
-    next_q: Float[Array, "2 B"],
-    next_log_prob: Float[Array, " B"],
-    alpha: Float[Array, ""] | float,
-    gamma: Float[Array, ""] | float,
-) -> Float[Array, " B"]:
-    """Return r + gamma (1 - terminated) (min_i Q_i(s', a') - alpha log pi(a' | s')).
-
-    Haarnoja et al., 2018, "Soft Actor-Critic Algorithms and Applications", equations 3 and 6, with
-    twin critics. A time limit is no termination: the value of what was reached counts.
-
-    Args:
-        reward: Rewards [B].
-        terminated: Whether the process ended for good [B].
-        next_q: What the slow critics say of the next observation and a new action there [2, B].
-        next_log_prob: Log density of that action [B].
-        alpha: Temperature.
-        gamma: Discount.
-    """
-    value = next_q.min(0) - alpha * next_log_prob
-    return reward + gamma * jnp.where(terminated, 0.0, value)
-
-
-def critic_loss(q: Float[Array, "2 B"], target: Float[Array, " B"]) -> Float[Array, ""]:
-    """Return sum_i E[(Q_i(s, a) - target)^2] (Haarnoja et al., 2018, equation 5, twice it).
-
-    Args:
-        q: What both critics say of replayed actions [2, B].
-        target: Their soft targets [B].
-    """
-    return jnp.square(q - target[None]).mean(1).sum()
-
-
-def policy_loss(
-    alpha: Float[Array, ""], log_prob: Float[Array, " B"], q: Float[Array, "2 B"]
-) -> Float[Array, ""]:
-    """Return E[alpha log pi(a | s) - min_i Q_i(s, a)] (Haarnoja et al., 2018, equation 7).
-
-    Args:
-        alpha: Temperature.
-        log_prob: Log densities of new actions [B].
-        q: What both critics say of them [2, B].
-    """
-    return (alpha * log_prob - q.min(0)).mean()
-
-
-def temperature_gradient(
-    log_alpha: Float[Array, ""], log_prob: Float[Array, " B"], target_entropy: Float[Array, ""]
-) -> Float[Array, ""]:
-    """Return the slope of J = E[-alpha log pi - alpha target] over log alpha.
-
-    dJ / dlog alpha = alpha (H - target) with the entropy H = -E[log pi] (Haarnoja et al., 2018,
-    equation 18).
-
-    Args:
-        log_alpha: Logarithm of the temperature.
-        log_prob: Log densities of new actions [B].
-        target_entropy: What the entropy is to be.
-    """
-    return jnp.exp(log_alpha) * (-log_prob.mean() - target_entropy)

@@ -14,12 +14,13 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from population.config import Member, TrainerConfig, traced_values
+from population.config import Member, traced_values
+from population.environment import Environment
+from population.hyperparameters import TrainerConfig
 from population.networks.members import member_map
 from population.networks.policy import Critic, CriticSpec, Gaussian, Params, Policy
 from population.networks.spec import ROLES, PolicySpec, Role
 from population.trainers import experience, normaliser
-from population.trainers.environment import Environment
 from population.trainers.experience import Batch, Sampler, Simulations
 from population.trainers.frozen_partners import FrozenPartners
 from population.trainers.normaliser import Statistics

@@ -30,7 +30,7 @@ class Defect:
 
 DEFECTS = {
     "the hash of a shard is not checked": Defect(
-        "zoo/parameters/tensors.py",
+        "population/networks/tensors.py",
         r"if digest is not None and sha256\(data\) != digest:",
         "if False:",
         "tests/zoo/test_storage.py::test_a_flipped_byte_is_refused_with_both_hashes",

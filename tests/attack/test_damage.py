@@ -20,6 +20,7 @@ from assistax_workshop.press.trained_runs import read_run
 from evaluation.play.evaluator import run_job
 from evaluation.record import manifest as provenance
 from evaluation.report import write_report
+from population.networks.tensors import flatten
 from population.runs.checkpoints import Checkpoints
 from population.runs.folder import RunFolder
 from tests.attack.damage import BYTES, damaged, tensors
@@ -30,7 +31,6 @@ from tests.evaluation.test_evaluator import make_job, unfinished
 from zoo.lock import read_lock
 from zoo.locking import make_lock, write_lock
 from zoo.parameters.storage import load_stacks, read_policy_file, write_policy_file
-from zoo.parameters.tensors import flatten
 from zoo.registry import Registry, load_registry
 from zoo.verify import verify
 

@@ -17,9 +17,10 @@ import pytest
 
 from assistax_base.errors import ZooError
 from evaluation.cast.egos import call_ego, read_egos
+from population.networks.tensors import parse_stacked
 from tests.attack.ledger import attack
 from tests.attack.process import CONTEXT
-from zoo.parameters.storage import parse_stacked, read_policy_file
+from zoo.parameters.storage import read_policy_file
 from zoo.registry import Registry
 
 pytestmark = pytest.mark.attack

@@ -25,13 +25,13 @@ from assistax_board.work.zoo_scorer import ZooScorer
 from assistax_envs import Env
 from assistax_envs.preferences import PREFERENCES
 from assistax_envs.versions import FUSED_VERSION
-from assistax_workshop.press.trained_runs import TrainedTeam
 from evaluation.figures.normalised import RANDOM, SCRIPT, SELF_PLAY, ZERO
 from evaluation.play.baselines import reference_jobs, reference_roster
 from evaluation.play.evaluator import run_job
 from evaluation.studies import Settings, evaluate_policies, make_job, own_robots
 from population.networks.onnx_export import to_onnx
 from population.networks.spec import PolicySpec
+from population.runs.trained import TrainedTeam
 from tests.board.fakes import draft, new_service, new_submitter
 from tests.untrained import HUMAN, ROBOT, params_of, published, untrained_team
 from zoo.parameters.storage import write_policy_file

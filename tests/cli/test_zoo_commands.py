@@ -8,8 +8,8 @@ import pytest
 
 from assistax_zoo.shell.main import run
 from population.networks.spec import PolicySpec
+from population.networks.tensors import encode
 from tests.zoo.conftest import put, trained_team
-from zoo.parameters.tensors import encode
 
 ROOT = Path(__file__).parents[2]
 SPECS = {

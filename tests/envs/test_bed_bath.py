@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from assistax_envs.tasks import BedBath, Sensors
+from assistax_envs.tasks import Sensors
 from assistax_envs.tasks.base import REACH, Readings, rotate
-from assistax_envs.tasks.bed_bath import POINTS, BedBathState
+from assistax_envs.tasks.bed_bath import POINTS, BedBath, BedBathState
 from tests.envs.conftest import environment, start
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from assistax_envs.disability import DISABILITY_SETTINGS
 from evaluation.ego_training import load_partners, prepare, shared_out
-from population.config import preset
+from population.hyperparameters import preset
 from zoo.parameters import storage
 from zoo.registry import load_registry
 

@@ -509,7 +509,7 @@ def test_memory_that_runs_out_is_told_and_smaller_chunks_then_go_on(
         raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: out of memory allocating")
 
     with monkeypatch.context() as patch:
-        patch.setattr("evaluation.play.rollout.Rollout.run", exhausted)
+        patch.setattr("population.play.rollout.Rollout.run", exhausted)
         with pytest.raises(
             ValueError, match="out of memory with 18 simulations; use --max-envs 9 or less"
         ):

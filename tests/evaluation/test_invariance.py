@@ -16,12 +16,13 @@ import pytest
 
 from assistax_envs import Env, make
 from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
-from evaluation.play import jobs, rollout
+from evaluation.play import jobs
 from evaluation.play.evaluator import in_order
 from evaluation.play.jobs import Job, plan
 from evaluation.play.runner import Runner
 from evaluation.play.shares import run_block  # noqa: F401 (scripts of subprocesses use it)
 from evaluation.record import tables
+from population.play import rollout, seats
 from zoo.registry import load_registry
 
 ROOT = Path(__file__).parents[2]
@@ -116,8 +117,8 @@ def test_other_policies_in_the_job_do_not_change_a_value():
 @pytest.mark.slow
 def test_the_check_sees_a_plan_whose_tiles_follow_max_envs(monkeypatch: pytest.MonkeyPatch):
     """Planted: tiles by `max_envs`, and a program in which XLA fuses as it likes."""
-    monkeypatch.setattr(rollout, "_once", lambda: None)
-    monkeypatch.setattr(rollout, "member_map", jax.vmap)
+    monkeypatch.setattr(rollout, "trip_count", lambda: None)
+    monkeypatch.setattr(seats, "member_map", jax.vmap)
     job = real_job(backend="mjx")
     runner = Runner(scratch(60), job)
     assert differing(played(runner, job, 25), played(runner, job, 2048)) > 0

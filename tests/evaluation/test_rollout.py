@@ -12,10 +12,13 @@ import pytest
 from assistax_envs import disability_params
 from evaluation.cast.roster import Roster
 from evaluation.play.jobs import episode_seeds
-from evaluation.play.rollout import GAMMA, Rollout, Shape, Tally, _start, segment_length
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
+from population.play.layout import Layout
+from population.play.programs import Block, Loop, Programs
+from population.play.rollout import Rollout, segment_length
+from population.play.tally import GAMMA, Tally
 from tests.evaluation.matrix_game import (
     GRU,
     HUMAN,
@@ -121,15 +124,43 @@ def test_every_partner_plays_under_its_own_disability():
     )
 
 
+def programs(spec: PolicySpec = ROBOT) -> Programs:
+    return Programs(
+        MatrixGame(),
+        [Policy(spec)],
+        [Policy(HUMAN)],
+        4,
+        paired=False,
+        stochastic=False,
+        forgets=True,
+    )
+
+
+def block_of(spec: PolicySpec = ROBOT, episodes: int = 2, **changes: Any) -> Block:
+    """Two robots with three humans."""
+    block = Block(
+        robots=(stack_of(random_roster(spec, 2, 1)).params,),
+        humans=(stack_of(random_roster(HUMAN, 3, 2)).params,),
+        env_params=disability_params(SETTINGS),
+        keys=jax.vmap(jax.random.key)(jnp.arange(episodes)),
+        trips=np.int32(1),
+    )
+    return dataclasses.replace(block, **changes)
+
+
+def start_of_block(**changes: Any) -> tuple[Loop, Layout]:
+    block = block_of(**changes)
+    return programs().start(block), programs().layout(block)
+
+
 def test_the_disability_check_sees_one_setting_for_all():
-    shape, keys = Shape((2,), (3,), 2), jax.vmap(jax.random.key)(jnp.arange(2))
-    params = disability_params(SETTINGS)
-    seats = [Policy(ROBOT)], [Policy(HUMAN)]
-    right = _start(MatrixGame(), *seats, params, keys, shape=shape)
-    planted = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[:1], leaf.shape), params)
-    wrong = _start(MatrixGame(), *seats, planted, keys, shape=shape)
-    assert carries_its_own_setting(strengths(right.state, shape.block))
-    assert not carries_its_own_setting(strengths(wrong.state, shape.block))
+    right, layout = start_of_block()
+    planted = jax.tree.map(
+        lambda leaf: jnp.broadcast_to(leaf[:1], leaf.shape), disability_params(SETTINGS)
+    )
+    wrong, _ = start_of_block(env_params=planted)
+    assert carries_its_own_setting(strengths(right.state, layout.block))
+    assert not carries_its_own_setting(strengths(wrong.state, layout.block))
 
 
 def test_a_broken_episode_earns_nothing_from_then_on_and_is_marked():
@@ -290,34 +321,28 @@ def parameters_per_simulation(program: Any, simulations: int, kernel: int) -> li
 
 def test_no_simulation_has_parameters_of_its_own():
     wide = PolicySpec("robot", observation_size=3, action_size=2, hidden=(64, 64), normalise=False)
-    robot, human = random_roster(wide, 2, 1), random_roster(HUMAN, 3, 2)
-    shape = Shape((2,), (3,), 50)
-    rollout = Rollout(MatrixGame(), [Policy(wide)], [Policy(HUMAN)])
-    keys = jax.vmap(jax.random.key)(jnp.arange(50))
-    settings = disability_params(SETTINGS)
-    loop = rollout._start(settings, keys, shape=shape)
-    program = jax.make_jaxpr(lambda *a: rollout._advance(*a, None, np.int32(1), shape=shape))(
-        loop, [stack_of(robot).params], [stack_of(human).params], keys
-    )
+    block = block_of(wide, episodes=50)
+    loop = programs(wide).start(block)
+    program = jax.make_jaxpr(programs(wide).advance)(loop, block, None)
     assert parameters_per_simulation(program.jaxpr, 300, 64 * 64) == []
 
     def gathered(obs: jax.Array, kernels: jax.Array) -> jax.Array:
         return jnp.einsum("no,noh->nh", obs, kernels[jnp.arange(300) // 150])
 
-    kernels = stack_of(robot).params["Dense_1"]["kernel"]
+    kernels = block.robots[0]["Dense_1"]["kernel"]
     planted = jax.make_jaxpr(gathered)(jnp.zeros((300, 64)), kernels)
     assert parameters_per_simulation(planted.jaxpr, 300, 64 * 64) != []
 
 
 def test_threads_that_want_one_program_compile_it_once(monkeypatch: pytest.MonkeyPatch):
-    lowered: list[Any] = []
-    lower = Rollout._lower
+    traced: list[Any] = []
+    start = Programs.start
 
-    def counted(self: Rollout, *args: Any) -> Any:
-        lowered.append(args[0])
-        return lower(self, *args)
+    def counted(self: Programs, block: Block) -> Loop:
+        traced.append(self.layout(block))
+        return start(self, block)
 
-    monkeypatch.setattr(Rollout, "_lower", counted)
+    monkeypatch.setattr(Programs, "start", counted)
     robot, human = stack_of(robots(-0.5)), stack_of(humans(0.5))
     rollout = Rollout(MatrixGame(), [Policy(robot.spec)], [Policy(human.spec)])
     block = [robot.params], [human.params], disability_params(["d1"]), episode_seeds(7, range(3))
@@ -326,5 +351,5 @@ def test_threads_that_want_one_program_compile_it_once(monkeypatch: pytest.Monke
         ahead = [pool.submit(rollout.prepare, *block, device) for _ in range(2)]
         tally = pool.submit(rollout.run, *block).result()
         assert [work.result() for work in ahead] == [None, None]
-    assert lowered == [Shape((1,), (1,), 3)]
+    assert traced == [Layout((1,), (1,), 3)]
     assert tally.returns.shape == (1, 1, 3)

@@ -11,10 +11,10 @@ import polars as pl
 import pytest
 
 from assistax_workshop.press.publish import publish
-from assistax_workshop.press.trained_runs import TrainedTeam
 from evaluation.replay import self_play_check
 from evaluation.replay.self_play_check import SelfPlayReport, check_self_play, tolerance, versions
 from population.networks.spec import PolicySpec
+from population.runs.trained import TrainedTeam
 from tests.population.toy_env import ToyEnv, constant
 from zoo.registry import Registry, load_registry
 from zoo.schema import SelfPlay

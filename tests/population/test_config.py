@@ -3,7 +3,8 @@ import json
 import pytest
 
 from population.config import Member as TeamMember
-from population.config import PPOConfig, TrainConfig, make_members, preset
+from population.config import TrainConfig, make_members
+from population.hyperparameters import PPOConfig, preset
 
 # The paper's hyperparameters, as its tables print them.
 PAPER = {

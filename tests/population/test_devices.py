@@ -17,8 +17,9 @@ import pytest
 import safetensors.numpy
 
 from assistax_envs.disability import DISABILITY_SETTINGS
-from population.config import MIXED, Member, TrainConfig, preset
-from population.devices import Shares
+from population.config import MIXED, Member, TrainConfig
+from population.devices import DeviceShares
+from population.hyperparameters import preset
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
@@ -134,7 +135,9 @@ def save_and_restore(case, folder):
     config, partners = arguments(case)
     trainer = make_trainer(config, ToyEnv(match), partners)
     states = {
-        count: initial_state(config, trainer, Shares(len(config.members), jax.devices()[:count]))
+        count: initial_state(
+            config, trainer, DeviceShares(len(config.members), jax.devices()[:count])
+        )
         for count in (1, 2, 4)
     }
     checkpoints = Checkpoints(Path(folder))
@@ -168,7 +171,11 @@ def leaves(state):
 
 
 def count_shares(cases):
-    print(json.dumps([len(Shares(members, jax.devices()[:devices])) for members, devices in cases]))
+    print(
+        json.dumps(
+            [len(DeviceShares(members, jax.devices()[:devices])) for members, devices in cases]
+        )
+    )
 
 
 def on_several_devices(function, *given):
@@ -256,4 +263,4 @@ def test_as_many_devices_are_used_as_divide_the_members():
 @pytest.mark.parametrize("devices", [[], jax.devices()[:1] * 2])
 def test_devices_are_given_once_each(devices):
     with pytest.raises(ValueError, match="give at least one, and each once"):
-        Shares(4, devices)
+        DeviceShares(4, devices)

@@ -6,9 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from assistax_workshop.plans.plan import Group, find_blocks
-from assistax_workshop.sweep import Range, Sweep
-from population.config import Member, TrainConfig, make_members, make_run, populations, preset
+from assistax_workshop.plans.plan import Group, planned_runs
+from assistax_workshop.sweep import Sweep
+from assistax_workshop.sweep_space import Range
+from population.config import Member, TrainConfig, make_members, make_run, populations
+from population.hyperparameters import preset
 from population.runs.train import train
 from population.trainers import diversity, experience
 from population.trainers.diversity import log_mean_density
@@ -175,7 +177,7 @@ GROUP = {
 
 def test_a_plan_never_cuts_a_population(tmp_path):
     group = Group(**GROUP, max_members=5)
-    assert labels(find_blocks(group, tmp_path)) == {
+    assert labels(planned_runs(group, tmp_path)) == {
         "scratch-mep": ("new", ["d1-s0", "d1-s1", "d1-s2"]),
         "scratch-mep-2": ("new", ["d3-s0", "d3-s1", "d3-s2"]),
     }
@@ -187,18 +189,18 @@ def test_a_plan_adds_settings_to_populations_but_no_seeds(tmp_path):
     group = Group(**GROUP)
     begin(group, tmp_path / "scratch-mep", group.members)
     wider = Group(**{**GROUP, "disabilities": ["d1", "d3", "d5"]})
-    assert [block.name for block in find_blocks(wider, tmp_path)] == [
+    assert [block.name for block in planned_runs(wider, tmp_path)] == [
         "scratch-mep",
         "scratch-mep-2",
     ]
     more = Group(**{**GROUP, "seeds": 5})
     with pytest.raises(ValueError, match="lacks 2 of its 5 teams of d1, which are one population"):
-        find_blocks(more, tmp_path)
+        planned_runs(more, tmp_path)
     published = {("d1", 0), ("d1", 1)}
     with pytest.raises(ValueError, match="lacks 1 of its 3 teams of d1"):
-        find_blocks(group, tmp_path / "elsewhere", published)
+        planned_runs(group, tmp_path / "elsewhere", published)
     finish(tmp_path / "other" / "scratch-mep", group.members, algorithm="mep")
-    [block] = find_blocks(group, tmp_path / "other")
+    [block] = planned_runs(group, tmp_path / "other")
     assert block.state == "finished"
 
 
@@ -207,7 +209,7 @@ def test_a_population_stays_on_one_device(weight, shares, tmp_path, monkeypatch)
     def count(members, devices):
         raise InterruptedError(members)
 
-    monkeypatch.setattr("population.runs.train.Shares", count)
+    monkeypatch.setattr("population.runs.train.DeviceShares", count)
     trainer = dataclasses.replace(MEP, population_coef=weight)
     config = make_run("toy", "mep", PAIR, 320, trainer)
     with pytest.raises(InterruptedError, match=str(shares)):

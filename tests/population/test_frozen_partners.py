@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from assistax_envs import DISABILITY_SETTINGS, disability_params
-from population.config import MIXED, Member, PPOConfig, SACConfig, TrainConfig
+from population.config import MIXED, Member, TrainConfig
+from population.hyperparameters import PPOConfig, SACConfig
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack

@@ -8,7 +8,8 @@ import polars as pl
 import pytest
 
 from assistax_envs import make
-from population.config import Member, TrainConfig, preset
+from population.config import Member, TrainConfig
+from population.hyperparameters import preset
 from population.runs.train import train
 
 STEPS = 229_376  # of each member, with the tables' hyperparameters but few simulations: 28 updates

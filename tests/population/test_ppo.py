@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from assistax_envs import disability_params
-from population.config import Member, PPOConfig, preset
+from population.config import Member
+from population.hyperparameters import PPOConfig, preset
 from population.networks.policy import Policy, normalise
+from population.play.self_play import self_play
 from population.runs.train import member_key
 from population.trainers.normaliser import to_params
 from population.trainers.ppo import PPO
-from population.trainers.self_play import self_play
 from tests.population.toy_env import ToyEnv, constant, match, together
 
 FAST_COMPILE = {

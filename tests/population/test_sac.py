@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from assistax_envs import disability_params
-from population.config import Member, SACConfig, preset
+from population.config import Member
+from population.hyperparameters import SACConfig, preset
 from population.networks import policy
+from population.play.self_play import self_play
 from population.runs.train import member_key
 from population.trainers import replay_buffer
-from population.trainers.sac import SAC, soft_target
-from population.trainers.self_play import self_play
+from population.trainers.sac import SAC
+from population.trainers.sac_losses import soft_target
 from tests.population.toy_env import ToyEnv, constant, match, together
 
 FAST_COMPILE = {

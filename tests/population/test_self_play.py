@@ -1,11 +1,12 @@
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from assistax_envs import disability_params
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
-from population.trainers.self_play import self_play
+from population.play.self_play import self_play
 from tests.population.toy_env import ToyEnv, constant, match
 
 POLICIES = {
@@ -55,3 +56,21 @@ def test_teams_are_played_with_their_own_parameters():
         16,
     )
     np.testing.assert_allclose(alone[0]["mean"], play(match)[1]["mean"], rtol=1e-5)
+
+
+def test_figures_are_those_of_a_plain_loop():
+    """Oracle: one team, step by step, one policy at a time."""
+    keys = jax.random.split(jax.random.key(0), TEAMS)
+    env, team = ToyEnv(match), 2
+    params = {role: jax.vmap(policy.init)(keys) for role, policy in POLICIES.items()}
+    state = env.reset(jax.random.split(keys[team], 16), disability_params(["d1"] * 16))
+    carry, returns = dict.fromkeys(POLICIES, ()), np.zeros(16)
+    for time in range(env.episode_length):
+        action = {}
+        for role, policy in POLICIES.items():
+            own = jax.tree.map(lambda leaf: leaf[team], params[role])
+            first = jnp.full(16, time == 0)
+            carry[role], action[role] = policy.act(own, carry[role], state.obs[role], first)
+        state = env.step(state, action)
+        returns += np.asarray(state.reward)
+    np.testing.assert_allclose(play(match)[team]["mean"], returns.mean(), rtol=1e-6)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from assistax_envs import disability_params
-from population.config import Member, PPOConfig, preset
+from population.config import Member
+from population.hyperparameters import PPOConfig, preset
 from population.networks import shared_network
 from population.networks.policy import Policy
 from population.networks.spec import ROLES, PolicySpec

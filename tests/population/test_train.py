@@ -17,14 +17,15 @@ import pytest
 import safetensors
 import safetensors.numpy
 
-from population.config import Member, TrainConfig, make_members, preset
+from population.config import Member, TrainConfig, make_members
+from population.hyperparameters import preset
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from population.networks.stack import flatten
+from population.play.self_play import self_play
 from population.runs.checkpoints import Checkpoints
 from population.runs.folder import RunFolder
 from population.runs.train import DivergedError, train
-from population.trainers.self_play import self_play
 from tests.population.toy_env import ToyEnv, match
 
 PPO = preset("ippo", num_envs=8, rollout_steps=10, hidden=(8, 8), minibatches=2, epochs=1)

@@ -14,7 +14,7 @@ from assistax_base.errors import ZooError
 from assistax_envs import disability_params, make
 from assistax_envs.preferences import PREFERENCES, VALUES, WISHES
 from assistax_workshop.gates import audit as audits
-from assistax_workshop.gates.audit import Mistaken
+from assistax_workshop.gates.audit import WrongBeliefEnv
 from assistax_workshop.gates.audit_gates import Gate, gates_of
 from assistax_zoo.shell.main import run
 from population.config import TrainConfig, make_members
@@ -147,7 +147,7 @@ def test_intervals_widen_with_the_teams() -> None:
 @one_gentle_task
 def test_a_mistaken_human_sees_the_next_preference_and_the_reward_does_not(task: str) -> None:
     env = make(task, "native")
-    wrong, keys = Mistaken(env), jax.random.split(jax.random.key(0), 9)
+    wrong, keys = WrongBeliefEnv(env), jax.random.split(jax.random.key(0), 9)
     params = disability_params(["d1"] * 9, list(PREFERENCES))
     one, other = (jax.jit(each.reset)(keys, params) for each in (env, wrong))
     jax.tree.map(np.testing.assert_array_equal, one.task.likes, other.task.likes)

@@ -12,7 +12,7 @@ import yaml
 import assistax_workshop.press.hub_publish
 from assistax_base.errors import ImmutableError, OfflineError, PublishError, RemoteError
 from assistax_workshop.press.hub_publish import Publication, publish_to
-from assistax_workshop.press.trained_runs import TrainedTeam
+from population.runs.trained import TrainedTeam
 from tests.zoo.hub_server import Fault, Hub
 from zoo.transport.fetch import fetch, remote_registry
 from zoo.transport.remotes import open_remote

@@ -7,8 +7,9 @@ import polars as pl
 import pytest
 
 from assistax_workshop.plans.learning_curves import thin, write_curves
-from assistax_workshop.plans.plan import Group, find_blocks, read_plan
-from population.config import TrainConfig, make_members, preset
+from assistax_workshop.plans.plan import Group, planned_runs, read_plan
+from population.config import TrainConfig, make_members
+from population.hyperparameters import preset
 from population.runs.folder import RunFolder
 
 V1 = Path(__file__).parents[2] / "zoo" / "plans" / "v1.json"
@@ -168,31 +169,31 @@ def finish(folder, members, task="scratch", algorithm="ippo"):
 
 def test_a_group_is_cut_into_blocks(tmp_path):
     group = Group(**{**GROUP, "max_members": 4})
-    assert labels(find_blocks(group, tmp_path)) == {
+    assert labels(planned_runs(group, tmp_path)) == {
         "scratch-ippo": ("new", ["d1-s0", "d1-s1", "d1-s2", "d3-s0"]),
         "scratch-ippo-2": ("new", ["d3-s1", "d3-s2"]),
     }
-    assert labels(find_blocks(group, tmp_path, {("d1", 0), ("d3", 2)})) == {
+    assert labels(planned_runs(group, tmp_path, {("d1", 0), ("d3", 2)})) == {
         "scratch-ippo": ("new", ["d1-s1", "d1-s2", "d3-s0", "d3-s1"])
     }
 
 
 def test_what_a_folder_holds_does_not_depend_on_what_is_published(tmp_path):
     group = Group(**{**GROUP, "max_members": 2})
-    first, second, third = find_blocks(group, tmp_path)
+    first, second, third = planned_runs(group, tmp_path)
     begin(group, second.folder, second.members)
     expected = labels([first, dataclasses.replace(second, state="begun"), third])
-    assert labels(find_blocks(group, tmp_path)) == expected
+    assert labels(planned_runs(group, tmp_path)) == expected
     published = {(member.disability, member.seed) for member in second.members[:1]}
-    assert labels(find_blocks(group, tmp_path, published)) == expected
+    assert labels(planned_runs(group, tmp_path, published)) == expected
     finish(first.folder, first.members)
     longer = dataclasses.replace(group, steps=2000, seeds=4)
-    assert labels(find_blocks(longer, tmp_path, first.keys)) == {
+    assert labels(planned_runs(longer, tmp_path, first.keys)) == {
         "scratch-ippo-2": ("begun", ["d1-s2", "d3-s0"]),
         "scratch-ippo-3": ("new", ["d1-s3", "d3-s1"]),
         "scratch-ippo-4": ("new", ["d3-s2", "d3-s3"]),
     }
-    begun = next(block for block in find_blocks(longer, tmp_path) if block.state == "begun")
+    begun = next(block for block in planned_runs(longer, tmp_path) if block.state == "begun")
     assert begun.config().steps == 1000
     assert begun.differences() == "steps is 1000 there and 2000 here"
 
@@ -202,12 +203,12 @@ def test_a_folder_of_another_task_is_refused(tmp_path):
     with pytest.raises(
         ValueError, match="holds a run of bed_bath ippo, but group scratch-ippo is scratch ippo"
     ):
-        find_blocks(Group(**GROUP), tmp_path)
+        planned_runs(Group(**GROUP), tmp_path)
 
 
 def test_groups_with_names_that_begin_alike_keep_their_folders(tmp_path):
     finish(tmp_path / "scratch-ippo-gru", make_members([0], ["d1"]))
-    assert labels(find_blocks(Group(**GROUP), tmp_path)).keys() == {"scratch-ippo"}
+    assert labels(planned_runs(Group(**GROUP), tmp_path)).keys() == {"scratch-ippo"}
 
 
 def curves_config(updates):

@@ -13,12 +13,14 @@ import pytest
 from assistax_base.errors import FormatError, ImmutableError, PublishError, RegistryError
 from assistax_workshop.press.publish import publish
 from assistax_workshop.press.release import complete_release
-from assistax_workshop.press.trained_runs import TrainedTeam, read_run
-from population.config import PPOConfig, TrainConfig, make_members
+from assistax_workshop.press.trained_runs import read_run
+from population.config import TrainConfig, make_members
+from population.hyperparameters import PPOConfig
 from population.networks.spec import PolicySpec
+from population.networks.tensors import encode, flatten
 from population.runs.folder import RunFolder
+from population.runs.trained import TrainedTeam
 from zoo.parameters.storage import load_stacks
-from zoo.parameters.tensors import encode, flatten
 from zoo.registry import Registry, load_registry
 from zoo.verify import verify
 

@@ -4,17 +4,9 @@ from functools import partial
 import polars as pl
 import pytest
 
-from assistax_workshop.sweep import (
-    SPACES,
-    Range,
-    Sweep,
-    best,
-    make_sweep,
-    read_space,
-    run_sweep,
-    score,
-)
-from population.config import preset
+from assistax_workshop.sweep import Sweep, best, make_sweep, run_sweep, score
+from assistax_workshop.sweep_space import SPACES, Range, read_space
+from population.hyperparameters import preset
 from tests.population.toy_env import ToyEnv, match
 
 FIXED = {"num_envs": 8, "rollout_steps": 10, "hidden": (8, 8), "epochs": 1}

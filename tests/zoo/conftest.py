@@ -12,8 +12,8 @@ import pytest
 
 from assistax_envs.versions import VERSIONS
 from assistax_workshop.press.publish import publish
-from assistax_workshop.press.trained_runs import TrainedTeam
 from population.networks.spec import PolicySpec
+from population.runs.trained import TrainedTeam
 from tests.zoo.hub_server import Hub
 from zoo.registry import Registry
 from zoo.transport import remotes

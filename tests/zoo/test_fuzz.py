@@ -16,9 +16,9 @@ import pytest
 
 from assistax_base.digest import sha256
 from assistax_base.errors import ZooError
+from population.networks.tensors import flatten, parse_stacked, row_sha256
 from tests.attack.damage import cut, flip, grow, splice, zero
-from zoo.parameters.storage import load_stacks, parse_stacked
-from zoo.parameters.tensors import flatten, row_sha256
+from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, build_registry, load_registry, parse_registry
 from zoo.verify import verify
 

@@ -19,10 +19,10 @@ from assistax_base.errors import (
     UpdateError,
 )
 from assistax_workshop.press.publish import publish
-from assistax_workshop.press.trained_runs import TrainedTeam
 from assistax_zoo.shell.main import run
 from assistax_zoo.zoos import open_zoo
 from evaluation.studies import choose_partners, in_release
+from population.runs.trained import TrainedTeam
 from tests.zoo.hub_server import Hub
 from zoo.history.merkle import with_roots
 from zoo.locations import added_remote, default_remote, set_default_remote

@@ -16,9 +16,10 @@ from assistax_base.errors import (
     ZooError,
 )
 from assistax_envs.disability import DISABILITY_SETTINGS
+from population.networks.spec import spec_from_json
 from zoo.registry import Registry, load_registry, parse_registry
 from zoo.saving import dump_registry, save_registry
-from zoo.schema import SCHEMA_VERSION, RegistryFile, spec_from_json
+from zoo.schema import SCHEMA_VERSION, RegistryFile
 
 
 def edit(registry: Registry, change) -> Path:

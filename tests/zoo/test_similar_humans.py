@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from assistax_base.errors import IntegrityError, LeakageError
-from assistax_workshop.press.trained_runs import TrainedTeam
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
+from population.runs.trained import TrainedTeam
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry
 from zoo.splitting.create import create_split

@@ -11,15 +11,21 @@ from hypothesis import strategies as st
 from assistax_base.errors import FormatError, IntegrityError, ZooError
 from population.networks.spec import PolicySpec
 from population.networks.stack import unflatten
+from population.networks.tensors import (
+    MAX_HEADER_BYTES,
+    decode,
+    encode,
+    flatten,
+    parse_stacked,
+    row_sha256,
+    take_row,
+)
 from zoo.parameters.encoding import check_params, encode_shard
 from zoo.parameters.storage import (
     load_stacks,
-    parse_stacked,
     read_policy_file,
-    take_row,
     write_policy_file,
 )
-from zoo.parameters.tensors import MAX_HEADER_BYTES, decode, encode, flatten, row_sha256
 from zoo.registry import Registry, build_registry
 
 

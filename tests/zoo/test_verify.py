@@ -7,8 +7,9 @@ import pytest
 
 from assistax_base.digest import sha256
 from assistax_envs.versions import VERSIONS
+from population.networks.tensors import take_row
 from zoo.parameters.encoding import encode_shard
-from zoo.parameters.storage import read_shard, take_row
+from zoo.parameters.storage import read_shard
 from zoo.registry import Registry, load_registry
 from zoo.verify import verify
 

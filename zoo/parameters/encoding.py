@@ -7,7 +7,7 @@ import numpy as np
 
 from assistax_base.errors import FormatError
 from population.networks.spec import PolicySpec
-from zoo.parameters.tensors import Leaves, encode, row_sha256
+from population.networks.tensors import Leaves, encode, row_sha256
 
 
 def encode_shard(

@@ -11,17 +11,21 @@ from assistax_base.errors import FormatError, IntegrityError, shorten
 from assistax_base.files import atomic_write
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack, stack_policies, unflatten
-from zoo.parameters.tensors import (
+from population.networks.tensors import (
     Leaves,
+    StackedFile,
     damaged_row,
     decode,
     encode,
     flatten,
+    metadata_spec,
+    parse_stacked,
     read_bytes,
     row_sha256,
+    take_row,
 )
 from zoo.registry import Registry
-from zoo.schema import PolicyEntry, spec_from_json
+from zoo.schema import PolicyEntry
 
 
 class PolicyFile(NamedTuple):
@@ -30,14 +34,6 @@ class PolicyFile(NamedTuple):
     spec: PolicySpec
     params: dict[str, Any]
     metadata: dict[str, Any]
-
-
-class StackedFile(NamedTuple):
-    """A file of stacked parameters: leaves [P, ...], and what its metadata says of each row."""
-
-    spec: PolicySpec
-    leaves: Leaves
-    rows: list[Any]
 
 
 def load_stacks(registry: Registry, entries: Iterable[PolicyEntry]) -> tuple[PolicyStack, ...]:
@@ -81,31 +77,6 @@ def read_shard(registry: Registry, path: str) -> StackedFile:
     return stacked
 
 
-def parse_stacked(data: bytes, source: str) -> StackedFile:
-    """Return the content of stacked safetensors bytes: leaves [P, ...], metadata {"spec", "rows"}.
-
-    Raises:
-        FormatError: The file is malformed, its spec is no policy spec, or its leaves disagree on P.
-    """
-    leaves, metadata = decode(data, source)
-    spec, rows = _spec(metadata, source), metadata.get("rows")
-    if not isinstance(rows, list) or not rows:
-        raise FormatError(
-            source, "metadata rows: a list with one item for each policy", shorten(rows)
-        )
-    wrong = [
-        f"{name} {value.shape}" for name, value in leaves.items() if value.shape[:1] != (len(rows),)
-    ]
-    if wrong:
-        raise FormatError(source, f"leaves with a first axis of {len(rows)}", wrong[0])
-    return StackedFile(spec, leaves, rows)
-
-
-def take_row(stacked: StackedFile, row: int) -> Leaves:
-    """Return one policy's leaves as stored, without the stacked axis."""
-    return {name: value[row] for name, value in stacked.leaves.items()}
-
-
 def read_policy_file(path: Path | str) -> PolicyFile:
     """Return the policy of a single-policy `.safetensors` file.
 
@@ -117,7 +88,7 @@ def read_policy_file(path: Path | str) -> PolicyFile:
     if not Path(path).is_file():
         raise FormatError(source, "a .safetensors file", "no such file")
     leaves, metadata = decode(read_bytes(Path(path), source), source)
-    spec = _spec(metadata, source)
+    spec = metadata_spec(metadata, source)
     extra = metadata.get("metadata", {})
     if not isinstance(extra, dict):
         raise FormatError(source, "metadata that is an object", shorten(extra))
@@ -176,10 +147,3 @@ def _content_sha256(spec: PolicySpec, metadata: Mapping[str, Any], leaves: Leave
     """Return the sha256 that a policy file carries of itself: of spec, metadata and leaves."""
     content = [spec.to_json(), dict(metadata), row_sha256(leaves)]
     return json_sha256(content, spaced=True)
-
-
-def _spec(metadata: Mapping[str, Any], source: str) -> PolicySpec:
-    try:
-        return spec_from_json(metadata.get("spec"))
-    except ValueError as error:
-        raise FormatError(source, "a policy spec in the metadata", shorten(str(error))) from None

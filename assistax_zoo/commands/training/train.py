@@ -13,8 +13,8 @@ from assistax_zoo.commands.options import Training
 from assistax_zoo.shell.console import TrainingLine, answer, stdout_is_data
 
 if TYPE_CHECKING:
-    from population.runs.folder import TrainedRun
     from population.runs.train import Progress
+    from population.runs.trained import TrainedRun
 
 
 def train(
@@ -122,7 +122,7 @@ def _report(run: "TrainedRun", json: bool, json_lines: bool) -> None:
     ]
     line = [jsonlib.dumps({"run": str(run.folder), "teams": rows})]
     figures = zip(run.names, run.self_play, strict=True)
-    measured = [f"{name}  {_measured(one)}" for name, one in figures]
+    measured = [f"{name}  {_measured(result)}" for name, result in figures]
     publish = f"assistax-zoo publish {run.folder} --release v0 --registry my-zoo/registry.json"
     lines = [*measured, f"{len(rows)} teams in {run.folder}; next: {publish}"]
     content = {"run": run.folder, "training": run.training, "teams": rows}

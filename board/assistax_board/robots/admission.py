@@ -122,9 +122,9 @@ def make_policy(spec: Any) -> Any:
 
 def _read_safetensors(data: bytes, observation_size: int, action_size: int) -> Robot:
     from assistax_base.errors import ZooError
+    from population.networks.tensors import flatten
     from zoo.parameters.encoding import check_params
     from zoo.parameters.storage import read_policy_file
-    from zoo.parameters.tensors import flatten
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "robot.safetensors"

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from assistax_workshop.plans.plan import Block, read_plan
+from assistax_workshop.plans.plan import PlannedRun, read_plan
 from assistax_workshop.plans.status import Status
 from assistax_workshop.plans.training import PlanTraining
 from assistax_zoo.commands.partners.listing import table_lines
@@ -75,12 +75,12 @@ def population(
 
 
 @contextlib.contextmanager
-def _shown(json_lines: bool, block: Block) -> Generator[Callable[[Any], None]]:
+def _shown(json_lines: bool, planned: PlannedRun) -> Generator[Callable[[Any], None]]:
     """Show the training of a run; as JSON lines, begin with a line that names the run."""
     if json_lines:
-        start = {"run": block.name, "group": block.group.name, "teams": len(block.members)}
+        start = {"run": planned.name, "group": planned.group.name, "teams": len(planned.members)}
         print(jsonlib.dumps(start), flush=True)
-    with shown_training(f"{block.group.task} {block.group.algorithm}", json_lines) as progress:
+    with shown_training(f"{planned.group.task} {planned.group.algorithm}", json_lines) as progress:
         yield progress
 
 

@@ -19,7 +19,7 @@ import polars as pl
 from assistax_envs import disability_params, make
 from assistax_envs.preferences import PREFERENCES, VALUES, WISHES, preferences_of
 from assistax_envs.tasks.gentle_base import FELT, HARD, Liking
-from assistax_envs.versions import GENTLE_TASKS, VERSIONS
+from assistax_envs.versions import VERSIONS
 from assistax_workshop.gates.audit_gates import Gate, condition_figures, gates_of, strange_pairs
 from assistax_workshop.gates.audit_teams import Teams
 from evaluation.cast.roster import Member, Roster
@@ -70,7 +70,7 @@ class Others:
     ego_recurrent: Teams | None = None  # ... and remember
 
 
-class Mistaken:
+class WrongBeliefEnv:
     """An environment whose human believes in another preference: the next force, speed, distance.
 
     The reward keeps the one that it has.
@@ -144,9 +144,9 @@ def _check(task: str, teams: Teams, others: Others, episodes: int) -> None:
             f"{len(others.response.robots.ids)} best responses for {len(teams.humans.ids)} teams; "
             "give one for each, in their order"
         )
-    if task not in GENTLE_TASKS and (others.told or others.blind or others.ego_told):
+    if task not in WISHES and (others.told or others.blind or others.ego_told):
         raise ValueError(
-            f"the humans of {task} have no preferences; leave out --told, --blind and --ego-told"
+            f"the humans of {task} have no preferences; leave out who is told them, and who is not"
         )
     for egos in (others.ego, others.ego_told, others.ego_recurrent):
         if egos and set(teams.humans.ids) <= set(egos.met):
@@ -182,12 +182,12 @@ def _play(table: "_Tables", env: Any, teams: Teams, others: Others) -> dict[str,
             told = {"told": BOTH, "blind": ()}.get(name)
             there = env if told is None else table.env(told=told)
             played[name] = table.play(name, pairs.robots, pairs.humans, env=there, paired=True)
-    if task in GENTLE_TASKS:
+    if task in WISHES:
         played["mistaken humans"] = table.play(
             "mistaken",
             teams.robots,
             teams.humans,
-            env=Mistaken(env),
+            env=WrongBeliefEnv(env),
             paired=True,
             condition="mistaken",
         )

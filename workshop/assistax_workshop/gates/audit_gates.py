@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks.gentle_base import HARD
-from assistax_envs.versions import GENTLE_TASKS
 from evaluation.figures.bootstrap import RESAMPLES, draw_counts
 from evaluation.figures.metrics import Traits, cross_play
 from evaluation.record.tables import dense_block, with_safety
@@ -33,7 +33,7 @@ def gates_of(
 ) -> list[Gate]:
     """Return the gates of a task, from the episodes of each condition; see `audit_task`."""
     pairs = played["all pairs"]
-    own, goal = played["own teams"], "safe_success" if task in GENTLE_TASKS else "success"
+    own, goal = played["own teams"], "safe_success" if REGISTERED[task].felt else "success"
     each = with_safety(own).group_by("ego").agg(pl.col(goal).cast(pl.Float64).mean())
     half = float(each[goal].to_numpy().max()) / 2
 

@@ -30,8 +30,9 @@ from evaluation.play.evaluator import run_job
 from evaluation.record.manifest import record_command, write_run
 from evaluation.record.met_partners import declare, met_partners
 from evaluation.studies import Settings, choose_partners, context_of, make_job
-from population.runs.folder import RunFolder, read_trained_run
+from population.runs.folder import RunFolder
 from population.runs.train import train
+from population.runs.trained import read_trained_run
 from zoo.registry import Registry, load_registry
 
 

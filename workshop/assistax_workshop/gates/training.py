@@ -24,8 +24,9 @@ from assistax_zoo.commands.options import parse_changes, parse_seeds, parse_step
 from assistax_zoo.shell.console import TrainingLine
 from evaluation.cast.roster import Roster
 from evaluation.ego_training import shared_out
-from population.config import MIXED, TrainerConfig, make_members, make_run, preset
-from population.networks.members import flatten, member_map, split
+from population.config import MIXED, make_members, make_run
+from population.hyperparameters import TrainerConfig, preset
+from population.networks.members import member_map, to_members, to_simulations
 from population.networks.policy import Carry
 from population.networks.stack import PolicyStack
 from population.runs.train import train
@@ -99,9 +100,9 @@ class OneEach(FrozenPartners):
     ) -> tuple[tuple[Carry, ...], jax.Array]:
         """See `FrozenPartners.act`."""
         [policy] = self._policies
-        seen = split((obs, first), members)
+        seen = to_members((obs, first), members)
         new, action = member_map(policy.act)(params[0], carry[0], *seen)
-        return (new,), flatten(action)
+        return (new,), to_simulations(action)
 
 
 def main(

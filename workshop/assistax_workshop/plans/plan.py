@@ -1,7 +1,7 @@
 """A plan: every team of a release, in groups that train in one program each.
 
 A group is one task and one algorithm, with all its disability settings and seeds. Its run folders
-are `NAME`, `NAME-2`, ... in the folder of the plan's runs, each with a block of its members. What a
+are `NAME`, `NAME-2`, ... in the folder of the plan's runs, each with some of its members. What a
 run folder holds is decided when it is begun: a plan that changes later adds new folders, and never
 alters those that are there. Imports no JAX.
 """
@@ -32,13 +32,12 @@ from population.config import (
     Member,
     Precision,
     TrainConfig,
-    TrainerConfig,
     check_names,
     make_members,
     make_run,
     numbered,
-    preset,
 )
+from population.hyperparameters import TrainerConfig, preset
 from population.runs.folder import RunFolder, differences
 
 # The last word of a group's name is no number, or it were taken for another's second folder.
@@ -142,16 +141,16 @@ class Plan:
 
     def select(self, patterns: str) -> list[Group]:
         """Return the groups whose names match one of the comma-separated globs."""
-        wanted = [pattern.strip() for pattern in patterns.split(",")]
-        found = [
+        globs = [pattern.strip() for pattern in patterns.split(",")]
+        groups = [
             group
             for group in self.groups
-            if any(fnmatch.fnmatchcase(group.name, glob) for glob in wanted)
+            if any(fnmatch.fnmatchcase(group.name, glob) for glob in globs)
         ]
-        if not found:
+        if not groups:
             names = ", ".join(group.name for group in self.groups)
             raise ValueError(f"no group matches {patterns!r}; the plan has {names}")
-        return found
+        return groups
 
 
 def read_plan(path: Path) -> Plan:
@@ -241,7 +240,7 @@ def write_private_plan(plan: Plan, path: Path) -> None:
 
 
 @dataclasses.dataclass(frozen=True)
-class Block:
+class PlannedRun:
     """Members of a group in one run folder."""
 
     group: Group
@@ -269,14 +268,14 @@ class Block:
 
     def differences(self) -> str:
         """Say in what a begun run is another than the plan now wants; "" if in nothing."""
-        wanted = self.group.config(self.members)
-        return differences(self.config().to_json(), wanted.to_json())
+        config = self.group.config(self.members)
+        return differences(self.config().to_json(), config.to_json())
 
 
-def find_blocks(group: Group, out: Path, done: Collection[Key] = ()) -> list[Block]:
+def planned_runs(group: Group, out: Path, done: Collection[Key] = ()) -> list[PlannedRun]:
     """Return the runs of a group that hold, or are to hold, members that are not done.
 
-    Members that no folder holds are cut in order into new blocks of at most `max_members`, so that
+    Members that no folder holds are cut in order into new runs of at most `max_members`, so that
     processes which look at different times cut alike. A population is never cut.
 
     Args:
@@ -288,7 +287,7 @@ def find_blocks(group: Group, out: Path, done: Collection[Key] = ()) -> list[Blo
         ValueError: Some members of a population are there, and some are not.
     """
     known = list(_existing(group, out))
-    held = {key for block in known for key in block.keys} | set(done)
+    held = {key for planned in known for key in planned.keys} | set(done)
     missing = [member for member in group.members if (member.disability, member.seed) not in held]
     for setting in group.disabilities if group.together > 1 else ():
         left = sum(member.disability == setting for member in missing)
@@ -301,15 +300,15 @@ def find_blocks(group: Group, out: Path, done: Collection[Key] = ()) -> list[Blo
     size = group.max_members or len(group.members)
     size -= size % group.together
     parts = [tuple(missing[start : start + size]) for start in range(0, len(missing), size)]
-    taken = {block.name for block in known}
+    taken = {planned.name for planned in known}
     names = (f"{group.name}-{number}" if number > 1 else group.name for number in count(1))
     free = (name for name in names if name not in taken)
-    new = [Block(group, out / next(free), part, "new") for part in parts]
-    wanted = {(member.disability, member.seed) for member in group.members} - set(done)
-    return [block for block in known if block.keys & wanted] + new
+    new = [PlannedRun(group, out / next(free), part, "new") for part in parts]
+    keys = {(member.disability, member.seed) for member in group.members} - set(done)
+    return [planned for planned in known if planned.keys & keys] + new
 
 
-def _existing(group: Group, out: Path) -> Iterator[Block]:
+def _existing(group: Group, out: Path) -> Iterator[PlannedRun]:
     """Yield the run folders of a group, by number."""
     pattern = re.compile(rf"{re.escape(group.name)}(?:-([0-9]+))?")
     places = [
@@ -319,26 +318,26 @@ def _existing(group: Group, out: Path) -> Iterator[Block]:
     ]
     for _, path in sorted(places):
         if (path / "teams.json").is_file():
-            yield Block(group, path, _finished_members(group, path / "teams.json"), "finished")
+            yield PlannedRun(group, path, _finished_members(group, path), "finished")
         elif (path / "config.json").is_file():
             config = RunFolder(path).config()
             _check_owner(group, path, config.task, config.algorithm)
-            yield Block(group, path, config.members, "begun")
+            yield PlannedRun(group, path, config.members, "begun")
 
 
-def _finished_members(group: Group, path: Path) -> tuple[Member, ...]:
+def _finished_members(group: Group, folder: Path) -> tuple[Member, ...]:
     """Return the members that a run's teams.json names.
 
     All that is left of some runs but their parameters.
     """
     try:
-        teams = [item["team"] for item in json.loads(path.read_text(encoding="utf-8"))]
+        teams = [item["team"] for item in RunFolder(folder).team_items()]
         for team in teams:
-            _check_owner(group, path.parent, team["task"], team["algorithm"])
+            _check_owner(group, folder, team["task"], team["algorithm"])
         return tuple(Member(team["seed"], team["disability"]) for team in teams)
     except (KeyError, TypeError) as error:
         raise ValueError(
-            f"{path} is no list of teams ({type(error).__name__}: {error}); remove its folder"
+            f"{folder} has no list of teams ({type(error).__name__}: {error}); remove it"
         ) from None
 
 
@@ -346,5 +345,5 @@ def _check_owner(group: Group, folder: Path, task: str, algorithm: str) -> None:
     if (task, algorithm) != (group.task, group.algorithm):
         raise ValueError(
             f"{folder} holds a run of {task} {algorithm}, but group {group.name} is {group.task} "
-            f"{group.algorithm}; choose another --out, or rename the group"
+            f"{group.algorithm}; choose another folder, or rename the group"
         )

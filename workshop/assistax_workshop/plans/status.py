@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from assistax_base.files import atomic_write, exclusive
-from assistax_workshop.plans.plan import Block, Group, Key, Plan, find_blocks
+from assistax_workshop.plans.plan import Group, Key, Plan, PlannedRun, planned_runs
 from assistax_workshop.press.republish import republishable
-from population.config import PRESETS
+from population.hyperparameters import PRESETS
+from population.runs.folder import RunFolder
 from zoo.ids import TeamId
 from zoo.registry import Registry
 
@@ -25,7 +26,7 @@ class Status:
     group: Group
     published: frozenset[Key]  # teams that the release has
     adoptable: frozenset[Key]  # teams that another release has, and this one not yet
-    blocks: tuple[Block, ...]  # runs that hold, or are to hold, the others
+    planned: tuple[PlannedRun, ...]  # runs that hold, or are to hold, the others
     # What progress.json says of published and finished runs, by name.
     runs: Mapping[str, Mapping[str, Any]]
     # Training steps a second and device that were measured, by task and algorithm.
@@ -39,18 +40,22 @@ class Status:
     @property
     def trained(self) -> int:
         """Number of teams that are trained, but not published."""
-        return sum(len(self.waiting(block)) for block in self.blocks if block.state == "finished")
+        return sum(
+            len(self.waiting(planned)) for planned in self.planned if planned.state == "finished"
+        )
 
     @property
     def missing(self) -> int:
         """Number of teams that are not trained."""
-        return sum(len(self.waiting(block)) for block in self.blocks if block.state != "finished")
+        return sum(
+            len(self.waiting(planned)) for planned in self.planned if planned.state != "finished"
+        )
 
-    def waiting(self, block: Block) -> set[Key]:
-        """Return the teams of a block that the group wants and the release does not have."""
+    def waiting(self, planned: PlannedRun) -> set[Key]:
+        """Return the teams of a run that the group wants and the release does not have."""
         return {
             (member.disability, member.seed) for member in self.group.members
-        } & block.keys - self.done
+        } & planned.keys - self.done
 
     @property
     def estimated_from(self) -> str | None:
@@ -58,12 +63,12 @@ class Status:
         own = self.group.algorithm
         near = [name for name in PRESETS if PRESETS[name][0] == PRESETS[own][0]]
         measured = [name for name in (own, *near) if (self.group.task, name) in self.speeds]
-        return measured[0] if measured and steps_to_train(self.blocks) else None
+        return measured[0] if measured and steps_to_train(self.planned) else None
 
     @property
     def estimate(self) -> float | None:
         """Device minutes of what is missing; None if nothing like it was measured."""
-        if not (steps := steps_to_train(self.blocks)):
+        if not (steps := steps_to_train(self.planned)):
             return 0.0
         source = self.estimated_from
         return round(steps / self.speeds[self.group.task, source] / 60, 1) if source else None
@@ -77,7 +82,7 @@ class Status:
             "adoptable": len(self.adoptable),
             "trained": self.trained,
             "missing": self.missing,
-            "steps_to_train": steps_to_train(self.blocks),
+            "steps_to_train": steps_to_train(self.planned),
             "device_minutes": round(_device_seconds(self.runs.values()) / 60, 1),
             "device_minutes_to_go": self.estimate,
             "estimated_from": self.estimated_from,
@@ -102,12 +107,12 @@ def team_id(group: Group, key: Key, release: str) -> TeamId:
     return TeamId(group.task, group.algorithm, key[0], key[1], release)
 
 
-def steps_to_train(blocks: Sequence[Block]) -> int:
+def steps_to_train(runs_of_plan: Sequence[PlannedRun]) -> int:
     """Return the environment steps that all members of unfinished runs take.
 
     A begun run counts whole.
     """
-    configs = [block.config() for block in blocks if block.state != "finished"]
+    configs = [planned.config() for planned in runs_of_plan if planned.state != "finished"]
     return sum(
         config.updates * config.trainer.batch_steps * len(config.members) for config in configs
     )
@@ -123,9 +128,9 @@ def _status(group: Group, release: str, out: Path, registry: Registry | None) ->
     adopted = (
         _adoptable(group, teams - published, release, registry) if group.adopt else frozenset()
     )
-    blocks = tuple(find_blocks(group, out, published | adopted))
-    runs = _published_runs(group, published, release, registry) | _finished_runs(blocks)
-    return Status(group, published, adopted, blocks, runs)
+    runs_of_plan = tuple(planned_runs(group, out, published | adopted))
+    runs = _published_runs(group, published, release, registry) | _finished_runs(runs_of_plan)
+    return Status(group, published, adopted, runs_of_plan, runs)
 
 
 def _adoptable(
@@ -136,7 +141,7 @@ def _adoptable(
         where = f"the registry {registry.path} has none" if registry else "there is no registry"
         raise ValueError(
             f"group {group.name} adopts teams of release {group.adopt}, but {where}; "
-            "name the registry that has it with --registry"
+            "name the registry that has it"
         )
     ids = [team_id(group, key, release) for key in sorted(keys)]
     return frozenset(
@@ -183,14 +188,14 @@ def _origin(group: Group, key: Key, release: str, registry: Registry) -> str | N
     return group.adopt if same else None
 
 
-def _finished_runs(blocks: Sequence[Block]) -> dict[str, dict[str, Any]]:
+def _finished_runs(runs_of_plan: Sequence[PlannedRun]) -> dict[str, dict[str, Any]]:
     runs = {}
-    for block in blocks:
-        if block.state == "finished":
-            teams = json.loads((block.folder / "teams.json").read_text(encoding="utf-8"))
+    for planned in runs_of_plan:
+        if planned.state == "finished":
+            teams = RunFolder(planned.folder).team_items()
             training = teams[0]["training"]
             cost = _cost(training, training.get("devices", 1), len(teams), len(teams))
-            runs[block.name] = {"state": "trained"} | cost
+            runs[planned.name] = {"state": "trained"} | cost
     return runs
 
 
@@ -298,12 +303,12 @@ def _entry(status: Status, old: Mapping[str, Any], errors: Mapping[str, str]) ->
     before = old.get("runs", {})
     runs = {name: _dated(run, before.get(name, {})) for name, run in status.runs.items()}
     complete = len(status.published) == len(status.group.members)
-    for block in status.blocks:
-        error = errors.get(block.name, before.get(block.name, {}).get("error"))
-        if block.state != "finished" and error:
-            runs[block.name] = {"state": "failed", "teams": len(block.members), "error": error}
-        elif block.state == "begun" or (block.state == "new" and block.name in errors):
-            runs[block.name] = {"state": "training", "teams": len(block.members)}
+    for planned in status.planned:
+        error = errors.get(planned.name, before.get(planned.name, {}).get("error"))
+        if planned.state != "finished" and error:
+            runs[planned.name] = {"state": "failed", "teams": len(planned.members), "error": error}
+        elif planned.state == "begun" or (planned.state == "new" and planned.name in errors):
+            runs[planned.name] = {"state": "training", "teams": len(planned.members)}
     if not complete:
         runs = {name: run for name, run in before.items() if run["state"] != "published"} | runs
     state = "published" if complete else "missing"

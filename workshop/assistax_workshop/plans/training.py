@@ -11,17 +11,18 @@ from filelock import AcquireReturnProxy, Timeout
 
 from assistax_base.files import exclusive
 from assistax_workshop.plans.learning_curves import write_curves
-from assistax_workshop.plans.plan import Block, Group, Plan, find_blocks
+from assistax_workshop.plans.plan import Group, Plan, PlannedRun, planned_runs
 from assistax_workshop.plans.status import Status, survey, team_id, write_progress
 from assistax_workshop.press.publish import publish
 from assistax_workshop.press.release import complete_release
 from assistax_workshop.press.republish import read_published
-from assistax_workshop.press.trained_runs import TrainedTeam, read_run
+from assistax_workshop.press.trained_runs import read_run
 from population.runs.folder import RunFolder
+from population.runs.trained import TrainedTeam
 from zoo.registry import Registry, load_registry
 from zoo.saving import writable_registry
 
-# Given a block, a context that lends what its training reports to.
+# Given a run, a context that lends what its training reports to.
 Shown = Callable[[Any], contextlib.AbstractContextManager[Callable[[Any], None]]]
 
 
@@ -80,10 +81,10 @@ class PlanTraining:
                     batches[f"{status.group.name} from {status.group.adopt}"] = self._adopted(
                         status
                     )
-            for block in status.blocks:
-                if block.state == "finished":
-                    with self._noting(block.name):
-                        batches[block.name] = _waiting_teams(status, block)
+            for planned in status.planned:
+                if planned.state == "finished":
+                    with self._noting(planned.name):
+                        batches[planned.name] = _waiting_teams(status, planned)
         try:
             self._publish([team for teams in batches.values() for team in teams])
         except Exception:  # one that is refused must not keep the others out
@@ -96,25 +97,25 @@ class PlanTraining:
         """Train run after run that no other process holds, until none is left."""
         tried: set[str] = set()
         while taken := self._take(tried):
-            status, block, hold = taken
-            tried.add(block.name)
-            with hold, self._noting(block.name):
-                self._train(status, block)
+            status, planned, hold = taken
+            tried.add(planned.name)
+            with hold, self._noting(planned.name):
+                self._train(status, planned)
                 if publish:
                     self._publish(
-                        _waiting_teams(status, dataclasses.replace(block, state="finished"))
+                        _waiting_teams(status, dataclasses.replace(planned, state="finished"))
                     )
             self.record()
 
     def complete(self) -> None:
         """Make the release the default one once every team of the plan is in it."""
         loaded = self.load()
-        wanted = {
+        teams = {
             str(team_id(group, (m.disability, m.seed), self.plan.release))
             for group in self.plan.groups
             for m in group.members
         }
-        if loaded and wanted <= loaded.data.teams.keys():
+        if loaded and teams <= loaded.data.teams.keys():
             with self._noting(f"release {self.plan.release}"):
                 complete_release(self.registry, self.plan.release)
 
@@ -122,12 +123,12 @@ class PlanTraining:
         """Write the learning curves of the finished runs that have their metrics."""
         for group in self.groups:
             finished = [
-                block for block in find_blocks(group, self.out) if block.state == "finished"
+                planned for planned in planned_runs(group, self.out) if planned.state == "finished"
             ]
             runs = [
-                RunFolder(block.folder)
-                for block in finished
-                if (block.folder / "metrics.parquet").is_file()
+                RunFolder(planned.folder)
+                for planned in finished
+                if (planned.folder / "metrics.parquet").is_file()
             ]
             if runs:
                 with self._noting(f"curves of {group.name}"):
@@ -140,42 +141,44 @@ class PlanTraining:
                         folder / f"{group.name}.parquet", list(zip(tables, configs, strict=True))
                     )
 
-    def _take(self, tried: set[str]) -> tuple[Status, Block, AcquireReturnProxy] | None:
+    def _take(self, tried: set[str]) -> tuple[Status, PlannedRun, AcquireReturnProxy] | None:
         """Return the first run to be trained that no other process holds, with the lock on it."""
         for name in [
-            block.name
+            planned.name
             for status in self.survey()
-            for block in status.blocks
-            if block.state != "finished"
+            for planned in status.planned
+            if planned.state != "finished"
         ]:
             if name in tried or not (hold := _hold(self.out, name)):
                 continue
             for status in (
                 self.survey()
             ):  # again, under the lock: another process may have finished it meanwhile
-                for block in status.blocks:
-                    if block.name == name and block.state != "finished":
-                        return status, block, hold
+                for planned in status.planned:
+                    if planned.name == name and planned.state != "finished":
+                        return status, planned, hold
             hold.lock.release()
         return None
 
-    def _train(self, status: Status, block: Block) -> None:
+    def _train(self, status: Status, planned: PlannedRun) -> None:
         from population.runs.logged_run import run_training
 
-        teams = f"{len(block.members)} teams, {status.group.task} {status.group.algorithm}"
+        teams = f"{len(planned.members)} teams, {status.group.task} {status.group.algorithm}"
         print(
-            f"{block.name}: {teams}, {block.config().steps} steps each", file=sys.stderr, flush=True
+            f"{planned.name}: {teams}, {planned.config().steps} steps each",
+            file=sys.stderr,
+            flush=True,
         )
-        if block.state == "begun" and (differences := block.differences()):
+        if planned.state == "begun" and (differences := planned.differences()):
             print(
-                f"{block.name} goes on as it was begun, not as the plan says: {differences}",
+                f"{planned.name} goes on as it was begun, not as the plan says: {differences}",
                 file=sys.stderr,
                 flush=True,
             )
-        self.record(trying=block.name)
-        config = block.config()
-        with self.shown(block) as progress:
-            run_training(config, self.backend, block.folder, progress=progress)
+        self.record(trying=planned.name)
+        config = planned.config()
+        with self.shown(planned) as progress:
+            run_training(config, self.backend, planned.folder, progress=progress)
 
     def _adopted(self, status: Status) -> list[TrainedTeam]:
         registry, release = self.load(), status.group.adopt
@@ -225,7 +228,7 @@ def _hold(out: Path, name: str) -> AcquireReturnProxy | None:
         return None
 
 
-def _waiting_teams(status: Status, block: Block) -> list[TrainedTeam]:
+def _waiting_teams(status: Status, planned: PlannedRun) -> list[TrainedTeam]:
     """Return the teams of a finished run that the group wants and the release does not have."""
-    waiting = status.waiting(block)
-    return [team for team in read_run(block.folder) if (team.disability, team.seed) in waiting]
+    waiting = status.waiting(planned)
+    return [team for team in read_run(planned.folder) if (team.disability, team.seed) in waiting]

@@ -10,10 +10,10 @@ from pydantic import ValidationError
 from assistax_base.errors import PublishError, listing
 from assistax_base.validated import first_problem
 from assistax_envs.disability import DISABILITY_SETTINGS
-from assistax_workshop.press.trained_runs import TrainedTeam
 from population.networks.spec import PolicySpec, Role
+from population.networks.tensors import Leaves, flatten, row_sha256
+from population.runs.trained import TrainedTeam
 from zoo.ids import EGO, TeamId
-from zoo.parameters.tensors import Leaves, flatten, row_sha256
 from zoo.schema import Ego, PolicyRow, SelfPlay, Team, TrainedAgainst, Training
 
 Check = Callable[[PolicySpec, Leaves, str], None]

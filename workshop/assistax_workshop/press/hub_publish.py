@@ -21,7 +21,7 @@ from assistax_base.errors import (
 from assistax_base.files import atomic_write
 from assistax_workshop.press.model_card import MARK, model_card
 from assistax_workshop.press.publish import publish
-from assistax_workshop.press.trained_runs import TrainedTeam
+from population.runs.trained import TrainedTeam
 from zoo.registry import MAX_REGISTRY_BYTES, Registry, load_registry
 from zoo.transport.hub import HubRemote, hub_errors
 from zoo.transport.remotes import TransientError, open_remote, read_file, with_retries

@@ -15,8 +15,8 @@ from assistax_base.files import atomic_write, exclusive
 from assistax_envs.versions import VERSIONS
 from assistax_workshop.press.candidates import Candidate, Check, make_candidate
 from assistax_workshop.press.release import completed, signed
-from assistax_workshop.press.trained_runs import TrainedTeam
 from population.networks.spec import PolicySpec, Role
+from population.runs.trained import TrainedTeam
 from zoo.ids import check_name, same_team
 from zoo.locations import shard_root
 from zoo.parameters.encoding import check_params, encode_shard

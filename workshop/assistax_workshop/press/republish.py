@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from assistax_envs.versions import VERSIONS
-from assistax_workshop.press.trained_runs import TrainedTeam
 from population.networks.stack import unflatten
+from population.runs.trained import TrainedTeam
 from zoo.ids import TeamId
 from zoo.parameters.storage import load_leaves
 from zoo.registry import Registry

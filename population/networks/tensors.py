@@ -4,7 +4,7 @@ import hashlib
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import safetensors
@@ -13,15 +13,24 @@ import safetensors.numpy
 from assistax_base.bounded_reading import parse_json
 from assistax_base.digest import canonical_json, sha256
 from assistax_base.errors import FormatError, IntegrityError, shorten
+from assistax_base.files import METADATA_KEY
 from population.networks import stack
+from population.networks.spec import PolicySpec, spec_from_json
 
-METADATA_KEY = "assistax"  # the only metadata key: bytes are stable with at most one
 MAX_HEADER_BYTES = 4 * 1024 * 1024
 MAX_FILE_BYTES = 4 * 1024 * 1024 * 1024
 DTYPES = {"F32": np.dtype("<f4"), "F16": np.dtype("<f2")}
 _LEAF = re.compile(r"[A-Za-z0-9_]{1,64}(/[A-Za-z0-9_]{1,64}){0,7}")
 
 Leaves = dict[str, np.ndarray]
+
+
+class StackedFile(NamedTuple):
+    """A file of stacked parameters: leaves [P, ...], and what its metadata says of each row."""
+
+    spec: PolicySpec
+    leaves: Leaves
+    rows: list[Any]
 
 
 def flatten(params: Mapping[str, Any]) -> Leaves:
@@ -81,6 +90,39 @@ def decode(data: bytes, source: str) -> tuple[Leaves, dict[str, Any]]:
     return _leaves(tensors, source), metadata
 
 
+def parse_stacked(data: bytes, source: str) -> StackedFile:
+    """Return the content of stacked safetensors bytes: leaves [P, ...], metadata {"spec", "rows"}.
+
+    Raises:
+        FormatError: The file is malformed, its spec is no policy spec, or its leaves disagree on P.
+    """
+    leaves, metadata = decode(data, source)
+    spec, rows = metadata_spec(metadata, source), metadata.get("rows")
+    if not isinstance(rows, list) or not rows:
+        raise FormatError(
+            source, "metadata rows: a list with one item for each policy", shorten(rows)
+        )
+    wrong = [
+        f"{name} {value.shape}" for name, value in leaves.items() if value.shape[:1] != (len(rows),)
+    ]
+    if wrong:
+        raise FormatError(source, f"leaves with a first axis of {len(rows)}", wrong[0])
+    return StackedFile(spec, leaves, rows)
+
+
+def take_row(stacked: StackedFile, row: int) -> Leaves:
+    """Return one policy's leaves as stored, without the stacked axis."""
+    return {name: value[row] for name, value in stacked.leaves.items()}
+
+
+def metadata_spec(metadata: Mapping[str, Any], source: str) -> PolicySpec:
+    """Return the policy spec of a file's metadata."""
+    try:
+        return spec_from_json(metadata.get("spec"))
+    except ValueError as error:
+        raise FormatError(source, "a policy spec in the metadata", shorten(str(error))) from None
+
+
 def _deserialize(data: bytes, source: str) -> tuple[dict[str, Any], list[tuple[str, Any]]]:
     length = int.from_bytes(data[:8], "little")
     if len(data) < 8 or length > min(MAX_HEADER_BYTES, len(data) - 8):
@@ -118,12 +160,12 @@ def read_bytes(
     """
     if not path.is_file():
         raise IntegrityError(source, "a file", f"no file at {path}")
-    found = path.stat().st_size
-    if found > (MAX_FILE_BYTES if size is None else size) or (size is not None and found != size):
+    length = path.stat().st_size
+    if length > (MAX_FILE_BYTES if size is None else size) or (size is not None and length != size):
         raise IntegrityError(
             source,
             f"{size if size is not None else f'at most {MAX_FILE_BYTES}'} bytes",
-            f"{found} bytes",
+            f"{length} bytes",
         )
     data = path.read_bytes()
     if digest is not None and sha256(data) != digest:

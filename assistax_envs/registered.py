@@ -1,0 +1,33 @@
+"""Every task, registered once: what is known of it without JAX or MuJoCo, and where the rest is."""
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class Registered:
+    """A task, as its row below says."""
+
+    home: str  # "MODULE:CLASS" in `assistax_envs.tasks`
+    version: int  # see `assistax_envs.versions`
+    script: str  # function of `assistax_envs.scripted` that plays the robot
+    tool: str  # MJCF file of what is bolted to the robot's hand
+    paper: bool = False  # whether it is a task of the paper
+    # What of a human's preference matters here, and is observed; none: humans have no preferences.
+    wishes: tuple[str, ...] = ()
+    felt: bool = False  # whether all touches are felt: backends must give the frames of contacts
+
+
+REGISTERED: dict[str, Registered] = {
+    "scratch": Registered("scratch:Scratch", 1, "go", "stick", paper=True),
+    "bed_bath": Registered("bed_bath:BedBath", 1, "go", "pad", paper=True),
+    "arm_assist": Registered("arm_assist:ArmAssist", 2, "lift", "hook", paper=True),
+    "gentle_scratch": Registered(
+        "gentle_scratch:GentleScratch", 2, "stroke", "stick", wishes=("force", "speed"), felt=True
+    ),
+    "gentle_bath": Registered(
+        "gentle_bath:GentleBath", 2, "wipe", "pad", wishes=("force", "speed"), felt=True
+    ),
+    "gentle_lift": Registered(
+        "gentle_lift:GentleLift", 2, "bring", "hook", wishes=("distance", "place"), felt=True
+    ),
+}

@@ -1,0 +1,214 @@
+"""Hyperparameters of the trainers, and presets of algorithms, as data. Imports no JAX."""
+
+import dataclasses
+import types
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+
+from assistax_base.validated import Share, Widths, validated
+
+LogStd = Annotated[float, Field(ge=-5, le=1)]
+
+
+@validated
+class Hyperparameters:
+    """What both trainers have."""
+
+    # What critics see: of their role (observation, and SAC's the action too), or everything.
+    critic: Literal["local", "central"] = "local"
+    num_envs: PositiveInt = 1024  # simulations of one member
+    rollout_steps: PositiveInt = 64  # steps of each simulation between updates
+    adam_eps: PositiveFloat = 1e-8  # added to Adam's denominator
+    max_grad_norm: PositiveFloat = 0.5  # global norm to which each network's gradient is clipped
+    gamma: Share = 0.99  # discount
+    torso: Literal["mlp", "gru"] = "mlp"  # "gru": actors and critics are recurrent
+    hidden: Widths = (128, 128)  # widths of the hidden layers; (embedding, GRU) for "gru"
+    activation: Literal["tanh", "relu"] = "tanh"  # after each dense hidden layer
+    normalise: bool = True  # whether observations are normalised by running statistics
+    initial_log_std: LogStd = -0.5  # log standard deviation of actions before training
+
+    @property
+    def batch_steps(self) -> int:
+        """Environment steps of one member in one update."""
+        return self.num_envs * self.rollout_steps
+
+
+@validated
+class PPOConfig(Hyperparameters):
+    """Hyperparameters of PPO.
+
+    The defaults are the paper's IPPO (appendix, hyperparameters of IPPO).
+    """
+
+    kind: ClassVar[str] = "ppo"
+    # Traced, so that members of one program may differ in them.
+    traced: ClassVar[tuple[str, ...]] = (
+        "learning_rate",
+        "clip_eps",
+        "entropy_coef",
+        "population_coef",
+        "value_coef",
+        "gamma",
+        "gae_lambda",
+        "max_grad_norm",
+    )
+    rates: ClassVar[tuple[str, ...]] = ("learning_rate",)
+    checkpoint_every: ClassVar[int] = 20  # default of a run
+    updates_per_call: ClassVar[int] = 1  # default of a run
+
+    epochs: PositiveInt = 4  # passes over a rollout
+    minibatches: PositiveInt = 4  # parts of a pass; each holds whole simulations
+    learning_rate: PositiveFloat = 1e-3  # of Adam, for actors and critics
+    anneal_lr: bool = False  # whether the learning rate falls linearly to 0 over the run
+    anneal_entropy: bool = False  # whether the bonuses of entropy and of the population do
+    clip_eps: PositiveFloat = 0.31  # the probability ratio is clipped to [1 - eps, 1 + eps]
+    entropy_coef: NonNegativeFloat = 1e-4  # weight of the entropy bonus
+    # Weight of the reward for what the population seldom does; above 0 the teams that differ in
+    # their seed alone are one population.
+    population_coef: NonNegativeFloat = 0.0
+    value_coef: NonNegativeFloat = 1.0  # weight of the value loss
+    gae_lambda: Share = 0.95  # decay of the advantage trace
+    squash: Literal["clip", "tanh"] = "clip"  # how a Gaussian sample is brought into [-1, 1]
+    std: Literal["parameter", "state"] = (
+        "parameter"  # log standard deviation: one vector, or a head on the torso
+    )
+    shared: bool = False  # whether one network acts for both roles, and one critic values for both
+
+    def __post_init__(self) -> None:
+        if self.shared and self.torso == "gru" and len(self.hidden) < 2:
+            raise ValueError(
+                f"hidden is {self.hidden}; a shared recurrent network tells roles apart in its "
+                "embedding, so give two widths at least, such as (128, 128)"
+            )
+        if self.population_coef and (self.shared or self.torso == "gru"):
+            raise ValueError(
+                f"population_coef is {self.population_coef} with shared={self.shared} and torso "
+                f"{self.torso!r}; a population's humans have feed-forward networks of their own: "
+                "leave shared and torso out"
+            )
+        if self.num_envs % self.minibatches:
+            raise ValueError(
+                f"num_envs is {self.num_envs} and minibatches {self.minibatches}; "
+                "a minibatch holds whole simulations, so choose num_envs as a multiple of "
+                "minibatches"
+            )
+
+
+@validated
+class SACConfig(Hyperparameters):
+    """Hyperparameters of SAC.
+
+    The defaults are the paper's ISAC (appendix, hyperparameters of ISAC).
+    """
+
+    kind: ClassVar[str] = "sac"
+    # Traced, so that members of one program may differ in them.
+    traced: ClassVar[tuple[str, ...]] = (
+        "policy_lr",
+        "q_lr",
+        "alpha_lr",
+        "tau",
+        "gamma",
+        "target_entropy_scale",
+        "max_grad_norm",
+    )
+    rates: ClassVar[tuple[str, ...]] = ("policy_lr", "q_lr", "alpha_lr")
+    checkpoint_every: ClassVar[int] = (
+        2000  # default of a run: updates are short, and a checkpoint holds the replay
+    )
+    updates_per_call: ClassVar[int] = 20  # default of a run
+
+    num_envs: PositiveInt = 64  # simulations of one member
+    rollout_steps: PositiveInt = 8  # steps of each simulation between updates
+    replay_size: PositiveInt = (
+        1_000_000  # transitions kept for each member, rounded up to whole rollouts
+    )
+    exploration_steps: NonNegativeInt = (
+        5000  # environment steps of a member with uniform actions and without learning
+    )
+    batch_size: PositiveInt = 128  # transitions of one gradient step
+    updates: PositiveInt = 32  # gradient steps of the critics after each rollout
+    policy_delay: PositiveInt = (
+        4  # critics take this many steps, then the policy and the temperature catch up
+    )
+    policy_lr: PositiveFloat = 3e-4  # learning rate of the actors
+    q_lr: PositiveFloat = 1e-3  # learning rate of the critics
+    alpha_lr: PositiveFloat = 3e-4  # learning rate of the temperature's logarithm
+    max_grad_norm: PositiveFloat = (
+        10.0  # global norm to which the gradient of each network is clipped
+    )
+    tau: Share = 0.005  # share of the critics in their slow copies at each step
+    autotune: bool = True  # whether the temperature follows the target entropy
+    initial_alpha: PositiveFloat = 0.1  # temperature at the start
+    # The target entropy is -scale x action dimension, as in the public code that the tables' names
+    # come from. At 5 it lies below what a Gaussian of the least standard deviation has, so the
+    # temperature falls throughout a run.
+    target_entropy_scale: float = 5.0
+    population_coef: ClassVar[float] = 0.0
+    squash: ClassVar[str] = "tanh"
+    std: ClassVar[str] = "state"
+    activation: Literal["tanh", "relu"] = "relu"  # after each hidden layer
+
+    def __post_init__(self) -> None:
+        if self.torso == "gru":
+            raise ValueError(
+                "torso is 'gru'; SAC is feed-forward only, because its replay keeps no recurrent "
+                "states: train ippo or mappo with torso=gru"
+            )
+        if self.updates % self.policy_delay:
+            raise ValueError(
+                f"updates is {self.updates} and policy_delay {self.policy_delay}; "
+                "the policy catches up after each policy_delay of them, so choose updates as a "
+                "multiple of it"
+            )
+        if self.replay_size < self.batch_steps:
+            raise ValueError(
+                f"replay_size is {self.replay_size}; a rollout has {self.batch_steps} transitions, "
+                "so choose at least that many"
+            )
+
+
+TrainerConfig = PPOConfig | SACConfig
+KINDS: Mapping[str, type[PPOConfig] | type[SACConfig]] = {"ppo": PPOConfig, "sac": SACConfig}
+
+# The paper's tables, as differences from the defaults of the trainer. PPO's "scale clip eps" and
+# "ratio clip eps" are off in both: the clip range is neither divided by the number of agents nor
+# made symmetric in the ratio's logarithm. `mep` is our IPPO with the bonus of Zhao et al. (2023).
+PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = types.MappingProxyType(
+    {
+        "ippo": ("ppo", {}),
+        "mappo": (
+            "ppo",
+            {
+                "critic": "central",
+                "rollout_steps": 128,
+                "learning_rate": 4.4e-3,
+                "entropy_coef": 2.7e-4,
+                "clip_eps": 0.11,
+            },
+        ),
+        "isac": ("sac", {}),
+        "masac": ("sac", {"critic": "central", "q_lr": 2e-4}),
+        "mep": ("ppo", {"population_coef": 1e-2}),
+    }
+)
+
+
+def preset(algorithm: str, **changes: Any) -> TrainerConfig:
+    """Return the hyperparameters of an algorithm, a `PPOConfig` or a `SACConfig`, with changes.
+
+    Raises:
+        ValueError: If the algorithm or a changed field is unknown, or a value is not allowed.
+    """
+    if algorithm not in PRESETS:
+        raise ValueError(f"algorithm is {algorithm!r}; allowed are {', '.join(PRESETS)}")
+    kind, differences = PRESETS[algorithm]
+    fields = [field.name for field in dataclasses.fields(KINDS[kind])]
+    if unknown := sorted(set(changes) - set(fields)):
+        raise ValueError(
+            f"unknown hyperparameter {', '.join(unknown)} of {algorithm}; allowed are "
+            f"{', '.join(fields)}"
+        )
+    return KINDS[kind](**{**differences, **changes})

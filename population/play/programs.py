@@ -1,0 +1,131 @@
+"""What is compiled of a rollout: the start of a block, and some steps of it.
+
+Values are those of the compiled program. Which simulation stands in which row of it changes
+nothing, but XLA's CPU compiler rounds the arithmetic of another program, for a block of another
+shape, differently in the last bit where it fuses it differently; contacts amplify that. So the
+networks and the environment stand in loops of their own there, into which nothing is fused: a
+block's shape then hardly shows. Where it must not show at all, callers keep to one shape.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Key
+
+from population.environment import Environment, EnvState
+from population.networks.policy import Carry, Params
+from population.play.layout import Layout
+from population.play.seats import act_all, initial_carries, noise_keys, widths
+from population.play.tally import Tally, accumulate, begin
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Block:
+    """Who plays which episodes: every robot with every human, or each with its own."""
+
+    robots: tuple[Params, ...]  # stacks, leaves [its E, ...]
+    humans: tuple[Params, ...]  # stacks, leaves [its P, ...]
+    env_params: Any  # the humans' own, leaves [P] or [P, K]
+    keys: Key[Array, "*P K"]  # that start the episodes
+    trips: jax.Array | np.ndarray | None  # see `trip_count`
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Loop:
+    """Carry of a rollout."""
+
+    state: EnvState  # leaves [N, ...]
+    robot: tuple[Carry, ...]  # each stack of robots' recurrent state, leaves [its E, P * K, ...]
+    human: tuple[Carry, ...]  # of humans, leaves [its P, E * K, ...]
+    tally: Tally
+    time: Int[Array, ""]  # step of the episode
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Programs:
+    """The pure functions of a rollout; all that is static in them."""
+
+    env: Environment
+    robots: Sequence[Any]  # a policy for each stack; none for a robot that acts from outside
+    humans: Sequence[Any]
+    steps: int  # of one call of `advance`
+    paired: bool
+    stochastic: bool
+    forgets: bool  # whether robots are told that an episode begins
+
+    def layout(self, block: Block) -> Layout:
+        """Return how a block lies on the flat axis."""
+        episodes = block.keys.shape[-1]
+        return Layout(widths(block.robots), widths(block.humans), episodes, self.paired)
+
+    def start(self, block: Block) -> Loop:
+        """Reset a block: episode k starts from key k, under the partner's own parameters."""
+        layout = self.layout(block)
+        e, p, k = layout.block
+        params = jax.tree.map(lambda leaf: layout.to_flat(leaf.reshape(1, p, -1)), block.env_params)
+        state = self.env.reset(layout.to_flat(block.keys), params)
+        return Loop(
+            state=state,
+            robot=initial_carries(self.robots, layout.egos, k if self.paired else p * k),
+            human=initial_carries(self.humans, layout.partners, e * k),
+            tally=begin(state, self.env.joint_positions(state)),
+            time=jnp.zeros((), jnp.int32),
+        )
+
+    def advance(self, loop: Loop, block: Block, action: Float[Array, "N A"] | None) -> Loop:
+        """Advance a block by `steps`; `action` is a robot's from outside."""
+        layout = self.layout(block)
+
+        def body(loop: Loop, _: None) -> tuple[Loop, None]:
+            return self._step(loop, block, layout, action), None
+
+        return jax.lax.scan(body, loop, None, length=self.steps)[0]
+
+    def _step(
+        self, loop: Loop, block: Block, layout: Layout, action: Float[Array, "N A"] | None
+    ) -> Loop:
+        noise = None, None
+        if self.stochastic:
+            noise = noise_keys(block.keys, loop.time, layout)
+        robot_action, robot_carry = action, loop.robot
+        if self.robots:
+            obs = layout.to_robots(loop.state.obs["robot"])
+            first = loop.time == 0 if self.forgets else False
+            robot_carry, acted = act_all(
+                self.robots, block.robots, loop.robot, obs, first, noise[0]
+            )
+            robot_action = layout.from_robots(acted)
+        obs = layout.to_humans(loop.state.obs["human"])
+        human_carry, acted = act_all(
+            self.humans, block.humans, loop.human, obs, loop.time == 0, noise[1]
+        )
+        actions = {"robot": robot_action, "human": layout.from_humans(acted)}
+        state = _step_alone(self.env, loop.state, actions, block.trips)
+        before, after = map(self.env.joint_positions, (loop.state, state))
+        travel = {role: jnp.sum(jnp.abs(after[role] - before[role]), axis=-1) for role in after}
+        tally = accumulate(loop.tally, state, travel, loop.time)
+        return Loop(state, robot_carry, human_carry, tally, loop.time + 1)
+
+
+def trip_count() -> np.ndarray | None:
+    """Return the trip count of the loop around one environment step: 1.
+
+    It is passed to the compiled program as an argument. Written as a constant, XLA would see a loop
+    of one trip, unroll it, and fuse the physics with the networks around it; how it fuses depends
+    on the block's shape, and so would the last bit of every value. None where no loop is wanted: on
+    an accelerator the host would wait for it at every step.
+    """
+    return np.asarray(1, np.int32) if jax.default_backend() == "cpu" else None
+
+
+def _step_alone(env: Environment, state: EnvState, actions: dict[str, Any], trips: Any) -> EnvState:
+    """Step the environment in a loop of its own, into which nothing around it is fused."""
+    if trips is None:
+        return env.step(state, actions)
+    return jax.lax.fori_loop(0, trips, lambda _, state: env.step(state, actions), state)

@@ -1,0 +1,189 @@
+"""Roll out a block: every ego of some stacks with every partner of others, [E, P, K] at once.
+
+The environment sees one flat axis N = E * P * K, of which `Layout` has a drawing. The robots'
+network maps over the stacked egos, the humans' over the partners: no simulation has parameters of
+its own. Where egos or partners are of several networks, each has its share of E or P.
+"""
+
+import collections
+import dataclasses
+import math
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from population.environment import Environment
+from population.networks.policy import Params
+from population.play.programs import Block, Loop, Programs, trip_count
+from population.play.tally import Tally
+
+# Most environment steps in one call: between calls there is progress, and a key press is heard.
+SEGMENT = 100
+
+# Seeds of K episodes, [K], or [P, K] where each partner has its own; or the keys of those shapes.
+Seeds = Sequence[int] | np.ndarray | jax.Array
+
+
+class Rollout:
+    """Blocks of the same specs; compiles once for each shape and device.
+
+    Threads may run blocks on a device each, others prepare them. `compile_seconds` are those for
+    which runs have waited.
+    """
+
+    def __init__(
+        self,
+        env: Environment,
+        robots: Sequence[Any],
+        humans: Sequence[Any],
+        *,
+        stochastic: bool = False,
+        paired: bool = False,
+        length: int | None = None,
+        series: int = 1,
+    ) -> None:
+        """Prepare blocks.
+
+        Args:
+            env: the environment.
+            robots: a `population.networks.policy.Policy` for each stack of robots; none for a
+                robot that acts from outside.
+            humans: a `population.networks.policy.Policy` for each stack of humans.
+            stochastic: whether actions are drawn.
+            paired: robot i plays with human i only: robot stacks are as long as human ones, and E
+                is 1.
+            length: steps to play, if fewer than the episode's: for measuring speed.
+            series: episodes that a robot plays with a partner, one after the other, before it
+                forgets: its recurrent state is kept, the human's is not.
+        """
+        self.compile_seconds: dict[jax.Device, float] = collections.defaultdict(float)
+        self._series, self._length = series, length or env.episode_length
+        steps = segment_length(self._length) if robots else 1
+        self._programs = Programs(env, robots, humans, steps, paired, stochastic, series == 1)
+        self._start = jax.jit(self._programs.start)
+        self._advance = jax.jit(self._programs.advance)
+        self._compiled: dict[Any, tuple[Callable[..., Loop], ...]] = {}
+        self._compiling: dict[Any, threading.Lock] = {}
+        self._looking = threading.Lock()
+        self._tracing = threading.Lock()  # the second device then finds the program traced
+
+    def run(
+        self,
+        robot_params: Sequence[Params],
+        human_params: Sequence[Params],
+        env_params: Any,
+        seeds: Seeds,
+        *,
+        act: Callable[[np.ndarray, int], np.ndarray] | None = None,
+        on_steps: Callable[[int], None] | None = None,
+        device: jax.Device | None = None,
+    ) -> Tally:
+        """Play K episodes of every pair to their end.
+
+        Args:
+            robot_params: stacks, leaves [its E, ...]; none where `act` plays the robot (E is 1).
+            human_params: stacks, leaves [its P, ...].
+            env_params: the partners' own `EnvParams`, leaves [P], or [P, K] where a partner is
+                another in each episode.
+            seeds: K integers; `jax.random.key(seeds[k])` starts episode k of every pair (common
+                random numbers). Or [P, K], where each partner has episodes or an order of its own.
+                Those of a series stand next to each other. Keys are taken as they are.
+            act: (observations [N, O] float32, step of the series) -> actions [N, A], for a robot
+                from outside.
+            on_steps: called with the number of steps just done, of every simulation.
+            device: where to run; the first one if not given.
+
+        Returns:
+            The tally with NumPy leaves [E, P, K].
+        """
+        device = device or jax.local_devices()[0]
+        tallies, memory, steps = [], None, self._programs.steps
+        for place in range(self._series):
+            block = self._block(robot_params, human_params, env_params, seeds, device, place)
+            began = time.perf_counter()
+            start, advance = self._compile(block, device)
+            self.compile_seconds[device] += time.perf_counter() - began
+            loop = start(block)
+            if place:
+                loop = dataclasses.replace(loop, robot=memory)
+            for step in range(0, self._length, steps):
+                action = None
+                if act is not None:
+                    obs = np.array(loop.state.obs["robot"])
+                    action = act(obs, place * self._length + step)
+                loop = jax.block_until_ready(advance(loop, block, action))
+                if on_steps is not None:
+                    on_steps(steps)
+            memory = loop.robot
+            tallies.append(jax.tree.map(np.asarray, loop.tally))
+        e, p, _ = self._programs.layout(block).block
+        return jax.tree.map(lambda *leaves: np.stack(leaves, axis=-1).reshape(e, p, -1), *tallies)
+
+    def prepare(
+        self,
+        robot_params: Sequence[Params],
+        human_params: Sequence[Params],
+        env_params: Any,
+        seeds: Seeds,
+        device: jax.Device,
+    ) -> None:
+        """Compile what `run` needs for these arguments; it then waits for what is not yet done."""
+        self._compile(self._block(robot_params, human_params, env_params, seeds, device), device)
+
+    def _block(
+        self,
+        robot_params: Sequence[Params],
+        human_params: Sequence[Params],
+        env_params: Any,
+        seeds: Seeds,
+        device: jax.Device,
+        place: int = 0,
+    ) -> Block:
+        """Put the episodes at one place of every series on a device."""
+        keys = episode_keys(seeds)[..., place :: self._series]
+        env_params = jax.tree.map(
+            lambda leaf: leaf if leaf.ndim == 1 else leaf[:, place :: self._series], env_params
+        )
+        block = Block(tuple(robot_params), tuple(human_params), env_params, keys, trip_count())
+        return jax.device_put(block, device)
+
+    def _compile(self, block: Block, device: jax.Device) -> tuple[Callable[..., Loop], ...]:
+        """Compile for a shape and device, or find it compiled: timed runs hold no compilation."""
+        program = self._programs.layout(block), device
+        with self._looking:
+            compiling = self._compiling.setdefault(program, threading.Lock())
+        with compiling:
+            if program not in self._compiled:
+                with self._tracing:
+                    lowered = self._lower(block)
+                self._compiled[program] = tuple(part.compile() for part in lowered)
+            return self._compiled[program]
+
+    def _lower(self, block: Block) -> tuple[Any, Any]:
+        """Trace the programs that start and advance a block."""
+        loop, action = jax.eval_shape(self._start, block), None
+        if not block.robots:
+            layout, env = self._programs.layout(block), self._programs.env
+            size = math.prod(layout.block), env.action_size["robot"]
+            action = jax.ShapeDtypeStruct(size, jnp.float32)
+        return self._start.lower(block), self._advance.lower(loop, block, action)
+
+
+def episode_keys(seeds: Seeds) -> jax.Array:
+    """Return a key for each seed; keys are returned as they are."""
+    if isinstance(seeds, jax.Array) and jnp.issubdtype(seeds.dtype, jax.dtypes.prng_key):
+        return seeds
+    numbers = np.asarray(seeds, np.uint32)
+    return jax.vmap(jax.random.key)(numbers.ravel()).reshape(numbers.shape)
+
+
+def segment_length(episode_length: int) -> int:
+    """Return the largest divisor of the episode's length that is at most `SEGMENT`."""
+    return next(
+        steps for steps in range(min(SEGMENT, episode_length), 0, -1) if episode_length % steps == 0
+    )

@@ -1,0 +1,102 @@
+"""The policies of a seat act: stacks of them, each for its rows, with noise or without.
+
+G policies of a seat have R simulations each: see the drawing in `population.play.rollout`.
+"""
+
+import functools
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Key
+
+from population.networks.members import member_map
+from population.networks.policy import Carry, Params
+from population.play.layout import Layout
+
+# Folded into an episode's key for action noise: the environment draws from the key itself.
+_ACTION_STREAM = 2**31 - 1
+
+
+def act_all(
+    policies: Sequence[Any],
+    params: Sequence[Params],
+    carries: Sequence[Carry],
+    obs: Float[Array, "G R O"],
+    first: Bool[Array, ""] | bool,
+    keys: Key[Array, "G R"] | None,
+) -> tuple[tuple[Carry, ...], Float[Array, "G R A"]]:
+    """Let every stack of a seat act for its policies' rows; see `_act`."""
+    starts = itertools.accumulate(widths(params), initial=0)
+    acted = [
+        _act(policy, own, carry, obs[start:stop], first, None if keys is None else keys[start:stop])
+        for policy, own, carry, (start, stop) in zip(
+            policies, params, carries, itertools.pairwise(starts), strict=True
+        )
+    ]
+    return tuple(carry for carry, _ in acted), jnp.concatenate([action for _, action in acted])
+
+
+def _act(
+    policy: Any,
+    params: Params,
+    carry: Carry,
+    obs: Float[Array, "G R O"],
+    first: Bool[Array, ""] | bool,
+    keys: Key[Array, "G R"] | None,
+) -> tuple[Carry, Float[Array, "G R A"]]:
+    """Map a policy over its stacked parameters; with keys rows draw actions, else take the mode."""
+    rows = obs.shape[1]
+    # A product with one row takes another path on the CPU, which rounds differently: values would
+    # depend on the block.
+    obs = jnp.broadcast_to(obs, (obs.shape[0], _at_least_two(rows), obs.shape[2]))
+    first = jnp.broadcast_to(first, obs.shape[:2])
+    if keys is None:
+        carry, action = member_map(policy.act)(params, carry, obs, first)
+        return carry, action[:, :rows]
+    carry, gaussian = member_map(policy.step)(params, carry, obs, first)
+    keys = jnp.broadcast_to(keys, obs.shape[:2])
+    draw = jax.vmap(jax.vmap(lambda gaussian, key: gaussian.sample(key)))
+    return carry, gaussian.action(draw(gaussian, keys))[:, :rows]
+
+
+def noise_keys(
+    keys: Key[Array, "*P K"], time: jax.Array, layout: Layout
+) -> tuple[Key[Array, "G R"], Key[Array, "H S"]]:
+    """Return the keys of the robots' rows and of the humans' at a step.
+
+    They are of the episode, and apart from the environment's stream: every pair of an episode sees
+    the same noise.
+    """
+    e, p, k = layout.block
+
+    def keys_of(role: int) -> Key[Array, "P K"]:
+        streams = (_ACTION_STREAM, role, time)
+        flat = jax.vmap(lambda key: functools.reduce(jax.random.fold_in, streams, key))(
+            keys.ravel()
+        )
+        return jnp.broadcast_to(flat.reshape(keys.shape), (p, k))
+
+    robot, human = keys_of(0), keys_of(1)
+    if not layout.paired:
+        robot = jnp.broadcast_to(robot.reshape(1, p * k), (e, p * k))
+    return robot, jnp.broadcast_to(human[:, None], (p, e, k)).reshape(p, e * k)
+
+
+def initial_carries(policies: Sequence[Any], counts: Sequence[int], rows: int) -> tuple[Carry, ...]:
+    """Return each stack's recurrent state at the start, leaves [G, R, ...]."""
+    return tuple(
+        policy.initial_carry((count, _at_least_two(rows)))
+        for policy, count in zip(policies, counts, strict=True)
+    )
+
+
+def widths(params: Sequence[Params]) -> tuple[int, ...]:
+    """Return how many policies each stack of parameters has."""
+    return tuple(jax.tree.leaves(stack)[0].shape[0] for stack in params)
+
+
+def _at_least_two(rows: int) -> int:
+    return max(rows, 2)

@@ -1,0 +1,90 @@
+"""What an episode has earned, added up step by step."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from population.environment import EnvState
+
+GAMMA = 0.99  # of the discounted return
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Tally:
+    """What each episode has earned so far; leaves [N], and [E, P, K] once a block is done."""
+
+    running: Bool[Array, "*N"]  # the episode has not ended
+    steps: Int[Array, "*N"]
+    returns: Float[Array, "*N"]  # sum of rewards
+    discounted: Float[Array, "*N"]  # sum of GAMMA**t * reward
+    terms: dict[str, jax.Array]  # sum of each weighted reward term
+    force_sum: Float[Array, "*N"]  # N, summed over steps
+    force_peak: Float[Array, "*N"]  # N
+    first_contact: Int[Array, "*N"]  # the first step with a force; 0 before it
+    distance_sum: Float[Array, "*N"]  # m, summed over steps
+    travel: dict[str, jax.Array]  # rad by role: angles that all joints went through together
+    success: Bool[Array, "*N"]  # at any step
+    nonfinite: Bool[Array, "*N"]  # the physics became non-finite
+    contact_peak: Any = None  # [N] N, the largest single contact, where the task feels it
+    violated: Any = None  # [N] bool, a contact was above the hard limit, likewise
+
+
+def begin(state: EnvState, joints: dict[str, jax.Array]) -> Tally:
+    """Return the tally of episodes at their start, whose joints have these positions."""
+    zero = jnp.zeros(state.reward.shape)
+    false, count = jnp.zeros(zero.shape, bool), jnp.zeros(zero.shape, jnp.int32)
+    return Tally(
+        running=~false,
+        steps=count,
+        returns=zero,
+        discounted=zero,
+        terms=dict.fromkeys(state.terms, zero),
+        force_sum=zero,
+        force_peak=zero,
+        first_contact=count,
+        distance_sum=zero,
+        travel=dict.fromkeys(joints, zero),
+        success=false,
+        nonfinite=false,
+        contact_peak=None if state.measures.contact is None else zero,
+        violated=None if state.measures.violated is None else false,
+    )
+
+
+def accumulate(
+    tally: Tally, state: EnvState, travel: dict[str, jax.Array], time: jax.Array
+) -> Tally:
+    """Add the step that led to `state`, the `time`-th, to the episodes that were still running."""
+    running = tally.running
+    earning = running & ~state.nonfinite
+
+    def gained(value: Float[Array, "*N"]) -> Float[Array, "*N"]:
+        return jnp.where(earning, value, 0.0)
+
+    measures = state.measures
+    reward, force = gained(state.reward), gained(measures.force)
+    touches = {}
+    if tally.contact_peak is not None:
+        peak = jnp.maximum(tally.contact_peak, gained(measures.contact))
+        touches = {"contact_peak": peak, "violated": tally.violated | (earning & measures.violated)}
+    return Tally(
+        running=running & ~(state.terminated | state.truncated),
+        steps=tally.steps + running,
+        returns=tally.returns + reward,
+        discounted=tally.discounted + GAMMA ** time.astype(jnp.float32) * reward,
+        terms={name: tally.terms[name] + gained(value) for name, value in state.terms.items()},
+        force_sum=tally.force_sum + force,
+        force_peak=jnp.maximum(tally.force_peak, force),
+        first_contact=jnp.where(
+            (tally.first_contact == 0) & (force > 0), time + 1, tally.first_contact
+        ),
+        distance_sum=tally.distance_sum + gained(measures.distance),
+        travel={role: tally.travel[role] + gained(value) for role, value in travel.items()},
+        success=tally.success | (earning & measures.success),
+        nonfinite=tally.nonfinite | (running & state.nonfinite),
+        **touches,
+    )
