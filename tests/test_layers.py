@@ -89,8 +89,8 @@ def test_command_line_and_registry_import_nothing_heavy() -> None:
 
 
 def test_an_evaluation_waits_for_neither_scipy_nor_matplotlib() -> None:
-    found = heavy_imports("assistax_zoo.studies", "assistax_envs.env", "evaluation.cast.egos")
-    assert found == ["jax", "mujoco", "flax"]
+    found = heavy_imports("assistax_zoo.evaluating", "assistax_envs.env", "evaluation.cast.egos")
+    assert found == ["jax", "mujoco"]  # and for Flax only where networks play
 
 
 def test_a_heavy_import_is_found() -> None:

@@ -12,8 +12,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float
 
-from population.networks.spec import PolicySpec
+from population.networks.spec import Role
 
 Attributes = Mapping[str, Any]
 Value = Any  # a JAX array, or a tuple of ints: shapes and indices are never computed from data
@@ -30,9 +31,12 @@ class Node:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class OnnxProgram(PolicySpec):
-    """A graph without its weights; of a `PolicySpec` it has the role and the sizes."""
+class OnnxProgram:
+    """A graph without its weights."""
 
+    role: Role
+    observation_size: int
+    action_size: int
     carry_size: int  # 0 of a robot without memory
     inputs: tuple[str, ...]  # obs, then carry, then first
     outputs: tuple[str, ...]  # action, then the next carry
@@ -40,13 +44,13 @@ class OnnxProgram(PolicySpec):
     constants: tuple[tuple[str, int | tuple[int, ...]], ...]  # integers, by name
     nodes: tuple[Node, ...]
 
-    def make_policy(self) -> "OnnxPolicy":
+    def player(self) -> "OnnxPolicy":
         """Return what plays this graph."""
         return OnnxPolicy(self)
 
 
 class OnnxPolicy:
-    """Plays a graph, in the interface of `population.networks.policy.Policy`."""
+    """Plays a graph."""
 
     def __init__(self, program: OnnxProgram) -> None:
         self._program = program
@@ -57,8 +61,12 @@ class OnnxPolicy:
         return jnp.zeros((*batch_shape, size)) if size else ()
 
     def act(
-        self, params: Mapping[str, Any], carry: Any, obs: jax.Array, first: jax.Array
-    ) -> tuple[Any, jax.Array]:
+        self,
+        params: Mapping[str, Any],
+        carry: Any,
+        obs: Float[Array, "*batch O"],
+        first: Bool[Array, "*batch"],
+    ) -> tuple[Any, Float[Array, "*batch A"]]:
         """Return the next carry [..., H] and actions [..., A] for observations [..., O]."""
         program = self._program
         inputs = [obs]

@@ -13,10 +13,9 @@ import numpy as np
 from assistax_base.errors import UnknownIdError
 from assistax_envs.disability import DISABILITY_SETTINGS, Disability
 from evaluation.cast.egos import call_ego, read_egos
-from evaluation.cast.players import make_player
 from evaluation.cast.robot_names import parse_reference
 from evaluation.cast.roster import HostEgo
-from population.networks.spec import PolicySpec
+from population.networks.seat import Seat
 from zoo.parameters.storage import load_stacks, read_policy_file
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
@@ -52,7 +51,7 @@ class Partner:
     def __init__(
         self,
         id: str,
-        spec: PolicySpec,
+        spec: Seat,
         params: dict[str, Any],
         setting: Disability | None = None,
         card: PolicyEntry | None = None,
@@ -89,7 +88,7 @@ class Partner:
         batch = np.broadcast_to(obs, (2, *obs.shape)) if obs.ndim == 1 else obs
         first = np.full(batch.shape[:-1], self._carry is None)
         if self._carry is None:
-            self._carry = make_player(self.spec).initial_carry(first.shape)
+            self._carry = self.spec.player().initial_carry(first.shape)
         self._carry, action = _acting(self.spec)(self._params, self._carry, batch, first)
         return np.array(action[0] if obs.ndim == 1 else action)
 
@@ -196,8 +195,8 @@ def _outside(
 
 
 @functools.cache
-def _acting(spec: PolicySpec) -> Callable[..., tuple[Any, jax.Array]]:
-    policy = make_player(spec)
+def _acting(spec: Seat) -> Callable[..., tuple[Any, jax.Array]]:
+    policy = spec.player()
     return jax.jit(
         lambda params, carry, obs, first: policy.act(params, carry, jnp.asarray(obs), first)
     )

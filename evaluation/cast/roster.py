@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from assistax_envs.disability import Disability
-from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
 from zoo.met import NOT_KNOWN, Met, met_in_training
 from zoo.parameters.storage import load_stacks
@@ -43,18 +42,6 @@ class HostEgo:
         return (self.id,)
 
 
-@dataclasses.dataclass(frozen=True)
-class ReferenceSpec(PolicySpec):
-    """Policies that look at nothing: see `evaluation.cast.baseline_policies.ReferencePolicy`."""
-
-
-@dataclasses.dataclass(frozen=True)
-class ScriptSpec(PolicySpec):
-    """A task's scripted robot: see `assistax_envs.scripted`."""
-
-    task: str = ""
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Roster:
     """The policies of one seat of a job, in the order in which the table has them."""
@@ -66,6 +53,21 @@ class Roster:
     def ids(self) -> tuple[str, ...]:
         """All policies, stack by stack."""
         return tuple(name for stack in self.stacks for name in stack.ids)
+
+    @property
+    def has_host(self) -> bool:
+        """Whether one of them is a robot from outside."""
+        return any(isinstance(stack, HostEgo) for stack in self.stacks)
+
+    def host(self, place: int) -> HostEgo | None:
+        """Return the robot from outside in a place of `stacks`, None where policies are."""
+        stack = self.stacks[place]
+        return stack if isinstance(stack, HostEgo) else None
+
+    @property
+    def policies(self) -> tuple[PolicyStack, ...]:
+        """The stacks of networks: all of a roster that has no robot from outside."""
+        return tuple(stack for stack in self.stacks if isinstance(stack, PolicyStack))
 
     def describe(self, ids: Sequence[str]) -> list[Member]:
         """Return the descriptions of policies in this order."""

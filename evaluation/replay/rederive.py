@@ -16,8 +16,9 @@ from evaluation.figures.normalised import COLUMN, CROSS_PLAY, bounds_table
 from evaluation.figures.saved_tables import save_crossplay, save_evaluation
 from evaluation.figures.summary import Context
 from evaluation.play.evaluator import in_order
-from evaluation.play.jobs import Job, Tile
-from evaluation.play.runner import planned_rows
+from evaluation.play.jobs import Job
+from evaluation.play.rows import planned_rows
+from evaluation.play.tiles import Tile
 from evaluation.record import tables
 from evaluation.record.met_partners import MetPartners
 

@@ -8,6 +8,7 @@ from typing import Literal
 from pydantic import PositiveInt
 
 from assistax_base.validated import Widths, checked
+from population.networks.seat import Player
 
 Role = Literal["robot", "human"]
 ROLES: tuple[Role, ...] = ("robot", "human")
@@ -32,6 +33,12 @@ class PolicySpec:
     def to_json(self) -> dict:
         """Return the spec as JSON-ready values; `PolicySpec(**spec.to_json())` gives it back."""
         return {**dataclasses.asdict(self), "hidden": list(self.hidden)}
+
+    def player(self) -> Player:
+        """Return the network that plays policies of this spec; imports JAX."""
+        from population.networks.policy import Policy
+
+        return Policy(self)
 
     @property
     def digest(self) -> str:

@@ -15,11 +15,12 @@ from polars.testing import assert_frame_equal
 
 from evaluation.cast.egos import EgoError
 from evaluation.cast.roster import HostEgo, Member, Roster, joined
-from evaluation.play import jobs
+from evaluation.play import tiles
 from evaluation.play.evaluator import PARTS_FOLDER, check_folder, make_way, plan_of, run_job
-from evaluation.play.jobs import Job, plan, tile_shape
-from evaluation.play.runner import Progress
-from evaluation.play.shares import run_block
+from evaluation.play.jobs import Job
+from evaluation.play.progress import Progress
+from evaluation.play.shares import run_share
+from evaluation.play.tiles import plan, tile_shape
 from evaluation.record import tables
 from evaluation.record.manifest import MANIFEST_FILE, file_sha256
 from population.networks.stack import PolicyStack
@@ -119,7 +120,7 @@ def test_a_small_job_of_several_networks_is_one_tile_and_a_large_one_is_not(
     assert [(tile.shape, tile.rows) for tile in whole.tiles] == [((5, 4, 3), job.rows)]
     table = run_job(MatrixGame(), job, tmp_path / "one").table
     assert table["return"].n_unique() > 10
-    monkeypatch.setattr(jobs, "SMALL_JOB", job.rows - 1)
+    monkeypatch.setattr(tiles, "SMALL_JOB", job.rows - 1)
     [chunk] = plan(job, 2048)
     assert {tile.shape for tile in chunk.tiles} == {(3, 3, 3), (3, 1, 3), (2, 3, 3), (2, 1, 3)}
     cut = run_job(MatrixGame(), job, tmp_path / "cut").table
@@ -131,10 +132,10 @@ def test_a_folder_is_continued_in_the_tiles_in_which_it_was_begun(
 ):
     """Another machine has larger tiles, as one with a GPU has on `fused`."""
     job = mixed_job(backend="native")
-    monkeypatch.setitem(jobs.TILE_ENVS, "native", 6)
+    monkeypatch.setitem(tiles.TILE_ENVS, "native", 6)
     whole = run_job(MatrixGame(), job, tmp_path / "whole")
-    run_block(MatrixGame(), job, tmp_path / "moved", (1, 2), max_envs=1)
-    monkeypatch.setitem(jobs.TILE_ENVS, "native", 2048)
+    run_share(MatrixGame(), job, tmp_path / "moved", (1, 2), max_envs=1)
+    monkeypatch.setitem(tiles.TILE_ENVS, "native", 2048)
     assert len(plan(job, 1)) == 1
     moved = run_job(MatrixGame(), job, tmp_path / "moved", max_envs=1)
     assert json.loads((tmp_path / "moved" / MANIFEST_FILE).read_text())["tile_envs"] == 6
@@ -148,10 +149,10 @@ def test_a_plan_of_nothing_at_once_is_refused(name: str):
 
 
 def test_gpus_have_larger_tiles(monkeypatch: pytest.MonkeyPatch):
-    assert jobs.tile_envs("fused", 7) == jobs.TILE_ENVS["fused"]
+    assert tiles.tile_envs("fused", 7) == tiles.TILE_ENVS["fused"]
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert jobs.tile_envs("fused", 7) == 98304
-    assert (jobs.tile_envs("native", 7), jobs.tile_envs("mjx-warp", 7)) == (512, 7)
+    assert tiles.tile_envs("fused", 7) == 98304
+    assert (tiles.tile_envs("native", 7), tiles.tile_envs("mjx-warp", 7)) == (512, 7)
 
 
 def test_a_robot_from_outside_shares_no_tile():
@@ -222,7 +223,7 @@ def test_a_killed_run_resumes_to_the_same_file(tmp_path: Path):
 def unfinished(folder: Path) -> list[Path]:
     """Leave the parts of a run that was stopped before they were merged, and return them."""
     for i in (1, 2):
-        run_block(MatrixGame(), mixed_job(), folder, (i, 2), max_envs=7)
+        run_share(MatrixGame(), mixed_job(), folder, (i, 2), max_envs=7)
     return sorted((folder / PARTS_FOLDER).glob("part-*"))
 
 

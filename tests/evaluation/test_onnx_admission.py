@@ -91,7 +91,7 @@ def test_our_own_exports_play_as_the_policies_they_are_of(torso: Any, squash: An
     policy = Policy(spec)
     params = jax.tree.map(np.asarray, policy.init(jax.random.key(1)))
     program, weights = admit_onnx(to_onnx(spec, params), OBS, ACT)
-    played = program.make_policy()
+    played = program.player()
     carries = policy.initial_carry((5,)), played.initial_carry((5,))
     for step in range(4):
         obs = jnp.asarray(RNG.normal(size=(5, OBS)), jnp.float32)
@@ -107,7 +107,7 @@ def test_rows_cannot_see_each_other() -> None:
     data = model([("Transpose", "x", {}), ("MatMul", "x y0", {}), ("MatMul", "y1 x", {})], {})
     program, params = admit_onnx(data, OBS, OBS)
     rows = jnp.asarray([np.full(OBS, value, np.float32) for value in (0.1, 0.2, 0.3)])
-    _, action = program.make_policy().act(params, (), rows, jnp.ones(3, bool))
+    _, action = program.player().act(params, (), rows, jnp.ones(3, bool))
     np.testing.assert_allclose(action, OBS * rows**3, rtol=1e-6)
 
 

@@ -22,7 +22,7 @@ from assistax_workshop.press.publish import publish
 from assistax_workshop.press.trained_runs import TrainedTeam
 from assistax_zoo.shell.main import run
 from assistax_zoo.zoos import open_zoo
-from evaluation.studies import choose_partners, in_release
+from evaluation.cast.cast import choose_partners, in_release
 from tests.zoo.hub_server import Hub
 from zoo.history.merkle import check_grown, with_roots
 from zoo.locations import default_remote, set_default_remote
