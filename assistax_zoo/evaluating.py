@@ -15,6 +15,7 @@ from evaluation.crossplay import cross_play as play_population
 from evaluation.evaluate import cast_robots
 from evaluation.evaluate import evaluate as evaluate_cast
 from evaluation.figures.summary import CrossPlaySummary
+from evaluation.play.evaluator import check_folder
 from evaluation.play.how import How
 from evaluation.play.progress import Progress
 from evaluation.play.shares import ShareDone
@@ -124,8 +125,8 @@ def evaluate(
     else:
         check_local(opened.registry, needed)
     asked = {"trained_with": trained_with or None, "baselines": references}
-    cast = cast_robots(opened.registry, robots, chosen, **asked)
     kept, (folder, keep) = cache_root() / "references", _folder(out)
+    cast = cast_robots(opened.registry, robots, chosen, **asked)
     with chosen_progress(progress, study_progress(f"evaluate {task}")) as on_progress:
         summary = evaluate_cast(
             cast,
@@ -192,8 +193,8 @@ def cross_play(
         1
     """
     how = How(task, episodes, seed, backend, stochastic, max_envs, _text(preferences))
-    cast = _population(egos, partners, task, release, zoo, lock)
     folder, keep = _folder(out)
+    cast = _population(egos, partners, task, release, zoo, lock)
     options: dict[str, Any] = {"cluster": cluster, "replace": replace}
     with chosen_progress(progress, study_progress(f"crossplay {task}")) as on_progress:
         summary = play_population(cast, how, folder, on_progress=on_progress, **options)
@@ -280,6 +281,7 @@ def _locked(zoo: Zoo, lock: Path | str | None, task: str, split: str | None) -> 
 def _folder(out: Path | str | None) -> tuple[Path, Any]:
     """Return the folder, and what must live as long as it is wanted."""
     if out is not None:
+        check_folder(Path(out))  # before anything is loaded
         return Path(out), None
     folder = TemporaryFolder()
     return folder.path, folder

@@ -16,8 +16,8 @@ from evaluation.cast.robot_forms import as_robot
 from evaluation.cast.robot_names import PolicyReference, parse_reference
 from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
 from evaluation.record.manifest import file_sha256, identity_digest
-from population.networks.spec import PolicySpec
-from population.networks.stack import PolicyStack, stack_policies
+from population.networks.seat import Seat
+from population.networks.stack import stack_policies
 from zoo.met import NOT_KNOWN, Met, claimed_met, declared_met, met_in_training
 from zoo.parameters.storage import read_policy_file
 from zoo.parameters.tensors import flatten, row_sha256
@@ -44,7 +44,7 @@ def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> Roster:
         ZooError: An id or a file that is not there or not what it says.
         EgoError: A robot from a Python module cannot be made.
     """
-    single: list[tuple[Member, PolicySpec, Any]] = []
+    single: list[tuple[Member, Seat, Any]] = []
     host: list[tuple[Member, HostEgo]] = []
     for place, robot in enumerate(robots):
         if not isinstance(robot, str | Path):
@@ -136,9 +136,7 @@ def probe_egos(roster: Roster, task: str, observation_size: int, action_size: in
     Raises:
         EgoError: It failed, or answered with another number of actions.
     """
-    for ego in roster.stacks:
-        if not isinstance(ego, HostEgo):
-            continue
+    for ego in roster.hosts:
         robot, obs = as_robot(ego.act), np.zeros((2, observation_size), np.float32)
         try:
             robot.reset(len(obs))
@@ -166,29 +164,27 @@ def _problem(answer: np.ndarray, shape: tuple[int, ...]) -> str:
     )
 
 
-def _from_zoo(
-    pattern: str, registry: Registry, task: str
-) -> Iterable[tuple[Member, PolicySpec, Any]]:
-    found = registry_roster(registry, registry.select(pattern, task=task, role="robot"))
-    for stack in found.stacks:
-        assert isinstance(stack, PolicyStack)
+def _from_zoo(pattern: str, registry: Registry, task: str) -> Iterable[tuple[Member, Seat, Any]]:
+    robots = registry_roster(registry, registry.select(pattern, task=task, role="robot"))
+    for stack in robots.policies:
         for row, name in enumerate(stack.ids):
-            yield found.members[name], stack.spec, stack.row(row)
+            yield robots.members[name], stack.spec, stack.row(row)
 
 
 def _from_files(
     text: str, registry: Registry, may_match: bool
-) -> Iterable[tuple[Member, PolicySpec, Any]]:
+) -> Iterable[tuple[Member, Seat, Any]]:
     """Yield the robot of a file, or of each file that a glob names, s2 before s10."""
     globbed = may_match and glob.escape(text) != text and not Path(text).exists()
-    found = glob.glob(_with_folders_as_spelled(text)) if globbed else [text]
-    names = sorted(found, key=lambda name: (len(name), name))
+    files = glob.glob(_with_folders_as_spelled(text)) if globbed else [text]
+    names = sorted(files, key=lambda name: (len(name), name))
     if not names:
         raise ValueError(f"policy {text!r} matches no file; see what is there with ls")
     for name in names:
         spec, params, metadata = read_policy_file(name)
         digest = row_sha256(flatten(params))
-        same = [one for one in registry.policies if (one.sha256, one.role) == (digest, "robot")]
+        robots = [entry for entry in registry.policies if entry.role == "robot"]
+        same = [robot for robot in robots if robot.sha256 == digest]
         # A published robot's parameters are that robot, whatever else their file claims.
         met = met_in_training(registry, same[0]) if same else claimed_met(registry, metadata)
         yield _of_file(name, Path(name), met), spec, params
@@ -212,9 +208,7 @@ def _from_object(robot: Any, place: int, registry: Registry) -> tuple[Member, Ho
     return member, HostEgo(name, as_robot(robot))
 
 
-def _program(
-    reference: PolicyReference, registry: Registry
-) -> tuple[Member, PolicySpec, Any] | None:
+def _program(reference: PolicyReference, registry: Registry) -> tuple[Member, Seat, Any] | None:
     """Return an ONNX file as the program that a service makes of it; None where it makes none.
 
     Its digest names the program too: onnxruntime, which plays the others, rounds differently.

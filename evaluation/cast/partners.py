@@ -1,33 +1,39 @@
 """One frozen policy in one seat of one simulation: NumPy observations in, NumPy actions out."""
 
+import dataclasses
 import functools
 import itertools
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Float32, Shaped
 
 from assistax_base.errors import UnknownIdError
 from assistax_envs.disability import DISABILITY_SETTINGS, Disability
 from evaluation.cast.egos import call_ego, read_egos
 from evaluation.cast.robot_names import parse_reference
-from evaluation.cast.roster import HostEgo
 from population.networks.seat import Seat
+from population.trainers.environment import Environment
 from zoo.parameters.storage import load_stacks, read_policy_file
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 
 
-class Seats(Protocol):
-    """What is asked of an environment to put a policy into it."""
+@dataclasses.dataclass(frozen=True)
+class Seated:
+    """Who plays a role in one simulation: from an observation [O] to an action [A]."""
 
-    @property
-    def observation_size(self) -> dict[str, int]: ...
-    @property
-    def action_size(self) -> dict[str, int]: ...
+    act: Callable[[np.ndarray], np.ndarray]
+    setting: Disability | None = None  # a human's, where its zoo or its file says it
+    card: PolicyEntry | None = None  # of a policy of the zoo
+
+    def __call__(self, obs: Float[np.ndarray, " O"]) -> Float[np.ndarray, " A"]:
+        """Act once."""
+        return self.act(obs)
 
 
 class Partner:
@@ -65,7 +71,7 @@ class Partner:
         del rows
         self._carry = None
 
-    def act(self, obs: np.ndarray) -> np.ndarray:
+    def act(self, obs: Shaped[np.ndarray, "*batch O"]) -> Float32[np.ndarray, "*batch A"]:
         """Return actions.
 
         Args:
@@ -120,12 +126,12 @@ def zoo_partner(registry: Registry, policy: str, role: str = "human") -> Partner
 def seat_policy(
     reference: str,
     role: str,
-    env: Seats,
+    env: Environment,
     registry: Callable[[], Registry],
     task: str,
     seed: int = 0,
-) -> Callable[[np.ndarray], np.ndarray]:
-    """Return who plays `role`, checked to fit: from an observation [O] to an action [A].
+) -> Seated:
+    """Return who plays `role`, checked to fit.
 
     Args:
         reference: zoo:ID, a path to a .safetensors file, "zero", or "random"; for the robot also
@@ -143,10 +149,10 @@ def seat_policy(
     size, named = env.action_size[role], parse_reference(reference)
     named.check(task, role)
     if named.kind == "zero":
-        return lambda obs: np.zeros(size, np.float32)
+        return Seated(lambda obs: np.zeros(size, np.float32))
     if named.kind == "random":
         rng = np.random.default_rng([seed, list(env.action_size).index(role)])
-        return lambda obs: rng.uniform(-1.0, 1.0, size).astype(np.float32)
+        return Seated(lambda obs: rng.uniform(-1.0, 1.0, size).astype(np.float32))
     if named.kind in ("python", "onnx"):
         return _outside(reference, role, env, registry(), task)
     if named.kind == "zoo":
@@ -155,43 +161,40 @@ def seat_policy(
         spec, params, metadata = read_policy_file(Path(named.source))
         setting = DISABILITY_SETTINGS.get(str(metadata.get("disability")))
         policy = Partner(reference, spec, params, setting)
-    _check_seat(policy, role, env)
-    return policy
+    return _seated(policy, role, env)
 
 
-def _check_seat(policy: Partner, role: str, env: Seats) -> None:
+def _seated(policy: Partner, role: str, env: Environment) -> Seated:
+    """Return a policy in its seat, which must be the role's."""
     spec = policy.spec
     if spec.role != role:
         raise ValueError(
-            f"{policy.id} plays the {spec.role}, not the {role}; give it with --{spec.role}"
+            f"{policy.id} plays the {spec.role}, not the {role}; give it as the {spec.role}"
         )
-    expected, found = (
-        (env.observation_size[role], env.action_size[role]),
-        (spec.observation_size, spec.action_size),
-    )
-    if found != expected:
+    sizes = spec.observation_size, spec.action_size
+    expected = env.observation_size[role], env.action_size[role]
+    if sizes != expected:
         raise ValueError(
-            f"{policy.id} takes {found[0]} observations to {found[1]} actions; the {role} of "
+            f"{policy.id} takes {sizes[0]} observations to {sizes[1]} actions; the {role} of "
             f"this task has {expected[0]} and {expected[1]}: give a policy that was trained on "
             "this task"
         )
+    return Seated(policy.act, policy.setting, policy.card)
 
 
-def _outside(
-    reference: str, role: str, env: Seats, registry: Registry, task: str
-) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a robot from outside, which takes batches, as a callable on one observation."""
+def _outside(reference: str, role: str, env: Environment, registry: Registry, task: str) -> Seated:
+    """Return a robot from outside, which takes batches, for one observation at a time."""
     if role != "robot":
         raise ValueError(
             f"policy {reference!r} cannot play the {role}; code and ONNX files play the robot"
         )
-    [ego] = read_egos([reference], registry, task).stacks
-    if not isinstance(ego, HostEgo):  # an ONNX file that is played as a program
-        policy = Partner(reference, ego.spec, ego.row(0))
-        _check_seat(policy, role, env)
-        return policy
+    egos = read_egos([reference], registry, task)
+    if egos.policies:  # an ONNX file that is played as a program
+        [stack] = egos.policies
+        return _seated(Partner(reference, stack.spec, stack.row(0)), role, env)
+    [ego] = egos.hosts
     act, steps = call_ego(ego, ["its partner"], 1, env.action_size[role]), itertools.count()
-    return lambda obs: act(obs[None], next(steps))[0]
+    return Seated(lambda obs: act(obs[None], next(steps))[0])
 
 
 @functools.cache

@@ -55,9 +55,9 @@ class Roster:
         return tuple(name for stack in self.stacks for name in stack.ids)
 
     @property
-    def has_host(self) -> bool:
-        """Whether one of them is a robot from outside."""
-        return any(isinstance(stack, HostEgo) for stack in self.stacks)
+    def hosts(self) -> tuple[HostEgo, ...]:
+        """The robots from outside."""
+        return tuple(stack for stack in self.stacks if isinstance(stack, HostEgo))
 
     def host(self, place: int) -> HostEgo | None:
         """Return the robot from outside in a place of `stacks`, None where policies are."""

@@ -49,7 +49,7 @@ def played_rows(job: Job, tile: Tile, tally: Tally, act: Clipping | None) -> pl.
     clipped = {}
     if act is not None:
         clipped = {"clipped": act.shares(tally.steps.shape)[:e, :p, :k].ravel()}
-    elif job.egos.has_host:
+    elif job.egos.hosts:
         clipped = {"clipped": np.full(e * p * k, None)}
     tally = jax.tree.map(lambda leaf: leaf[:e, :p, :k].reshape(-1), tally)
     touches = {}

@@ -50,7 +50,7 @@ class Runner:
         """
         self._env, self._job, self._length = env, job, length
         self._devices = tuple(devices or devices_for(job.rows))
-        if job.egos.has_host:
+        if job.egos.hosts:
             self._devices = self._devices[:1]
         self._rollouts: dict[Any, Rollout] = {}
         self._lock = threading.Lock()

@@ -177,7 +177,7 @@ def _whole_stacks(roster: Roster) -> list[StackSlice]:
 def _is_small(job: Job, most: int) -> bool:
     """Return whether a job is one tile; a robot from outside shares none with other robots."""
     alone = len(job.egos.stacks) == 1
-    return (alone or not job.egos.has_host) and job.rows // job.series <= min(most, SMALL_JOB)
+    return (alone or not job.egos.hosts) and job.rows // job.series <= min(most, SMALL_JOB)
 
 
 def _at_once(episodes: int, simulations: int, most: int) -> int:

@@ -186,7 +186,7 @@ def test_a_killed_run_resumes_to_the_same_file(tmp_path: Path):
     script = (
         "import os, signal, sys\n"
         "from pathlib import Path\n"
-        "from evaluation import tables\n"
+        "from evaluation.record import tables\n"
         "from evaluation.play.evaluator import run_job\n"
         "from tests.evaluation.matrix_game import MatrixGame\n"
         "from tests.evaluation.test_evaluator import mixed_job\n"
@@ -218,6 +218,13 @@ def test_a_killed_run_resumes_to_the_same_file(tmp_path: Path):
         path.read_bytes() for path in (tmp_path / "whole").glob("*.parquet")
     ]
     assert not (tmp_path / "killed" / PARTS_FOLDER).exists()
+
+
+def test_parts_are_called_as_they_always_were():
+    """A run that an earlier version began finds its parts."""
+    names = [chunk.name for chunk in plan(mixed_job(), 7)]
+    assert names[:2] == ["part-00000-4c800097", "part-00001-8991803f"]
+    assert mixed_job().identity()["apart"] is False  # what it was called first
 
 
 def unfinished(folder: Path) -> list[Path]:
@@ -299,7 +306,7 @@ def test_code_whose_dependencies_are_unknown_neither_answers_nor_replaces(tmp_pa
     job = make_job(host(act, reusable=False))
     first = run_job(MatrixGame(), job, tmp_path)
     weights = 0.5
-    with pytest.raises(ValueError, match=r"python:mine:robot.*reuse=True.*replace=True"):
+    with pytest.raises(ValueError, match=r"python:mine:robot.*\(reuse\).*\(replace\)"):
         run_job(MatrixGame(), job, tmp_path)
     assert run_job(MatrixGame(), job, tmp_path, reuse=True).table.equals(first.table)
     for reuse in (False, True):
@@ -379,7 +386,7 @@ def test_a_finished_folder_is_read_not_run_again(tmp_path: Path):
 )
 def test_a_folder_of_another_job_is_refused(tmp_path: Path, changes: dict[str, Any], told: str):
     run_job(MatrixGame(), make_job(), tmp_path)
-    with pytest.raises(ValueError, match=f"holds another job.*{told}.*--out"):
+    with pytest.raises(ValueError, match=f"holds another job.*{told}.*another folder"):
         run_job(MatrixGame(), make_job(**changes), tmp_path)
 
 
@@ -392,10 +399,10 @@ def test_a_table_without_its_manifest_is_not_overwritten(tmp_path: Path):
 
 def test_a_folder_that_cannot_be_written_is_found_before_the_run(tmp_path: Path):
     (tmp_path / "file").write_text("in the way")
-    with pytest.raises(OSError, match=r"cannot write to .*file/out.*--out"):
+    with pytest.raises(OSError, match=r"cannot write to .*file/out.*another folder"):
         check_folder(tmp_path / "file" / "out")
     for device in ("/dev/null", "/dev/full"):
-        with pytest.raises(OSError, match=r"cannot write to .*it is no folder.*--out"):
+        with pytest.raises(OSError, match=r"cannot write to .*it is no folder.*another folder"):
             check_folder(Path(device))
         assert Path(device).is_char_device()
 
@@ -512,7 +519,7 @@ def test_memory_that_runs_out_is_told_and_smaller_chunks_then_go_on(
     with monkeypatch.context() as patch:
         patch.setattr("evaluation.play.rollout.Rollout.run", exhausted)
         with pytest.raises(
-            ValueError, match="out of memory with 18 simulations; use --max-envs 9 or less"
+            ValueError, match="out of memory with 18 simulations; give 9 or less as max_envs"
         ):
             run_job(MatrixGame(), make_job(), tmp_path)
     run_job(MatrixGame(), make_job(), tmp_path, max_envs=9)

@@ -60,10 +60,10 @@ def test_blocks_may_share_a_folder(tmp_path: Path):
     )  # merged: nothing to do
 
 
-@pytest.mark.parametrize("block", [(0, 2), (3, 2)])
-def test_a_block_that_is_none_is_refused(tmp_path: Path, block: tuple[int, int]):
+@pytest.mark.parametrize("share", [(0, 2), (3, 2)])
+def test_a_share_that_is_none_is_refused(tmp_path: Path, share: tuple[int, int]):
     with pytest.raises(ValueError, match="allowed are 1/2 to 2/2"):
-        run_share(MatrixGame(), make_job(), tmp_path, block)
+        run_share(MatrixGame(), make_job(), tmp_path, share)
 
 
 def test_a_folder_has_one_writer(tmp_path: Path):

@@ -87,7 +87,7 @@ def test_parts_that_are_not_here_are_missed(tmp_path: Path, monkeypatch: pytest.
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--block", "1/2", "--engine", "ray"], "--block is one share of a run by hand"),
+        (["--share", "1/2", "--engine", "ray"], "--share is one share of a run by hand"),
         (["--ray-cpus", "2"], "--ray-cpus needs --engine ray"),
         (["--engine", "ray", "--ray-cpus", "-1"], "a block takes -1.0 CPUs"),
     ],
