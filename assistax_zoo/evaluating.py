@@ -115,8 +115,8 @@ def evaluate(
         2
     """
     robots = list(robot) if isinstance(robot, list) else [robot]
-    liked = _text(preferences)
-    how = How(task, episodes, seed, backend, stochastic, max_envs, liked, series)
+    names = _text(preferences)
+    how = How(task, episodes, seed, backend, stochastic, max_envs, names, series)
     opened = _locked(open_zoo(zoo), lock, task, split)
     chosen = choose_partners(opened.registry, task, split, partners or None)
     needed = _needed(opened.registry, robots, chosen[1], references)
@@ -124,9 +124,14 @@ def evaluate(
         opened.fetch([entry.id for entry in needed])
     else:
         check_local(opened.registry, needed)
-    asked = {"trained_with": trained_with or None, "baselines": references}
     kept, (folder, keep) = cache_root() / "references", _folder(out)
-    cast = cast_robots(opened.registry, robots, chosen, **asked)
+    cast = cast_robots(
+        opened.registry,
+        robots,
+        chosen,
+        trained_with=trained_with or None,
+        baselines=references,
+    )
     with chosen_progress(progress, study_progress(f"evaluate {task}")) as on_progress:
         summary = evaluate_cast(
             cast,

@@ -11,7 +11,7 @@ import numpy as np
 from assistax_base.bounded_reading import parse_json
 from evaluation.cast import onnx_admission, onnx_ego
 from evaluation.cast.policy_process import PolicyError, PolicyProcess
-from evaluation.cast.policy_worker import told
+from evaluation.cast.policy_worker import error_text
 from evaluation.cast.robot_forms import as_robot
 from evaluation.cast.robot_names import PolicyReference, parse_reference
 from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
@@ -89,7 +89,7 @@ def call_ego(
         except PolicyError as error:
             raise EgoError(f"{place}: {error}") from error
         except (Exception, SystemExit, GeneratorExit) as error:  # its code does not end a run
-            raise EgoError(f"{place}: {told(error)}") from error
+            raise EgoError(f"{place}: {error_text(error)}") from error
         if problem := _problem(answer, (len(obs), action_size)):
             raise EgoError(f"{place}: {problem}")
         broken = np.flatnonzero(~np.isfinite(answer).all(axis=1))
@@ -145,7 +145,7 @@ def probe_egos(roster: Roster, task: str, observation_size: int, action_size: in
         except PolicyError as error:
             problem = f"failed: {error}"
         except (Exception, SystemExit, GeneratorExit) as error:  # its code does not end a run
-            problem = f"failed: {told(error)}"
+            problem = f"failed: {error_text(error)}"
         if problem:
             raise EgoError(
                 f"{ego.id} cannot play: given two rows of zeros it {problem}; the robot of task "

@@ -97,12 +97,12 @@ def run(
     values |= {name: params[f"w{place}"] for place, name in enumerate(program.weights)}
     values |= dict(program.constants)
     for node in program.nodes:
-        given = [values[name] if name else None for name in node.inputs]
-        answer = OPERATORS[node.operator](dict(node.attributes), *given)
+        arguments = [values[name] if name else None for name in node.inputs]
+        answer = OPERATORS[node.operator](dict(node.attributes), *arguments)
         outputs = answer if isinstance(answer, list) else [answer]
         if watch is not None:
             for output in outputs:
-                watch(node, given, output)
+                watch(node, arguments, output)
         values |= dict(zip(node.outputs, outputs, strict=False))
     return [values[name] for name in program.outputs]
 

@@ -77,17 +77,17 @@ class Roster:
 def registry_roster(registry: Registry, entries: Sequence[PolicyEntry]) -> Roster:
     """Load policies of the registry, hashes checked."""
     members = {
-        one.id: Member(
-            id=one.id,
-            digest=one.sha256,
-            team=one.team,
-            algorithm=one.algorithm,
-            disability=one.disability if one.setting else None,  # an ego has no human
-            seed=one.seed,
-            setting=one.setting,
-            met=met_in_training(registry, one) if one.role == "robot" else NOT_KNOWN,
+        entry.id: Member(
+            id=entry.id,
+            digest=entry.sha256,
+            team=entry.team,
+            algorithm=entry.algorithm,
+            disability=entry.disability if entry.setting else None,  # an ego has no human
+            seed=entry.seed,
+            setting=entry.setting,
+            met=met_in_training(registry, entry) if entry.role == "robot" else NOT_KNOWN,
         )
-        for one in entries
+        for entry in entries
     }
     return Roster(load_stacks(registry, entries), members)
 
@@ -108,5 +108,5 @@ def paired_rosters(
 
 def joined(*rosters: Roster) -> Roster:
     """Return the policies of several rosters as one seat's, stack by stack."""
-    members = {name: member for one in rosters for name, member in one.members.items()}
-    return Roster(tuple(stack for one in rosters for stack in one.stacks), members)
+    members = {name: member for roster in rosters for name, member in roster.members.items()}
+    return Roster(tuple(stack for roster in rosters for stack in roster.stacks), members)

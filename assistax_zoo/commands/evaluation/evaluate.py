@@ -120,18 +120,13 @@ def crossplay(
         'scratch/ippo-*/human' --out xp
     """
     cluster = engine.cluster()
-    if share and cluster:
-        raise ValueError(
-            "--share is one share of a run by hand, --engine ray spreads all of them; leave one out"
-        )
-    if share and replace:
-        raise ValueError("--replace would remove the parts of the other shares; leave it out")
+    part = _share(share, replace, spread=cluster is not None)
     with stdout_is_data():
         from assistax_zoo.evaluating import cross_play, play_share
 
         where: dict[str, Any] = {"release": release, **source.given()}
-        if share:
-            done = vars(play_share(_share(share), how, out, egos, partners, **where))
+        if part:
+            done = vars(play_share(part, how, out, egos, partners, **where))
             summary = {**done, "share": share, "block": share}  # its name in earlier versions
         else:
             where |= {name: value for name, value in vars(how).items() if name != "series"}
@@ -146,7 +141,16 @@ def crossplay(
         print(f"tables and crossplay.png in {out}")
 
 
-def _share(text: str) -> tuple[int, int]:
+def _share(text: str | None, replace: bool, spread: bool) -> tuple[int, int] | None:
+    """Return the share that is meant, where one is."""
+    if not text:
+        return None
+    if spread:
+        raise ValueError(
+            "--share is one share of a run by hand, --engine ray spreads all of them; leave one out"
+        )
+    if replace:
+        raise ValueError("--replace would remove the parts of the other shares; leave it out")
     number, _, count = text.partition("/")
     if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
         raise ValueError(f"share is {text!r}; expected i/n with i from 1 to n, such as 2/4")

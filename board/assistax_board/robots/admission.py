@@ -141,11 +141,11 @@ def _read_safetensors(data: bytes, observation_size: int, action_size: int) -> R
 
 def _read_onnx(data: bytes, observation_size: int, action_size: int) -> Robot:
     from evaluation.cast.onnx_admission import admit_onnx
-    from evaluation.cast.onnx_ego import StrangerError
+    from evaluation.cast.onnx_ego import UntrustedModelError
 
     try:
         return Robot(ONNX, *admit_onnx(data, observation_size, action_size))
-    except StrangerError as error:
+    except UntrustedModelError as error:
         raise Refusal(error.code, str(error)) from None
 
 
