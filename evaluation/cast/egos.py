@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from assistax_base.bounded_reading import parse_json
 from evaluation.cast import onnx_admission, onnx_ego
@@ -117,15 +118,15 @@ class Clipping:
         self._act, self._length = act, length
         self._beyond: list[np.ndarray] = []  # at each place of a series: sum over steps [N]
 
-    def __call__(self, obs: np.ndarray, step: int) -> np.ndarray:
-        """Return the actions [N, A] for observations [N, O]."""
+    def __call__(self, obs: Float[np.ndarray, "N O"], step: int) -> Float[np.ndarray, "N A"]:
+        """Return the actions at a step of the series."""
         action = self._act(obs, step)
         if step % self._length == 0:
             self._beyond.append(np.zeros(len(obs)))
         self._beyond[-1] += (np.abs(action) > 1.0).mean(axis=1)
         return action
 
-    def shares(self, shape: tuple[int, ...]) -> np.ndarray:
+    def shares(self, shape: tuple[int, ...]) -> Float[np.ndarray, "E P K"]:
         """Return the share of numbers beyond [-1, 1] of each episode [E, P, K]."""
         return (np.stack(self._beyond, axis=-1) / self._length).reshape(shape)
 
