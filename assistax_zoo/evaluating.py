@@ -14,11 +14,11 @@ from evaluation.crossplay import cast_population
 from evaluation.crossplay import cross_play as play_population
 from evaluation.evaluate import cast_robots
 from evaluation.evaluate import evaluate as evaluate_cast
-from evaluation.figures.summary import CrossPlaySummary
 from evaluation.play.evaluator import check_folder
 from evaluation.play.how import How
 from evaluation.play.progress import Progress
-from evaluation.play.shares import ShareDone
+from evaluation.play.shares import ShareDone, run_share
+from evaluation.play.study import make_job
 from evaluation.record.manifest import write_run
 from zoo.locations import cache_root
 from zoo.registry import Registry
@@ -203,7 +203,6 @@ def cross_play(
     options: dict[str, Any] = {"cluster": cluster, "replace": replace}
     with chosen_progress(progress, study_progress(f"crossplay {task}")) as on_progress:
         summary = play_population(cast, how, folder, on_progress=on_progress, **options)
-    assert isinstance(summary, CrossPlaySummary)  # not of a share
     write_run(folder, command_line(), simulated=summary.env_steps_per_second is not None)
     return CrossPlayResult(summary, folder, keep)
 
@@ -234,10 +233,9 @@ def play_share(
         progress: Show it, or a function that is told of it.
     """
     cast = _population(egos, partners, how.task, release, zoo, lock)
-    with chosen_progress(progress, study_progress(f"crossplay {how.task}")) as on_progress:
-        done = play_population(cast, how, out, share=share, on_progress=on_progress)
-    assert isinstance(done, ShareDone)
-    return done
+    env, job = make_job(how, cast.robots, cast.humans, cast.sides)
+    with chosen_progress(progress, study_progress(f"crossplay {how.task}")) as shown:
+        return run_share(env, job, out, share, max_envs=how.max_envs, on_progress=shown)
 
 
 def _population(

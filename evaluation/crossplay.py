@@ -15,7 +15,7 @@ from evaluation.play.devices import share_cores
 from evaluation.play.evaluator import check_folder, make_way, run_job
 from evaluation.play.how import How
 from evaluation.play.progress import OnProgress
-from evaluation.play.shares import ShareDone, run_blocks_on_ray, run_share
+from evaluation.play.shares import run_blocks_on_ray
 from evaluation.play.study import context_of, make_job, seal, still_of
 from evaluation.record import tables
 from zoo.namespaces import split_namespace
@@ -55,19 +55,16 @@ def cross_play(
     how: How,
     folder: Path,
     *,
-    share: tuple[int, int] | None = None,
     cluster: RayCluster | None = None,
     replace: bool = False,
     on_progress: OnProgress = None,
-) -> CrossPlaySummary | ShareDone:
+) -> CrossPlaySummary:
     """Evaluate the robots of a population with its humans.
 
     Args:
         cast: Robots and humans, see `cast_population`.
         how: How they play.
         folder: As in `evaluation.evaluate.evaluate`.
-        share: Simulate only this share of the chunks, and return how many are missing: see
-            `evaluation.play.shares.run_share`.
         cluster: Spread the chunks over it, in as many blocks as it runs at once.
         replace: As in `evaluation.evaluate.evaluate`.
         on_progress: Told how far the run is.
@@ -80,8 +77,6 @@ def cross_play(
     options: dict[str, Any] = {"max_envs": how.max_envs, "on_progress": on_progress}
     if replace:
         make_way(env, job, folder)
-    if share is not None:
-        return run_share(env, job, folder, share, **options)
     if cluster is not None:
         make_env = partial(type(env), how.task, env.backend)
         run_blocks_on_ray(make_env, job, folder, cluster, **options)

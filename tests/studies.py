@@ -36,6 +36,4 @@ def cross_play(
     registry: Registry, robots: Globs, humans: Globs, how: How, folder: Path, **options: Any
 ) -> CrossPlaySummary:
     cast = crossplay.cast_population(registry, how.task, robots, humans)
-    summary = crossplay.cross_play(cast, how, folder, **options)
-    assert isinstance(summary, CrossPlaySummary)
-    return summary
+    return crossplay.cross_play(cast, how, folder, **options)

@@ -10,16 +10,12 @@ from jaxtyping import Array, Bool, Float
 
 from assistax_envs.models import build_model
 from assistax_envs.scripted import scripted_robot
-from population.networks.spec import Role
+from population.networks.seat import SeatSizes
 
 
 @dataclasses.dataclass(frozen=True)
-class ReferenceSpec:
+class ReferenceSpec(SeatSizes):
     """Policies that look at nothing."""
-
-    role: Role
-    observation_size: int
-    action_size: int
 
     def player(self) -> "ReferencePolicy":
         """Return what draws their actions."""
@@ -27,12 +23,9 @@ class ReferenceSpec:
 
 
 @dataclasses.dataclass(frozen=True)
-class ScriptSpec:
+class ScriptSpec(SeatSizes):
     """A task's scripted robot: see `assistax_envs.scripted`."""
 
-    role: Role
-    observation_size: int
-    action_size: int
     task: str
 
     def player(self) -> "ScriptedPolicy":

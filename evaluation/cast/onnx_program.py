@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from population.networks.spec import Role
+from population.networks.seat import SeatSizes
 
 Attributes = Mapping[str, Any]
 Value = Any  # a JAX array, or a tuple of ints: shapes and indices are never computed from data
@@ -31,12 +31,9 @@ class Node:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class OnnxProgram:
+class OnnxProgram(SeatSizes):
     """A graph without its weights."""
 
-    role: Role
-    observation_size: int
-    action_size: int
     carry_size: int  # 0 of a robot without memory
     inputs: tuple[str, ...]  # obs, then carry, then first
     outputs: tuple[str, ...]  # action, then the next carry

@@ -16,6 +16,7 @@ from assistax_base.errors import UnknownIdError
 from assistax_envs.disability import DISABILITY_SETTINGS, Disability
 from evaluation.cast.egos import call_ego, read_egos
 from evaluation.cast.robot_names import parse_reference
+from evaluation.cast.roster import check_seat
 from population.networks.seat import Seat
 from population.trainers.environment import Environment
 from zoo.parameters.storage import load_stacks, read_policy_file
@@ -161,24 +162,12 @@ def seat_policy(
         spec, params, metadata = read_policy_file(Path(named.source))
         setting = DISABILITY_SETTINGS.get(str(metadata.get("disability")))
         policy = Partner(reference, spec, params, setting)
-    return _seated(policy, role, env)
+    return _seated(policy, role, env, task)
 
 
-def _seated(policy: Partner, role: str, env: Environment) -> Seated:
+def _seated(policy: Partner, role: str, env: Environment, task: str) -> Seated:
     """Return a policy in its seat, which must be the role's."""
-    spec = policy.spec
-    if spec.role != role:
-        raise ValueError(
-            f"{policy.id} plays the {spec.role}, not the {role}; give it as the {spec.role}"
-        )
-    sizes = spec.observation_size, spec.action_size
-    expected = env.observation_size[role], env.action_size[role]
-    if sizes != expected:
-        raise ValueError(
-            f"{policy.id} takes {sizes[0]} observations to {sizes[1]} actions; the {role} of "
-            f"this task has {expected[0]} and {expected[1]}: give a policy that was trained on "
-            "this task"
-        )
+    check_seat(policy.id, policy.spec, role, env, task)
     return Seated(policy.act, policy.setting, policy.card)
 
 
@@ -191,7 +180,7 @@ def _outside(reference: str, role: str, env: Environment, registry: Registry, ta
     egos = read_egos([reference], registry, task)
     if egos.policies:  # an ONNX file that is played as a program
         [stack] = egos.policies
-        return _seated(Partner(reference, stack.spec, stack.row(0)), role, env)
+        return _seated(Partner(reference, stack.spec, stack.row(0)), role, env, task)
     [ego] = egos.hosts
     act, steps = call_ego(ego, ["its partner"], 1, env.action_size[role]), itertools.count()
     return Seated(lambda obs: act(obs[None], next(steps))[0])

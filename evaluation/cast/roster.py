@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from assistax_envs.disability import Disability
+from population.networks.seat import Seat
 from population.networks.stack import PolicyStack
 from zoo.met import NOT_KNOWN, Met, met_in_training
 from zoo.parameters.storage import load_stacks
@@ -72,6 +73,23 @@ class Roster:
     def describe(self, ids: Sequence[str]) -> list[Member]:
         """Return the descriptions of policies in this order."""
         return [self.members[name] for name in ids]
+
+
+def check_seat(name: str, spec: Seat, role: str, env: Any, task: str) -> None:
+    """Refuse a policy whose seat, observations or actions are not those of a task's role."""
+    if spec.role != role:
+        raise ValueError(
+            f"{name} plays the {spec.role}, not the {role}; give it as the {spec.role}"
+        )
+    for what, width, expected in (
+        ("reads observations of", spec.observation_size, env.observation_size[role]),
+        ("gives actions of", spec.action_size, env.action_size[role]),
+    ):
+        if width != expected:
+            raise ValueError(
+                f"{name} {what} {width} numbers; the {role} of task {task} has {expected}: it was "
+                "made for another task, choose a policy of this one (`assistax-zoo list`)"
+            )
 
 
 def registry_roster(registry: Registry, entries: Sequence[PolicyEntry]) -> Roster:

@@ -21,6 +21,7 @@ import polars as pl
 
 from assistax_base.files import sha256
 from assistax_base.locks import locked
+from evaluation.cast.roster import check_seat
 from evaluation.play.devices import devices_for
 from evaluation.play.jobs import Job
 from evaluation.play.progress import Meter, OnProgress
@@ -93,21 +94,9 @@ def run_job(
 
 def check_sizes(env: Any, job: Job) -> None:
     """Refuse policies whose seat, observations or actions are not this task's."""
-    for seat, part, roster in (("robot", "ego", job.egos), ("human", "partner", job.partners)):
+    for role, roster in (("robot", job.egos), ("human", job.partners)):
         for stack in roster.policies:
-            spec, name = stack.spec, stack.ids[0]
-            if spec.role != seat:
-                raise ValueError(f"{name} is a {spec.role} policy; the {part} is the {seat}")
-            for what, width, expected in (
-                ("reads observations of", spec.observation_size, env.observation_size[seat]),
-                ("gives actions of", spec.action_size, env.action_size[seat]),
-            ):
-                if width != expected:
-                    raise ValueError(
-                        f"{name} {what} {width} numbers; the {seat} of task {job.task} has "
-                        f"{expected}: it was made for another task, choose a policy of this one "
-                        "(`assistax-zoo list`)"
-                    )
+            check_seat(stack.ids[0], stack.spec, role, env, job.task)
 
 
 def check_folder(folder: Path, advice: str = "choose another folder") -> None:

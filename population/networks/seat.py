@@ -3,6 +3,7 @@
 Imports no JAX: the registry reads specs too.
 """
 
+import dataclasses
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
@@ -54,3 +55,12 @@ class Seat(Protocol):
     def player(self) -> Player:
         """Return what plays them; imports JAX."""
         ...
+
+
+@dataclasses.dataclass(frozen=True)
+class SeatSizes:
+    """What a spec that is no network of ours has of a seat; it adds its `player`."""
+
+    role: "Role"
+    observation_size: int
+    action_size: int

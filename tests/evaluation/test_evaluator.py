@@ -348,7 +348,9 @@ def test_what_makes_way_goes_with_all_that_was_drawn_from_it(tmp_path: Path):
     run_job(MatrixGame(), make_job(), tmp_path)
     for name in (*tables.DERIVED_FILES, tables.RUN_FILE, "mine.html"):
         (tmp_path / name).write_text("{}")
-    with pytest.raises(ValueError, match="is a human policy"):  # nothing is lost to a mistake
+    with pytest.raises(
+        ValueError, match="plays the human, not the robot"
+    ):  # nothing is lost to a mistake
         make_way(MatrixGame(), make_job(humans(0.5)), tmp_path)
     assert tables.read_episodes(tmp_path / tables.EPISODES_FILE).height == make_job().rows
     make_way(MatrixGame(), make_job(seed=1), tmp_path)
@@ -436,7 +438,7 @@ def test_policies_of_another_task_or_seat_are_refused(tmp_path: Path):
         match=r"observations of 47 numbers; the robot of task matrix has 3: .*another task",
     ):
         run_job(MatrixGame(), make_job(other), tmp_path)
-    with pytest.raises(ValueError, match="is a human policy; the ego is the robot"):
+    with pytest.raises(ValueError, match="plays the human, not the robot"):
         run_job(MatrixGame(), make_job(humans(0.5)), tmp_path)
 
 

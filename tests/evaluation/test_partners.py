@@ -127,7 +127,7 @@ def test_refusals(registry: Registry, tmp_path: Path):
     other = PolicySpec("robot", observation_size=9, action_size=2, hidden=(4,))
     write_policy_file(path, other, params_of(other, 0))
     with pytest.raises(
-        ValueError, match="takes 9 observations to 2 actions; the robot of this task has 6 and 2"
+        ValueError, match="reads observations of 9 numbers; the robot of task scratch has 6"
     ):
         seat(str(path), "robot", registry)
     with pytest.raises(ValueError, match=r"got observations \(4,\); expected \[..., 5\]"):
