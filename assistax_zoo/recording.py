@@ -14,7 +14,7 @@ from assistax_zoo.zoos import Zoo, open_zoo
 if TYPE_CHECKING:
     import polars as pl
 
-    from evaluation.cast.partners import Seated
+    from evaluation.cast.seats import Seated
     from evaluation.film import Pair
 
 METADATA = "assistax"  # key of a file's metadata, whose value is JSON

@@ -9,6 +9,7 @@ import polars as pl
 from assistax_envs.versions import VERSIONS
 from evaluation.cast.cast import Cast
 from evaluation.cast.egos import probe_egos, read_egos
+from evaluation.cast.met_partners import check_new
 from evaluation.figures.normalised import bounds_table
 from evaluation.figures.saved_tables import save_evaluation
 from evaluation.figures.summary import EvaluationSummary
@@ -20,7 +21,6 @@ from evaluation.play.jobs import Job
 from evaluation.play.progress import OnProgress
 from evaluation.play.study import context_of, make_job, seal, still_of
 from evaluation.record import manifest, tables
-from evaluation.record.met_partners import check_new
 from zoo.locations import CACHE_VARIABLE
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split

@@ -18,7 +18,7 @@ from PIL import Image
 from assistax_base.files import atomic_path
 from assistax_envs import Disability, Env, EnvState, disability_params
 from assistax_envs.preferences import check_preferences
-from evaluation.cast.partners import Seated, seat_policy
+from evaluation.cast.seats import Seated, seat_policy
 from evaluation.play.jobs import episode_seeds
 from zoo.registry import Registry
 

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from assistax_base.bounded_reading import parse_json
-from evaluation.cast import onnx_admission, onnx_ego
+from evaluation.cast.onnx_robots import admission
+from evaluation.cast.onnx_robots import ego as onnx_ego
 from evaluation.cast.policy_process import PolicyError, PolicyProcess
 from evaluation.cast.policy_worker import error_text
 from evaluation.cast.robot_forms import as_robot
@@ -216,12 +217,12 @@ def _program(reference: PolicyReference, registry: Registry) -> tuple[Member, Se
     """
     try:
         data = onnx_ego.read_bytes(Path(reference.source))
-        spec, params = onnx_admission.read_program(data)
+        spec, params = admission.read_program(data)
         met = _onnx_met(registry, onnx_ego.read_metadata(data))
     except (ImportError, ValueError):  # the process says in its own words what is wrong
         return None
     member = _of_file(reference.text, Path(reference.source), met)
-    digest = identity_digest([onnx_admission.PROGRAM, member.digest])
+    digest = identity_digest([admission.PROGRAM, member.digest])
     return dataclasses.replace(member, digest=digest), spec, params
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 from pydantic import TypeAdapter, ValidationError
 
+from evaluation.cast.met_partners import MetSummary
 from evaluation.figures.bootstrap import Draws, Estimate, Interval, estimate
 from evaluation.figures.metrics import (
     CrossPlay,
@@ -30,7 +31,6 @@ from evaluation.figures.metrics import (
 from evaluation.figures.normalised import References, Relative
 from evaluation.record import tables
 from evaluation.record.manifest import check_whole
-from evaluation.record.met_partners import MetSummary
 from evaluation.record.tables import Block, dense_block
 
 # Seeds, partners or teams; with fewer, intervals cover too little (see

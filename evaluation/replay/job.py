@@ -13,6 +13,7 @@ from typing import Any
 from assistax_base.errors import SplitError
 from evaluation.cast.cast import check_env_version, in_release
 from evaluation.cast.egos import read_egos
+from evaluation.cast.met_partners import MetPartners, declare, met_partners
 from evaluation.cast.robot_names import parse_reference
 from evaluation.cast.roster import Roster, registry_roster
 from evaluation.figures.summary import Context, CrossPlaySummary, EvaluationSummary, read_summary
@@ -21,7 +22,6 @@ from evaluation.play.jobs import Job
 from evaluation.play.study import context_of
 from evaluation.play.tiles import GPU_TILE_ENVS, TILE_ENVS
 from evaluation.record.manifest import received_sha256
-from evaluation.record.met_partners import MetPartners, declare, met_partners
 from evaluation.record.sources import describe_sources
 from evaluation.record.tables import EPISODES_FILE, read_episodes
 from zoo.registry import Registry

@@ -15,9 +15,9 @@ from assistax_board.rules.catalogue import ZooCatalogue
 from assistax_workshop.press.publish import publish
 from assistax_workshop.press.trained_runs import TrainedTeam
 from evaluation.cast.egos import EgoError, read_egos
+from evaluation.cast.met_partners import MetSummary, declare, met_partners
 from evaluation.record import tables
 from evaluation.record.manifest import read_manifest
-from evaluation.record.met_partners import MetSummary, declare, met_partners
 from tests.untrained import HUMAN, ROBOT, params_of, published, teams_of, untrained_team
 from zoo.export import Format, export_policy
 from zoo.met import Met, met_in_training

@@ -11,9 +11,11 @@ import onnxruntime
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from evaluation.cast import onnx_admission, onnx_ego, onnx_program
-from evaluation.cast.onnx_admission import ATTRIBUTES, admit_onnx
-from evaluation.cast.onnx_ego import UntrustedModelError
+from evaluation.cast.onnx_robots import admission as onnx_admission
+from evaluation.cast.onnx_robots import ego as onnx_ego
+from evaluation.cast.onnx_robots import program as onnx_program
+from evaluation.cast.onnx_robots.admission import ATTRIBUTES, admit_onnx
+from evaluation.cast.onnx_robots.ego import UntrustedModelError
 from population.networks.onnx_export import to_onnx
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec

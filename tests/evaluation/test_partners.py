@@ -10,7 +10,8 @@ import pytest
 
 from assistax_base.errors import UnknownIdError, ZooError
 from assistax_envs import DISABILITY_SETTINGS
-from evaluation.cast.partners import seat_policy, zoo_partner
+from evaluation.cast.partners import zoo_partner
+from evaluation.cast.seats import seat_policy
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from tests import untrained

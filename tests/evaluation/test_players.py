@@ -9,7 +9,7 @@ import pytest
 
 from assistax_board.robots.admission import Admission
 from evaluation.cast.baseline_policies import ReferenceSpec, ScriptSpec
-from evaluation.cast.onnx_admission import read_program
+from evaluation.cast.onnx_robots.admission import read_program
 from population.networks.onnx_export import to_onnx
 from population.networks.policy import Policy
 from population.networks.seat import Seat

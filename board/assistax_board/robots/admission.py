@@ -140,8 +140,8 @@ def _read_safetensors(data: bytes, observation_size: int, action_size: int) -> R
 
 
 def _read_onnx(data: bytes, observation_size: int, action_size: int) -> Robot:
-    from evaluation.cast.onnx_admission import admit_onnx
-    from evaluation.cast.onnx_ego import UntrustedModelError
+    from evaluation.cast.onnx_robots.admission import admit_onnx
+    from evaluation.cast.onnx_robots.ego import UntrustedModelError
 
     try:
         return Robot(ONNX, *admit_onnx(data, observation_size, action_size))

@@ -1,4 +1,4 @@
-"""An ONNX graph as a JAX function: what `onnx_admission` let through, played as partners are.
+"""An ONNX graph as a JAX function: what `admission` let through, played as partners are.
 
 The graph is run row by row (`jax.vmap` over rows of one observation each), so that no row can see
 another. Weights are parameters and may be stacked; the graph is hashable, so that robots of one

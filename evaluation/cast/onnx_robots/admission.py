@@ -1,7 +1,7 @@
 """From the bytes of an ONNX file to a program, or a refusal. Nothing of the file is ever executed.
 
-The program is JAX (`evaluation.cast.onnx_program`), which is stacked and mapped as partners are. A
-service plays nothing else. Every attribute and tensor is held against a list, and shapes are
+The program is JAX (`evaluation.cast.onnx_robots.program`), which is stacked and mapped as partners
+are. A service plays nothing else. Every attribute and tensor is held against a list, and shapes are
 computed without values, so that a graph that would fill the memory is refused before anything is
 allocated.
 """
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.cast.onnx_ego import (
+from evaluation.cast.onnx_robots.ego import (
     ROWS,
     UntrustedModelError,
     mixes_rows,
@@ -69,7 +69,7 @@ def read_program(data: bytes) -> tuple[Any, dict[str, Any]]:
     Raises:
         UntrustedModelError: It is not a graph of the form and the operators that are allowed.
     """
-    from evaluation.cast.onnx_program import OPERATORS
+    from evaluation.cast.onnx_robots.program import OPERATORS
 
     model = read_onnx_network(data, {*OPERATORS, "Constant"})
     _check_model(model)
@@ -116,7 +116,7 @@ class _Graph:
 
     def program(self) -> tuple[Any, dict[str, Any]]:
         """Return the program and its parameters."""
-        from evaluation.cast.onnx_program import OnnxProgram
+        from evaluation.cast.onnx_robots.program import OnnxProgram
 
         for tensor in self._graph.initializer:
             self._keep(tensor.name, _array(tensor))
@@ -160,7 +160,7 @@ class _Graph:
             raise UntrustedModelError("operator_not_allowed", f"a tensor of {value.dtype}")
 
     def _read(self, node: Any, names: set[str]) -> None:
-        from evaluation.cast.onnx_program import Node
+        from evaluation.cast.onnx_robots.program import Node
 
         if node.op_type == "Constant":
             self._keep(node.output[0], _constant(node))
@@ -264,7 +264,7 @@ def _shapes(program: Any, params: dict[str, Any], rows: int) -> list[tuple[int, 
     import jax
     import jax.numpy as jnp
 
-    from evaluation.cast import onnx_program
+    from evaluation.cast.onnx_robots import program as programs
 
     products = 0
 
@@ -285,7 +285,7 @@ def _shapes(program: Any, params: dict[str, Any], rows: int) -> list[tuple[int, 
     inputs.append(jax.ShapeDtypeStruct((rows,), jnp.bool_))
     weights = {name: jax.ShapeDtypeStruct(w.shape, w.dtype) for name, w in params.items()}
     outputs = jax.eval_shape(
-        lambda weights, inputs: onnx_program.run(program, weights, inputs, watch),
+        lambda weights, inputs: programs.run(program, weights, inputs, watch),
         weights,
         inputs[: len(program.inputs)],
     )
@@ -294,7 +294,7 @@ def _shapes(program: Any, params: dict[str, Any], rows: int) -> list[tuple[int, 
 
 def _check_rows(graph: Any, program: Any, params: dict[str, Any]) -> None:
     """Refuse reductions over the rows of a batch, of which a program sees one at a time."""
-    from evaluation.cast import onnx_program
+    from evaluation.cast.onnx_robots import program as programs
 
     [rows] = [v.type.tensor_type.shape.dim[0] for v in graph.input if v.name == program.inputs[0]]
     reducing = reductions_over_rows(graph)
@@ -303,7 +303,7 @@ def _check_rows(graph: Any, program: Any, params: dict[str, Any]) -> None:
     widths = [program.observation_size, program.carry_size][: min(len(program.inputs), 2)]
 
     def answer(inputs: list[Any]) -> list[np.ndarray]:
-        return [np.asarray(out) for out in onnx_program.run(program, params, inputs)]
+        return [np.asarray(out) for out in programs.run(program, params, inputs)]
 
     try:
         _shapes(program, params, ROWS)  # before anything is allocated for so many

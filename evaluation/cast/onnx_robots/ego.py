@@ -1,6 +1,6 @@
 """A robot from an ONNX file of any exporter, run by onnxruntime in a process of its own.
 
-This is for networks with operators that `evaluation.cast.onnx_program` lacks; all others are
+This is for networks with operators that `evaluation.cast.onnx_robots.program` lacks; all others are
 played by it. Both read a file by `read_onnx_network`: a model is data from a stranger, checked
 operator by operator before anything else sees it.
 """
