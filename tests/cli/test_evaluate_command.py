@@ -316,7 +316,7 @@ def test_a_policy_file_is_evaluated_and_one_of_another_task_refused(
         (["--seed", "-1"], "seed is -1; allowed is 0 or more"),
         (["--split", "halves"], "split 'halves' is neither a side (test, train, both)"),
         (["--split", "tset"], "nearest: test"),
-        (["--split", "both", "--partners", "scratch/ippo-d1-s0-*"], "--include-own"),
+        (["--split", "both", "--partners", "scratch/ippo-d1-s0-*"], "let include_own count them"),
         (["--split", "half:best"], "after the colon test, train, both are allowed"),
         (["--partners", "scratch/ippo-d1-s77-v0/human"], "nearest: scratch/ippo-d1-"),
         (["--policy", "zoo:scratch/ippo-d1-s00-v0/robot"], "nearest: scratch/ippo-d1-s0-v0/robot"),
