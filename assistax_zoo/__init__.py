@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from assistax_workshop.auditing import audit
+    from assistax_zoo.evaluating import cross_play, evaluate
     from assistax_zoo.films import render
     from assistax_zoo.recording import trajectories
     from assistax_zoo.results import (
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
         compare,
         load_result,
     )
-    from assistax_zoo.studies import cross_play, evaluate
     from assistax_zoo.training import train, train_ego
     from assistax_zoo.zoos import Zoo, fetch, open_zoo
     from evaluation.cast.partners import Partner
@@ -55,7 +55,7 @@ _HOMES = {
     "evaluation.cast.partners": ("Partner",),
     "evaluation.figures.planning": ("measure_spread", "plan_evaluation"),
     "assistax_zoo.zoos": ("Zoo", "fetch", "open_zoo"),
-    "assistax_zoo.studies": ("cross_play", "evaluate"),
+    "assistax_zoo.evaluating": ("cross_play", "evaluate"),
     "assistax_zoo.results": (
         "Comparison",
         "CrossPlayResult",

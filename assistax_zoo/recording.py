@@ -15,6 +15,7 @@ from assistax_zoo.zoos import Zoo, open_zoo
 if TYPE_CHECKING:
     import polars as pl
 
+    from evaluation.cast.seats import Seated
     from evaluation.film import Pair
 
 
@@ -134,12 +135,12 @@ def _gains(env: Any) -> dict[str, Callable[[Any], Any]]:
     }
 
 
-def _who(name: str, seat: Any) -> dict[str, Any]:
+def _who(name: str, seat: "Seated") -> dict[str, Any]:
     """Return who sat there: the name that was given, and the sha256 of what it stands for."""
     from evaluation.record.manifest import file_sha256
 
-    card, path = getattr(seat, "card", None), Path(name)
-    sha256 = card.sha256 if card else file_sha256(path) if path.is_file() else None
+    path = Path(name)
+    sha256 = seat.card.sha256 if seat.card else file_sha256(path) if path.is_file() else None
     return {"policy": path.name if path.is_file() else name, "sha256": sha256}
 
 

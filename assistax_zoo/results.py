@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import polars as pl
 
+from evaluation.cast.met_partners import UNKNOWN, MetSummary, both_met, comparison_notes
 from evaluation.figures.bootstrap import Estimate
 from evaluation.figures.normalised import References, Relative
 from evaluation.figures.summary import (
@@ -22,7 +23,6 @@ from evaluation.figures.summary import (
 )
 from evaluation.record import tables
 from evaluation.record.manifest import table_hashes, unchecked
-from evaluation.record.met_partners import UNKNOWN, MetSummary, both_met, comparison_notes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

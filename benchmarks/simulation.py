@@ -14,8 +14,9 @@ import numpy as np
 from assistax_envs import DISABILITY_SETTINGS, disability_params
 from benchmarks.timing import REPEATS, calls_within, timed
 from evaluation.cast.roster import Member, Roster
-from evaluation.play.jobs import Job, plan
+from evaluation.play.jobs import Job
 from evaluation.play.runner import Runner
+from evaluation.play.tiles import plan
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from evaluation.figures.bootstrap import Estimate, estimate
-from evaluation.play.jobs import Job, default_episodes
+from evaluation.play.how import default_episodes
+from evaluation.play.jobs import Job
 from evaluation.play.runner import play
 from evaluation.record.tables import dense_block
 
@@ -40,19 +41,23 @@ def measure_luck(task: str, robot: str, seeds: int, *, backend: str = "auto") ->
         backend: Physics.
     """
     from assistax_zoo import open_zoo
+    from evaluation.cast.cast import Cast, choose_partners
     from evaluation.cast.egos import read_egos
-    from evaluation.studies import Settings, choose_partners, make_job
+    from evaluation.play.how import How
+    from evaluation.play.study import make_job
 
     registry, episodes = open_zoo().registry, default_episodes(task)
     split, partners = choose_partners(registry, task, None, None)
-    settings = Settings(task, episodes * seeds, backend=backend)
-    env, job = make_job(registry, read_egos([robot], registry, task), partners, settings, split)
+    robots = read_egos([robot], registry, task)
+    cast = Cast.of(registry, task=task, robots=robots, humans=partners, split=split)
+    how = How(task, episodes * seeds, backend=backend)
+    env, job = make_job(how, cast.robots, cast.humans, cast.sides)
     if split.preferences:
-        job = job.following(split.preferences)
+        job = job.with_side_preferences(split.preferences)
     returns = {
-        apart: _returns(env, dataclasses.replace(job, apart=apart)) for apart in (True, False)
+        own: _returns(env, dataclasses.replace(job, own_episodes=own)) for own in (True, False)
     }
-    blocks = {apart: np.stack(np.split(part, seeds, axis=2)) for apart, part in returns.items()}
+    blocks = {own: np.stack(np.split(part, seeds, axis=2)) for own, part in returns.items()}
     return [
         _luck("own", blocks[True], resampled=False),
         _luck("common", blocks[False], resampled=True),

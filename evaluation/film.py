@@ -18,8 +18,8 @@ from PIL import Image
 from assistax_base.files import atomic_path
 from assistax_envs import Disability, Env, EnvState, disability_params
 from assistax_envs.preferences import check_preferences
+from evaluation.cast.seats import Seated, seat_policy
 from evaluation.play.jobs import episode_seeds
-from evaluation.seats import seat_policy
 from zoo.registry import Registry
 
 RATE = 50  # control steps a second
@@ -61,9 +61,9 @@ def play(
         partner: the human's id, if it is a partner of the zoo: its starts are its own.
     """
     key = jax.random.key(np.uint32(episode_seeds(seed, [episode], partner)[0]))
-    likes = None if preference is None else [preference]
+    preferences = None if preference is None else [preference]
     reset, step = _programs(env)
-    state = reset(key[None], disability_params([disability], likes))
+    state = reset(key[None], disability_params([disability], preferences))
     yield state
     for _ in range(env.episode_length if steps is None else steps):
         seats = {"robot": robot, "human": human}
@@ -112,9 +112,9 @@ class Pair:
         self.env, self.references = env, {"robot": robot, "human": human}
         self._registry, self._seed, self._preference = registry, seed, preference
         self.seats = self._seated(0)
-        self.setting = disability or getattr(self.seats["human"], "setting", None) or "d1"
+        self.setting = disability or self.seats["human"].setting or "d1"
 
-    def _seated(self, episode: int) -> dict[str, Act]:
+    def _seated(self, episode: int) -> dict[str, Seated]:
         """Return policies that remember nothing of earlier episodes."""
         seed = self._seed + episode  # of random actions
         return {
@@ -141,7 +141,7 @@ class Pair:
 
         seats = self._seated(episode) if episode else self.seats
         acting = (heard(role, act) for role, act in seats.items())
-        card = getattr(self.seats["human"], "card", None)
+        card = self.seats["human"].card
         partner = None if card is None else card.id
         options = {"episode": episode, "preference": self._preference, "partner": partner}
         yield from play(
@@ -212,13 +212,13 @@ def film(
         count: of the moments.
     """
     ending = path.suffix.lower()
-    wanted = moments(steps, count) if ending == ".png" else range(0, steps + 1, RATE // fps)
-    frames = (draw(state) for step, state in enumerate(states) if step in wanted)
+    shown = moments(steps, count) if ending == ".png" else range(0, steps + 1, RATE // fps)
+    frames = (draw(state) for step, state in enumerate(states) if step in shown)
     with atomic_path(path) as temporary:
         {".mp4": _write_mp4, ".gif": _write_gif, ".png": _write_sheet}[ending](
             frames, temporary, fps
         )
-    return len(wanted)
+    return len(shown)
 
 
 def moments(steps: int, count: int = MOMENTS) -> Sequence[int]:
@@ -243,16 +243,16 @@ def _write_mp4(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
     ]
     target = ["-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-f", "mp4", str(path)]
     command = [_ffmpeg().get_ffmpeg_exe(), "-y", "-loglevel", "error", *source, *target]
-    with tempfile.TemporaryFile() as told:
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=told, stderr=told) as process:
+    with tempfile.TemporaryFile() as log:
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=log, stderr=log) as process:
             assert process.stdin is not None
             with contextlib.suppress(BrokenPipeError):  # its exit code and its message say more
                 for frame in itertools.chain([first], frames):
                     process.stdin.write(np.ascontiguousarray(frame).data)
                 process.stdin.close()
         if process.returncode:
-            told.seek(0)
-            message = " ".join(told.read().decode(errors="replace").split())
+            log.seek(0)
+            message = " ".join(log.read().decode(errors="replace").split())
             raise ValueError(
                 f"ffmpeg could not write the film ({message[:200]}); write a .gif instead"
             )

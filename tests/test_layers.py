@@ -2,6 +2,7 @@
 
 import ast
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -89,8 +90,8 @@ def test_command_line_and_registry_import_nothing_heavy() -> None:
 
 
 def test_an_evaluation_waits_for_neither_scipy_nor_matplotlib() -> None:
-    found = heavy_imports("assistax_zoo.studies", "assistax_envs.env", "evaluation.cast.egos")
-    assert found == ["jax", "mujoco", "flax"]
+    found = heavy_imports("assistax_zoo.evaluating", "assistax_envs.env", "evaluation.cast.egos")
+    assert found == ["jax", "mujoco"]  # and for Flax only where networks play
 
 
 def test_a_heavy_import_is_found() -> None:
@@ -158,3 +159,27 @@ def heavy_imports(*modules: str) -> list[str]:
         text=True,
     )
     return json.loads(result.stdout)
+
+
+# Rooms whose errors hold for Python and for a shell alike.
+QUIET = ("evaluation/cast", "evaluation/play", "evaluation/film.py", "evaluation/evaluate.py")
+QUIET += ("evaluation/crossplay.py",)
+
+
+def test_errors_of_these_rooms_name_no_option_of_a_command() -> None:
+    paths = [path for room in QUIET for path in ((ROOT / room).rglob("*.py"), [ROOT / room])]
+    files = [path for some in paths for path in some if path.suffix == ".py"]
+    assert len(files) > 20
+    assert [text for path in files for text in options_raised(path.read_text("utf-8"))] == []
+
+
+def test_an_option_in_an_error_is_found() -> None:
+    assert options_raised('raise ValueError(f"{n}; give more (--episodes {n})")') == ["--episodes"]
+    assert options_raised('text = "--episodes"') == []
+
+
+def options_raised(source: str) -> list[str]:
+    """Return the options that raised texts name."""
+    raises = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Raise)]
+    texts = [node for error in raises for node in ast.walk(error) if isinstance(node, ast.Constant)]
+    return [option for text in texts for option in re.findall(r"--[a-z][\w-]*", str(text.value))]

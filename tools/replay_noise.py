@@ -79,11 +79,13 @@ def play(task: str, backend: str, teams: int, out: Path) -> None:
         teams: Robots, and as many humans.
         out: File for the episodes.
     """
+    from evaluation.cast.cast import in_release
     from evaluation.cast.roster import registry_roster
     from evaluation.play.baselines import reference_job
     from evaluation.play.evaluator import MAX_ENVS
+    from evaluation.play.how import How
     from evaluation.play.runner import play as play_job
-    from evaluation.studies import Settings, in_release, make_job
+    from evaluation.play.study import make_job
     from zoo.registry import load_registry
 
     registry = load_registry()
@@ -93,8 +95,8 @@ def play(task: str, backend: str, teams: int, out: Path) -> None:
         for role in ("robot", "human")
     )
     egos, partners = (seat[:: max(1, len(seat) // teams)][:teams] for seat in (robots, humans))
-    settings = Settings(task, EPISODES, backend=backend)
-    env, job = make_job(registry, registry_roster(registry, egos), partners, settings)
+    how, humans = How(task, EPISODES, backend=backend), registry_roster(registry, partners)
+    env, job = make_job(how, registry_roster(registry, egos), humans)
     random = dataclasses.replace(reference_job(env, job, RANDOM), episodes=EPISODES * teams)
     jobs = (job, random)
     played = [play_job(env, one, MAX_ENVS[backend]) for one in jobs]

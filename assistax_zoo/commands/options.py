@@ -18,32 +18,6 @@ _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "b": 10**9}
 
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Playing:
-    """How egos play with partners.
-
-    Attributes:
-        episodes: Episodes of each pair; default 18 in the gentle tasks, where nine preferences take
-            turns, and 8 in the others.
-        seed: Seed of the episodes: each partner has its own, the same for every robot.
-        backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
-        stochastic: Draw actions instead of taking each policy's most likely one.
-        max_envs: Most simulations in a saved part, and on a GPU at once; lower it if memory runs
-            out.
-        preferences: What the humans of a gentle task like, such as p1,p5: each partner takes turns
-            in them from episode to episode; if not given, those of its side of the split, or all
-            where it holds none out.
-    """
-
-    episodes: int | None = None
-    seed: int = 0
-    backend: str = "auto"
-    stochastic: bool = False
-    max_envs: int | None = None
-    preferences: str | None = None
-
-
-@Parameter(name="*")
-@dataclasses.dataclass(frozen=True, kw_only=True)
 class Source:
     """Where policies come from.
 
@@ -116,12 +90,14 @@ class Engine:
         from assistax_base.cluster import RayCluster
 
         names = ("ray_address", "ray_cpus", "ray_gpus")
-        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        options = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         if self.engine == "ray":
-            return RayCluster(**{name.removeprefix("ray_"): value for name, value in given.items()})
-        if given:
+            return RayCluster(
+                **{name.removeprefix("ray_"): value for name, value in options.items()}
+            )
+        if options:
             raise ValueError(
-                f"{', '.join('--' + name.replace('_', '-') for name in given)} needs --engine ray"
+                f"{', '.join('--' + name.replace('_', '-') for name in options)} needs --engine ray"
             )
         return None
 

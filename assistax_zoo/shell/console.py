@@ -17,7 +17,7 @@ from assistax_envs.stdout import stdout_is_data as stdout_is_data
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from evaluation.play.runner import Progress
+    from evaluation.play.progress import Progress
     from population.runs.train import Progress as TrainingProgress
 
 SECONDS_BETWEEN_LINES = 10.0
@@ -107,7 +107,7 @@ def progress(
 
 @contextmanager
 def study_progress(description: str) -> Generator[Callable[["Progress"], None]]:
-    """Yield a callback for `evaluation.studies`, which plays one kind of policies after another."""
+    """Yield a callback for `evaluation`, which plays one kind of policies after another."""
     with ExitStack() as stack:
         advance: Callable[[int], None] | None = None
         shown, done = ("", 0), 0

@@ -1,20 +1,40 @@
 """Policies that nobody trained: the zero action, uniformly random ones, a task's script."""
 
+import dataclasses
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from assistax_envs.models import build_model
 from assistax_envs.scripted import scripted_robot
-from evaluation.cast.roster import ReferenceSpec, ScriptSpec
+from population.networks.seat import SeatSizes
+
+
+@dataclasses.dataclass(frozen=True)
+class ReferenceSpec(SeatSizes):
+    """Policies that look at nothing."""
+
+    def player(self) -> "ReferencePolicy":
+        """Return what draws their actions."""
+        return ReferencePolicy(self)
+
+
+@dataclasses.dataclass(frozen=True)
+class ScriptSpec(SeatSizes):
+    """A task's scripted robot: see `assistax_envs.scripted`."""
+
+    task: str
+
+    def player(self) -> "ScriptedPolicy":
+        """Return what plays the script."""
+        return ScriptedPolicy(self)
 
 
 class ReferencePolicy:
-    """Actions drawn uniformly from [-amplitude, amplitude].
-
-    It has the form of `population.networks.policy.Policy`.
+    """Plays actions drawn uniformly from [-amplitude, amplitude].
 
     The draw is a hash of the observation's bits: random to look at, and the same however a job is
     cut into chunks.
@@ -30,8 +50,12 @@ class ReferencePolicy:
         return ()
 
     def act(
-        self, params: Any, carry: tuple[()], obs: jax.Array, first: jax.Array
-    ) -> tuple[tuple[()], jax.Array]:
+        self,
+        params: Any,
+        carry: tuple[()],
+        obs: Float[Array, "*batch O"],
+        first: Bool[Array, "*batch"],
+    ) -> tuple[tuple[()], Float[Array, "*batch A"]]:
         """Return actions [..., A] for observations [..., O].
 
         `params` holds a scalar "amplitude".
@@ -47,7 +71,7 @@ class ReferencePolicy:
 
 
 class ScriptedPolicy:
-    """A task's script, in the form of a `Policy`; it has no memory and no parameters."""
+    """Plays a task's script, which has no memory and no parameters."""
 
     def __init__(self, spec: ScriptSpec) -> None:
         self._robot = scripted_robot(spec.task, build_model(spec.task))
@@ -57,8 +81,12 @@ class ScriptedPolicy:
         return ()
 
     def act(
-        self, params: Any, carry: tuple[()], obs: jax.Array, first: jax.Array
-    ) -> tuple[tuple[()], jax.Array]:
+        self,
+        params: Any,
+        carry: tuple[()],
+        obs: Float[Array, "*batch O"],
+        first: Bool[Array, "*batch"],
+    ) -> tuple[tuple[()], Float[Array, "*batch A"]]:
         """Return actions [..., A] for observations [..., O]."""
         actions = self._robot(obs.reshape(-1, obs.shape[-1]))
         return carry, actions.reshape(*obs.shape[:-1], -1)

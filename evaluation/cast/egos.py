@@ -7,17 +7,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from assistax_base.bounded_reading import parse_json
-from evaluation.cast import onnx_admission, onnx_ego
+from evaluation.cast.onnx_robots import admission
+from evaluation.cast.onnx_robots import ego as onnx_ego
 from evaluation.cast.policy_process import PolicyError, PolicyProcess
-from evaluation.cast.policy_worker import told
+from evaluation.cast.policy_worker import error_text
 from evaluation.cast.robot_forms import as_robot
 from evaluation.cast.robot_names import PolicyReference, parse_reference
 from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
 from evaluation.record.manifest import file_sha256, identity_digest
-from population.networks.spec import PolicySpec
-from population.networks.stack import PolicyStack, stack_policies
+from population.networks.seat import Seat
+from population.networks.stack import stack_policies
 from population.networks.tensors import flatten, row_sha256
 from zoo.met.claims import claimed_met, declared_met
 from zoo.met.published import NOT_KNOWN, Met, met_in_training
@@ -45,7 +47,7 @@ def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> Roster:
         ZooError: An id or a file that is not there or not what it says.
         EgoError: A robot from a Python module cannot be made.
     """
-    single: list[tuple[Member, PolicySpec, Any]] = []
+    single: list[tuple[Member, Seat, Any]] = []
     host: list[tuple[Member, HostEgo]] = []
     for place, robot in enumerate(robots):
         if not isinstance(robot, str | Path):
@@ -90,7 +92,7 @@ def call_ego(
         except PolicyError as error:
             raise EgoError(f"{place}: {error}") from error
         except (Exception, SystemExit, GeneratorExit) as error:  # its code does not end a run
-            raise EgoError(f"{place}: {told(error)}") from error
+            raise EgoError(f"{place}: {error_text(error)}") from error
         if problem := _problem(answer, (len(obs), action_size)):
             raise EgoError(f"{place}: {problem}")
         broken = np.flatnonzero(~np.isfinite(answer).all(axis=1))
@@ -118,15 +120,15 @@ class Clipping:
         self._act, self._length = act, length
         self._beyond: list[np.ndarray] = []  # at each place of a series: sum over steps [N]
 
-    def __call__(self, obs: np.ndarray, step: int) -> np.ndarray:
-        """Return the actions [N, A] for observations [N, O]."""
+    def __call__(self, obs: Float[np.ndarray, "N O"], step: int) -> Float[np.ndarray, "N A"]:
+        """Return the actions at a step of the series."""
         action = self._act(obs, step)
         if step % self._length == 0:
             self._beyond.append(np.zeros(len(obs)))
         self._beyond[-1] += (np.abs(action) > 1.0).mean(axis=1)
         return action
 
-    def shares(self, shape: tuple[int, ...]) -> np.ndarray:
+    def shares(self, shape: tuple[int, ...]) -> Float[np.ndarray, "E P K"]:
         """Return the share of numbers beyond [-1, 1] of each episode [E, P, K]."""
         return (np.stack(self._beyond, axis=-1) / self._length).reshape(shape)
 
@@ -137,9 +139,7 @@ def probe_egos(roster: Roster, task: str, observation_size: int, action_size: in
     Raises:
         EgoError: It failed, or answered with another number of actions.
     """
-    for ego in roster.stacks:
-        if not isinstance(ego, HostEgo):
-            continue
+    for ego in roster.hosts:
         robot, obs = as_robot(ego.act), np.zeros((2, observation_size), np.float32)
         try:
             robot.reset(len(obs))
@@ -148,7 +148,7 @@ def probe_egos(roster: Roster, task: str, observation_size: int, action_size: in
         except PolicyError as error:
             problem = f"failed: {error}"
         except (Exception, SystemExit, GeneratorExit) as error:  # its code does not end a run
-            problem = f"failed: {told(error)}"
+            problem = f"failed: {error_text(error)}"
         if problem:
             raise EgoError(
                 f"{ego.id} cannot play: given two rows of zeros it {problem}; the robot of task "
@@ -167,29 +167,27 @@ def _problem(answer: np.ndarray, shape: tuple[int, ...]) -> str:
     )
 
 
-def _from_zoo(
-    pattern: str, registry: Registry, task: str
-) -> Iterable[tuple[Member, PolicySpec, Any]]:
-    found = registry_roster(registry, registry.select(pattern, task=task, role="robot"))
-    for stack in found.stacks:
-        assert isinstance(stack, PolicyStack)
+def _from_zoo(pattern: str, registry: Registry, task: str) -> Iterable[tuple[Member, Seat, Any]]:
+    robots = registry_roster(registry, registry.select(pattern, task=task, role="robot"))
+    for stack in robots.policies:
         for row, name in enumerate(stack.ids):
-            yield found.members[name], stack.spec, stack.row(row)
+            yield robots.members[name], stack.spec, stack.row(row)
 
 
 def _from_files(
     text: str, registry: Registry, may_match: bool
-) -> Iterable[tuple[Member, PolicySpec, Any]]:
+) -> Iterable[tuple[Member, Seat, Any]]:
     """Yield the robot of a file, or of each file that a glob names, s2 before s10."""
     globbed = may_match and glob.escape(text) != text and not Path(text).exists()
-    found = glob.glob(_with_folders_as_spelled(text)) if globbed else [text]
-    names = sorted(found, key=lambda name: (len(name), name))
+    files = glob.glob(_with_folders_as_spelled(text)) if globbed else [text]
+    names = sorted(files, key=lambda name: (len(name), name))
     if not names:
         raise ValueError(f"policy {text!r} matches no file; see what is there with ls")
     for name in names:
         spec, params, metadata = read_policy_file(name)
         digest = row_sha256(flatten(params))
-        same = [one for one in registry.policies if (one.sha256, one.role) == (digest, "robot")]
+        robots = [entry for entry in registry.policies if entry.role == "robot"]
+        same = [robot for robot in robots if robot.sha256 == digest]
         # A published robot's parameters are that robot, whatever else their file claims.
         met = met_in_training(registry, same[0]) if same else claimed_met(registry, metadata)
         yield _of_file(name, Path(name), met), spec, params
@@ -213,21 +211,19 @@ def _from_object(robot: Any, place: int, registry: Registry) -> tuple[Member, Ho
     return member, HostEgo(name, as_robot(robot))
 
 
-def _program(
-    reference: PolicyReference, registry: Registry
-) -> tuple[Member, PolicySpec, Any] | None:
+def _program(reference: PolicyReference, registry: Registry) -> tuple[Member, Seat, Any] | None:
     """Return an ONNX file as the program that a service makes of it; None where it makes none.
 
     Its digest names the program too: onnxruntime, which plays the others, rounds differently.
     """
     try:
         data = onnx_ego.read_bytes(Path(reference.source))
-        spec, params = onnx_admission.read_program(data)
+        spec, params = admission.read_program(data)
         met = _onnx_met(registry, onnx_ego.read_metadata(data))
     except (ImportError, ValueError):  # the process says in its own words what is wrong
         return None
     member = _of_file(reference.text, Path(reference.source), met)
-    digest = identity_digest([onnx_admission.PROGRAM, member.digest])
+    digest = identity_digest([admission.PROGRAM, member.digest])
     return dataclasses.replace(member, digest=digest), spec, params
 
 

@@ -7,11 +7,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float32, Shaped
 
 from assistax_base.errors import UnknownIdError
 from assistax_envs.disability import Disability
 from population.networks.policy import Policy
-from population.networks.spec import PolicySpec
+from population.networks.seat import Seat
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
@@ -38,7 +39,7 @@ class Partner:
     def __init__(
         self,
         id: str,
-        spec: PolicySpec,
+        spec: Seat,
         params: dict[str, Any],
         setting: Disability | None = None,
         card: PolicyEntry | None = None,
@@ -52,7 +53,7 @@ class Partner:
         del rows
         self._carry = None
 
-    def act(self, obs: np.ndarray) -> np.ndarray:
+    def act(self, obs: Shaped[np.ndarray, "*batch O"]) -> Float32[np.ndarray, "*batch A"]:
         """Return actions.
 
         Args:
@@ -75,7 +76,7 @@ class Partner:
         batch = np.broadcast_to(obs, (2, *obs.shape)) if obs.ndim == 1 else obs
         first = np.full(batch.shape[:-1], self._carry is None)
         if self._carry is None:
-            self._carry = _player(self.spec).initial_carry(first.shape)
+            self._carry = self.spec.player().initial_carry(first.shape)
         self._carry, action = _acting(self.spec)(self._params, self._carry, batch, first)
         return np.array(action[0] if obs.ndim == 1 else action)
 
@@ -105,8 +106,8 @@ def zoo_partner(registry: Registry, policy: str, role: str = "human") -> Partner
 
 
 @functools.cache
-def _acting(spec: PolicySpec) -> Callable[..., tuple[Any, jax.Array]]:
-    policy = _player(spec)
+def _acting(spec: Seat) -> Callable[..., tuple[Any, jax.Array]]:
+    policy = spec.player()
     return jax.jit(
         lambda params, carry, obs, first: policy.act(params, carry, jnp.asarray(obs), first)
     )

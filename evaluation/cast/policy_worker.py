@@ -64,7 +64,7 @@ def receive(stream: BinaryIO, most: int | None = None) -> tuple[dict[str, Any], 
     return header, np.frombuffer(data, header["dtype"]).reshape(header["shape"]).copy()
 
 
-def told(error: BaseException) -> str:
+def error_text(error: BaseException) -> str:
     """Say an exception in one printable line, with the place in the user's code."""
     frames = traceback.extract_tb(error.__traceback__)
     place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
@@ -105,7 +105,7 @@ def serve() -> None:
         except LoadError as error:
             reply, answer = {"error": one_line(str(error))}, None
         except BaseException as error:  # SystemExit too: the robot's code does not end a run
-            reply, answer = {"error": told(error)}, None
+            reply, answer = {"error": error_text(error)}, None
         send(outbox, reply, answer)
 
 
@@ -120,7 +120,7 @@ def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         else:
             module = importlib.import_module(name)
     except BaseException as error:
-        raise LoadError(f"cannot import {name}: {told(error)}") from error
+        raise LoadError(f"cannot import {name}: {error_text(error)}") from error
     make = getattr(module, factory, None)
     if not callable(make):
         raise LoadError(f"{name} has no function {factory!r}; name the robot's factory")
@@ -129,7 +129,7 @@ def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
     except BaseException as error:
         if header["plain"] and isinstance(error, ValueError):
             raise LoadError(str(error)) from error
-        raise LoadError(f"{factory}() failed: {told(error)}") from error
+        raise LoadError(f"{factory}() failed: {error_text(error)}") from error
     try:
         robot = forms.as_robot(made)
     except TypeError as error:
@@ -167,9 +167,9 @@ def _import(path: str, name: str) -> ModuleType:
 def _own_files(module: ModuleType, foreign: list[str]) -> list[str]:
     """Return the module's file, then those of its folder and the working one that it imported."""
     own = Path(module.__file__ or "").resolve()
-    found = [getattr(each, "__file__", None) for each in list(sys.modules.values())]
+    paths = [getattr(module, "__file__", None) for module in list(sys.modules.values())]
     # Not all of them are there: PyTorch has a module whose file is said to be "_classes.py".
-    named = {Path(file).resolve() for file in found if file and file.endswith(".py")}
+    named = {Path(file).resolve() for file in paths if file and file.endswith(".py")}
     files = {file for file in named if file.is_file()} - {own}
     roots, others = (own.parent, Path.cwd()), [Path(folder) for folder in foreign]
 

@@ -1,4 +1,4 @@
-"""The one grammar of references to policies: of `--policy`, `--robot`, `--human`, `evaluate`."""
+"""The one grammar of references to policies."""
 
 import dataclasses
 import re
@@ -40,7 +40,7 @@ class PolicyReference:
         if named[1] != task:
             raise ValueError(
                 f"policy {self.text!r} is of task {named[1]}, not of {task}; name a policy of "
-                f"{task}, or --task {named[1]}"
+                f"{task}, or play {named[1]}"
             )
         other = "human" if role == "robot" else "robot"
         if self.source.endswith(f"/{other}"):

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from assistax_envs.disability import Disability
-from population.networks.spec import PolicySpec
+from population.networks.seat import Seat
 from population.networks.stack import PolicyStack
 from zoo.met.published import NOT_KNOWN, Met, met_in_training
 from zoo.parameters.storage import load_stacks
@@ -43,18 +43,6 @@ class HostEgo:
         return (self.id,)
 
 
-@dataclasses.dataclass(frozen=True)
-class ReferenceSpec(PolicySpec):
-    """Policies that look at nothing: see `evaluation.cast.baseline_policies.ReferencePolicy`."""
-
-
-@dataclasses.dataclass(frozen=True)
-class ScriptSpec(PolicySpec):
-    """A task's scripted robot: see `assistax_envs.scripted`."""
-
-    task: str = ""
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Roster:
     """The policies of one seat of a job, in the order in which the table has them."""
@@ -67,25 +55,57 @@ class Roster:
         """All policies, stack by stack."""
         return tuple(name for stack in self.stacks for name in stack.ids)
 
+    @property
+    def hosts(self) -> tuple[HostEgo, ...]:
+        """The robots from outside."""
+        return tuple(stack for stack in self.stacks if isinstance(stack, HostEgo))
+
+    def host(self, place: int) -> HostEgo | None:
+        """Return the robot from outside in a place of `stacks`, None where policies are."""
+        stack = self.stacks[place]
+        return stack if isinstance(stack, HostEgo) else None
+
+    @property
+    def policies(self) -> tuple[PolicyStack, ...]:
+        """The stacks of networks: all of a roster that has no robot from outside."""
+        return tuple(stack for stack in self.stacks if isinstance(stack, PolicyStack))
+
     def describe(self, ids: Sequence[str]) -> list[Member]:
         """Return the descriptions of policies in this order."""
         return [self.members[name] for name in ids]
 
 
+def check_seat(name: str, spec: Seat, role: str, env: Any, task: str) -> None:
+    """Refuse a policy whose seat, observations or actions are not those of a task's role."""
+    if spec.role != role:
+        raise ValueError(
+            f"{name} plays the {spec.role}, not the {role}; give it as the {spec.role}"
+        )
+    for what, width, expected in (
+        ("reads observations of", spec.observation_size, env.observation_size[role]),
+        ("gives actions of", spec.action_size, env.action_size[role]),
+    ):
+        if width != expected:
+            raise ValueError(
+                f"{name} {what} {width} numbers; the {role} of task {task} has {expected}: it was "
+                "made for another task, choose a policy of this one (`assistax-zoo list`)"
+            )
+
+
 def registry_roster(registry: Registry, entries: Sequence[PolicyEntry]) -> Roster:
     """Load policies of the registry, hashes checked."""
     members = {
-        one.id: Member(
-            id=one.id,
-            digest=one.sha256,
-            team=one.team,
-            algorithm=one.algorithm,
-            disability=one.disability if one.setting else None,  # an ego has no human
-            seed=one.seed,
-            setting=one.setting,
-            met=met_in_training(registry, one) if one.role == "robot" else NOT_KNOWN,
+        entry.id: Member(
+            id=entry.id,
+            digest=entry.sha256,
+            team=entry.team,
+            algorithm=entry.algorithm,
+            disability=entry.disability if entry.setting else None,  # an ego has no human
+            seed=entry.seed,
+            setting=entry.setting,
+            met=met_in_training(registry, entry) if entry.role == "robot" else NOT_KNOWN,
         )
-        for one in entries
+        for entry in entries
     }
     return Roster(load_stacks(registry, entries), members)
 
@@ -106,5 +126,5 @@ def paired_rosters(
 
 def joined(*rosters: Roster) -> Roster:
     """Return the policies of several rosters as one seat's, stack by stack."""
-    members = {name: member for one in rosters for name, member in one.members.items()}
-    return Roster(tuple(stack for one in rosters for stack in one.stacks), members)
+    members = {name: member for roster in rosters for name, member in roster.members.items()}
+    return Roster(tuple(stack for roster in rosters for stack in roster.stacks), members)

@@ -7,6 +7,15 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from evaluation.cast.met_partners import (
+    NOTHING_KNOWN,
+    MetPartners,
+    check_new,
+    crossplay_notes,
+    left_out,
+    met_notes,
+    without_met,
+)
 from evaluation.figures.bootstrap import estimate, profile_band
 from evaluation.figures.normalised import summarise_references
 from evaluation.figures.statistics import performance_profile
@@ -18,15 +27,6 @@ from evaluation.figures.summary import (
     summarise_evaluation,
 )
 from evaluation.record import tables
-from evaluation.record.met_partners import (
-    NOTHING_KNOWN,
-    MetPartners,
-    check_new,
-    crossplay_notes,
-    left_out,
-    met_notes,
-    without_met,
-)
 from evaluation.record.tables import dense_block
 
 POINTS = 101  # of a performance profile

@@ -11,6 +11,7 @@ import polars as pl
 from pydantic import TypeAdapter, ValidationError
 
 from assistax_base.validated import first_problem
+from evaluation.cast.met_partners import MetSummary
 from evaluation.figures.bootstrap import Draws, Estimate, Interval, estimate
 from evaluation.figures.metrics import (
     CrossPlay,
@@ -31,7 +32,6 @@ from evaluation.figures.metrics import (
 from evaluation.figures.normalised import References, Relative
 from evaluation.record import tables
 from evaluation.record.manifest import check_whole
-from evaluation.record.met_partners import MetSummary
 from evaluation.record.tables import Block, dense_block
 
 # Seeds, partners or teams; with fewer, intervals cover too little (see

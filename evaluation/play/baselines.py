@@ -17,13 +17,14 @@ import polars as pl
 from assistax_base.digest import sha256
 from assistax_envs import scripted
 from assistax_envs.scripted import SCRIPTS
-from evaluation.cast.roster import Member, ReferenceSpec, Roster, ScriptSpec, joined
+from evaluation.cast.baseline_policies import ReferenceSpec, ScriptSpec
+from evaluation.cast.roster import Member, Roster, joined
 from evaluation.figures.normalised import COLUMN, PASSIVE, RANDOM, SCRIPT, SELF_PLAY, ZERO
 from evaluation.play.evaluator import run_job
 from evaluation.play.jobs import Job
-from evaluation.play.runner import OnProgress, Progress
+from evaluation.play.progress import OnProgress, Progress
 from evaluation.record import tables
-from population.networks.spec import PolicySpec
+from population.networks.seat import Seat
 from population.networks.stack import PolicyStack
 
 _VERSION = "1"  # of what zero and random do; part of their digests
@@ -94,7 +95,7 @@ def _sizes(env: Any, role: str) -> tuple[int, int]:
     return env.observation_size[role], env.action_size[role]
 
 
-def _single(spec: PolicySpec, member: Member) -> Roster:
+def _single(spec: Seat, member: Member) -> Roster:
     """Return the one policy of a spec, without an amplitude."""
     params = {"amplitude": np.zeros(1, np.float32)}
     return Roster((PolicyStack(spec, (member.id,), params),), {member.id: member})
@@ -123,18 +124,18 @@ def play_references(
         on_progress: Told how far a run is.
     """
 
-    def told(what: str, state: Progress) -> None:
+    def report(what: str, state: Progress) -> None:
         if on_progress is not None:
             on_progress(dataclasses.replace(state, what=what))
 
     options: dict[str, Any] = {"max_envs": max_envs, "kept": True}
     played, files = [], []
-    for one in reference_jobs(env, job, own):
-        passive = one.partners.ids == (PASSIVE,)
+    for reference in reference_jobs(env, job, own):
+        passive = reference.partners.ids == (PASSIVE,)
         what = "robots with a passive human" if passive else "reference egos"
-        shown = functools.partial(told, what)
-        place = folder / one.digest()[:20]
-        played.append(run_job(env, one, place, on_progress=shown, **options).table)
+        shown = functools.partial(report, what)
+        place = folder / reference.digest()[:20]
+        played.append(run_job(env, reference, place, on_progress=shown, **options).table)
         files.append(place / tables.EPISODES_FILE)
     return pl.concat([with_names(table) for table in played]), files
 

@@ -21,10 +21,12 @@ import polars as pl
 
 from assistax_base.digest import sha256
 from assistax_base.locks import locked
-from evaluation.cast.roster import HostEgo
+from evaluation.cast.roster import check_seat
 from evaluation.play.devices import devices_for
-from evaluation.play.jobs import Chunk, Job, plan, tile_envs
-from evaluation.play.runner import Meter, OnProgress, Runner
+from evaluation.play.jobs import Job
+from evaluation.play.progress import Meter, OnProgress
+from evaluation.play.runner import Runner
+from evaluation.play.tiles import Chunk, plan, tile_envs
 from evaluation.record import manifest as provenance
 from evaluation.record import tables
 from evaluation.record.manifest import MANIFEST_FILE
@@ -92,26 +94,12 @@ def run_job(
 
 def check_sizes(env: Any, job: Job) -> None:
     """Refuse policies whose seat, observations or actions are not this task's."""
-    for seat, part, roster in (("robot", "ego", job.egos), ("human", "partner", job.partners)):
-        for stack in roster.stacks:
-            if isinstance(stack, HostEgo):
-                continue
-            spec, name = stack.spec, stack.ids[0]
-            if spec.role != seat:
-                raise ValueError(f"{name} is a {spec.role} policy; the {part} is the {seat}")
-            for what, found, expected in (
-                ("reads observations of", spec.observation_size, env.observation_size[seat]),
-                ("gives actions of", spec.action_size, env.action_size[seat]),
-            ):
-                if found != expected:
-                    raise ValueError(
-                        f"{name} {what} {found} numbers; the {seat} of task {job.task} has "
-                        f"{expected}: it was made for another task, choose a policy of this one "
-                        "(`assistax-zoo list`)"
-                    )
+    for role, roster in (("robot", job.egos), ("human", job.partners)):
+        for stack in roster.policies:
+            check_seat(stack.ids[0], stack.spec, role, env, job.task)
 
 
-def check_folder(folder: Path, advice: str = "choose another --out") -> None:
+def check_folder(folder: Path, advice: str = "choose another folder") -> None:
     """Create a folder, and find out now, not after the run, that it cannot be written."""
     probe = folder / f".writable-{uuid.uuid4().hex[:8]}"
     try:
@@ -144,21 +132,21 @@ def forget(folder: Path) -> None:
 
 def open_folder(folder: Path, job: Job, max_envs: int) -> list[Chunk]:
     """Begin or continue the folder's job; return its plan, cut as it was begun."""
-    found = provenance.read_manifest(folder)
-    if found is None:
+    manifest = provenance.read_manifest(folder)
+    if manifest is None:
         if (folder / tables.EPISODES_FILE).exists():
             raise ValueError(
                 f"{folder} holds {tables.EPISODES_FILE} without {MANIFEST_FILE}; choose another "
-                "--out"
+                "folder"
             )
-    elif found.get("job") != job.digest():
-        told = _difference(found.get("identity", {}), job.identity())
+    elif manifest.get("job") != job.digest():
+        difference = _difference(manifest.get("identity", {}), job.identity())
         raise ValueError(
-            f"{folder} holds another job ({told}); choose another --out, or replace it (--replace, "
-            "replace=True)"
+            f"{folder} holds another job ({difference}); choose another folder, or replace it "
+            "(replace)"
         )
-    if found and (is_finished(folder) or _has_parts(folder)):
-        return plan_of(job, found)
+    if manifest and (is_finished(folder) or _has_parts(folder)):
+        return plan_of(job, manifest)
     manifest = {
         "job": job.digest(),
         "identity": job.identity(),
@@ -255,8 +243,7 @@ def _check_reusable(folder: Path, job: Job, reuse: bool) -> None:
     unsure = next(name for name in job.egos.ids if not job.egos.members[name].reusable)
     raise ValueError(
         f"{folder} holds episodes of {unsure}, and nothing says whether that is still the same "
-        "robot; take them as they are (--reuse, reuse=True), replace them (--replace, "
-        "replace=True), or choose another --out"
+        "robot; take them as they are (reuse), replace them (replace), or choose another folder"
     )
 
 
@@ -264,11 +251,11 @@ def _has_parts(folder: Path) -> bool:
     return any((folder / PARTS_FOLDER).glob("part-*"))
 
 
-def _difference(found: dict[str, Any], expected: dict[str, Any]) -> str:
-    told = []
+def _difference(identity: dict[str, Any], expected: dict[str, Any]) -> str:
+    differences = []
     for name, here in expected.items():
-        there = found.get(name)
+        there = identity.get(name)
         if there != here:
             simple = not isinstance(here, (list, dict))
-            told.append(f"{name} {there} there, {here} here" if simple else f"other {name}")
-    return ", ".join(told) or "a different hash"
+            differences.append(f"{name} {there} there, {here} here" if simple else f"other {name}")
+    return ", ".join(differences) or "a different hash"

@@ -1,4 +1,4 @@
-"""A job in blocks: by hand, one share of its chunks each, or spread over a Ray cluster."""
+"""A job in shares of its chunks: by hand, one a command, or spread over a Ray cluster."""
 
 import dataclasses
 import time
@@ -19,40 +19,41 @@ from evaluation.play.evaluator import (
     plan_of,
     simulate,
 )
-from evaluation.play.jobs import Chunk, Job, plan
-from evaluation.play.runner import OnProgress, Progress
+from evaluation.play.jobs import Job
+from evaluation.play.progress import OnProgress, Progress
+from evaluation.play.tiles import Chunk, plan
 from evaluation.record import manifest as provenance
 
 
 @dataclasses.dataclass(frozen=True)
-class BlockDone:
-    """A finished block of a job."""
+class ShareDone:
+    """A finished share of a job."""
 
-    block: str  # such as "2/4"
-    chunks: int  # of this block
+    share: str  # such as "2/4"
+    chunks: int  # of this share
     episodes: int
     all_chunks: int  # of the whole job
     missing: int  # chunks of the whole job that the folder still lacks
 
 
-def run_block(
+def run_share(
     env: Any,
     job: Job,
     folder: Path,
-    block: tuple[int, int],
+    share: tuple[int, int],
     *,
     max_envs: int | None = None,
     on_progress: OnProgress = None,
-) -> BlockDone:
-    """Simulate the chunks of block (i, n), i from 1, and leave their parts in the folder.
+) -> ShareDone:
+    """Simulate the chunks of share (i, n), i from 1, and leave their parts in the folder.
 
-    Blocks may share a folder or have one each, also on other machines; they must be cut alike, by
-    the same `max_envs`. With the parts of all blocks in one folder, `run_job` merges them without
+    Shares may have one folder or a folder each, also on other machines; they must be cut alike, by
+    the same `max_envs`. With the parts of all shares in one folder, `run_job` merges them without
     simulating anything; those of another cut it does not take.
     """
-    number, count = block
+    number, count = share
     if not 1 <= number <= count:
-        raise ValueError(f"block is {number}/{count}; allowed are 1/{count} to {count}/{count}")
+        raise ValueError(f"share is {number}/{count}; allowed are 1/{count} to {count}/{count}")
     check_sizes(env, job)
     check_folder(folder)
     own_lock = f"{LOCK_FILE}-{number}-of-{count}"
@@ -64,7 +65,7 @@ def run_block(
             simulate(env, job, folder, left, on_progress=on_progress)
         missing = sum(not find_part(folder, chunk) for chunk in chunks)
     done = f"{number}/{count}"
-    return BlockDone(done, len(mine), sum(chunk.rows for chunk in mine), len(chunks), missing)
+    return ShareDone(done, len(mine), sum(chunk.rows for chunk in mine), len(chunks), missing)
 
 
 def run_blocks_on_ray(
@@ -121,16 +122,16 @@ def _run_remotely(
     folder: Path,
     max_envs: int | None,
 ) -> None:
-    run_block(make_env(), job, folder, (number + 1, count), max_envs=max_envs)
+    run_share(make_env(), job, folder, (number + 1, count), max_envs=max_envs)
 
 
 def _check_parts(job: Job, folder: Path, planned: list[Chunk]) -> None:
     """Check that what the workers wrote can be read here: it is not simulated a second time."""
     manifest = provenance.read_manifest(folder)
-    wanted = plan_of(job, manifest) if manifest else planned
-    found = sum(find_part(folder, chunk) is not None for chunk in wanted)
-    if found < len(wanted):
+    chunks = plan_of(job, manifest) if manifest else planned
+    count = sum(find_part(folder, chunk) is not None for chunk in chunks)
+    if count < len(chunks):
         raise ValueError(
-            f"the workers are done, but {folder} has {found} of {len(wanted)} parts here; "
+            f"the workers are done, but {folder} has {count} of {len(chunks)} parts here; "
             f"{NOT_SHARED}"
         )

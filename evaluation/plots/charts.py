@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, StrMethodFormatter
 
+from evaluation.cast.met_partners import UNKNOWN
 from evaluation.figures.bootstrap import scope
 from evaluation.plots import style
-from evaluation.record.met_partners import UNKNOWN
 
 _DASHES = ("--", ":", "-.", (0, (5, 1)), (0, (1, 3)), (0, (3, 1, 1, 1)), (0, (8, 3)), (0, (2, 2)))
 

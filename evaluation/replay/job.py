@@ -11,17 +11,19 @@ from pathlib import Path
 from typing import Any
 
 from assistax_base.errors import SplitError
+from evaluation.cast.cast import check_env_version, in_release
 from evaluation.cast.egos import read_egos
+from evaluation.cast.met_partners import MetPartners, declare, met_partners
 from evaluation.cast.robot_names import parse_reference
 from evaluation.cast.roster import Roster, registry_roster
 from evaluation.figures.summary import Context, CrossPlaySummary, EvaluationSummary, read_summary
 from evaluation.play.evaluator import Evaluation
-from evaluation.play.jobs import GPU_TILE_ENVS, TILE_ENVS, Job
+from evaluation.play.jobs import Job
+from evaluation.play.study import context_of
+from evaluation.play.tiles import GPU_TILE_ENVS, TILE_ENVS
 from evaluation.record.manifest import received_sha256
-from evaluation.record.met_partners import MetPartners, declare, met_partners
 from evaluation.record.sources import describe_sources
 from evaluation.record.tables import EPISODES_FILE, read_episodes
-from evaluation.studies import check_env_version, context_of, in_release
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
 
@@ -70,7 +72,8 @@ def rebuild_job(
     partners = [entry for entry in registry.policies if entry.id in names]
     table = read_episodes(folder / EPISODES_FILE)
     result = Evaluation(table, summary.env_steps_per_second, 0.0)
-    context = context_of(registry, job, split, _release(summary, split, played), result)
+    release = _release(summary, split, played)
+    context = context_of(job, result, split=split, release=release, lock=registry.lock)
     if summary.lock and registry.lock is None:
         raise ValueError(
             f"{folder} was made under the lock {summary.lock[:12]}; give the lock's file as well"
@@ -186,7 +189,7 @@ def _job_of(
         stochastic=identity["stochastic"],
         sides=sides,
         paired=False,  # of references alone
-        apart=identity["apart"],
+        own_episodes=identity["apart"],
         preferences=preferences,
         side_preferences={side: tuple(names) for side, names in by_side.items()},
         series=identity.get("series", 1),

@@ -12,14 +12,15 @@ from typing import Any
 
 import polars as pl
 
+from evaluation.cast.met_partners import MetPartners
 from evaluation.figures.normalised import COLUMN, CROSS_PLAY, bounds_table
 from evaluation.figures.saved_tables import save_crossplay, save_evaluation
 from evaluation.figures.summary import Context
 from evaluation.play.evaluator import in_order
-from evaluation.play.jobs import Job, Tile
-from evaluation.play.runner import planned_rows
+from evaluation.play.jobs import Job
+from evaluation.play.rows import planned_rows
+from evaluation.play.tiles import Tile
 from evaluation.record import tables
-from evaluation.record.met_partners import MetPartners
 
 RELATIVE, ABSOLUTE = 1e-6, 1e-9
 LOOSE = 1e-3  # of strategies: a determinant's last digits are its smallest eigenvalue's

@@ -19,16 +19,17 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from evaluation.cast.cast import own_robots
 from evaluation.figures.normalised import COLUMN
 from evaluation.play.baselines import reference_jobs, with_names
-from evaluation.play.jobs import Chunk, Job, Tile, cut_tiles
+from evaluation.play.jobs import Job
 from evaluation.play.runner import Runner
+from evaluation.play.tiles import Chunk, Tile, cut_tiles
 from evaluation.record import manifest as provenance
 from evaluation.record import tables
 from evaluation.replay import rederive
 from evaluation.replay.job import RebuiltJob, rebuild_job, source_problems
 from evaluation.replay.noise import mean_tolerance, noise_problems, read_noise
-from evaluation.studies import own_robots
 from zoo.lock import apply_lock, read_lock
 from zoo.registry import Registry
 

@@ -261,7 +261,7 @@ def _play(
         episodes=episodes,
         seed=seed,
         paired=True,
-        apart=True,
+        own_episodes=True,
     )
     check_sizes(env, job)
     table = play(env, job, MAX_ENVS.get(env.backend, MAX_ENVS["native"]))

@@ -7,6 +7,7 @@ from pydantic import PositiveInt
 
 from assistax_base.digest import json_sha256
 from assistax_base.validated import Widths, validated
+from population.networks.seat import Player
 
 Role = Literal["robot", "human"]
 ROLES: tuple[Role, ...] = ("robot", "human")
@@ -31,6 +32,12 @@ class PolicySpec:
     def to_json(self) -> dict:
         """Return the spec as JSON-ready values; `PolicySpec(**spec.to_json())` gives it back."""
         return {**dataclasses.asdict(self), "hidden": list(self.hidden)}
+
+    def player(self) -> Player:
+        """Return the network that plays policies of this spec; imports JAX."""
+        from population.networks.policy import Policy
+
+        return Policy(self)
 
     @property
     def digest(self) -> str:

@@ -2,25 +2,27 @@
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from population.networks.spec import PolicySpec
+from population.networks.seat import Seat
+
+S = TypeVar("S", bound=Seat)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class PolicyStack:
+class PolicyStack(Generic[S]):
     """Policies of one spec, their parameters stacked along a first axis G."""
 
-    spec: PolicySpec
+    spec: S
     ids: tuple[str, ...]  # [G], each once
     params: Mapping[str, Any]  # nested, leaves [G, ...] in the order of `ids`
 
     def __len__(self) -> int:
         return len(self.ids)
 
-    def take(self, rows: Sequence[int]) -> "PolicyStack":
+    def take(self, rows: Sequence[int]) -> "PolicyStack[S]":
         """Return the policies in these rows, in this order."""
         ids = tuple(self.ids[row] for row in rows)
         return PolicyStack(
@@ -33,10 +35,10 @@ class PolicyStack:
 
 
 def stack_policies(
-    policies: Iterable[tuple[str, PolicySpec, Mapping[str, Any]]],
-) -> tuple[PolicyStack, ...]:
+    policies: Iterable[tuple[str, S, Mapping[str, Any]]],
+) -> tuple[PolicyStack[S], ...]:
     """Stack policies (id, spec, parameters): one stack for each spec, in the order they come."""
-    by_spec: dict[PolicySpec, list[tuple[str, Mapping[str, Any]]]] = {}
+    by_spec: dict[S, list[tuple[str, Mapping[str, Any]]]] = {}
     for name, spec, params in policies:
         by_spec.setdefault(spec, []).append((name, params))
     return tuple(

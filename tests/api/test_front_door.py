@@ -89,7 +89,7 @@ def test_the_command_refuses_such_a_module_in_one_line(tmp_path: Path) -> None:
     "module",
     [
         "assistax_zoo.zoos",
-        "assistax_zoo.studies",
+        "assistax_zoo.evaluating",
         "assistax_zoo.results",
         "evaluation.cast.partners",
         "evaluation.figures.planning",

@@ -10,7 +10,7 @@ import pytest
 
 import assistax_zoo as az
 from assistax_base.errors import RemoteError
-from evaluation import studies
+from evaluation import evaluate as study
 from evaluation.cast.robot_forms import as_robot
 from evaluation.play import evaluator
 from evaluation.record import tables
@@ -109,7 +109,7 @@ def test_two_results_in_one_folder(zoo: az.Zoo, tmp_path: Path) -> None:
         return evaluate(lambda obs: np.ones((len(obs), 7)), zoo, **options, **more)
 
     for reuse in (False, True):
-        with pytest.raises(ValueError, match=r"episodes 2 there, 1 here.*replace=True"):
+        with pytest.raises(ValueError, match=r"episodes 2 there, 1 here.*\(replace\)"):
             again(reuse=reuse)
     with pytest.raises(ValueError, match="choose one"):
         again(reuse=True, replace=True)
@@ -137,7 +137,7 @@ def test_a_job_that_was_replaced_meanwhile_draws_nothing(
     zoo: az.Zoo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another process gives the folder to another job while this one plays its references."""
-    run = studies.run_job
+    run = study.run_job
 
     def replaced(env: Any, job: Any, folder: Path, **options: Any) -> Any:
         result = run(env, job, folder, **options)
@@ -145,7 +145,7 @@ def test_a_job_that_was_replaced_meanwhile_draws_nothing(
         run(env, dataclasses.replace(job, seed=1), folder)
         return result
 
-    monkeypatch.setattr(studies, "run_job", replaced)
+    monkeypatch.setattr(study, "run_job", replaced)
     with pytest.raises(ValueError, match="was replaced while this command ran"):
         evaluate("scratch/ippo-d1-s0-v0/robot", zoo, out=tmp_path)
     assert not (tmp_path / tables.SUMMARY_FILE).exists()

@@ -11,13 +11,13 @@ from typing import Any
 import polars as pl
 
 from evaluation.cast.egos import read_egos
+from evaluation.cast.met_partners import MetPartners, met_partners
 from evaluation.figures import saved_tables as derived
 from evaluation.figures.normalised import COLUMN, bounds_table
 from evaluation.figures.summary import Context, EvaluationSummary, read_summary
 from evaluation.play.jobs import episode_seeds
 from evaluation.record import manifest as provenance
 from evaluation.record import tables
-from evaluation.record.met_partners import MetPartners, met_partners
 from zoo.registry import Registry
 
 

@@ -17,15 +17,17 @@ import polars as pl
 import pytest
 
 from assistax_base.errors import ZooError
-from evaluation.play.jobs import Chunk, Job
+from evaluation.play.how import How
+from evaluation.play.jobs import Job
 from evaluation.play.runner import Runner
+from evaluation.play.tiles import Chunk
 from evaluation.record import manifest as provenance
 from evaluation.record.sources import check_sources
 from evaluation.replay import rederive, replay
 from evaluation.replay.replay import ReplayReport, replay_folder
-from evaluation.studies import Settings, cross_play, evaluate_policies
 from tests.attack import forging
 from tests.attack.ledger import attack
+from tests.studies import cross_play, evaluate_policies
 from zoo.registry import Registry, load_registry
 
 pytestmark = pytest.mark.attack
@@ -33,7 +35,7 @@ REFUSALS = (ZooError, ValueError, OSError)
 ROBOTS = [f"scratch/ippo-d1-s{seed}-v1/robot" for seed in (0, 1, 2, 3)]
 HUMANS = "scratch/ippo-d[239]-s[0-2]-v1/human"
 PLAYING = 600.0  # seconds of a trial: programs are compiled, and episodes are a thousand steps
-SETTINGS = Settings("scratch", 6, backend="fused")
+SETTINGS = How("scratch", 6, backend="fused")
 
 
 class Remembering(Runner):
@@ -126,13 +128,14 @@ def test_a_replay_that_draws_no_figure_again_would_be_caught(
 OTHER = """
 import sys
 from pathlib import Path
-from evaluation.studies import Settings, evaluate_policies
+from evaluation.play.how import How
+from tests.studies import evaluate_policies
 from zoo.registry import load_registry
 zoo, home = load_registry(), Path(sys.argv[1])
 for trial in range(int(sys.argv[2])):
     robot = f"scratch/{('ippo', 'mappo')[trial % 2]}-d{1 + trial % 9}-s{trial % 3}-v1/robot"
     evaluate_policies(
-        zoo, [robot], Settings("scratch", 6, 200 + trial, ("fused", "native")[trial == 7]),
+        zoo, [robot], How("scratch", 6, 200 + trial, ("fused", "native")[trial == 7]),
         home / str(trial), split="both", partners="scratch/*-d[1-9]-s7-v1/human",
         include_own=True, references=home / "kept",
     )

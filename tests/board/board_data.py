@@ -18,7 +18,7 @@ from assistax_board.pages.security import SecurityHeaders
 from assistax_board.store import schema
 from assistax_board.store.database import Database
 from assistax_board.store.queries import Queries
-from evaluation.studies import choose_partners
+from evaluation.cast.cast import choose_partners
 from zoo.registry import load_registry
 
 HOSTILE = "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>{{ 7*7 }}"

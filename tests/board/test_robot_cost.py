@@ -8,7 +8,7 @@ import pytest
 from onnx import helper
 
 from assistax_board.problems import Refusal
-from assistax_board.robots.admission import Admission, make_policy
+from assistax_board.robots.admission import Admission
 from assistax_board.robots.robot_cost import MOST, NUMBER, PRODUCT, nanoseconds
 from population.networks.onnx_export import to_onnx
 from population.networks.spec import PolicySpec
@@ -55,7 +55,7 @@ def test_what_would_need_gigabytes_is_refused() -> None:
 def test_large_networks_are_let_in(torso: Any) -> None:
     spec = PolicySpec("robot", OBS, ACT, torso=torso, hidden=(512, 512), activation="relu")
     params = params_of(spec, 0)
-    assert nanoseconds(make_policy(spec), params, OBS) < MOST / 5
+    assert nanoseconds(spec.player(), params, OBS) < MOST / 5
     assert Admission(SIZES).read(to_onnx(spec, params), TASK).format == "onnx"
 
 
@@ -65,6 +65,6 @@ def test_what_depends_on_weights_alone_is_shared_by_all_rows() -> None:
     nodes = [helper.make_node("Gemm", ["obs", "w"], ["h"], transB=1)]
     nodes.append(helper.make_node("Gemm", ["h", "u"], ["action"], transB=1))
     robot = Admission(SIZES).read(file_of(nodes, constants, "action"), TASK)
-    found = nanoseconds(make_policy(robot.spec), robot.params, OBS)
+    found = nanoseconds(robot.spec.player(), robot.params, OBS)
     transposed = 1024 * (OBS + ACT)
     assert PRODUCT * transposed < found < PRODUCT * transposed + NUMBER * transposed / 10

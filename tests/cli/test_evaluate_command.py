@@ -156,26 +156,27 @@ def test_a_robot_of_unknown_code_is_replaced_only_if_that_is_asked_for(
     out = ["--out", tmp_path / "out", "--json"]
     assert evaluate(registry, *out, policy=policy) == 0
     first = json.loads(capfd.readouterr().out)
-    assert "--reuse" in failure(capfd, evaluate(registry, *out, policy=policy))
+    assert "(reuse)" in failure(capfd, evaluate(registry, *out, policy=policy))
     assert evaluate(registry, *out, "--reuse", policy=policy) == 0
     assert json.loads(capfd.readouterr().out)["m_test"] == first["m_test"]
     code.write_text(text.format("ones"))
     for words in ([], ["--reuse"]):
         refused = failure(capfd, evaluate(registry, *out, *words, policy=policy))
-        assert "another job (other egos)" in refused and "--replace" in refused
+        assert "another job (other egos)" in refused and "(replace)" in refused
     assert evaluate(registry, *out, "--replace", policy=policy) == 0
     assert json.loads(capfd.readouterr().out)["m_test"] != first["m_test"]
     assert call("verify", tmp_path / "out") == 0
 
 
-def test_a_block_does_not_replace_the_others(tmp_path: Path, capfd: Any):
-    words = ["--task", "scratch", "--out", tmp_path, "--block", "1/2", "--replace"]
-    assert "parts of the other blocks" in failure(capfd, call("crossplay", *words))
+def test_a_share_does_not_replace_the_others(tmp_path: Path, capfd: Any):
+    words = ["--task", "scratch", "--out", tmp_path, "--share", "1/2", "--replace"]
+    assert "parts of the other shares" in failure(capfd, call("crossplay", *words))
 
 
-@pytest.mark.parametrize("block", ["0/2", "3/2", "1", "a/b"])
-def test_a_block_is_one_of_n(
-    registry: Path, tmp_path: Path, block: str, capfd: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("share", ["0/2", "3/2", "1", "a/b"])
+@pytest.mark.parametrize("option", ["--share", "--block"])  # its name in earlier versions
+def test_a_share_is_one_of_n(
+    registry: Path, tmp_path: Path, option: str, share: str, capfd: pytest.CaptureFixture[str]
 ):
     code = call(
         "crossplay",
@@ -185,8 +186,8 @@ def test_a_block_is_one_of_n(
         registry,
         "--out",
         tmp_path / "x",
-        "--block",
-        block,
+        option,
+        share,
     )
     assert "expected i/n with i from 1 to n" in failure(capfd, code)
 
@@ -315,7 +316,7 @@ def test_a_policy_file_is_evaluated_and_one_of_another_task_refused(
         (["--seed", "-1"], "seed is -1; allowed is 0 or more"),
         (["--split", "halves"], "split 'halves' is neither a side (test, train, both)"),
         (["--split", "tset"], "nearest: test"),
-        (["--split", "both", "--partners", "scratch/ippo-d1-s0-*"], "--include-own"),
+        (["--split", "both", "--partners", "scratch/ippo-d1-s0-*"], "let include_own count them"),
         (["--split", "half:best"], "after the colon test, train, both are allowed"),
         (["--partners", "scratch/ippo-d1-s77-v0/human"], "nearest: scratch/ippo-d1-"),
         (["--policy", "zoo:scratch/ippo-d1-s00-v0/robot"], "nearest: scratch/ippo-d1-s0-v0/robot"),
@@ -369,7 +370,7 @@ def test_an_output_folder_that_cannot_be_written_is_found_first(
         evaluate(registry, "--out", tmp_path / "file" / "out", policy="python:never_imported:f"),
     )
     assert "cannot write to" in told
-    assert "--out" in told
+    assert "choose another folder" in told
 
 
 def test_a_missing_task_is_wrong_usage(capfd: pytest.CaptureFixture[str]):

@@ -106,7 +106,8 @@ FUNCTION = """
 import os, signal, sys, threading, time
 import jax
 from pathlib import Path
-from evaluation.studies import Settings, evaluate_policies
+from evaluation.play.how import How
+from tests.studies import evaluate_policies
 from zoo.registry import load_registry
 
 folder = Path(sys.argv[1])
@@ -115,7 +116,7 @@ def press():
     os.kill(os.getpid(), signal.SIGINT)
 
 def evaluate(episodes, on_progress=None):
-    settings = Settings("scratch", episodes, backend="native")
+    settings = How("scratch", episodes, backend="native")
     return evaluate_policies(load_registry(), ["zoo:scratch/ippo-d1-s0-v1/robot"], settings,
         folder / str(episodes), partners="scratch/ippo-d1-s[0-3]-v1/human", on_progress=on_progress)
 

@@ -7,8 +7,13 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
-from evaluation.cast.baseline_policies import ReferencePolicy, ScriptedPolicy
-from evaluation.cast.roster import HostEgo, Member, ReferenceSpec, Roster, ScriptSpec
+from evaluation.cast.baseline_policies import (
+    ReferencePolicy,
+    ReferenceSpec,
+    ScriptedPolicy,
+    ScriptSpec,
+)
+from evaluation.cast.roster import HostEgo, Member, Roster
 from evaluation.figures.normalised import (
     COLUMN,
     CROSS_PLAY,

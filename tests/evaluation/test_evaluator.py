@@ -15,11 +15,12 @@ from polars.testing import assert_frame_equal
 
 from evaluation.cast.egos import EgoError
 from evaluation.cast.roster import HostEgo, Member, Roster, joined
-from evaluation.play import jobs
+from evaluation.play import tiles
 from evaluation.play.evaluator import PARTS_FOLDER, check_folder, make_way, plan_of, run_job
-from evaluation.play.jobs import Job, plan, tile_shape
-from evaluation.play.runner import Progress
-from evaluation.play.shares import run_block
+from evaluation.play.jobs import Job
+from evaluation.play.progress import Progress
+from evaluation.play.shares import run_share
+from evaluation.play.tiles import plan, tile_shape
 from evaluation.record import tables
 from evaluation.record.manifest import MANIFEST_FILE, file_sha256
 from population.networks.stack import PolicyStack
@@ -119,7 +120,7 @@ def test_a_small_job_of_several_networks_is_one_tile_and_a_large_one_is_not(
     assert [(tile.shape, tile.rows) for tile in whole.tiles] == [((5, 4, 3), job.rows)]
     table = run_job(MatrixGame(), job, tmp_path / "one").table
     assert table["return"].n_unique() > 10
-    monkeypatch.setattr(jobs, "SMALL_JOB", job.rows - 1)
+    monkeypatch.setattr(tiles, "SMALL_JOB", job.rows - 1)
     [chunk] = plan(job, 2048)
     assert {tile.shape for tile in chunk.tiles} == {(3, 3, 3), (3, 1, 3), (2, 3, 3), (2, 1, 3)}
     cut = run_job(MatrixGame(), job, tmp_path / "cut").table
@@ -131,10 +132,10 @@ def test_a_folder_is_continued_in_the_tiles_in_which_it_was_begun(
 ):
     """Another machine has larger tiles, as one with a GPU has on `fused`."""
     job = mixed_job(backend="native")
-    monkeypatch.setitem(jobs.TILE_ENVS, "native", 6)
+    monkeypatch.setitem(tiles.TILE_ENVS, "native", 6)
     whole = run_job(MatrixGame(), job, tmp_path / "whole")
-    run_block(MatrixGame(), job, tmp_path / "moved", (1, 2), max_envs=1)
-    monkeypatch.setitem(jobs.TILE_ENVS, "native", 2048)
+    run_share(MatrixGame(), job, tmp_path / "moved", (1, 2), max_envs=1)
+    monkeypatch.setitem(tiles.TILE_ENVS, "native", 2048)
     assert len(plan(job, 1)) == 1
     moved = run_job(MatrixGame(), job, tmp_path / "moved", max_envs=1)
     assert json.loads((tmp_path / "moved" / MANIFEST_FILE).read_text())["tile_envs"] == 6
@@ -148,10 +149,10 @@ def test_a_plan_of_nothing_at_once_is_refused(name: str):
 
 
 def test_gpus_have_larger_tiles(monkeypatch: pytest.MonkeyPatch):
-    assert jobs.tile_envs("fused", 7) == jobs.TILE_ENVS["fused"]
+    assert tiles.tile_envs("fused", 7) == tiles.TILE_ENVS["fused"]
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert jobs.tile_envs("fused", 7) == 98304
-    assert (jobs.tile_envs("native", 7), jobs.tile_envs("mjx-warp", 7)) == (512, 7)
+    assert tiles.tile_envs("fused", 7) == 98304
+    assert (tiles.tile_envs("native", 7), tiles.tile_envs("mjx-warp", 7)) == (512, 7)
 
 
 def test_a_robot_from_outside_shares_no_tile():
@@ -219,10 +220,17 @@ def test_a_killed_run_resumes_to_the_same_file(tmp_path: Path):
     assert not (tmp_path / "killed" / PARTS_FOLDER).exists()
 
 
+def test_parts_are_called_as_they_always_were():
+    """A run that an earlier version began finds its parts."""
+    names = [chunk.name for chunk in plan(mixed_job(), 7)]
+    assert names[:2] == ["part-00000-4c800097", "part-00001-8991803f"]
+    assert mixed_job().identity()["apart"] is False  # what it was called first
+
+
 def unfinished(folder: Path) -> list[Path]:
     """Leave the parts of a run that was stopped before they were merged, and return them."""
     for i in (1, 2):
-        run_block(MatrixGame(), mixed_job(), folder, (i, 2), max_envs=7)
+        run_share(MatrixGame(), mixed_job(), folder, (i, 2), max_envs=7)
     return sorted((folder / PARTS_FOLDER).glob("part-*"))
 
 
@@ -298,7 +306,7 @@ def test_code_whose_dependencies_are_unknown_neither_answers_nor_replaces(tmp_pa
     job = make_job(host(act, reusable=False))
     first = run_job(MatrixGame(), job, tmp_path)
     weights = 0.5
-    with pytest.raises(ValueError, match=r"python:mine:robot.*reuse=True.*replace=True"):
+    with pytest.raises(ValueError, match=r"python:mine:robot.*\(reuse\).*\(replace\)"):
         run_job(MatrixGame(), job, tmp_path)
     assert run_job(MatrixGame(), job, tmp_path, reuse=True).table.equals(first.table)
     for reuse in (False, True):
@@ -340,7 +348,9 @@ def test_what_makes_way_goes_with_all_that_was_drawn_from_it(tmp_path: Path):
     run_job(MatrixGame(), make_job(), tmp_path)
     for name in (*tables.DERIVED_FILES, tables.RUN_FILE, "mine.html"):
         (tmp_path / name).write_text("{}")
-    with pytest.raises(ValueError, match="is a human policy"):  # nothing is lost to a mistake
+    with pytest.raises(
+        ValueError, match="plays the human, not the robot"
+    ):  # nothing is lost to a mistake
         make_way(MatrixGame(), make_job(humans(0.5)), tmp_path)
     assert tables.read_episodes(tmp_path / tables.EPISODES_FILE).height == make_job().rows
     make_way(MatrixGame(), make_job(seed=1), tmp_path)
@@ -378,7 +388,7 @@ def test_a_finished_folder_is_read_not_run_again(tmp_path: Path):
 )
 def test_a_folder_of_another_job_is_refused(tmp_path: Path, changes: dict[str, Any], told: str):
     run_job(MatrixGame(), make_job(), tmp_path)
-    with pytest.raises(ValueError, match=f"holds another job.*{told}.*--out"):
+    with pytest.raises(ValueError, match=f"holds another job.*{told}.*another folder"):
         run_job(MatrixGame(), make_job(**changes), tmp_path)
 
 
@@ -391,10 +401,10 @@ def test_a_table_without_its_manifest_is_not_overwritten(tmp_path: Path):
 
 def test_a_folder_that_cannot_be_written_is_found_before_the_run(tmp_path: Path):
     (tmp_path / "file").write_text("in the way")
-    with pytest.raises(OSError, match=r"cannot write to .*file/out.*--out"):
+    with pytest.raises(OSError, match=r"cannot write to .*file/out.*another folder"):
         check_folder(tmp_path / "file" / "out")
     for device in ("/dev/null", "/dev/full"):
-        with pytest.raises(OSError, match=r"cannot write to .*it is no folder.*--out"):
+        with pytest.raises(OSError, match=r"cannot write to .*it is no folder.*another folder"):
             check_folder(Path(device))
         assert Path(device).is_char_device()
 
@@ -428,7 +438,7 @@ def test_policies_of_another_task_or_seat_are_refused(tmp_path: Path):
         match=r"observations of 47 numbers; the robot of task matrix has 3: .*another task",
     ):
         run_job(MatrixGame(), make_job(other), tmp_path)
-    with pytest.raises(ValueError, match="is a human policy; the ego is the robot"):
+    with pytest.raises(ValueError, match="plays the human, not the robot"):
         run_job(MatrixGame(), make_job(humans(0.5)), tmp_path)
 
 
@@ -511,7 +521,7 @@ def test_memory_that_runs_out_is_told_and_smaller_chunks_then_go_on(
     with monkeypatch.context() as patch:
         patch.setattr("population.play.rollout.Rollout.run", exhausted)
         with pytest.raises(
-            ValueError, match="out of memory with 18 simulations; use --max-envs 9 or less"
+            ValueError, match="out of memory with 18 simulations; give 9 or less as max_envs"
         ):
             run_job(MatrixGame(), make_job(), tmp_path)
     run_job(MatrixGame(), make_job(), tmp_path, max_envs=9)

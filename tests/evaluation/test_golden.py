@@ -13,15 +13,17 @@ import polars as pl
 import pytest
 
 from assistax_envs import make
+from evaluation.cast.cast import Cast, choose_partners, own_robots
 from evaluation.cast.egos import read_egos
 from evaluation.cast.roster import registry_roster
 from evaluation.figures.normalised import COLUMN, PASSIVE, SCRIPT
 from evaluation.play.baselines import play_references
 from evaluation.play.evaluator import run_job
+from evaluation.play.how import How
 from evaluation.play.jobs import Job
+from evaluation.play.study import make_job
 from evaluation.record import tables
 from evaluation.record.manifest import processor
-from evaluation.studies import Settings, choose_partners, make_job, own_robots
 from zoo.registry import load_registry
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -54,7 +56,7 @@ def assert_golden(found: Path, name: str) -> None:
 
 def with_common_starts(job: Job) -> Job:
     """Return the job with starts that all partners share, as when the tables were made."""
-    return dataclasses.replace(job, apart=False)
+    return dataclasses.replace(job, own_episodes=False)
 
 
 @pytest.mark.slow
@@ -64,9 +66,10 @@ def test_an_evaluation_with_its_references(tmp_path: Path):
     partners += [f"scratch/{name}-s[01]-v1/human" for name in ("mappo-d9", "masac-d5")]
     robots = ["scratch/ippo-d1-s0-v1/robot", "scratch/masac-d4-s1-v1/robot"]
     split, chosen = choose_partners(registry, "scratch", "both", partners)
-    settings = Settings("scratch", 2, seed=7, backend="native")
+    settings = How("scratch", 2, seed=7, backend="native")
     egos = read_egos(robots, registry, "scratch")
-    env, job = make_job(registry, egos, chosen, settings, split)
+    cast = Cast.of(registry, task="scratch", robots=egos, humans=chosen, split=split)
+    env, job = make_job(settings, cast.robots, cast.humans, cast.sides)
     job = with_common_starts(job)
     run_job(env, job, tmp_path / "out")
     assert_golden(tmp_path / "out" / tables.EPISODES_FILE, "evaluate")
@@ -79,12 +82,14 @@ def test_an_evaluation_with_its_references(tmp_path: Path):
 
 @pytest.mark.slow
 def test_a_crossplay_with_drawn_actions(tmp_path: Path):
-    registry, settings = load_registry(), Settings("bed_bath", 2, backend="native", stochastic=True)
+    registry, settings = load_registry(), How("bed_bath", 2, backend="native", stochastic=True)
     robots, humans = (
         registry.select("bed_bath/*-d3-s0-v1", role=role) for role in ("robot", "human")
     )
     split = registry.split("bed_bath", release="v1")
-    env, job = make_job(registry, registry_roster(registry, robots), humans, settings, split)
+    egos = registry_roster(registry, robots)
+    cast = Cast.of(registry, task="bed_bath", robots=egos, humans=humans, split=split)
+    env, job = make_job(settings, cast.robots, cast.humans, cast.sides)
     run_job(env, with_common_starts(job), tmp_path)
     assert_golden(tmp_path / tables.EPISODES_FILE, "crossplay")
 

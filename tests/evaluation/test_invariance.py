@@ -16,11 +16,12 @@ import pytest
 
 from assistax_envs import Env, make
 from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
-from evaluation.play import jobs
+from evaluation.play import tiles
 from evaluation.play.evaluator import in_order
-from evaluation.play.jobs import Job, plan
+from evaluation.play.jobs import Job
 from evaluation.play.runner import Runner
-from evaluation.play.shares import run_block  # noqa: F401 (scripts of subprocesses use it)
+from evaluation.play.shares import run_share  # noqa: F401 (scripts of subprocesses use it)
+from evaluation.play.tiles import plan
 from evaluation.record import tables
 from population.play import rollout, seats
 from zoo.registry import load_registry
@@ -33,12 +34,12 @@ SIZES = (5, 5, 5)  # egos, partners, episodes: [2, 5, 5] three times, the last o
 
 @pytest.fixture(autouse=True)
 def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jobs, "TILE_ENVS", {})
+    monkeypatch.setattr(tiles, "TILE_ENVS", {})
     use_small_tiles()
 
 
 def use_small_tiles() -> None:
-    jobs.TILE_ENVS = dict.fromkeys(OURS, TILE)
+    tiles.TILE_ENVS = dict.fromkeys(OURS, TILE)
 
 
 @functools.cache
@@ -147,6 +148,7 @@ from pathlib import Path
 import jax
 from evaluation.record import tables
 from evaluation.play.shares import run_block
+from evaluation.play.shares import run_share
 from evaluation.play.evaluator import run_job
 from tests.evaluation.test_invariance import real_job, scratch, use_small_tiles
 use_small_tiles()
@@ -168,7 +170,7 @@ WHOLE = (
 )
 BLOCKS = (
     "for i in (3, 2, 1):\n"
-    "    run_block(scratch(int(sys.argv[2])), real_job(), Path(sys.argv[1]), (i, 3), "
+    "    run_share(scratch(int(sys.argv[2])), real_job(), Path(sys.argv[1]), (i, 3), "
     "max_envs=int(sys.argv[3]))\n"
 ) + WHOLE
 KILLED = (

@@ -12,16 +12,17 @@ import polars as pl
 import pytest
 
 from assistax_zoo.shell.main import run
+from evaluation.play.how import How
 from evaluation.record import manifest as provenance
 from evaluation.record import tables
 from evaluation.record.manifest import verify_folder
 from evaluation.replay import rederive, replay
 from evaluation.replay.job import rebuild_job
 from evaluation.replay.replay import replay_folder
-from evaluation.studies import Settings, evaluate_policies
 from tests import untrained
 from tests.attack import forging
 from tests.attack.forging import Forger
+from tests.studies import evaluate_policies
 from zoo.registry import Registry, load_registry
 
 STEPS = 20
@@ -42,7 +43,7 @@ def made(registry: Registry, tmp_path_factory: pytest.TempPathFactory) -> Path:
         evaluate_policies(
             registry,
             ["zoo:scratch/ippo-d1-s0-v0/robot"],
-            Settings("scratch", 2, backend="native"),
+            How("scratch", 2, backend="native"),
             folder / "out",
             references=folder / "kept",
         )
@@ -244,7 +245,7 @@ def test_the_sample_is_another_each_time_and_can_be_repeated(
             raise ValueError("seen")
 
     monkeypatch.setattr(replay, "Runner", Seen)
-    monkeypatch.setattr("evaluation.play.jobs.SMALL_JOB", 1)
+    monkeypatch.setattr("evaluation.play.tiles.SMALL_JOB", 1)
     monkeypatch.setattr("evaluation.replay.job._tile_envs", lambda backend, manifest: 1)
     for seed in (*[None] * 20, 3, 3):
         with pytest.raises(ValueError, match="seen"):

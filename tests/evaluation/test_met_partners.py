@@ -14,9 +14,9 @@ from assistax_base.errors import SplitError, UnknownIdError
 from assistax_board.rules.catalogue import ZooCatalogue
 from assistax_workshop.press.publish import publish
 from evaluation.cast.egos import EgoError, read_egos
+from evaluation.cast.met_partners import MetSummary, declare, met_partners
 from evaluation.record import tables
 from evaluation.record.manifest import read_manifest
-from evaluation.record.met_partners import MetSummary, declare, met_partners
 from population.runs.trained import TrainedTeam
 from tests.untrained import HUMAN, ROBOT, params_of, published, teams_of, untrained_team
 from zoo.exports.policies import Format, export_policy

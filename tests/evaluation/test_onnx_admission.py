@@ -11,9 +11,11 @@ import onnxruntime
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from evaluation.cast import onnx_admission, onnx_ego, onnx_program
-from evaluation.cast.onnx_admission import ATTRIBUTES, admit_onnx
-from evaluation.cast.onnx_ego import StrangerError
+from evaluation.cast.onnx_robots import admission as onnx_admission
+from evaluation.cast.onnx_robots import ego as onnx_ego
+from evaluation.cast.onnx_robots import program as onnx_program
+from evaluation.cast.onnx_robots.admission import ATTRIBUTES, admit_onnx
+from evaluation.cast.onnx_robots.ego import UntrustedModelError
 from population.networks.onnx_export import to_onnx
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
@@ -91,7 +93,7 @@ def test_our_own_exports_play_as_the_policies_they_are_of(torso: Any, squash: An
     policy = Policy(spec)
     params = jax.tree.map(np.asarray, policy.init(jax.random.key(1)))
     program, weights = admit_onnx(to_onnx(spec, params), OBS, ACT)
-    played = program.make_policy()
+    played = program.player()
     carries = policy.initial_carry((5,)), played.initial_carry((5,))
     for step in range(4):
         obs = jnp.asarray(RNG.normal(size=(5, OBS)), jnp.float32)
@@ -107,7 +109,7 @@ def test_rows_cannot_see_each_other() -> None:
     data = model([("Transpose", "x", {}), ("MatMul", "x y0", {}), ("MatMul", "y1 x", {})], {})
     program, params = admit_onnx(data, OBS, OBS)
     rows = jnp.asarray([np.full(OBS, value, np.float32) for value in (0.1, 0.2, 0.3)])
-    _, action = program.make_policy().act(params, (), rows, jnp.ones(3, bool))
+    _, action = program.player().act(params, (), rows, jnp.ones(3, bool))
     np.testing.assert_allclose(action, OBS * rows**3, rtol=1e-6)
 
 
@@ -115,7 +117,7 @@ def test_rows_cannot_see_each_other() -> None:
     ("operator", "attributes"), [("Softmax", {"axis": 0}), ("ReduceMean", {"axes": [0]})]
 )
 def test_a_reduction_over_the_batch_is_refused_by_name(operator: str, attributes: Any) -> None:
-    with pytest.raises(StrangerError, match=rf"mixes the rows .*\({operator} over axis 0\)"):
+    with pytest.raises(UntrustedModelError, match=rf"mixes the rows .*\({operator} over axis 0\)"):
         admit_onnx(model([(operator, "x", attributes)], {}), OBS, OBS)
 
 
@@ -228,7 +230,7 @@ def _loop(proto: Any) -> None:
     ],
 )
 def test_what_is_not_on_the_list_is_refused(change: Any, code: str) -> None:
-    with pytest.raises(StrangerError) as refusal:
+    with pytest.raises(UntrustedModelError) as refusal:
         admit_onnx(changed(change), OBS, ACT)
     assert refusal.value.code == code
 
@@ -238,7 +240,7 @@ def test_a_graph_that_would_fill_the_memory_is_refused_before_it_does() -> None:
     bomb = model(
         [("MatMul", "x w", {}), ("Mul", "a b", {}), ("Mul", "y1 a", {})], {"w": (6, 3), **wide}
     )
-    with pytest.raises(StrangerError) as refusal:
+    with pytest.raises(UntrustedModelError) as refusal:
         admit_onnx(bomb, OBS, ACT)
     assert refusal.value.code == "graph_too_large"
 
@@ -246,7 +248,7 @@ def test_a_graph_that_would_fill_the_memory_is_refused_before_it_does() -> None:
 def test_a_graph_that_would_take_for_ever_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(onnx_admission, "MAX_PRODUCTS", 1000)
     squares = [("MatMul", "x w", {}), *[("MatMul", f"y{i} w", {}) for i in range(50)]]
-    with pytest.raises(StrangerError) as refusal:
+    with pytest.raises(UntrustedModelError) as refusal:
         admit_onnx(model(squares, {"w": (6, 6)}), OBS, 6)
     assert refusal.value.code == "graph_too_large"
 
@@ -259,7 +261,7 @@ def test_damaged_bytes_are_refused_or_play(seed: int) -> None:
     for place in rng.integers(0, len(data), 3):
         data[place] = rng.integers(256)
     for bytes_ in (bytes(data), bytes(data[: rng.integers(len(data))])):
-        with contextlib.suppress(StrangerError):
+        with contextlib.suppress(UntrustedModelError):
             admit_onnx(bytes_, OBS, ACT)
 
 

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evaluation.cast import onnx_ego
 from evaluation.cast.egos import EgoError, call_ego, read_egos
-from evaluation.cast.onnx_admission import admit_onnx
+from evaluation.cast.onnx_robots import ego as onnx_ego
+from evaluation.cast.onnx_robots.admission import admit_onnx
 from evaluation.cast.policy_process import PolicyError, PolicyProcess
 from evaluation.cast.roster import HostEgo, Member
 from evaluation.record.manifest import file_sha256

@@ -6,12 +6,13 @@ from typing import Any
 import pytest
 
 from assistax_workshop.press.publish import publish
+from evaluation.play.how import How
 from evaluation.plots.matrix import arrange
 from evaluation.record import tables
 from evaluation.record.sources import check_sources
-from evaluation.studies import Settings, cross_play, evaluate_policies
 from tests.attack.commands import HUMAN, ROBOT, small_zoo
 from tests.evaluation.test_sources import toy
+from tests.studies import cross_play, evaluate_policies
 from tests.untrained import params_of, untrained_team
 from zoo.locations import added_registry, own_registry
 from zoo.registry import load_registry
@@ -54,7 +55,7 @@ def teams(first: int) -> list[Any]:
 def test_own_teams_and_splits_are_played_right_after(home: Path) -> None:
     split = create_split(task="scratch", rule="small-train", n=1)
     publish(teams(1000), own_registry(), "v0", date="2027-01-01")
-    registry, settings = load_registry(), Settings("scratch", 1, backend="native")
+    registry, settings = load_registry(), How("scratch", 1, backend="native")
     robots = ["zoo:own:scratch/ippo-d1-s0-v0/robot"]
     evaluate_policies(registry, robots, settings, home / "mine", split=f"{split.id}:both")
     played = set(tables.read_episodes(home / "mine" / tables.EPISODES_FILE)["partner"])
@@ -72,7 +73,7 @@ def test_own_teams_and_splits_are_played_right_after(home: Path) -> None:
 def test_another_zoo_is_cross_played_under_its_name(home: Path) -> None:
     publish(teams(2000), home / "lab" / "registry.json", "v0", date="2027-01-01")
     add(str(home / "lab"), "lab")
-    registry, settings = load_registry(), Settings("scratch", 1, backend="native")
+    registry, settings = load_registry(), How("scratch", 1, backend="native")
     for shard in registry.part("lab").data.shards:
         target = added_registry("lab").parent / shard
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -10,8 +10,8 @@ import pytest
 
 from assistax_base.errors import UnknownIdError, ZooError
 from assistax_envs import DISABILITY_SETTINGS
-from evaluation.cast.partners import Partner, zoo_partner
-from evaluation.seats import seat_policy
+from evaluation.cast.partners import zoo_partner
+from evaluation.cast.seats import seat_policy
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from tests import untrained
@@ -84,7 +84,7 @@ def test_every_form_takes_its_seat(registry: Registry, tmp_path: Path):
     path = tmp_path / "human.safetensors"
     write_policy_file(path, HUMAN, params_of(HUMAN, 0), {"disability": "d4"})
     from_file = seat(str(path), "human", registry)
-    assert isinstance(from_file, Partner) and from_file.setting == DISABILITY_SETTINGS["d4"]
+    assert from_file.setting == DISABILITY_SETTINGS["d4"]
     from_zoo = seat("zoo:scratch/ippo-d9-s0-v0/human", "human", registry)
     np.testing.assert_array_equal(from_file(obs["human"]), from_zoo(obs["human"]))
 
@@ -123,12 +123,12 @@ def test_refusals(registry: Registry, tmp_path: Path):
         seat(str(tmp_path / "gone.safetensors"), "robot", registry)
     path = tmp_path / "robot.safetensors"
     write_policy_file(path, ROBOT, params_of(ROBOT, 0))
-    with pytest.raises(ValueError, match="plays the robot, not the human; give it with --robot"):
+    with pytest.raises(ValueError, match="plays the robot, not the human; give it as the robot"):
         seat(str(path), "human", registry)
     other = PolicySpec("robot", observation_size=9, action_size=2, hidden=(4,))
     write_policy_file(path, other, params_of(other, 0))
     with pytest.raises(
-        ValueError, match="takes 9 observations to 2 actions; the robot of this task has 6 and 2"
+        ValueError, match="reads observations of 9 numbers; the robot of task scratch has 6"
     ):
         seat(str(path), "robot", registry)
     with pytest.raises(ValueError, match=r"got observations \(4,\); expected \[..., 5\]"):

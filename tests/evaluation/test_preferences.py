@@ -21,15 +21,16 @@ from evaluation.figures.summary import (
     summarise_evaluation,
 )
 from evaluation.play.evaluator import run_job
+from evaluation.play.how import How
 from evaluation.play.jobs import Job
 from evaluation.plots.charts import trait_points
 from evaluation.record import tables
 from evaluation.replay.replay import replay_folder
 from evaluation.report.page import write_report
-from evaluation.studies import Settings, cross_play, evaluate_policies
 from tests import untrained
 from tests.evaluation.episode_tables import CONTEXT
 from tests.evaluation.matrix_game import HUMAN, ROBOT, MatrixGame, humans, robots
+from tests.studies import cross_play, evaluate_policies
 from zoo.registry import Registry, load_registry
 from zoo.splitting.create import create_split
 
@@ -71,20 +72,21 @@ def played(folder: Path, **changes: Any) -> pl.DataFrame:
 
 def test_each_partner_takes_turns_and_begins_elsewhere() -> None:
     partners = [f"scratch/ippo-d1-s{seed}-v1/human" for seed in range(90)]
-    wishes = job_of().wishes(partners, range(9))
+    wishes = job_of().preferences_of(partners, range(9))
     assert wishes.shape == (90, 9)
     assert all(sorted(row) == sorted(NAMES) for row in wishes)
     assert {len(set(wishes[:, k])) for k in range(9)} == {9}  # every start under all of them
-    eight = Counter(job_of().wishes(partners, range(8)).ravel())
+    eight = Counter(job_of().preferences_of(partners, range(8)).ravel())
     assert max(eight.values()) < 1.25 * min(eight.values())
-    np.testing.assert_array_equal(job_of().wishes(partners[5:6], [3, 12]), wishes[5:6, [3, 3]])
+    again = job_of().preferences_of(partners[5:6], [3, 12])
+    np.testing.assert_array_equal(again, wishes[5:6, [3, 3]])
 
 
 def test_the_table_says_under_which_preference_an_episode_was_played(tmp_path: Path) -> None:
     job, table = job_of(), played(tmp_path / "job")
     tables.validate_episodes(table)
     for row in table.iter_rows(named=True):
-        [[wished]] = job.wishes([row["partner"]], [row["episode"]])
+        [[wished]] = job.preferences_of([row["partner"]], [row["episode"]])
         assert row["preference"] == wished
         k = NAMES.index(wished) + 1
         assert row["return"] == pytest.approx(k * row["steps"])
@@ -126,7 +128,7 @@ def test_figures_by_preference_are_means_over_partners(tmp_path: Path) -> None:
 
 def test_partners_that_did_not_play_under_one_are_left_out_of_it(tmp_path: Path) -> None:
     summary = summarise_evaluation(played(tmp_path, episodes=2), CONTEXT)
-    counts = Counter(job_of().wishes(job_of().partners.ids, range(2)).ravel())
+    counts = Counter(job_of().preferences_of(job_of().partners.ids, range(2)).ravel())
     assert {name: figure.n for name, figure in summary.by_preference.items()} == {
         str(name): 2 * count for name, count in counts.items()
     }
@@ -154,12 +156,13 @@ SIDES = {"train": ("p2", "p3"), "test": ("p1", "p5", "p9")}
 
 def test_partners_play_under_the_preferences_of_their_side(tmp_path: Path) -> None:
     job = job_of()
-    assert job.following(SIDES).identity() == job_of(preferences=SIDES["test"]).identity()
+    tested = job_of(preferences=SIDES["test"])
+    assert job.with_side_preferences(SIDES).identity() == tested.identity()
     partners = job.partners.ids
     mixed = dataclasses.replace(
         job, sides=dict(zip(partners, ("train", "test", "test"), strict=True))
     )
-    both = mixed.following(SIDES)
+    both = mixed.with_side_preferences(SIDES)
     assert both.identity() == {
         **mixed.identity(),
         "preferences": ["p1", "p2", "p3", "p5", "p9"],
@@ -170,9 +173,9 @@ def test_partners_play_under_the_preferences_of_their_side(tmp_path: Path) -> No
         assert set(table.filter(side=side)["preference"]) == set(names)
     alone = dataclasses.replace(mixed, preferences=SIDES["train"])
     np.testing.assert_array_equal(
-        both.wishes(partners[:1], range(9)), alone.wishes(partners[:1], range(9))
+        both.preferences_of(partners[:1], range(9)), alone.preferences_of(partners[:1], range(9))
     )  # whoever plays beside it
-    assert set(both.wishes(["passive"], range(9))[0]) == {"p1", "p2", "p3", "p5", "p9"}
+    assert set(both.preferences_of(["passive"], range(9))[0]) == {"p1", "p2", "p3", "p5", "p9"}
 
 
 def test_preferences_of_the_other_side_are_told(tmp_path: Path) -> None:
@@ -212,7 +215,7 @@ def test_an_evaluation_plays_what_the_split_says_and_tells_it(
     split = gentle.split("gentle_lift")
 
     def evaluate(name: str, split: str, **changes: Any) -> tuple[Any, dict[str, set[str]]]:
-        settings = Settings("gentle_lift", 9, **changes)
+        settings = How("gentle_lift", 9, **changes)
         robots, folder = ["gentle_lift/ippo-d1-s0-v0/robot"], tmp_path / name
         summary = evaluate_policies(gentle, robots, settings, folder, split=split)
         table = tables.read_episodes(folder / tables.EPISODES_FILE)
@@ -229,7 +232,7 @@ def test_an_evaluation_plays_what_the_split_says_and_tells_it(
     series, liked = evaluate("series", "test", series=3)
     assert list(series.by_place) == ["1", "2", "3"] and liked == {"test": {"p1", "p5", "p9"}}
     assert replay_folder(tmp_path / "series", gentle, sample=9).exact
-    population = cross_play(gentle, "*", "*", Settings("gentle_lift", 9), tmp_path / "xp")
+    population = cross_play(gentle, "*", "*", How("gentle_lift", 9), tmp_path / "xp")
     pairs = tables.read_episodes(tmp_path / "xp" / tables.EPISODES_FILE)
     assert population.episodes == 16 * 9 and set(pairs["preference"]) == set(NAMES)
 
@@ -246,11 +249,10 @@ def test_robots_train_under_the_preferences_of_the_training_half(gentle: Registr
     assert named.config.preferences == ()
 
 
-def test_settings_know_which_tasks_have_preferences() -> None:
-    assert Settings("scratch", 8).wishes == ()
-    assert Settings("gentle_bath", 8).wishes == NAMES
-    assert Settings("gentle_bath", 8, preferences="p1,p5").wishes == ("p1", "p5")
-    assert Settings("gentle_bath", 8, preferences=["p9"]).wishes == ("p9",)
+def test_how_knows_which_tasks_have_preferences() -> None:
+    assert How("scratch", 8).turns == ()
+    assert How("gentle_bath", 8).turns == NAMES
+    assert How("gentle_bath", 8, preferences="p1,p5").turns == ("p1", "p5")
 
 
 @pytest.mark.parametrize(
@@ -263,9 +265,9 @@ def test_settings_know_which_tasks_have_preferences() -> None:
         ),
         ("gentle_lift", "p1,p10", "preferences are p1, p10; give each .* once, of p1, p2"),
         ("gentle_lift", "p1,p1", "preferences are p1, p1; give each .* once"),
-        ("gentle_lift", [], "preferences are none; give each"),
+        ("gentle_lift", "", "preferences are none; give each"),
     ],
 )
 def test_other_preferences_are_refused(task: str, names: Any, told: str) -> None:
     with pytest.raises(ValueError, match=told):
-        Settings(task, 8, preferences=names)
+        How(task, 8, preferences=names)

@@ -12,7 +12,7 @@ import pytest
 
 from evaluation.cast.roster import HostEgo, Member, Roster
 from evaluation.figures.summary import summarise_evaluation
-from evaluation.play import jobs
+from evaluation.play import tiles
 from evaluation.play.evaluator import in_order, run_job
 from evaluation.play.jobs import Job
 from evaluation.play.runner import play
@@ -50,7 +50,7 @@ class Counting:
 
 @dataclasses.dataclass(frozen=True)
 class CountingSpec(PolicySpec):
-    def make_policy(self) -> Counting:
+    def player(self) -> Counting:
         return Counting(self)
 
 
@@ -112,7 +112,7 @@ def test_values_do_not_depend_on_the_tile(monkeypatch: pytest.MonkeyPatch) -> No
     whole = played(job)
     assert played(job, 4).equals(whole)
     for most in (3, 8):  # a series is never cut
-        monkeypatch.setitem(jobs.TILE_ENVS, "native", most)
+        monkeypatch.setitem(tiles.TILE_ENVS, "native", most)
         assert played(job).equals(whole)
     few = played(dataclasses.replace(job, episodes=4))
     assert few.equals(whole.filter(pl.col("episode") < 4))  # more series extend fewer
@@ -157,7 +157,7 @@ def test_each_partner_begins_with_another_start_and_stays_one_person() -> None:
     assert all(sorted(row) == list(range(15)) for row in order)
     assert all(set(row[5:10]) == set(range(5, 10)) for row in order)
     assert {len(set(order[:, place])) for place in range(15)} == {5}
-    wishes = job.wishes(names, range(15)).reshape(60, 3, 5)
+    wishes = job.preferences_of(names, range(15)).reshape(60, 3, 5)
     assert all(len(set(series)) == 1 for row in wishes for series in row)
     assert all(sorted(row[:, 0]) == ["p1", "p5", "p9"] for row in wishes)
 

@@ -13,7 +13,7 @@ import pytest
 
 from assistax_base.locks import locked
 from evaluation.play.evaluator import PARTS_FOLDER, run_job
-from evaluation.play.shares import run_block
+from evaluation.play.shares import run_share
 from evaluation.record import tables
 from tests.evaluation.matrix_game import MatrixGame
 from tests.evaluation.test_evaluator import make_job, mixed_job
@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[2]
 def test_blocks_of_several_hosts_merge_to_the_table_of_one_run(tmp_path: Path):
     job, whole = mixed_job(), run_job(MatrixGame(), mixed_job(), tmp_path / "whole", max_envs=7)
     hosts = [tmp_path / f"host{i}" for i in range(3)]
-    done = [run_block(MatrixGame(), job, hosts[i], (i + 1, 3), max_envs=7) for i in (2, 0, 1)]
+    done = [run_share(MatrixGame(), job, hosts[i], (i + 1, 3), max_envs=7) for i in (2, 0, 1)]
     assert sum(one.chunks for one in done) == done[0].all_chunks
     assert sum(one.episodes for one in done) == job.rows
     assert all(one.missing == one.all_chunks - one.chunks for one in done)
@@ -43,7 +43,7 @@ def test_parts_of_another_cut_are_not_taken(tmp_path: Path):
     job, whole = mixed_job(), run_job(MatrixGame(), mixed_job(), tmp_path / "whole", max_envs=7)
     hosts = tmp_path / "host1", tmp_path / "host2"
     for i, (host, max_envs) in enumerate(zip(hosts, (7, 4), strict=True)):
-        run_block(MatrixGame(), job, host, (i + 1, 2), max_envs=max_envs)
+        run_share(MatrixGame(), job, host, (i + 1, 2), max_envs=max_envs)
     shutil.copytree(hosts[1] / PARTS_FOLDER, hosts[0] / PARTS_FOLDER, dirs_exist_ok=True)
     merged = run_job(MatrixGame(), job, hosts[0], max_envs=7)
     assert merged.env_steps_per_second is not None  # what block 2 should have brought
@@ -52,23 +52,23 @@ def test_parts_of_another_cut_are_not_taken(tmp_path: Path):
 
 def test_blocks_may_share_a_folder(tmp_path: Path):
     job = make_job()
-    first, second = (run_block(MatrixGame(), job, tmp_path, (i, 2), max_envs=3) for i in (1, 2))
+    first, second = (run_share(MatrixGame(), job, tmp_path, (i, 2), max_envs=3) for i in (1, 2))
     assert (first.missing, second.missing) == (first.all_chunks - first.chunks, 0)
     assert run_job(MatrixGame(), job, tmp_path).table.height == job.rows
     assert (
-        run_block(MatrixGame(), job, tmp_path, (1, 2), max_envs=3).chunks == first.chunks
+        run_share(MatrixGame(), job, tmp_path, (1, 2), max_envs=3).chunks == first.chunks
     )  # merged: nothing to do
 
 
-@pytest.mark.parametrize("block", [(0, 2), (3, 2)])
-def test_a_block_that_is_none_is_refused(tmp_path: Path, block: tuple[int, int]):
+@pytest.mark.parametrize("share", [(0, 2), (3, 2)])
+def test_a_share_that_is_none_is_refused(tmp_path: Path, share: tuple[int, int]):
     with pytest.raises(ValueError, match="allowed are 1/2 to 2/2"):
-        run_block(MatrixGame(), make_job(), tmp_path, block)
+        run_share(MatrixGame(), make_job(), tmp_path, share)
 
 
 def test_a_folder_has_one_writer(tmp_path: Path):
     with locked(tmp_path):
-        for run in (run_job, lambda *given: run_block(*given, (1, 2))):
+        for run in (run_job, lambda *given: run_share(*given, (1, 2))):
             with pytest.raises(
                 ValueError, match=r"another process is writing to .*; wait until it is done"
             ):

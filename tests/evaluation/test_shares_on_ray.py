@@ -9,8 +9,8 @@ import pytest
 from assistax_base.cluster import RayCluster
 from assistax_zoo.shell.main import run
 from evaluation.cast.roster import joined
-from evaluation.play import jobs
 from evaluation.play import shares as blocks
+from evaluation.play import tiles
 from evaluation.play.jobs import Job
 from evaluation.play.shares import run_blocks_on_ray
 from tests import untrained
@@ -63,7 +63,7 @@ def test_crossplay_on_ray_is_that_of_a_single_run_byte_for_byte(
 
 
 def test_parts_that_are_not_here_are_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(jobs, "SMALL_JOB", 0)  # a part for each network
+    monkeypatch.setattr(tiles, "SMALL_JOB", 0)  # a part for each network
     job = Job(
         "matrix",
         1,
@@ -87,7 +87,7 @@ def test_parts_that_are_not_here_are_missed(tmp_path: Path, monkeypatch: pytest.
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--block", "1/2", "--engine", "ray"], "--block is one share of a run by hand"),
+        (["--share", "1/2", "--engine", "ray"], "--share is one share of a run by hand"),
         (["--ray-cpus", "2"], "--ray-cpus needs --engine ray"),
         (["--engine", "ray", "--ray-cpus", "-1"], "a block takes -1.0 CPUs"),
     ],

@@ -13,6 +13,7 @@ import polars as pl
 import pytest
 
 from assistax_zoo.shell.main import run
+from evaluation.play.how import How
 from evaluation.record import manifest as provenance
 from evaluation.record import sources
 from evaluation.record.sources import check_sources
@@ -25,9 +26,9 @@ from evaluation.record.tables import (
     write_parquet,
 )
 from evaluation.replay.replay import replay_folder
-from evaluation.studies import Settings, cross_play, evaluate_policies
 from tests.attack.commands import ROBOT, small_zoo
 from tests.population.toy_env import ToyEnv, match
+from tests.studies import cross_play, evaluate_policies
 from tests.untrained import params_of
 from zoo.parameters.storage import write_policy_file
 from zoo.registry import Registry, load_registry
@@ -66,7 +67,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A zoo, robots, a cross-play, and an evaluation that draws on all of them."""
     home = tmp_path_factory.mktemp("home")
     registry = load_registry(small_zoo(home / "zoo"))
-    settings = Settings("scratch", 1, backend="native")
+    settings = How("scratch", 1, backend="native")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("assistax_envs.make", toy)
         patch.setattr(
@@ -265,7 +266,7 @@ def test_a_folder_of_code_files_and_a_cross_play_is_replayed_with_them(
     (home / "crossplay" / "manifest.json").write_bytes(manifest)
 
 
-SETTINGS = Settings("scratch", 1, backend="native")
+SETTINGS = How("scratch", 1, backend="native")
 
 
 def evaluated(home: Path, robot: str, folder: Path) -> list[float]:

@@ -21,7 +21,7 @@ from assistax_base.errors import (
 from assistax_workshop.press.publish import publish
 from assistax_zoo.shell.main import run
 from assistax_zoo.zoos import open_zoo
-from evaluation.studies import choose_partners, in_release
+from evaluation.cast.cast import choose_partners, in_release
 from population.runs.trained import TrainedTeam
 from tests.zoo.hub_server import Hub
 from zoo.history.merkle import with_roots

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from assistax_workshop.gates.audit import EPISODES, Audit, Others, audit_task
 from assistax_workshop.gates.audit_teams import Teams, read_robots, read_teams, read_trained_egos
+from assistax_zoo.evaluating import Shown
 from assistax_zoo.shell.console import chosen_progress, study_progress
-from assistax_zoo.studies import Shown
 from assistax_zoo.zoos import Zoo, open_zoo
-from evaluation.studies import Settings
+from evaluation.play.how import How
 from zoo.registry import Registry
 
 Names = str | Sequence[str]
@@ -64,7 +64,7 @@ def audit(
         >>> table.teams
         ('scratch/ippo-d1-s0-v1/robot', 'scratch/ippo-d1-s1-v1/robot')
     """
-    Settings(task, episodes, seed, backend)  # refuses what is none of them
+    How(task, episodes, seed, backend)  # refuses what is none of them
     registry = open_zoo(zoo).registry
     own = read_teams(_listed(teams), registry, task)
     egos = {"ego": ego, "ego_told": ego_told, "ego_recurrent": ego_recurrent}

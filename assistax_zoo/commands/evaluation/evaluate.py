@@ -1,22 +1,32 @@
 """M_test of robot policies against the zoo's partners, and the cross-play of a population."""
 
+import dataclasses
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from assistax_zoo.commands.options import Against, Engine, Playing, Source
+from cyclopts import Parameter
+
+from assistax_zoo.commands.options import Against, Engine, Source
 from assistax_zoo.shell.console import answer, new_table, print_json, print_table, stdout_is_data
+from evaluation.play.how import How
 
 Figure = dict[str, Any] | None
 
 
+@dataclasses.dataclass(frozen=True)
+class HowOnce(How):
+    """How a cross-play is played, which has no series."""
+
+    __doc__ = How.__doc__  # of the options
+    series: Annotated[int, Parameter(parse=False)] = 1
+
+
 def evaluate(
     *,
-    task: str,
+    how: Annotated[How, Parameter(name="*")],
     policy: tuple[str, ...],
     against: Against = Against(),
-    playing: Playing = Playing(),
-    series: int = 1,
     fetch: bool = False,
     reuse: bool = False,
     replace: bool = False,
@@ -31,14 +41,11 @@ def evaluate(
     stopped goes on where it was.
 
     Args:
-        task: Task, such as scratch.
+        how: How they play.
         policy: Robot: an id, a .safetensors or .onnx file, python:FILE.py:FACTORY or
             python:package.module:FACTORY. For more seeds repeat it, or quote a glob of ids or
             .safetensors files.
         against: With whom, and what it is compared with.
-        playing: How they play.
-        series: Episodes that a robot plays with a partner, one after the other, before it forgets:
-            its recurrent state is kept, and the partner's preference stays.
         fetch: Bring partners and robots of the zoo that are missing here from the remote.
         reuse: Take what --out holds of a robot from Python code though its module does not declare
             what it depends on, so that it may have changed; else it is refused.
@@ -53,18 +60,16 @@ def evaluate(
         --out results
     """
     with stdout_is_data():
-        from assistax_zoo.studies import evaluate as evaluate_robots
+        from assistax_zoo.evaluating import evaluate as evaluate_robots
 
         result = evaluate_robots(
             list(policy),
-            task=task,
-            series=series,
             fetch=fetch,
             reuse=reuse,
             replace=replace,
             out=out,
             **vars(against),
-            **vars(playing),
+            **vars(how),
             **source.given(),
         )
         summary = result.to_json()
@@ -78,13 +83,12 @@ def evaluate(
 
 def crossplay(
     *,
-    task: str,
+    how: Annotated[HowOnce, Parameter(name="*")],
     out: Path,
     egos: tuple[str, ...] = (),
     partners: tuple[str, ...] = (),
     release: str | None = None,
-    playing: Playing = Playing(),
-    block: str | None = None,
+    share: Annotated[str | None, Parameter(name=("--share", "--block"))] = None,
     replace: bool = False,
     engine: Engine = Engine(),
     source: Source = Source(),
@@ -96,16 +100,15 @@ def crossplay(
     stopped goes on.
 
     Args:
-        task: Task, such as scratch.
+        how: How they play.
         out: Folder for the tables and the figure.
         egos: Glob over robots, such as 'scratch/ippo-*/robot'; repeat it for more; all if not
             given.
         partners: Glob over humans; repeat it for more; all if not given.
         release: Release of both, where a glob names none; default the newest whole one
             that has the task.
-        playing: How they play.
-        block: Simulate only a share, such as 2/4; with the parts of all, the command without
-            --block merges them.
+        share: Simulate only a share, such as 2/4; with the parts of all, the command without
+            --share merges them.
         replace: Remove the result that --out holds, of whichever job, and play anew; else another
             job is refused.
         engine: What runs the blocks.
@@ -117,25 +120,20 @@ def crossplay(
         'scratch/ippo-*/human' --out xp
     """
     cluster = engine.cluster()
-    if block and cluster:
-        raise ValueError(
-            "--block is one share of a run by hand, --engine ray spreads all of them; leave one out"
-        )
-    if block and replace:
-        raise ValueError("--replace would remove the parts of the other blocks; leave it out")
+    part = _share(share, replace, spread=cluster is not None)
     with stdout_is_data():
-        from assistax_zoo.studies import cross_play, play_block
+        from assistax_zoo.evaluating import cross_play, play_share
 
-        given: dict[str, Any] = {"task": task, "release": release, **vars(playing)}
-        given |= {"out": out, **source.given()}
-        if block:
-            done = play_block(_block(block), egos, partners, **given)
-            summary = {**vars(done), "block": block}
+        where: dict[str, Any] = {"release": release, **source.given()}
+        if part:
+            done = vars(play_share(part, how, out, egos, partners, **where))
+            summary = {**done, "share": share, "block": share}  # its name in earlier versions
         else:
-            given |= {"cluster": cluster, "replace": replace}
-            summary = cross_play(egos, partners, **given).to_json()
-    if block:
-        answer(json, summary, *_block_lines(summary, out))
+            where |= {name: value for name, value in vars(how).items() if name != "series"}
+            where |= {"out": out, "cluster": cluster, "replace": replace}
+            summary = cross_play(egos, partners, **where).to_json()
+    if share:
+        answer(json, summary, *_share_lines(summary, out))
     elif json:
         print_json(summary)
     else:
@@ -143,20 +141,29 @@ def crossplay(
         print(f"tables and crossplay.png in {out}")
 
 
-def _block(text: str) -> tuple[int, int]:
+def _share(text: str | None, replace: bool, spread: bool) -> tuple[int, int] | None:
+    """Return the share that is meant, where one is."""
+    if not text:
+        return None
+    if spread:
+        raise ValueError(
+            "--share is one share of a run by hand, --engine ray spreads all of them; leave one out"
+        )
+    if replace:
+        raise ValueError("--replace would remove the parts of the other shares; leave it out")
     number, _, count = text.partition("/")
     if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
-        raise ValueError(f"block is {text!r}; expected i/n with i from 1 to n, such as 2/4")
+        raise ValueError(f"share is {text!r}; expected i/n with i from 1 to n, such as 2/4")
     return int(number), int(count)
 
 
-def _block_lines(summary: dict[str, Any], out: Path) -> tuple[str, str]:
+def _share_lines(summary: dict[str, Any], out: Path) -> tuple[str, str]:
     done = f"{summary['episodes']} episodes in {summary['chunks']} parts of {out}/parts"
-    told = "all parts are here: the same command without --block merges them"
+    next_step = "all parts are here: the same command without --share merges them"
     if missing := summary["missing"]:
         count = f"{missing} of {summary['all_chunks']}"
-        told = f"{count} parts are not here; gather those of all blocks"
-    return f"block {summary['block']}: {done}", told
+        next_step = f"{count} parts are not here; gather those of all shares"
+    return f"share {summary['share']}: {done}", next_step
 
 
 def _print_evaluation(summary: dict[str, Any]) -> None:
@@ -214,9 +221,9 @@ def _print_crossplay(summary: dict[str, Any]) -> None:
 
 def _print_origin(summary: dict[str, Any]) -> None:
     speed = summary["env_steps_per_second"]
-    told = f", {speed:,.0f} environment steps/s" if speed else ", found finished"
+    pace = f", {speed:,.0f} environment steps/s" if speed else ", found finished"
     print(
-        f"{summary['episodes']} episodes on {summary['backend']}{told}; environment version "
+        f"{summary['episodes']} episodes on {summary['backend']}{pace}; environment version "
         f"{summary['env_version']}, release {summary['release']}; non-finite episodes: "
         f"{summary['nonfinite']}"
     )

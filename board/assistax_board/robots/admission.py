@@ -11,6 +11,7 @@ from assistax_board.problems import Problem, Refusal
 from assistax_board.robots.limited import BusyError, DiedError, OverBudgetError, run_limited
 from assistax_board.robots.robot_cost import MOST, nanoseconds
 from assistax_board.rules.submissions import MAX_BYTES
+from population.networks.seat import Seat
 
 SAFETENSORS, ONNX = "safetensors", "onnx"
 _PROBES = (0.0, 1.0, -1.0, 10.0, -10.0)  # observations that a robot must survive
@@ -23,7 +24,7 @@ class Robot:
     """An admitted robot: what plays it, and its parameters."""
 
     format: str
-    spec: Any  # a `PolicySpec` or an `OnnxProgram`
+    spec: Seat  # of a network of ours, or of an ONNX graph
     params: dict[str, Any]  # without a stacked axis
 
 
@@ -113,13 +114,6 @@ def is_onnx(data: bytes) -> bool:
     return data[:1] == b"\x08"
 
 
-def make_policy(spec: Any) -> Any:
-    """Return what plays a robot of this spec."""
-    from population.networks.policy import Policy
-
-    return spec.make_policy() if hasattr(spec, "make_policy") else Policy(spec)
-
-
 def _read_safetensors(data: bytes, observation_size: int, action_size: int) -> Robot:
     from assistax_base.errors import ZooError
     from population.networks.tensors import flatten
@@ -147,18 +141,18 @@ def _read_safetensors(data: bytes, observation_size: int, action_size: int) -> R
 
 
 def _read_onnx(data: bytes, observation_size: int, action_size: int) -> Robot:
-    from evaluation.cast.onnx_admission import admit_onnx
-    from evaluation.cast.onnx_ego import StrangerError
+    from evaluation.cast.onnx_robots.admission import admit_onnx
+    from evaluation.cast.onnx_robots.ego import UntrustedModelError
 
     try:
         return Robot(ONNX, *admit_onnx(data, observation_size, action_size))
-    except StrangerError as error:
+    except UntrustedModelError as error:
         raise Refusal(error.code, str(error)) from None
 
 
 def _check_cost(robot: Robot) -> None:
     """Refuse what a worker would play for hours, or need gigabytes for."""
-    cost = nanoseconds(make_policy(robot.spec), robot.params, robot.spec.observation_size)
+    cost = nanoseconds(robot.spec.player(), robot.params, robot.spec.observation_size)
     if cost > MOST:
         raise Refusal("too_slow", f"{cost:.3g} of {MOST:.3g} nanoseconds for an observation")
 
@@ -168,7 +162,7 @@ def _check_finite(robot: Robot) -> None:
     import jax
     import jax.numpy as jnp
 
-    policy = make_policy(robot.spec)
+    policy = robot.spec.player()
     obs = jnp.asarray(
         [np.full(robot.spec.observation_size, value, np.float32) for value in _PROBES]
     )

@@ -38,7 +38,7 @@ def version_id(identity: dict[str, Any]) -> str:
 
 def panel_episodes(task: str, panel: str) -> int:
     """Return how many episodes each partner of a panel plays: all its wishes equally often."""
-    from evaluation.play.jobs import default_episodes
+    from evaluation.play.how import default_episodes
 
     usual = default_episodes(task)
     return usual if panel == "public" else max(usual, HIDDEN_EPISODES)

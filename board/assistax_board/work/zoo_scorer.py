@@ -2,7 +2,7 @@
 
 A chunk is a job of its own with its partners in a fixed order, so its program and its values depend
 on nothing else: not on other chunks, not on how many workers there are. Jobs are made and played by
-what `assistax_zoo.evaluate` plays with, `evaluation.studies`.
+what `assistax_zoo.evaluate` plays with, `evaluation.play`.
 """
 
 import hashlib
@@ -51,14 +51,18 @@ class ZooScorer:
             return self._play(work, egos, hidden, entries)
 
     def _play(self, work: Work, egos: Any, registry: Any, entries: list[Any]) -> pl.DataFrame:
+        from evaluation.cast.cast import check_env_version, own_robots
+        from evaluation.cast.roster import registry_roster
         from evaluation.figures.normalised import REFERENCE_ROWS
         from evaluation.play.baselines import reference_job
         from evaluation.play.evaluator import run_job
-        from evaluation.studies import Settings, make_job, own_robots
+        from evaluation.play.how import How
+        from evaluation.play.study import make_job
 
-        seed, likes = int(work.seed, 16), work.preferences or None
-        settings = Settings(work.task, work.episodes, seed, self._backend, preferences=likes)
-        env, job = make_job(registry, egos, entries, settings)
+        check_env_version(registry, entries)
+        seed, preferences = int(work.seed, 16), ",".join(work.preferences) or None
+        how = How(work.task, work.episodes, seed, self._backend, preferences=preferences)
+        env, job = make_job(how, egos, registry_roster(registry, entries))
         if work.kind == "reference" and work.format in REFERENCE_ROWS:
             job = reference_job(env, job, str(work.format), own_robots(registry, entries))
         with tempfile.TemporaryDirectory() as folder:

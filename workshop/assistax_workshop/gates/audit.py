@@ -28,7 +28,7 @@ from evaluation.play.baselines import passive_roster, script_roster
 from evaluation.play.devices import share_cores
 from evaluation.play.evaluator import run_job
 from evaluation.play.jobs import Job
-from evaluation.play.runner import Progress
+from evaluation.play.progress import Progress
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
@@ -230,7 +230,7 @@ class _Tables:
             episodes=times * self.episodes,
             seed=self.seed,
             paired=paired,
-            apart=True,
+            own_episodes=True,
             preferences=preferences_of(self.task),
         )
 

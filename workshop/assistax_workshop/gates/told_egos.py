@@ -23,13 +23,14 @@ from assistax_workshop.gates.audit import BOTH
 from assistax_workshop.gates.audit_teams import read_robots
 from assistax_zoo.commands.options import parse_changes, parse_seeds, parse_steps
 from assistax_zoo.shell.console import TrainingLine
+from evaluation.cast.cast import Cast, choose_partners
 from evaluation.ego_training import prepare, write_egos
 from evaluation.figures.saved_tables import save_evaluation
 from evaluation.figures.summary import EvaluationSummary
 from evaluation.play.evaluator import run_job
+from evaluation.play.how import How
+from evaluation.play.study import context_of, make_job
 from evaluation.record.manifest import record_command, write_run
-from evaluation.record.met_partners import declare, met_partners
-from evaluation.studies import Settings, choose_partners, context_of, make_job
 from population.runs.folder import RunFolder
 from population.runs.train import train
 from population.runs.trained import read_trained_run
@@ -91,16 +92,24 @@ def evaluate(
     """Play the told robots of a folder with both sides of a split, and save what comes of it."""
     robots = read_robots([str(folder / "training")], registry, task).robots
     manifest, partners = choose_partners(registry, task, f"{split}:both", None)
-    settings = Settings(task, episodes, backend=backend)
-    usual, job = make_job(registry, robots, partners, settings, manifest)
+    cast = Cast.of(
+        registry,
+        task=task,
+        robots=robots,
+        humans=partners,
+        split=manifest,
+        trained_with=split,
+    )
+    how = How(task, episodes, backend=backend)
+    usual, job = make_job(how, cast.robots, cast.humans, cast.sides)
     if manifest.preferences:
-        job = job.following(manifest.preferences)
+        job = job.with_side_preferences(manifest.preferences)
     job = dataclasses.replace(job, engine={**job.engine, "condition": "told"})
     env = make(task, usual.backend, told=BOTH)
     result = run_job(env, job, folder / "evaluation")
-    context = context_of(registry, job, manifest, manifest.release, result)
-    met = met_partners(declare(robots, registry, task, split), partners)
-    return save_evaluation(folder / "evaluation", result.table, context, met=met)
+    release = manifest.release
+    context = context_of(job, result, split=manifest, release=release, lock=registry.lock)
+    return save_evaluation(folder / "evaluation", result.table, context, met=cast.met)
 
 
 if __name__ == "__main__":

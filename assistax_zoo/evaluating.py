@@ -8,18 +8,25 @@ from assistax_base.cluster import RayCluster
 from assistax_zoo.results import CrossPlayResult, EvaluationResult, TemporaryFolder
 from assistax_zoo.shell.console import chosen_progress, command_line, study_progress
 from assistax_zoo.zoos import Zoo, open_zoo
+from evaluation.cast.cast import Cast, choose_partners
 from evaluation.cast.robot_names import parse_reference
-from evaluation.figures.summary import CrossPlaySummary
-from evaluation.play.runner import Progress
+from evaluation.crossplay import cast_population
+from evaluation.crossplay import cross_play as play_population
+from evaluation.evaluate import cast_robots
+from evaluation.evaluate import evaluate as evaluate_cast
+from evaluation.play.evaluator import check_folder
+from evaluation.play.how import How
+from evaluation.play.progress import Progress
+from evaluation.play.shares import ShareDone, run_share
+from evaluation.play.study import make_job
 from evaluation.record.manifest import write_run
-from evaluation.studies import Settings, choose_partners, evaluate_policies
-from evaluation.studies import cross_play as play_population
 from zoo.locations import cache_root
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 from zoo.transport.fetch import check_local
 
 Shown = bool | Callable[[Progress], None]
+Globs = str | Sequence[str] | None
 
 
 def evaluate(
@@ -108,26 +115,30 @@ def evaluate(
         2
     """
     robots = list(robot) if isinstance(robot, list) else [robot]
-    settings = Settings(task, episodes, seed, backend, stochastic, max_envs, preferences, series)
+    names = _text(preferences)
+    how = How(task, episodes, seed, backend, stochastic, max_envs, names, series)
     opened = _locked(open_zoo(zoo), lock, task, split)
-    _, chosen = choose_partners(opened.registry, task, split, partners or None)
-    needed = _needed(opened.registry, robots, chosen, references)
+    chosen = choose_partners(opened.registry, task, split, partners or None)
+    needed = _needed(opened.registry, robots, chosen[1], references)
     if fetch:
         opened.fetch([entry.id for entry in needed])
     else:
         check_local(opened.registry, needed)
-    folder, keep = _folder(out)
+    kept, (folder, keep) = cache_root() / "references", _folder(out)
+    cast = cast_robots(
+        opened.registry,
+        robots,
+        chosen,
+        trained_with=trained_with or None,
+        baselines=references,
+    )
     with chosen_progress(progress, study_progress(f"evaluate {task}")) as on_progress:
-        summary = evaluate_policies(
-            opened.registry,
-            robots,
-            settings,
+        summary = evaluate_cast(
+            cast,
+            how,
             folder,
-            split=split,
-            partners=partners or None,
             include_own=include_own,
-            trained_with=trained_with or None,
-            references=cache_root() / "references" if references else None,
+            references=kept if references else None,
             crossplay=crossplay.folder if isinstance(crossplay, CrossPlayResult) else crossplay,
             reuse=reuse,
             replace=replace,
@@ -164,12 +175,11 @@ def cross_play(
         task: Task, such as "scratch".
         release: Release of both, where a glob names none; default the newest whole one
             that has the task.
-        episodes: Of each pair; default 18 in the gentle tasks, where nine preferences take turns,
-            and 8 in the others.
-        seed: Of the episodes: each partner has its own, the same for every robot.
-        backend: Physics: "auto" for the fastest one here, or its name.
-        stochastic: Draw actions instead of taking each policy's most likely one.
-        max_envs: Most simulations in a saved part; lower it if memory runs out.
+        episodes: As in `evaluate`, like all that follows but `cluster`.
+        seed: Of the episodes.
+        backend: Physics.
+        stochastic: Whether actions are drawn.
+        max_envs: Most simulations in a saved part.
         preferences: What the humans of a gentle task like, in turns; default all.
         zoo: Where policies come from, as in `open_zoo`.
         lock: Lock file of a paper; other bytes than those it pins are refused.
@@ -187,70 +197,80 @@ def cross_play(
         >>> cross_play(ids, ids, task="scratch", episodes=1, progress=False).pairs.height
         1
     """
-    settings = Settings(task, episodes, seed, backend, stochastic, max_envs, preferences)
-    registry = _locked(open_zoo(zoo), lock, task, None).registry
+    how = How(task, episodes, seed, backend, stochastic, max_envs, _text(preferences))
     folder, keep = _folder(out)
+    cast = _population(egos, partners, task, release, zoo, lock)
+    options: dict[str, Any] = {"cluster": cluster, "replace": replace}
     with chosen_progress(progress, study_progress(f"crossplay {task}")) as on_progress:
-        given: dict[str, Any] = {"release": release, "cluster": cluster, "replace": replace}
-        chosen = egos or f"{task}/*", partners or f"{task}/*"
-        summary = play_population(
-            registry, *chosen, settings, folder, on_progress=on_progress, **given
-        )
-    assert isinstance(summary, CrossPlaySummary)  # no block was asked for
+        summary = play_population(cast, how, folder, on_progress=on_progress, **options)
     write_run(folder, command_line(), simulated=summary.env_steps_per_second is not None)
     return CrossPlayResult(summary, folder, keep)
 
 
-def play_block(
-    block: tuple[int, int],
-    egos: str | Sequence[str] | None,
-    partners: str | Sequence[str] | None,
-    *,
-    task: str,
+def play_share(
+    share: tuple[int, int],
+    how: How,
     out: Path,
+    egos: Globs = None,
+    partners: Globs = None,
+    *,
     release: str | None = None,
     zoo: "str | Path | Zoo | None" = None,
     lock: Path | str | None = None,
     progress: Shown = True,
-    **playing: Any,
-) -> Any:
+) -> ShareDone:
     """Simulate share (i, n) of a cross-play, i from 1; with all of them `cross_play` merges them.
 
     Args:
-        block: Which share.
+        share: Which share.
+        how: How they play.
+        out: Folder of the parts.
         egos: As in `cross_play`, like all that follows.
         partners: Globs over humans.
-        task: Task, such as "scratch".
-        out: Folder of the parts.
         release: Release of both.
         zoo: Where policies come from.
         lock: Lock file of a paper.
         progress: Show it, or a function that is told of it.
-        **playing: `episodes`, `seed`, `backend`, `stochastic`, `max_envs`, `preferences`.
     """
+    cast = _population(egos, partners, how.task, release, zoo, lock)
+    env, job = make_job(how, cast.robots, cast.humans, cast.sides)
+    with chosen_progress(progress, study_progress(f"crossplay {how.task}")) as shown:
+        return run_share(env, job, out, share, max_envs=how.max_envs, on_progress=shown)
+
+
+def _population(
+    egos: Globs,
+    partners: Globs,
+    task: str,
+    release: str | None,
+    zoo: "str | Path | Zoo | None",
+    lock: Path | str | None,
+) -> Cast:
+    """Return the cast of a cross-play: all of the task where no glob is given."""
     registry = _locked(open_zoo(zoo), lock, task, None).registry
-    chosen = egos or f"{task}/*", partners or f"{task}/*"
-    with chosen_progress(progress, study_progress(f"crossplay {task}")) as on_progress:
-        return play_population(
-            registry,
-            *chosen,
-            Settings(task, **playing),
-            out,
-            release=release,
-            block=block,
-            on_progress=on_progress,
-        )
+    return cast_population(
+        registry, task, egos or f"{task}/*", partners or f"{task}/*", release=release
+    )
 
 
 def _needed(
     registry: Registry, robots: Sequence[Any], partners: Sequence[PolicyEntry], references: bool
 ) -> list[PolicyEntry]:
     """Return the policies that an evaluation loads: partners, robots of the zoo, references."""
-    wanted = {entry.id for entry in partners}
+    ids = {entry.id for entry in partners}
     named = [parse_reference(str(robot)) for robot in robots if isinstance(robot, str | Path)]
-    wanted |= {reference.source for reference in named if reference.kind == "zoo"}
-    wanted |= {f"{entry.team}/robot" for entry in partners} if references else set()
-    return [entry for entry in registry.policies if entry.id in wanted]
+    ids |= {reference.source for reference in named if reference.kind == "zoo"}
+    ids |= {f"{entry.team}/robot" for entry in partners} if references else set()
+    return [entry for entry in registry.policies if entry.id in ids]
+
+
+def _text(preferences: str | Sequence[str] | None) -> str | None:
+    """Return preferences as they are typed: "p1,p5"."""
+    return (
+        preferences
+        if preferences is None or isinstance(preferences, str)
+        else ",".join(preferences)
+    )
 
 
 def _locked(zoo: Zoo, lock: Path | str | None, task: str, split: str | None) -> Zoo:
@@ -264,6 +284,7 @@ def _locked(zoo: Zoo, lock: Path | str | None, task: str, split: str | None) -> 
 def _folder(out: Path | str | None) -> tuple[Path, Any]:
     """Return the folder, and what must live as long as it is wanted."""
     if out is not None:
+        check_folder(Path(out))  # before anything is loaded
         return Path(out), None
     folder = TemporaryFolder()
     return folder.path, folder

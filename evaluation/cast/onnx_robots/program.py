@@ -1,4 +1,4 @@
-"""An ONNX graph as a JAX function: what `onnx_admission` let through, played as partners are.
+"""An ONNX graph as a JAX function: what `admission` let through, played as partners are.
 
 The graph is run row by row (`jax.vmap` over rows of one observation each), so that no row can see
 another. Weights are parameters and may be stacked; the graph is hashable, so that robots of one
@@ -12,8 +12,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float
 
-from population.networks.spec import PolicySpec
+from population.networks.seat import SeatSizes
 
 Attributes = Mapping[str, Any]
 Value = Any  # a JAX array, or a tuple of ints: shapes and indices are never computed from data
@@ -30,8 +31,8 @@ class Node:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class OnnxProgram(PolicySpec):
-    """A graph without its weights; of a `PolicySpec` it has the role and the sizes."""
+class OnnxProgram(SeatSizes):
+    """A graph without its weights."""
 
     carry_size: int  # 0 of a robot without memory
     inputs: tuple[str, ...]  # obs, then carry, then first
@@ -40,13 +41,13 @@ class OnnxProgram(PolicySpec):
     constants: tuple[tuple[str, int | tuple[int, ...]], ...]  # integers, by name
     nodes: tuple[Node, ...]
 
-    def make_policy(self) -> "OnnxPolicy":
+    def player(self) -> "OnnxPolicy":
         """Return what plays this graph."""
         return OnnxPolicy(self)
 
 
 class OnnxPolicy:
-    """Plays a graph, in the interface of `population.networks.policy.Policy`."""
+    """Plays a graph."""
 
     def __init__(self, program: OnnxProgram) -> None:
         self._program = program
@@ -57,8 +58,12 @@ class OnnxPolicy:
         return jnp.zeros((*batch_shape, size)) if size else ()
 
     def act(
-        self, params: Mapping[str, Any], carry: Any, obs: jax.Array, first: jax.Array
-    ) -> tuple[Any, jax.Array]:
+        self,
+        params: Mapping[str, Any],
+        carry: Any,
+        obs: Float[Array, "*batch O"],
+        first: Bool[Array, "*batch"],
+    ) -> tuple[Any, Float[Array, "*batch A"]]:
         """Return the next carry [..., H] and actions [..., A] for observations [..., O]."""
         program = self._program
         inputs = [obs]
@@ -89,12 +94,12 @@ def run(
     values |= {name: params[f"w{place}"] for place, name in enumerate(program.weights)}
     values |= dict(program.constants)
     for node in program.nodes:
-        given = [values[name] if name else None for name in node.inputs]
-        answer = OPERATORS[node.operator](dict(node.attributes), *given)
+        arguments = [values[name] if name else None for name in node.inputs]
+        answer = OPERATORS[node.operator](dict(node.attributes), *arguments)
         outputs = answer if isinstance(answer, list) else [answer]
         if watch is not None:
             for output in outputs:
-                watch(node, given, output)
+                watch(node, arguments, output)
         values |= dict(zip(node.outputs, outputs, strict=False))
     return [values[name] for name in program.outputs]
 

@@ -6,15 +6,11 @@ import numpy as np
 import pytest
 
 from assistax_base.errors import RegistryVersionError, UnknownIdError
-from evaluation import studies
+from evaluation import evaluate
+from evaluation.cast.cast import check_env_version, choose_partners, in_release
 from evaluation.cast.egos import EgoError
-from evaluation.studies import (
-    Settings,
-    check_env_version,
-    choose_partners,
-    evaluate_policies,
-    in_release,
-)
+from evaluation.play.how import How
+from tests.studies import evaluate_policies
 from zoo.registry import load_registry
 
 
@@ -47,9 +43,10 @@ def test_egos_join_a_cross_play_only_where_they_are_meant() -> None:
 
 def test_a_cache_that_cannot_be_written_is_named_with_its_variable(tmp_path: Path) -> None:
     (tmp_path / "cache").write_text("a file")
-    settings, kept = Settings("scratch", 1), tmp_path / "cache" / "references"
+    settings, kept = How("scratch", 1), tmp_path / "cache" / "references"
     with pytest.raises(OSError, match=r"cannot write to .*references .*\$ASSISTAX_ZOO_CACHE"):
-        evaluate_policies(load_registry(), ["zero"], settings, tmp_path / "out", references=kept)
+        robots = ["zoo:scratch/ippo-d1-s0-v1/robot"]
+        evaluate_policies(load_registry(), robots, settings, tmp_path / "out", references=kept)
 
 
 def test_policies_of_another_environment_version_are_refused_with_the_releases_that_fit() -> None:
@@ -64,8 +61,8 @@ def test_policies_of_another_environment_version_are_refused_with_the_releases_t
 def test_a_robot_that_cannot_play_is_told_before_anything_compiles(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(studies, "run_job", lambda *_, **__: pytest.fail("it was played"))
-    settings = Settings("scratch", 1, backend="native")
+    monkeypatch.setattr(evaluate, "run_job", lambda *_, **__: pytest.fail("it was played"))
+    settings = How("scratch", 1, backend="native")
     with pytest.raises(EgoError, match="task scratch reads observations"):
         evaluate_policies(
             load_registry(), [lambda obs: obs @ np.zeros((30, 7))], settings, tmp_path

@@ -1,7 +1,7 @@
 """From the bytes of an ONNX file to a program, or a refusal. Nothing of the file is ever executed.
 
-The program is JAX (`evaluation.cast.onnx_program`), which is stacked and mapped as partners are. A
-service plays nothing else. Every attribute and tensor is held against a list, and shapes are
+The program is JAX (`evaluation.cast.onnx_robots.program`), which is stacked and mapped as partners
+are. A service plays nothing else. Every attribute and tensor is held against a list, and shapes are
 computed without values, so that a graph that would fill the memory is refused before anything is
 allocated.
 """
@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.cast.onnx_ego import (
+from evaluation.cast.onnx_robots.ego import (
     ROWS,
-    StrangerError,
+    UntrustedModelError,
     mixes_rows,
     mixing_error,
-    read_plain,
+    read_onnx_network,
     reductions_over_rows,
 )
 
@@ -53,13 +53,13 @@ def admit_onnx(data: bytes, observation_size: int, action_size: int) -> tuple[An
     """Return the program of an ONNX file and its parameters.
 
     Raises:
-        StrangerError: It is not a graph of the form and the operators that are allowed, or not one
-            of these widths.
+        UntrustedModelError: It is not a graph of the form and the operators that are allowed, or
+            not one of these widths.
     """
     program, params = read_program(data)
     if (program.observation_size, program.action_size) != (observation_size, action_size):
-        found = f"{program.observation_size} numbers, and gives {program.action_size}"
-        raise StrangerError("wrong_sizes", f"reads {found}")
+        sizes = f"{program.observation_size} numbers, and gives {program.action_size}"
+        raise UntrustedModelError("wrong_sizes", f"reads {sizes}")
     return program, params
 
 
@@ -67,11 +67,11 @@ def read_program(data: bytes) -> tuple[Any, dict[str, Any]]:
     """Return the program of an ONNX file, whatever its widths are, and its parameters.
 
     Raises:
-        StrangerError: It is not a graph of the form and the operators that are allowed.
+        UntrustedModelError: It is not a graph of the form and the operators that are allowed.
     """
-    from evaluation.cast.onnx_program import OPERATORS
+    from evaluation.cast.onnx_robots.program import OPERATORS
 
-    model = read_plain(data, {*OPERATORS, "Constant"})
+    model = read_onnx_network(data, {*OPERATORS, "Constant"})
     _check_model(model)
     graph = _Graph(model.graph)
     program, params = graph.program()
@@ -83,16 +83,16 @@ def read_program(data: bytes) -> tuple[Any, dict[str, Any]]:
 
 def _check_model(model: Any) -> None:
     """Refuse other operator sets, and what is too much to read."""
-    sets = [(each.domain, each.version) for each in model.opset_import]
+    sets = [(opset.domain, opset.version) for opset in model.opset_import]
     if any(domain not in ("", "ai.onnx") or version not in OPSETS for domain, version in sets):
-        raise StrangerError("opset_not_allowed", str(sets[:4]))
+        raise UntrustedModelError("opset_not_allowed", str(sets[:4]))
     graph = model.graph
     if any(not isinstance(name, str) for name in _names(graph)):
-        raise StrangerError("malformed", "a name is no text")
+        raise UntrustedModelError("malformed", "a name is no text")
     if len(sets) != 1 or graph.quantization_annotation:
-        raise StrangerError("operator_not_allowed", "quantised weights, or several opsets")
+        raise UntrustedModelError("operator_not_allowed", "quantised weights, or several opsets")
     if len(graph.node) > MAX_NODES or len(graph.initializer) > MAX_TENSORS:
-        raise StrangerError("graph_too_large", f"{len(graph.node)} nodes")
+        raise UntrustedModelError("graph_too_large", f"{len(graph.node)} nodes")
 
 
 def _names(graph: Any) -> Iterator[Any]:
@@ -116,7 +116,7 @@ class _Graph:
 
     def program(self) -> tuple[Any, dict[str, Any]]:
         """Return the program and its parameters."""
-        from evaluation.cast.onnx_program import OnnxProgram
+        from evaluation.cast.onnx_robots.program import OnnxProgram
 
         for tensor in self._graph.initializer:
             self._keep(tensor.name, _array(tensor))
@@ -127,7 +127,7 @@ class _Graph:
         widths = _check_inputs(inputs)
         outputs = tuple(value.name for value in self._graph.output)[: 1 + (len(widths) > 1)]
         if len(outputs) < 1 + (len(widths) > 1) or not set(outputs) <= names:
-            raise StrangerError("wrong_interface", "too few outputs")
+            raise UntrustedModelError("wrong_interface", "too few outputs")
         program = OnnxProgram(
             role="robot",
             observation_size=widths[0],
@@ -146,21 +146,21 @@ class _Graph:
 
     def _keep(self, name: str, value: np.ndarray) -> None:
         if not name or self._is_known(name):
-            raise StrangerError("malformed", "a name is empty, or given twice")
+            raise UntrustedModelError("malformed", "a name is empty, or given twice")
         if value.dtype.kind == "f":
             self._weights[name] = value.astype(np.float32)
             if not np.isfinite(self._weights[name]).all():
-                raise StrangerError("not_finite", "a weight")
+                raise UntrustedModelError("not_finite", "a weight")
         elif value.dtype == np.int64 and value.ndim <= 1:
             self._integers[name] = tuple(value.tolist()) if value.ndim else int(value)
             self._count += value.size
             if self._count > MAX_INTEGERS:
-                raise StrangerError("graph_too_large", "too many integers")
+                raise UntrustedModelError("graph_too_large", "too many integers")
         else:
-            raise StrangerError("operator_not_allowed", f"a tensor of {value.dtype}")
+            raise UntrustedModelError("operator_not_allowed", f"a tensor of {value.dtype}")
 
     def _read(self, node: Any, names: set[str]) -> None:
-        from evaluation.cast.onnx_program import Node
+        from evaluation.cast.onnx_robots.program import Node
 
         if node.op_type == "Constant":
             self._keep(node.output[0], _constant(node))
@@ -168,10 +168,10 @@ class _Graph:
         attributes = _attributes(node)
         unknown = [name for name in node.input if name and name not in names]
         if not all(self._is_known(name) for name in unknown):
-            raise StrangerError("malformed", "a node reads what no node before it wrote")
+            raise UntrustedModelError("malformed", "a node reads what no node before it wrote")
         fresh = [name for name in node.output if name]
         if len(fresh) != len(set(fresh)) or any(n in names or self._is_known(n) for n in fresh):
-            raise StrangerError("malformed", "a name is given twice")
+            raise UntrustedModelError("malformed", "a name is given twice")
         names.update(fresh)
         inputs, outputs = tuple(node.input), tuple(node.output)
         if node.op_type == "Split" and len(inputs) == 1:
@@ -183,24 +183,24 @@ def _attributes(node: Any) -> dict[str, Any]:
     """Return a node's attributes as numbers and tuples of numbers."""
     import onnx
 
-    found: dict[str, Any] = {}
-    for each in node.attribute:
-        if each.name not in ATTRIBUTES.get(node.op_type, ()) or each.ref_attr_name:
-            raise StrangerError("operator_not_allowed", f"{node.op_type} with {each.name[:40]}")
-        value = onnx.helper.get_attribute_value(each)
-        found[each.name] = (
-            tuple(value) if isinstance(value, list) or hasattr(value, "__len__") else value
-        )
-    if node.op_type == "Cast" and found.get("to") != onnx.TensorProto.FLOAT:
-        raise StrangerError("operator_not_allowed", "Cast to anything but float")
-    return found
+    values: dict[str, Any] = {}
+    for attribute in node.attribute:
+        name = attribute.name
+        if name not in ATTRIBUTES.get(node.op_type, ()) or attribute.ref_attr_name:
+            raise UntrustedModelError("operator_not_allowed", f"{node.op_type} with {name[:40]}")
+        value = onnx.helper.get_attribute_value(attribute)
+        is_list = isinstance(value, list) or hasattr(value, "__len__")
+        values[name] = tuple(value) if is_list else value
+    if node.op_type == "Cast" and values.get("to") != onnx.TensorProto.FLOAT:
+        raise UntrustedModelError("operator_not_allowed", "Cast to anything but float")
+    return values
 
 
 def _constant(node: Any) -> np.ndarray:
     import onnx
 
     if len(node.attribute) != 1 or node.attribute[0].name not in CONSTANTS:
-        raise StrangerError("operator_not_allowed", "Constant of an unknown form")
+        raise UntrustedModelError("operator_not_allowed", "Constant of an unknown form")
     attribute = node.attribute[0]
     if attribute.name == "value":
         return _array(attribute.t)
@@ -214,12 +214,12 @@ def _array(tensor: Any) -> np.ndarray:
 
     kinds = {onnx.TensorProto.FLOAT: 4, onnx.TensorProto.FLOAT16: 2, onnx.TensorProto.INT64: 8}
     if tensor.data_type not in kinds:
-        raise StrangerError("operator_not_allowed", "a tensor that is not float or int64")
+        raise UntrustedModelError("operator_not_allowed", "a tensor that is not float or int64")
     size = math.prod(tensor.dims)
-    given = len(tensor.raw_data) // kinds[tensor.data_type] if tensor.raw_data else 0
-    given += len(tensor.float_data) + len(tensor.int32_data) + len(tensor.int64_data)
-    if size != given or any(dim < 0 for dim in tensor.dims):
-        raise StrangerError("malformed", "a tensor has another size than it says")
+    stored = len(tensor.raw_data) // kinds[tensor.data_type] if tensor.raw_data else 0
+    stored += len(tensor.float_data) + len(tensor.int32_data) + len(tensor.int64_data)
+    if size != stored or any(dim < 0 for dim in tensor.dims):
+        raise UntrustedModelError("malformed", "a tensor has another size than it says")
     return onnx.numpy_helper.to_array(tensor)
 
 
@@ -229,18 +229,18 @@ def _check_inputs(inputs: list[Any]) -> list[int]:
 
     kinds = [onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT, onnx.TensorProto.BOOL]
     if not 1 <= len(inputs) <= 3:
-        raise StrangerError("wrong_interface", f"{len(inputs)} inputs")
+        raise UntrustedModelError("wrong_interface", f"{len(inputs)} inputs")
     widths = []
     for place, (value, kind) in enumerate(zip(inputs, kinds, strict=False)):
         tensor = value.type.tensor_type
         shape = tensor.shape.dim
         if tensor.elem_type != kind or len(shape) != (1 if place == 2 else 2):
-            raise StrangerError("wrong_interface", f"input {value.name[:40]}")
+            raise UntrustedModelError("wrong_interface", f"input {value.name[:40]}")
         if shape[0].HasField("dim_value") and shape[0].dim_value != 1:
-            raise StrangerError("wrong_interface", "the number of rows must be free, or 1")
+            raise UntrustedModelError("wrong_interface", "the number of rows must be free, or 1")
         if place < 2:
             if not 0 < shape[1].dim_value <= MAX_ELEMENTS:
-                raise StrangerError("wrong_interface", f"the width of {value.name[:40]}")
+                raise UntrustedModelError("wrong_interface", f"the width of {value.name[:40]}")
             widths.append(shape[1].dim_value)
     return widths
 
@@ -249,13 +249,13 @@ def _check_shapes(program: Any, params: dict[str, Any]) -> int:
     """Refuse what does not fit, or is too large; return the actions' width."""
     try:
         shapes = _shapes(program, params, 1)
-    except StrangerError:
+    except UntrustedModelError:
         raise
     except Exception as error:  # whatever a tracer makes of shapes that do not fit
-        raise StrangerError("shape_unknown", type(error).__name__) from None
+        raise UntrustedModelError("shape_unknown", type(error).__name__) from None
     widths = [shape[1] for shape in shapes if len(shape) == 2 and shape[0] == 1]
     if len(widths) < len(shapes) or not widths[0] or widths[1:] not in ([], [program.carry_size]):
-        raise StrangerError("wrong_sizes", f"gives {shapes}")
+        raise UntrustedModelError("wrong_sizes", f"gives {shapes}")
     return widths[0]
 
 
@@ -264,26 +264,28 @@ def _shapes(program: Any, params: dict[str, Any], rows: int) -> list[tuple[int, 
     import jax
     import jax.numpy as jnp
 
-    from evaluation.cast import onnx_program
+    from evaluation.cast.onnx_robots import program as programs
 
     products = 0
 
-    def watch(node: Any, given: list[Any], output: Any) -> None:
+    def watch(node: Any, inputs: list[Any], output: Any) -> None:
         nonlocal products
         if output.size > MAX_ELEMENTS * rows and node.operator not in ("Identity", "Transpose"):
-            raise StrangerError("graph_too_large", f"{node.operator} makes {output.size} numbers")
+            raise UntrustedModelError(
+                "graph_too_large", f"{node.operator} makes {output.size} numbers"
+            )
         if node.operator in ("Gemm", "MatMul"):
-            products += output.size * given[0].shape[-1]
+            products += output.size * inputs[0].shape[-1]
         products += output.size
         if products > MAX_PRODUCTS * rows:
-            raise StrangerError("graph_too_large", "too many operations for one observation")
+            raise UntrustedModelError("graph_too_large", "too many operations for one observation")
 
     shapes = [(rows, program.observation_size), (rows, program.carry_size)]
     inputs = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
     inputs.append(jax.ShapeDtypeStruct((rows,), jnp.bool_))
     weights = {name: jax.ShapeDtypeStruct(w.shape, w.dtype) for name, w in params.items()}
     outputs = jax.eval_shape(
-        lambda weights, inputs: onnx_program.run(program, weights, inputs, watch),
+        lambda weights, inputs: programs.run(program, weights, inputs, watch),
         weights,
         inputs[: len(program.inputs)],
     )
@@ -292,7 +294,7 @@ def _shapes(program: Any, params: dict[str, Any], rows: int) -> list[tuple[int, 
 
 def _check_rows(graph: Any, program: Any, params: dict[str, Any]) -> None:
     """Refuse reductions over the rows of a batch, of which a program sees one at a time."""
-    from evaluation.cast import onnx_program
+    from evaluation.cast.onnx_robots import program as programs
 
     [rows] = [v.type.tensor_type.shape.dim[0] for v in graph.input if v.name == program.inputs[0]]
     reducing = reductions_over_rows(graph)
@@ -301,7 +303,7 @@ def _check_rows(graph: Any, program: Any, params: dict[str, Any]) -> None:
     widths = [program.observation_size, program.carry_size][: min(len(program.inputs), 2)]
 
     def answer(inputs: list[Any]) -> list[np.ndarray]:
-        return [np.asarray(out) for out in onnx_program.run(program, params, inputs)]
+        return [np.asarray(out) for out in programs.run(program, params, inputs)]
 
     try:
         _shapes(program, params, ROWS)  # before anything is allocated for so many

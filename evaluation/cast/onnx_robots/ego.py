@@ -1,8 +1,8 @@
 """A robot from an ONNX file of any exporter, run by onnxruntime in a process of its own.
 
-This is for networks with operators that `evaluation.cast.onnx_program` lacks; all others are
-played by it. Both read a file by `read_plain`: a model is data from a stranger, checked operator
-by operator before anything else sees it.
+This is for networks with operators that `evaluation.cast.onnx_robots.program` lacks; all others are
+played by it. Both read a file by `read_onnx_network`: a model is data from a stranger, checked
+operator by operator before anything else sees it.
 """
 
 import resource
@@ -52,7 +52,7 @@ def make(path: str) -> "OnnxEgo":
     taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (taken + MEMORY, taken + MEMORY))
     try:
-        reducing = reductions_over_rows(read_plain(data).graph)
+        reducing = reductions_over_rows(read_onnx_network(data).graph)
         return OnnxEgo(data, onnxruntime, reducing)
     except (ValueError, MemoryError):
         raise
@@ -74,11 +74,11 @@ def read_bytes(path: Path) -> bytes:
 
 def read_metadata(data: bytes) -> str | None:
     """Return what `assistax-zoo export` wrote of the policy into a model, as JSON; its claim."""
-    properties = {entry.key: entry.value for entry in read_plain(data).metadata_props}
+    properties = {entry.key: entry.value for entry in read_onnx_network(data).metadata_props}
     return properties.get("assistax")
 
 
-class StrangerError(ValueError):
+class UntrustedModelError(ValueError):
     """Why a model is not read, in a word for programs and a text for people."""
 
     def __init__(self, code: str, message: str) -> None:
@@ -86,11 +86,11 @@ class StrangerError(ValueError):
         super().__init__(message)
 
 
-def read_plain(data: bytes, operators: Collection[str] = OPERATORS) -> Any:
+def read_onnx_network(data: bytes, operators: Collection[str] = OPERATORS) -> Any:
     """Return the ONNX model in these bytes, a plain network of these operators, in one file.
 
     Raises:
-        StrangerError: It is something else.
+        UntrustedModelError: It is something else.
     """
     import onnx
 
@@ -98,9 +98,9 @@ def read_plain(data: bytes, operators: Collection[str] = OPERATORS) -> Any:
     try:
         model.ParseFromString(data)
     except Exception:  # an exception class of protobuf's, which has several
-        raise StrangerError("malformed", "is not an ONNX model") from None
+        raise UntrustedModelError("malformed", "is not an ONNX model") from None
     if not model.graph.node:
-        raise StrangerError("malformed", "is not an ONNX model with a graph")
+        raise UntrustedModelError("malformed", "is not an ONNX model with a graph")
     _refuse_strangers(model, operators, onnx)
     return model
 
@@ -129,7 +129,9 @@ def reductions_over_rows(graph: Any) -> list[str]:
 
 
 def mixes_rows(
-    answer: Callable[[list[np.ndarray]], Sequence[np.ndarray]], widths: Sequence[int], told: bool
+    answer: Callable[[list[np.ndarray]], Sequence[np.ndarray]],
+    widths: Sequence[int],
+    has_first: bool,
 ) -> bool:
     """Return whether a row of answers depends on other rows than its own.
 
@@ -140,13 +142,13 @@ def mixes_rows(
         answer: Maps inputs, the observations [N, O] and perhaps carry [N, H] and first [N], to
             outputs of N rows each.
         widths: O, or O and H.
-        told: Whether `first` is an input.
+        has_first: Whether `first` is an input.
     """
     rng = np.random.default_rng(0)
 
     def batch() -> list[np.ndarray]:
         rows = [rng.normal(size=(ROWS, width)).astype(np.float32) for width in widths]
-        return [*rows, rng.random(ROWS) < 0.5] if told else rows
+        return [*rows, rng.random(ROWS) < 0.5] if has_first else rows
 
     inputs = batch()
     usual = answer(inputs)
@@ -155,18 +157,18 @@ def mixes_rows(
         for other, value in zip(company, inputs, strict=True):
             other[row] = value[row]
         alone = answer([value[row : row + 1] for value in inputs])
-        for one, two, three in zip(usual, answer(company), alone, strict=True):
-            if not np.array_equal(one[row], two[row], equal_nan=True):
+        for mine, beside_others, by_itself in zip(usual, answer(company), alone, strict=True):
+            if not np.array_equal(mine[row], beside_others[row], equal_nan=True):
                 return True
-            if not np.allclose(one[row], three[0], rtol=1e-3, atol=1e-3, equal_nan=True):
+            if not np.allclose(mine[row], by_itself[0], rtol=1e-3, atol=1e-3, equal_nan=True):
                 return True
     return False
 
 
-def mixing_error(reducing: Sequence[str]) -> StrangerError:
+def mixing_error(reducing: Sequence[str]) -> UntrustedModelError:
     """Return the refusal of a model whose rows are not apart."""
     names = f" ({', '.join(reducing)} over axis 0)" if reducing else ""
-    return StrangerError(
+    return UntrustedModelError(
         "operator_not_allowed",
         f"mixes the rows of a batch{names}, which are different episodes; an action may depend on "
         "its own row of observations alone: reduce over the last axis",
@@ -243,23 +245,23 @@ def _refuse_strangers(model: Any, operators: Collection[str], onnx: Any) -> None
     kinds = onnx.AttributeProto
     for node in graph.node:
         name = f"{node.domain or 'ai.onnx'}.{node.op_type}"
-        for each in node.attribute:
-            tensors += [*([each.t] if each.HasField("t") else []), *each.tensors]
-            if each.HasField("g") or each.graphs or each.type in (kinds.GRAPH, kinds.GRAPHS):
+        for value in node.attribute:
+            tensors += [*([value.t] if value.HasField("t") else []), *value.tensors]
+            if value.HasField("g") or value.graphs or value.type in (kinds.GRAPH, kinds.GRAPHS):
                 inner.add(name)
         if node.domain not in ("", "ai.onnx") or node.op_type not in operators:
             unknown.add(name)
         elif _is_training(node, graph):
             unknown.add(f"{name} in training mode")
-    if found := inner | unknown:
-        raise StrangerError(
+    if strange := inner | unknown:
+        raise UntrustedModelError(
             "subgraph" if inner else "operator_not_allowed",
-            f"uses {', '.join(sorted(found))[:200]}; allowed are the operators of plain networks, "
-            "without loops, branches and functions: export the network alone",
+            f"uses {', '.join(sorted(strange))[:200]}; allowed are the operators of plain "
+            "networks, without loops, branches and functions: export the network alone",
         )
     external = onnx.TensorProto.EXTERNAL
     if any(tensor.data_location == external or tensor.external_data for tensor in tensors):
-        raise StrangerError(
+        raise UntrustedModelError(
             "external_data",
             "keeps weights in other files, which its sha256 does not cover; save it as one file",
         )
@@ -268,7 +270,7 @@ def _refuse_strangers(model: Any, operators: Collection[str], onnx: Any) -> None
 def _is_training(node: Any, graph: Any) -> bool:
     """Return whether a node draws, or normalises by the batch that it meets."""
     if node.op_type == "BatchNormalization":
-        modes = [each.i for each in node.attribute if each.name == "training_mode"]
+        modes = [value.i for value in node.attribute if value.name == "training_mode"]
         return any(modes) or sum(map(bool, node.output)) > 1
     if node.op_type != "Dropout" or len(node.input) < 3 or not node.input[2]:
         return False
@@ -281,17 +283,17 @@ def _constants(graph: Any) -> dict[str, Any]:
     constants = {tensor.name: tensor for tensor in graph.initializer}
     for node in graph.node:
         if node.op_type == "Constant":
-            tensors = [each.t for each in node.attribute if each.HasField("t")]
+            tensors = [value.t for value in node.attribute if value.HasField("t")]
             constants |= {name: tensor for name in node.output for tensor in tensors}
     return constants
 
 
 def _check_form(inputs: Any, outputs: Any) -> None:
-    found = [(value.type, len(value.shape)) for value in inputs]
+    forms = [(value.type, len(value.shape)) for value in inputs]
     allowed = [("tensor(float)", 2), ("tensor(float)", 2), ("tensor(bool)", 1)]
-    whole = bool(found) and found == allowed[: len(found)]
-    whole = whole and len(outputs) >= 1 + (len(found) > 1)
-    if not whole or (len(found) > 1 and not isinstance(inputs[1].shape[1], int)):
+    whole = bool(forms) and forms == allowed[: len(forms)]
+    whole = whole and len(outputs) >= 1 + (len(forms) > 1)
+    if not whole or (len(forms) > 1 and not isinstance(inputs[1].shape[1], int)):
         listed = ", ".join(f"{value.name} {value.type}{value.shape}" for value in inputs)
         raise ValueError(
             f"has the inputs {listed or 'none'}; expected float observations [N, O], or those with "

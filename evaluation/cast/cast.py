@@ -1,0 +1,195 @@
+"""Who plays in a study: chosen from a registry, loaded, and all that is published of them.
+
+After a cast is made no registry is asked anything.
+"""
+
+import dataclasses
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from assistax_base.errors import RegistryVersionError, SplitError, listing
+from assistax_envs.versions import VERSIONS
+from evaluation.cast.met_partners import MetPartners, declare, describe_met, met_partners
+from evaluation.cast.roster import Roster, paired_rosters, registry_roster
+from evaluation.record.sources import describe_sources
+from zoo.ids import EGO
+from zoo.namespaces import split_namespace
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry, Split
+from zoo.splitting.sides import SIDES, parse_split
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Cast:
+    """Robots and the humans that they meet."""
+
+    task: str
+    robots: Roster
+    humans: Roster
+    split: Split | None  # of the humans; None of a population without one
+    sides: Mapping[str, str]  # human's id -> "train" or "test"
+    releases: tuple[str, ...]  # of all of them that are published
+    lock: str | None  # sha256 of the lock that the registry was narrowed down to
+    met: MetPartners  # which humans the robots met in training
+    # Robots beside the humans that they were trained with, for baselines; None where none is
+    # published.
+    own_robots: tuple[Roster, Roster] | None
+    baselines: bool  # whether baselines may be played
+    record: Mapping[str, Any]  # what a manifest says: the releases' roots, whom robots met, sources
+
+    @classmethod
+    def of(
+        cls,
+        registry: Registry,
+        *,
+        task: str,
+        robots: Roster,
+        humans: Sequence[PolicyEntry],
+        split: Split | None = None,
+        trained_with: str | Sequence[str] | None = None,
+        baselines: bool = False,
+    ) -> "Cast":
+        """Ask a registry all that a study of these robots and humans needs.
+
+        Args:
+            registry: The published partners.
+            task: What they play.
+            robots: The robots, see `evaluation.cast.egos.read_egos`.
+            humans: The partners.
+            split: Has the partners' sides.
+            trained_with: Whom the robots met in training, see `zoo.met.declared_met`.
+            baselines: Load what baselines need too: each partner's own robot.
+
+        Raises:
+            ValueError: `trained_with` is malformed, or contradicts what is known.
+            ZooError: The registry cannot give them, or they are of another environment version.
+        """
+        published = [entry for entry in registry.policies if entry.id in robots.members]
+        check_env_version(registry, [*published, *humans])
+        robots = declare(robots, registry, task, trained_with)
+        teams = {human.team for human in humans} if baselines else set()
+        names = {*robots.members, *(human.id for human in humans)}
+        entries = [
+            entry
+            for entry in registry.policies
+            if entry.id in names or (entry.role == "robot" and entry.team in teams)
+        ]
+        sides = {human.id: split.side(human.team) for human in humans} if split else {}
+        roots = {
+            release: registry.root(release)
+            for release in sorted({entry.release for entry in entries})
+        }
+        return cls(
+            task=task,
+            robots=robots,
+            humans=registry_roster(registry, humans),
+            split=split,
+            sides={name: side for name, side in sides.items() if side},
+            releases=tuple(sorted({entry.release for entry in (*published, *humans)})),
+            lock=registry.lock,
+            met=met_partners(robots, humans),
+            own_robots=own_robots(registry, humans) if baselines else None,
+            baselines=baselines,
+            record={
+                "registry": {"roots": roots, "lock": registry.lock},
+                "met": describe_met(robots, trained_with),
+                "sources": describe_sources(registry, entries, split.id if split else None, ()),
+            },
+        )
+
+
+def choose_partners(
+    registry: Registry, task: str, split: str | None, patterns: str | Sequence[str] | None
+) -> tuple[Split, list[PolicyEntry]]:
+    """Return the split that `split` names, and the humans of its sides that match `patterns`.
+
+    The default split is that of the release that the matching partners are of, if they are of one,
+    else the task's own.
+    """
+    name, side = parse_split(split, registry.parts)
+    humans = registry.select(patterns, task=task, role="human")
+    releases = {entry.release for entry in humans}
+    release = releases.pop() if len(releases) == 1 else None
+    try:
+        manifest = registry.split(task, name, release=release)
+    except SplitError:
+        if name is None:
+            raise
+        raise ValueError(_unknown_split(registry, task, name)) from None
+    chosen = [entry for entry in humans if manifest.side(entry.team) in SIDES[side]]
+    if not chosen:
+        raise ValueError(
+            f"none of the {len(humans)} partners that match is on the "
+            f"{' or '.join(SIDES[side])} side of split {manifest.id}; choose others, both sides, "
+            "or another split's id (assistax-zoo split list)"
+        )
+    return manifest, chosen
+
+
+def in_release(
+    registry: Registry, patterns: str | Sequence[str], release: str | None, *, task: str, role: str
+) -> list[PolicyEntry]:
+    """Return the policies of a release that match, by default the task's of the pattern's zoo.
+
+    A pattern that names a release is looked up in all. One that matches teams means them alone:
+    egos, which have no human, are taken where nothing else matches, as in "scratch/*-ego-*".
+    """
+    matching: set[str] = set()
+    for pattern in [patterns] if isinstance(patterns, str) else patterns:
+        namespace = split_namespace(pattern)[0]
+        default = release_in(
+            registry, task, release, namespace if namespace in registry.parts else ""
+        )
+        named = re.search(r"-v\d+(/|$)", pattern)
+        chosen = registry.select(pattern, task=task, role=role, release=None if named else default)
+        teams = [entry for entry in chosen if entry.disability != EGO]
+        matching |= {entry.id for entry in teams or chosen}
+    return [entry for entry in registry.policies if entry.id in matching]
+
+
+def release_in(registry: Registry, task: str, release: str | None, namespace: str) -> str:
+    """Return the release that is meant in one zoo; the task's default one if none was named."""
+    if release is None:
+        return registry.release_of(task, namespace)
+    return f"{namespace}:{release}" if namespace and ":" not in release else release
+
+
+def check_env_version(registry: Registry, entries: Sequence[PolicyEntry]) -> None:
+    """Refuse policies of a release whose environment is not the installed version."""
+    for entry in entries:
+        version, trained = VERSIONS[entry.task], registry.env_version(entry)
+        if trained == version:
+            continue
+        fitting = [
+            name
+            for name, release in registry.data.releases.items()
+            if release.environments.get(entry.task) == version
+        ]
+        raise RegistryVersionError(
+            f"policy {entry.id}",
+            expected=f"version {version} of environment {entry.task}, as installed",
+            found=f"release {entry.release}, trained on version {trained}",
+            done="nothing was evaluated",
+            next_step="choose policies of a release of this version (here "
+            f"{listing(fitting)}), or install the assistax-zoo of release {entry.release}",
+        )
+
+
+def own_robots(registry: Registry, partners: Sequence[PolicyEntry]) -> tuple[Roster, Roster] | None:
+    """Return robots beside the partners that were trained with them; None if none is published."""
+    robots = {entry.team: entry for entry in registry.policies if entry.role == "robot"}
+    pairs = [(robots[human.team], human) for human in partners if human.team in robots]
+    return paired_rosters(registry, pairs) if pairs else None
+
+
+def _unknown_split(registry: Registry, task: str, name: str) -> str:
+    """Say that neither a side nor a split has this name, and which are near."""
+    ids = [split.id for split in registry.data.splits if split.task == task]
+    near = difflib.get_close_matches(name, [*SIDES, *ids], n=2, cutoff=0.4)
+    nearest = f", nearest: {', '.join(near)}" if near else ""
+    return (
+        f"split {name!r} is neither a side (test, train, both) nor a split's id{nearest}; "
+        "`assistax-zoo split list` prints the ids"
+    )

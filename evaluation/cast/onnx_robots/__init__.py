@@ -1,0 +1,1 @@
+"""Robots in ONNX files: strangers' data, played as JAX programs, or by onnxruntime apart."""

@@ -1,0 +1,94 @@
+"""Who plays a role in one simulation, by reference: for films and recorded episodes."""
+
+import dataclasses
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from assistax_envs.disability import DISABILITY_SETTINGS, Disability
+from evaluation.cast.egos import call_ego, read_egos
+from evaluation.cast.partners import Partner, zoo_partner
+from evaluation.cast.robot_names import parse_reference
+from evaluation.cast.roster import check_seat
+from population.environment import Environment
+from zoo.parameters.storage import read_policy_file
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry
+
+
+@dataclasses.dataclass(frozen=True)
+class Seated:
+    """Who plays a role in one simulation: from an observation [O] to an action [A]."""
+
+    act: Callable[[np.ndarray], np.ndarray]
+    setting: Disability | None = None  # a human's, where its zoo or its file says it
+    card: PolicyEntry | None = None  # of a policy of the zoo
+
+    def __call__(self, obs: Float[np.ndarray, " O"]) -> Float[np.ndarray, " A"]:
+        """Act once."""
+        return self.act(obs)
+
+
+def seat_policy(
+    reference: str,
+    role: str,
+    env: Environment,
+    registry: Callable[[], Registry],
+    task: str,
+    seed: int = 0,
+) -> Seated:
+    """Return who plays `role`, checked to fit.
+
+    Args:
+        reference: zoo:ID, a path to a .safetensors file, "zero", or "random"; for the robot also
+            python: and onnx:.
+        role: "robot" or "human".
+        env: the environment.
+        registry: read when it is needed.
+        task: the environment's.
+        seed: of random actions.
+
+    Raises:
+        ValueError: the reference has none of the known forms, or does not fit.
+        ZooError: an id or a file that is not there or not what it says.
+    """
+    size, named = env.action_size[role], parse_reference(reference)
+    named.check(task, role)
+    if named.kind == "zero":
+        return Seated(lambda obs: np.zeros(size, np.float32))
+    if named.kind == "random":
+        rng = np.random.default_rng([seed, list(env.action_size).index(role)])
+        return Seated(lambda obs: rng.uniform(-1.0, 1.0, size).astype(np.float32))
+    if named.kind in ("python", "onnx"):
+        return _outside(reference, role, env, registry(), task)
+    if named.kind == "zoo":
+        policy = zoo_partner(registry(), named.source, role)
+    else:
+        spec, params, metadata = read_policy_file(Path(named.source))
+        setting = DISABILITY_SETTINGS.get(str(metadata.get("disability")))
+        policy = Partner(reference, spec, params, setting)
+    return _seated(policy, role, env, task)
+
+
+def _seated(policy: Partner, role: str, env: Environment, task: str) -> Seated:
+    """Return a policy in its seat, which must be the role's."""
+    check_seat(policy.id, policy.spec, role, env, task)
+    return Seated(policy.act, policy.setting, policy.card)
+
+
+def _outside(reference: str, role: str, env: Environment, registry: Registry, task: str) -> Seated:
+    """Return a robot from outside, which takes batches, for one observation at a time."""
+    if role != "robot":
+        raise ValueError(
+            f"policy {reference!r} cannot play the {role}; code and ONNX files play the robot"
+        )
+    egos = read_egos([reference], registry, task)
+    if egos.policies:  # an ONNX file that is played as a program
+        [stack] = egos.policies
+        return _seated(Partner(reference, stack.spec, stack.row(0)), role, env, task)
+    [ego] = egos.hosts
+    act, steps = call_ego(ego, ["its partner"], 1, env.action_size[role]), itertools.count()
+    return Seated(lambda obs: act(obs[None], next(steps))[0])

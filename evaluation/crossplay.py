@@ -1,0 +1,116 @@
+"""The cross-play of a population: every robot with every human."""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from assistax_base.cluster import RayCluster
+from assistax_base.errors import SplitError
+from evaluation.cast.cast import Cast, in_release, release_in
+from evaluation.cast.roster import registry_roster
+from evaluation.figures.saved_tables import save_crossplay
+from evaluation.figures.summary import CrossPlaySummary
+from evaluation.play.devices import share_cores
+from evaluation.play.evaluator import check_folder, make_way, run_job
+from evaluation.play.how import How
+from evaluation.play.progress import OnProgress
+from evaluation.play.shares import run_blocks_on_ray
+from evaluation.play.study import context_of, make_job, seal, still_of
+from evaluation.record import tables
+from zoo.namespaces import split_namespace
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry, Split
+
+
+def cast_population(
+    registry: Registry,
+    task: str,
+    robots: str | Sequence[str],
+    humans: str | Sequence[str],
+    release: str | None = None,
+) -> Cast:
+    """Return the cast of a population: robots and humans by globs over policy or team ids.
+
+    They are of a release, the task's default if not given; a glob that names a release is taken at
+    its word.
+
+    Raises:
+        ZooError: The registry cannot give them.
+    """
+    share_cores()
+    egos = in_release(registry, robots, release, task=task, role="robot")
+    partners = in_release(registry, humans, release, task=task, role="human")
+    return Cast.of(
+        registry,
+        task=task,
+        robots=registry_roster(registry, egos),
+        humans=partners,
+        split=_split(registry, task, partners, release),
+    )
+
+
+def cross_play(
+    cast: Cast,
+    how: How,
+    folder: Path,
+    *,
+    cluster: RayCluster | None = None,
+    replace: bool = False,
+    on_progress: OnProgress = None,
+) -> CrossPlaySummary:
+    """Evaluate the robots of a population with its humans.
+
+    Args:
+        cast: Robots and humans, see `cast_population`.
+        how: How they play.
+        folder: As in `evaluation.evaluate.evaluate`.
+        cluster: Spread the chunks over it, in as many blocks as it runs at once.
+        replace: As in `evaluation.evaluate.evaluate`.
+        on_progress: Told how far the run is.
+
+    Raises:
+        ValueError: The folder holds another job, or cannot be written.
+    """
+    check_folder(folder)
+    env, job = make_job(how, cast.robots, cast.humans, cast.sides)
+    options: dict[str, Any] = {"max_envs": how.max_envs, "on_progress": on_progress}
+    if replace:
+        make_way(env, job, folder)
+    if cluster is not None:
+        make_env = partial(type(env), how.task, env.backend)
+        run_blocks_on_ray(make_env, job, folder, cluster, **options)
+    result = run_job(env, job, folder, **options)
+    releases = ", ".join(cast.releases)
+    context = context_of(job, result, split=cast.split, release=releases, lock=cast.lock)
+    with still_of(job, folder):
+        summary = save_crossplay(folder, result.table, context, cast.met)
+        _draw(folder, summary)
+        seal(folder, cast)
+    return summary
+
+
+def _split(
+    registry: Registry, task: str, humans: Sequence[PolicyEntry], release: str | None
+) -> Split | None:
+    """Return the default split of the humans' release; None of a population without one."""
+    zoos = {split_namespace(human.release)[0] for human in humans}
+    namespace = zoos.pop() if len(zoos) == 1 else ""
+    try:
+        return registry.split(task, release=release_in(registry, task, release, namespace))
+    except SplitError:
+        return None
+
+
+def _draw(folder: Path, summary: CrossPlaySummary) -> None:
+    """Draw the matrix as it was saved."""
+    from evaluation.plots.heatmap import crossplay_heatmap
+    from evaluation.plots.matrix import arrange
+    from evaluation.plots.style import save_figure
+
+    matrix = arrange(
+        tables.read_parquet(folder / tables.PAIRS_FILE),
+        tables.read_json(folder / tables.ORDER_FILE),
+    )
+    figure = crossplay_heatmap(matrix, tables.to_json(summary))
+    save_figure(figure, folder / tables.MATRIX_FIGURE)

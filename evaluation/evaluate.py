@@ -1,0 +1,153 @@
+"""M_test of robots: their returns with partners that they never met."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from assistax_envs.versions import VERSIONS
+from evaluation.cast.cast import Cast
+from evaluation.cast.egos import probe_egos, read_egos
+from evaluation.cast.met_partners import check_new
+from evaluation.figures.normalised import bounds_table
+from evaluation.figures.saved_tables import save_evaluation
+from evaluation.figures.summary import EvaluationSummary
+from evaluation.play.baselines import play_references
+from evaluation.play.devices import share_cores
+from evaluation.play.evaluator import check_folder, make_way, run_job
+from evaluation.play.how import How
+from evaluation.play.jobs import Job
+from evaluation.play.progress import OnProgress
+from evaluation.play.study import context_of, make_job, seal, still_of
+from evaluation.record import manifest, tables
+from zoo.locations import CACHE_VARIABLE
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry, Split
+
+if TYPE_CHECKING:
+    from assistax_envs import Env
+
+
+def cast_robots(
+    registry: Registry,
+    robots: Sequence[Any],
+    partners: tuple[Split, Sequence[PolicyEntry]],
+    *,
+    trained_with: str | Sequence[str] | None = None,
+    baselines: bool = False,
+) -> Cast:
+    """Return the cast of robots, seeds of one method, and the partners of a split.
+
+    Args:
+        registry: The published partners.
+        robots: See `evaluation.cast.egos.read_egos`.
+        partners: Of `evaluation.cast.cast.choose_partners`.
+        trained_with: Whom the robots met in training, see `zoo.met.declared_met`.
+        baselines: Whether baselines are to be played.
+
+    Raises:
+        ValueError: What was asked for does not exist or does not fit the task.
+        ZooError: The registry cannot give it.
+    """
+    share_cores()
+    if not robots:
+        raise ValueError("no policy given; name at least one, such as zoo:TEAM/robot")
+    split, humans = partners
+    return Cast.of(
+        registry,
+        task=split.task,
+        robots=read_egos(robots, registry, split.task),
+        humans=humans,
+        split=split,
+        trained_with=trained_with,
+        baselines=baselines,
+    )
+
+
+def evaluate(
+    cast: Cast,
+    how: How,
+    folder: Path,
+    *,
+    include_own: bool = False,
+    references: Path | None = None,
+    crossplay: Path | None = None,
+    reuse: bool = False,
+    replace: bool = False,
+    on_progress: OnProgress = None,
+) -> EvaluationSummary:
+    """Evaluate robots against the partners of a split.
+
+    Args:
+        cast: Robots and partners, see `cast_robots`.
+        how: How they play.
+        folder: Filled with the episodes and their tables; a run that was stopped goes on, and
+            another job is refused.
+        include_own: Count partners that were trained with one of the robots.
+        references: Folder that keeps the episodes of reference egos, see
+            `evaluation.play.baselines`; None plays none.
+        crossplay: Finished cross-play, whose best robots may be the partners' best responses.
+        reuse: See `evaluation.play.evaluator.run_job`.
+        replace: Remove the job that the folder holds, whichever it is, and all drawn from it.
+        on_progress: Told how far the run is.
+
+    Raises:
+        ValueError: What was asked for does not fit the task, or the folder holds another job.
+        EgoError: A robot failed.
+    """
+    if reuse and replace:
+        raise ValueError("reuse takes what the folder holds, replace removes it; choose one")
+    check_folder(folder)
+    if references is not None:
+        advice = f"choose another cache with ${CACHE_VARIABLE}, or leave reference egos out"
+        check_folder(references, advice)
+    pairs = None if crossplay is None else _crossplay_pairs(crossplay, cast.task)
+    check_new(cast.sides, cast.met.left_out(cast.sides), include_own)
+    env, job, split = _job(cast, how, references is not None)
+    playing: dict[str, Any] = {"max_envs": how.max_envs, "on_progress": on_progress}
+    if replace:
+        make_way(env, job, folder)
+    result = run_job(env, job, folder, reuse=reuse, **playing)
+    baselines, files = None, _own_files(cast, crossplay)
+    if references is not None:
+        episodes, kept = play_references(env, job, cast.own_robots, references, **playing)
+        baselines, files = (episodes, bounds_table(episodes, pairs)), files + kept
+    context = context_of(job, result, split=split, release=split.release, lock=cast.lock)
+    saving: dict[str, Any] = {"include_own": include_own, "references": baselines}
+    with still_of(job, folder):
+        summary = save_evaluation(folder, result.table, context, met=cast.met, **saving)
+        seal(folder, cast, files)
+    return summary
+
+
+def _job(cast: Cast, how: How, baselines: bool) -> "tuple[Env, Job, Split]":
+    """Return the environment, the job, and the split that it is of; robots from outside answer."""
+    if cast.split is None or (baselines and not cast.baselines):
+        raise ValueError("the cast has no split, or no baselines; make it with `cast_robots`")
+    env, job = make_job(how, cast.robots, cast.humans, cast.sides)
+    probe_egos(cast.robots, cast.task, env.observation_size["robot"], env.action_size["robot"])
+    if cast.split.preferences and how.preferences is None:
+        job = job.with_side_preferences(cast.split.preferences)
+    return env, job, cast.split
+
+
+def _own_files(cast: Cast, crossplay: Path | None) -> list[Path]:
+    """Return the files that figures are drawn from beside the registry's and references'."""
+    files = [path for member in cast.robots.members.values() for path in member.files]
+    if crossplay is not None:
+        files += [crossplay / name for name in (tables.SUMMARY_FILE, tables.PAIRS_FILE)]
+    return files
+
+
+def _crossplay_pairs(folder: Path, task: str) -> pl.DataFrame:
+    """Read the pairs of a finished cross-play of this task and environment version."""
+    manifest.check_whole(folder)
+    summary = tables.read_json(folder / tables.SUMMARY_FILE)
+    its_task, version = summary.get("task"), summary.get("env_version")
+    if (its_task, version) != (task, VERSIONS[task]):
+        raise ValueError(
+            f"{folder} is of task {its_task}, environment version {version}; best responses are of "
+            f"a cross-play of {task}, version {VERSIONS[task]}"
+        )
+    return tables.read_parquet(folder / tables.PAIRS_FILE)

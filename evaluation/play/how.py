@@ -1,0 +1,88 @@
+"""How robots and partners play: what users say of it, checked once."""
+
+import dataclasses
+import math
+
+from assistax_envs.preferences import check_preferences, preferences_of
+from assistax_envs.versions import TASKS
+
+
+@dataclasses.dataclass(frozen=True)
+class How:
+    """How robots play with partners.
+
+    Attributes:
+        task: Task, such as scratch.
+        episodes: Episodes of each pair; default 18 in the gentle tasks, where nine preferences take
+            turns, and 8 in the others.
+        seed: Seed of the episodes: each partner has its own, the same for every robot.
+        backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
+        stochastic: Draw actions instead of taking each policy's most likely one.
+        max_envs: Most simulations in a saved part, and on a GPU at once; lower it if memory runs
+            out.
+        preferences: What the humans of a gentle task like, such as p1,p5: each partner takes turns
+            in them from episode to episode; if not given, those of its side of the split, or all
+            where it holds none out.
+        series: Episodes that a robot plays with a partner, one after the other, before it forgets:
+            its recurrent state is kept, and the partner's preference stays.
+
+    Raises:
+        ValueError: A value is not allowed, and which are.
+    """
+
+    task: str
+    episodes: int | None = None
+    seed: int = 0
+    backend: str = "auto"
+    stochastic: bool = False
+    max_envs: int | None = None
+    preferences: str | None = None
+    series: int = 1
+
+    def __post_init__(self) -> None:
+        if self.task not in TASKS:
+            raise ValueError(f"task is {self.task!r}; allowed are {', '.join(TASKS)}")
+        check_numbers(self.episodes, self.seed, self.series)
+        if self.max_envs is not None and self.max_envs < 1:
+            raise ValueError(f"max_envs is {self.max_envs}; allowed is 1 or more")
+        if self.preferences is not None:
+            check_preferences(self.task, self.turns)
+
+    @property
+    def turns(self) -> tuple[str, ...]:
+        """The preferences in which a partner takes turns; none for the paper's tasks."""
+        if self.preferences is None:
+            return preferences_of(self.task)
+        return tuple(self.preferences.split(",")) if self.preferences else ()
+
+    @property
+    def episodes_of_pair(self) -> int:
+        """How many episodes a pair plays."""
+        return self.episodes or default_episodes(self.task, self.series)
+
+
+def default_episodes(task: str, series: int = 1) -> int:
+    """Return how many episodes a pair plays if nothing else is asked for: whole series.
+
+    Where the partner's preferences take turns, every partner likes each of them equally often.
+    """
+    turns = 2 * len(preferences_of(task)) or 8
+    return math.ceil(turns / series) * series
+
+
+def check_numbers(episodes: int | None, seed: int, series: int) -> None:
+    """Refuse episodes, None where the task's default is meant, that no pair can play.
+
+    Raises:
+        ValueError: Says which number, and what is allowed.
+    """
+    if episodes is not None and episodes < 1:
+        raise ValueError(f"episodes is {episodes}; each pair needs at least 1")
+    if seed < 0:
+        raise ValueError(f"seed is {seed}; allowed is 0 or more")
+    if series < 1 or (episodes or 0) % series:
+        of = "" if episodes is None else f" of {episodes} episodes"
+        raise ValueError(
+            f"series is {series}{of}; give 1 or more, and a multiple of it as episodes, such as a "
+            "series of 5 and 10 episodes"
+        )

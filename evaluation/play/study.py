@@ -1,0 +1,90 @@
+"""What both studies share: the job, the folder that stays its own, and the record."""
+
+import contextlib
+from collections.abc import Generator, Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from assistax_base.locks import locked
+from evaluation.cast.cast import Cast
+from evaluation.cast.roster import Roster
+from evaluation.figures.summary import Context, SplitName
+from evaluation.play.evaluator import Evaluation
+from evaluation.play.how import How
+from evaluation.play.jobs import Job
+from evaluation.record import manifest
+from zoo.schema import Split
+
+if TYPE_CHECKING:
+    from assistax_envs import Env
+
+
+def make_job(
+    how: How, robots: Roster, humans: Roster, sides: Mapping[str, str] | None = None
+) -> "tuple[Env, Job]":
+    """Return the environment and the job of robots with humans, on their sides of a split."""
+    from assistax_envs import make
+
+    env = make(how.task, backend=how.backend)
+    job = Job(
+        task=how.task,
+        env_version=env.version,
+        backend=env.backend,
+        engine=getattr(env, "engine", {}),
+        egos=robots,
+        partners=humans,
+        episodes=how.episodes_of_pair,
+        seed=how.seed,
+        stochastic=how.stochastic,
+        series=how.series,
+        own_episodes=True,
+        sides=sides or {},
+        preferences=how.turns,
+    )
+    return env, job
+
+
+def context_of(
+    job: Job, result: Evaluation, *, split: Split | None, release: str, lock: str | None
+) -> Context:
+    """Return what the table does not say of its run."""
+    return Context(
+        task=job.task,
+        env_version=job.env_version,
+        backend=job.backend,
+        engine=dict(job.engine),
+        release=release,
+        split=SplitName(split.id, split.sha256, dict(split.preferences)) if split else None,
+        lock=lock,
+        env_steps_per_second=result.env_steps_per_second,
+    )
+
+
+@contextlib.contextmanager
+def still_of(job: Job, folder: Path) -> Generator[None]:
+    """Hold a folder, unless another process has replaced its job: no table joins other episodes."""
+
+    def check() -> None:
+        if (manifest.read_manifest(folder) or {}).get("job") != job.digest():
+            raise ValueError(
+                f"the job of {folder} was replaced while this command ran; repeat it into another "
+                "folder"
+            )
+
+    check()  # before waiting for who replaced it
+    with locked(folder, wait=True):
+        check()
+        yield
+
+
+def seal(folder: Path, cast: Cast, files: Iterable[Path] = ()) -> None:
+    """Write the hashes of all files, of what they were drawn from, and the releases' roots.
+
+    Args:
+        folder: Finished.
+        cast: Who played.
+        files: Outside the registry, from which figures are drawn.
+    """
+    hashes = {str(path.resolve()): manifest.file_sha256(path) for path in files}
+    record = {**cast.record, "sources": {**cast.record["sources"], "files": hashes}}
+    manifest.seal(folder, **record)

@@ -1,0 +1,76 @@
+"""How it is played: said once, checked once, and the same in Python and on the command line."""
+
+import dataclasses
+import inspect
+from typing import Any
+
+import pytest
+
+import assistax_zoo as az
+from assistax_zoo.commands.evaluation import evaluate as commands
+from evaluation.play.how import How
+from tests.evaluation.matrix_game import humans, robots
+from tests.evaluation.test_series import job_of
+
+DEFAULTS = {field.name: field.default for field in dataclasses.fields(How)}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"episodes": 0}, "episodes is 0; each pair needs at least 1"),
+        ({"seed": -1}, "seed is -1; allowed is 0 or more"),
+        ({"series": 0}, "series is 0.*; give 1 or more"),
+        ({"episodes": 8, "series": 5}, "series is 5 of 8 episodes; .* a multiple of it"),
+    ],
+)
+def test_numbers_are_refused_alike_by_whoever_is_given_them(
+    changes: dict[str, int], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        How("scratch", **changes)
+    with pytest.raises(ValueError, match=message):
+        job_of(robots(0.5), humans(0.5), **changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"task": "cook"}, "task is 'cook'; allowed are scratch"),
+        ({"max_envs": 0}, "max_envs is 0; allowed is 1 or more"),
+        ({"preferences": "p1"}, "humans of scratch have no preferences"),
+    ],
+)
+def test_the_rest_is_refused_too(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        How(**{"task": "scratch", **changes})
+
+
+def test_a_pair_plays_whole_series() -> None:
+    assert How("scratch").episodes_of_pair == 8
+    assert How("scratch", series=5).episodes_of_pair == 10
+    assert How("gentle_bath").episodes_of_pair == 18
+    assert How("gentle_bath", 9).episodes_of_pair == 9
+
+
+@pytest.mark.parametrize(
+    ("function", "lacks"), [(az.evaluate, set()), (az.cross_play, {"series"})], ids=["M", "XP"]
+)
+def test_python_takes_the_same_with_the_same_defaults(function: Any, lacks: set[str]) -> None:
+    parameters = inspect.signature(function).parameters
+    assert set(DEFAULTS) - set(parameters) == lacks
+    for name in set(DEFAULTS) - lacks - {"task"}:
+        assert parameters[name].default == DEFAULTS[name], name
+
+
+def test_commands_flatten_it(capsys: pytest.CaptureFixture[str]) -> None:
+    """A cross-play has no series; whatever else there is has its text from here."""
+    from assistax_zoo.shell.main import run
+
+    options = {name: f"--{name.replace('_', '-')} " for name in DEFAULTS}
+    for command, lacks in (("evaluate", set()), ("crossplay", {"series"})):
+        run([command, "--help"])
+        shown = capsys.readouterr().out
+        assert {name for name, option in options.items() if option not in shown} == lacks
+    assert commands.HowOnce.__doc__ == How.__doc__
+    assert all(f"        {name}: " in str(How.__doc__) for name in DEFAULTS)
