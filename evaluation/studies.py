@@ -32,6 +32,7 @@ from evaluation.play.shares import BlockDone, run_block, run_blocks_on_ray
 from evaluation.record import manifest as provenance
 from evaluation.record import tables
 from evaluation.record.met_partners import check_new, declare, describe_met, met_partners
+from evaluation.record.record import Record
 from evaluation.record.sources import describe_sources
 from zoo.ids import EGO
 from zoo.locations import CACHE_VARIABLE
@@ -152,7 +153,11 @@ def evaluate_policies(
     robots = set() if references is None else {entry.team for entry in chosen}
     with _still_of(job, folder):
         summary = save_evaluation(
-            folder, result.table, context, include_own=include_own, references=played, met=met
+            Record(result.table, folder),
+            context,
+            include_own=include_own,
+            references=played,
+            met=met,
         )
         _seal(registry, folder, egos, chosen, manifest, robots, files, trained_with=trained_with)
     return summary
@@ -229,7 +234,8 @@ def cross_play(
     releases = ", ".join(sorted({entry.release for entry in (*robots, *humans)}))
     context = context_of(registry, job, manifest, releases, result)
     with _still_of(job, folder):
-        summary = save_crossplay(folder, result.table, context, met_partners(job.egos, humans))
+        met = met_partners(job.egos, humans)
+        summary = save_crossplay(Record(result.table, folder), context, met)
         _draw(folder, summary)
         _seal(registry, folder, job.egos, humans, manifest)
     return summary

@@ -16,7 +16,7 @@ import polars as pl
 
 from evaluation.figures.clustering import Clustering, cluster_profiles
 from evaluation.record import tables
-from evaluation.record.tables import BEHAVIOUR
+from evaluation.record.columns import BEHAVIOUR
 
 FEATURES: Mapping[str, str] = {
     "success": "of episodes",

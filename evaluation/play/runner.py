@@ -25,7 +25,7 @@ from evaluation.cast.roster import HostEgo, Roster
 from evaluation.play.devices import devices_for
 from evaluation.play.jobs import TILE_ENVS, Chunk, Job, Share, Tile, plan
 from evaluation.play.rollout import Rollout, Tally
-from evaluation.record import tables
+from evaluation.record.columns import SCHEMA, TERM_PREFIX
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
 
@@ -320,7 +320,7 @@ def _rows(job: Job, tile: Tile, tally: Tally, act: Clipping | None) -> pl.DataFr
     measured = {
         "return": tally.returns,
         "discounted_return": tally.discounted,
-        **{tables.TERM_PREFIX + name: value for name, value in tally.terms.items()},
+        **{TERM_PREFIX + name: value for name, value in tally.terms.items()},
         "success": tally.success,
         "force_mean": tally.force_sum / np.maximum(tally.steps, 1),
         "force_peak": tally.force_peak,
@@ -338,7 +338,7 @@ def _rows(job: Job, tile: Tile, tally: Tally, act: Clipping | None) -> pl.DataFr
 def _with(rows: pl.DataFrame, columns: Mapping[str, Any]) -> pl.DataFrame:
     """Return rows with columns of the table's types."""
     return rows.with_columns(
-        pl.Series(name, value).cast(tables.SCHEMA.get(name, pl.Float32()))
+        pl.Series(name, value).cast(SCHEMA.get(name, pl.Float32()))
         for name, value in columns.items()
     )
 
@@ -349,7 +349,7 @@ def _described(seat: str, roster: Roster, ids: list[str]) -> pl.DataFrame:
         seat: "id",
         **{f"{seat}_{name}": name for name in ("team", "algorithm", "disability", "seed")},
     }
-    schema = {column: tables.SCHEMA[column] for column in names}
+    schema = {column: SCHEMA[column] for column in names}
     return pl.DataFrame(
         [[getattr(m, name) for name in names.values()] for m in roster.describe(ids)],
         schema=schema,

@@ -118,12 +118,6 @@ def describe_met(egos: Roster, trained_with: str | Sequence[str] | None) -> dict
     return {"declared": declared, "robots": robots}
 
 
-def without_met(table: pl.DataFrame, met: MetPartners) -> pl.DataFrame:
-    """Leave out the episodes of partners that are not new to one of the robots of a table."""
-    left = left_out(table, met)
-    return table.filter(~pl.col("partner").is_in(left)) if left else table
-
-
 def left_out(table: pl.DataFrame, met: MetPartners) -> list[str]:
     """Return the partners of a table that are not new to one of its robots, in its order."""
     robots = set(table["ego_team"].drop_nulls())

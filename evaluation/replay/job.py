@@ -19,8 +19,8 @@ from evaluation.play.evaluator import Evaluation
 from evaluation.play.jobs import GPU_TILE_ENVS, TILE_ENVS, Job
 from evaluation.record.manifest import received_sha256
 from evaluation.record.met_partners import MetPartners, declare, met_partners
+from evaluation.record.record import Record
 from evaluation.record.sources import describe_sources
-from evaluation.record.tables import EPISODES_FILE, read_episodes
 from evaluation.studies import check_env_version, context_of, in_release
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
@@ -42,10 +42,8 @@ class RebuiltJob:
     unchecked: tuple[str, ...]
 
 
-def rebuild_job(
-    folder: Path, manifest: Mapping[str, Any], registry: Registry, *, run_code: bool = False
-) -> RebuiltJob:
-    """Return the job that a verified folder must be of.
+def rebuild_job(record: Record, registry: Registry, *, run_code: bool = False) -> RebuiltJob:
+    """Return the job that a verified folder's record must be of.
 
     Raises:
         ValueError: It names another job than this registry and installation have, or robots that
@@ -53,6 +51,7 @@ def rebuild_job(
     """
     from assistax_envs import make
 
+    folder, manifest = record.folder, record.manifest
     summary, identity = read_summary(folder), manifest["identity"]
     task = identity["task"]
     partners = [registry.policy(row[0]) for row in identity["partners"]]
@@ -68,8 +67,7 @@ def rebuild_job(
     _check_identity(identity, job)
     names = {entry.id for entry in partners}
     partners = [entry for entry in registry.policies if entry.id in names]
-    table = read_episodes(folder / EPISODES_FILE)
-    result = Evaluation(table, summary.env_steps_per_second, 0.0)
+    result = Evaluation(record.table, summary.env_steps_per_second, 0.0)
     context = context_of(registry, job, split, _release(summary, split, played), result)
     if summary.lock and registry.lock is None:
         raise ValueError(

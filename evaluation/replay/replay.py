@@ -25,6 +25,7 @@ from evaluation.play.jobs import Chunk, Job, Tile, cut_tiles
 from evaluation.play.runner import Runner
 from evaluation.record import manifest as provenance
 from evaluation.record import tables
+from evaluation.record.record import Record
 from evaluation.replay import rederive
 from evaluation.replay.job import RebuiltJob, rebuild_job, source_problems
 from evaluation.replay.noise import mean_tolerance, noise_problems, read_noise
@@ -86,20 +87,20 @@ def replay_folder(
     if problems := provenance.verify_folder(folder).problems:
         raise ValueError(f"{problems[0]}; a folder that was changed is not replayed")
     seed = secrets.randbits(32) if seed is None else seed
-    manifest = provenance.read_manifest(folder) or {}
+    record = Record.read(folder)
     try:
         if lock:
-            task = str(manifest["identity"]["task"])
+            task = str(record.manifest["identity"]["task"])
             registry = apply_lock(registry, read_lock(lock), task=task)
-        rebuilt = rebuild_job(folder, manifest, registry, run_code=run_code)
-        parts = _kept_parts(folder, registry, rebuilt)
+        rebuilt = rebuild_job(record, registry, run_code=run_code)
+        parts = _kept_parts(record, registry, rebuilt)
     except (KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
         raise ValueError(f"the manifest of {folder} names no job: {error!r}") from error
     pairs, inner = None, ()
     if crossplay:
         inner = replay_folder(crossplay, registry, sample=sample, seed=seed).problems
         pairs = tables.read_parquet(crossplay / tables.PAIRS_FILE)
-    problems, unchecked = _written_problems(folder, manifest, registry, rebuilt, parts, pairs)
+    problems, unchecked = _written_problems(record, registry, rebuilt, parts, pairs)
     why = "not what its job gives, or another version of assistax-zoo drew its figures"
     report = ReplayReport(str(folder), 0, False, why, 0, 0.0, 0.0, False, seed)
     counts = {"of_episodes": parts[0].kept.height}
@@ -111,7 +112,7 @@ def replay_folder(
         return report
     rng = np.random.default_rng(seed)
     played = [_play(rebuilt.env, part, sample, rng) for part in parts]
-    return _judge(report, manifest, rebuilt.job, parts, played)
+    return _judge(report, record.manifest, rebuilt.job, parts, played)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,10 +125,10 @@ class _Part:
     kept: pl.DataFrame
 
 
-def _kept_parts(folder: Path, registry: Registry, rebuilt: RebuiltJob) -> list[_Part]:
+def _kept_parts(record: Record, registry: Registry, rebuilt: RebuiltJob) -> list[_Part]:
     """Return the folder's own job and those of its references."""
-    jobs, kept = [rebuilt.job], [tables.read_episodes(folder / tables.EPISODES_FILE)]
-    if (references := rederive.read_references(folder)) is not None:
+    jobs, kept = [rebuilt.job], [record.table]
+    if (references := rederive.read_references(record.folder)) is not None:
         own = own_robots(registry, rebuilt.partners)
         jobs += reference_jobs(rebuilt.env, rebuilt.job, own)
     cut = [cut_tiles(job, rebuilt.tile_envs) for job in jobs]
@@ -136,8 +137,8 @@ def _kept_parts(folder: Path, registry: Registry, rebuilt: RebuiltJob) -> list[_
         ends = np.cumsum([table.height for table in planned[1:]])
         if references.height != ends[-1]:
             raise ValueError(
-                f"{folder / tables.REFERENCES_FILE} has {references.height} episodes; the job's "
-                f"references have {ends[-1]}"
+                f"{record.folder / tables.REFERENCES_FILE} has {references.height} episodes; "
+                f"the job's references have {ends[-1]}"
             )
         kept += [
             references.slice(end - table.height, table.height)
@@ -149,8 +150,7 @@ def _kept_parts(folder: Path, registry: Registry, rebuilt: RebuiltJob) -> list[_
 
 
 def _written_problems(
-    folder: Path,
-    manifest: Mapping[str, Any],
+    record: Record,
     registry: Registry,
     rebuilt: RebuiltJob,
     parts: Sequence[_Part],
@@ -158,17 +158,16 @@ def _written_problems(
 ) -> tuple[list[str], tuple[str, ...]]:
     """Hold all that is not played against the job: return problems, and what is not checked."""
     has_references = len(parts) > 1
-    is_crossplay = (folder / tables.PAIRS_FILE).is_file()
-    problems, unchecked = source_problems(manifest, registry, rebuilt, has_references)
+    is_crossplay = (record.folder / tables.PAIRS_FILE).is_file()
+    problems, unchecked = source_problems(record.manifest, registry, rebuilt, has_references)
     names = [tables.EPISODES_FILE, *[tables.REFERENCES_FILE] * (len(parts) - 1)]
     for part, name in zip(parts, names, strict=True):
         problems += rederive.planned_problems(part.kept, part.planned, name)
     if not problems:
-        rederive.check_crossplay(folder, pairs)
+        rederive.check_crossplay(record.folder, pairs)
         references = pl.concat([part.kept for part in parts[1:]]) if has_references else None
         problems = rederive.derived_problems(
-            folder,
-            parts[0].kept,
+            record,
             rebuilt.context,
             rebuilt.met,
             is_crossplay=is_crossplay,

@@ -15,6 +15,7 @@ from assistax_zoo.shell.main import run
 from evaluation.record import manifest as provenance
 from evaluation.record import tables
 from evaluation.record.manifest import verify_folder
+from evaluation.record.record import Record
 from evaluation.replay import rederive, replay
 from evaluation.replay.job import rebuild_job
 from evaluation.replay.replay import replay_folder
@@ -297,9 +298,10 @@ def test_what_cannot_be_replayed_says_why(folder: Path, registry: Registry) -> N
     robot = identity["egos"][0][0]
 
     def refused(reason: str, cut: Any = None, **changes: Any) -> None:
-        other = {**identity, **changes}
+        other = {"identity": {**identity, **changes}, **(cut or {})}
+        provenance.write_manifest(folder, {**manifest, **other})
         with pytest.raises(ValueError, match=reason):
-            rebuild_job(folder, {**manifest, "identity": other, **(cut or {})}, registry)
+            rebuild_job(Record.read(folder), registry)
 
     refused("is code, and the folder names it", egos=[["python:evil.py:make", "0"]])
     refused("nobody else has it", egos=[["object:Robot-0", "0"]])

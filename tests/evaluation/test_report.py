@@ -20,6 +20,7 @@ from evaluation.figures import normalised as relative
 from evaluation.figures import saved_tables as derived
 from evaluation.record import tables
 from evaluation.record.manifest import MANIFEST_FILE, seal, write_manifest, write_run
+from evaluation.record.record import Record
 from evaluation.report import write_report
 from evaluation.report.matrix_data import matrix_data
 from evaluation.report.page import templates
@@ -41,7 +42,7 @@ def crossplay(tmp_path_factory: pytest.TempPathFactory) -> Path:
         clustered_matrix(12, 3)[:, :, None] + np.array([-1.0, 1.0]), population, population
     )
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
-    derived.save_crossplay(folder, table, CONTEXT)
+    derived.save_crossplay(Record(table, folder), CONTEXT)
     write_manifest(folder, {"identity": IDENTITY})
     write_run(folder, COMMAND, simulated=True)
     return folder
@@ -58,7 +59,7 @@ def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Path:
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
     low = episode_table(np.full((1, 6, 2), 10.0), ["zero-action"], partners, sides)
     bounds = relative.bounds_table(played := low.with_columns(reference=low["ego"]))
-    derived.save_evaluation(folder, table, CONTEXT, references=(played, bounds))
+    derived.save_evaluation(Record(table, folder), CONTEXT, references=(played, bounds))
     write_run(folder, COMMAND, simulated=True)
     return folder
 
@@ -126,14 +127,16 @@ def test_tables_of_other_options_go(evaluation: Path, crossplay: Path, tmp_path:
     shutil.copy(crossplay / tables.PAIRS_FILE, folder)
     assert "regret" in page_of(folder, tmp_path)
     table = tables.read_episodes(folder / tables.EPISODES_FILE)
-    derived.save_evaluation(folder, table, CONTEXT)
+    derived.save_evaluation(Record(table, folder), CONTEXT)
     seal(folder)
     assert "regret" not in page_of(folder, tmp_path)
     gone = {tables.REFERENCES_FILE, tables.BOUNDS_FILE, tables.PAIRS_FILE}
     assert gone.isdisjoint(path.name for path in folder.iterdir())
     played = Path(shutil.copytree(crossplay, tmp_path / "xp"))
     shutil.copy(evaluation / tables.PROFILE_FILE, played)
-    derived.save_crossplay(played, tables.read_episodes(played / tables.EPISODES_FILE), CONTEXT)
+    derived.save_crossplay(
+        Record(tables.read_episodes(played / tables.EPISODES_FILE), played), CONTEXT
+    )
     assert not (played / tables.PROFILE_FILE).exists()
     assert (played / tables.STRATEGIES_FILE).exists()
 
@@ -387,7 +390,7 @@ def test_find_scrolls_to_what_it_finds_and_enter_to_the_next(browser: Browser, t
     folder = tmp_path / "large"
     folder.mkdir()
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
-    derived.save_crossplay(folder, table, CONTEXT)
+    derived.save_crossplay(Record(table, folder), CONTEXT)
     write_run(folder, COMMAND, simulated=True)
     page_of(folder, tmp_path)
     page = browser.new_page(viewport={"width": 1000, "height": 700})

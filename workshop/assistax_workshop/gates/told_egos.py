@@ -29,6 +29,7 @@ from evaluation.figures.summary import EvaluationSummary
 from evaluation.play.evaluator import run_job
 from evaluation.record.manifest import record_command, write_run
 from evaluation.record.met_partners import declare, met_partners
+from evaluation.record.record import Record
 from evaluation.studies import Settings, choose_partners, context_of, make_job
 from population.runs.folder import RunFolder, read_trained_run
 from population.runs.train import train
@@ -99,7 +100,7 @@ def evaluate(
     result = run_job(env, job, folder / "evaluation")
     context = context_of(registry, job, manifest, manifest.release, result)
     met = met_partners(declare(robots, registry, task, split), partners)
-    return save_evaluation(folder / "evaluation", result.table, context, met=met)
+    return save_evaluation(Record(result.table, folder / "evaluation"), context, met=met)
 
 
 if __name__ == "__main__":
