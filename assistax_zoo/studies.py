@@ -134,7 +134,7 @@ def evaluate(
             on_progress=on_progress,
         )
     write_run(folder, command_line(), simulated=summary.env_steps_per_second is not None)
-    return EvaluationResult(summary, folder, keep)
+    return EvaluationResult.of(summary, folder, keep)
 
 
 def cross_play(
@@ -198,7 +198,7 @@ def cross_play(
         )
     assert isinstance(summary, CrossPlaySummary)  # no block was asked for
     write_run(folder, command_line(), simulated=summary.env_steps_per_second is not None)
-    return CrossPlayResult(summary, folder, keep)
+    return CrossPlayResult.of(summary, folder, keep)
 
 
 def play_block(
