@@ -22,9 +22,10 @@ from evaluation.figures.summary import (
     summarise_comparison,
 )
 from evaluation.record import tables
-from evaluation.record.manifest import table_hashes, unchecked
+from evaluation.record.manifest import table_hashes
 from evaluation.record.met_partners import UNKNOWN, MetSummary, both_met, comparison_notes
 from evaluation.record.record import Record
+from evaluation.record.verification import unchecked
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -31,9 +31,10 @@ from evaluation.play.runner import OnProgress
 from evaluation.play.shares import BlockDone, run_block, run_blocks_on_ray
 from evaluation.record import manifest as provenance
 from evaluation.record import tables
+from evaluation.record.manifest import describe_sources
 from evaluation.record.met_partners import check_new, declare, describe_met, met_partners
 from evaluation.record.record import Record
-from evaluation.record.sources import describe_sources
+from evaluation.record.verification import check_whole
 from zoo.ids import EGO
 from zoo.locations import CACHE_VARIABLE
 from zoo.namespaces import split_namespace
@@ -438,7 +439,7 @@ def _seal(
 
 def _crossplay_pairs(folder: Path, task: str) -> pl.DataFrame:
     """Read the pairs of a finished cross-play of this task and environment version."""
-    provenance.check_whole(folder)
+    check_whole(folder)
     summary = tables.read_json(folder / tables.SUMMARY_FILE)
     found = summary.get("task"), summary.get("env_version")
     if found != (task, VERSIONS[task]):

@@ -38,10 +38,10 @@ from evaluation.figures.notes import (
 )
 from evaluation.record import tables
 from evaluation.record.columns import SIDES
-from evaluation.record.manifest import check_whole
 from evaluation.record.met_partners import MetSummary
 from evaluation.record.record import Record
 from evaluation.record.returns import Returns
+from evaluation.record.verification import check_whole
 
 
 @dataclasses.dataclass(frozen=True)

@@ -16,7 +16,7 @@ from evaluation.plots.population import population_grid
 from evaluation.plots.style import check_path, save_figure
 from evaluation.plots.sweep import sweep_panels
 from evaluation.record import tables
-from evaluation.record.manifest import check_whole
+from evaluation.record.verification import check_whole
 
 
 def evaluation_figure(folders: Sequence[Path], kind: str, path: Path) -> Figure:

@@ -17,10 +17,9 @@ from evaluation.cast.roster import Roster, registry_roster
 from evaluation.figures.summary import Context, CrossPlaySummary, EvaluationSummary, read_summary
 from evaluation.play.evaluator import Evaluation
 from evaluation.play.jobs import GPU_TILE_ENVS, TILE_ENVS, Job
-from evaluation.record.manifest import received_sha256
+from evaluation.record.manifest import describe_sources, received_sha256
 from evaluation.record.met_partners import MetPartners, declare, met_partners
 from evaluation.record.record import Record
-from evaluation.record.sources import describe_sources
 from evaluation.studies import check_env_version, context_of, in_release
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split

@@ -26,6 +26,7 @@ from evaluation.play.runner import Runner
 from evaluation.record import manifest as provenance
 from evaluation.record import tables
 from evaluation.record.record import Record
+from evaluation.record.verification import verify_folder
 from evaluation.replay import rederive
 from evaluation.replay.job import RebuiltJob, rebuild_job, source_problems
 from evaluation.replay.noise import mean_tolerance, noise_problems, read_noise
@@ -84,7 +85,7 @@ def replay_folder(
     """
     if sample < 1:
         raise ValueError(f"sample is {sample}; give at least 1 (--sample 20)")
-    if problems := provenance.verify_folder(folder).problems:
+    if problems := verify_folder(folder).problems:
         raise ValueError(f"{problems[0]}; a folder that was changed is not replayed")
     seed = secrets.randbits(32) if seed is None else seed
     record = Record.read(folder)

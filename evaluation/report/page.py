@@ -25,7 +25,8 @@ from evaluation.plots.charts import performance_profile, provenance, trait_point
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import arrange, short_names
 from evaluation.record import tables
-from evaluation.record.manifest import file_sha256, read_manifest, unchecked
+from evaluation.record.manifest import file_sha256, read_manifest
+from evaluation.record.verification import unchecked
 from evaluation.report.matrix_data import matrix_data
 
 # What tables and fields of other kinds than ours lead to.

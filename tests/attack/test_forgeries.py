@@ -19,8 +19,7 @@ import pytest
 from assistax_base.errors import ZooError
 from evaluation.play.jobs import Chunk, Job
 from evaluation.play.runner import Runner
-from evaluation.record import manifest as provenance
-from evaluation.record.sources import check_sources
+from evaluation.record.verification import check_sources, verify_folder
 from evaluation.replay import rederive, replay
 from evaluation.replay.replay import ReplayReport, replay_folder
 from evaluation.studies import Settings, cross_play, evaluate_policies
@@ -79,7 +78,7 @@ def remembering(monkeypatch: pytest.MonkeyPatch) -> None:
 def judged(folder: Path, zoo: Registry) -> ReplayReport | None:
     """Return what a stranger is told, or None where the folder is refused."""
     try:
-        if not provenance.verify_folder(folder).ok or check_sources(folder, zoo.path).problems:
+        if not verify_folder(folder).ok or check_sources(folder, zoo.path).problems:
             return None
         return replay_folder(folder, zoo, sample=10**6)
     except REFUSALS as error:

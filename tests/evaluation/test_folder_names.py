@@ -14,8 +14,7 @@ from assistax_base.parquet import check_readable, read_parquet
 from evaluation.cast.egos import read_egos
 from evaluation.plots.figures import curves_figure
 from evaluation.record import tables
-from evaluation.record.manifest import verify_folder
-from evaluation.record.sources import check_sources
+from evaluation.record.verification import check_sources, verify_folder
 from population.config import Member, TrainConfig
 from population.runs.folder import RunFolder
 from tests.attack.commands import ROBOT, small_zoo

@@ -14,8 +14,8 @@ import pytest
 from assistax_zoo.shell.main import run
 from evaluation.record import manifest as provenance
 from evaluation.record import tables
-from evaluation.record.manifest import verify_folder
 from evaluation.record.record import Record
+from evaluation.record.verification import check_whole, verify_folder
 from evaluation.replay import rederive, replay
 from evaluation.replay.job import rebuild_job
 from evaluation.replay.replay import replay_folder
@@ -161,7 +161,7 @@ def test_links_in_place_of_files_are_not_followed(folder: Path) -> None:
         (folder / name).symlink_to("/proc/self/environ")
         assert "no regular file" in verify_folder(folder).problems[0]
         with pytest.raises(ValueError, match="no regular file"):
-            provenance.check_whole(folder)
+            check_whole(folder)
         (folder / name).unlink()
         (folder / name).write_bytes(whole)
     assert verify_folder(folder).ok

@@ -8,7 +8,7 @@ import pytest
 from assistax_workshop.press.publish import publish
 from evaluation.plots.matrix import arrange
 from evaluation.record import tables
-from evaluation.record.sources import check_sources
+from evaluation.record.verification import check_sources
 from evaluation.studies import Settings, cross_play, evaluate_policies
 from tests.attack.commands import HUMAN, ROBOT, small_zoo
 from tests.evaluation.test_sources import toy

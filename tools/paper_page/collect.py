@@ -22,8 +22,8 @@ from assistax_envs.versions import PAPER_TASKS
 from evaluation.figures.saved_tables import pair_table
 from evaluation.record import tables
 from evaluation.record.columns import EGO_COLUMNS, PARTNER_COLUMNS
-from evaluation.record.manifest import verify_folder
 from evaluation.record.record import Record
+from evaluation.record.verification import verify_folder
 
 TRAINING_FILE = "training.json"
 CROSSPLAY, EGOS = "crossplay", "egos"  # folders of the data

@@ -49,7 +49,7 @@ def strategies(folder: Path, /, *, json: bool = False) -> None:
     """
     from evaluation.figures.strategies import summarise_strategies
     from evaluation.record import tables
-    from evaluation.record.manifest import check_whole
+    from evaluation.record.verification import check_whole
 
     check_whole(folder)
     found = summarise_strategies(tables.read_parquet(folder / tables.PAIRS_FILE))

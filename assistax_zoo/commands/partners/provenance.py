@@ -16,8 +16,7 @@ SHOWN = 8  # problems; --json has all
 
 def verify_results(folder: Path, registry: Path | None, json: bool) -> bool:
     """Hold a finished folder and its sources against its manifest; print and return the verdict."""
-    from evaluation.record.manifest import verify_folder
-    from evaluation.record.sources import SourceReport, check_sources
+    from evaluation.record.verification import SourceReport, check_sources, verify_folder
 
     report = verify_folder(folder)
     sources = check_sources(folder, registry) if report.ok else SourceReport(0, (), ())
