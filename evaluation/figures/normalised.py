@@ -132,14 +132,14 @@ def summarise_references(
         return estimate(rows["return"].to_numpy().reshape(shape)) if rows.height else None
 
     played = (returns_of(ZERO), returns_of(RANDOM), returns_of(SELF_PLAY))
-    found = References(
+    earned = References(
         *played,
         best_response=figure(bounds["best"].drop_nulls()),
         script=returns_of(SCRIPT),
         passive_human=alone(pl.col("ego").is_in(returns.egos["ego"].to_list())),
         script_with_passive_human=alone(pl.col("ego") == SCRIPT),
     )
-    return found, _relative(returns.scores, bounds)
+    return earned, _relative(returns.scores, bounds)
 
 
 def _relative(scores: np.ndarray, table: pl.DataFrame) -> Relative:

@@ -110,10 +110,10 @@ def describe_met(egos: Roster, trained_with: str | Sequence[str] | None) -> dict
     """
     robots = {}
     for member in egos.describe(egos.ids):
-        told = member.met.model_dump(mode="json", exclude_defaults=True)
+        known = member.met.model_dump(mode="json", exclude_defaults=True)
         if member.met.split is not None:
-            told.pop("partners", None)
-        robots[member.id] = told
+            known.pop("partners", None)
+        robots[member.id] = known
     declared = [trained_with] if isinstance(trained_with, str) else list(trained_with or ())
     return {"declared": declared, "robots": robots}
 
@@ -147,7 +147,7 @@ def check_new(
             side = "of the test side " * (len(names) < len(sides))
             raise ValueError(
                 f"every partner {side}that matches was trained with one of the robots ({names[0]}),"
-                " hence is not new to it; choose others, or count them with --include-own"
+                " hence is not new to it; choose others, or let include_own count them"
             )
 
 

@@ -14,7 +14,7 @@ from assistax_base import parquet
 from assistax_base.files import atomic_write
 from evaluation.record.columns import SCHEMA, term_columns, validate_episodes
 
-# Names of the files in the folder that `evaluate --out` or `crossplay --out` fills.
+# Names of the files in the folder that an evaluation or a cross-play fills.
 EPISODES_FILE = "episodes.parquet"  # one row an episode
 PAIRS_FILE = "pairs.parquet"  # one row an (ego, partner) pair: the cross-play matrix in long form
 REFERENCES_FILE = "references.parquet"  # episodes of the reference egos
@@ -122,5 +122,5 @@ def read_json(path: Path) -> dict:
 def _check_there(path: Path) -> None:
     if not path.is_file():
         raise FileNotFoundError(
-            f"{path} does not exist; run `assistax-zoo evaluate` or `crossplay` with --out first"
+            f"{path} does not exist; run an evaluation or a cross-play into this folder first"
         )

@@ -61,7 +61,7 @@ def rebuild_job(record: Record, registry: Registry, *, run_code: bool = False) -
     played = [*partners, *(entry for entry in registry.policies if entry.id in egos.members)]
     check_env_version(registry, played)
     env = make(task, backend=identity["backend"])
-    sides = {one.id: side for one in partners if split and (side := split.side(one.team))}
+    sides = {human.id: side for human in partners if split and (side := split.side(human.team))}
     job = _job_of(identity, env, egos, registry_roster(registry, partners), sides)
     _check_identity(identity, job)
     names = {entry.id for entry in partners}
@@ -112,8 +112,8 @@ def source_problems(
         problems.append("the manifest names another lock than the one that is given")
     roots = {release: registry.root(release) for release in sorted({e.release for e in entries})}
     if said.get("roots") != roots:
-        told = "the releases' roots: this registry has others, as one that grew or another has"
-        return problems, [told]
+        unchecked = "the releases' roots: this registry has others, as one that grew or another has"
+        return problems, [unchecked]
     return problems, []
 
 
@@ -154,7 +154,7 @@ def _robots(names: Sequence[str], registry: Registry, task: str, run_code: bool)
         reference = parse_reference(name)
         if reference.kind == "python" and not run_code:
             raise ValueError(
-                f"robot {name} is code, and the folder names it; read it, then add --run-code"
+                f"robot {name} is code, and the folder names it; read it, then allow run_code"
             )
         if reference.kind in ("file", "onnx"):
             try:
@@ -196,11 +196,11 @@ def _check_identity(identity: Mapping[str, Any], job: Job) -> None:
     if set(engine) == set(job.engine) and engine.get("name") == job.engine.get("name"):
         here["engine"] = engine
     here["software"] = identity["software"]
-    texts = [{name: json.dumps(one) for name, one in part.items()} for part in (here, identity)]
+    texts = [{name: json.dumps(value) for name, value in part.items()} for part in (here, identity)]
     if differing := sorted(name for name, _ in texts[0].items() ^ texts[1].items()):
         raise ValueError(
             f"{', '.join(dict.fromkeys(differing))} differ: the folder's are not those of this "
-            "registry and installation; install the version that made it, or give its --registry"
+            "registry and installation; install the version that made it, or give its registry"
         )
 
 
@@ -213,8 +213,8 @@ def _tile_envs(backend: str, manifest: Mapping[str, Any]) -> int:
         if type(value) is not int or not 1 <= value <= LARGEST_TILE:
             raise ValueError(f"the manifest's {name} is {value!r}; allowed is 1 to {LARGEST_TILE}")
     if most not in allowed:
-        told = " or ".join(map(str, allowed))
-        raise ValueError(f"the manifest's tile_envs is {most}; on {backend} it is {told}")
+        numbers = " or ".join(map(str, allowed))
+        raise ValueError(f"the manifest's tile_envs is {most}; on {backend} it is {numbers}")
     return most
 
 
@@ -246,7 +246,7 @@ def _claims(declared: Any) -> list[str]:
 
 
 def _count(job: Job, side: str) -> int:
-    return sum(one == side for one in job.sides.values())
+    return list(job.sides.values()).count(side)
 
 
 def _all(registry: Registry, task: str, release: str, role: str) -> list[PolicyEntry]:

@@ -143,8 +143,8 @@ def _differences(kept: Any, fresh: Any, relative: float, place: str = "") -> Ite
         for name in fresh:
             yield from _differences(kept[name], fresh[name], relative, f"{place}.{name}")
     elif isinstance(kept, list) and isinstance(fresh, list) and len(kept) == len(fresh):
-        for row, (one, other) in enumerate(zip(kept, fresh, strict=True)):
-            yield from _differences(one, other, relative, f"{place}[{row}]")
+        for row, (old, new) in enumerate(zip(kept, fresh, strict=True)):
+            yield from _differences(old, new, relative, f"{place}[{row}]")
     elif isinstance(kept, float) and isinstance(fresh, float):
         if not math.isclose(kept, fresh, rel_tol=relative, abs_tol=ABSOLUTE):
             yield f"{place.strip('.')} is {kept}, and {fresh} is true of them"

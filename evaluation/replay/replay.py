@@ -84,7 +84,7 @@ def replay_folder(
         ValueError: The folder is not what was written, or its job cannot be played here.
     """
     if sample < 1:
-        raise ValueError(f"sample is {sample}; give at least 1 (--sample 20)")
+        raise ValueError(f"sample is {sample}; give at least 1")
     if problems := verify_folder(folder).problems:
         raise ValueError(f"{problems[0]}; a folder that was changed is not replayed")
     seed = secrets.randbits(32) if seed is None else seed
@@ -189,8 +189,8 @@ def _play(env: Any, part: _Part, sample: int, rng: np.random.Generator) -> pl.Da
     rows: list[pl.DataFrame] = []
     chunks = [Chunk(index, (tile,)) for index, tile in enumerate(chosen)]
     Runner(env, part.job).run(chunks, lambda _, played: rows.append(played))
-    found = pl.concat(rows).sort(KEYS)
-    return with_names(found) if COLUMN in part.kept.columns else found
+    again = pl.concat(rows).sort(KEYS)
+    return with_names(again) if COLUMN in part.kept.columns else again
 
 
 def _judge(
@@ -202,8 +202,8 @@ def _judge(
 ) -> ReplayReport:
     """Compare what was played with what was kept, bit by bit or within processors' noise."""
     kept = [
-        part.kept.join(found, on=KEYS, how="semi").sort(KEYS)
-        for part, found in zip(parts, played, strict=True)
+        part.kept.join(again, on=KEYS, how="semi").sort(KEYS)
+        for part, again in zip(parts, played, strict=True)
     ]
     pairs = list(zip(kept, played, strict=True))
     if strange := [name for old, new in pairs for name in _strange_columns(old, new)]:
@@ -234,12 +234,12 @@ def _judge(
     )
 
 
-def _strange_columns(kept: pl.DataFrame, found: pl.DataFrame) -> list[str]:
-    return sorted(dict(kept.schema.items() ^ found.schema.items()))
+def _strange_columns(kept: pl.DataFrame, played: pl.DataFrame) -> list[str]:
+    return sorted(dict(kept.schema.items() ^ played.schema.items()))
 
 
-def _differing(kept: pl.DataFrame, found: pl.DataFrame) -> int:
-    same = [kept[name].eq_missing(found[name]).to_numpy() for name in kept.columns]
+def _differing(kept: pl.DataFrame, played: pl.DataFrame) -> int:
+    same = [kept[name].eq_missing(played[name]).to_numpy() for name in kept.columns]
     return int((~np.all(same, axis=0)).sum())
 
 

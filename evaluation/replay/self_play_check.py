@@ -78,7 +78,7 @@ class Drift:
 
 @dataclasses.dataclass(frozen=True)
 class SelfPlayReport:
-    """What `verify --deep` found."""
+    """What playing teams again showed."""
 
     backend: str
     episodes: int  # of each team, but for those that played longer
@@ -124,7 +124,7 @@ def check_self_play(
         on_progress: Called with the number of teams just replayed.
     """
     if episodes < 1:
-        raise ValueError(f"episodes is {episodes}; give at least 1 (--episodes 4)")
+        raise ValueError(f"episodes is {episodes}; give at least 1")
     from assistax_envs import make
 
     sound, problems = _load(registry, entries)
@@ -160,8 +160,8 @@ def check_self_play(
 
 def versions() -> dict[str, str]:
     """Return the installed versions that decide what a policy does, Python's included."""
-    found = {name: provenance.installed(name) or "not installed" for name in PACKAGES}
-    return {"python": platform.python_version(), **found}
+    numbers = {name: provenance.installed(name) or "not installed" for name in PACKAGES}
+    return {"python": platform.python_version(), **numbers}
 
 
 def tolerance(recorded: SelfPlay, episodes: int, deviation: float = 0.0) -> float:
@@ -276,13 +276,13 @@ def _play(
 
 
 def _compare(team: str, recorded: SelfPlay | None, returns: np.ndarray) -> TeamReplay:
-    found, episodes = float(returns.mean()), len(returns)
+    mean, episodes = float(returns.mean()), len(returns)
     if recorded is None:
-        return TeamReplay(team, None, found, None, episodes, math.isfinite(found))
+        return TeamReplay(team, None, mean, None, episodes, math.isfinite(mean))
     more = episodes > recorded.n  # fewer say less of the deviation than what is recorded
     allowed = tolerance(recorded, episodes, float(returns.std(ddof=1)) if more else 0.0)
     return TeamReplay(
-        team, recorded.mean, found, allowed, episodes, abs(found - recorded.mean) <= allowed
+        team, recorded.mean, mean, allowed, episodes, abs(mean - recorded.mean) <= allowed
     )
 
 
@@ -299,8 +299,8 @@ def _drifts(registry: Registry, teams: Sequence[TeamReplay]) -> list[Drift]:
             continue
         errors = [_standard_error(recorded, team.episodes) for team, recorded in members]
         error = math.sqrt(sum(error**2 for error in errors)) / len(members)
-        found = float(np.mean([team.found - recorded.mean for team, recorded in members])) / mean
-        drifts.append(Drift(task, found, STANDARD_ERRORS * error / mean + TASK_MARGIN))
+        share = float(np.mean([team.found - recorded.mean for team, recorded in members])) / mean
+        drifts.append(Drift(task, share, STANDARD_ERRORS * error / mean + TASK_MARGIN))
     return drifts
 
 

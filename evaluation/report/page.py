@@ -67,14 +67,14 @@ def figures_html(
     figures: Mapping[str, Mapping[str, Any] | None], what: str, notes: Iterable[str]
 ) -> str:
     """Return estimates as a table, with what a reader has to know of them."""
-    given = {"figures": list(figures.items()), "what": what, "notes": list(notes)}
-    return templates().get_template("figures.html").render(given)
+    template = templates().get_template("figures.html")
+    return template.render(figures=list(figures.items()), what=what, notes=list(notes))
 
 
 @functools.cache
 def templates() -> jinja2.Environment:
     """Return the page's templates, which escape whatever enters them."""
-    found = jinja2.Environment(
+    environment = jinja2.Environment(
         loader=jinja2.PackageLoader("evaluation.report"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
@@ -83,28 +83,28 @@ def templates() -> jinja2.Environment:
         extensions=["jinja2.ext.do"],
     )
     # In the order of their making, which the viewer's menus have.
-    found.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     assets = resources.files("evaluation.report") / "assets"
     known: dict[str, Any] = {
         "asset": lambda name: Markup((assets / name).read_text("utf-8")),
         "letter": lambda number: chr(ord("A") + number),
         "settings": DISABILITY_SETTINGS,
     }
-    found.globals.update(known)
-    return found
+    environment.globals.update(known)
+    return environment
 
 
 def _page(folder: Path) -> str:
-    found, manifest = read_summary(folder), read_manifest(folder) or {}
-    kind = "evaluation" if isinstance(found, EvaluationSummary) else "crossplay"
-    summary = tables.to_json(found)
+    figures, manifest = read_summary(folder), read_manifest(folder) or {}
+    kind = "evaluation" if isinstance(figures, EvaluationSummary) else "crossplay"
+    summary = tables.to_json(figures)
     summary["notes"] = [*summary["notes"], *unchecked(folder)]
     hashes = {}
-    if found.split:
-        hashes[f"split {found.split.id}"] = found.split.sha256
+    if figures.split:
+        hashes[f"split {figures.split.id}"] = figures.split.sha256
     if "job" in manifest:
         hashes["job: policies, settings and software"] = manifest["job"]
-    there = [name for name in _HASHED if (folder / name).is_file()]
+    hashed = [name for name in _HASHED if (folder / name).is_file()]
     return (
         templates()
         .get_template(f"{kind}.html")
@@ -112,7 +112,7 @@ def _page(folder: Path) -> str:
             summary=summary,
             run=_read(folder, tables.RUN_FILE),
             identity=manifest.get("identity"),
-            hashes=hashes | {name: file_sha256(folder / name) for name in there},
+            hashes=hashes | {name: file_sha256(folder / name) for name in hashed},
             **{"evaluation": _evaluation, "crossplay": _crossplay}[kind](folder, summary),
         )
     )
@@ -125,8 +125,8 @@ def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     caption = f"Band: pointwise 95% bootstrap.\n{provenance(named)}"
     drawn = performance_profile({name: profile}, task=summary["task"], caption=caption)
     partners = tables.read_parquet(folder / tables.PARTNERS_FILE)
-    told = {key: column for key, column in _PARTNER.items() if column in partners.columns}
-    headings, columns = [*told], list(told.values())
+    known = {key: column for key, column in _PARTNER.items() if column in partners.columns}
+    headings, columns = [*known], [*known.values()]
     images = {
         "returns with training and test partners": zsc_dots(named),
         "returns by the partner's disability setting": trait_points(named),
@@ -178,8 +178,8 @@ def _crossplay(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "data": matrix_data(pairs, order, strategies) | {"film": _film(folder)},
         "strategies": strategies,
-        "short": _short([one["partner"] for one in listed])
-        | _short([one["robot"] for one in listed]),
+        "short": _short([row["partner"] for row in listed])
+        | _short([row["robot"] for row in listed]),
         "static": _embedded(crossplay_heatmap(arrange(pairs, order), summary), "png"),
     }
 

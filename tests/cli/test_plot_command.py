@@ -81,7 +81,7 @@ def test_wrong_folders_and_names_get_one_line(
 ):
     out = tmp_path / "x.png"
     gone = tmp_path / "gone"
-    assert f"{gone} is not a folder; run `assistax-zoo crossplay --out" in failure(
+    assert f"{gone} is not a folder; run `assistax-zoo crossplay` into it" in failure(
         capfd, call("crossplay", gone, "--out", out)
     )
     assert (
@@ -118,7 +118,7 @@ def test_evaluations_are_drawn_by_method(draw, evaluation_folder: Path, tmp_path
     assert out.stat().st_size > 5_000
     with pytest.raises(ValueError, match="two folders are named ppo"):
         draw((evaluation_folder, evaluation_folder), out=out)
-    with pytest.raises(ValueError, match="no folder given"):
+    with pytest.raises(ValueError, match="there is no folder to draw"):
         draw((), out=out)
 
 

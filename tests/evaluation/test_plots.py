@@ -258,7 +258,7 @@ def test_an_outsider_is_drawn_without_self_play():
     assert not matrix.self_play.any()
     assert "from outside the zoo" in texts(figure)
     with pytest.raises(
-        ValueError, match="not the same teams, so they share no order; use --order separate"
+        ValueError, match="not the same teams, so they share no order; choose 'separate'"
     ):
         arrange(pairs, order, "shared")
 

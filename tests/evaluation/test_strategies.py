@@ -76,5 +76,5 @@ def test_one_robot_for_all_has_no_incompatible_two():
 
 
 def test_a_table_without_behaviour_says_what_to_do():
-    with pytest.raises(ValueError, match=r"lacks first_contact.*run crossplay again"):
+    with pytest.raises(ValueError, match=r"lacks first_contact.*run the cross-play again"):
         summarise_strategies(planted().drop(BEHAVIOUR))

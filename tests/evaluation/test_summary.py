@@ -242,5 +242,5 @@ def test_partners_trained_with_an_ego_are_kept_but_not_counted(tmp_path: Path):
     assert counted.m_test.mean > 1000
     assert any("counted all the same" in note and own in note for note in counted.notes)
     alone = table.filter(pl.col("partner") == own)
-    with pytest.raises(ValueError, match="--include-own"):
+    with pytest.raises(ValueError, match="let include_own count them"):
         derived.save_evaluation(Record(alone, tmp_path / "none"), CONTEXT)

@@ -30,9 +30,9 @@ def verify_results(folder: Path, registry: Path | None, json: bool) -> bool:
     }
     lines = [f"not here, and not checked: {absent}" for absent in sources.absent]
     lines += [f"problem: {problem}" for problem in problems]
-    told = f"{len(problems)} problems in" if problems else "verified"
+    verdict = f"{len(problems)} problems in" if problems else "verified"
     files = f"{report.files} files of {folder}, and {sources.sources} that they depend on"
-    answer(json, content, *map(printable, lines), f"{told} {files}")
+    answer(json, content, *map(printable, lines), f"{verdict} {files}")
     return not problems
 
 
@@ -94,15 +94,15 @@ def _replay_lines(report: "ReplayReport") -> list[str]:
     if not report.episodes:
         return [*lines, f"{report.folder}: {report.why}; nothing was played"]
     if report.exact:
-        told = "the same to the last bit" if report.ok else f"{report.differing} differ"
+        verdict = "the same to the last bit" if report.ok else f"{report.differing} differ"
     else:
         reach = "within" if report.ok else "not all within"
-        told = f"{report.difference:+.1f} in the mean return, {reach} what processors differ by"
+        verdict = f"{report.difference:+.1f} in the mean return, {reach} what processors differ by"
     return [
         *lines,
         f"compared {'bit by bit' if report.exact else 'with measured noise'}: {report.why}",
         f"sample of seed {report.seed}: {report.episodes} of {report.of_episodes} episodes and "
         f"{report.references} of {report.of_references} of the references",
         f"every figure of {report.folder} drawn again, {report.episodes} episodes played again: "
-        f"{told}",
+        f"{verdict}",
     ]
