@@ -381,11 +381,13 @@ def evaluations() -> dict[str, dict[str, Any]]:
     return {
         name: tables.to_json(
             summary.summarise_evaluation(
-                episode_table(
-                    rng.normal(500, 50, (egos, 8, 2)),
-                    [f"{name}{i}" for i in range(egos)],
-                    partners,
-                    sides,
+                recorded(
+                    episode_table(
+                        rng.normal(500, 50, (egos, 8, 2)),
+                        [f"{name}{i}" for i in range(egos)],
+                        partners,
+                        sides,
+                    )
                 ),
                 CONTEXT,
             )

@@ -90,7 +90,7 @@ def test_summary_has_the_return_in_each_place(tmp_path: Path) -> None:
         mean = table.filter(place=int(place))["return"].mean()
         assert (figure.mean, figure.n) == (pytest.approx(mean), 3)
         assert figure.mean_ci is not None
-    assert summarise_evaluation(played(job_of(counting(ROBOT))), CONTEXT).by_place == {}
+    assert summarise_evaluation(recorded(played(job_of(counting(ROBOT)))), CONTEXT).by_place == {}
 
 
 def test_a_feed_forward_robot_plays_as_without_and_a_recurrent_one_does_not() -> None:

@@ -15,9 +15,9 @@ def options_named(source: str) -> Iterator[str]:
     """Yield the options in texts of raises."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Raise):
-            texts = [part.value for part in ast.walk(node) if isinstance(part, ast.Constant)]
-            for text in filter(lambda value: isinstance(value, str), texts):
-                yield from re.findall(r"--[a-z][a-z-]+", text)
+            for part in ast.walk(node):
+                if isinstance(part, ast.Constant) and isinstance(part.value, str):
+                    yield from re.findall(r"--[a-z][a-z-]+", part.value)
 
 
 @pytest.mark.parametrize("room", ROOMS)

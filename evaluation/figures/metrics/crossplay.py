@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Num
 
 from evaluation.figures.bootstrap import (
     NOTHING,
@@ -47,7 +48,7 @@ class CrossPlay:
 
 
 def cross_play(
-    scores: np.ndarray,
+    scores: Num[np.ndarray, "R C K"] | Num[np.ndarray, "R C"],
     rows: Traits,
     columns: Traits,
     *,
