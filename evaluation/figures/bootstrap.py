@@ -17,7 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from jaxtyping import Bool, Float, Num
 
-from evaluation.figures.statistics import (
+from assistax_base.statistics import (
     entries,
     iqm,
     mean,

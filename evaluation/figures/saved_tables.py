@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from assistax_base.statistics import performance_profile
 from evaluation.figures.bootstrap import estimate, profile_band
 from evaluation.figures.normalised import summarise_references
-from evaluation.figures.statistics import performance_profile
 from evaluation.figures.summary import (
     Context,
     CrossPlaySummary,

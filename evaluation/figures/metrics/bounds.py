@@ -8,6 +8,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float, Num
 
+from assistax_base.statistics import score_matrix
 from evaluation.figures.bootstrap import (
     RESAMPLES,
     Estimate,
@@ -16,7 +17,6 @@ from evaluation.figures.bootstrap import (
     estimate,
     interval,
 )
-from evaluation.figures.statistics import score_matrix
 
 
 @dataclasses.dataclass(frozen=True)

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Num
 
+from assistax_base.statistics import returns_of, score_matrix
 from evaluation.figures.bootstrap import (
     NOTHING,
     RESAMPLES,
@@ -15,7 +16,6 @@ from evaluation.figures.bootstrap import (
     generalises_to,
     replicate_crossed,
 )
-from evaluation.figures.statistics import returns_of, score_matrix
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Num
 
+from assistax_base.statistics import returns_of
 from evaluation.figures.bootstrap import (
     NOTHING,
     RESAMPLES,
@@ -19,7 +20,6 @@ from evaluation.figures.bootstrap import (
     replicate,
     replicate_crossed,
 )
-from evaluation.figures.statistics import returns_of
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Num
 
+from assistax_base.statistics import returns_of, tail_weights
 from evaluation.figures.bootstrap import (
     RESAMPLES,
     Counts,
@@ -19,7 +20,6 @@ from evaluation.figures.bootstrap import (
     interval,
     replicate_crossed,
 )
-from evaluation.figures.statistics import returns_of, tail_weights
 
 
 @dataclasses.dataclass(frozen=True)

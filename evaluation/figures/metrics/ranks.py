@@ -51,7 +51,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Int
 
-from evaluation.figures.statistics import score_matrix
+from assistax_base.statistics import score_matrix
 
 CONFIDENCE = 0.95
 ENOUGH_SEEDS = 5  # from here on a method's own seeds say how far they differ
