@@ -23,8 +23,8 @@ from evaluation.figures.normalised import COLUMN
 from evaluation.play.baselines import reference_jobs, with_names
 from evaluation.play.jobs import Chunk, Job, Tile, cut_tiles
 from evaluation.play.runner import Runner
-from evaluation.record import manifest as provenance
 from evaluation.record import tables
+from evaluation.record.manifest import processor
 from evaluation.record.record import Record
 from evaluation.record.verification import verify_folder
 from evaluation.replay import rederive
@@ -247,7 +247,7 @@ def _same_machine(manifest: Mapping[str, Any], job: Job) -> tuple[bool, str]:
     """Return whether the folder says that it was made where every bit is as here, and why."""
     made, there = _object(manifest.get("made_with")), manifest["identity"]
     pairs = {
-        "processor": (made.get("processor"), provenance.processor()),
+        "processor": (made.get("processor"), processor()),
         "jaxlib": (_object(made.get("versions")).get("jaxlib"), version("jaxlib")),
         "engine": (there["engine"], dict(job.engine)),
         "software": (there["software"], job.identity()["software"]),

@@ -34,7 +34,7 @@ from evaluation.cast.roster import paired_rosters
 from evaluation.play.evaluator import MAX_ENVS, check_sizes
 from evaluation.play.jobs import Job
 from evaluation.play.runner import play
-from evaluation.record import manifest as provenance
+from evaluation.record.manifest import installed
 from population.networks.stack import PolicyStack
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry
@@ -160,7 +160,7 @@ def check_self_play(
 
 def versions() -> dict[str, str]:
     """Return the installed versions that decide what a policy does, Python's included."""
-    numbers = {name: provenance.installed(name) or "not installed" for name in PACKAGES}
+    numbers = {name: installed(name) or "not installed" for name in PACKAGES}
     return {"python": platform.python_version(), **numbers}
 
 

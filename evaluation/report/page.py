@@ -185,7 +185,7 @@ def _crossplay(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _film(folder: Path) -> dict[str, Any] | None:
-    """Return what films the first episode of a pair, by the manifest: command, and humans' wishes.
+    """Return what films the first episode of a pair, by the manifest: command and preferences.
 
     None where no manifest names the episodes, or where all humans had the same starts, as before
     each had starts of its own: no command films those.
@@ -193,12 +193,12 @@ def _film(folder: Path) -> dict[str, Any] | None:
     identity = (read_manifest(folder) or {}).get("identity")
     if not identity or not identity.get("apart"):
         return None
-    wishes = _first_wishes(folder) if "preferences" in identity else {}
+    preferences = _first_preferences(folder) if "preferences" in identity else {}
     words = ["render", "--task", str(identity["task"]), "--seed", str(int(identity["seed"]))]
-    return {"command": shlex.join(["assistax-zoo", *words]), "wishes": wishes}
+    return {"command": shlex.join(["assistax-zoo", *words]), "preferences": preferences}
 
 
-def _first_wishes(folder: Path) -> dict[str, str]:
+def _first_preferences(folder: Path) -> dict[str, str]:
     """Return under which preference each human of a gentle task played its first episode."""
     table = tables.read_episodes(folder / tables.EPISODES_FILE)
     first = table.filter(pl.col("episode") == 0)

@@ -205,7 +205,7 @@ def test_figures_that_nobody_played_are_found(
     changed(folder, registry, 1.00001)
     report = replay_folder(folder, registry, sample=1)
     assert not report.ok and report.differing == 8 and "other values" in report.problems[0]
-    monkeypatch.setattr(replay.provenance, "processor", lambda: "another")
+    monkeypatch.setattr(replay, "processor", lambda: "another")
     elsewhere = replay_folder(folder, registry, sample=1)
     assert elsewhere.ok and not elsewhere.exact and "other processor" in elsewhere.why
     assert (elsewhere.differing, elsewhere.tolerance > 0) == (8, True)
