@@ -13,7 +13,7 @@ import numpy as np
 from evaluation.figures.bootstrap import Estimate, estimate
 from evaluation.play.jobs import Job, default_episodes
 from evaluation.play.runner import play
-from evaluation.record.returns import lay_out
+from evaluation.record.record import lay_out
 
 REPETITIONS = 2000  # of drawn partners and starts
 

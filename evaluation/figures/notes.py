@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import polars as pl
 
-from evaluation.record.returns import Returns
+from evaluation.record.record import Returns
 
 # Seeds, partners or teams; with fewer, intervals cover too little (see
 # `evaluation.figures.bootstrap.estimate`).

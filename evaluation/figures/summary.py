@@ -39,8 +39,7 @@ from evaluation.figures.notes import (
 from evaluation.record import tables
 from evaluation.record.columns import SIDES
 from evaluation.record.met_partners import MetSummary
-from evaluation.record.record import Record
-from evaluation.record.returns import Returns
+from evaluation.record.record import Record, Returns
 from evaluation.record.verification import check_whole
 
 

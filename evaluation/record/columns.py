@@ -136,8 +136,5 @@ def _validate_column(table: pl.DataFrame, name: str, expected: Column) -> None:
 
 
 def _same_family(dtype: pl.DataType, expected: pl.DataType) -> bool:
-    if expected.is_integer():
-        return dtype.is_integer()
-    if expected.is_float():
-        return dtype.is_float()
-    return dtype == expected
+    whole, real = dtype.is_integer() and expected.is_integer(), dtype.is_float()
+    return dtype == expected or whole or (real and expected.is_float())

@@ -8,7 +8,7 @@ Whatever a received manifest names is read within bounds.
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from assistax_base.errors import ZooError, printable, shorten
 from assistax_base.parquet import check_readable
@@ -40,11 +40,6 @@ class Leaf:
     actual: str | None  # None where nothing is here, or cannot be read
     error: Exception | None = None  # why it cannot
 
-    @property
-    def whole(self) -> bool:
-        """Whether it is what the manifest says."""
-        return self.actual == self.expected
-
 
 def compare(named: Mapping[str, str], digest: Callable[[str], str | None]) -> Iterator[Leaf]:
     """Hold each hash of a manifest against what `digest` returns of its name."""
@@ -57,25 +52,18 @@ def compare(named: Mapping[str, str], digest: Callable[[str], str | None]) -> It
 
 @dataclasses.dataclass(frozen=True)
 class FolderReport:
-    """What a check of a folder against its manifest found."""
+    """What a check of a folder, or of its sources, against its manifest showed."""
 
     folder: str
-    files: int  # whose hashes were held against the manifest
-    problems: tuple[str, ...]
+    files: int = 0  # of the folder, held against the manifest
+    sources: int = 0  # that are here, and were held against it
+    absent: tuple[str, ...] = ()  # what could not be
+    problems: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
         """Whether every byte is the one that was written."""
         return not self.problems
-
-
-@dataclasses.dataclass(frozen=True)
-class SourceReport:
-    """What a check of a folder's sources found."""
-
-    sources: int  # that are here, and were held against the manifest
-    absent: tuple[str, ...]  # what could not be
-    problems: tuple[str, ...]
 
 
 def check_whole(folder: Path) -> None:
@@ -115,19 +103,19 @@ def verify_folder(folder: Path) -> FolderReport:
     try:
         manifest = read_manifest(folder)
     except (ValueError, OSError) as error:
-        return FolderReport(str(folder), 0, (str(error),))
+        return FolderReport(str(folder), problems=(str(error),))
     if manifest is None or not isinstance(manifest.get("files"), dict):
         problem = f"{folder} has no {MANIFEST_FILE} of a finished run; run the command again"
-        return FolderReport(str(folder), 0, (problem,))
+        return FolderReport(str(folder), problems=(problem,))
     files = manifest["files"]
     problems = [*_file_problems(folder, files)]
     unknown = [path.name for path in our_files(folder) if path.name not in files]
     problems += [f"{folder / name} is not in the manifest" for name in unknown]
     problems = problems or _table_problems(folder, manifest)
-    return FolderReport(str(folder), len(files), tuple(problems))
+    return FolderReport(str(folder), len(files), problems=tuple(problems))
 
 
-def check_sources(folder: Path, registry: Path | None = None) -> SourceReport:
+def check_sources(folder: Path, registry: Path | None = None) -> FolderReport:
     """Hold what a folder's manifest names, and is here, against its hashes.
 
     Args:
@@ -137,21 +125,19 @@ def check_sources(folder: Path, registry: Path | None = None) -> SourceReport:
     """
     sources = (read_manifest(folder) or {}).get("sources")
     if sources is None:
-        return SourceReport(0, ("what it was drawn from: its manifest does not name it",), ())
+        absent = "what it was drawn from: its manifest does not name it"
+        return FolderReport(str(folder), absent=(absent,))
     try:
         findings = [*_check_files(sources["files"]), *_check_releases(folder, sources, registry)]
     except (KeyError, TypeError, AttributeError) as error:
-        return SourceReport(0, (), (f"{folder}: its manifest names no sources: {error!r}",))
-    absent = tuple(finding.text for finding in findings if finding.kind == "absent")
-    problems = tuple(finding.text for finding in findings if finding.kind == "problem")
-    return SourceReport(len(findings) - len(absent), absent, problems)
+        problem = f"{folder}: its manifest names no sources: {error!r}"
+        return FolderReport(str(folder), problems=(problem,))
+    absent = tuple(text for kind, text in findings if kind == "absent")
+    problems = tuple(text for kind, text in findings if kind == "problem")
+    return FolderReport(str(folder), 0, len(findings) - len(absent), absent, problems)
 
 
-class Finding(NamedTuple):
-    """What became of a source."""
-
-    kind: Literal["whole", "absent", "problem"]
-    text: str
+Finding = tuple[Literal["whole", "absent", "problem"], str]  # what became of a source, and which
 
 
 def _check_files(files: Mapping[str, str]) -> Iterator[Finding]:
@@ -177,11 +163,11 @@ def _check_files(files: Mapping[str, str]) -> Iterator[Finding]:
         name = shorten(leaf.name)
         if leaf.error:
             reason = getattr(leaf.error, "strerror", None) or leaf.error
-            yield Finding("absent", f"file {name} ({shorten(str(reason))})")
-        elif leaf.whole:
-            yield Finding("whole", name)
+            yield "absent", f"file {name} ({shorten(str(reason))})"
+        elif leaf.actual == leaf.expected:
+            yield "whole", name
         else:
-            yield Finding("problem", f"{name} is not what the figures are of: another sha256")
+            yield "problem", f"{name} is not what the figures are of: another sha256"
 
 
 def _is_registry(folder: Path, path: Path) -> bool:
@@ -203,7 +189,7 @@ def _check_releases(
     try:
         registry = load_registry(None if in_use else chosen)
     except ZooError as error:
-        yield Finding("problem", str(error))
+        yield "problem", str(error)
         return
     known = {entry.id: entry for entry in registry.policies}
     for release, named in sources["releases"].items():
@@ -211,14 +197,14 @@ def _check_releases(
         here = {entry.id: entry.sha256 for entry in entries}
         if chosen is None and here != named["policies"]:
             text = f"policies of {shorten(str(recorded))}; another registry may have them"
-            yield Finding("absent", text)
+            yield "absent", text
             continue
         if release in registry.data.releases:
             splits = [sources["split"]] if sources["split"] else []
             here |= used_leaves(registry, release, entries, splits)
         for leaf in compare({**named["policies"], **named["entries"]}, here.get):
             text = f"{registry.path}: {shorten(leaf.name)} is not what the figures are of"
-            yield Finding("whole" if leaf.whole else "problem", text)
+            yield ("whole" if leaf.actual == leaf.expected else "problem"), text
         yield from _check_parameters(registry, entries)
 
 
@@ -226,13 +212,13 @@ def _check_parameters(registry: Registry, entries: Sequence[PolicyEntry]) -> Ite
     for shard in dict.fromkeys(entry.shard for entry in entries):
         path = registry.shard_path(shard)
         if not path.is_file():
-            yield Finding("absent", f"parameters, in {path}")
+            yield "absent", f"parameters, in {path}"
             continue
         try:
             load_leaves(registry, [entry for entry in entries if entry.shard == shard])
-            yield Finding("whole", str(path))
+            yield "whole", str(path)
         except ZooError as error:
-            yield Finding("problem", str(error))
+            yield "problem", str(error)
 
 
 def _file_problems(folder: Path, named: Mapping[str, str]) -> Iterator[str]:
@@ -249,7 +235,7 @@ def _file_problems(folder: Path, named: Mapping[str, str]) -> Iterator[str]:
             yield f"{shown} is missing"
         elif leaf.error:
             yield f"{shown} cannot be checked: {printable(str(leaf.error))}"
-        elif not leaf.whole:
+        elif leaf.actual != leaf.expected:
             yield f"{shown}: expected sha256 {shorten(leaf.expected)}, found {leaf.actual}"
 
 

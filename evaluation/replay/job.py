@@ -6,6 +6,7 @@ each is, its setting and its environment are the registry's and the installation
 
 import dataclasses
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -80,7 +81,10 @@ def rebuild_job(record: Record, registry: Registry, *, run_code: bool = False) -
         dataclasses.replace(context, engine=identity["engine"]),
         met_partners(egos, partners),
         _tile_envs(job.backend, manifest),
-        (*_parts(summary, registry, job, split, partners), *_claims(declared)),
+        (
+            *_parts(summary, registry, job, split, partners),
+            *["partners met in training: as declared"] * bool(declared),
+        ),
     )
 
 
@@ -228,26 +232,17 @@ def _parts(
     """Say where only a part of a split's side, or of a release, was played."""
     if isinstance(summary, EvaluationSummary) and split is not None:
         counts = [
-            (f"{side} partners of split {split.id}", _count(job, side), len(getattr(split, side)))
-            for side in sorted(set(job.sides.values()))
+            (f"{side} partners of split {split.id}", count, len(getattr(split, side)))
+            for side, count in sorted(Counter(job.sides.values()).items())
         ]
     else:
-        release = partners[0].release
+        release, every = partners[0].release, f"{job.task}/*"
         counts = [
-            (f"{role}s of {release}", len(seat.ids), len(_all(registry, job.task, release, role)))
+            (
+                f"{role}s of {release}",
+                len(seat.ids),
+                len(in_release(registry, every, release, task=job.task, role=role)),
+            )
             for role, seat in (("robot", job.egos), ("human", job.partners))
         ]
     return [f"{few} of {all_} {what} were played" for what, few, all_ in counts if few != all_]
-
-
-def _claims(declared: Any) -> list[str]:
-    """Say that whom the robots met in training was declared."""
-    return ["partners met in training: as declared"] if declared else []
-
-
-def _count(job: Job, side: str) -> int:
-    return list(job.sides.values()).count(side)
-
-
-def _all(registry: Registry, task: str, release: str, role: str) -> list[PolicyEntry]:
-    return in_release(registry, f"{task}/*", release, task=task, role=role)

@@ -57,7 +57,7 @@ def measure_noise(
     """
     measured = {}
     for name in measured_columns(first):
-        gaps = _gaps(first, second, name)
+        gaps = np.abs(_signed(first, second, name))
         groups = [gaps[rows] for _, rows in _groups(first, [by])]
         measured[name] = {
             "quantiles": [_upper(max(np.quantile(gap, q) for gap in groups)) for q in QUANTILES],
@@ -168,10 +168,6 @@ def _named(group: tuple[str, ...]) -> str:
 
 def _signed(first: pl.DataFrame, second: pl.DataFrame, name: str) -> np.ndarray:
     return (first[name].cast(pl.Float64) - second[name].cast(pl.Float64)).to_numpy()
-
-
-def _gaps(first: pl.DataFrame, second: pl.DataFrame, name: str) -> np.ndarray:
-    return np.abs(_signed(first, second, name))
 
 
 def _upper(value: float) -> float:

@@ -34,7 +34,7 @@ from evaluation.cast.roster import paired_rosters
 from evaluation.play.evaluator import MAX_ENVS, check_sizes
 from evaluation.play.jobs import Job
 from evaluation.play.runner import play
-from evaluation.record.manifest import installed
+from evaluation.record.manifest import PACKAGES, installed
 from population.networks.stack import PolicyStack
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry
@@ -44,7 +44,6 @@ STANDARD_ERRORS = 4.0
 LONGER = 16  # times the episodes
 TEAM_MARGIN = 0.05  # of the recorded mean
 TASK_MARGIN = 0.005  # of the recorded mean over a task's teams
-PACKAGES = ("assistax-zoo", "mujoco", "mujoco-mjx", "jax", "jaxlib", "flax", "numpy")
 _WIDTH_95 = 3.92  # of a 95% interval, in standard errors
 
 Pair = tuple[PolicyEntry, PolicyEntry]  # robot and human of a team

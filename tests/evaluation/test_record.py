@@ -11,7 +11,7 @@ from evaluation.figures.saved_tables import partner_table, profile_table
 from evaluation.figures.summary import summarise_evaluation
 from evaluation.record import record as records
 from evaluation.record.columns import COLUMNS, validate_episodes
-from evaluation.record.returns import lay_out
+from evaluation.record.record import lay_out
 from evaluation.studies import Settings, cross_play, evaluate_policies
 from tests.attack.commands import small_zoo
 from tests.evaluation.episode_tables import CONTEXT, episode_table, recorded, team_id, teams

@@ -310,6 +310,6 @@ def test_leaves_are_compared_by_name_and_what_cannot_be_read_says_why() -> None:
         return here[name]
 
     leaves = list(verification.compare(dict.fromkeys([*here, "broken"], "a"), digest))
-    assert [leaf.whole for leaf in leaves] == [True, False, False, False]
+    assert [leaf.actual == leaf.expected for leaf in leaves] == [True, False, False, False]
     assert [leaf.actual for leaf in leaves] == ["a", "b", None, None]
     assert str(leaves[3].error) == "no regular file" and leaves[2].error is None

@@ -13,8 +13,7 @@ from assistax_base.files import atomic_path
 from evaluation.figures.saved_tables import pair_table
 from evaluation.record import tables
 from evaluation.record.columns import BEHAVIOUR, GENTLE, SCHEMA, validate_episodes
-from evaluation.record.record import Record
-from evaluation.record.returns import lay_out
+from evaluation.record.record import Record, lay_out
 from tests.evaluation.episode_tables import episode_table, recorded, teams
 
 ROOT = Path(__file__).parents[2]

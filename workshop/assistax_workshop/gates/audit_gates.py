@@ -12,7 +12,7 @@ from assistax_envs.versions import GENTLE_TASKS
 from evaluation.figures.bootstrap import RESAMPLES, draw_counts
 from evaluation.figures.metrics import Traits, cross_play
 from evaluation.record.columns import with_safety
-from evaluation.record.returns import lay_out
+from evaluation.record.record import lay_out
 
 Ends = tuple[float, float] | None
 
