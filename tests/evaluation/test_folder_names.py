@@ -141,8 +141,8 @@ def test_a_robot_is_that_of_its_folder(
 
 def test_only_one_module_reads_parquet_by_path() -> None:
     """Polars takes a path for a pattern unless it is told not to, which is told in one place."""
-    packages = ("assistax_envs", "population", "zoo", "evaluation", "assistax_zoo", "tools")
-    files = [path for package in packages for path in (ROOT / package).rglob("*.py")]
+    packages = ("assistax_base", "assistax_envs", "population", "zoo", "evaluation", "assistax_zoo")
+    files = [path for name in (*packages, "tools") for path in (ROOT / name).rglob("*.py")]
     reads = {
         path.relative_to(ROOT).as_posix()
         for path in files

@@ -209,7 +209,7 @@ def test_a_file_that_is_named_often_is_read_once(
     read: list[Path] = []
     hashed = provenance.received_sha256
     monkeypatch.setattr(
-        provenance, "received_sha256", lambda path: read.append(path) or hashed(path)
+        verification, "received_sha256", lambda path: read.append(path) or hashed(path)
     )
     resealed(folder, files=dict.fromkeys(names, provenance.file_sha256(tmp_path / "large")))
     assert not check_sources(folder).problems and len(read) == 1
