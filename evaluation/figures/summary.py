@@ -226,11 +226,12 @@ def summarise_crossplay(record: Record, context: Context) -> CrossPlaySummary:
     rows, columns = _traits(returns.egos, "ego"), _traits(returns.partners, "partner")
     figures = cross_play(returns.values, rows, columns, common_starts=returns.common_starts)
     means = returns.scores.mean(axis=1)
+    ranked = min(returns.scores.shape) > 1 and np.ptp(means) > 0
     return CrossPlaySummary(
         **vars(figures),
         **_common(returns, context),
         best_ego=BestEgo(returns.egos["ego"][int(means.argmax())], float(means.max())),
-        rank_stability=_rank_stability(returns.scores),
+        rank_stability=rank_stability(returns.scores) if ranked else None,
         egos=returns.egos.height,
         partners=returns.partners.height,
         notes=(*team_notes(returns), *episode_notes(returns)),
@@ -337,9 +338,3 @@ def _worst_partner(returns: Returns) -> NamedWorst:
     named = returns.partners.row(worst.index, named=True)
     traits = (named[name] for name in ("partner", "partner_algorithm", "partner_disability"))
     return NamedWorst(*traits, worst.mean, worst.crossfit)
-
-
-def _rank_stability(scores: np.ndarray) -> Stability | None:
-    if min(scores.shape) < 2 or not np.ptp(scores.mean(axis=1)):
-        return None
-    return rank_stability(scores)

@@ -122,10 +122,8 @@ def left_out(table: pl.DataFrame, met: MetPartners) -> list[str]:
     """Return the partners of a table that are not new to one of its robots, in its order."""
     robots = set(table["ego_team"].drop_nulls())
     partners = table.select("partner", "partner_team", "side").unique(maintain_order=True)
-    sides = dict(partners.select("partner", "side").rows())
-    left = set(met.left_out(sides))
-    rows = partners.select("partner", "partner_team").rows()
-    return [name for name, team in rows if name in left or team in robots]
+    left = set(met.left_out(dict(partners.select("partner", "side").rows())))
+    return [name for name, team, _ in partners.rows() if name in left or team in robots]
 
 
 def check_new(

@@ -206,7 +206,9 @@ def _judge(
         for part, again in zip(parts, played, strict=True)
     ]
     pairs = list(zip(kept, played, strict=True))
-    if strange := [name for old, new in pairs for name in _strange_columns(old, new)]:
+    if strange := [
+        name for old, new in pairs for name in sorted(dict(old.schema.items() ^ new.schema.items()))
+    ]:
         problem = f"the columns {', '.join(strange)} are not those of the job's episodes"
         return dataclasses.replace(report, why="other columns", problems=(problem,))
     differing = sum(_differing(old, new) for old, new in pairs)
@@ -232,10 +234,6 @@ def _judge(
         problems=tuple(problems),
         ok=not problems,
     )
-
-
-def _strange_columns(kept: pl.DataFrame, played: pl.DataFrame) -> list[str]:
-    return sorted(dict(kept.schema.items() ^ played.schema.items()))
 
 
 def _differing(kept: pl.DataFrame, played: pl.DataFrame) -> int:

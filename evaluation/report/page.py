@@ -6,7 +6,6 @@ careless with an id shows its tags to the reader, and runs nothing.
 
 import base64
 import functools
-import io
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
@@ -14,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
-import matplotlib
 import polars as pl
 from markupsafe import Markup
 from matplotlib.figure import Figure
@@ -24,6 +22,7 @@ from evaluation.figures.summary import EvaluationSummary, read_summary
 from evaluation.plots.charts import performance_profile, provenance, trait_points, zsc_dots
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import arrange, short_names
+from evaluation.plots.style import figure_bytes
 from evaluation.record import tables
 from evaluation.record.manifest import file_sha256, read_manifest
 from evaluation.record.verification import unchecked
@@ -211,11 +210,7 @@ def _short(names: Sequence[str]) -> dict[str, str]:
 
 def _embedded(figure: Figure, kind: str = "svg") -> str:
     """Return a figure as an address that holds it."""
-    buffer = io.BytesIO()
-    metadata = {"Date": None} if kind == "svg" else {"Software": None}
-    with matplotlib.rc_context({"svg.hashsalt": "assistax-zoo"}):
-        figure.savefig(buffer, format=kind, dpi=150, metadata=metadata)
-    data = base64.b64encode(buffer.getvalue()).decode()
+    data = base64.b64encode(figure_bytes(figure, f".{kind}", dpi=150)).decode()
     return f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{data}"
 
 
