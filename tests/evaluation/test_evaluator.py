@@ -186,7 +186,7 @@ def test_a_killed_run_resumes_to_the_same_file(tmp_path: Path):
     script = (
         "import os, signal, sys\n"
         "from pathlib import Path\n"
-        "from evaluation import tables\n"
+        "from evaluation.record import tables\n"
         "from evaluation.play.evaluator import run_job\n"
         "from tests.evaluation.matrix_game import MatrixGame\n"
         "from tests.evaluation.test_evaluator import mixed_job\n"
