@@ -144,7 +144,7 @@ HEAD = """
 import os, signal, sys
 from pathlib import Path
 import jax
-from evaluation import tables
+from evaluation.record import tables
 from evaluation.play.shares import run_block
 from evaluation.play.evaluator import run_job
 from tests.evaluation.test_invariance import real_job, scratch, use_small_tiles
