@@ -1,1 +1,1 @@
-"""What every package uses: files, validation, errors, bounded reading. It imports none of them."""
+"""What every package uses: files, validation, errors, statistics. It imports none of them."""

@@ -145,7 +145,7 @@ def evaluate(
             on_progress=on_progress,
         )
     write_run(folder, command_line(), simulated=summary.env_steps_per_second is not None)
-    return EvaluationResult(summary, folder, keep)
+    return EvaluationResult.of(summary, folder, keep)
 
 
 def cross_play(
@@ -204,7 +204,7 @@ def cross_play(
     with chosen_progress(progress, study_progress(f"crossplay {task}")) as on_progress:
         summary = play_population(cast, how, folder, on_progress=on_progress, **options)
     write_run(folder, command_line(), simulated=summary.env_steps_per_second is not None)
-    return CrossPlayResult(summary, folder, keep)
+    return CrossPlayResult.of(summary, folder, keep)
 
 
 def play_share(

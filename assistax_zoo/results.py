@@ -5,24 +5,27 @@ import shutil
 import tempfile
 import weakref
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import polars as pl
 
 from evaluation.cast.met_partners import UNKNOWN, MetSummary, both_met, comparison_notes
 from evaluation.figures.bootstrap import Estimate
+from evaluation.figures.metrics import CrossPlay, ZeroShot
 from evaluation.figures.normalised import References, Relative
 from evaluation.figures.summary import (
-    BestEgo,
     ComparisonSummary,
     CrossPlaySummary,
     EvaluationSummary,
-    NamedWorst,
+    MatrixFigures,
+    SideFigures,
     read_summary,
     summarise_comparison,
 )
 from evaluation.record import tables
-from evaluation.record.manifest import table_hashes, unchecked
+from evaluation.record.manifest import table_hashes
+from evaluation.record.record import Record
+from evaluation.record.verification import unchecked
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,11 +43,12 @@ class TemporaryFolder:
         weakref.finalize(self, shutil.rmtree, outer, ignore_errors=True)
 
 
-@dataclasses.dataclass(frozen=True, repr=False)
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
 class _Result:
     """What a finished folder offers, whatever was played."""
 
     summary: Any  # every figure, as docs/evaluation.md lists them
+    notes: tuple[str, ...]  # what a reader has to know of the figures
     folder: Path  # holds the tables
     keep: TemporaryFolder | None = dataclasses.field(default=None, compare=False)
     _hashes: dict[str, str] = dataclasses.field(init=False, compare=False)  # of its tables
@@ -52,22 +56,30 @@ class _Result:
     def __post_init__(self) -> None:
         object.__setattr__(self, "_hashes", table_hashes(self.folder))
 
+    @classmethod
+    def of(cls, summary: Any, folder: Path, keep: TemporaryFolder | None = None) -> Self:
+        """Return the result of a folder, with those figures of its summary that it has as fields.
+
+        Args:
+            summary: As `evaluation.figures.saved_tables` returns it.
+            folder: Holds it and the tables.
+            keep: What must live as long as the result.
+        """
+        names = {field.name for field in dataclasses.fields(cls)} & set(vars(summary))
+        figures = {name: getattr(summary, name) for name in names}
+        return cls(summary=summary, folder=folder, keep=keep, **figures)
+
     def _own(self, *names: str) -> Path:
         """Return the folder, if these tables of it, or all, are still those of this result."""
-        found = table_hashes(self.folder)
-        names = names or tuple({*self._hashes, *found})
-        if any(found.get(name) != self._hashes.get(name) for name in names):
+        hashes = table_hashes(self.folder)
+        names = names or tuple({*self._hashes, *hashes})
+        if any(hashes.get(name) != self._hashes.get(name) for name in names):
             raise ValueError(
                 f"{self.folder} no longer holds this result: its tables were replaced, or written "
                 "again with other options; load_result reads what it holds now, and `out` gives "
                 "each result a folder of its own"
             )
         return self.folder
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What a reader has to know of the figures."""
-        return tuple(self.summary.notes)
 
     @property
     def episodes(self) -> pl.DataFrame:
@@ -116,8 +128,8 @@ class _Result:
         raise NotImplementedError
 
     def __repr__(self) -> str:
-        told = [f"{name} {_brief(figure)}" for name, figure in self._figures().items() if figure]
-        return f"{type(self).__name__}({self.summary.task}: {', '.join(told)}{self._caveat()})"
+        parts = [f"{name} {_brief(figure)}" for name, figure in self._figures().items() if figure]
+        return f"{type(self).__name__}({self.summary.task}: {', '.join(parts)}{self._caveat()})"
 
     def _caveat(self) -> str:
         """Return what is unknown of the figures, after them."""
@@ -130,8 +142,27 @@ class _Result:
         return figures_html(figures, f"{self.summary.task}: return of an episode", self.notes)
 
 
-class EvaluationResult(_Result):
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class EvaluationResult(_Result, SideFigures, ZeroShot):
     """M_test of a robot, or of the seeds of one method; returns are sums over 1000 steps of 20 ms.
+
+    Attributes:
+        m_test: Return with partners of the test side, None if none played: mean, IQM, intervals, n.
+        m_train: The same with partners of the training side.
+        gap: `m_train` less `m_test`, where both played.
+        side: The side that the other figures are of: test, or training if only that was played.
+        by_algorithm: The return with the partners of each algorithm.
+        by_disability: The return with the partners of each disability setting.
+        by_preference: The return under each preference of the humans of a gentle task; else empty.
+        by_place: The return in each place of a series of episodes, from "1"; empty without series.
+        safe_success: Share of episodes of a gentle task that reached the goal and hurt nobody.
+        violations: Share of episodes of a gentle task with a contact above the limit.
+        worst_partner: The partner with the lowest mean return: `partner`, `mean` and what it is.
+        references: Returns to compare with, such as the script's, if they played.
+        relative: The return on the scale from zero action to best response, if references played.
+        summary: Every figure, as docs/evaluation.md lists them.
+        notes: What a reader has to know of the figures.
+        folder: Holds the tables.
 
     Examples:
         >>> result  # of `evaluate`
@@ -141,66 +172,13 @@ class EvaluationResult(_Result):
     """
 
     summary: EvaluationSummary
-
-    @property
-    def m_test(self) -> Estimate | None:
-        """Return with partners of the test side, None if none played: mean, IQM, intervals, n."""
-        return self.summary.m_test
-
-    @property
-    def m_train(self) -> Estimate | None:
-        """The same with partners of the training side."""
-        return self.summary.m_train
-
-    @property
-    def gap(self) -> Estimate | None:
-        """`m_train` less `m_test`, where both played."""
-        return self.summary.gap
-
-    @property
-    def by_algorithm(self) -> dict[str, Estimate]:
-        """The return with the partners of each algorithm."""
-        return self.summary.by_algorithm
-
-    @property
-    def by_disability(self) -> dict[str, Estimate]:
-        """The return with the partners of each disability setting."""
-        return self.summary.by_disability
-
-    @property
-    def by_preference(self) -> dict[str, Estimate]:
-        """The return under each preference of the humans of a gentle task; else empty."""
-        return self.summary.by_preference
-
-    @property
-    def by_place(self) -> dict[str, Estimate]:
-        """The return in each place of a series of episodes, from "1"; empty without series."""
-        return self.summary.by_place
-
-    @property
-    def safe_success(self) -> Estimate | None:
-        """Share of episodes of a gentle task that reached the goal and hurt nobody; else None."""
-        return self.summary.safe_success
-
-    @property
-    def worst_partner(self) -> NamedWorst:
-        """The partner with the lowest mean return: `partner`, `mean` and what it is."""
-        return self.summary.worst_partner
+    references: References | None
+    relative: Relative | None
 
     @property
     def met(self) -> MetSummary:
         """What is known of the partners that the robots met in training, and who is left out."""
         return self.summary.met or MetSummary(known=False, source="not known", left_out=())
-
-    @property
-    def references(self) -> References | None:
-        """Returns to compare with, such as the script's, if they played."""
-        return self.summary.references
-
-    @property
-    def relative(self) -> Relative | None:
-        """The return on the scale from zero action to best response, if references played."""
-        return self.summary.relative
 
     @property
     def partners(self) -> pl.DataFrame:
@@ -228,8 +206,18 @@ class EvaluationResult(_Result):
         return "" if self.met.known else f"; {UNKNOWN}"
 
 
-class CrossPlayResult(_Result):
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class CrossPlayResult(_Result, MatrixFigures, CrossPlay):
     """Every robot of a population with every human; returns are sums over 1000 steps of 20 ms.
+
+    Attributes:
+        self_play: Return of robots with the humans they were trained with: mean, IQM, intervals, n.
+        cross_play: Return of robots with all other humans.
+        gap: `self_play` less `cross_play`.
+        best_ego: The robot with the highest mean return: `ego` and `mean`.
+        summary: Every figure, as docs/evaluation.md lists them.
+        notes: What a reader has to know of the figures.
+        folder: Holds the tables.
 
     Examples:
         >>> matrix  # of `cross_play`
@@ -239,26 +227,6 @@ class CrossPlayResult(_Result):
     """
 
     summary: CrossPlaySummary
-
-    @property
-    def self_play(self) -> Estimate | None:
-        """Return of robots with the humans they were trained with: mean, IQM, intervals, n."""
-        return self.summary.self_play
-
-    @property
-    def cross_play(self) -> Estimate | None:
-        """Return of robots with all other humans."""
-        return self.summary.cross_play
-
-    @property
-    def gap(self) -> Estimate | None:
-        """`self_play` less `cross_play`."""
-        return self.summary.gap
-
-    @property
-    def best_ego(self) -> BestEgo:
-        """The robot with the highest mean return: `ego` and `mean`."""
-        return self.summary.best_ego
 
     @property
     def pairs(self) -> pl.DataFrame:
@@ -301,8 +269,8 @@ class Comparison(ComparisonSummary):
 
     def __repr__(self) -> str:
         sides = {"test": self.test, "train": self.train}
-        told = [f"{side} partners {_brief(found)}" for side, found in sides.items() if found]
-        return f"Comparison({self.task}: {', '.join(told)})"
+        parts = [f"{side} partners {_brief(figure)}" for side, figure in sides.items() if figure]
+        return f"Comparison({self.task}: {', '.join(parts)})"
 
 
 def load_result(folder: Path | str) -> EvaluationResult | CrossPlayResult:
@@ -319,8 +287,8 @@ def load_result(folder: Path | str) -> EvaluationResult | CrossPlayResult:
     folder = Path(folder)
     summary = read_summary(folder)
     if isinstance(summary, EvaluationSummary):
-        return EvaluationResult(summary, folder)
-    return CrossPlayResult(summary, folder)
+        return EvaluationResult.of(summary, folder)
+    return CrossPlayResult.of(summary, folder)
 
 
 def compare(
@@ -340,18 +308,18 @@ def compare(
         >>> compare(result, result.folder).test.mean
         0.0
     """
-    first, second = (_evaluation(one) for one in (a, b))
+    first, second = methods = _evaluation(a), _evaluation(b)
     for name in ("task", "env_version", "backend", "engine"):
-        found = [getattr(one.summary, name) for one in (first, second)]
-        if found[0] != found[1]:
+        values = [getattr(method.summary, name) for method in methods]
+        if values[0] != values[1]:
             raise ValueError(
-                f"{name} is {found[0]} in {first.folder} and {found[1]} in {second.folder}; "
+                f"{name} is {values[0]} in {first.folder} and {values[1]} in {second.folder}; "
                 "evaluate both methods alike"
             )
-    met = both_met(*((one.summary.met, one.episodes) for one in (first, second)))
-    new = ~pl.col("partner").is_in(met.left_out)
-    played = [one.episodes.filter(new) for one in (first, second)]
-    if any(table.is_empty() for table in played):
+    records = [Record(method.episodes, method.folder) for method in methods]
+    met = both_met((first.summary.met, records[0].table), (second.summary.met, records[1].table))
+    played = [record.without(met.left_out) for record in records]
+    if any(record.table.is_empty() for record in played):
         raise ValueError("every partner was trained with a robot of either method; choose others")
     summary = summarise_comparison(*played, seed=seed)
     notes = [*summary.notes, *comparison_notes(met)]
@@ -361,10 +329,10 @@ def compare(
 
 
 def _evaluation(result: "EvaluationResult | Path | str") -> EvaluationResult:
-    found = load_result(result) if isinstance(result, Path | str) else result
-    if not isinstance(found, EvaluationResult):
-        raise ValueError(f"{found.folder} holds a cross-play; compare takes evaluations")
-    return found
+    loaded = load_result(result) if isinstance(result, Path | str) else result
+    if not isinstance(loaded, EvaluationResult):
+        raise ValueError(f"{loaded.folder} holds a cross-play; compare takes evaluations")
+    return loaded
 
 
 def _brief(figure: Estimate) -> str:

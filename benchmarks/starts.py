@@ -14,7 +14,7 @@ from evaluation.figures.bootstrap import Estimate, estimate
 from evaluation.play.how import default_episodes
 from evaluation.play.jobs import Job
 from evaluation.play.runner import play
-from evaluation.record.tables import dense_block
+from evaluation.record.record import lay_out
 
 REPETITIONS = 2000  # of drawn partners and starts
 
@@ -67,7 +67,7 @@ def measure_luck(task: str, robot: str, seeds: int, *, backend: str = "auto") ->
 
 def _returns(env: object, job: Job) -> np.ndarray:
     """Play a job and return its returns [S, P, K]."""
-    return dense_block(play(env, job, 32768)).returns
+    return lay_out(play(env, job, 32768)).values
 
 
 def _luck(starts: str, blocks: np.ndarray, *, resampled: bool) -> Luck:

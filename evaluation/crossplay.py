@@ -18,6 +18,7 @@ from evaluation.play.progress import OnProgress
 from evaluation.play.shares import run_blocks_on_ray
 from evaluation.play.study import context_of, make_job, seal, still_of
 from evaluation.record import tables
+from evaluation.record.record import Record
 from zoo.namespaces import split_namespace
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
@@ -84,7 +85,7 @@ def cross_play(
     releases = ", ".join(cast.releases)
     context = context_of(job, result, split=cast.split, release=releases, lock=cast.lock)
     with still_of(job, folder):
-        summary = save_crossplay(folder, result.table, context, cast.met)
+        summary = save_crossplay(Record(result.table, folder), context, cast.met)
         _draw(folder, summary)
         seal(folder, cast)
     return summary

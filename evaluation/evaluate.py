@@ -20,7 +20,9 @@ from evaluation.play.how import How
 from evaluation.play.jobs import Job
 from evaluation.play.progress import OnProgress
 from evaluation.play.study import context_of, make_job, seal, still_of
-from evaluation.record import manifest, tables
+from evaluation.record import tables
+from evaluation.record.record import Record
+from evaluation.record.verification import check_whole
 from zoo.locations import CACHE_VARIABLE
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
@@ -116,7 +118,8 @@ def evaluate(
     context = context_of(job, result, split=split, release=split.release, lock=cast.lock)
     saving: dict[str, Any] = {"include_own": include_own, "references": baselines}
     with still_of(job, folder):
-        summary = save_evaluation(folder, result.table, context, met=cast.met, **saving)
+        record = Record(result.table, folder)
+        summary = save_evaluation(record, context, met=cast.met, **saving)
         seal(folder, cast, files)
     return summary
 
@@ -142,7 +145,7 @@ def _own_files(cast: Cast, crossplay: Path | None) -> list[Path]:
 
 def _crossplay_pairs(folder: Path, task: str) -> pl.DataFrame:
     """Read the pairs of a finished cross-play of this task and environment version."""
-    manifest.check_whole(folder)
+    check_whole(folder)
     summary = tables.read_json(folder / tables.SUMMARY_FILE)
     its_task, version = summary.get("task"), summary.get("env_version")
     if (its_task, version) != (task, VERSIONS[task]):

@@ -13,7 +13,7 @@ from assistax_base.errors import RegistryVersionError, SplitError, listing
 from assistax_envs.versions import VERSIONS
 from evaluation.cast.met_partners import MetPartners, declare, describe_met, met_partners
 from evaluation.cast.roster import Roster, paired_rosters, registry_roster
-from evaluation.record.sources import describe_sources
+from evaluation.record.manifest import describe_sources
 from zoo.ids import EGO
 from zoo.namespaces import split_namespace
 from zoo.registry import Registry

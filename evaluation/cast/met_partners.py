@@ -119,20 +119,12 @@ def describe_met(egos: Roster, trained_with: str | Sequence[str] | None) -> dict
     return {"declared": declared, "robots": robots}
 
 
-def without_met(table: pl.DataFrame, met: MetPartners) -> pl.DataFrame:
-    """Leave out the episodes of partners that are not new to one of the robots of a table."""
-    left = left_out(table, met)
-    return table.filter(~pl.col("partner").is_in(left)) if left else table
-
-
 def left_out(table: pl.DataFrame, met: MetPartners) -> list[str]:
     """Return the partners of a table that are not new to one of its robots, in its order."""
     robots = set(table["ego_team"].drop_nulls())
     partners = table.select("partner", "partner_team", "side").unique(maintain_order=True)
-    sides = dict(partners.select("partner", "side").rows())
-    left = set(met.left_out(sides))
-    rows = partners.select("partner", "partner_team").rows()
-    return [name for name, team in rows if name in left or team in robots]
+    left = set(met.left_out(dict(partners.select("partner", "side").rows())))
+    return [name for name, team, _ in partners.rows() if name in left or team in robots]
 
 
 def check_new(

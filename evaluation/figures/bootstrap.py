@@ -15,8 +15,9 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+from jaxtyping import Bool, Float, Num
 
-from evaluation.figures.statistics import (
+from assistax_base.statistics import (
     entries,
     iqm,
     mean,
@@ -62,8 +63,8 @@ class Draws:
 
     mean: float
     iqm: float
-    means: np.ndarray  # [B] replicates of the mean; NaN where a resample held no entry
-    iqms: np.ndarray  # [B] replicates of the IQM
+    means: Float[np.ndarray, " B"]  # replicates of the mean; NaN where a resample held no entry
+    iqms: Float[np.ndarray, " B"]  # replicates of the IQM
     n: int
     generalises_to: str
 
@@ -89,9 +90,9 @@ class Draws:
 class Counts:
     """How often each seed, partner and start stands in each of B resamples."""
 
-    seeds: np.ndarray  # [B, S]
-    partners: np.ndarray  # [B, P]
-    starts: np.ndarray | None  # [B, K]; None where starts are not resampled on their own
+    seeds: Num[np.ndarray, "B S"]
+    partners: Num[np.ndarray, "B P"]
+    starts: Num[np.ndarray, "B K"] | None  # None where starts are not resampled on their own
     generalises_to: str
 
 
@@ -132,9 +133,9 @@ def estimate(
 
 
 def profile_band(
-    scores: np.ndarray, thresholds: np.ndarray
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Pointwise cluster band (low [T], high [T]) of the performance profile of scores [S, P].
+    scores: np.ndarray, thresholds: Num[np.ndarray, " T"]
+) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]] | None:
+    """Pointwise cluster band (low, high) of the performance profile of scores [S, P].
 
     None for one score.
     """
@@ -151,8 +152,10 @@ def profile_band(
     return low, high
 
 
-def curve_band(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """IQM over seeds at each point of curves [S, T] with its pointwise band: (iqm, low, high).
+def curve_band(
+    values: Num[np.ndarray, "S T"],
+) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"], Float[np.ndarray, " T"]] | None:
+    """IQM over seeds at each point of curves with its pointwise band: (iqm, low, high).
 
     None for one seed.
     """
@@ -180,9 +183,9 @@ def scope(generalises_to: str) -> str:
 
 
 def interval(
-    replicates: np.ndarray, to: str, confidence: float = 0.95
+    replicates: Float[np.ndarray, " B"], to: str, confidence: float = 0.95
 ) -> tuple[float, float] | None:
-    """Percentile interval of replicates [B].
+    """Percentile interval of replicates.
 
     None if nothing was resampled or over 5% of them are undefined.
     """
@@ -194,15 +197,18 @@ def interval(
 
 
 def replicate(
-    values: np.ndarray, counts: np.ndarray, to: str, starts: np.ndarray | None = None
+    values: Num[np.ndarray, " n"] | Num[np.ndarray, "n K"],
+    counts: Num[np.ndarray, "B n"],
+    to: str,
+    starts: Num[np.ndarray, "B K"] | None = None,
 ) -> Draws:
     """Evaluate mean and IQM of entries under every row of counts.
 
     Args:
-        values: Entries [n], or their returns [n, K].
-        counts: How often each entry stands in each resample, [B, n].
+        values: Entries, or their returns over starts.
+        counts: How often each entry stands in each resample.
         to: What the resamples generalise to.
-        starts: How often each start does, [B, K]; None where starts are not resampled.
+        starts: How often each start does; None where starts are not resampled.
     """
     means = _mean_over_starts(values)
     if starts is not None:
@@ -212,8 +218,12 @@ def replicate(
     return Draws(mean(means), iqm(means), *replicates, means.size, to)
 
 
-def replicate_crossed(scores: np.ndarray, counts: Counts, mask: np.ndarray | None = None) -> Draws:
-    """Replicate a matrix [R, C] or [R, C, K], or its cells under `mask` [R, C]."""
+def replicate_crossed(
+    scores: Num[np.ndarray, "R C"] | Num[np.ndarray, "R C K"],
+    counts: Counts,
+    mask: Bool[np.ndarray, "R C"] | None = None,
+) -> Draws:
+    """Replicate a matrix, or its cells under `mask`."""
     mask = np.ones(scores.shape[:2], bool) if mask is None else mask
     rows, columns = np.nonzero(mask)
     means = _mean_over_starts(scores[rows, columns])
@@ -238,8 +248,8 @@ def replicate_crossed(scores: np.ndarray, counts: Counts, mask: np.ndarray | Non
     return Draws(mean(means), iqm(means), *replicates, means.size, counts.generalises_to)
 
 
-def draw_counts(units: int, resamples: int, rng: np.random.Generator) -> np.ndarray:
-    """Counts [B, units] of resamples of `units` things with replacement."""
+def draw_counts(units: int, resamples: int, rng: np.random.Generator) -> Num[np.ndarray, "B units"]:
+    """Counts of resamples of `units` things with replacement."""
     return rng.multinomial(units, np.full(units, 1.0 / units), size=resamples)
 
 
@@ -260,8 +270,8 @@ def crossed_counts(
 
 def draw_starts(
     shape: tuple[int, ...], common_starts: bool, resamples: int, rng: np.random.Generator
-) -> np.ndarray | None:
-    """Draw counts of starts [B, K] for [S, P, K]; None where resampled partners bring theirs."""
+) -> Num[np.ndarray, "B K"] | None:
+    """Draw counts of starts for [S, P, K]; None where resampled partners bring theirs."""
     several = len(shape) == 3 and shape[2] > 1
     if not several or not (common_starts or shape[1] == 1):
         return None

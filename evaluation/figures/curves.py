@@ -3,8 +3,8 @@
 import numpy as np
 import polars as pl
 
+from assistax_base.statistics import iqm
 from evaluation.figures.bootstrap import curve_band
-from evaluation.figures.statistics import iqm
 
 COLUMNS = {
     "disability": pl.String,

@@ -19,7 +19,7 @@ from evaluation.figures.metrics import (
     normalised_return,
     regret,
 )
-from evaluation.record import tables
+from evaluation.record.record import Record
 
 COLUMN = "reference"  # what an episode of the table of references is: an ego, SELF_PLAY, PASSIVE
 # Ids in the episode table: of egos that nobody trained, and of a partner that does nothing.
@@ -103,19 +103,19 @@ def bounds_table(references: pl.DataFrame, crossplay: pl.DataFrame | None = None
 
 
 def summarise_references(
-    table: pl.DataFrame, references: pl.DataFrame, bounds: pl.DataFrame
+    record: Record, references: pl.DataFrame, bounds: pl.DataFrame
 ) -> tuple[References, Relative]:
     """Return the reference egos' returns, and the egos' figures relative to the bounds.
 
     All are about the partners of the evaluated side.
 
     Args:
-        table: Episodes of the policies.
+        record: Episodes of the policies.
         references: What `evaluation.play.baselines.play_references` returned first.
         bounds: What `bounds_table` returned.
     """
-    block = tables.dense_block(table).evaluated_side()
-    partners = block.partners.select("partner")
+    returns = record.returns.evaluated_side
+    partners = returns.partners.select("partner")
     bounds = partners.join(bounds, on="partner", how="left", maintain_order="left")
     on_side = references.join(partners, on="partner", how="semi", maintain_order="left")
 
@@ -132,14 +132,14 @@ def summarise_references(
         return estimate(rows["return"].to_numpy().reshape(shape)) if rows.height else None
 
     played = (returns_of(ZERO), returns_of(RANDOM), returns_of(SELF_PLAY))
-    found = References(
+    earned = References(
         *played,
         best_response=figure(bounds["best"].drop_nulls()),
         script=returns_of(SCRIPT),
-        passive_human=alone(pl.col("ego").is_in(block.egos["ego"].to_list())),
+        passive_human=alone(pl.col("ego").is_in(returns.egos["ego"].to_list())),
         script_with_passive_human=alone(pl.col("ego") == SCRIPT),
     )
-    return found, _relative(block.scores, bounds)
+    return earned, _relative(returns.scores, bounds)
 
 
 def _relative(scores: np.ndarray, table: pl.DataFrame) -> Relative:

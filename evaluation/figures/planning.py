@@ -175,8 +175,8 @@ def plan_evaluation(
     spread = spread or MEASURED[task or "scratch"][method]
 
     def plan(seeds: int, episodes: int) -> EvaluationPlan:
-        found = round(spread.half_width(seeds, partners, episodes), 2)
-        return EvaluationPlan(seeds, partners, episodes, found)
+        reached = round(spread.half_width(seeds, partners, episodes), 2)
+        return EvaluationPlan(seeds, partners, episodes, reached)
 
     # One seed has an interval too, which does not speak of new seeds: that is no plan for a method.
     enough = [n for n in range(2, SEEDS + 1) if plan(n, EPISODES).half_width <= half_width]
@@ -188,4 +188,4 @@ def plan_evaluation(
             "difference varies less"
         )
     plans = (plan(enough[0], episodes) for episodes in range(1, EPISODES + 1))
-    return next(one for one in plans if one.half_width <= half_width)
+    return next(candidate for candidate in plans if candidate.half_width <= half_width)

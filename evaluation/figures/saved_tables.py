@@ -1,12 +1,13 @@
 """What is drawn from an episode table and saved beside it: partners, profile, matrix and order."""
 
 import dataclasses
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import polars as pl
 
+from assistax_base.statistics import performance_profile
 from evaluation.cast.met_partners import (
     NOTHING_KNOWN,
     MetPartners,
@@ -14,11 +15,9 @@ from evaluation.cast.met_partners import (
     crossplay_notes,
     left_out,
     met_notes,
-    without_met,
 )
 from evaluation.figures.bootstrap import estimate, profile_band
 from evaluation.figures.normalised import summarise_references
-from evaluation.figures.statistics import performance_profile
 from evaluation.figures.summary import (
     Context,
     CrossPlaySummary,
@@ -27,44 +26,60 @@ from evaluation.figures.summary import (
     summarise_evaluation,
 )
 from evaluation.record import tables
-from evaluation.record.tables import dense_block
+from evaluation.record.columns import BEHAVIOUR, outcome_columns, term_columns, with_safety
+from evaluation.record.record import Record
 
 POINTS = 101  # of a performance profile
 
 
-def partner_table(table: pl.DataFrame) -> pl.DataFrame:
+def partner_table(record: Record) -> pl.DataFrame:
     """Average over egos and episodes: one row a partner.
 
     `return_low` and `return_high` are the ends of its mean's 95% interval over seeds and starts.
     """
-    block, table = dense_block(table), tables.with_safety(table)
-    measures = tables.outcome_columns(table)
-    means = table.group_by("partner").agg(
-        *(pl.col(name).cast(pl.Float64).mean() for name in measures),
-        pl.len().cast(pl.Int64).alias("episodes"),
-        pl.col("nonfinite").sum().cast(pl.Int64),
-    )
-    figures = [estimate(block.returns[:, [place]]) for place in range(block.partners.height)]
+    returns, table = record.returns, with_safety(record.table)
+    figures = [estimate(returns.values[:, [place]]) for place in range(returns.partners.height)]
     intervals = [figure.mean_ci or (None, None) for figure in figures]
-    returns = pl.DataFrame(
-        {
-            "partner": block.partners["partner"],
-            "return": [figure.mean for figure in figures],
-            "return_low": [low for low, _ in intervals],
-            "return_high": [high for _, high in intervals],
-        },
-        schema_overrides={"return_low": pl.Float64, "return_high": pl.Float64},
+    described = returns.partners.with_columns(
+        pl.Series("return", [figure.mean for figure in figures]),
+        pl.Series("return_low", [low for low, _ in intervals], pl.Float64),
+        pl.Series("return_high", [high for _, high in intervals], pl.Float64),
     )
-    described = block.partners.join(returns, on="partner", maintain_order="left")
+    means = table.group_by("partner").agg(*_means(outcome_columns(table)), *_COUNTS)
     return described.join(means, on="partner", maintain_order="left")
 
 
-def profile_table(table: pl.DataFrame) -> pl.DataFrame:
+def pair_table(record: Record) -> pl.DataFrame:
+    """Average the episodes of each pair: one row a pair, in the order of `record.returns`."""
+    returns, table = record.returns, with_safety(record.table)
+    behaviour = [name for name in BEHAVIOUR if name in table.columns]
+    measures = ("discounted_return", *term_columns(table), *outcome_columns(table), *behaviour)
+    means = table.group_by("ego", "partner").agg(
+        *_means(["return"]),
+        pl.col("return").cast(pl.Float64).std().alias("return_sd"),
+        *_means(measures),
+        *_COUNTS,
+    )
+    pairs = returns.egos.join(returns.partners, how="cross", maintain_order="left_right")
+    return pairs.join(means, on=["ego", "partner"], how="left", maintain_order="left")
+
+
+_COUNTS = (
+    pl.len().cast(pl.Int64).alias("episodes"),
+    pl.col("nonfinite").sum().cast(pl.Int64),
+)
+
+
+def _means(names: Sequence[str]) -> list[pl.Expr]:
+    return [pl.col(name).cast(pl.Float64).mean() for name in names]
+
+
+def profile_table(record: Record) -> pl.DataFrame:
     """Return the performance profile of the evaluated side.
 
     Threshold, share above it, low, high.
     """
-    scores = dense_block(table).evaluated_side().scores
+    scores = record.returns.evaluated_side.scores
     thresholds = np.linspace(min(0.0, scores.min()), scores.max(), POINTS)
     low, high = profile_band(scores, thresholds) or (None, None)
     share = performance_profile(scores, thresholds)
@@ -74,7 +89,7 @@ def profile_table(table: pl.DataFrame) -> pl.DataFrame:
     )
 
 
-def crossplay_matrix(table: pl.DataFrame) -> tuple[pl.DataFrame, dict[str, Any]]:
+def crossplay_matrix(record: Record) -> tuple[pl.DataFrame, dict[str, Any]]:
     """Return the matrix in long form, one row a pair, and its clustered order.
 
     The order has `rows` and `columns`, clustered separately, and `teams`: one order for both axes,
@@ -85,37 +100,35 @@ def crossplay_matrix(table: pl.DataFrame) -> tuple[pl.DataFrame, dict[str, Any]]
         cluster_teams,
     )
 
-    block = dense_block(table)
-    scores = block.scores
+    returns = record.returns
+    egos, partners, scores = returns.egos, returns.partners, returns.scores
     order = {
         "linkage": "average",
         "distance": "euclidean",
-        "rows": cluster_profiles(scores).to_json(block.egos["ego"].to_list()),
-        "columns": cluster_profiles(scores.T).to_json(block.partners["partner"].to_list()),
+        "rows": cluster_profiles(scores).to_json(egos["ego"].to_list()),
+        "columns": cluster_profiles(scores.T).to_json(partners["partner"].to_list()),
         "teams": None,
     }
-    rows, columns = block.egos["ego_team"].to_list(), block.partners["partner_team"].to_list()
+    rows, columns = egos["ego_team"].to_list(), partners["partner_team"].to_list()
     whole = None not in rows and len(set(rows)) == len(rows)
     if whole and sorted(rows) == sorted(columns, key=str):
         square = scores[:, [columns.index(team) for team in rows]]
         order["teams"] = cluster_teams(square).to_json(rows)
-    return tables.pair_table(table), order
+    return pair_table(record), order
 
 
 def save_evaluation(
-    folder: Path,
-    table: pl.DataFrame,
+    record: Record,
     context: Context,
     *,
     include_own: bool = False,
     references: tuple[pl.DataFrame, pl.DataFrame] | None = None,
     met: MetPartners = NOTHING_KNOWN,
 ) -> EvaluationSummary:
-    """Write every table drawn from an evaluation's episodes, and its summary.
+    """Write every table drawn from an evaluation's episodes, and its summary, into its folder.
 
     Args:
-        folder: Where the episodes are.
-        table: The episodes.
+        record: The episodes, and where they are.
         context: What they do not say of themselves.
         include_own: Whether figures count partners that were trained with one of the egos.
         references: Episodes of the reference egos and the bounds drawn from them, if they played.
@@ -124,14 +137,15 @@ def save_evaluation(
     Raises:
         ValueError: The egos met all partners, or all of the test side.
     """
+    folder, table = record.folder, record.table
     left = left_out(table, met)
     check_new(dict(table.select("partner", "side").unique().rows()), left, include_own)
-    counted = table if include_own else without_met(table, met)
+    uncounted = [] if include_own else left
+    counted = record.without(uncounted)
     summary = summarise_evaluation(counted, context)
     notes = (*summary.notes, *met_notes(table, met, include_own))
-    told = met.summary([] if include_own else left)
-    summary = dataclasses.replace(summary, notes=notes, met=told)
-    tables.write_parquet(partner_table(table), folder / tables.PARTNERS_FILE)
+    summary = dataclasses.replace(summary, notes=notes, met=met.summary(uncounted))
+    tables.write_parquet(partner_table(record), folder / tables.PARTNERS_FILE)
     tables.write_parquet(profile_table(counted), folder / tables.PROFILE_FILE)
     written = [tables.PARTNERS_FILE, tables.PROFILE_FILE, tables.SUMMARY_FILE]
     if references is not None:
@@ -139,25 +153,25 @@ def save_evaluation(
         written += [tables.REFERENCES_FILE, tables.BOUNDS_FILE]
         tables.write_parquet(played, folder / tables.REFERENCES_FILE)
         tables.write_parquet(bounds, folder / tables.BOUNDS_FILE)
-        found, relative = summarise_references(counted, played, bounds)
-        summary = dataclasses.replace(summary, references=found, relative=relative)
+        earned, relative = summarise_references(counted, played, bounds)
+        summary = dataclasses.replace(summary, references=earned, relative=relative)
     tables.write_json(summary, folder / tables.SUMMARY_FILE)
     tables.remove_derived(folder, but=written)  # drawn from these episodes with other options
     return summary
 
 
 def save_crossplay(
-    folder: Path, table: pl.DataFrame, context: Context, met: MetPartners = NOTHING_KNOWN
+    record: Record, context: Context, met: MetPartners = NOTHING_KNOWN
 ) -> CrossPlaySummary:
     """Write pairs, their clustered order, the partners' strategies, and the summary."""
     from evaluation.figures.strategies import summarise_strategies
 
-    summary = summarise_crossplay(table, context)
+    folder, summary = record.folder, summarise_crossplay(record, context)
     summary = dataclasses.replace(summary, notes=(*summary.notes, *crossplay_notes(met)))
     written = [tables.PAIRS_FILE, tables.ORDER_FILE, tables.SUMMARY_FILE]
-    pairs, order = crossplay_matrix(table)
+    pairs, order = crossplay_matrix(record)
     tables.write_parquet(pairs, folder / tables.PAIRS_FILE)
-    if set(tables.BEHAVIOUR) <= set(pairs.columns):
+    if set(BEHAVIOUR) <= set(pairs.columns):
         tables.write_json(summarise_strategies(pairs), folder / tables.STRATEGIES_FILE)
         written.append(tables.STRATEGIES_FILE)
     tables.write_json(order, folder / tables.ORDER_FILE)

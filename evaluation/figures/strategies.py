@@ -16,7 +16,7 @@ import polars as pl
 
 from evaluation.figures.clustering import Clustering, cluster_profiles
 from evaluation.record import tables
-from evaluation.record.tables import BEHAVIOUR
+from evaluation.record.columns import BEHAVIOUR
 
 FEATURES: Mapping[str, str] = {
     "success": "of episodes",
@@ -61,7 +61,7 @@ def best_responses(pairs: pl.DataFrame) -> Responses:
     if missing := [name for name in BEHAVIOUR if name not in pairs.columns]:
         raise ValueError(
             f"the table of pairs lacks {', '.join(missing)}: it was written before behaviour was "
-            "recorded; run crossplay again with another --out"
+            "recorded; run the cross-play again, into another folder"
         )
     partners = pairs["partner"].unique(maintain_order=True).to_list()
     best = pairs.sort("return", descending=True, maintain_order=True).unique(
@@ -84,26 +84,32 @@ def best_responses(pairs: pl.DataFrame) -> Responses:
 
 def summarise_strategies(pairs: pl.DataFrame) -> dict[str, Any]:
     """Return clusters with medoids, BR-Div, a diverse subset and the most incompatible two."""
-    found = best_responses(pairs)
-    scaled = scale_features(found.features)
+    responses = best_responses(pairs)
+    scaled = scale_features(responses.features)
     clustering = cluster_profiles(scaled)
-    diversity = br_diversity(found.features)
+    diversity = br_diversity(responses.features)
     picked = (
-        greedy_subset(found.features, min(diversity.rank, MOST_PICKED)) if diversity.rank else []
+        greedy_subset(responses.features, min(diversity.rank, MOST_PICKED))
+        if diversity.rank
+        else []
     )
     return {
         "features": dict(FEATURES),
         "partners": [
             {"partner": name, "robot": robot, "cluster": int(label), **_named(row)}
             for name, robot, label, row in zip(
-                found.partners, found.robots, clustering.labels, found.features, strict=True
+                responses.partners,
+                responses.robots,
+                clustering.labels,
+                responses.features,
+                strict=True,
             )
         ],
-        "clusters": _clusters(found, clustering),
+        "clusters": _clusters(responses, clustering),
         "silhouette": clustering.silhouette,
         "br_div": tables.to_json(diversity),
-        "diverse_subset": [found.partners[i] for i in picked],
-        "incompatible": _incompatible(found),
+        "diverse_subset": [responses.partners[i] for i in picked],
+        "incompatible": _incompatible(responses),
     }
 
 
@@ -149,38 +155,38 @@ def scale_features(features: np.ndarray) -> np.ndarray:
     return np.divide(features - low, span, out=np.zeros_like(features), where=span > 0)
 
 
-def _clusters(found: Responses, clustering: Clustering) -> list[dict[str, Any]]:
+def _clusters(responses: Responses, clustering: Clustering) -> list[dict[str, Any]]:
     clusters = []
     for label, medoid in enumerate(clustering.medoids):
         members = [i for i in clustering.order if clustering.labels[i] == label]
         clusters.append(
             {
-                "medoid": found.partners[int(medoid)],
-                "members": [found.partners[i] for i in members],
-                "mean": _named(found.features[members].mean(axis=0)),
+                "medoid": responses.partners[int(medoid)],
+                "members": [responses.partners[i] for i in members],
+                "mean": _named(responses.features[members].mean(axis=0)),
             }
         )
     return clusters
 
 
-def _incompatible(found: Responses) -> dict[str, Any] | None:
+def _incompatible(responses: Responses) -> dict[str, Any] | None:
     """Two partners whose best robots lose the most with each other.
 
     The lesser of the two losses is the greatest.
     """
-    own = np.diag(found.returns)
-    loss = own[None, :] - found.returns  # [robot's partner b, played partner a]
+    own = np.diag(responses.returns)
+    loss = own[None, :] - responses.returns  # [robot's partner b, played partner a]
     mutual = np.minimum(loss, loss.T)
     first, second = np.unravel_index(int(np.argmax(mutual)), mutual.shape)
     if mutual[first, second] <= 0:
         return None
     return {
-        "partners": [found.partners[first], found.partners[second]],
-        "robots": [found.robots[first], found.robots[second]],
+        "partners": [responses.partners[first], responses.partners[second]],
+        "robots": [responses.robots[first], responses.robots[second]],
         "returns": [float(own[first]), float(own[second])],
         "returns_exchanged": [
-            float(found.returns[second, first]),
-            float(found.returns[first, second]),
+            float(responses.returns[second, first]),
+            float(responses.returns[first, second]),
         ],
     }
 

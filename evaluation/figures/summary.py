@@ -1,8 +1,6 @@
 """From an episode table to the figures of a study: typed, and written by `tables.to_json`."""
 
 import dataclasses
-from collections import Counter
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -30,13 +28,19 @@ from evaluation.figures.metrics import (
     zero_shot,
 )
 from evaluation.figures.normalised import References, Relative
+from evaluation.figures.notes import (
+    clipping_notes,
+    episode_notes,
+    group_notes,
+    preference_notes,
+    seed_notes,
+    start_notes,
+    team_notes,
+)
 from evaluation.record import tables
-from evaluation.record.manifest import check_whole
-from evaluation.record.tables import Block, dense_block
-
-# Seeds, partners or teams; with fewer, intervals cover too little (see
-# `evaluation.figures.bootstrap.estimate`).
-ENOUGH = 16
+from evaluation.record.columns import SIDES
+from evaluation.record.record import Record, Returns
+from evaluation.record.verification import check_whole
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,11 +90,8 @@ class NamedWorst:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class EvaluationSummary(Summary, ZeroShot):
-    """M_test, M_train, their gap, and figures of the partners of `side`.
-
-    `side` is the test side, or the training side if only that was played.
-    """
+class SideFigures:
+    """Figures of the partners of `side`: the test side, or the other if only that was played."""
 
     side: Literal["train", "test"]
     by_algorithm: dict[str, Estimate]
@@ -105,6 +106,12 @@ class EvaluationSummary(Summary, ZeroShot):
     violations: Estimate | None = None
     worst_partner: NamedWorst
     cvar_10: Interval | None  # None with one episode a pair
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EvaluationSummary(SideFigures, Summary, ZeroShot):
+    """M_test, M_train, their gap, and the figures of the evaluated side."""
+
     egos: tuple[str, ...]
     partners: dict[str, int]  # how many are counted, by side
     references: References | None = None  # None where no reference egos were played
@@ -121,11 +128,17 @@ class BestEgo:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class CrossPlaySummary(Summary, CrossPlay):
-    """Self-play, cross-play and their gaps, resampling whole teams."""
+class MatrixFigures:
+    """Figures of the robots of a matrix."""
 
     best_ego: BestEgo
-    rank_stability: Stability | None
+    rank_stability: Stability | None  # None where they have no ranking
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CrossPlaySummary(MatrixFigures, Summary, CrossPlay):
+    """Self-play, cross-play and their gaps, resampling whole teams."""
+
     egos: int
     partners: int
 
@@ -153,8 +166,7 @@ def read_summary(folder: Path) -> EvaluationSummary | CrossPlaySummary:
     kind = EvaluationSummary if "m_test" in content else CrossPlaySummary
     if kind is CrossPlaySummary and "cross_play" not in content:
         raise ValueError(
-            f"{folder} holds neither an evaluation nor a cross-play; see `assistax-zoo evaluate "
-            "--help`"
+            f"{folder} holds neither an evaluation nor a cross-play; give a folder that one filled"
         )
     try:
         return TypeAdapter(kind).validate_python(content)
@@ -165,69 +177,95 @@ def read_summary(folder: Path) -> EvaluationSummary | CrossPlaySummary:
         ) from None
 
 
-def summarise_evaluation(table: pl.DataFrame, context: Context) -> EvaluationSummary:
-    """Summarise an evaluation; all egos of the table are seeds of one method.
+def summarise_evaluation(record: Record, context: Context) -> EvaluationSummary:
+    """Summarise an evaluation; all egos of the record are seeds of one method.
 
     Raises:
         ValueError: the table is malformed or incomplete, or none of its partners is on a side of
             the split.
     """
-    block = dense_block(table)
-    sides = block.partners["side"].to_list()
-    focus = block.evaluated_side()
-    starts = {"common_starts": block.common_starts}
+    returns, side = record.returns, record.returns.evaluated_side
+    sides = returns.partners["side"].to_list()
+    starts = {"common_starts": returns.common_starts}
     by_algorithm, by_disability = (
-        group_draws(focus.returns, focus.partners[f"partner_{trait}"].to_list(), **starts)
+        group_draws(side.values, side.partners[f"partner_{trait}"].to_list(), **starts)
         for trait in ("algorithm", "disability")
     )
-    by_preference = _preference_draws(focus)
-    several = focus.returns.shape[2] > 1
+    by_preference = _preference_draws(side)
+    several = side.values.shape[2] > 1
     return EvaluationSummary(
-        **vars(zero_shot(block.returns, sides, **starts)),
-        **_common(block, context),
-        side=focus.partners["side"][0],
+        **vars(zero_shot(returns.values, sides, **starts)),
+        **_common(returns, context),
+        side=side.partners["side"][0],
         by_algorithm=_estimates(by_algorithm),
         by_disability=_estimates(by_disability),
         fairness=fairness(by_disability) if len(by_disability) > 1 else None,
         by_preference=_estimates(by_preference),
         preference_fairness=fairness(by_preference) if len(by_preference) > 1 else None,
-        by_place=_by_place(table, focus),
-        safe_success=_share(focus.safe, **starts),
-        violations=_share(focus.violated, **starts),
-        worst_partner=_worst_partner(focus),
-        cvar_10=cvar_crossfit(focus.returns, 0.1, **starts) if several else None,
-        egos=tuple(block.egos["ego"]),
-        partners={name: sides.count(name) for name in tables.SIDES},
+        by_place=_by_place(record.table, side),
+        safe_success=_share(side.safe, **starts),
+        violations=_share(side.violated, **starts),
+        worst_partner=_worst_partner(side),
+        cvar_10=cvar_crossfit(side.values, 0.1, **starts) if several else None,
+        egos=tuple(returns.egos["ego"]),
+        partners={name: sides.count(name) for name in SIDES},
         notes=(
-            *_seed_notes(block.egos.height),
-            *_group_notes(focus),
-            *_preference_notes(block, context.split),
-            *_start_notes(block),
-            *_episode_notes(block),
-            *_clipping_notes(table),
+            *seed_notes(returns.egos.height),
+            *group_notes(side),
+            *preference_notes(returns, context.split.preferences if context.split else {}),
+            *start_notes(returns),
+            *episode_notes(returns),
+            *clipping_notes(record.table),
         ),
     )
 
 
-def summarise_crossplay(table: pl.DataFrame, context: Context) -> CrossPlaySummary:
+def summarise_crossplay(record: Record, context: Context) -> CrossPlaySummary:
     """Summarise a matrix of egos by partners."""
-    block = dense_block(table)
-    rows, columns = _traits(block.egos, "ego"), _traits(block.partners, "partner")
-    means = block.scores.mean(axis=1)
+    returns = record.returns
+    rows, columns = _traits(returns.egos, "ego"), _traits(returns.partners, "partner")
+    figures = cross_play(returns.values, rows, columns, common_starts=returns.common_starts)
+    means = returns.scores.mean(axis=1)
+    ranked = min(returns.scores.shape) > 1 and np.ptp(means) > 0
     return CrossPlaySummary(
-        **vars(cross_play(block.returns, rows, columns, common_starts=block.common_starts)),
-        **_common(block, context),
-        best_ego=BestEgo(block.egos["ego"][int(means.argmax())], float(means.max())),
-        rank_stability=_rank_stability(block.scores),
-        egos=block.egos.height,
-        partners=block.partners.height,
-        notes=(*_team_notes(block), *_episode_notes(block)),
+        **vars(figures),
+        **_common(returns, context),
+        best_ego=BestEgo(returns.egos["ego"][int(means.argmax())], float(means.max())),
+        rank_stability=rank_stability(returns.scores) if ranked else None,
+        egos=returns.egos.height,
+        partners=returns.partners.height,
+        notes=(*team_notes(returns), *episode_notes(returns)),
     )
 
 
-def summarise_comparison(a: pl.DataFrame, b: pl.DataFrame, *, seed: int = 0) -> ComparisonSummary:
-    """Summarise method a minus method b, two tables of the same partners and episode keys."""
-    first, second = dense_block(a), dense_block(b)
+def summarise_comparison(a: Record, b: Record, *, seed: int = 0) -> ComparisonSummary:
+    """Summarise method a minus method b, two records of the same partners and episode keys.
+
+    Raises:
+        ValueError: they have other partners, keys or preferences, or no partner on a side.
+    """
+    first, second = a.returns, b.returns
+    _check_alike(first, second)
+
+    def difference(side: str) -> Difference | None:
+        mask = (first.partners["side"] == side).fill_null(value=False).to_numpy()
+        if not mask.any():
+            return None
+        values = first.values[:, mask], second.values[:, mask]
+        return paired_difference(*values, common_starts=first.common_starts, seed=seed)
+
+    test, train = difference("test"), difference("train")
+    if test is None and train is None:
+        raise ValueError(
+            "no partner is on the test or the train side; evaluate both methods against a split"
+        )
+    egos = min(first.egos.height, second.egos.height)
+    notes = (*seed_notes(egos), *episode_notes(first), *episode_notes(second))
+    return ComparisonSummary(test, train, notes)
+
+
+def _check_alike(first: Returns, second: Returns) -> None:
+    """Refuse methods that met other partners, or the same ones otherwise."""
     if not first.partners.equals(second.partners):
         raise ValueError(
             "the two tables have different partners; evaluate both methods against the same split"
@@ -237,61 +275,46 @@ def summarise_comparison(a: pl.DataFrame, b: pl.DataFrame, *, seed: int = 0) -> 
             "the two tables have different episode keys; evaluate both with the same seed and "
             "episodes"
         )
-    likes = [one.preferences[0] for one in (first, second) if one.preferences is not None]
-    if len(likes) == 2 and not np.array_equal(likes[0], likes[1]):
+    preferences = (first.preferences, second.preferences)
+    liked = [names[0] for names in preferences if names is not None]
+    if len(liked) == 2 and not np.array_equal(*liked):
         raise ValueError(
             "the partners of the two tables liked different things; evaluate both methods with the "
-            "same split and --preferences"
+            "same split and preferences"
         )
 
-    def difference(side: str) -> Difference | None:
-        mask = (first.partners["side"] == side).fill_null(value=False).to_numpy()
-        if not mask.any():
-            return None
-        returns = first.returns[:, mask], second.returns[:, mask]
-        return paired_difference(*returns, common_starts=first.common_starts, seed=seed)
 
-    test, train = difference("test"), difference("train")
-    if test is None and train is None:
-        raise ValueError(
-            "no partner is on the test or the train side; evaluate both methods against a split"
-        )
-    egos = min(first.egos.height, second.egos.height)
-    notes = (*_seed_notes(egos), *_episode_notes(first), *_episode_notes(second))
-    return ComparisonSummary(test, train, notes)
-
-
-def _common(block: Block, context: Context) -> dict:
+def _common(returns: Returns, context: Context) -> dict:
     return {
         **vars(context),
-        "episodes": block.returns.size,
-        "episodes_per_pair": block.returns.shape[2],
-        "common_starts": block.common_starts,
-        "nonfinite": int(block.nonfinite.sum()),
+        "episodes": returns.values.size,
+        "episodes_per_pair": returns.values.shape[2],
+        "common_starts": returns.common_starts,
+        "nonfinite": int(returns.nonfinite.sum()),
     }
 
 
-def _preference_draws(block: Block) -> dict[str, Draws]:
+def _preference_draws(returns: Returns) -> dict[str, Draws]:
     """Replicate the return under each preference: over the partners that played under it."""
-    if block.preferences is None:
+    if returns.preferences is None:
         return {}
     scores, names = [], []
-    for partner in range(block.partners.height):
-        wished, returns = block.preferences[0, partner], block.returns[:, partner]
-        for name in sorted(set(wished)):
-            scores.append(returns[:, wished == name].mean(axis=1))
+    for partner in range(returns.partners.height):
+        played, values = returns.preferences[0, partner], returns.values[:, partner]
+        for name in sorted(set(played)):
+            scores.append(values[:, played == name].mean(axis=1))
             names.append(name)
     return group_draws(np.stack(scores, axis=1), names)
 
 
-def _by_place(table: pl.DataFrame, block: Block) -> dict[str, Estimate]:
-    """Estimate the return in each place of a series, over the pairs of a block."""
+def _by_place(table: pl.DataFrame, returns: Returns) -> dict[str, Estimate]:
+    """Estimate the return in each place of a series, over pairs."""
     if "place" not in table.columns:
         return {}
     pairs = ["place", "ego", "partner"]
-    played = table.filter(pl.col("partner").is_in(block.partners["partner"].to_list()))
+    played = table.filter(pl.col("partner").is_in(returns.partners["partner"].to_list()))
     means = played.group_by(pairs).agg(pl.col("return").cast(pl.Float64).mean()).sort(pairs)
-    scores = means["return"].to_numpy().reshape(-1, *block.scores.shape)
+    scores = means["return"].to_numpy().reshape(-1, *returns.scores.shape)
     return {str(place): estimate(score) for place, score in enumerate(scores, 1)}
 
 
@@ -310,83 +333,8 @@ def _traits(policies: pl.DataFrame, seat: str) -> Traits:
     )
 
 
-def _worst_partner(block: Block) -> NamedWorst:
-    worst = worst_partner(block.returns)
-    named = block.partners.row(worst.index, named=True)
+def _worst_partner(returns: Returns) -> NamedWorst:
+    worst = worst_partner(returns.values)
+    named = returns.partners.row(worst.index, named=True)
     traits = (named[name] for name in ("partner", "partner_algorithm", "partner_disability"))
     return NamedWorst(*traits, worst.mean, worst.crossfit)
-
-
-def _rank_stability(scores: np.ndarray) -> Stability | None:
-    if min(scores.shape) < 2 or not np.ptp(scores.mean(axis=1)):
-        return None
-    return rank_stability(scores)
-
-
-def _seed_notes(egos: int) -> list[str]:
-    if egos == 1:
-        return ["one ego: intervals speak about new partners, not about new training seeds"]
-    return _few(egos, f"{egos} seeds", " seeds")
-
-
-def _group_notes(block: Block) -> list[str]:
-    counts = [Counter(block.partners[f"partner_{trait}"]) for trait in ("algorithm", "disability")]
-    smallest = min(count for groups in counts for count in groups.values())
-    return _few(smallest, f"groups of partners have as few as {smallest}", " partners")
-
-
-def _preference_notes(block: Block, split: SplitName | None) -> list[str]:
-    """Say which partners played under preferences that are not their side's."""
-    if split is None or block.preferences is None:
-        return []
-    notes = []
-    for side, names in split.preferences.items():
-        mask = (block.partners["side"] == side).fill_null(value=False).to_numpy()
-        if others := sorted(set(block.preferences[:, mask].ravel()) - set(names)):
-            notes.append(
-                f"{side} partners played under {', '.join(others)}; the split's {side} preferences "
-                f"are {', '.join(names)}"
-            )
-    return notes
-
-
-def _team_notes(block: Block) -> list[str]:
-    units = min(block.egos.height, block.partners.height)
-    return _few(units, f"{units} teams")
-
-
-def _few(count: int, what: str, of: str = "") -> list[str]:
-    return [f"{what}: intervals over fewer than {ENOUGH}{of} are too narrow"] * (count < ENOUGH)
-
-
-def _start_notes(block: Block) -> list[str]:
-    """Say which intervals leave out the luck of starts that all partners have in common."""
-    if not block.common_starts:
-        return []
-    return [
-        f"all partners played the same {block.returns.shape[2]} starts: intervals by preference, "
-        "by place, of relative figures and of the profile leave their luck out"
-    ]
-
-
-def _clipping_notes(table: pl.DataFrame) -> list[str]:
-    """Say how much of what robots from outside did was beyond what there is."""
-    if "clipped" not in table.columns or not (shares := table["clipped"].drop_nulls()).sum():
-        return []
-    return [
-        f"actions went beyond [-1, 1] and were clipped in {(shares > 0).sum()} of {len(shares)} "
-        f"episodes: {shares.to_numpy().mean():.1%} of their numbers"
-    ]
-
-
-def _episode_notes(block: Block) -> Sequence[str]:
-    broken = int(block.nonfinite.sum())
-    notes = []
-    if broken:
-        notes.append(
-            f"{broken} of {block.returns.size} episodes became non-finite and earn 0 from then on; "
-            "they count"
-        )
-    if block.keys is None:
-        notes.append("egos played different episodes: their differences are not paired")
-    return notes

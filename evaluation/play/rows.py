@@ -11,7 +11,7 @@ from evaluation.cast.egos import Clipping
 from evaluation.cast.roster import Roster
 from evaluation.play.jobs import Job
 from evaluation.play.tiles import StackSlice, Tile
-from evaluation.record import tables
+from evaluation.record.columns import SCHEMA, TERM_PREFIX
 from population.play.tally import Tally
 
 
@@ -58,7 +58,7 @@ def played_rows(job: Job, tile: Tile, tally: Tally, act: Clipping | None) -> pl.
     measured = {
         "return": tally.returns,
         "discounted_return": tally.discounted,
-        **{tables.TERM_PREFIX + name: value for name, value in tally.terms.items()},
+        **{TERM_PREFIX + name: value for name, value in tally.terms.items()},
         "success": tally.success,
         "force_mean": tally.force_sum / np.maximum(tally.steps, 1),
         "force_peak": tally.force_peak,
@@ -76,7 +76,7 @@ def played_rows(job: Job, tile: Tile, tally: Tally, act: Clipping | None) -> pl.
 def _with(rows: pl.DataFrame, columns: Mapping[str, Any]) -> pl.DataFrame:
     """Return rows with columns of the table's types."""
     return rows.with_columns(
-        pl.Series(name, value).cast(tables.SCHEMA.get(name, pl.Float32()))
+        pl.Series(name, value).cast(SCHEMA.get(name, pl.Float32()))
         for name, value in columns.items()
     )
 
@@ -87,7 +87,7 @@ def _described(seat: str, roster: Roster, ids: list[str]) -> pl.DataFrame:
         seat: "id",
         **{f"{seat}_{name}": name for name in ("team", "algorithm", "disability", "seed")},
     }
-    schema = {column: tables.SCHEMA[column] for column in names}
+    schema = {column: SCHEMA[column] for column in names}
     return pl.DataFrame(
         [[getattr(m, name) for name in names.values()] for m in roster.describe(ids)],
         schema=schema,

@@ -34,9 +34,9 @@ def zsc_dots(
     width, head = 2.6 + 0.9 * len(summaries), 0.2 * ((len(references) + 1) // 3)
     figure, axes = _returns(summaries, "Zero-shot coordination", width, head)
     colours = style.algorithm_colours(summaries)
-    for i, (name, one) in enumerate(summaries.items()):
+    for i, (name, summary) in enumerate(summaries.items()):
         for key, shift, fill in (("m_train", -0.13, "white"), ("m_test", 0.13, colours[name])):
-            if value := one[key]:
+            if value := summary[key]:
                 _whisker(axes, i + shift, value, colours[name])
                 axes.plot(
                     [i + shift], [value["mean"]], "o", color=colours[name], markerfacecolor=fill
@@ -69,7 +69,8 @@ def zsc_dots(
 
 def _limits(summaries: Summaries, references: Mapping[str, float]) -> tuple[float, float]:
     """Return limits that hold the dots with their intervals, and the references."""
-    values = [one[key] for one in summaries.values() for key in ("m_train", "m_test") if one[key]]
+    both = [summary[key] for summary in summaries.values() for key in ("m_train", "m_test")]
+    values = [value for value in both if value]
     ends = [end for value in values for end in (value["mean_ci"] or [value["mean"]])]
     low, high = min([*ends, *references.values()]), max([*ends, *references.values()])
     room = 0.15 * max(high - low, 0.02 * max(abs(low), abs(high)), 1e-6)
@@ -78,12 +79,12 @@ def _limits(summaries: Summaries, references: Mapping[str, float]) -> tuple[floa
 
 def _references(summaries: Summaries, lines: Mapping[str, float]) -> dict[str, float]:
     """Return what to compare with: references' means, of several methods their mean."""
-    found: dict[str, list[float]] = {name: [value] for name, value in lines.items()}
+    means: dict[str, list[float]] = {name: [value] for name, value in lines.items()}
     for summary in summaries.values():
         for name, value in (summary.get("references") or {}).items():
             if value is not None:
-                found.setdefault(name.replace("_", " "), []).append(value["mean"])
-    return {name: sum(values) / len(values) for name, values in found.items()}
+                means.setdefault(name.replace("_", " "), []).append(value["mean"])
+    return {name: sum(values) / len(values) for name, values in means.items()}
 
 
 def trait_points(summaries: Summaries, trait: str = "disability") -> Figure:
@@ -101,11 +102,11 @@ def trait_points(summaries: Summaries, trait: str = "disability") -> Figure:
     for i, (label, summary) in enumerate(summaries.items()):
         shift = (i - (len(summaries) - 1) / 2) * min(0.2, 0.7 / len(summaries))
         groups = summary.get(f"by_{trait}", {})
-        found = {x + shift: groups[name] for x, name in enumerate(settings) if groups.get(name)}
-        heights, colour = [value["mean"] for value in found.values()], colours[label]
+        places = {x + shift: groups[name] for x, name in enumerate(settings) if groups.get(name)}
+        heights, colour = [value["mean"] for value in places.values()], colours[label]
         mark = style.MARKERS[i % len(style.MARKERS)]
-        axes.plot(list(found), heights, mark, color=colour, markersize=5, label=label)
-        for place, value in found.items():
+        axes.plot(list(places), heights, mark, color=colour, markersize=5, label=label)
+        for place, value in places.items():
             _whisker(axes, place, value, colour)
     _name_places(axes, settings)
     axes.grid(axis="y", color=style.GRID, linewidth=0.6)

@@ -16,7 +16,7 @@ from evaluation.plots.population import population_grid
 from evaluation.plots.style import check_path, save_figure
 from evaluation.plots.sweep import sweep_panels
 from evaluation.record import tables
-from evaluation.record.manifest import check_whole
+from evaluation.record.verification import check_whole
 
 
 def evaluation_figure(folders: Sequence[Path], kind: str, path: Path) -> Figure:
@@ -32,9 +32,7 @@ def evaluation_figure(folders: Sequence[Path], kind: str, path: Path) -> Figure:
     """
     check_path(path)
     if not folders:
-        raise ValueError(
-            "no folder given; name at least one that `assistax-zoo evaluate --out` filled"
-        )
+        raise ValueError("there is no folder to draw; name at least one evaluation's")
     summaries: dict[str, Any] = {}
     for folder in folders:
         name = folder.resolve().name
@@ -101,7 +99,7 @@ def sweep_figure(folder: Path, path: Path) -> Figure:
 def speed_figure(measured: Sequence[Path], path: Path) -> Figure:
     """Draw what `python -m benchmarks env --json` printed, one file or more."""
     check_path(path)
-    printed = "`python -m benchmarks env --json` printed"
+    printed = "`python -m benchmarks env` printed as JSON"
     if not measured:
         raise ValueError(f"no file was given; give one or more that {printed}")
     names = ("task", "backend", "device", "batch", "env_steps_per_second")
@@ -129,20 +127,18 @@ def population_figure(partners: Iterable[Any], path: Path) -> Figure:
 def _require(folder: Path, command: str, *names: str) -> None:
     """Refuse a folder that the command did not fill; say what it holds instead."""
     if not folder.is_dir():
-        raise ValueError(
-            f"{folder} is not a folder; run `assistax-zoo {command} --out {folder}` first"
-        )
+        raise ValueError(f"{folder} is not a folder; run `assistax-zoo {command}` into it first")
     held = {tables.PAIRS_FILE: "a cross-play", tables.PROFILE_FILE: "an evaluation"}
     missing = [name for name in names if not (folder / name).is_file()]
     other = [what for name, what in held.items() if (folder / name).is_file()]
     if missing and other:
         raise ValueError(
-            f"{folder} holds {other[0]}; this figure is of a folder that `assistax-zoo {command} "
-            "--out` filled"
+            f"{folder} holds {other[0]}; this figure is of a folder that `assistax-zoo {command}` "
+            "filled"
         )
     if missing:
         raise ValueError(
-            f"{folder} lacks {', '.join(missing)}; run `assistax-zoo {command} --out {folder}` to "
-            "its end, a run that was stopped goes on"
+            f"{folder} lacks {', '.join(missing)}; run `assistax-zoo {command}` into it to its "
+            "end, a run that was stopped goes on"
         )
     check_whole(folder)

@@ -230,7 +230,7 @@ def _draw_margin(
 def _draw_strip(
     axes: Axes, values: Sequence[str | None], palette: Mapping[str, str], edge: Edge, title: str
 ) -> None:
-    colours = np.array([to_rgb(palette[one] if one else style.UNKNOWN) for one in values])
+    colours = np.array([to_rgb(palette[value] if value else style.UNKNOWN) for value in values])
     strip = colours[:, None] if edge == "left" else colours[None]
     axes.imshow(strip, aspect="auto", interpolation="nearest")
     style.bare(axes, ticks=False)

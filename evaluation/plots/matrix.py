@@ -76,13 +76,13 @@ def arrange(pairs: pl.DataFrame, order: Mapping[str, Any], how: Order | None = N
         raise ValueError(f"order is {how!r}; allowed are {', '.join(ORDERS)}")
     if how == "shared" and order["teams"] is None:
         raise ValueError(
-            "rows and columns are not the same teams, so they share no order; use --order separate"
+            "rows and columns are not the same teams, so they share no order; choose 'separate'"
         )
     shared = order["teams"] is not None and how != "separate"
-    found = [order["teams"]] * 2 if shared else [order["rows"], order["columns"]]
+    orders = [order["teams"]] * 2 if shared else [order["rows"], order["columns"]]
     rows, columns = (
         _policies(pairs, seat, part, shared)
-        for seat, part in zip(("ego", "partner"), found, strict=True)
+        for seat, part in zip(("ego", "partner"), orders, strict=True)
     )
     wide = pairs.pivot("partner", index="ego", values="return")
     values = (
@@ -92,13 +92,13 @@ def arrange(pairs: pl.DataFrame, order: Mapping[str, Any], how: Order | None = N
     )
     if values.null_count().sum_horizontal().item():
         raise ValueError(
-            "the table of pairs has no return for some pairs; run crossplay again with the same "
-            "--out"
+            "the table of pairs has no return for some pairs; run the cross-play again into the "
+            "same folder"
         )
     return Matrix(
         values.to_numpy(),
-        _side(rows, "ego", found[0], "A"),
-        _side(columns, "partner", found[1], "A" if shared else "a"),
+        _side(rows, "ego", orders[0], "A"),
+        _side(columns, "partner", orders[1], "A" if shared else "a"),
         shared,
     )
 
@@ -135,7 +135,7 @@ def _policies(
     names = pl.DataFrame({identity: order["order"]}, schema={identity: pl.String})
     if sorted(order["order"]) != sorted(described[identity].drop_nulls()):
         raise ValueError(
-            f"table and order name different {seat}s; run crossplay again with the same --out"
+            f"table and order name different {seat}s; run the cross-play again into the same folder"
         )
     return names.join(described, on=identity, how="left", maintain_order="left")
 

@@ -1,5 +1,6 @@
 """What all figures share: colours, and writing files without pyplot's global state."""
 
+import io
 import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -13,7 +14,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.typing import ColorType
 
-from assistax_base.files import atomic_path
+from assistax_base.files import atomic_write
 
 FORMATS = (".png", ".pdf", ".svg")
 _UNDATED: dict[str, dict[str, Any]] = {
@@ -95,13 +96,19 @@ def check_path(path: Path) -> None:
 
 
 def save_figure(figure: Figure, path: Path, dpi: int = 200) -> Figure:
-    """Write a figure as PNG, PDF or SVG, by its ending; equal figures give equal bytes."""
+    """Write a figure as PNG, PDF or SVG, by its ending, whole or not at all."""
     check_path(path)
-    metadata = _UNDATED[path.suffix.lower()]
-    fixed: dict[Any, Any] = {"pdf.fonttype": 42, "svg.hashsalt": "assistax-zoo"}
-    with atomic_path(path) as temporary, matplotlib.rc_context(fixed):
-        figure.savefig(temporary, dpi=dpi, metadata=metadata, format=path.suffix[1:].lower())
+    atomic_write(path, figure_bytes(figure, path.suffix.lower(), dpi))
     return figure
+
+
+def figure_bytes(figure: Figure, ending: str, dpi: int) -> bytes:
+    """Return a figure as a file of one of `FORMATS`; equal figures give equal bytes."""
+    content = io.BytesIO()
+    fixed: dict[Any, Any] = {"pdf.fonttype": 42, "svg.hashsalt": "assistax-zoo"}
+    with matplotlib.rc_context(fixed):
+        figure.savefig(content, dpi=dpi, metadata=_UNDATED[ending], format=ending[1:])
+    return content.getvalue()
 
 
 def algorithm_colours(names: Iterable[str | None]) -> dict[str, str]:

@@ -1,11 +1,12 @@
-"""Where a folder's figures come from: its manifest, by whose hashes every file of it is checked.
+"""Where a folder's figures come from: its manifest, which names every byte that they depend on.
 
 `manifest.json` holds the job's identity (policies and partners by the hash of their parameters,
 environment, engine, versions), its digest, how it was made, and the sha256 of every file that was
-drawn from it. It has a hash of its own, so that no bit of it can change unseen either.
+drawn from it. Its sources are named alike: the policies and the registry's entries about them, own
+robots' files, the kept episodes of reference egos. It has a hash of its own, so that no bit of it
+can change unseen either. `evaluation.record.verification` holds all that against what is here.
 """
 
-import dataclasses
 import datetime
 import functools
 import hashlib
@@ -13,14 +14,15 @@ import importlib.metadata
 import os
 import platform
 import stat
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from assistax_base.digest import json_sha256
-from assistax_base.errors import printable, shorten
-from assistax_base.parquet import check_readable
 from evaluation.record import tables
+from zoo.locking import used_leaves
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry
 
 MANIFEST_FILE = "manifest.json"
 LARGEST = 1 << 30  # bytes of a file that is hashed: a received manifest may name any
@@ -35,20 +37,6 @@ PACKAGES = (
     "polars",
     "scipy",
 )
-
-
-@dataclasses.dataclass(frozen=True)
-class FolderReport:
-    """What a check of a folder against its manifest found."""
-
-    folder: str
-    files: int  # whose hashes were held against the manifest
-    problems: tuple[str, ...]
-
-    @property
-    def ok(self) -> bool:
-        """Whether every byte is the one that was written."""
-        return not self.problems
 
 
 def file_sha256(path: Path) -> str:
@@ -96,6 +84,18 @@ def received_sha256(path: Path) -> str:
     return digest.hexdigest()
 
 
+def check_ours(path: Path) -> None:
+    """Refuse what stands in place of a file of ours, such as a link to a pipe.
+
+    Raises:
+        ValueError: It is no regular file.
+    """
+    try:
+        check_regular(path.lstat())
+    except OSError as error:
+        raise ValueError(f"{path} is {error}; put the file itself there") from None
+
+
 def identity_digest(identity: Any) -> str:
     """Return the sha256 of what decides a result, JSON-ready, such as a job's identity."""
     return json_sha256(identity, spaced=True)
@@ -116,15 +116,15 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
     path = folder / MANIFEST_FILE
     if not os.path.lexists(path):
         return None
-    _check_ours(path)
-    found = tables.read_json(path)
-    bare = {name: value for name, value in found.items() if name != "sha256"}
-    if found.get("sha256") != identity_digest(bare):
+    check_ours(path)
+    manifest = tables.read_json(path)
+    bare = {name: value for name, value in manifest.items() if name != "sha256"}
+    if manifest.get("sha256") != identity_digest(bare):
         raise ValueError(
             f"{path} was changed after it was written: its sha256 is another; take the folder from "
-            "where it was made, or choose another --out"
+            "where it was made, or choose another folder"
         )
-    return found
+    return manifest
 
 
 def is_readable(folder: Path) -> bool:
@@ -143,7 +143,7 @@ def seal(folder: Path, **context: Any) -> None:
         folder: A finished folder.
         context: What else the files depend on, such as the machine or the registry's root.
     """
-    files = {path.name: file_sha256(path) for path in _files(folder)}
+    files = {path.name: file_sha256(path) for path in our_files(folder)}
     write_manifest(folder, {**(read_manifest(folder) or {}), **context, "files": files})
 
 
@@ -164,54 +164,37 @@ def has_whole(folder: Path, name: str) -> bool:
     return path.is_file() and recorded == file_sha256(path)
 
 
-def check_whole(folder: Path) -> None:
-    """Refuse to draw figures from a finished folder that is not what its manifest says.
+def our_files(folder: Path) -> list[Path]:
+    """Return the files of ours that are there; a report or a figure of the user's is not."""
+    return [path for name in tables.FILES if os.path.lexists(path := folder / name)]
 
-    A folder without a manifest passes: nobody says what it was. But its tables must be readable:
-    whoever sends a folder can write a manifest that fits damaged ones. The matrix's picture is
-    nobody's source, and may have been drawn again.
 
-    Raises:
-        ValueError: A file was changed, damaged or lost.
+def describe_sources(
+    registry: Registry, entries: Sequence[PolicyEntry], split: str | None, files: Iterable[Path]
+) -> dict[str, Any]:
+    """Return what the manifest says of the sources.
+
+    Args:
+        registry: Where the policies are from.
+        entries: All policies of it that were played.
+        split: The id of the split whose sides are told apart.
+        files: Own robots' and other folders'.
     """
-    listed = (read_manifest(folder) or {}).get("files", {})
-    if not isinstance(listed, dict):
-        raise ValueError(f"{folder / MANIFEST_FILE} is damaged; run again")
-    sources = {name: digest for name, digest in listed.items() if name != tables.MATRIX_FIGURE}
-    for name, digest in sources.items():
-        if problem := _file_problem(folder, name, digest):
-            raise ValueError(f"{problem}; take the folder from where it was made, or run again")
-    for path in (files := _files(folder)):
-        _check_ours(path)
-    check_readable([path for path in files if path.suffix == ".parquet"])
-
-
-def unchecked(folder: Path) -> list[str]:
-    """Say which files of ours no manifest speaks of, so that `check_whole` checked nothing."""
-    names = [path.name for path in _files(folder)]
-    manifest = read_manifest(folder)
-    if manifest is None:
-        return [f"{folder} has no {MANIFEST_FILE}: nothing of it was checked"]
-    unknown = [name for name in names if name not in manifest.get("files", {})]
-    told = f"not in the {MANIFEST_FILE} of {folder}, hence not checked: {', '.join(unknown)}"
-    return [told] if unknown else []
-
-
-def verify_folder(folder: Path) -> FolderReport:
-    """Hold every file of a finished folder, received from anybody, against its manifest."""
-    try:
-        manifest = read_manifest(folder)
-    except (ValueError, OSError) as error:
-        return FolderReport(str(folder), 0, (str(error),))
-    if manifest is None or not isinstance(manifest.get("files"), dict):
-        problem = f"{folder} has no {MANIFEST_FILE} of a finished run; run the command again"
-        return FolderReport(str(folder), 0, (problem,))
-    files = manifest["files"]
-    problems = [_file_problem(folder, name, digest) for name, digest in files.items()]
-    unknown = [path.name for path in _files(folder) if path.name not in files]
-    problems += [f"{folder / name} is not in the manifest" for name in unknown]
-    found = tuple(problem for problem in problems if problem)
-    return FolderReport(str(folder), len(files), found or tuple(_table_problems(folder, manifest)))
+    by_release: dict[str, list[PolicyEntry]] = {}
+    for entry in entries:
+        by_release.setdefault(entry.release, []).append(entry)
+    return {
+        "registry": str(registry.path.resolve()),
+        "split": split,
+        "releases": {
+            release: {
+                "policies": {entry.id: entry.sha256 for entry in played},
+                "entries": used_leaves(registry, release, played, [split] if split else []),
+            }
+            for release, played in by_release.items()
+        },
+        "files": {str(path.resolve()): file_sha256(path) for path in files},
+    }
 
 
 def describe_machine() -> dict[str, Any]:
@@ -225,17 +208,17 @@ def describe_machine() -> dict[str, Any]:
         "platform": platform.platform(),
         # Of CPU devices there may be one for each core; they are one processor all the same.
         "devices": [device.device_kind for device in jax.devices()][: 1 if on_cpu else None],
-        "versions": {name: found for name in PACKAGES if (found := installed(name))},
+        "versions": {name: number for name in PACKAGES if (number := installed(name))},
     }
 
 
 def processor() -> str:
-    """Return the processor's name, as Linux tells it, or the machine's type elsewhere.
+    """Return the processor's name, as Linux has it, or the machine's type elsewhere.
 
     XLA's own options of what it may use of a processor make another one of it.
     """
-    told = Path("/proc/cpuinfo")
-    lines = told.read_text().splitlines() if told.is_file() else []
+    path = Path("/proc/cpuinfo")
+    lines = path.read_text().splitlines() if path.is_file() else []
     names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     options = [word for word in os.environ.get("XLA_FLAGS", "").split() if "xla_cpu" in word]
     return " ".join([next(names, platform.machine()), *sorted(options)])
@@ -253,67 +236,6 @@ def record_command(folder: Path, command: str, filled: bool) -> None:
     if filled or not path.is_file():
         date = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         tables.write_json({"command": command, "date": date, **describe_machine()}, path)
-
-
-def _files(folder: Path) -> list[Path]:
-    """Return the files of ours that are there; a report or a figure of the user's is not."""
-    return [path for name in tables.FILES if os.path.lexists(path := folder / name)]
-
-
-def _check_ours(path: Path) -> None:
-    """Refuse what stands in place of a file of ours, such as a link to a pipe.
-
-    Raises:
-        ValueError: It is no regular file.
-    """
-    try:
-        check_regular(path.lstat())
-    except OSError as error:
-        raise ValueError(f"{path} is {error}; put the file itself there") from None
-
-
-def _file_problem(folder: Path, name: str, digest: str) -> str | None:
-    path = folder / name
-    if Path(name).name != name:  # a received manifest: nothing outside its folder is read
-        return f"the manifest names {shorten(name)}, which is no file of {folder}"
-    shown = folder / printable(name)
-    try:
-        found = received_sha256(path)
-    except FileNotFoundError:
-        return f"{shown} is missing"
-    except (OSError, ValueError) as error:
-        return f"{shown} cannot be checked: {printable(str(error))}"
-    return None if found == digest else f"{shown}: expected sha256 {shorten(digest)}, found {found}"
-
-
-def _table_problems(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
-    """Hold the episodes against the job that the manifest names: same policies, same episodes."""
-    path = folder / tables.EPISODES_FILE
-    try:
-        check_readable([path])
-        identity = manifest["identity"]
-        if manifest["job"] != identity_digest(identity):
-            return [f"{folder / MANIFEST_FILE} names another job than the identity it holds"]
-        table = tables.read_episodes(path)
-        egos, partners = ([row[0] for row in identity[seat]] for seat in ("egos", "partners"))
-        episodes, paired = identity["episodes"], identity["paired"]
-        if type(episodes) is not int or not 0 < episodes <= table.height:
-            return [f"{path} has other episodes than the manifest"]
-        wanted = {"ego": set(egos), "partner": set(partners), "episode": set(range(episodes))}
-    except (ValueError, OSError, KeyError, TypeError, IndexError) as error:
-        return [f"{folder}: {type(error).__name__}: {error}"]
-    problems = [
-        f"{path} has other {name}s than the manifest"
-        for name, values in wanted.items()
-        if set(table[name]) != values
-    ]
-    rows = (1 if paired else len(egos)) * len(partners) * episodes
-    doubled = table.height - table.select("ego", "partner", "episode").n_unique()
-    if not problems and (doubled or table.height != rows):
-        problems = [
-            f"{path} has {table.height} rows, {doubled} of them twice; the manifest's job: {rows}"
-        ]
-    return problems
 
 
 def installed(name: str) -> str | None:

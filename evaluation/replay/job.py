@@ -6,6 +6,7 @@ each is, its setting and its environment are the registry's and the installation
 
 import dataclasses
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,9 +22,8 @@ from evaluation.play.evaluator import Evaluation
 from evaluation.play.jobs import Job
 from evaluation.play.study import context_of
 from evaluation.play.tiles import GPU_TILE_ENVS, TILE_ENVS
-from evaluation.record.manifest import received_sha256
-from evaluation.record.sources import describe_sources
-from evaluation.record.tables import EPISODES_FILE, read_episodes
+from evaluation.record.manifest import describe_sources, received_sha256
+from evaluation.record.record import Record
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
 
@@ -44,10 +44,8 @@ class RebuiltJob:
     unchecked: tuple[str, ...]
 
 
-def rebuild_job(
-    folder: Path, manifest: Mapping[str, Any], registry: Registry, *, run_code: bool = False
-) -> RebuiltJob:
-    """Return the job that a verified folder must be of.
+def rebuild_job(record: Record, registry: Registry, *, run_code: bool = False) -> RebuiltJob:
+    """Return the job that a verified folder's record must be of.
 
     Raises:
         ValueError: It names another job than this registry and installation have, or robots that
@@ -55,6 +53,7 @@ def rebuild_job(
     """
     from assistax_envs import make
 
+    folder, manifest = record.folder, record.manifest
     summary, identity = read_summary(folder), manifest["identity"]
     task = identity["task"]
     partners = [registry.policy(row[0]) for row in identity["partners"]]
@@ -65,13 +64,12 @@ def rebuild_job(
     played = [*partners, *(entry for entry in registry.policies if entry.id in egos.members)]
     check_env_version(registry, played)
     env = make(task, backend=identity["backend"])
-    sides = {one.id: side for one in partners if split and (side := split.side(one.team))}
+    sides = {human.id: side for human in partners if split and (side := split.side(human.team))}
     job = _job_of(identity, env, egos, registry_roster(registry, partners), sides)
     _check_identity(identity, job)
     names = {entry.id for entry in partners}
     partners = [entry for entry in registry.policies if entry.id in names]
-    table = read_episodes(folder / EPISODES_FILE)
-    result = Evaluation(table, summary.env_steps_per_second, 0.0)
+    result = Evaluation(record.table, summary.env_steps_per_second, 0.0)
     release = _release(summary, split, played)
     context = context_of(job, result, split=split, release=release, lock=registry.lock)
     if summary.lock and registry.lock is None:
@@ -86,7 +84,10 @@ def rebuild_job(
         dataclasses.replace(context, engine=identity["engine"]),
         met_partners(egos, partners),
         _tile_envs(job.backend, manifest),
-        (*_parts(summary, registry, job, split, partners), *_claims(declared)),
+        (
+            *_parts(summary, registry, job, split, partners),
+            *["partners met in training: as declared"] * bool(declared),
+        ),
     )
 
 
@@ -118,8 +119,8 @@ def source_problems(
         problems.append("the manifest names another lock than the one that is given")
     roots = {release: registry.root(release) for release in sorted({e.release for e in entries})}
     if said.get("roots") != roots:
-        told = "the releases' roots: this registry has others, as one that grew or another has"
-        return problems, [told]
+        unchecked = "the releases' roots: this registry has others, as one that grew or another has"
+        return problems, [unchecked]
     return problems, []
 
 
@@ -160,7 +161,7 @@ def _robots(names: Sequence[str], registry: Registry, task: str, run_code: bool)
         reference = parse_reference(name)
         if reference.kind == "python" and not run_code:
             raise ValueError(
-                f"robot {name} is code, and the folder names it; read it, then add --run-code"
+                f"robot {name} is code, and the folder names it; read it, then allow run_code"
             )
         if reference.kind in ("file", "onnx"):
             try:
@@ -202,11 +203,11 @@ def _check_identity(identity: Mapping[str, Any], job: Job) -> None:
     if set(engine) == set(job.engine) and engine.get("name") == job.engine.get("name"):
         here["engine"] = engine
     here["software"] = identity["software"]
-    texts = [{name: json.dumps(one) for name, one in part.items()} for part in (here, identity)]
+    texts = [{name: json.dumps(value) for name, value in part.items()} for part in (here, identity)]
     if differing := sorted(name for name, _ in texts[0].items() ^ texts[1].items()):
         raise ValueError(
             f"{', '.join(dict.fromkeys(differing))} differ: the folder's are not those of this "
-            "registry and installation; install the version that made it, or give its --registry"
+            "registry and installation; install the version that made it, or give its registry"
         )
 
 
@@ -219,8 +220,8 @@ def _tile_envs(backend: str, manifest: Mapping[str, Any]) -> int:
         if type(value) is not int or not 1 <= value <= LARGEST_TILE:
             raise ValueError(f"the manifest's {name} is {value!r}; allowed is 1 to {LARGEST_TILE}")
     if most not in allowed:
-        told = " or ".join(map(str, allowed))
-        raise ValueError(f"the manifest's tile_envs is {most}; on {backend} it is {told}")
+        numbers = " or ".join(map(str, allowed))
+        raise ValueError(f"the manifest's tile_envs is {most}; on {backend} it is {numbers}")
     return most
 
 
@@ -234,26 +235,17 @@ def _parts(
     """Say where only a part of a split's side, or of a release, was played."""
     if isinstance(summary, EvaluationSummary) and split is not None:
         counts = [
-            (f"{side} partners of split {split.id}", _count(job, side), len(getattr(split, side)))
-            for side in sorted(set(job.sides.values()))
+            (f"{side} partners of split {split.id}", count, len(getattr(split, side)))
+            for side, count in sorted(Counter(job.sides.values()).items())
         ]
     else:
-        release = partners[0].release
+        release, every = partners[0].release, f"{job.task}/*"
         counts = [
-            (f"{role}s of {release}", len(seat.ids), len(_all(registry, job.task, release, role)))
+            (
+                f"{role}s of {release}",
+                len(seat.ids),
+                len(in_release(registry, every, release, task=job.task, role=role)),
+            )
             for role, seat in (("robot", job.egos), ("human", job.partners))
         ]
     return [f"{few} of {all_} {what} were played" for what, few, all_ in counts if few != all_]
-
-
-def _claims(declared: Any) -> list[str]:
-    """Say that whom the robots met in training was declared."""
-    return ["partners met in training: as declared"] if declared else []
-
-
-def _count(job: Job, side: str) -> int:
-    return sum(one == side for one in job.sides.values())
-
-
-def _all(registry: Registry, task: str, release: str, role: str) -> list[PolicyEntry]:
-    return in_release(registry, f"{task}/*", release, task=task, role=role)

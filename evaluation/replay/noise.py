@@ -49,16 +49,16 @@ def wild(task: str) -> str:
 
 
 def measure_noise(
-    one: pl.DataFrame, other: pl.DataFrame, by: str = "ego"
+    first: pl.DataFrame, second: pl.DataFrame, by: str = "ego"
 ) -> dict[str, dict[str, Any]]:
     """Measure how far two plays of the same episodes lie apart, column by column.
 
     Each figure is that of the robot with the largest, or of the partner where there is one robot.
     """
     measured = {}
-    for name in measured_columns(one):
-        gaps = _gaps(one, other, name)
-        groups = [gaps[rows] for _, rows in _groups(one, [by])]
+    for name in measured_columns(first):
+        gaps = np.abs(_signed(first, second, name))
+        groups = [gaps[rows] for _, rows in _groups(first, [by])]
         measured[name] = {
             "quantiles": [_upper(max(np.quantile(gap, q) for gap in groups)) for q in QUANTILES],
             "rms": _upper(max(float(np.sqrt(np.mean(gap**2))) for gap in groups)),
@@ -79,7 +79,7 @@ def measured_columns(table: pl.DataFrame) -> list[str]:
     ]
 
 
-def noise_problems(task: str, kept: pl.DataFrame, found: pl.DataFrame) -> list[str]:
+def noise_problems(task: str, kept: pl.DataFrame, played: pl.DataFrame) -> list[str]:
     """Say where kept episodes lie farther from those played again than processors do.
 
     Of all episodes and of each robot's no more may lie beyond a quantile than did of the worst
@@ -89,12 +89,12 @@ def noise_problems(task: str, kept: pl.DataFrame, found: pl.DataFrame) -> list[s
     Args:
         task: Whose noise is meant.
         kept: The folder's episodes.
-        found: The same, in the same order, played here.
+        played: The same, in the same order, played here.
     """
     of_random = kept["ego"] == RANDOM
     if of_random.any() and not of_random.all():
         parts = (
-            (table.filter(rows) for table in (kept, found)) for rows in (of_random, ~of_random)
+            (table.filter(rows) for table in (kept, played)) for rows in (of_random, ~of_random)
         )
         return [text for part in parts for text in noise_problems(task, *part)]
     noise, problems = read_noise(wild(task) if of_random.all() else task), []
@@ -103,8 +103,8 @@ def noise_problems(task: str, kept: pl.DataFrame, found: pl.DataFrame) -> list[s
         if scale is None:
             problems.append(f"column {name} was never measured on two kinds of processor")
             continue
-        signed = _signed(kept, found, name)
-        rounding = ROUNDING * (1 + np.abs(found[name].cast(pl.Float64).to_numpy()))
+        signed = _signed(kept, played, name)
+        rounding = ROUNDING * (1 + np.abs(played[name].cast(pl.Float64).to_numpy()))
         for group, rows, of_robots in _every_group(kept):
             far = of_robots and _beyond(np.abs(signed[rows]), rounding[rows], scale)
             if far:
@@ -166,12 +166,8 @@ def _named(group: tuple[str, ...]) -> str:
     return " with ".join(group) or "all"
 
 
-def _signed(one: pl.DataFrame, other: pl.DataFrame, name: str) -> np.ndarray:
-    return (one[name].cast(pl.Float64) - other[name].cast(pl.Float64)).to_numpy()
-
-
-def _gaps(one: pl.DataFrame, other: pl.DataFrame, name: str) -> np.ndarray:
-    return np.abs(_signed(one, other, name))
+def _signed(first: pl.DataFrame, second: pl.DataFrame, name: str) -> np.ndarray:
+    return (first[name].cast(pl.Float64) - second[name].cast(pl.Float64)).to_numpy()
 
 
 def _upper(value: float) -> float:

@@ -4,6 +4,7 @@ The functions that draw them are those that drew them first, into a temporary fo
 differ in the sixth digit, since sums of another processor do.
 """
 
+import dataclasses
 import math
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -21,6 +22,8 @@ from evaluation.play.jobs import Job
 from evaluation.play.rows import planned_rows
 from evaluation.play.tiles import Tile
 from evaluation.record import tables
+from evaluation.record.columns import validate_episodes
+from evaluation.record.record import Record
 
 RELATIVE, ABSOLUTE = 1e-6, 1e-9
 LOOSE = 1e-3  # of strategies: a determinant's last digits are its smallest eigenvalue's
@@ -45,8 +48,7 @@ def planned_problems(kept: pl.DataFrame, planned: pl.DataFrame, name: str) -> li
 
 
 def derived_problems(
-    folder: Path,
-    table: pl.DataFrame,
+    record: Record,
     context: Context,
     met: MetPartners,
     *,
@@ -57,8 +59,7 @@ def derived_problems(
     """Say which files of a folder are not what its episodes give.
 
     Args:
-        folder: A verified folder.
-        table: Its episodes.
+        record: Of a verified folder.
         context: What they do not say, from the registry and the job.
         met: Which partners the robots met in training.
         is_crossplay: Whether the folder is one.
@@ -66,24 +67,24 @@ def derived_problems(
         crossplay: Pairs of the cross-play whose robots may be best responses.
     """
     with tempfile.TemporaryDirectory() as name:
-        fresh = Path(name)
+        fresh = dataclasses.replace(record, folder=Path(name))
         if is_crossplay:
-            save_crossplay(fresh, table, context, met)
-            return list(_file_problems(folder, fresh))
+            save_crossplay(fresh, context, met)
+            return list(_file_problems(record.folder, fresh.folder))
         drawn = None if references is None else (references, bounds_table(references, crossplay))
-        found: list[str] = []
+        problems: list[str] = []
         for include_own in (False, True):  # a note of the summary says which
             options = {"include_own": include_own, "references": drawn, "met": met}
             try:
-                save_evaluation(fresh, table, context, **options)
+                save_evaluation(fresh, context, **options)
             except ValueError as error:  # all partners are the robots' own
-                found = found or [str(error)]
+                problems = problems or [str(error)]
                 continue
-            problems = list(_file_problems(folder, fresh))
-            if not problems:
+            differing = list(_file_problems(record.folder, fresh.folder))
+            if not differing:
                 return []
-            found = found or problems
-        return found
+            problems = problems or differing
+        return problems
 
 
 def check_crossplay(folder: Path, crossplay: pl.DataFrame | None) -> None:
@@ -113,7 +114,7 @@ def read_references(folder: Path) -> pl.DataFrame | None:
     table = tables.read_parquet(path)
     if COLUMN not in table.columns:
         raise ValueError(f"{path} has no column {COLUMN}")
-    tables.validate_episodes(table.drop(COLUMN))
+    validate_episodes(table.drop(COLUMN))
     return table
 
 
@@ -143,8 +144,8 @@ def _differences(kept: Any, fresh: Any, relative: float, place: str = "") -> Ite
         for name in fresh:
             yield from _differences(kept[name], fresh[name], relative, f"{place}.{name}")
     elif isinstance(kept, list) and isinstance(fresh, list) and len(kept) == len(fresh):
-        for row, (one, other) in enumerate(zip(kept, fresh, strict=True)):
-            yield from _differences(one, other, relative, f"{place}[{row}]")
+        for row, (old, new) in enumerate(zip(kept, fresh, strict=True)):
+            yield from _differences(old, new, relative, f"{place}[{row}]")
     elif isinstance(kept, float) and isinstance(fresh, float):
         if not math.isclose(kept, fresh, rel_tol=relative, abs_tol=ABSOLUTE):
             yield f"{place.strip('.')} is {kept}, and {fresh} is true of them"

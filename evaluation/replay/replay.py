@@ -25,8 +25,10 @@ from evaluation.play.baselines import reference_jobs, with_names
 from evaluation.play.jobs import Job
 from evaluation.play.runner import Runner
 from evaluation.play.tiles import Chunk, Tile, cut_tiles
-from evaluation.record import manifest as provenance
 from evaluation.record import tables
+from evaluation.record.manifest import processor
+from evaluation.record.record import Record
+from evaluation.record.verification import verify_folder
 from evaluation.replay import rederive
 from evaluation.replay.job import RebuiltJob, rebuild_job, source_problems
 from evaluation.replay.noise import mean_tolerance, noise_problems, read_noise
@@ -83,24 +85,24 @@ def replay_folder(
         ValueError: The folder is not what was written, or its job cannot be played here.
     """
     if sample < 1:
-        raise ValueError(f"sample is {sample}; give at least 1 (--sample 20)")
-    if problems := provenance.verify_folder(folder).problems:
+        raise ValueError(f"sample is {sample}; give at least 1")
+    if problems := verify_folder(folder).problems:
         raise ValueError(f"{problems[0]}; a folder that was changed is not replayed")
     seed = secrets.randbits(32) if seed is None else seed
-    manifest = provenance.read_manifest(folder) or {}
+    record = Record.read(folder)
     try:
         if lock:
-            task = str(manifest["identity"]["task"])
+            task = str(record.manifest["identity"]["task"])
             registry = apply_lock(registry, read_lock(lock), task=task)
-        rebuilt = rebuild_job(folder, manifest, registry, run_code=run_code)
-        parts = _kept_parts(folder, registry, rebuilt)
+        rebuilt = rebuild_job(record, registry, run_code=run_code)
+        parts = _kept_parts(record, registry, rebuilt)
     except (KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
         raise ValueError(f"the manifest of {folder} names no job: {error!r}") from error
     pairs, inner = None, ()
     if crossplay:
         inner = replay_folder(crossplay, registry, sample=sample, seed=seed).problems
         pairs = tables.read_parquet(crossplay / tables.PAIRS_FILE)
-    problems, unchecked = _written_problems(folder, manifest, registry, rebuilt, parts, pairs)
+    problems, unchecked = _written_problems(record, registry, rebuilt, parts, pairs)
     why = "not what its job gives, or another version of assistax-zoo drew its figures"
     report = ReplayReport(str(folder), 0, False, why, 0, 0.0, 0.0, False, seed)
     counts = {"of_episodes": parts[0].kept.height}
@@ -112,7 +114,7 @@ def replay_folder(
         return report
     rng = np.random.default_rng(seed)
     played = [_play(rebuilt.env, part, sample, rng) for part in parts]
-    return _judge(report, manifest, rebuilt.job, parts, played)
+    return _judge(report, record.manifest, rebuilt.job, parts, played)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,10 +127,10 @@ class _Part:
     kept: pl.DataFrame
 
 
-def _kept_parts(folder: Path, registry: Registry, rebuilt: RebuiltJob) -> list[_Part]:
+def _kept_parts(record: Record, registry: Registry, rebuilt: RebuiltJob) -> list[_Part]:
     """Return the folder's own job and those of its references."""
-    jobs, kept = [rebuilt.job], [tables.read_episodes(folder / tables.EPISODES_FILE)]
-    if (references := rederive.read_references(folder)) is not None:
+    jobs, kept = [rebuilt.job], [record.table]
+    if (references := rederive.read_references(record.folder)) is not None:
         own = own_robots(registry, rebuilt.partners)
         jobs += reference_jobs(rebuilt.env, rebuilt.job, own)
     cut = [cut_tiles(job, rebuilt.tile_envs) for job in jobs]
@@ -137,8 +139,8 @@ def _kept_parts(folder: Path, registry: Registry, rebuilt: RebuiltJob) -> list[_
         ends = np.cumsum([table.height for table in planned[1:]])
         if references.height != ends[-1]:
             raise ValueError(
-                f"{folder / tables.REFERENCES_FILE} has {references.height} episodes; the job's "
-                f"references have {ends[-1]}"
+                f"{record.folder / tables.REFERENCES_FILE} has {references.height} episodes; "
+                f"the job's references have {ends[-1]}"
             )
         kept += [
             references.slice(end - table.height, table.height)
@@ -150,8 +152,7 @@ def _kept_parts(folder: Path, registry: Registry, rebuilt: RebuiltJob) -> list[_
 
 
 def _written_problems(
-    folder: Path,
-    manifest: Mapping[str, Any],
+    record: Record,
     registry: Registry,
     rebuilt: RebuiltJob,
     parts: Sequence[_Part],
@@ -159,17 +160,16 @@ def _written_problems(
 ) -> tuple[list[str], tuple[str, ...]]:
     """Hold all that is not played against the job: return problems, and what is not checked."""
     has_references = len(parts) > 1
-    is_crossplay = (folder / tables.PAIRS_FILE).is_file()
-    problems, unchecked = source_problems(manifest, registry, rebuilt, has_references)
+    is_crossplay = (record.folder / tables.PAIRS_FILE).is_file()
+    problems, unchecked = source_problems(record.manifest, registry, rebuilt, has_references)
     names = [tables.EPISODES_FILE, *[tables.REFERENCES_FILE] * (len(parts) - 1)]
     for part, name in zip(parts, names, strict=True):
         problems += rederive.planned_problems(part.kept, part.planned, name)
     if not problems:
-        rederive.check_crossplay(folder, pairs)
+        rederive.check_crossplay(record.folder, pairs)
         references = pl.concat([part.kept for part in parts[1:]]) if has_references else None
         problems = rederive.derived_problems(
-            folder,
-            parts[0].kept,
+            record,
             rebuilt.context,
             rebuilt.met,
             is_crossplay=is_crossplay,
@@ -190,8 +190,8 @@ def _play(env: Any, part: _Part, sample: int, rng: np.random.Generator) -> pl.Da
     rows: list[pl.DataFrame] = []
     chunks = [Chunk(index, (tile,)) for index, tile in enumerate(chosen)]
     Runner(env, part.job).run(chunks, lambda _, played: rows.append(played))
-    found = pl.concat(rows).sort(KEYS)
-    return with_names(found) if COLUMN in part.kept.columns else found
+    again = pl.concat(rows).sort(KEYS)
+    return with_names(again) if COLUMN in part.kept.columns else again
 
 
 def _judge(
@@ -203,11 +203,13 @@ def _judge(
 ) -> ReplayReport:
     """Compare what was played with what was kept, bit by bit or within processors' noise."""
     kept = [
-        part.kept.join(found, on=KEYS, how="semi").sort(KEYS)
-        for part, found in zip(parts, played, strict=True)
+        part.kept.join(again, on=KEYS, how="semi").sort(KEYS)
+        for part, again in zip(parts, played, strict=True)
     ]
     pairs = list(zip(kept, played, strict=True))
-    if strange := [name for old, new in pairs for name in _strange_columns(old, new)]:
+    if strange := [
+        name for old, new in pairs for name in sorted(dict(old.schema.items() ^ new.schema.items()))
+    ]:
         problem = f"the columns {', '.join(strange)} are not those of the job's episodes"
         return dataclasses.replace(report, why="other columns", problems=(problem,))
     differing = sum(_differing(old, new) for old, new in pairs)
@@ -235,12 +237,8 @@ def _judge(
     )
 
 
-def _strange_columns(kept: pl.DataFrame, found: pl.DataFrame) -> list[str]:
-    return sorted(dict(kept.schema.items() ^ found.schema.items()))
-
-
-def _differing(kept: pl.DataFrame, found: pl.DataFrame) -> int:
-    same = [kept[name].eq_missing(found[name]).to_numpy() for name in kept.columns]
+def _differing(kept: pl.DataFrame, played: pl.DataFrame) -> int:
+    same = [kept[name].eq_missing(played[name]).to_numpy() for name in kept.columns]
     return int((~np.all(same, axis=0)).sum())
 
 
@@ -248,7 +246,7 @@ def _same_machine(manifest: Mapping[str, Any], job: Job) -> tuple[bool, str]:
     """Return whether the folder says that it was made where every bit is as here, and why."""
     made, there = _object(manifest.get("made_with")), manifest["identity"]
     pairs = {
-        "processor": (made.get("processor"), provenance.processor()),
+        "processor": (made.get("processor"), processor()),
         "jaxlib": (_object(made.get("versions")).get("jaxlib"), version("jaxlib")),
         "engine": (there["engine"], dict(job.engine)),
         "software": (there["software"], job.identity()["software"]),

@@ -34,7 +34,7 @@ from evaluation.cast.roster import paired_rosters
 from evaluation.play.evaluator import MAX_ENVS, check_sizes
 from evaluation.play.jobs import Job
 from evaluation.play.runner import play
-from evaluation.record import manifest as provenance
+from evaluation.record.manifest import PACKAGES, installed
 from population.networks.stack import PolicyStack
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry
@@ -44,7 +44,6 @@ STANDARD_ERRORS = 4.0
 LONGER = 16  # times the episodes
 TEAM_MARGIN = 0.05  # of the recorded mean
 TASK_MARGIN = 0.005  # of the recorded mean over a task's teams
-PACKAGES = ("assistax-zoo", "mujoco", "mujoco-mjx", "jax", "jaxlib", "flax", "numpy")
 _WIDTH_95 = 3.92  # of a 95% interval, in standard errors
 
 Pair = tuple[PolicyEntry, PolicyEntry]  # robot and human of a team
@@ -78,7 +77,7 @@ class Drift:
 
 @dataclasses.dataclass(frozen=True)
 class SelfPlayReport:
-    """What `verify --deep` found."""
+    """What playing teams again showed."""
 
     backend: str
     episodes: int  # of each team, but for those that played longer
@@ -124,7 +123,7 @@ def check_self_play(
         on_progress: Called with the number of teams just replayed.
     """
     if episodes < 1:
-        raise ValueError(f"episodes is {episodes}; give at least 1 (--episodes 4)")
+        raise ValueError(f"episodes is {episodes}; give at least 1")
     from assistax_envs import make
 
     sound, problems = _load(registry, entries)
@@ -160,8 +159,8 @@ def check_self_play(
 
 def versions() -> dict[str, str]:
     """Return the installed versions that decide what a policy does, Python's included."""
-    found = {name: provenance.installed(name) or "not installed" for name in PACKAGES}
-    return {"python": platform.python_version(), **found}
+    numbers = {name: installed(name) or "not installed" for name in PACKAGES}
+    return {"python": platform.python_version(), **numbers}
 
 
 def tolerance(recorded: SelfPlay, episodes: int, deviation: float = 0.0) -> float:
@@ -276,13 +275,13 @@ def _play(
 
 
 def _compare(team: str, recorded: SelfPlay | None, returns: np.ndarray) -> TeamReplay:
-    found, episodes = float(returns.mean()), len(returns)
+    mean, episodes = float(returns.mean()), len(returns)
     if recorded is None:
-        return TeamReplay(team, None, found, None, episodes, math.isfinite(found))
+        return TeamReplay(team, None, mean, None, episodes, math.isfinite(mean))
     more = episodes > recorded.n  # fewer say less of the deviation than what is recorded
     allowed = tolerance(recorded, episodes, float(returns.std(ddof=1)) if more else 0.0)
     return TeamReplay(
-        team, recorded.mean, found, allowed, episodes, abs(found - recorded.mean) <= allowed
+        team, recorded.mean, mean, allowed, episodes, abs(mean - recorded.mean) <= allowed
     )
 
 
@@ -299,8 +298,8 @@ def _drifts(registry: Registry, teams: Sequence[TeamReplay]) -> list[Drift]:
             continue
         errors = [_standard_error(recorded, team.episodes) for team, recorded in members]
         error = math.sqrt(sum(error**2 for error in errors)) / len(members)
-        found = float(np.mean([team.found - recorded.mean for team, recorded in members])) / mean
-        drifts.append(Drift(task, found, STANDARD_ERRORS * error / mean + TASK_MARGIN))
+        share = float(np.mean([team.found - recorded.mean for team, recorded in members])) / mean
+        drifts.append(Drift(task, share, STANDARD_ERRORS * error / mean + TASK_MARGIN))
     return drifts
 
 

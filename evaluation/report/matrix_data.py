@@ -54,21 +54,21 @@ def matrix_data(
             for colour in matplotlib.colormaps[style.COLOUR_MAP](np.linspace(0, 1, 256))
         ],
         "palettes": {
-            "algorithm": style.algorithm_colours(one["algorithm"] for one in both),
-            "disability": style.disability_colours(one["disability"] for one in both),
+            "algorithm": style.algorithm_colours(policy["algorithm"] for policy in both),
+            "disability": style.disability_colours(policy["disability"] for policy in both),
         },
     }
 
 
 def _axis(pairs: pl.DataFrame, seat: str) -> list[dict[str, Any]]:
     traits = ("team", "algorithm", "disability")
-    found = pairs.select(seat, *(f"{seat}_{trait}" for trait in traits)).unique(
+    policies = pairs.select(seat, *(f"{seat}_{trait}" for trait in traits)).unique(
         seat, maintain_order=True
     )
-    shorts = short_names(found[seat].to_list())
+    shorts = short_names(policies[seat].to_list())
     return [
         {"name": row[seat], "short": short, **{trait: row[f"{seat}_{trait}"] for trait in traits}}
-        for row, short in zip(found.iter_rows(named=True), shorts, strict=True)
+        for row, short in zip(policies.iter_rows(named=True), shorts, strict=True)
     ]
 
 
@@ -94,8 +94,8 @@ def _orders(
     add("separate", "clustered, each axis by itself", by_row, by_column)
     if strategies:
         members = [name for cluster in strategies["clusters"] for name in cluster["members"]]
-        found = {"order": members, "clusters": strategies["clusters"]}
-        add("strategies", "humans by behaviour", by_row, _clustered(columns, "name", found))
+        grouped = {"order": members, "clusters": strategies["clusters"]}
+        add("strategies", "humans by behaviour", by_row, _clustered(columns, "name", grouped))
     for first, second in (("algorithm", "disability"), ("disability", "algorithm")):
         sorted_axes = (_by_traits(axis, (first, second)) for axis in (rows, columns))
         add(first, f"{first}, then {second}", *sorted_axes)
@@ -105,7 +105,7 @@ def _orders(
 
 
 def _clustered(policies: list[dict[str, Any]], key: str, order: Mapping[str, Any]) -> Places:
-    place = {one[key]: i for i, one in enumerate(policies)}
+    place = {policy[key]: i for i, policy in enumerate(policies)}
     sizes = [len(cluster["members"]) for cluster in order["clusters"]]
     return [place[name] for name in order["order"]], np.cumsum(sizes)[:-1].tolist()
 

@@ -6,7 +6,6 @@ careless with an id shows its tags to the reader, and runs nothing.
 
 import base64
 import functools
-import io
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
@@ -14,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
-import matplotlib
 import polars as pl
 from markupsafe import Markup
 from matplotlib.figure import Figure
@@ -24,8 +22,10 @@ from evaluation.figures.summary import EvaluationSummary, read_summary
 from evaluation.plots.charts import performance_profile, provenance, trait_points, zsc_dots
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import arrange, short_names
+from evaluation.plots.style import figure_bytes
 from evaluation.record import tables
-from evaluation.record.manifest import file_sha256, read_manifest, unchecked
+from evaluation.record.manifest import file_sha256, read_manifest
+from evaluation.record.verification import unchecked
 from evaluation.report.matrix_data import matrix_data
 
 # What tables and fields of other kinds than ours lead to.
@@ -66,14 +66,14 @@ def figures_html(
     figures: Mapping[str, Mapping[str, Any] | None], what: str, notes: Iterable[str]
 ) -> str:
     """Return estimates as a table, with what a reader has to know of them."""
-    given = {"figures": list(figures.items()), "what": what, "notes": list(notes)}
-    return templates().get_template("figures.html").render(given)
+    template = templates().get_template("figures.html")
+    return template.render(figures=list(figures.items()), what=what, notes=list(notes))
 
 
 @functools.cache
 def templates() -> jinja2.Environment:
     """Return the page's templates, which escape whatever enters them."""
-    found = jinja2.Environment(
+    environment = jinja2.Environment(
         loader=jinja2.PackageLoader("evaluation.report"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
@@ -82,28 +82,28 @@ def templates() -> jinja2.Environment:
         extensions=["jinja2.ext.do"],
     )
     # In the order of their making, which the viewer's menus have.
-    found.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     assets = resources.files("evaluation.report") / "assets"
     known: dict[str, Any] = {
         "asset": lambda name: Markup((assets / name).read_text("utf-8")),
         "letter": lambda number: chr(ord("A") + number),
         "settings": DISABILITY_SETTINGS,
     }
-    found.globals.update(known)
-    return found
+    environment.globals.update(known)
+    return environment
 
 
 def _page(folder: Path) -> str:
-    found, manifest = read_summary(folder), read_manifest(folder) or {}
-    kind = "evaluation" if isinstance(found, EvaluationSummary) else "crossplay"
-    summary = tables.to_json(found)
+    figures, manifest = read_summary(folder), read_manifest(folder) or {}
+    kind = "evaluation" if isinstance(figures, EvaluationSummary) else "crossplay"
+    summary = tables.to_json(figures)
     summary["notes"] = [*summary["notes"], *unchecked(folder)]
     hashes = {}
-    if found.split:
-        hashes[f"split {found.split.id}"] = found.split.sha256
+    if figures.split:
+        hashes[f"split {figures.split.id}"] = figures.split.sha256
     if "job" in manifest:
         hashes["job: policies, settings and software"] = manifest["job"]
-    there = [name for name in _HASHED if (folder / name).is_file()]
+    hashed = [name for name in _HASHED if (folder / name).is_file()]
     return (
         templates()
         .get_template(f"{kind}.html")
@@ -111,7 +111,7 @@ def _page(folder: Path) -> str:
             summary=summary,
             run=_read(folder, tables.RUN_FILE),
             identity=manifest.get("identity"),
-            hashes=hashes | {name: file_sha256(folder / name) for name in there},
+            hashes=hashes | {name: file_sha256(folder / name) for name in hashed},
             **{"evaluation": _evaluation, "crossplay": _crossplay}[kind](folder, summary),
         )
     )
@@ -124,8 +124,8 @@ def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     caption = f"Band: pointwise 95% bootstrap.\n{provenance(named)}"
     drawn = performance_profile({name: profile}, task=summary["task"], caption=caption)
     partners = tables.read_parquet(folder / tables.PARTNERS_FILE)
-    told = {key: column for key, column in _PARTNER.items() if column in partners.columns}
-    headings, columns = [*told], list(told.values())
+    known = {key: column for key, column in _PARTNER.items() if column in partners.columns}
+    headings, columns = [*known], [*known.values()]
     images = {
         "returns with training and test partners": zsc_dots(named),
         "returns by the partner's disability setting": trait_points(named),
@@ -177,14 +177,14 @@ def _crossplay(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "data": matrix_data(pairs, order, strategies) | {"film": _film(folder)},
         "strategies": strategies,
-        "short": _short([one["partner"] for one in listed])
-        | _short([one["robot"] for one in listed]),
+        "short": _short([row["partner"] for row in listed])
+        | _short([row["robot"] for row in listed]),
         "static": _embedded(crossplay_heatmap(arrange(pairs, order), summary), "png"),
     }
 
 
 def _film(folder: Path) -> dict[str, Any] | None:
-    """Return what films the first episode of a pair, by the manifest: command, and humans' wishes.
+    """Return what films the first episode of a pair, by the manifest: command and preferences.
 
     None where no manifest names the episodes, or where all humans had the same starts, as before
     each had starts of its own: no command films those.
@@ -192,12 +192,12 @@ def _film(folder: Path) -> dict[str, Any] | None:
     identity = (read_manifest(folder) or {}).get("identity")
     if not identity or not identity.get("apart"):
         return None
-    wishes = _first_wishes(folder) if "preferences" in identity else {}
+    preferences = _first_preferences(folder) if "preferences" in identity else {}
     words = ["render", "--task", str(identity["task"]), "--seed", str(int(identity["seed"]))]
-    return {"command": shlex.join(["assistax-zoo", *words]), "wishes": wishes}
+    return {"command": shlex.join(["assistax-zoo", *words]), "preferences": preferences}
 
 
-def _first_wishes(folder: Path) -> dict[str, str]:
+def _first_preferences(folder: Path) -> dict[str, str]:
     """Return under which preference each human of a gentle task played its first episode."""
     table = tables.read_episodes(folder / tables.EPISODES_FILE)
     first = table.filter(pl.col("episode") == 0)
@@ -210,11 +210,7 @@ def _short(names: Sequence[str]) -> dict[str, str]:
 
 def _embedded(figure: Figure, kind: str = "svg") -> str:
     """Return a figure as an address that holds it."""
-    buffer = io.BytesIO()
-    metadata = {"Date": None} if kind == "svg" else {"Software": None}
-    with matplotlib.rc_context({"svg.hashsalt": "assistax-zoo"}):
-        figure.savefig(buffer, format=kind, dpi=150, metadata=metadata)
-    data = base64.b64encode(buffer.getvalue()).decode()
+    data = base64.b64encode(figure_bytes(figure, f".{kind}", dpi=150)).decode()
     return f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{data}"
 
 

@@ -18,6 +18,8 @@ from evaluation.figures.summary import Context, EvaluationSummary, read_summary
 from evaluation.play.jobs import episode_seeds
 from evaluation.record import manifest as provenance
 from evaluation.record import tables
+from evaluation.record.columns import term_columns
+from evaluation.record.record import Record
 from zoo.registry import Registry
 
 
@@ -45,12 +47,12 @@ class Forger:
         """Draw every figure from the forged episodes, and write hashes that fit."""
         tables.write_episodes(self.table, self.folder / tables.EPISODES_FILE)
         if self.is_crossplay:
-            derived.save_crossplay(self.folder, self.table, self.context, self.met())
+            derived.save_crossplay(Record(self.table, self.folder), self.context, self.met())
         else:
             played = self.references
             drawn = None if played is None else (played, bounds_table(played))
             options = {"references": drawn, "met": self.met()}
-            derived.save_evaluation(self.folder, self.table, self.context, **options)
+            derived.save_evaluation(Record(self.table, self.folder), self.context, **options)
         self.seal()
 
     def met(self) -> MetPartners:
@@ -73,7 +75,7 @@ class Forger:
 
     def scale(self, rows: pl.Expr, factor: float) -> None:
         """Multiply the returns of rows and all their parts, so that they still add up."""
-        names = ["return", "discounted_return", *tables.term_columns(self.table)]
+        names = ["return", "discounted_return", *term_columns(self.table)]
         for name in names:
             value = pl.when(rows).then(pl.col(name) * factor).otherwise(pl.col(name))
             self.table = self.table.with_columns(value.cast(pl.Float32).alias(name))

@@ -19,6 +19,7 @@ from assistax_base.errors import ZooError
 from assistax_workshop.press.trained_runs import read_run
 from evaluation.play.evaluator import run_job
 from evaluation.record import manifest as provenance
+from evaluation.record.verification import verify_folder
 from evaluation.report import write_report
 from population.networks.tensors import flatten
 from population.runs.checkpoints import Checkpoints
@@ -159,7 +160,7 @@ def test_results(made: Path, inside: Path) -> None:
 
     def check(whole: bytes, data: bytes) -> None:
         changed = data != whole and not _same_json(whole, data)  # written with other spaces
-        assert bool(provenance.verify_folder(result).problems) == changed
+        assert bool(verify_folder(result).problems) == changed
         try:
             write_report(result, inside / "page.html")
             assert not changed, "a page was made from a damaged file"
@@ -169,7 +170,7 @@ def test_results(made: Path, inside: Path) -> None:
     def sealed(whole: bytes, data: bytes) -> None:
         try:
             provenance.seal(result)
-            provenance.verify_folder(result)
+            verify_folder(result)
             write_report(result, inside / "page.html")
             assert "<script>alert(1)" not in (inside / "page.html").read_text()
         finally:

@@ -21,8 +21,7 @@ from evaluation.play.how import How
 from evaluation.play.jobs import Job
 from evaluation.play.runner import Runner
 from evaluation.play.tiles import Chunk
-from evaluation.record import manifest as provenance
-from evaluation.record.sources import check_sources
+from evaluation.record.verification import check_sources, verify_folder
 from evaluation.replay import rederive, replay
 from evaluation.replay.replay import ReplayReport, replay_folder
 from tests.attack import forging
@@ -81,7 +80,7 @@ def remembering(monkeypatch: pytest.MonkeyPatch) -> None:
 def judged(folder: Path, zoo: Registry) -> ReplayReport | None:
     """Return what a stranger is told, or None where the folder is refused."""
     try:
-        if not provenance.verify_folder(folder).ok or check_sources(folder, zoo.path).problems:
+        if not verify_folder(folder).ok or check_sources(folder, zoo.path).problems:
             return None
         return replay_folder(folder, zoo, sample=10**6)
     except REFUSALS as error:

@@ -12,6 +12,7 @@ from assistax_zoo.commands.evaluation import plot
 from assistax_zoo.shell.main import run
 from evaluation.figures import saved_tables as derived
 from evaluation.record import tables
+from evaluation.record.record import Record
 from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, teams
 from tests.zoo.conftest import trained_team
 
@@ -21,7 +22,8 @@ def crossplay_folder(tmp_path: Path) -> Path:
     population = teams(6, ("ippo",), ("d1", "d9"))
     folder = tmp_path / "xp"
     derived.save_crossplay(
-        folder, episode_table(clustered_matrix(6, 2)[:, :, None], population, population), CONTEXT
+        Record(episode_table(clustered_matrix(6, 2)[:, :, None], population, population), folder),
+        CONTEXT,
     )
     return folder
 
@@ -30,7 +32,7 @@ def crossplay_folder(tmp_path: Path) -> Path:
 def evaluation_folder(tmp_path: Path) -> Path:
     returns = np.random.default_rng(0).normal(500, 50, (2, 4, 2))
     table = episode_table(returns, ["a", "b"], teams(4), ["test", "train"] * 2)
-    derived.save_evaluation(tmp_path / "ppo", table, CONTEXT)
+    derived.save_evaluation(Record(table, tmp_path / "ppo"), CONTEXT)
     return tmp_path / "ppo"
 
 
@@ -79,7 +81,7 @@ def test_wrong_folders_and_names_get_one_line(
 ):
     out = tmp_path / "x.png"
     gone = tmp_path / "gone"
-    assert f"{gone} is not a folder; run `assistax-zoo crossplay --out" in failure(
+    assert f"{gone} is not a folder; run `assistax-zoo crossplay` into it" in failure(
         capfd, call("crossplay", gone, "--out", out)
     )
     assert (
@@ -116,7 +118,7 @@ def test_evaluations_are_drawn_by_method(draw, evaluation_folder: Path, tmp_path
     assert out.stat().st_size > 5_000
     with pytest.raises(ValueError, match="two folders are named ppo"):
         draw((evaluation_folder, evaluation_folder), out=out)
-    with pytest.raises(ValueError, match="no folder given"):
+    with pytest.raises(ValueError, match="there is no folder to draw"):
         draw((), out=out)
 
 

@@ -11,6 +11,7 @@ from assistax_zoo.shell.main import run
 from evaluation.figures.saved_tables import save_crossplay, save_evaluation
 from evaluation.record import manifest as provenance
 from evaluation.record import tables
+from evaluation.record.record import Record
 from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, teams
 
 HOSTILE = "\x1b]0;owned\x07\x9b31m[red]\nverified 9 files\u202e"
@@ -26,7 +27,7 @@ def evaluated(folder: Path, shift: float = 0.0, **changes: Any) -> Path:
     table = episode_table(returns, ["mine"], teams(8), ["test", "train"] * 4)
     context = dataclasses.replace(CONTEXT, **changes)
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
-    save_evaluation(folder, table, context)
+    save_evaluation(Record(table, folder), context)
     return folder
 
 
@@ -34,7 +35,7 @@ def evaluated(folder: Path, shift: float = 0.0, **changes: Any) -> Path:
 def crossplay(tmp_path: Path) -> Path:
     table = episode_table(clustered_matrix(6, 2)[:, :, None], teams(6), teams(6))
     table = table.with_columns((10.0 * (pl.col("partner_seed") % 2)).alias("force_mean"))
-    save_crossplay(tmp_path / "xp", table, CONTEXT)
+    save_crossplay(Record(table, tmp_path / "xp"), CONTEXT)
     return tmp_path / "xp"
 
 
@@ -85,7 +86,7 @@ def test_names_of_a_received_folder_command_no_terminal(
     table = episode_table(clustered_matrix(6, 2)[:, :, None], teams(6), teams(6))
     evil = pl.col("partner") + HOSTILE
     table = table.with_columns(partner=evil, partner_team=evil)
-    save_crossplay(tmp_path / "evil", table, CONTEXT)
+    save_crossplay(Record(table, tmp_path / "evil"), CONTEXT)
     assert call("strategies", tmp_path / "evil") == 0
     told = capfd.readouterr().out
     assert "[red]" in told and not set(HOSTILE) & set("\x1b\x9b\x07") & set(told)

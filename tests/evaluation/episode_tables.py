@@ -10,6 +10,7 @@ import polars as pl
 from evaluation.figures.summary import Context, SplitName
 from evaluation.record import manifest as provenance
 from evaluation.record import tables
+from evaluation.record.record import Record
 
 Team = tuple[str, str, int]  # algorithm, disability, seed
 CONTEXT = Context(
@@ -32,6 +33,11 @@ def teams(
     """Return teams with every algorithm and disability in turn."""
     kinds = itertools.cycle(itertools.product(algorithms, disabilities))
     return [(*next(kinds), seed) for seed in range(count)]
+
+
+def recorded(table: pl.DataFrame, folder: Path = Path("nowhere")) -> Record:
+    """Return the record of a table that was made here."""
+    return Record(table, folder)
 
 
 def sealed(folder: Path) -> Path:

@@ -33,7 +33,7 @@ from evaluation.play.evaluator import run_job
 from evaluation.play.jobs import Job
 from evaluation.record import tables
 from population.networks.stack import PolicyStack
-from tests.evaluation.episode_tables import Team, episode_table, team_id, teams
+from tests.evaluation.episode_tables import Team, episode_table, recorded, team_id, teams
 from tests.evaluation.matrix_game import (
     HUMAN,
     PAYOFF,
@@ -131,7 +131,7 @@ def test_the_script_and_a_passive_human_are_played(tmp_path: Path, scripted: Non
         (ZERO, 6),
     ]
     table = run_job(MatrixGame(), job, tmp_path / "job").table
-    shown, _ = summarise_references(table, found, bounds_table(found))
+    shown, _ = summarise_references(recorded(table), found, bounds_table(found))
     luck = {
         (ego, partner): found.filter((pl.col("ego") == ego) & (pl.col("partner") == partner))
         for ego, partner in found.select("ego", "partner").unique().rows()
@@ -253,7 +253,7 @@ def test_relative_figures_leave_out_and_name_the_unscorable():
     )
     reference = played([0, 0, 10, 10], [50, 50, 5, None])
     played_by, relative = summarise_references(
-        table, reference, bounds_table(reference, crossplay_pairs())
+        recorded(table), reference, bounds_table(reference, crossplay_pairs())
     )
     assert relative.normalised_return and relative.br_prox and relative.regret
     assert relative.coverage and played_by.zero_action
@@ -271,6 +271,6 @@ def test_relative_figures_leave_out_and_name_the_unscorable():
 def test_without_any_scorable_partner_there_is_no_figure():
     table = episode_table(np.ones((1, 4, 1)), ["mine"], PARTNERS, ["test"] * 4)
     reference = played([10] * 4, [None] * 4)
-    relative = summarise_references(table, reference, bounds_table(reference))[1]
+    relative = summarise_references(recorded(table), reference, bounds_table(reference))[1]
     assert relative.br_prox is relative.coverage is relative.regret is relative.worst_regret is None
     assert len(relative.unscorable) == 4

@@ -22,6 +22,7 @@ from evaluation.play.progress import Progress
 from evaluation.play.shares import run_share
 from evaluation.play.tiles import plan, tile_shape
 from evaluation.record import tables
+from evaluation.record.columns import validate_episodes
 from evaluation.record.manifest import MANIFEST_FILE, file_sha256
 from population.networks.stack import PolicyStack
 from tests.base.test_files import Disk
@@ -73,7 +74,7 @@ def test_crossplay_of_the_matrix_game_is_its_payoff_matrix(tmp_path: Path):
     table = run_job(
         MatrixGame(), make_job(sides={"matrix/hand-d1-s0-v0/human": "train"}), tmp_path
     ).table
-    tables.validate_episodes(table)
+    validate_episodes(table)
     strength = {"d1": 1.0, "d2": 0.7, "d3": 0.4}
     for row in table.iter_rows(named=True):
         payoff = (

@@ -23,6 +23,7 @@ from evaluation.play.how import How
 from evaluation.play.jobs import Job
 from evaluation.play.study import make_job
 from evaluation.record import tables
+from evaluation.record.columns import EGO_COLUMNS, PARTNER_COLUMNS
 from evaluation.record.manifest import processor
 from zoo.registry import load_registry
 
@@ -49,7 +50,7 @@ def assert_golden(found: Path, name: str) -> None:
         if version("polars") == MADE_WITH["polars"]:
             assert found.read_bytes() == (GOLDEN / f"{name}.parquet").read_bytes()
         return
-    described = [*tables.EGO_COLUMNS, *tables.PARTNER_COLUMNS, "episode", "key"]
+    described = [*EGO_COLUMNS, *PARTNER_COLUMNS, "episode", "key"]
     assert table.select(described).equals(golden.select(described))
     assert table["return"].mean() == pytest.approx(golden["return"].mean(), rel=0.05)
 

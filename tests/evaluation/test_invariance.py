@@ -147,7 +147,6 @@ import os, signal, sys
 from pathlib import Path
 import jax
 from evaluation.record import tables
-from evaluation.play.shares import run_block
 from evaluation.play.shares import run_share
 from evaluation.play.evaluator import run_job
 from tests.evaluation.test_invariance import real_job, scratch, use_small_tiles

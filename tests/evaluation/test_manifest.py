@@ -15,7 +15,8 @@ from assistax_zoo.shell.main import run
 from evaluation.play.how import How
 from evaluation.record import manifest as provenance
 from evaluation.record import tables
-from evaluation.record.manifest import verify_folder
+from evaluation.record.record import Record
+from evaluation.record.verification import check_whole, verify_folder
 from evaluation.replay import rederive, replay
 from evaluation.replay.job import rebuild_job
 from evaluation.replay.replay import replay_folder
@@ -161,7 +162,7 @@ def test_links_in_place_of_files_are_not_followed(folder: Path) -> None:
         (folder / name).symlink_to("/proc/self/environ")
         assert "no regular file" in verify_folder(folder).problems[0]
         with pytest.raises(ValueError, match="no regular file"):
-            provenance.check_whole(folder)
+            check_whole(folder)
         (folder / name).unlink()
         (folder / name).write_bytes(whole)
     assert verify_folder(folder).ok
@@ -205,7 +206,7 @@ def test_figures_that_nobody_played_are_found(
     changed(folder, registry, 1.00001)
     report = replay_folder(folder, registry, sample=1)
     assert not report.ok and report.differing == 8 and "other values" in report.problems[0]
-    monkeypatch.setattr(replay.provenance, "processor", lambda: "another")
+    monkeypatch.setattr(replay, "processor", lambda: "another")
     elsewhere = replay_folder(folder, registry, sample=1)
     assert elsewhere.ok and not elsewhere.exact and "other processor" in elsewhere.why
     assert (elsewhere.differing, elsewhere.tolerance > 0) == (8, True)
@@ -298,9 +299,10 @@ def test_what_cannot_be_replayed_says_why(folder: Path, registry: Registry) -> N
     robot = identity["egos"][0][0]
 
     def refused(reason: str, cut: Any = None, **changes: Any) -> None:
-        other = {**identity, **changes}
+        other = {"identity": {**identity, **changes}, **(cut or {})}
+        provenance.write_manifest(folder, {**manifest, **other})
         with pytest.raises(ValueError, match=reason):
-            rebuild_job(folder, {**manifest, "identity": other, **(cut or {})}, registry)
+            rebuild_job(Record.read(folder), registry)
 
     refused("is code, and the folder names it", egos=[["python:evil.py:make", "0"]])
     refused("nobody else has it", egos=[["object:Robot-0", "0"]])

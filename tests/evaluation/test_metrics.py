@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import scipy.stats
 
+from assistax_base.statistics import iqm
 from evaluation.figures import metrics, strategies
 from evaluation.figures.metrics import Bounds, Traits
-from evaluation.figures.statistics import iqm
 
 
 def same_traits(

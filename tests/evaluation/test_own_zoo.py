@@ -9,7 +9,7 @@ from assistax_workshop.press.publish import publish
 from evaluation.play.how import How
 from evaluation.plots.matrix import arrange
 from evaluation.record import tables
-from evaluation.record.sources import check_sources
+from evaluation.record.verification import check_sources
 from tests.attack.commands import HUMAN, ROBOT, small_zoo
 from tests.evaluation.test_sources import toy
 from tests.studies import cross_play, evaluate_policies

@@ -37,6 +37,7 @@ from tests.evaluation.episode_tables import (
     Team,
     clustered_matrix,
     episode_table,
+    recorded,
     team_id,
     teams,
 )
@@ -66,8 +67,8 @@ def saved(
     table = episode_table(
         clustered_matrix(len(population), clusters)[:, :, None], population, population
     )
-    pairs, order = derived.crossplay_matrix(table)
-    return pairs, order, tables.to_json(summary.summarise_crossplay(table, CONTEXT))
+    pairs, order = derived.crossplay_matrix(recorded(table))
+    return pairs, order, tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
 
 
 def draw(population: list[Team], how: Any = None, clusters: int = 3) -> tuple[Matrix, Figure]:
@@ -239,8 +240,8 @@ def test_a_few_very_bad_pairs_do_not_take_the_colours(least: float, told: str | 
     values = np.linspace(0.0, 500.0, 20)
     values[0] = least
     table = episode_table(values.reshape(1, 20, 1), ["my robot"], teams(20))
-    pairs, order = derived.crossplay_matrix(table)
-    summarised = tables.to_json(summary.summarise_crossplay(table, CONTEXT))
+    pairs, order = derived.crossplay_matrix(recorded(table))
+    summarised = tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
     figure = crossplay_heatmap(arrange(pairs, order), summarised)
     [image] = axes_by_label(figure)["matrix"].images
     first = 0.0 if told is None else 0.95 * values[1] + 0.05 * least
@@ -250,14 +251,14 @@ def test_a_few_very_bad_pairs_do_not_take_the_colours(least: float, told: str | 
 
 def test_an_outsider_is_drawn_without_self_play():
     table = episode_table(np.arange(20.0).reshape(1, 20, 1), ["my robot"], teams(20))
-    pairs, order = derived.crossplay_matrix(table)
+    pairs, order = derived.crossplay_matrix(recorded(table))
     matrix = arrange(pairs, order)
-    told = tables.to_json(summary.summarise_crossplay(table, CONTEXT))
+    told = tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
     figure = crossplay_heatmap(matrix, told)
     assert not matrix.self_play.any()
     assert "from outside the zoo" in texts(figure)
     with pytest.raises(
-        ValueError, match="not the same teams, so they share no order; use --order separate"
+        ValueError, match="not the same teams, so they share no order; choose 'separate'"
     ):
         arrange(pairs, order, "shared")
 
@@ -380,11 +381,13 @@ def evaluations() -> dict[str, dict[str, Any]]:
     return {
         name: tables.to_json(
             summary.summarise_evaluation(
-                episode_table(
-                    rng.normal(500, 50, (egos, 8, 2)),
-                    [f"{name}{i}" for i in range(egos)],
-                    partners,
-                    sides,
+                recorded(
+                    episode_table(
+                        rng.normal(500, 50, (egos, 8, 2)),
+                        [f"{name}{i}" for i in range(egos)],
+                        partners,
+                        sides,
+                    )
                 ),
                 CONTEXT,
             )

@@ -25,10 +25,12 @@ from evaluation.play.how import How
 from evaluation.play.jobs import Job
 from evaluation.plots.charts import trait_points
 from evaluation.record import tables
+from evaluation.record.columns import GENTLE, validate_episodes, with_safety
+from evaluation.record.record import Record
 from evaluation.replay.replay import replay_folder
 from evaluation.report.page import write_report
 from tests import untrained
-from tests.evaluation.episode_tables import CONTEXT
+from tests.evaluation.episode_tables import CONTEXT, recorded
 from tests.evaluation.matrix_game import HUMAN, ROBOT, MatrixGame, humans, robots
 from tests.studies import cross_play, evaluate_policies
 from zoo.registry import Registry, load_registry
@@ -84,7 +86,7 @@ def test_each_partner_takes_turns_and_begins_elsewhere() -> None:
 
 def test_the_table_says_under_which_preference_an_episode_was_played(tmp_path: Path) -> None:
     job, table = job_of(), played(tmp_path / "job")
-    tables.validate_episodes(table)
+    validate_episodes(table)
     for row in table.iter_rows(named=True):
         [[wished]] = job.preferences_of([row["partner"]], [row["episode"]])
         assert row["preference"] == wished
@@ -103,14 +105,14 @@ def test_a_subset_is_another_job_and_none_is_the_job_that_it_was(tmp_path: Path)
     assert job_of().identity() == {**without.identity(), "preferences": list(NAMES)}
     assert len({without.digest(), job_of().digest(), job_of(preferences=("p1",)).digest()}) == 3
     table = run_job(MatrixGame(), without, tmp_path / "old").table
-    assert not set(tables.GENTLE) & set(table.columns)
+    assert not set(GENTLE) & set(table.columns)
     alone = played(tmp_path / "new", preferences=("p5",))
     assert alone["preference"].unique().to_list() == ["p5"]
 
 
 def test_figures_by_preference_are_means_over_partners(tmp_path: Path) -> None:
     table = played(tmp_path)
-    summary = summarise_evaluation(table, CONTEXT)
+    summary = summarise_evaluation(recorded(table), CONTEXT)
     steps = int(table["steps"][0])
     assert list(summary.by_preference) == sorted(NAMES)
     for k, name in enumerate(NAMES, 1):
@@ -119,7 +121,7 @@ def test_figures_by_preference_are_means_over_partners(tmp_path: Path) -> None:
     assert summary.preference_fairness is not None
     assert (summary.preference_fairness.worst, summary.preference_fairness.best) == ("p1", "p9")
     assert summary.violations is not None and summary.violations.mean == pytest.approx(1 / 9)
-    safe = tables.with_safety(table)
+    safe = with_safety(table)
     assert summary.safe_success is not None
     assert summary.safe_success.mean == pytest.approx(safe["safe_success"].mean())
     hurt = safe.filter(pl.col("violated"))
@@ -127,7 +129,7 @@ def test_figures_by_preference_are_means_over_partners(tmp_path: Path) -> None:
 
 
 def test_partners_that_did_not_play_under_one_are_left_out_of_it(tmp_path: Path) -> None:
-    summary = summarise_evaluation(played(tmp_path, episodes=2), CONTEXT)
+    summary = summarise_evaluation(recorded(played(tmp_path, episodes=2)), CONTEXT)
     counts = Counter(job_of().preferences_of(job_of().partners.ids, range(2)).ravel())
     assert {name: figure.n for name, figure in summary.by_preference.items()} == {
         str(name): 2 * count for name, count in counts.items()
@@ -136,7 +138,7 @@ def test_partners_that_did_not_play_under_one_are_left_out_of_it(tmp_path: Path)
 
 def test_a_folder_of_a_gentle_task_is_read_drawn_and_reported(tmp_path: Path) -> None:
     table = played(tmp_path / "job")
-    summary = save_evaluation(tmp_path, table, CONTEXT)
+    summary = save_evaluation(Record(table, tmp_path), CONTEXT)
     assert read_summary(tmp_path) == summary
     partners = tables.read_parquet(tmp_path / tables.PARTNERS_FILE)
     assert partners["violated"].to_list() == pytest.approx([1 / 9] * 3)
@@ -181,18 +183,22 @@ def test_partners_play_under_the_preferences_of_their_side(tmp_path: Path) -> No
 def test_preferences_of_the_other_side_are_told(tmp_path: Path) -> None:
     split = SplitName("gentle/half-p1-p5-p9", "0" * 64, SIDES)
     context = dataclasses.replace(CONTEXT, split=split)
-    right = summarise_evaluation(played(tmp_path / "a", preferences=("p1", "p5")), context)
+    right = summarise_evaluation(
+        recorded(played(tmp_path / "a", preferences=("p1", "p5"))), context
+    )
     assert not any("split's" in note for note in right.notes)
-    wrong = summarise_evaluation(played(tmp_path / "b", preferences=("p1", "p3")), context)
+    wrong = summarise_evaluation(
+        recorded(played(tmp_path / "b", preferences=("p1", "p3"))), context
+    )
     told = "test partners played under p3; the split's test preferences are p1, p5, p9"
     assert told in wrong.notes
 
 
 def test_methods_whose_partners_liked_different_things_are_not_compared(tmp_path: Path) -> None:
     one, other = (played(tmp_path / name, preferences=(name,)) for name in ("p1", "p2"))
-    assert summarise_comparison(one, one).test is not None
+    assert summarise_comparison(recorded(one), recorded(one)).test is not None
     with pytest.raises(ValueError, match="the partners of the two tables liked different things"):
-        summarise_comparison(one, other)
+        summarise_comparison(recorded(one), recorded(other))
 
 
 @pytest.fixture(scope="module")

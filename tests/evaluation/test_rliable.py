@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluation.figures import statistics
+from assistax_base import statistics
 from tests.evaluation.test_bootstrap import stratified
 from tools.paper_page.measures import probability_of_improvement
 

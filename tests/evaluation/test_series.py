@@ -16,9 +16,9 @@ from evaluation.play import tiles
 from evaluation.play.evaluator import in_order, run_job
 from evaluation.play.jobs import Job
 from evaluation.play.runner import play
-from evaluation.record import tables
+from evaluation.record.columns import validate_episodes
 from population.networks.spec import PolicySpec
-from tests.evaluation.episode_tables import CONTEXT
+from tests.evaluation.episode_tables import CONTEXT, recorded
 from tests.evaluation.matrix_game import (
     GRU,
     HUMAN,
@@ -83,14 +83,14 @@ def test_a_robot_counts_its_episodes_and_the_human_forgets_them() -> None:
 def test_summary_has_the_return_in_each_place(tmp_path: Path) -> None:
     job = job_of(counting(ROBOT), series=3)
     table = run_job(MatrixGame(), job, tmp_path).table
-    tables.validate_episodes(table)
-    found = summarise_evaluation(table, CONTEXT).by_place
+    validate_episodes(table)
+    found = summarise_evaluation(recorded(table), CONTEXT).by_place
     assert list(found) == ["1", "2", "3"]
     for place, figure in found.items():
         mean = table.filter(place=int(place))["return"].mean()
         assert (figure.mean, figure.n) == (pytest.approx(mean), 3)
         assert figure.mean_ci is not None
-    assert summarise_evaluation(played(job_of(counting(ROBOT))), CONTEXT).by_place == {}
+    assert summarise_evaluation(recorded(played(job_of(counting(ROBOT)))), CONTEXT).by_place == {}
 
 
 def test_a_feed_forward_robot_plays_as_without_and_a_recurrent_one_does_not() -> None:

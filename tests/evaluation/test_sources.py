@@ -15,8 +15,7 @@ import pytest
 from assistax_zoo.shell.main import run
 from evaluation.play.how import How
 from evaluation.record import manifest as provenance
-from evaluation.record import sources
-from evaluation.record.sources import check_sources
+from evaluation.record import verification
 from evaluation.record.tables import (
     BOUNDS_FILE,
     EPISODES_FILE,
@@ -25,6 +24,7 @@ from evaluation.record.tables import (
     read_parquet,
     write_parquet,
 )
+from evaluation.record.verification import check_sources
 from evaluation.replay.replay import replay_folder
 from tests.attack.commands import ROBOT, small_zoo
 from tests.population.toy_env import ToyEnv, match
@@ -165,7 +165,7 @@ def test_a_check_that_believes_the_shards_would_be_caught(
     whole = path.read_bytes()
     path.write_bytes(flipped(whole, len(whole) // 2, 0))
     assert check_sources(home / "out").problems
-    monkeypatch.setattr(sources, "load_leaves", lambda registry, entries: None)
+    monkeypatch.setattr(verification, "load_leaves", lambda registry, entries: None)
     assert not check_sources(home / "out").problems
     path.write_bytes(whole)
 
@@ -210,11 +210,11 @@ def test_a_file_that_is_named_often_is_read_once(
     read: list[Path] = []
     hashed = provenance.received_sha256
     monkeypatch.setattr(
-        provenance, "received_sha256", lambda path: read.append(path) or hashed(path)
+        verification, "received_sha256", lambda path: read.append(path) or hashed(path)
     )
     resealed(folder, files=dict.fromkeys(names, provenance.file_sha256(tmp_path / "large")))
     assert not check_sources(folder).problems and len(read) == 1
-    monkeypatch.setattr(sources, "LARGEST_SUM", 0)
+    monkeypatch.setattr(verification, "LARGEST_SUM", 0)
     assert len(check_sources(folder).absent) == 40
 
 
@@ -299,3 +299,18 @@ def test_a_robot_whose_weights_changed_is_not_answered_from_a_finished_folder(
     with pytest.raises(ValueError, match="whether that is still the same robot"):
         evaluated(home, robot, tmp_path / "undeclared")
     assert evaluated(home, robot, tmp_path / "elsewhere") == first != second
+
+
+def test_leaves_are_compared_by_name_and_what_cannot_be_read_says_why() -> None:
+    """The one comparison of files, policies and a registry's entries."""
+    here: dict[str, Any] = {"whole": "a", "other": "b", "absent": None}
+
+    def digest(name: str) -> str | None:
+        if name == "broken":
+            raise OSError("no regular file")
+        return here[name]
+
+    leaves = list(verification.compare(dict.fromkeys([*here, "broken"], "a"), digest))
+    assert [leaf.actual == leaf.expected for leaf in leaves] == [True, False, False, False]
+    assert [leaf.actual for leaf in leaves] == ["a", "b", None, None]
+    assert str(leaves[3].error) == "no regular file" and leaves[2].error is None

@@ -4,9 +4,16 @@ import numpy as np
 import polars as pl
 import pytest
 
+from evaluation.figures.saved_tables import pair_table
 from evaluation.figures.strategies import best_responses, summarise_strategies
-from evaluation.record import tables
-from tests.evaluation.episode_tables import clustered_matrix, episode_table, team_id, teams
+from evaluation.record.columns import BEHAVIOUR
+from tests.evaluation.episode_tables import (
+    clustered_matrix,
+    episode_table,
+    recorded,
+    team_id,
+    teams,
+)
 
 TEAMS = teams(12)
 
@@ -16,10 +23,12 @@ def planted() -> pl.DataFrame:
     table = episode_table(clustered_matrix(12, 3)[:, :, None], TEAMS, TEAMS)
     group = pl.col("partner_seed") % 3
     noise = pl.Series(np.random.default_rng(0).normal(0, 0.3, table.height))
-    return tables.pair_table(
-        table.with_columns(
-            (5.0 * group + noise).alias("force_mean"),
-            (40.0 - 10.0 * group + noise).alias("robot_travel"),
+    return pair_table(
+        recorded(
+            table.with_columns(
+                (5.0 * group + noise).alias("force_mean"),
+                (40.0 - 10.0 * group + noise).alias("robot_travel"),
+            )
         )
     )
 
@@ -60,12 +69,12 @@ def test_the_incompatible_two_lose_when_robots_are_exchanged():
 
 def test_one_robot_for_all_has_no_incompatible_two():
     table = episode_table(np.ones((1, 12, 1)), teams(1), TEAMS)
-    found = summarise_strategies(tables.pair_table(table))
+    found = summarise_strategies(pair_table(recorded(table)))
     assert found["incompatible"] is None
     assert len(found["clusters"]) == 1
     assert found["diverse_subset"] == []
 
 
 def test_a_table_without_behaviour_says_what_to_do():
-    with pytest.raises(ValueError, match=r"lacks first_contact.*run crossplay again"):
-        summarise_strategies(planted().drop(tables.BEHAVIOUR))
+    with pytest.raises(ValueError, match=r"lacks first_contact.*run the cross-play again"):
+        summarise_strategies(planted().drop(BEHAVIOUR))

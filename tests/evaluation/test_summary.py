@@ -9,7 +9,15 @@ import pytest
 from evaluation.figures import saved_tables as derived
 from evaluation.figures import summary
 from evaluation.record import tables
-from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, team_id, teams
+from evaluation.record.record import Record
+from tests.evaluation.episode_tables import (
+    CONTEXT,
+    clustered_matrix,
+    episode_table,
+    recorded,
+    team_id,
+    teams,
+)
 
 PARTNERS = teams(12, ("ippo", "isac"), ("d1", "d9"))
 SIDES = ["test", "train", "test"] * 4
@@ -22,7 +30,7 @@ def evaluation_table(egos: int = 3, k: int = 4) -> pl.DataFrame:
 
 def summarised(table: pl.DataFrame) -> dict[str, Any]:
     """Return the summary of an evaluation as it is written."""
-    return tables.to_json(summary.summarise_evaluation(table, CONTEXT))
+    return tables.to_json(summary.summarise_evaluation(recorded(table), CONTEXT))
 
 
 def test_evaluation_has_the_promised_figures_and_is_json():
@@ -102,7 +110,7 @@ def test_nonfinite_episodes_are_counted_and_never_left_out():
     assert (
         "3 of 144 episodes became non-finite and earn 0 from then on; they count" in found["notes"]
     )
-    assert derived.partner_table(table)["nonfinite"].sum() == 3
+    assert derived.partner_table(recorded(table))["nonfinite"].sum() == 3
 
 
 def test_egos_from_outside_the_zoo_are_seeds_of_one_method():
@@ -123,7 +131,9 @@ def test_crossplay_of_the_matrix_game():
     payoff = np.array([[4.0, 1.0], [0.5, 3.0]])
     pair = teams(2)
     found = tables.to_json(
-        summary.summarise_crossplay(episode_table(payoff[:, :, None], pair, pair), CONTEXT)
+        summary.summarise_crossplay(
+            recorded(episode_table(payoff[:, :, None], pair, pair)), CONTEXT
+        )
     )
     figures = [found[key]["mean"] for key in ("self_play", "cross_play", "gap")]
     assert figures == [3.5, 0.75, 2.75]
@@ -137,7 +147,7 @@ def test_crossplay_keeps_self_play_on_the_diagonal_of_the_shared_order():
     matrix = clustered_matrix(12, 3)
     shuffled = np.random.default_rng(0).permutation(12)
     table = episode_table(matrix[:, shuffled, None], population, [population[i] for i in shuffled])
-    pairs, order = derived.crossplay_matrix(table)
+    pairs, order = derived.crossplay_matrix(recorded(table))
     by_team = {
         (row["ego_team"], row["partner_team"]): row["return"] for row in pairs.iter_rows(named=True)
     }
@@ -150,7 +160,7 @@ def test_crossplay_keeps_self_play_on_the_diagonal_of_the_shared_order():
 
 def test_other_teams_on_the_axes_share_no_order():
     table = episode_table(np.zeros((2, 3, 1)), teams(2), teams(3))
-    _, order = derived.crossplay_matrix(table)
+    _, order = derived.crossplay_matrix(recorded(table))
     assert order["teams"] is None
     assert (len(order["rows"]["order"]), len(order["columns"]["order"])) == (2, 3)
 
@@ -158,14 +168,18 @@ def test_other_teams_on_the_axes_share_no_order():
 def test_comparison_is_paired_and_refuses_other_partners_or_keys():
     table = evaluation_table()
     better = table.with_columns(pl.col("return") + 10.0)
-    found = summary.summarise_comparison(better, table)
+    found = summary.summarise_comparison(recorded(better), recorded(table))
     assert found.test is not None and found.train is not None
     assert found.test.mean == pytest.approx(10.0)
     assert (found.test.partners_better, found.train.partners_better) == (1.0, 1.0)
     with pytest.raises(ValueError, match="different partners"):
-        summary.summarise_comparison(better.filter(pl.col("partner_seed") > 0), table)
+        summary.summarise_comparison(
+            recorded(better.filter(pl.col("partner_seed") > 0)), recorded(table)
+        )
     with pytest.raises(ValueError, match="different episode keys"):
-        summary.summarise_comparison(better.with_columns(pl.col("key") + 1), table)
+        summary.summarise_comparison(
+            recorded(better.with_columns(pl.col("key") + 1)), recorded(table)
+        )
 
 
 def test_starts_of_each_partners_own_are_in_the_interval_without_being_resampled():
@@ -173,7 +187,9 @@ def test_starts_of_each_partners_own_are_in_the_interval_without_being_resampled
     returns = rng.normal(size=(4, 12, 9)) + 5 * rng.normal(size=9)
     common = episode_table(returns, teams(4), teams(12), ["test"] * 12)
     own = common.with_columns(key=pl.col("key") + 1000 * pl.col("partner_seed"))
-    first, second = (summary.summarise_evaluation(table, CONTEXT) for table in (common, own))
+    first, second = (
+        summary.summarise_evaluation(recorded(table), CONTEXT) for table in (common, own)
+    )
     assert first.m_test is not None and second.m_test is not None
     assert first.m_test.mean == second.m_test.mean
     assert second.m_test.generalises_to == "seeds and partners"
@@ -184,21 +200,21 @@ def test_starts_of_each_partners_own_are_in_the_interval_without_being_resampled
 
 
 def test_profile_falls_from_one_to_nothing():
-    profile = derived.profile_table(evaluation_table())
+    profile = derived.profile_table(recorded(evaluation_table()))
     assert profile["share"][0] == 1.0
     assert profile["share"][-1] == 0.0
     assert (profile["low"] <= profile["share"]).all()
 
 
 def test_saved_folders_hold_what_is_printed(tmp_path: Path):
-    found = derived.save_evaluation(tmp_path / "m", evaluation_table(), CONTEXT)
+    found = derived.save_evaluation(Record(evaluation_table(), tmp_path / "m"), CONTEXT)
     assert tables.read_json(tmp_path / "m" / tables.SUMMARY_FILE) == tables.to_json(found)
     partners = tables.read_parquet(tmp_path / "m" / tables.PARTNERS_FILE)
     assert partners.height == 12
     assert (partners["return_low"] < partners["return"]).all()
     population = teams(6)
     table = episode_table(clustered_matrix(6, 2)[:, :, None], population, population)
-    found = derived.save_crossplay(tmp_path / "x", table, CONTEXT)
+    found = derived.save_crossplay(Record(table, tmp_path / "x"), CONTEXT)
     assert tables.read_json(tmp_path / "x" / tables.SUMMARY_FILE) == tables.to_json(found)
     assert tables.read_parquet(tmp_path / "x" / tables.PAIRS_FILE).height == 36
     assert set(tables.read_json(tmp_path / "x" / tables.ORDER_FILE)) >= {"rows", "columns", "teams"}
@@ -211,7 +227,7 @@ def test_partners_trained_with_an_ego_are_kept_but_not_counted(tmp_path: Path):
     table = table.with_columns(
         pl.when(pl.col("partner") == own).then(5000.0).otherwise("return").alias("return")
     )
-    found = derived.save_evaluation(tmp_path / "new", table, CONTEXT)
+    found = derived.save_evaluation(Record(table, tmp_path / "new"), CONTEXT)
     assert found.m_test is not None and found.m_test.n == 7
     assert found.m_test.mean < 1000
     assert found.partners == {"train": 4, "test": 7}
@@ -221,10 +237,10 @@ def test_partners_trained_with_an_ego_are_kept_but_not_counted(tmp_path: Path):
     assert kept.filter(partner=own)["return"].item() == 5000.0
     profile = tables.read_parquet(tmp_path / "new" / tables.PROFILE_FILE)
     assert (profile["threshold"] < 1000).all()
-    counted = derived.save_evaluation(tmp_path / "own", table, CONTEXT, include_own=True)
+    counted = derived.save_evaluation(Record(table, tmp_path / "own"), CONTEXT, include_own=True)
     assert counted.m_test is not None and counted.m_test.n == 8
     assert counted.m_test.mean > 1000
     assert any("counted all the same" in note and own in note for note in counted.notes)
     alone = table.filter(pl.col("partner") == own)
     with pytest.raises(ValueError, match="let include_own count them"):
-        derived.save_evaluation(tmp_path / "none", alone, CONTEXT)
+        derived.save_evaluation(Record(alone, tmp_path / "none"), CONTEXT)

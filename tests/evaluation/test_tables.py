@@ -10,8 +10,11 @@ import polars as pl
 import pytest
 
 from assistax_base.files import atomic_path
+from evaluation.figures.saved_tables import pair_table
 from evaluation.record import tables
-from tests.evaluation.episode_tables import episode_table, teams
+from evaluation.record.columns import BEHAVIOUR, GENTLE, SCHEMA, validate_episodes
+from evaluation.record.record import Record, lay_out
+from tests.evaluation.episode_tables import episode_table, recorded, teams
 
 ROOT = Path(__file__).parents[2]
 
@@ -20,12 +23,12 @@ def small(k: int = 2) -> pl.DataFrame:
     return episode_table(np.arange(6.0 * k).reshape(2, 3, k), teams(2), teams(3))
 
 
-def test_dense_block_puts_every_return_in_its_cell_whatever_the_order_of_rows():
+def test_every_return_is_put_in_its_cell_whatever_the_order_of_rows():
     returns = np.random.default_rng(0).normal(size=(3, 4, 5))
-    block = tables.dense_block(
+    block = lay_out(
         episode_table(returns, teams(3), teams(4)).sample(fraction=1.0, shuffle=True, seed=1)
     )
-    np.testing.assert_array_equal(block.returns, returns)
+    np.testing.assert_array_equal(block.values, returns)
     np.testing.assert_allclose(block.scores, returns.mean(axis=2))
     assert block.egos["ego_seed"].to_list() == [0, 1, 2]
     assert block.keys is not None
@@ -35,7 +38,7 @@ def test_dense_block_puts_every_return_in_its_cell_whatever_the_order_of_rows():
 
 def test_seeds_are_ordered_as_numbers_and_external_egos_come_last():
     egos = ["mine", ("ippo", "d1", 10), ("ippo", "d1", 9)]
-    block = tables.dense_block(episode_table(np.zeros((3, 1, 1)), egos, teams(1)))
+    block = lay_out(episode_table(np.zeros((3, 1, 1)), egos, teams(1)))
     assert block.egos["ego"].to_list() == [
         "scratch/ippo-d1-s9-v0/robot",
         "scratch/ippo-d1-s10-v0/robot",
@@ -47,16 +50,16 @@ def test_keys_that_differ_between_pairs_are_noticed():
     table = small().with_columns(
         pl.when(pl.col("ego_seed") == 1).then(7).otherwise("key").alias("key")
     )
-    assert tables.dense_block(table).keys is None
+    assert lay_out(table).keys is None
 
 
 def test_starts_of_each_partners_own_are_told_from_common_ones():
     own = small().with_columns(key=pl.col("key") + 10 * pl.col("partner_seed"))
-    block = tables.dense_block(own)
+    block = lay_out(own)
     assert block.keys is not None
     assert block.keys[:, 0].tolist() == [100, 110, 120]
     assert not block.common_starts
-    assert tables.dense_block(small()).common_starts
+    assert lay_out(small()).common_starts
     alone = block.select_partners(np.array([True, False, False]))
     assert alone.keys is not None and alone.keys.shape[0] == 1
     assert not alone.common_starts
@@ -66,9 +69,9 @@ def test_missing_and_doubled_episodes_are_refused():
     with pytest.raises(
         ValueError, match=r"1 of 12 episodes .*s1-v0/robot .* episode 1: found 0 times"
     ):
-        tables.dense_block(small()[:-1])
+        lay_out(small()[:-1])
     with pytest.raises(ValueError, match=r"s0-v0/human, episode 0: found 2 times"):
-        tables.dense_block(pl.concat([small(), small()[:1]]))
+        lay_out(pl.concat([small(), small()[:1]]))
 
 
 def test_two_descriptions_of_one_partner_are_refused():
@@ -82,7 +85,7 @@ def test_two_descriptions_of_one_partner_are_refused():
         ValueError,
         match=r"partner scratch/ippo-d1-s2-v0/human has several values of partner_disability",
     ):
-        tables.dense_block(table)
+        lay_out(table)
 
 
 @pytest.mark.parametrize(
@@ -122,26 +125,24 @@ def test_two_descriptions_of_one_partner_are_refused():
 )
 def test_a_malformed_table_is_refused_with_what_is_wrong(change, message: str):
     with pytest.raises(ValueError, match=message):
-        tables.validate_episodes(change(small()))
+        validate_episodes(change(small()))
 
 
 def test_parquet_gives_the_table_back(tmp_path: Path):
     path = tmp_path / "run" / tables.EPISODES_FILE
     tables.write_episodes(small(), path)
     found = tables.read_episodes(path)
-    absent = (*tables.GENTLE, "place", "clipped")  # of gentle tasks, series, robots from outside
-    written = {name: dtype for name, dtype in tables.SCHEMA.items() if name not in absent}
-    assert {name: dtype for name, dtype in found.schema.items() if name in tables.SCHEMA} == written
-    np.testing.assert_array_equal(
-        tables.dense_block(found).returns, tables.dense_block(small()).returns
-    )
+    absent = (*GENTLE, "place", "clipped")  # of gentle tasks, series, robots from outside
+    written = {name: dtype for name, dtype in SCHEMA.items() if name not in absent}
+    assert {name: dtype for name, dtype in found.schema.items() if name in SCHEMA} == written
+    np.testing.assert_array_equal(lay_out(found).values, lay_out(small()).values)
     assert [file.name for file in path.parent.iterdir()] == [tables.EPISODES_FILE]
 
 
 def test_a_table_without_columns_of_behaviour_is_still_read(tmp_path: Path):
-    old = small().drop(tables.BEHAVIOUR)
+    old = small().drop(BEHAVIOUR)
     tables.write_episodes(old, tmp_path / tables.EPISODES_FILE)
-    assert tables.pair_table(tables.read_episodes(tmp_path / tables.EPISODES_FILE)).height > 0
+    assert pair_table(Record.read(tmp_path)).height > 0
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path):
@@ -171,7 +172,7 @@ def test_missing_and_damaged_files_are_named(tmp_path: Path):
 
 def test_pair_table_averages_the_episodes_of_a_pair():
     returns = np.random.default_rng(0).normal(size=(2, 3, 4))
-    pairs = tables.pair_table(episode_table(returns, teams(2), teams(3)))
+    pairs = pair_table(recorded(episode_table(returns, teams(2), teams(3))))
     np.testing.assert_allclose(pairs["return"].to_numpy().reshape(2, 3), returns.mean(axis=2))
     np.testing.assert_allclose(
         pairs["return_sd"].to_numpy().reshape(2, 3), returns.std(axis=2, ddof=1)

@@ -14,14 +14,17 @@ import pytest
 from assistax_envs.disability import DISABILITY_SETTINGS
 from evaluation.figures import saved_tables as derived
 from evaluation.figures import summary
+from evaluation.figures.saved_tables import pair_table
 from evaluation.figures.strategies import summarise_strategies
 from evaluation.record import tables
+from evaluation.record.record import Record
 from population.networks.spec import PolicySpec
 from tests.evaluation.episode_tables import (
     CONTEXT,
     Team,
     clustered_matrix,
     episode_table,
+    recorded,
     sealed,
     team_id,
     teams,
@@ -187,8 +190,8 @@ def test_relative_gap():
 
 def played(matrix: np.ndarray, population: list[Team] = POPULATION) -> CrossPlayed:
     table = episode_table(matrix[:, :, None], population, population)
-    pairs, order = derived.crossplay_matrix(table)
-    told = tables.to_json(summary.summarise_crossplay(table, CONTEXT))
+    pairs, order = derived.crossplay_matrix(recorded(table))
+    told = tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
     run = {"command": "assistax-zoo crossplay", "seconds": 60.0, "devices": ["cpu"]}
     return CrossPlayed(pairs, order, summarise_strategies(pairs), told, run)
 
@@ -199,10 +202,10 @@ def egos(train: float, test: float, spread: float = 5.0) -> Egos:
     returns = means + np.random.default_rng(5).normal(0, spread, (SEEDS, PARTNERS))
     names = [f"ppo-s{seed}.safetensors" for seed in range(SEEDS)]
     table = episode_table(np.repeat(returns[:, :, None], 2, axis=2), names, teams(PARTNERS), sides)
-    pairs = tables.pair_table(table).with_columns(
+    pairs = pair_table(recorded(table)).with_columns(
         pl.Series("ego_seed", np.repeat(np.arange(SEEDS), PARTNERS))
     )
-    told = tables.to_json(summary.summarise_evaluation(table, CONTEXT))
+    told = tables.to_json(summary.summarise_evaluation(recorded(table), CONTEXT))
     return Egos(pairs, told, {"command": "assistax-zoo evaluate", "seconds": None}, None)
 
 
@@ -363,7 +366,7 @@ def crossplay_folder(tmp_path: Path) -> Path:
     )
     folder = tmp_path / "xp"
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
-    derived.save_crossplay(folder, table, CONTEXT)
+    derived.save_crossplay(Record(table, folder), CONTEXT)
     tables.write_json(
         {
             "command": "assistax-zoo crossplay --egos 'scratch/*' --lock=/mnt/a.lock "
@@ -383,7 +386,7 @@ def evaluation_folder(
     table = episode_table(returns, names, PUBLISHED[:4], list(sides) * 2)
     folder = tmp_path / f"evaluated-{method}"
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
-    derived.save_evaluation(folder, table, CONTEXT)
+    derived.save_evaluation(Record(table, folder), CONTEXT)
     command = " ".join(
         ["assistax-zoo evaluate --split both", *(f"--policy {name}" for name in names)]
     )
@@ -443,9 +446,7 @@ def test_an_evaluation_is_condensed_under_its_method(tmp_path: Path):
     assert pairs["episodes"].unique().to_list() == [2]
     assert "/mnt" not in "".join(path.read_text() for path in out.glob("*.json"))
     found = read_results(published(tmp_path), "v0", tmp_path / "data").egos["scratch", "sac"]
-    whole = summary.dense_block(
-        tables.read_episodes(tmp_path / "evaluated-sac" / tables.EPISODES_FILE)
-    ).scores
+    whole = Record.read(tmp_path / "evaluated-sac").returns.scores
     np.testing.assert_allclose(
         np.sort(found.scores, axis=None), np.sort(whole, axis=None), rtol=1e-6
     )

@@ -19,6 +19,7 @@ from evaluation.figures import saved_tables as derived
 from evaluation.figures.metrics import paired_difference
 from evaluation.figures.summary import SplitName
 from evaluation.record import tables
+from evaluation.record.record import Record
 from tests.evaluation.episode_tables import CONTEXT, Team, episode_table, sealed
 from tests.zoo.conftest import SELF_PLAY, SPECS, put, random_params, trained_team
 from tools.results_v2 import measures
@@ -165,7 +166,7 @@ def evaluated(
         CONTEXT, task=TASK, release="v2", split=SplitName(split.id, split.sha256)
     )
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
-    derived.save_evaluation(folder, table, context)
+    derived.save_evaluation(Record(table, folder), context)
     told = tables.read_json(folder / tables.SUMMARY_FILE)
     tables.write_json({**told, **(changes or {})}, folder / tables.SUMMARY_FILE)
     command = "assistax-zoo evaluate --policy python:/home/me/x.py:Robot --out=/mnt/ev ~/y/z"
@@ -593,7 +594,7 @@ def played(tmp_path: Path, split: Split, matrix: np.ndarray) -> Path:
     folder = tmp_path / "xp"
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
     context = dataclasses.replace(CONTEXT, task=TASK, release="v2", split=None)
-    derived.save_crossplay(folder, table, context)
+    derived.save_crossplay(Record(table, folder), context)
     tables.write_json({"command": "assistax-zoo crossplay"}, folder / tables.RUN_FILE)
     return sealed(folder)
 

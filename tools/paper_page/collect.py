@@ -19,9 +19,11 @@ import polars as pl
 import polars.selectors as cs
 
 from assistax_envs.versions import PAPER_TASKS
+from evaluation.figures.saved_tables import pair_table
 from evaluation.record import tables
-from evaluation.record.manifest import verify_folder
-from evaluation.record.tables import EGO_COLUMNS, PARTNER_COLUMNS
+from evaluation.record.columns import EGO_COLUMNS, PARTNER_COLUMNS
+from evaluation.record.record import Record
+from evaluation.record.verification import verify_folder
 
 TRAINING_FILE = "training.json"
 CROSSPLAY, EGOS = "crossplay", "egos"  # folders of the data
@@ -96,7 +98,7 @@ def _collect_evaluation(folder: Path, summary: dict[str, Any], data: Path) -> Pa
         raise ValueError(f"{folder} has only one side of the split; run evaluate with --split both")
     method, names = _egos(summary["egos"], folder)
     out = data / EGOS / f"{known_task(summary, folder)}-{method}"
-    pairs = tables.pair_table(tables.read_episodes(folder / tables.EPISODES_FILE))
+    pairs = pair_table(Record.read(folder))
     pairs = pairs.select(*EGO_COLUMNS, *PARTNER_COLUMNS, *_EGO_MEASURES).with_columns(
         pl.col("ego").replace_strict({ego: name for ego, (name, _) in names.items()}),
         pl.lit(method).alias("ego_algorithm"),

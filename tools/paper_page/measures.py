@@ -10,9 +10,9 @@ import numpy as np
 from scipy.cluster import hierarchy
 from scipy.spatial import distance
 
+from assistax_base.statistics import score_matrix
 from evaluation.figures.bootstrap import Counts, Interval, draw_counts, interval, replicate_crossed
 from evaluation.figures.clustering import least_members
-from evaluation.figures.statistics import score_matrix
 
 PERMUTATIONS = 99
 RESAMPLES = 2000

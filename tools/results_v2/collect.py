@@ -21,7 +21,7 @@ import polars as pl
 
 from assistax_envs.versions import GENTLE_TASKS
 from evaluation.record import tables
-from evaluation.record.tables import PARTNER_COLUMNS
+from evaluation.record.columns import PARTNER_COLUMNS, validate_episodes, with_safety
 from tools.paper_page.collect import (
     EGO_FILE,
     EGOS,
@@ -134,7 +134,7 @@ def condense(table: pl.DataFrame) -> pl.DataFrame:
     key = [*KEY, *(["place"] if "place" in table.columns else [])]
     partners = [name for name in PARTNER_COLUMNS if name not in key]
     return small(
-        tables.with_safety(table)
+        with_safety(table)
         .group_by(key)
         .agg(
             *(pl.col(name).first() for name in partners),
@@ -156,7 +156,7 @@ def _reference_episodes(folder: Path, reference: str) -> pl.DataFrame | None:
         raise ValueError(f"{path} has no column reference; take a finished folder of evaluate")
     # Beside a passive human, who is no partner, a reference plays on no side.
     table = table.filter(pl.col("reference") == reference, pl.col("side").is_not_null())
-    return None if table.is_empty() else tables.validate_episodes(table.drop("reference"))
+    return None if table.is_empty() else validate_episodes(table.drop("reference"))
 
 
 def _seeds(egos: list[str], method: str | None, folder: Path) -> tuple[str, dict[str, int]]:

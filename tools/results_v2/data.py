@@ -10,7 +10,7 @@ import polars as pl
 
 from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
 from evaluation.record import tables
-from evaluation.record.tables import SIDES
+from evaluation.record.columns import SIDES
 from tools.paper_page import data as paper
 from tools.paper_page.collect import CROSSPLAY, EGOS, TRAINING_FILE
 from tools.paper_page.data import CrossPlayed

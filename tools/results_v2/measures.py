@@ -10,6 +10,7 @@ from scipy.cluster import hierarchy
 from scipy.spatial.distance import pdist
 from scipy.stats import rankdata
 
+from assistax_base.statistics import score_matrix
 from evaluation.figures.bootstrap import (
     RESAMPLES,
     Counts,
@@ -20,7 +21,6 @@ from evaluation.figures.bootstrap import (
     replicate_crossed,
 )
 from evaluation.figures.metrics import Difference, paired_difference
-from evaluation.figures.statistics import score_matrix
 from evaluation.figures.strategies import best_responses, br_diversity
 from tools.paper_page.data import CrossPlayed
 

@@ -24,14 +24,14 @@ def compare(a: Path, b: Path, /, *, seed: int = 0, json: bool = False) -> None:
     """
     from assistax_zoo.results import compare as compare_results
 
-    found = compare_results(a, b, seed=seed)
-    sides = (("train", found.train), ("test", found.test))
+    comparison = compare_results(a, b, seed=seed)
+    sides = (("train", comparison.train), ("test", comparison.test))
     answer(
         json,
-        {"a": str(a), "b": str(b), **found.to_json()},
-        f"{found.task}: return of {a} minus return of {b}",
+        {"a": str(a), "b": str(b), **comparison.to_json()},
+        f"{comparison.task}: return of {a} minus return of {b}",
         *(_difference_line(side, difference) for side, difference in sides if difference),
-        *(printable(f"note: {note}") for note in found.notes),
+        *(printable(f"note: {note}") for note in comparison.notes),
     )
 
 
@@ -49,14 +49,14 @@ def strategies(folder: Path, /, *, json: bool = False) -> None:
     """
     from evaluation.figures.strategies import summarise_strategies
     from evaluation.record import tables
-    from evaluation.record.manifest import check_whole
+    from evaluation.record.verification import check_whole
 
     check_whole(folder)
-    found = summarise_strategies(tables.read_parquet(folder / tables.PAIRS_FILE))
+    groups = summarise_strategies(tables.read_parquet(folder / tables.PAIRS_FILE))
     if json:
-        print_json(found)
+        print_json(groups)
     else:
-        _print_strategies(found)
+        _print_strategies(groups)
 
 
 def report(folder: Path, /, *, out: Path) -> None:
@@ -78,40 +78,42 @@ def report(folder: Path, /, *, out: Path) -> None:
     print(out)
 
 
-def _difference_line(side: str, found: "Difference") -> str:
+def _difference_line(side: str, difference: "Difference") -> str:
     from evaluation.figures.bootstrap import scope
 
-    interval = "" if found.mean_ci is None else " [{:+.1f}, {:+.1f}]".format(*found.mean_ci)
-    chance = "" if found.p_positive is None else f", P(A > B) {found.p_positive:.3f}"
+    ends, chance = difference.mean_ci, difference.p_positive
+    interval = "" if ends is None else " [{:+.1f}, {:+.1f}]".format(*ends)
+    certainty = "" if chance is None else f", P(A > B) {chance:.3f}"
     return (
-        f"  {side:5} partners: mean {found.mean:+.1f}{interval}, {scope(found.generalises_to)}"
-        f"{chance}; better with {found.partners_better:.0%} of partners"
+        f"  {side:5} partners: mean {difference.mean:+.1f}{interval}, "
+        f"{scope(difference.generalises_to)}{certainty}; "
+        f"better with {difference.partners_better:.0%} of partners"
     )
 
 
-def _print_strategies(found: dict[str, Any]) -> None:
+def _print_strategies(strategies: dict[str, Any]) -> None:
     from rich.text import Text
 
     table = new_table("partners by behaviour with their best robot")
     for name in ("cluster", "medoid"):
         table.add_column(name, no_wrap=True)
     table.add_column("partners", justify="right")
-    for name, unit in found["features"].items():
+    for name, unit in strategies["features"].items():
         table.add_column(f"{name.replace('_', ' ')}\n{unit}", justify="right")
-    for i, cluster in enumerate(found["clusters"]):
-        figures = [f"{cluster['mean'][name]:.3g}" for name in found["features"]]
+    for i, cluster in enumerate(strategies["clusters"]):
+        figures = [f"{cluster['mean'][name]:.3g}" for name in strategies["features"]]
         medoid = Text(printable(cluster["medoid"]))  # not rich's markup either
         table.add_row(chr(ord("A") + i), medoid, str(len(cluster["members"])), *figures)
     print_table(table)
-    if len(found["clusters"]) == 1:
+    if len(strategies["clusters"]) == 1:
         print("no clear clusters: all partners are one")
-    diversity = found["br_div"]
+    diversity = strategies["br_div"]
     print(
         f"BR-Div: rank {diversity['rank']} of {diversity['n']}, participation "
         f"{diversity['participation_ratio']:.2f}"
     )
-    print(printable(f"a diverse subset: {', '.join(found['diverse_subset'])}"))
-    if pair := found["incompatible"]:
+    print(printable(f"a diverse subset: {', '.join(strategies['diverse_subset'])}"))
+    if pair := strategies["incompatible"]:
         exchanged = " and ".join(f"{value:.0f}" for value in pair["returns_exchanged"])
         own = " and ".join(f"{value:.0f}" for value in pair["returns"])
         names = printable(" and ".join(pair["partners"]))

@@ -1,5 +1,6 @@
 """Whether a finished folder can be believed: its hashes, and a sample of it played again."""
 
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,25 +17,18 @@ SHOWN = 8  # problems; --json has all
 
 def verify_results(folder: Path, registry: Path | None, json: bool) -> bool:
     """Hold a finished folder and its sources against its manifest; print and return the verdict."""
-    from evaluation.record.manifest import verify_folder
-    from evaluation.record.sources import SourceReport, check_sources
+    from evaluation.record.verification import check_sources, verify_folder
 
     report = verify_folder(folder)
-    sources = check_sources(folder, registry) if report.ok else SourceReport(0, (), ())
-    problems = [*report.problems, *sources.problems]
-    content = {
-        "ok": not problems,
-        "folder": str(folder),
-        "files": report.files,
-        **vars(sources),
-        "problems": problems,
-    }
-    lines = [f"not here, and not checked: {absent}" for absent in sources.absent]
-    lines += [f"problem: {problem}" for problem in problems]
-    verdict = f"{len(problems)} problems in" if problems else "verified"
-    files = f"{report.files} files of {folder}, and {sources.sources} that they depend on"
+    if report.ok:
+        report = dataclasses.replace(check_sources(folder, registry), files=report.files)
+    lines = [f"not here, and not checked: {absent}" for absent in report.absent]
+    lines += [f"problem: {problem}" for problem in report.problems]
+    verdict = "verified" if report.ok else f"{len(report.problems)} problems in"
+    files = f"{report.files} files of {folder}, and {report.sources} that they depend on"
+    content = {"ok": report.ok, **vars(report)}
     answer(json, content, *map(printable, lines), f"{verdict} {files}")
-    return not problems
+    return report.ok
 
 
 def replay(

@@ -13,7 +13,7 @@ from assistax_board.store.queries import Queries
 from assistax_board.store.shown import Season, Submission
 from assistax_board.vocabulary import REFERENCE
 from evaluation.figures.metrics import SEED_SDS
-from evaluation.record.tables import with_safety
+from evaluation.record.columns import with_safety
 
 PanelB = Callable[[str], Sequence[tuple[str, pl.DataFrame]]]  # season -> submissions' episodes
 

@@ -156,6 +156,7 @@ def figures(table: pl.DataFrame) -> dict[str, Any]:
     """
     from evaluation.figures.bootstrap import estimate
     from evaluation.record import tables
+    from evaluation.record.columns import with_safety
 
     values = {
         **tables.to_json(estimate(partner_means(table)[None, :])),
@@ -164,7 +165,7 @@ def figures(table: pl.DataFrame) -> dict[str, Any]:
     }
     if "preference" not in table.columns:
         return values
-    safe = tables.with_safety(table)["safe_success"]
+    safe = with_safety(table)["safe_success"]
     liked = table.group_by("preference").agg(pl.col("return").cast(pl.Float64).mean())
     return values | {
         "safe_success": float(safe.to_numpy().mean()),

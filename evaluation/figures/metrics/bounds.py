@@ -6,7 +6,9 @@ Normalised return, BR-Prox, regret, coverage.
 import dataclasses
 
 import numpy as np
+from jaxtyping import Bool, Float, Num
 
+from assistax_base.statistics import score_matrix
 from evaluation.figures.bootstrap import (
     RESAMPLES,
     Estimate,
@@ -15,7 +17,6 @@ from evaluation.figures.bootstrap import (
     estimate,
     interval,
 )
-from evaluation.figures.statistics import score_matrix
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,8 +38,8 @@ class Bounds:
             raise ValueError("a bound is not finite; give finite returns")
 
     @property
-    def scorable(self) -> np.ndarray:
-        """Partners [P] with B > L.
+    def scorable(self) -> Bool[np.ndarray, " P"]:
+        """Partners with B > L.
 
         With the others every ego would score alike: they are left out.
         """
@@ -52,8 +53,8 @@ class Coverage(Interval):
     epsilon: float
 
 
-def normalised_return(scores: np.ndarray, bounds: Bounds) -> np.ndarray:
-    """X = (J - L) / (B - L) of scores [S, P], not clipped.
+def normalised_return(scores: Num[np.ndarray, "S P"], bounds: Bounds) -> Float[np.ndarray, "S P"]:
+    """X = (J - L) / (B - L) of scores, not clipped.
 
     NaN in the columns of unscorable partners.
     """
@@ -61,8 +62,8 @@ def normalised_return(scores: np.ndarray, bounds: Bounds) -> np.ndarray:
     return (score_matrix(scores) - bounds.low) / span
 
 
-def br_prox(scores: np.ndarray, bounds: Bounds) -> Estimate | None:
-    """BR-Prox: min(1, (J - L) / (B - L)) over scores [S, P].
+def br_prox(scores: Num[np.ndarray, "S P"], bounds: Bounds) -> Estimate | None:
+    """BR-Prox: min(1, (J - L) / (B - L)) over scores.
 
     ZSC-Eval (arXiv 2310.05208) has J / B; subtracting L makes it independent of a constant in the
     reward. None where no partner is scorable.
@@ -71,16 +72,18 @@ def br_prox(scores: np.ndarray, bounds: Bounds) -> Estimate | None:
     return estimate(capped) if capped.size else None
 
 
-def regret(scores: np.ndarray, bounds: Bounds) -> np.ndarray:
-    """B - J for each partner [P], J averaged over seeds.
+def regret(scores: Num[np.ndarray, "S P"], bounds: Bounds) -> Float[np.ndarray, " P"]:
+    """B - J for each partner, J averaged over seeds.
 
     Negative where the ego is better than B.
     """
     return bounds.best - score_matrix(scores).mean(axis=0)
 
 
-def coverage(scores: np.ndarray, bounds: Bounds, epsilon: float = 0.1) -> Coverage | None:
-    """Share of scorable partners whose normalised regret is at most epsilon, of scores [S, P].
+def coverage(
+    scores: Num[np.ndarray, "S P"], bounds: Bounds, epsilon: float = 0.1
+) -> Coverage | None:
+    """Share of scorable partners whose normalised regret is at most epsilon.
 
     The normalised regret is (B - J) / (B - L). None where no partner is scorable.
     """

@@ -3,7 +3,9 @@
 import dataclasses
 
 import numpy as np
+from jaxtyping import Num
 
+from assistax_base.statistics import returns_of, score_matrix
 from evaluation.figures.bootstrap import (
     NOTHING,
     RESAMPLES,
@@ -14,7 +16,6 @@ from evaluation.figures.bootstrap import (
     generalises_to,
     replicate_crossed,
 )
-from evaluation.figures.statistics import returns_of, score_matrix
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,8 +69,10 @@ def paired_difference(
     )
 
 
-def rank_stability(scores: np.ndarray, *, halvings: int = 200, seed: int = 0) -> Stability:
-    """Kendall's tau-b of the egos' ranking, by mean of [E, P], between random halves of partners.
+def rank_stability(
+    scores: Num[np.ndarray, "E P"], *, halvings: int = 200, seed: int = 0
+) -> Stability:
+    """Kendall's tau-b of the egos' ranking, by mean, between random halves of partners.
 
     A halving on which all egos tie has no ranking and is left out.
     """

@@ -4,7 +4,9 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Num
 
+from assistax_base.statistics import returns_of
 from evaluation.figures.bootstrap import (
     NOTHING,
     RESAMPLES,
@@ -18,7 +20,6 @@ from evaluation.figures.bootstrap import (
     replicate,
     replicate_crossed,
 )
-from evaluation.figures.statistics import returns_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,7 +48,7 @@ class CrossPlay:
 
 
 def cross_play(
-    scores: np.ndarray,
+    scores: Num[np.ndarray, "R C K"] | Num[np.ndarray, "R C"],
     rows: Traits,
     columns: Traits,
     *,

@@ -4,7 +4,9 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Num
 
+from assistax_base.statistics import returns_of, tail_weights
 from evaluation.figures.bootstrap import (
     RESAMPLES,
     Counts,
@@ -18,7 +20,6 @@ from evaluation.figures.bootstrap import (
     interval,
     replicate_crossed,
 )
-from evaluation.figures.statistics import returns_of, tail_weights
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,8 +132,8 @@ def fairness(draws: dict[str, Draws]) -> Fairness:
     return Fairness(worst, best, Interval(means[best] - means[worst], ci, n, to))
 
 
-def worst_partner(returns: np.ndarray) -> WorstPartner:
-    """Find the worst partner of returns [S, P, K]."""
+def worst_partner(returns: Num[np.ndarray, "S P K"]) -> WorstPartner:
+    """Find the partner with which the mean over seeds and episodes is lowest."""
     means = returns.mean(axis=(0, 2))
     crossfit = None
     if returns.shape[2] > 1:
@@ -142,14 +143,14 @@ def worst_partner(returns: np.ndarray) -> WorstPartner:
 
 
 def cvar_crossfit(
-    returns: np.ndarray,
+    returns: Num[np.ndarray, "S P K"],
     alpha: float = 0.1,
     *,
     common_starts: bool = False,
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> Interval:
-    """CVaR_alpha: mean of the lowest share alpha of partner means, of returns [S, P, K].
+    """CVaR_alpha: mean of the lowest share alpha of partner means.
 
     The tail is chosen on even episodes and valued on odd ones, and the other way round, because the
     lowest of noisy means are low by chance too; the boundary partner counts with the fraction that

@@ -49,8 +49,9 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Bool, Int
 
-from evaluation.figures.statistics import score_matrix
+from assistax_base.statistics import score_matrix
 
 CONFIDENCE = 0.95
 ENOUGH_SEEDS = 5  # from here on a method's own seeds say how far they differ
@@ -76,16 +77,16 @@ SEED_SDS: Mapping[str, float] = {
 class Ranks:
     """Simultaneous confidence sets for the ranks of M methods."""
 
-    better: np.ndarray  # [M, M] whether method j is certainly better than method k
+    better: Bool[np.ndarray, "M M"]  # whether method j is certainly better than method k
 
     @property
-    def places(self) -> np.ndarray:
-        """Best rank of each method [M]: methods that nothing tells apart share a place."""
+    def places(self) -> Int[np.ndarray, " M"]:
+        """Best rank of each method: methods that nothing tells apart share a place."""
         return 1 + self.better.sum(axis=0)
 
     @property
-    def lowest(self) -> np.ndarray:
-        """Worst rank of each method [M]."""
+    def lowest(self) -> Int[np.ndarray, " M"]:
+        """Worst rank of each method."""
         return len(self.better) - self.better.sum(axis=1)
 
 

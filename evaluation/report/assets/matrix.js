@@ -319,9 +319,9 @@ function crossPlayMatrix(data, options = {}) {
     byId("pair-command").parentElement.hidden = !data.film;
     if (!data.film) return;
     const seats = `--robot ${quoted(names.robot)} --human ${quoted(names.human)}`;
-    const wish = data.film.wishes[names.human];
-    const likes = wish ? ` --preference ${quoted(wish)}` : "";
-    byId("pair-command").textContent = `${data.film.command} ${seats}${likes} --out pair.mp4`;
+    const preference = data.film.preferences[names.human];
+    const option = preference ? ` --preference ${quoted(preference)}` : "";
+    byId("pair-command").textContent = `${data.film.command} ${seats}${option} --out pair.mp4`;
   }
 
   async function copy(button) {

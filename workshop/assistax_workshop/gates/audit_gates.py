@@ -11,7 +11,8 @@ from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks.gentle_base import HARD
 from evaluation.figures.bootstrap import RESAMPLES, draw_counts
 from evaluation.figures.metrics import Traits, cross_play
-from evaluation.record.tables import dense_block, with_safety
+from evaluation.record.columns import with_safety
+from evaluation.record.record import lay_out
 
 Ends = tuple[float, float] | None
 
@@ -139,13 +140,13 @@ def _cross_play(table: pl.DataFrame) -> Gate:
     name, bar = "cross-play between seeds", "loses > 10%, the interval above 0"
     if strange_pairs(table).is_empty():
         return Gate(name, bar, None, None, None, "not measured: needs two teams")
-    block = dense_block(table)
-    seats = ((block.egos, "ego"), (block.partners, "partner"))
+    returns = lay_out(table)
+    seats = ((returns.egos, "ego"), (returns.partners, "partner"))
     traits = [
         Traits(*(who[f"{seat}_{t}"].to_list() for t in ("team", "algorithm", "disability")))
         for who, seat in seats
     ]
-    found = cross_play(block.returns, *traits, common_starts=block.common_starts)
+    found = cross_play(returns.values, *traits, common_starts=returns.common_starts)
     gap, own, strange = found.relative_gap, found.self_play, found.cross_play
     told = f"return {strange.mean:.1f}, own teams {own.mean:.1f}" if own and strange else ""
     if gap is None:

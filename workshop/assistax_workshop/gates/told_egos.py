@@ -31,6 +31,7 @@ from evaluation.play.evaluator import run_job
 from evaluation.play.how import How
 from evaluation.play.study import context_of, make_job
 from evaluation.record.manifest import record_command, write_run
+from evaluation.record.record import Record
 from population.runs.folder import RunFolder
 from population.runs.train import train
 from population.runs.trained import read_trained_run
@@ -109,7 +110,7 @@ def evaluate(
     result = run_job(env, job, folder / "evaluation")
     release = manifest.release
     context = context_of(job, result, split=manifest, release=release, lock=registry.lock)
-    return save_evaluation(folder / "evaluation", result.table, context, met=cast.met)
+    return save_evaluation(Record(result.table, folder / "evaluation"), context, met=cast.met)
 
 
 if __name__ == "__main__":

@@ -8,30 +8,35 @@ vectorised over resamples.
 """
 
 import numpy as np
+from jaxtyping import Float, Num
 
 
-def iqm(values: np.ndarray) -> float:
+def iqm(values: Num[np.ndarray, "..."]) -> float:
     """Interquartile mean: floor(n / 4) entries are cut at either end, as rliable cuts them."""
     ordered = np.sort(entries(values))
     cut = ordered.size // 4
     return float(ordered[cut : ordered.size - cut].mean())
 
 
-def mean(values: np.ndarray) -> float:
+def mean(values: Num[np.ndarray, "..."]) -> float:
     """Mean of all entries."""
     return float(entries(values).mean())
 
 
-def performance_profile(values: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
-    """Share of entries above each threshold [T], as [T]."""
+def performance_profile(
+    values: Num[np.ndarray, "..."], thresholds: Num[np.ndarray, " T"]
+) -> Float[np.ndarray, " T"]:
+    """Share of entries above each threshold."""
     ordered = np.sort(entries(values))
     return (
         1.0 - np.searchsorted(ordered, np.asarray(thresholds, float), side="right") / ordered.size
     )
 
 
-def tail_weights(values: np.ndarray, counts: np.ndarray, alpha: float) -> np.ndarray:
-    """Weights [B, n], rows summing to 1, of the lowest share `alpha` of counted entries."""
+def tail_weights(
+    values: Num[np.ndarray, "B n"], counts: Num[np.ndarray, "B n"], alpha: float
+) -> Float[np.ndarray, "B n"]:
+    """Weights, rows summing to 1, of the lowest share `alpha` of counted entries."""
     if not 0.0 < alpha <= 1.0:
         raise ValueError(f"alpha is {alpha}; allowed is a share in (0, 1]")
     order = np.argsort(values, axis=1, kind="stable")
@@ -44,15 +49,19 @@ def tail_weights(values: np.ndarray, counts: np.ndarray, alpha: float) -> np.nda
     return weights
 
 
-def weighted_mean(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Mean [B] of values [n] or [B, n] under counts [B, n]; NaN where a row of counts is empty."""
+def weighted_mean(
+    values: Num[np.ndarray, " n"] | Num[np.ndarray, "B n"], counts: Num[np.ndarray, "B n"]
+) -> Float[np.ndarray, " B"]:
+    """Mean of values under counts; NaN where a row of counts is empty."""
     total = counts.sum(axis=1)
     sums = _row_products(counts, values)
     return np.divide(sums, total, out=np.full(len(total), np.nan), where=total > 0)
 
 
-def weighted_iqm(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Interquartile mean [B] of values [n] under whole-number counts [B, n].
+def weighted_iqm(
+    values: Num[np.ndarray, " n"] | Num[np.ndarray, "B n"], counts: Num[np.ndarray, "B n"]
+) -> Float[np.ndarray, " B"]:
+    """Interquartile mean of values under whole-number counts.
 
     NaN where a row of counts is empty. Values may also be [B, n], each row sorted.
     """
@@ -80,7 +89,7 @@ def _row_products(counts: np.ndarray, values: np.ndarray) -> np.ndarray:
     return counts @ values if values.ndim == 1 else np.einsum("bn,bn->b", counts, values)
 
 
-def entries(values: np.ndarray) -> np.ndarray:
+def entries(values: np.ndarray) -> Float[np.ndarray, " n"]:
     """Return all entries as a flat float array, refusing none at all and non-finite ones."""
     flat = np.asarray(values, float).ravel()
     if not flat.size:
@@ -91,7 +100,7 @@ def entries(values: np.ndarray) -> np.ndarray:
     return flat
 
 
-def score_matrix(scores: np.ndarray) -> np.ndarray:
+def score_matrix(scores: np.ndarray) -> Float[np.ndarray, "S P"]:
     """Return scores as [S, P].
 
     [S] counts as seeds with one partner, and an axis of episodes is refused.
@@ -106,7 +115,9 @@ def score_matrix(scores: np.ndarray) -> np.ndarray:
     return scores[:, None] if scores.ndim == 1 else scores
 
 
-def returns_of(scores: np.ndarray) -> np.ndarray:
+def returns_of(
+    scores: np.ndarray,
+) -> Float[np.ndarray, "S P K"] | Float[np.ndarray, "S P"]:
     """Return returns [S, P, K] or scores [S, P] as floats; [S] counts as seeds with one partner."""
     scores = np.asarray(scores, float)
     if scores.ndim != 3:

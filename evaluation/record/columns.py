@@ -1,0 +1,140 @@
+"""The columns of an episode table: their types, which tables lack some, and what is wrong in one.
+
+A table has one row an episode, and every metric is computed from it.
+"""
+
+import dataclasses
+from typing import Literal
+
+import polars as pl
+
+SIDES = ("train", "test")
+TERM_PREFIX = "term_"  # of the reward terms (`term_<name>`, Float32), which differ by task
+
+# Of which tables some columns are: those with behaviour (all since manifest format 2), of gentle
+# tasks, of series of episodes, of robots from outside the zoo.
+Family = Literal["behaviour", "gentle", "series", "outside"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """What a column holds."""
+
+    dtype: pl.DataType
+    family: Family | None = None  # of the tables that have it; None of all
+    nullable: bool = False  # as what the zoo knows of a policy, for an ego from outside
+
+
+_TEXT, _WHOLE, _REAL, _FLAG = pl.String(), pl.Int64(), pl.Float32(), pl.Boolean()
+COLUMNS = {
+    "ego": Column(_TEXT),
+    "ego_team": Column(_TEXT, nullable=True),
+    "ego_algorithm": Column(_TEXT, nullable=True),
+    "ego_disability": Column(_TEXT, nullable=True),
+    "ego_seed": Column(_WHOLE, nullable=True),
+    "partner": Column(_TEXT),
+    "partner_team": Column(_TEXT, nullable=True),
+    "partner_algorithm": Column(_TEXT, nullable=True),
+    "partner_disability": Column(_TEXT, nullable=True),
+    "partner_seed": Column(_WHOLE, nullable=True),
+    "side": Column(_TEXT, nullable=True),
+    "episode": Column(_WHOLE),
+    "place": Column(_WHOLE, "series"),  # of the episode in its series, from 1
+    "preference": Column(_TEXT, "gentle"),
+    "key": Column(_WHOLE),
+    "return": Column(_REAL),
+    "discounted_return": Column(_REAL),
+    "success": Column(_FLAG),
+    "force_mean": Column(_REAL),
+    "force_peak": Column(_REAL),
+    "contact_peak": Column(_REAL, "gentle"),  # N, of one contact
+    "violated": Column(_FLAG, "gentle"),  # one was above the hard limit
+    "first_contact": Column(_WHOLE, "behaviour"),  # steps until it; all of them if there was none
+    "distance_mean": Column(_REAL, "behaviour"),
+    "robot_travel": Column(_REAL, "behaviour"),  # rad, summed over joints and steps
+    "human_travel": Column(_REAL, "behaviour"),
+    "nonfinite": Column(_FLAG),
+    "steps": Column(_WHOLE),
+    # Share of the numbers of a robot from outside that were beyond [-1, 1]; null of other robots.
+    "clipped": Column(_REAL, "outside", nullable=True),
+}
+SCHEMA = {name: column.dtype for name, column in COLUMNS.items()}
+BEHAVIOUR, GENTLE = (
+    tuple(name for name, column in COLUMNS.items() if column.family == family)
+    for family in ("behaviour", "gentle")
+)
+EGO_COLUMNS = tuple(name for name in COLUMNS if name.startswith("ego"))
+PARTNER_COLUMNS = (*(name for name in COLUMNS if name.startswith("partner")), "side")
+_OUTCOMES = ("success", "safe_success", "violated", "force_mean", "force_peak", "contact_peak")
+
+
+def term_columns(table: pl.DataFrame) -> tuple[str, ...]:
+    """Return the names of the reward-term columns, in the table's order."""
+    return tuple(name for name in table.columns if name.startswith(TERM_PREFIX))
+
+
+def with_safety(table: pl.DataFrame) -> pl.DataFrame:
+    """Add `safe_success` to a table of a gentle task: the goal was reached, and nobody was hurt."""
+    if "violated" not in table.columns:
+        return table
+    return table.with_columns(safe_success=pl.col("success") & ~pl.col("violated"))
+
+
+def outcome_columns(table: pl.DataFrame) -> tuple[str, ...]:
+    """Return the columns that tell how episodes went beside the return, of those the table has."""
+    return tuple(name for name in _OUTCOMES if name in table.columns)
+
+
+def validate_episodes(table: pl.DataFrame) -> pl.DataFrame:
+    """Return the table, or raise `ValueError` saying what is wrong with it and where."""
+    needed = [name for name, column in COLUMNS.items() if column.family is None]
+    missing = [name for name in needed if name not in table.columns]
+    if missing:
+        raise ValueError(
+            f"the episode table lacks the columns {', '.join(missing)}; it needs all of "
+            f"{', '.join(needed)}"
+        )
+    unknown = [
+        name for name in table.columns if name not in COLUMNS and not name.startswith(TERM_PREFIX)
+    ]
+    if unknown:
+        raise ValueError(
+            f"the episode table has unknown columns {', '.join(unknown)}; reward terms begin with "
+            "term_"
+        )
+    if table.is_empty():
+        raise ValueError("the episode table has no rows; at least one episode is needed")
+    for name in table.columns:
+        _validate_column(table, name, COLUMNS.get(name, Column(_REAL)))
+    sides = [side for side in table["side"].drop_nulls().unique().sort() if side not in SIDES]
+    if sides:
+        raise ValueError(
+            f"column side holds {', '.join(map(repr, sides))}; allowed are 'train', 'test' and null"
+        )
+    return table
+
+
+def _validate_column(table: pl.DataFrame, name: str, expected: Column) -> None:
+    column = table[name]
+    if column.dtype == pl.Null and expected.nullable:
+        return
+    if not _same_family(column.dtype, expected.dtype):
+        raise ValueError(f"column {name} is {column.dtype}; expected {expected.dtype}")
+    if not expected.nullable and column.null_count():
+        raise ValueError(
+            f"column {name} has {column.null_count()} empty values; every episode needs one"
+        )
+    if expected.dtype.is_float():
+        bad = table.filter(~column.is_finite())
+        if bad.height:
+            ego, partner, episode, value = bad.select("ego", "partner", "episode", name).row(0)
+            raise ValueError(
+                f"column {name} has {bad.height} values that are not finite, first {value} for ego "
+                f"{ego} with {partner}, episode {episode}; a broken episode must be frozen at "
+                "reward 0 and marked nonfinite"
+            )
+
+
+def _same_family(dtype: pl.DataType, expected: pl.DataType) -> bool:
+    whole, real = dtype.is_integer() and expected.is_integer(), dtype.is_float()
+    return dtype == expected or whole or (real and expected.is_float())

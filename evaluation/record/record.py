@@ -1,0 +1,199 @@
+"""The record of a run: its episodes, laid out once, of which every figure and table is made."""
+
+import dataclasses
+import functools
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from jaxtyping import Bool, Float, Int, Shaped
+
+from evaluation.record.columns import EGO_COLUMNS, PARTNER_COLUMNS, validate_episodes, with_safety
+from evaluation.record.manifest import read_manifest
+from evaluation.record.tables import EPISODES_FILE, read_episodes
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Returns:
+    """Every ego with every partner for the same episodes, as dense arrays."""
+
+    values: Float[np.ndarray, "E P K"]  # undiscounted returns
+    nonfinite: Bool[np.ndarray, "E P K"]  # whether the physics became non-finite
+    pair_keys: Int[np.ndarray, "E P K"]  # seeds of the episodes
+    egos: pl.DataFrame  # E rows of EGO_COLUMNS, in the order of the first axis
+    partners: pl.DataFrame  # P rows of PARTNER_COLUMNS, in the order of the second axis
+    episodes: Int[np.ndarray, " K"]  # their numbers
+    # Of a gentle task: under which preference each episode was played, whether the goal was
+    # reached and nobody hurt, and whether somebody was.
+    preferences: Shaped[np.ndarray, "E P K"] | None = None
+    safe: Bool[np.ndarray, "E P K"] | None = None
+    violated: Bool[np.ndarray, "E P K"] | None = None
+
+    @functools.cached_property
+    def keys(self) -> Int[np.ndarray, "P K"] | None:
+        """Seeds of each partner's episodes; None where its egos met different ones."""
+        return None if np.ptp(self.pair_keys, axis=0).any() else self.pair_keys[0]
+
+    @functools.cached_property
+    def common_starts(self) -> bool:
+        """Whether all partners played the same starts, so that their luck is common to all."""
+        return self.keys is not None and len(self.keys) > 1 and not np.ptp(self.keys, axis=0).any()
+
+    @functools.cached_property
+    def scores(self) -> Float[np.ndarray, "E P"]:
+        """Mean return J of each pair over its episodes."""
+        return self.values.mean(axis=2)
+
+    @functools.cached_property
+    def evaluated_side(self) -> "Returns":
+        """Those with the test partners, or with the training partners if only those played.
+
+        Raises:
+            ValueError: no partner is on a side.
+        """
+        sides = self.partners["side"]
+        side = next((name for name in ("test", "train") if name in sides), None)
+        if side is None:
+            raise ValueError(
+                "no partner is on the test or the train side; evaluate against a split"
+            )
+        return self.select_partners((sides == side).fill_null(value=False).to_numpy())
+
+    def select_partners(self, mask: Bool[np.ndarray, " P"]) -> "Returns":
+        """Return those with only the partners where `mask` is true."""
+        arrays = {
+            field.name: array[:, mask]
+            for field in dataclasses.fields(self)
+            if getattr(array := getattr(self, field.name), "ndim", 0) == 3
+        }
+        return dataclasses.replace(self, partners=self.partners.filter(pl.Series(mask)), **arrays)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Record:
+    """Episodes, and the folder that holds them or what is drawn from them.
+
+    They are laid out when that is first asked for, and once.
+    """
+
+    table: pl.DataFrame  # one row an episode
+    folder: Path
+
+    @classmethod
+    def read(cls, folder: Path) -> "Record":
+        """Return the record of a finished folder.
+
+        Raises:
+            FileNotFoundError: It holds no episodes.
+            ValueError: Their table is damaged.
+        """
+        return cls(read_episodes(folder / EPISODES_FILE), folder)
+
+    @functools.cached_property
+    def returns(self) -> Returns:
+        """The episodes as dense arrays.
+
+        Raises:
+            ValueError: A pair lacks an episode or has one twice.
+        """
+        return lay_out(self.table)
+
+    @functools.cached_property
+    def manifest(self) -> dict[str, Any]:
+        """The folder's manifest when it was first asked for; empty where there is none.
+
+        Raises:
+            ValueError: It is not what was written.
+        """
+        return read_manifest(self.folder) or {}
+
+    def without(self, partners: Collection[str]) -> "Record":
+        """Return the record without the episodes of some partners; nothing is laid out again."""
+        if not partners:
+            return self
+        left_out = pl.col("partner").is_in(list(partners))
+        rest = Record(self.table.filter(~left_out), self.folder)
+        new = self.returns.partners.select(~left_out).to_series().to_numpy()
+        rest.__dict__["returns"] = self.returns.select_partners(new)
+        return rest
+
+
+def lay_out(table: pl.DataFrame) -> Returns:
+    """Lay a table of episodes out as [E, P, K].
+
+    Algorithm, disability, seed, then id give the order of egos and partners.
+
+    Raises:
+        ValueError: a pair lacks an episode or has one twice, or one id has two descriptions.
+    """
+    table = with_safety(validate_episodes(table))
+    egos = _described(table, EGO_COLUMNS)
+    partners = _described(table, PARTNER_COLUMNS)
+    episodes = table["episode"].unique().sort().to_numpy()
+    shape = (egos.height, partners.height, len(episodes))
+    cells = _cells(table, egos["ego"], partners["partner"], episodes, shape)
+
+    def dense(name: str, dtype: type) -> np.ndarray:
+        values = np.empty(np.prod(shape), dtype)
+        values[cells] = table[name].to_numpy()
+        return values.reshape(shape)
+
+    gentle = {"preferences": "preference", "safe": "safe_success", "violated": "violated"}
+    return Returns(
+        values=dense("return", float),
+        nonfinite=dense("nonfinite", bool),
+        pair_keys=dense("key", np.int64),
+        egos=egos,
+        partners=partners,
+        episodes=episodes,
+        **{
+            field: dense(name, object if table[name].dtype == pl.String else bool)
+            for field, name in gentle.items()
+            if name in table.columns
+        },
+    )
+
+
+def _described(table: pl.DataFrame, columns: tuple[str, ...]) -> pl.DataFrame:
+    identity, _, algorithm, disability, seed = columns[:5]
+    rows = (
+        table.select(columns).unique().sort(algorithm, disability, seed, identity, nulls_last=True)
+    )
+    twice = rows.filter(pl.col(identity).is_duplicated())
+    if twice.height:
+        name = twice[identity][0]
+        descriptions = twice.filter(twice[identity] == name)
+        differing = [column for column in columns if descriptions[column].n_unique() > 1]
+        raise ValueError(
+            f"{identity} {name} has several values of {', '.join(differing)}; one is allowed"
+        )
+    return rows
+
+
+def _cells(
+    table: pl.DataFrame,
+    egos: pl.Series,
+    partners: pl.Series,
+    episodes: np.ndarray,
+    shape: tuple[int, int, int],
+) -> np.ndarray:
+    """Return the place of each row in the flat [E * P * K], each place taken once."""
+
+    def places(seat: str, names: pl.Series) -> np.ndarray:
+        order = np.arange(names.len())
+        return table[seat].replace_strict(names, order, return_dtype=pl.Int64).to_numpy()
+
+    numbers = np.searchsorted(episodes, table["episode"].to_numpy())
+    cells = np.ravel_multi_index((places("ego", egos), places("partner", partners), numbers), shape)
+    counts = np.bincount(cells, minlength=int(np.prod(shape)))
+    wrong = np.flatnonzero(counts != 1)
+    if wrong.size:
+        e, p, k = np.unravel_index(wrong[0], shape)
+        raise ValueError(
+            f"{wrong.size} of {counts.size} episodes are missing or doubled, first ego "
+            f"{egos[int(e)]} with {partners[int(p)]}, episode {episodes[k]}: found "
+            f"{counts[wrong[0]]} times, expected once; finish the run, or remove the doubled rows"
+        )
+    return cells
