@@ -35,7 +35,7 @@ demo: $(STAMP)
 	@echo 'the cross-play matrix, clustered:          demo/crossplay.png'
 
 results: $(STAMP)
-	$(BIN)/python -m tools.paper_page page --release v1 --data docs/data/v1 --out docs/results.md
+	$(BIN)/python -m tools.release_page page --release v1 --data docs/data/v1 --out docs/results.md
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks env

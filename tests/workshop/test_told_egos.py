@@ -12,7 +12,7 @@ from evaluation.record import tables
 from population.networks.spec import PolicySpec
 from population.runs.folder import RunFolder
 from tests import untrained
-from tools.results_v2.collect import collect
+from tools.release_page.collect import collect
 from zoo.registry import load_registry
 from zoo.splitting.create import create_split
 
