@@ -2,13 +2,15 @@
 
 import dataclasses
 import sys
+import tempfile
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 from cyclopts import App, CycloptsError, Parameter
 
 from assistax_zoo.shell.console import print_json, stdout_is_data
-from benchmarks.board import pages, service
+from benchmarks.pages import pages, service
 from benchmarks.timing import check_seconds
 
 
@@ -198,9 +200,6 @@ def fetch(*, policies: int = 1000, json: bool = False) -> None:
     Example:
         python -m benchmarks fetch --policies 1000
     """
-    import tempfile
-    from pathlib import Path
-
     if not 2 <= policies <= 20_000:
         raise ValueError(f"policies is {policies}; allowed is 2 to 20000")
     with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as folder:
@@ -266,8 +265,6 @@ def ranks(*, lists: int = 400, seed_sds: bool = False, json: bool = False) -> No
     Example:
         python -m benchmarks ranks
     """
-    from pathlib import Path
-
     from benchmarks import ranks as simulation
 
     if seed_sds:
