@@ -307,9 +307,8 @@ def starts(
     with stdout_is_data():
         from benchmarks.starts import measure_luck
 
-        rows = [
-            dataclasses.asdict(row) for row in measure_luck(task, robot, seeds, backend=backend)
-        ]
+        luck = measure_luck(task, robot, seeds, backend=backend)
+        rows = [dataclasses.asdict(row) for row in luck]
     if json:
         print_json(rows)
         return
