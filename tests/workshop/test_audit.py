@@ -73,7 +73,7 @@ def test_gates_by_hand() -> None:
 def test_a_condition_that_no_gate_knows_is_refused() -> None:
     """It would read as not measured."""
     with pytest.raises(ValueError, match="'mistaken human' is not a valid Condition"):
-        gates(**{"mistaken human": played([[[80.0] * 4]])})
+        gates(**{"mistaken human": played([[[80.0] * 4] * 2] * 2)})
 
 
 @pytest.mark.parametrize(
