@@ -1,8 +1,11 @@
-# Needs Python 3.11 or 3.12 with venv, and nothing else. PYTHON=... names another interpreter.
-CANDIDATES := $(or $(PYTHON),python3 python3.12 python3.11)
+# Needs Python 3.11, 3.12 or 3.13 with venv, and nothing else. PYTHON=... names another interpreter.
+CANDIDATES := $(or $(PYTHON),python3 python3.12 python3.13 python3.11)
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+# Three distributions, of which the core needs neither of the others.
+PROJECTS := pyproject.toml workshop/pyproject.toml board/pyproject.toml
+FAST := -m "not slow and not attack"
 
 .PHONY: help demo results bench site test test-slow attack lint types install lock clean
 .DELETE_ON_ERROR:
@@ -13,6 +16,8 @@ help:
 	@echo 'make site       write the documentation as pages to build/site'
 	@echo 'make bench      speed of environments, training, evaluator and registry on this machine'
 	@echo 'make test       lint, types, tests'
+	@echo 'make test-zoo   the fast tests of one room: base, envs, population, zoo, evaluation,'
+	@echo '                front (api and cli), workshop, board, tools or benchmarks'
 	@echo 'make test-slow  the tests marked slow, and a seeded tenth of the attack'
 	@echo 'make attack     kills, interrupts, damaged files and hostile servers: some hours'
 	@echo 'make lint       ruff, rules and format'
@@ -30,7 +35,7 @@ demo: $(STAMP)
 	@echo 'the cross-play matrix, clustered:          demo/crossplay.png'
 
 results: $(STAMP)
-	$(BIN)/python -m tools.paper_page page --release v1 --data docs/data/v1 --out docs/results.md
+	$(BIN)/python -m tools.release_page page --release v1 --data docs/data/v1 --out docs/results.md
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks env
@@ -44,10 +49,15 @@ site: $(STAMP)
 
 # A file's tests share what they compile, hence a worker.
 test: lint types
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow and not attack"
+	$(BIN)/python -m pytest -n 2 --dist loadfile $(FAST)
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -n 2 -m "slow or attack"
+
+test-front: TESTS = tests/api tests/cli
+test-%: TESTS = tests/$*
+test-%: $(STAMP)
+	$(BIN)/python -m pytest $(FAST) $(TESTS)
 
 # Counts go to attack.jsonl, one line a family, and from there into docs/reliability.md, failures too.
 # One process at a time, since times are measured.
@@ -65,16 +75,16 @@ types: $(STAMP)
 
 install: $(STAMP)
 
-# The lock is checked hash by hash; the project itself is built with what the lock has installed.
-$(STAMP): requirements.lock pyproject.toml
+# The lock is checked hash by hash; the three distributions are built with what it has installed.
+$(STAMP): requirements.lock $(PROJECTS)
 	@set -e; found=; \
 	for python in $(CANDIDATES); do \
-		if "$$python" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' 2>/dev/null; then \
+		if "$$python" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null; then \
 			found="$$python"; break; \
 		fi; \
 	done; \
 	if [ -z "$$found" ]; then \
-		echo "error: Python 3.11 or 3.12 is needed; tried: $(CANDIDATES)." >&2; \
+		echo "error: Python 3.11, 3.12 or 3.13 is needed; tried: $(CANDIDATES)." >&2; \
 		echo "Install one (Debian 12: apt-get install python3 python3-venv), or name one: make PYTHON=/path/to/python3.11" >&2; \
 		exit 1; \
 	fi; \
@@ -84,7 +94,7 @@ $(STAMP): requirements.lock pyproject.toml
 	echo "building $(VENV) with $$found: some minutes"; \
 	"$$found" -m venv --clear $(VENV)
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --disable-pip-version-check --quiet --no-build-isolation --no-deps -e .
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet --no-build-isolation --no-deps -e . -e workshop -e board
 	@touch $@
 
 lock:
@@ -92,7 +102,8 @@ lock:
 	.lock-venv/bin/python -m pip install --disable-pip-version-check --quiet uv
 	.lock-venv/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
 		--no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' \
-		--upgrade --extra dev pyproject.toml -o requirements.lock > /dev/null
+		--no-emit-package assistax-zoo --no-emit-package assistax-zoo-workshop \
+		--upgrade --extra dev --extra postgres --extra s3 $(PROJECTS) -o requirements.lock > /dev/null
 
 clean:
 	rm -rf $(VENV) .lock-venv build dist demo .pytest_cache .ruff_cache .hypothesis

@@ -2,12 +2,16 @@
 
 import dataclasses
 import sys
+import tempfile
 from collections.abc import Sequence
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated
 
 from cyclopts import App, CycloptsError, Parameter
 
 from assistax_zoo.shell.console import print_json, stdout_is_data
+from benchmarks.pages import pages, service
+from benchmarks.timing import check_seconds
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -49,15 +53,15 @@ def env(
         python -m benchmarks env --task scratch --backend native --batch 64,512,4096
     """
     tasks, sizes = _tasks(task), _sizes(batch, "batch")
-    _check_seconds(seconds)
+    check_seconds(seconds)
     with stdout_is_data():
         from assistax_envs import make
         from benchmarks.simulation import measure_env
 
         rows = []
         for name in tasks:
-            for one in _words(backend, "backend"):
-                environment = make(name, backend=one)
+            for engine in _words(backend, "backend"):
+                environment = make(name, backend=engine)
                 rows += [
                     dataclasses.asdict(measure_env(environment, size, seconds)) for size in sizes
                 ]
@@ -97,7 +101,7 @@ def evaluate(
     tasks, sizes = _tasks(task), _sizes(shape, "shape")
     if len(sizes) != 3:
         raise ValueError(f"shape is {shape!r}; expected three numbers: robots,partners,episodes")
-    _check_seconds(seconds)
+    check_seconds(seconds)
     block = sizes[0], sizes[1], sizes[2]
     with stdout_is_data():
         from assistax_envs import make
@@ -159,7 +163,7 @@ def train(
     from population.config import check_names
 
     check_names(task)
-    _check_seconds(seconds)
+    check_seconds(seconds)
     if not 1 <= seeds <= 4096:
         raise ValueError(f"seeds is {seeds}; allowed is 1 to 4096")
     changes = parse_changes(set_) | ({} if num_envs is None else {"num_envs": num_envs})
@@ -196,9 +200,6 @@ def fetch(*, policies: int = 1000, json: bool = False) -> None:
     Example:
         python -m benchmarks fetch --policies 1000
     """
-    import tempfile
-    from pathlib import Path
-
     if not 2 <= policies <= 20_000:
         raise ValueError(f"policies is {policies}; allowed is 2 to 20000")
     with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as folder:
@@ -264,13 +265,11 @@ def ranks(*, lists: int = 400, seed_sds: bool = False, json: bool = False) -> No
     Example:
         python -m benchmarks ranks
     """
-    from pathlib import Path
-
     from benchmarks import ranks as simulation
 
     if seed_sds:
-        found = simulation.measure_seed_sds(Path("docs/data"))
-        answer = {task: simulation.root_mean_square(values) for task, values in found.items()}
+        deviations = simulation.measure_seed_sds(Path("docs/data"))
+        answer = {task: simulation.root_mean_square(sds) for task, sds in deviations.items()}
         print_json(answer) if json else print(
             *(f"{t:16} {v:8.1f}" for t, v in answer.items()), sep="\n"
         )
@@ -283,68 +282,6 @@ def ranks(*, lists: int = 400, seed_sds: bool = False, json: bool = False) -> No
             print(f"{row.figure:20} {row.world:22} known {row.known:7}{shares}", flush=True)
     if json:
         print_json(rows)
-
-
-def pages(
-    *,
-    url: str = "http://127.0.0.1:8800",
-    readers: int = 200,
-    seconds: float = 20.0,
-    json: bool = False,
-) -> None:
-    """Measure how long a running server takes for its pages while many read them.
-
-    Args:
-        url: Address of the server, which `assistax-zoo serve` prints.
-        readers: How many read at once; each opens a page every five seconds or so.
-        seconds: How long they read.
-        json: Print JSON.
-
-    Example:
-        python -m benchmarks pages --url http://127.0.0.1:8800 --readers 200
-    """
-    from benchmarks.pages import read_pages
-
-    _check_seconds(seconds)
-    rows = [dataclasses.asdict(row) for row in read_pages(url, readers, seconds)]
-    if json:
-        print_json(rows)
-        return
-    print(f"{readers} readers for {seconds:g} s; milliseconds until the whole page was there")
-    _print_pages(rows)
-
-
-def service(
-    *, readers: int = 200, submitters: int = 50, seconds: float = 60.0, json: bool = False
-) -> None:
-    """Measure a new server while many read its pages, and others hand robots in and watch them.
-
-    A worker brings made-up returns at once: the server is measured, not the physics.
-
-    Args:
-        readers: How many read at once; each opens a page every five seconds or so.
-        submitters: How many hand in, watch to the end, and begin anew.
-        seconds: How long.
-        json: Print JSON.
-
-    Example:
-        python -m benchmarks service
-    """
-    from benchmarks.service import measure_service
-
-    _check_seconds(seconds)
-    found = dataclasses.asdict(measure_service(readers, submitters, seconds))
-    if json:
-        print_json(found)
-        return
-    load = " to ".join(f"{each:.1f}" for each in found["load"])
-    print(f"{readers} readers and {submitters} submitters for {seconds:g} s; load {load}")
-    _print_pages(found["pages"])
-    print(
-        f"{found['submitted']} submissions, {found['lost']} lost, scored after "
-        f"{found['seconds_to_score']:.1f} s; {found['requests']} requests, the server worked "
-        f"{found['server_cpu_ms']:.1f} ms for each"
-    )
 
 
 def starts(
@@ -370,9 +307,8 @@ def starts(
     with stdout_is_data():
         from benchmarks.starts import measure_luck
 
-        rows = [
-            dataclasses.asdict(row) for row in measure_luck(task, robot, seeds, backend=backend)
-        ]
+        luck = measure_luck(task, robot, seeds, backend=backend)
+        rows = [dataclasses.asdict(row) for row in luck]
     if json:
         print_json(rows)
         return
@@ -383,14 +319,6 @@ def starts(
         print(
             f"{kind:26} SD over seeds {row['sd']:7.2f}, half-width {row['half_width']:7.2f}, holds "
             f"the mean: {row['held']:.0%}{covered}"
-        )
-
-
-def _print_pages(rows: Sequence[dict[str, Any]]) -> None:
-    for row in rows:
-        print(
-            f"{row['page']:22} {row['reads']:6} reads  median {row['median_ms']:7.1f}  "
-            f"p95 {row['p95_ms']:7.1f}  {row['failed']} failed"
         )
 
 
@@ -416,11 +344,6 @@ def _sizes(text: str, name: str) -> list[int]:
             f"{name} is {text!r}; expected whole numbers of at least 1 with commas, such as 64,512"
         )
     return [int(word) for word in words]
-
-
-def _check_seconds(seconds: float) -> None:
-    if not 0 < seconds < 3600:
-        raise ValueError(f"seconds is {seconds}; allowed is more than 0 and less than 3600")
 
 
 if __name__ == "__main__":

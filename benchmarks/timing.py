@@ -19,3 +19,13 @@ def timed(function: Callable[[int], Any], calls: int) -> float:
 def calls_within(function: Callable[[int], Any], seconds: float) -> int:
     """Return how many calls take about `seconds`, and at least one."""
     return max(1, int(seconds / timed(function, 1)))
+
+
+def check_seconds(seconds: float) -> None:
+    """Refuse a measuring time that is none.
+
+    Raises:
+        ValueError: It is not above 0 and below an hour.
+    """
+    if not 0 < seconds < 3600:
+        raise ValueError(f"seconds is {seconds}; allowed is more than 0 and less than 3600")

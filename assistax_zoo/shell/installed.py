@@ -22,7 +22,13 @@ ELSEWHERE = {
         ("ledger",),
         ("service",),
     ),
-    "assistax-zoo-workshop": (("publish",), ("audit",), ("sweep",), ("train", "population")),
+    "assistax-zoo-workshop": (
+        ("publish",),
+        ("audit",),
+        ("sweep",),
+        ("gates",),
+        ("train", "population"),
+    ),
 }
 
 

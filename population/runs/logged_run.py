@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from assistax_base.extras import optional
 from population.config import TrainConfig
 from population.runs.trained import TrainedRun, read_trained_run
 
@@ -37,7 +38,12 @@ def run_training(
         resume: Whether to go on with a run that the folder holds.
         tensorboard: Folder for TensorBoard event files, or "wandb:PROJECT".
         progress: Called after every dispatch.
+
+    Raises:
+        ValueError: The packages of the extra `train` are not installed.
     """
+    for module in ("optax", "orbax.checkpoint"):
+        optional(module, "training", "train")
     from assistax_envs import make
     from population.runs.train import train
 

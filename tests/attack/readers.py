@@ -11,7 +11,7 @@ from pathlib import Path
 
 from assistax_zoo.shell import main
 from tests.attack.process import call
-from tools.paper_page import __main__ as paper_page
+from tools.release_page import __main__ as release_page
 
 EGOS = ("a", "b")  # evaluations of two robots, named by their folders
 REPORTED = re.compile(r"<t[dh][^>]*>[^<]*<")  # cells of a page's tables
@@ -80,7 +80,7 @@ def strategies(folder: Path, other: Path, out: Path) -> str:
 def collect(folder: Path, other: Path, out: Path) -> str:
     """Return the tables that a release's page would be made from."""
     shutil.rmtree(out / "data", ignore_errors=True)
-    run(["collect", str(folder), "--out", str(out / "data")], paper_page.run)
+    run(["collect", str(folder), "--out", str(out / "data")], release_page.run)
     files = sorted(path for path in (out / "data").rglob("*") if path.is_file())
     return "\n".join(f"{path.name} {path.read_bytes().hex()}" for path in files)
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from assistax_base import statistics
-from tools.paper_page.measures import probability_of_improvement
+from tools.release_page.paper.measures import probability_of_improvement
 
 FINITE = st.floats(-1e4, 1e4, width=32)
 

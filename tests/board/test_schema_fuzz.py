@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import schemathesis
 from hypothesis import HealthCheck, given, settings
 
 from assistax_board.api.app import create_app
@@ -14,6 +13,8 @@ from tests.board.test_season import open_season
 
 @pytest.mark.slow
 def test_no_request_breaks_the_server(tmp_path: Path) -> None:
+    import schemathesis  # takes seconds, which every other run of the tests would pay too
+
     service = new_service(tmp_path)
     service.submit(new_submitter(service), draft(2.0, season=open_season(service)))
     work_off(service)

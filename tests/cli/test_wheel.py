@@ -1,25 +1,34 @@
-"""The wheel, installed in an environment of its own, used in another folder with a remote."""
+"""The wheels, installed in environments of their own, used in another folder with a remote."""
 
 import functools
 import http.server
 import os
 import subprocess
 import sys
-import sysconfig
 import threading
 import venv
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from importlib.metadata import Distribution, PackageNotFoundError, distribution, entry_points
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
+from assistax_zoo.shell.installed import COMMANDS, ELSEWHERE
 from zoo.registry import load_registry
 
 ROOT = Path(__file__).parents[2]
+CORE, WORKSHOP, BOARD = "assistax-zoo", "assistax-zoo-workshop", "assistax-zoo-board"
+FOLDERS = {CORE: ROOT, WORKSHOP: ROOT / "workshop", BOARD: ROOT / "board"}
+# flax names them too, whose `linen` does without.
+TRAINING = {"optax", "orbax-checkpoint", "tensorstore"}
 TEAM = "scratch/ippo-d1-s0-v1"
 PARTNERS = "scratch/ippo-d1-s[01]-v1/human"
 PLAY = ("--task", "scratch", "--episodes", "1", "--backend", "native")
 SCRIPT = f"""
+import importlib.util
+import sys
+
 import numpy as np
 import assistax_zoo as az
 
@@ -30,25 +39,30 @@ result = az.evaluate(lambda obs: np.zeros((len(obs), 7)), split="both", partners
 assert result.episodes.height == 2
 result.report("mine.html")
 az.cross_play("{TEAM}/robot", "{TEAM}/human", **options).plot("xp.png")
-print(az.__file__)
+absent = ("optax", "orbax", "onnx", "sqlalchemy", "fastapi", "assistax_board", "assistax_workshop")
+print(az.__file__, [name for name in absent if importlib.util.find_spec(name)])
 """
 
 
 @pytest.fixture(scope="module")
-def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a virtual environment with the wheel, and dependencies from the running one."""
-    folder = tmp_path_factory.mktemp("wheel")
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
-    options = ["--quiet", "--no-deps", "--no-index"]
-    build = [*pip, "wheel", *options, "--no-build-isolation", "--wheel-dir", str(folder / "dist")]
-    subprocess.run([*build, str(ROOT)], check=True, timeout=300)
-    venv.create(folder / "venv")
-    [packages] = (folder / "venv/lib").glob("python*/site-packages")
-    (packages / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
-    [wheel] = (folder / "dist").glob("*.whl")
-    python = str(folder / "venv/bin/python")
-    subprocess.run([*pip, "--python", python, "install", *options, str(wheel)], check=True)
-    return folder / "venv/bin"
+def wheels(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the wheels of the three distributions."""
+    folder = tmp_path_factory.mktemp("wheels")
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "wheel", "--quiet"]
+    options = ["--no-deps", "--no-index", "--no-build-isolation", "--wheel-dir", str(folder)]
+    places = map(str, FOLDERS.values())
+    subprocess.run([*pip, *options, *places], check=True, timeout=300)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def core(wheels: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_environment(tmp_path_factory.mktemp("core"), wheels, CORE, without=TRAINING)
+
+
+@pytest.fixture(scope="module")
+def whole(wheels: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_environment(tmp_path_factory.mktemp("whole"), wheels, CORE, WORKSHOP, BOARD)
 
 
 @pytest.fixture(scope="module")
@@ -61,36 +75,119 @@ def remote() -> Iterator[str]:
         server.shutdown()
 
 
-@pytest.mark.slow
-def test_a_wheel_does_the_three_jobs_with_a_remote(
-    environment: Path, remote: str, tmp_path: Path
-) -> None:
+@pytest.fixture
+def call(tmp_path: Path) -> Callable[..., str]:
+    """Return a function that runs a program of an environment and returns what it prints."""
     ours = ("PYTHONPATH", "ASSISTAX_", "XDG_")
     clean = {name: value for name, value in os.environ.items() if not name.startswith(ours)}
     clean |= {"HOME": str(tmp_path / "home"), "JAX_PLATFORMS": "cpu"}
     (tmp_path / "work").mkdir()
 
-    def call(*words: str, code: int = 0) -> str:
+    def call(program: Path, *words: str, code: int = 0) -> str:
         done = subprocess.run(
-            [str(environment / words[0]), *words[1:]], cwd=tmp_path / "work", env=clean,
+            [str(program), *words], cwd=tmp_path / "work", env=clean,
             capture_output=True, text=True, timeout=600,
         )  # fmt: skip
         assert done.returncode == code, done.stderr
         return done.stderr if code else done.stdout
 
-    assert f"{len(load_registry().policies)} policies" in call("assistax-zoo", "list")
-    evaluate = ("assistax-zoo", "evaluate", *PLAY, "--policy", f"{TEAM}/robot", "--split", "both")
+    return call
+
+
+def test_commands_that_may_be_missing_are_those_of_the_entry_points() -> None:
+    brought = {
+        name: {tuple(point.name.split(".")) for point in entry_points(group=COMMANDS)
+               if point.dist and point.dist.name == name}
+        for name in ELSEWHERE
+    }  # fmt: skip
+    for name, commands in ELSEWHERE.items():
+        for command in commands:
+            assert any(words[: len(command)] == command for words in brought[name]), command
+        for words in brought[name]:
+            assert any(words[: len(command)] == command for command in commands), words
+
+
+@pytest.mark.slow
+def test_the_core_alone_does_the_three_jobs_with_a_remote(
+    core: Path, remote: str, tmp_path: Path, call: Callable[..., str]
+) -> None:
+    zoo = functools.partial(call, core / "assistax-zoo")
+    assert f"{len(load_registry().policies)} policies" in zoo("list")
+    evaluate = ("evaluate", *PLAY, "--policy", f"{TEAM}/robot", "--split", "both")
     evaluate = (*evaluate, "--partners", PARTNERS, "--include-own", "--out", "results")
-    told = call(*evaluate, code=1)
-    assert "parameters of 4 of 4 policies" in told and "--fetch does so" in told
-    assert "--from FOLDER" in call(*evaluate, "--fetch", code=1)
-    assert call("assistax-zoo", "config", "remote", remote) == f"{remote}\n"
-    assert "M_test" in call(*evaluate, "--fetch")
+    message = zoo(*evaluate, code=1)
+    assert "parameters of 4 of 4 policies" in message and "--fetch does so" in message
+    assert "--from FOLDER" in zoo(*evaluate, "--fetch", code=1)
+    assert zoo("config", "remote", remote) == f"{remote}\n"
+    assert "M_test" in zoo(*evaluate, "--fetch")
     teams = ("--egos", "scratch/ippo-d1-s[01]-v1", "--partners", PARTNERS)
-    assert "cross-play" in call("assistax-zoo", "crossplay", *PLAY, *teams, "--out", "xp")
-    call("assistax-zoo", "plot", "crossplay", "xp", "--out", "xp.pdf")
-    call("assistax-zoo", "report", "results", "--out", "results.html")
-    call("assistax-zoo", "show", TEAM, "--card", "card.md")
-    assert call("python", "-c", SCRIPT).startswith(str(environment.parent))
+    assert "cross-play" in zoo("crossplay", *PLAY, *teams, "--out", "xp")
+    zoo("plot", "crossplay", "xp", "--out", "xp.pdf")
+    zoo("report", "results", "--out", "results.html")
+    zoo("show", TEAM, "--card", "card.md")
+    place, absent = call(core / "python", "-c", SCRIPT).split(" ", 1)
+    assert place.startswith(str(core.parent)) and absent == "[]\n"
     for name in ("xp.pdf", "results.html", "mine.html", "xp.png", "card.md"):
         assert (tmp_path / "work" / name).stat().st_size > 500
+
+
+@pytest.mark.slow
+def test_the_core_names_what_a_command_lacks(core: Path, call: Callable[..., str]) -> None:
+    zoo = functools.partial(call, core / "assistax-zoo", code=1)
+    for name, commands in ELSEWHERE.items():
+        assert f"pip install {name}\n" in zoo(*commands[-1], "--help")
+    assert "pip install 'assistax-zoo[train]'" in zoo("train", "--task", "scratch", "--out", "run")
+    text = "import assistax_zoo as az; az.audit('scratch', [])"
+    assert f"pip install {WORKSHOP}" in call(core / "python", "-c", text, code=1)
+
+
+@pytest.mark.slow
+def test_workshop_and_board_beside_the_core_add_their_commands(
+    whole: Path, call: Callable[..., str]
+) -> None:
+    zoo = functools.partial(call, whole / "assistax-zoo")
+    assert "serve" in zoo("--help")
+    for commands in ELSEWHERE.values():
+        for command in commands:
+            assert f"assistax-zoo {' '.join(command)}" in zoo(*command, "--help")
+
+
+def make_environment(
+    folder: Path, wheels: Path, *names: str, without: set[str] | frozenset[str] = frozenset()
+) -> Path:
+    """Return the programs of an environment: wheels, and what they need of what runs here."""
+    venv.create(folder / "venv")
+    [packages] = (folder / "venv/lib").glob("python*/site-packages")
+    for installed in needed(names, {*FOLDERS, *without}).values():
+        for top in {file.parts[0] for file in installed.files or ()} - {"..", "__pycache__"}:
+            if not (packages / top).exists():
+                (packages / top).symlink_to(Path(str(installed.locate_file(top))).resolve())
+    files = [str(next(wheels.glob(f"{name.replace('-', '_')}-[0-9]*.whl"))) for name in names]
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
+    python = str(folder / "venv/bin/python")
+    options = ("--no-deps", "--no-index")
+    subprocess.run([*pip, "--python", python, "install", *options, *files], check=True)
+    return folder / "venv/bin"
+
+
+def needed(names: tuple[str, ...], without: set[str]) -> dict[str, Distribution]:
+    """Return the distributions that some of ours need, and what those need in turn."""
+    chosen: dict[str, Distribution] = {}
+    seen: set[tuple[str, str]] = set()
+    waiting = [(name, "") for name in names]
+    while waiting:
+        name, extra = waiting.pop()
+        if (name, extra) in seen or name in without - FOLDERS.keys():
+            continue
+        seen.add((name, extra))
+        try:
+            installed = distribution(name)
+        except PackageNotFoundError:
+            continue  # for another Python or system
+        if name not in without:
+            chosen[name] = installed
+        for text in installed.requires or ():
+            requirement = Requirement(text)
+            if requirement.marker is None or requirement.marker.evaluate({"extra": extra}):
+                waiting += [(requirement.name, part) for part in ("", *requirement.extras)]
+    return chosen

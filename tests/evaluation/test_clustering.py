@@ -7,7 +7,7 @@ from scipy.spatial import distance
 
 from evaluation.figures import clustering
 from tests.evaluation.episode_tables import clustered_matrix
-from tools.paper_page.measures import branches
+from tools.release_page.paper.measures import branches
 
 
 def test_known_clusters_are_found_and_stand_together():

@@ -41,7 +41,7 @@ from tests.evaluation.episode_tables import (
     team_id,
     teams,
 )
-from tools.paper_page.panels import training_panels
+from tools.release_page.paper.panels import training_panels
 
 ROOT = Path(__file__).parents[2]
 # Machado et al. (2009), full severity, on linear RGB.

@@ -11,7 +11,7 @@ import pytest
 
 from assistax_base import statistics
 from tests.evaluation.test_bootstrap import stratified
-from tools.paper_page.measures import probability_of_improvement
+from tools.release_page.paper.measures import probability_of_improvement
 
 metrics = pytest.importorskip(
     "rliable.metrics", reason="an optional cross-check: pip install rliable"

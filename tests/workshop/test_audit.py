@@ -65,9 +65,15 @@ def test_gates_by_hand() -> None:
     assert found["fastest joint, share of the datasheet's"].holds
     missing = [name for name, gate in found.items() if gate.holds is None]
     assert [found[name].told.rpartition("needs ")[2] for name in missing] == [
-        *("--passive-robot", "--passive-robot", "--response", "--told", "--recurrent"),
-        *("--ego, --ego-told", "a gentle task", "--blind"),
+        *("a passive robot", "a passive robot", "a response to each team", "told teams"),
+        *("recurrent teams", "egos, and egos that are told", "a gentle task", "blind teams"),
     ]
+
+
+def test_a_condition_that_no_gate_knows_is_refused() -> None:
+    """It would read as not measured."""
+    with pytest.raises(ValueError, match="'mistaken human' is not a valid Condition"):
+        gates(**{"mistaken human": played([[[80.0] * 4] * 2] * 2)})
 
 
 @pytest.mark.parametrize(
@@ -104,7 +110,7 @@ def test_what_egos_earn_among_strangers_says_what_knowing_and_remembering_are_wo
     assert won_back.ci is not None and won_back.ci[0] < 0.0 and not won_back.holds
     known = gates(**some, **{"ego recurrent": earned(115.0, 119.0)})
     assert known["share of that which a recurrent robot wins back"].holds
-    assert "not measured: needs --ego-recurrent" in [gate.told for gate in gates(**some).values()]
+    assert "not measured: needs recurrent egos" in [gate.told for gate in gates(**some).values()]
 
 
 def test_a_script_that_does_the_task_fails_its_gate_and_so_do_teams_that_hurt() -> None:

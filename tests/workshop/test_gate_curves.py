@@ -5,7 +5,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from assistax_workshop.gates.curves import main
+from assistax_workshop.gates.curves import draw_curves
 from evaluation.plots import style
 
 
@@ -32,7 +32,7 @@ def test_curves_of_d1_are_drawn_of_the_algorithms_that_are_there(
         return band(axes, curve, x, y, colour, label, *more)
 
     monkeypatch.setattr(style, "band", watched)
-    main(curves, out=tmp_path / "figure.png")
+    draw_curves(curves, tmp_path / "figure.png")
     assert drawn == [
         ("MAPPO", [1.0, 2.0, 3.0, 4.0, 5.0]),
         ("MAPPO", [0.25] * 5),

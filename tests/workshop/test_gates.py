@@ -10,23 +10,24 @@ import pytest
 
 from assistax_envs.disability import DISABILITY_SETTINGS
 from assistax_workshop.auditing import audit
-from assistax_workshop.gates.training import CONDITIONS, OneEach, main
+from assistax_workshop.gates.training import CONDITIONS, OneEach, train_conditions
+from assistax_zoo.shell.main import run
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
 
-TINY = ("num_envs=4", "rollout_steps=8", "minibatches=1", "epochs=1", "hidden=(8, 8)")
+TINY = {"num_envs": 4, "rollout_steps": 8, "minibatches": 1, "epochs": 1, "hidden": (8, 8)}
 
 
 @pytest.mark.slow
 def test_teams_the_passive_robot_and_best_responses_are_what_an_audit_takes(tmp_path: Path) -> None:
-    main(
+    train_conditions(
         "gentle_lift",
         tmp_path,
-        only="teams,told,passive,response,ego,ego-told,ego-recurrent",
-        seeds="100,101",
-        steps="32",
-        set_=TINY,
+        ("teams", "told", "passive", "response", "ego", "ego-told", "ego-recurrent"),
+        seeds=(100, 101),
+        steps=32,
+        changes=TINY,
         backend="native",
     )
     found = audit(
@@ -53,8 +54,8 @@ def test_teams_the_passive_robot_and_best_responses_are_what_an_audit_takes(tmp_
 def test_only_the_told_see_the_preference(tmp_path: Path) -> None:
     widths = {}
     for name in ("teams", "told"):
-        main(
-            "gentle_scratch", tmp_path, only=name, seeds="1", steps="32", set_=TINY,
+        train_conditions(
+            "gentle_scratch", tmp_path, (name,), seeds=(0,), steps=32, changes=TINY,
             backend="native",
         )  # fmt: skip
         assert (tmp_path / name / "teams.json").is_file()
@@ -83,6 +84,7 @@ def test_each_best_response_meets_its_own_partner_alone() -> None:
     assert not np.allclose(actions[0], actions[3])
 
 
-def test_an_unknown_condition_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="condition is 'hopeful'; allowed are teams, mappo"):
-        main("gentle_lift", tmp_path, only="hopeful")
+def test_an_unknown_condition_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["gates", "train", "gentle_lift", str(tmp_path), "--only", "hopeful"]
+    assert run([*words, "--set", "num_envs=4"]) == 1
+    assert "condition is 'hopeful'; allowed are teams, mappo" in capsys.readouterr().err

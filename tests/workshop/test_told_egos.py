@@ -7,12 +7,12 @@ import jax
 import pytest
 
 from assistax_envs import make
-from assistax_workshop.gates.told_egos import main
+from assistax_zoo.shell.main import run as run_command
 from evaluation.record import tables
 from population.networks.spec import PolicySpec
 from population.runs.folder import RunFolder
 from tests import untrained
-from tools.results_v2.collect import collect
+from tools.release_page.collect import collect
 from zoo.registry import load_registry
 from zoo.splitting.create import create_split
 
@@ -31,8 +31,10 @@ def test_told_robots_learn_with_a_half_and_play_as_the_split_says(tmp_path: Path
     path = untrained.published(teams, tmp_path / "zoo")
     split = create_split(path, task=task, rule="half", test_preferences=["p1"], default=True)
     tiny = ("num_envs=4", "rollout_steps=8", "minibatches=1", "epochs=1", "hidden=(8,)")
-    options = {"seeds": "2", "steps": "32", "episodes": 9, "set_": tiny, "backend": "native"}
-    main(task, tmp_path / "told", **options, registry=path)
+    options = ["--seeds", "2", "--steps", "32", "--episodes", "9", "--backend", "native"]
+    options += [word for change in tiny for word in ("--set", change)]
+    folder = str(tmp_path / "told")
+    assert run_command(["gates", "told-egos", task, folder, *options, "--registry", str(path)]) == 0
     run = RunFolder(tmp_path / "told" / "training").config()
     assert {name.rpartition("/")[0] for name in run.partners} == set(split.train)
     assert "p1" not in run.preferences and len(run.preferences) == 8
@@ -48,5 +50,5 @@ def test_told_robots_learn_with_a_half_and_play_as_the_split_says(tmp_path: Path
     trained, run = (tables.read_json(filed / name) for name in ("training.json", "run.json"))
     assert (
         trained["egos"] == 2
-        and "assistax_workshop.gates.told_egos" in trained["command"] == run["command"]
+        and "assistax-zoo gates told-egos" in trained["command"] == run["command"]
     )

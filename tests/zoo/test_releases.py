@@ -7,7 +7,7 @@ import pytest
 
 from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
 from assistax_workshop.plans.plan import read_plan
-from tools.paper_page.data import read_paper
+from tools.release_page.paper.data import read_paper
 from zoo.ids import EGO
 from zoo.registry import load_registry
 

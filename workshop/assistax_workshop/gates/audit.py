@@ -20,7 +20,13 @@ from assistax_envs import disability_params, make
 from assistax_envs.preferences import PREFERENCES, VALUES, WISHES, preferences_of
 from assistax_envs.tasks.gentle_base import FELT, HARD, Liking
 from assistax_envs.versions import VERSIONS
-from assistax_workshop.gates.audit_gates import Gate, condition_figures, gates_of, strange_pairs
+from assistax_workshop.gates.audit_gates import (
+    Condition,
+    Gate,
+    condition_figures,
+    gates_of,
+    strange_pairs,
+)
 from assistax_workshop.gates.audit_teams import Teams
 from evaluation.cast.roster import Member, Roster
 from evaluation.figures.normalised import PASSIVE
@@ -130,10 +136,12 @@ def audit_task(
     played = _play(table, env, teams, others)
     touch = touches(env, teams, episodes, seed)
     gates = gates_of(task, played, touch)
-    played["strangers"] = strange_pairs(played.pop("all pairs"))
-    figures = {name: condition_figures(each) for name, each in played.items() if each.height}
+    played[Condition.STRANGERS] = strange_pairs(played.pop(Condition.PAIRS))
+    figures = {
+        str(name): condition_figures(table) for name, table in played.items() if table.height
+    }
     about = task, VERSIONS[task], env.backend, teams.robots.ids, episodes
-    return Audit(*about, tuple(gates), figures | {"own, step by step": touch})
+    return Audit(*about, tuple(gates), figures | {str(Condition.TOUCH): touch})
 
 
 def _check(task: str, teams: Teams, others: Others, episodes: int) -> None:
@@ -146,44 +154,49 @@ def _check(task: str, teams: Teams, others: Others, episodes: int) -> None:
         )
     if task not in WISHES and (others.told or others.blind or others.ego_told):
         raise ValueError(
-            f"the humans of {task} have no preferences; leave out who is told them, and who is not"
+            f"the humans of {task} have no preferences; name no told or blind teams, and no told "
+            "egos"
         )
     for egos in (others.ego, others.ego_told, others.ego_recurrent):
         if egos and set(teams.humans.ids) <= set(egos.met):
             raise ValueError("the egos were trained with every team; name teams they never met too")
 
 
-def _play(table: "_Tables", env: Any, teams: Teams, others: Others) -> dict[str, pl.DataFrame]:
+def _play(
+    table: "_Tables", env: Any, teams: Teams, others: Others
+) -> dict[Condition, pl.DataFrame]:
     """Play every condition that somebody can play."""
     task = table.task
     sizes = {role: (env.observation_size[role], env.action_size[role]) for role in teams.SEATS}
     passive, script = passive_roster(*sizes["human"]), script_roster(task, *sizes["robot"])
     played = {
-        "own teams": table.play("own", teams.robots, teams.humans, paired=True, times=MORE),
-        "all pairs": table.play("pairs", teams.robots, teams.humans),
-        "script, passive human": table.play("script", script, passive, times=MORE),
-        "script, human held": table.play("held", script, held_roster(*sizes["human"])),
-        "own, passive human": table.play("alone", teams.robots, passive),
+        Condition.OWN: table.play("own", teams.robots, teams.humans, paired=True, times=MORE),
+        Condition.PAIRS: table.play("pairs", teams.robots, teams.humans),
+        Condition.SCRIPT: table.play("script", script, passive, times=MORE),
+        Condition.HELD: table.play("held", script, held_roster(*sizes["human"])),
+        Condition.ALONE: table.play("alone", teams.robots, passive),
     }
     if others.passive:
         robots = others.passive.robots
-        played["passive robot, passive human"] = table.play("passive", robots, passive)
-        played["passive robot, teams' humans"] = table.play("passive-team", robots, teams.humans)
+        played[Condition.PASSIVE] = table.play("passive", robots, passive)
+        played[Condition.PASSIVE_TEAM] = table.play("passive-team", robots, teams.humans)
     if others.response:
         robots = others.response.robots
-        played["best responses"] = table.play("response", robots, teams.humans, paired=True)
+        played[Condition.RESPONSE] = table.play("response", robots, teams.humans, paired=True)
     for name in ("ego", "ego_told", "ego_recurrent"):
         if egos := getattr(others, name):
             there = table.env(told=BOTH) if name == "ego_told" else env
             met = table.play(name, egos.robots, teams.humans, env=there)
-            played[name.replace("_", " ")] = met.filter(~pl.col("partner").is_in(egos.met))
+            played[Condition[name.upper()]] = met.filter(~pl.col("partner").is_in(egos.met))
     for name in ("recurrent", "told", "blind"):
         if pairs := getattr(others, name):
             told = {"told": BOTH, "blind": ()}.get(name)
             there = env if told is None else table.env(told=told)
-            played[name] = table.play(name, pairs.robots, pairs.humans, env=there, paired=True)
+            played[Condition[name.upper()]] = table.play(
+                name, pairs.robots, pairs.humans, env=there, paired=True
+            )
     if task in WISHES:
-        played["mistaken humans"] = table.play(
+        played[Condition.MISTAKEN] = table.play(
             "mistaken",
             teams.robots,
             teams.humans,

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,28 @@ from evaluation.record.record import lay_out
 Ends = tuple[float, float] | None
 
 
+class Condition(StrEnum):
+    """Who plays with whom; the text is what an audit calls its figures."""
+
+    OWN = "own teams"
+    PAIRS = "all pairs"
+    STRANGERS = "strangers"
+    SCRIPT = "script, passive human"
+    HELD = "script, human held"
+    ALONE = "own, passive human"
+    PASSIVE = "passive robot, passive human"
+    PASSIVE_TEAM = "passive robot, teams' humans"
+    RESPONSE = "best responses"
+    EGO = "ego"
+    EGO_TOLD = "ego told"
+    EGO_RECURRENT = "ego recurrent"
+    RECURRENT = "recurrent"
+    TOLD = "told"
+    BLIND = "blind"
+    MISTAKEN = "mistaken humans"
+    TOUCH = "own, step by step"
+
+
 @dataclasses.dataclass(frozen=True)
 class Gate:
     """One figure of a task against its bar."""
@@ -30,23 +53,26 @@ class Gate:
 
 
 def gates_of(
-    task: str, played: Mapping[str, pl.DataFrame], touch: Mapping[str, float]
+    task: str,
+    tables: Mapping[str, pl.DataFrame] | Mapping[Condition, pl.DataFrame],
+    touch: Mapping[str, float],
 ) -> list[Gate]:
     """Return the gates of a task, from the episodes of each condition; see `audit_task`."""
-    pairs = played["all pairs"]
-    own, goal = played["own teams"], "safe_success" if REGISTERED[task].felt else "success"
+    played = {Condition(name): table for name, table in tables.items()}  # refuses others
+    pairs = played[Condition.PAIRS]
+    own, goal = played[Condition.OWN], "safe_success" if REGISTERED[task].felt else "success"
     each = with_safety(own).group_by("ego").agg(pl.col(goal).cast(pl.Float64).mean())
     half = float(each[goal].to_numpy().max()) / 2
 
     def earned(
-        name: str, bar: str, what: str, least: float, needs: str, paired: bool = False
+        name: str, bar: str, what: Condition, least: float, needs: str, paired: bool = False
     ) -> Gate:
         return _earned(name, bar, own, played.get(what), least, needs, paired=paired)
 
     def lost(
         name: str,
         bar: str,
-        what: str,
+        what: Condition,
         least: float,
         needs: str,
         *,
@@ -57,40 +83,46 @@ def gates_of(
 
     return [
         _share("script with a passive human", f"{goal} < {half:.2f}, half of the best team's",
-               played["script, passive human"], goal, lambda x: x < half),
+               played[Condition.SCRIPT], goal, lambda x: x < half),
         _share("script with the human in its best fixed posture", f"{goal} < {half:.2f}",
-               _best_held(played["script, human held"]), goal, lambda x: x < half),
+               _best_held(played[Condition.HELD]), goal, lambda x: x < half),
         lost("robot trained with a passive human", "with one it earns > 20% less than teams",
-             "passive robot, passive human", 0.2, "--passive-robot"),
+             Condition.PASSIVE, 0.2, "a passive robot"),
         lost("the same robot with the teams' humans", "loses > 20%",
-             "passive robot, teams' humans", 0.2, "--passive-robot"),
+             Condition.PASSIVE_TEAM, 0.2, "a passive robot"),
         _share("teams reach the goal", f"{goal} >= 0.80", own, goal, lambda x: x >= 0.8),
         _share("teams hurt nobody", "violations < 0.01", own, "violated", lambda x: x < 0.01),
         _cross_play(pairs),
-        earned("best response to a frozen partner", ">= 80% of self-play", "best responses", 0.8,
-               "--response", paired=True),
-        earned("teams whose robot is told the preference", "> 5% more", "told", 1.05, "--told"),
-        earned("teams whose robot remembers", "more than those without memory", "recurrent", 1.0,
-               "--recurrent"),
+        earned("best response to a frozen partner", ">= 80% of self-play", Condition.RESPONSE, 0.8,
+               "a response to each team", paired=True),
+        earned("teams whose robot is told the preference", "> 5% more", Condition.TOLD, 1.05,
+               "told teams"),
+        earned("teams whose robot remembers", "more than those without memory", Condition.RECURRENT,
+               1.0, "recurrent teams"),
         *_ego_gates(played),
         lost("humans that believe in another preference", "loses, the interval above 0",
-             "mistaken humans", 0.0, "a gentle task", above=True, paired=True),
+             Condition.MISTAKEN, 0.0, "a gentle task", above=True, paired=True),
         lost("control: humans that were never told theirs", "loses, the interval above 0",
-             "blind", 0.0, "--blind", above=True),
+             Condition.BLIND, 0.0, "blind teams", above=True),
         *_touch_gates(touch),
     ]  # fmt: skip
 
 
-def _ego_gates(played: Mapping[str, pl.DataFrame]) -> list[Gate]:
+def _ego_gates(played: Mapping[Condition, pl.DataFrame]) -> list[Gate]:
     """Return what knowing the preference is worth to robots among strangers, and remembering."""
-    name, needs = "among strangers, a robot that is told the preference", "--ego, --ego-told"
-    plain, told, recurrent = map(played.get, ("ego", "ego told", "ego recurrent"))
+    name, needs = (
+        "among strangers, a robot that is told the preference",
+        "egos, and egos that are told",
+    )
+    plain, told, recurrent = map(
+        played.get, (Condition.EGO, Condition.EGO_TOLD, Condition.EGO_RECURRENT)
+    )
     if plain is None or told is None:
         return [Gate(name, "> 5% more", None, None, None, f"not measured: needs {needs}")]
     worth = _earned(name, "> 5% more", plain, told, 1.05, needs, than="not told")
     name, bar = "share of that which a recurrent robot wins back", "the interval above 0"
     if recurrent is None:
-        return [worth, Gate(name, bar, None, None, None, "not measured: needs --ego-recurrent")]
+        return [worth, Gate(name, bar, None, None, None, "not measured: needs recurrent egos")]
     returns = [_by_robot(table, "return") for table in (plain, told, recurrent)]
     said = f"return {returns[2].mean():.1f}"
     if returns[1].mean() <= returns[0].mean():

@@ -1,16 +1,9 @@
-"""Draws docs/images/curves_gentle.png: how the teams of the gentle tasks learned, with d1.
-
-    python -m assistax_workshop.gates.curves docs/data/v2/curves --out docs/images/curves_gentle.png
-
-The folder is what `assistax-zoo train population --curves` writes. Algorithms that it lacks are
-left out, as are groups that trained for fewer steps to be compared.
-"""
+"""Draws docs/images/curves_gentle.png: how the teams of the gentle tasks learned, with d1."""
 
 from pathlib import Path
 
 import numpy as np
 import polars as pl
-from cyclopts import App
 from matplotlib.axes import Axes
 from matplotlib.ticker import EngFormatter
 
@@ -30,8 +23,16 @@ COLUMNS = {  # heading -> what is drawn
 WIDTH, ROW = 13.0, 2.3  # inches
 
 
-def main(curves: Path, /, *, out: Path) -> None:
-    """Draw return, success, violations and the cost of force against steps, by task."""
+def draw_curves(curves: Path, out: Path) -> None:
+    """Draw return, success, violations and the cost of force against steps, by task.
+
+    Algorithms that the folder lacks are left out, as are groups that trained for fewer steps to be
+    compared.
+
+    Args:
+        curves: Folder of a population's curves.
+        out: Picture to write.
+    """
     caption = (
         "Mean over seeds (IQM) with its pointwise 95% bootstrap band; actions are drawn, as in "
         "training. Bands end where the picture does."
@@ -73,7 +74,3 @@ def _fit(axes: Axes) -> None:
         low, high = np.nanmin(values), np.nanmax(values)
         margin = 0.1 * (high - low) or 0.1
         axes.set_ylim(low - margin, high + margin)
-
-
-if __name__ == "__main__":
-    App(default_command=main)()

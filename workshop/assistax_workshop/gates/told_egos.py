@@ -1,27 +1,18 @@
 """Trains robots that are told what their partners like, and evaluates them beside other methods.
 
-    python -m assistax_workshop.gates.told_egos gentle_scratch runs/told --seeds 16 --steps 10M
-    python -m assistax_workshop.gates.told_egos gentle_scratch runs/told --seeds 16 --steps 10M
-    --set torso=gru
-
-RUNS/training is as of `assistax-zoo train-ego`, RUNS/evaluation as of `evaluate --split both`. Such
-robots observe more than any robot may: they say what adaptation could earn at best, and nothing
-else wants them, hence no command publishes or plays them.
+Such robots observe more than any robot may: they say what adaptation could earn at best, and
+nothing else wants them, hence no command publishes or plays them.
 """
 
 import contextlib
 import dataclasses
-import shlex
-import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import App, Parameter
+from typing import Any
 
 from assistax_envs import make
 from assistax_workshop.gates.audit import BOTH
 from assistax_workshop.gates.audit_teams import read_robots
-from assistax_zoo.commands.options import parse_changes, parse_seeds, parse_steps
 from assistax_zoo.shell.console import TrainingLine
 from evaluation.cast.cast import Cast, choose_partners
 from evaluation.ego_training import prepare, write_egos
@@ -35,56 +26,51 @@ from evaluation.record.record import Record
 from population.runs.folder import RunFolder
 from population.runs.train import train
 from population.runs.trained import read_trained_run
-from zoo.registry import Registry, load_registry
+from zoo.registry import Registry
 
 
-def main(
+def train_told_egos(
+    registry: Registry,
     task: str,
     folder: Path,
-    /,
+    command: str,
     *,
     split: str | None = None,
-    seeds: str = "4",
-    steps: str = "10M",
+    seeds: Sequence[int],
+    steps: int,
     episodes: int = 8,
-    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    changes: Mapping[str, Any] | None = None,
     backend: str = "auto",
-    registry: Path | None = None,
-) -> None:
-    """Train and evaluate told robots; what was interrupted goes on.
+) -> EvaluationSummary:
+    """Train told robots into FOLDER/training, and evaluate them into FOLDER/evaluation.
+
+    What was interrupted goes on.
 
     Args:
+        registry: Where partners come from.
         task: Gentle task.
         folder: Of the run and the evaluation.
+        command: That is recorded with both.
         split: With whose training half they learn; default the release's own.
-        seeds: How many, or which.
+        seeds: One robot each.
         steps: Environment steps of each robot.
         episodes: Of each pair.
-        set_: Hyperparameter, such as num_envs=512; repeat it for more.
+        changes: Of the preset's hyperparameters.
         backend: Physics.
-        registry: Registry to read instead of the installed one.
     """
-    zoo, env = load_registry(registry), make(task, backend, told=BOTH)
+    env, run = make(task, backend, told=BOTH), folder / "training"
     learning = prepare(
-        zoo,
-        task,
-        split=split,
-        seeds=parse_seeds(seeds),
-        steps=parse_steps(steps),
-        hyperparameters=parse_changes(set_),
+        registry, task, split=split, seeds=seeds, steps=steps, hyperparameters=changes or {}
     )
-    run = folder / "training"
     finished = RunFolder(run).finished(learning.config)
     with contextlib.closing(TrainingLine(str(folder))) as line:
         train(learning.config, env, run, partners=learning.partners, progress=line)
     write_egos(read_trained_run(run), learning)
-    command = shlex.join(["python", "-m", "assistax_workshop.gates.told_egos", *sys.argv[1:]])
     record_command(run, command, filled=not finished)
-    summary = evaluate(zoo, task, folder, learning.split.id, episodes, backend)
+    summary = evaluate(registry, task, folder, learning.split.id, episodes, backend)
     simulated = summary.env_steps_per_second is not None
     write_run(folder / "evaluation", command, simulated)
-    for side, found in (("train", summary.m_train), ("test", summary.m_test)):
-        print(f"{side}: {found.mean:.1f}" if found else f"{side}: nobody")
+    return summary
 
 
 def evaluate(
@@ -111,7 +97,3 @@ def evaluate(
     release = manifest.release
     context = context_of(job, result, split=manifest, release=release, lock=registry.lock)
     return save_evaluation(Record(result.table, folder / "evaluation"), context, met=cast.met)
-
-
-if __name__ == "__main__":
-    App(default_command=main)()

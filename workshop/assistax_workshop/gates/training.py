@@ -1,7 +1,4 @@
-"""Trains those who play for the gates of a gentle task; `assistax-zoo audit` reads the folders.
-
-    python -m assistax_workshop.gates.training gentle_lift runs/lift --only teams,passive --steps
-    16M assistax-zoo audit gentle_lift --team runs/lift/teams --passive-robot runs/lift/passive
+"""Trains those who play for the gates of a gentle task; an audit reads the folders.
 
 Teams whose robot is told the human's preference, or whose human is not told it, robots that learn
 with a human that does nothing: such are in no release, and nothing but the gates wants them.
@@ -11,16 +8,14 @@ import contextlib
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import jax
-from cyclopts import App, Parameter
 
 from assistax_envs import make
 from assistax_envs.disability import DISABILITY_SETTINGS, Disability
 from assistax_workshop.gates.audit import held_roster
 from assistax_workshop.gates.audit_teams import read_teams
-from assistax_zoo.commands.options import parse_changes, parse_seeds, parse_steps
 from assistax_zoo.shell.console import TrainingLine
 from evaluation.cast.roster import Roster
 from evaluation.ego_training import shared_out
@@ -105,16 +100,15 @@ class OneEach(FrozenPartners):
         return (new,), to_simulations(action)
 
 
-def main(
+def train_conditions(
     task: str,
     folder: Path,
-    /,
+    conditions: Sequence[str],
     *,
-    only: str = ",".join(CONDITIONS),
-    seeds: str = "4",
-    steps: str = "20M",
+    seeds: Sequence[int],
+    steps: int,
     disability: str = "d1",
-    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    changes: Mapping[str, Any] | None = None,
     backend: str = "auto",
 ) -> None:
     """Train conditions of a gentle task, each into FOLDER/CONDITION.
@@ -124,29 +118,30 @@ def main(
     Args:
         task: Gentle task.
         folder: Of the runs.
-        only: Conditions, comma-separated.
-        seeds: Of each condition: how many, or which, such as 8 or 100-107.
+        conditions: Names among CONDITIONS.
+        seeds: Of each condition.
         steps: Environment steps of each team.
         disability: The human's setting.
-        set_: Hyperparameter, such as num_envs=512; repeat it for more.
+        changes: Of the preset's hyperparameters.
         backend: Physics.
+
+    Raises:
+        ValueError: A condition is unknown, or there is not one seed for each team.
     """
-    numbers, given = parse_seeds(seeds), parse_changes(set_)
-    chosen = only.split(",")
-    if unknown := [name for name in chosen if name not in CONDITIONS]:
+    if unknown := [name for name in conditions if name not in CONDITIONS]:
         raise ValueError(f"condition is {unknown[0]!r}; allowed are {', '.join(CONDITIONS)}")
-    for name in chosen:
+    for name in conditions:
         condition = CONDITIONS[name]
         env = make(task, backend, told=condition.told)
-        for place, own, humans in _humans(condition, folder, name, numbers, env, disability):
-            trainer = _trainer(task, condition, given)
+        for place, own, humans in _humans(condition, folder, name, seeds, env, disability):
+            trainer = _trainer(task, condition, changes or {})
             if humans:
                 trainer = shared_out(trainer, len(humans), keep=False)
             config = make_run(
                 task,
                 condition.algorithm,
                 make_members(own, [MIXED if humans else disability]),
-                parse_steps(steps),
+                steps,
                 trainer,
                 self_play_episodes=0,
                 partners=humans.ids if humans else (),
@@ -155,12 +150,12 @@ def main(
                 train(config, env, place, partners=humans, progress=line)
 
 
-def _trainer(task: str, condition: Condition, given: Mapping[str, Any]) -> TrainerConfig:
+def _trainer(task: str, condition: Condition, changes: Mapping[str, Any]) -> TrainerConfig:
     of_task = CHANGES[task]
     if preset(condition.algorithm).kind == "sac":
         of_task = {"initial_log_std": of_task["initial_log_std"]}
     recurrent = {"torso": "gru"} if condition.torso == "gru" else {}
-    return preset(condition.algorithm, **{**of_task, **recurrent, **given})
+    return preset(condition.algorithm, **{**of_task, **recurrent, **changes})
 
 
 def _humans(
@@ -197,7 +192,3 @@ def _frozen(humans: Roster, disability: str) -> FrozenPartners:
     stacks = [stack for stack in humans.stacks if isinstance(stack, PolicyStack)]
     setting = DISABILITY_SETTINGS[disability]
     return FrozenPartners(stacks, {name: setting for stack in stacks for name in stack.ids})
-
-
-if __name__ == "__main__":
-    App(default_command=main)()

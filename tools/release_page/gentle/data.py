@@ -11,10 +11,16 @@ import polars as pl
 from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
 from evaluation.record import tables
 from evaluation.record.columns import SIDES
-from tools.paper_page import data as paper
-from tools.paper_page.collect import CROSSPLAY, EGOS, TRAINING_FILE
-from tools.paper_page.data import CrossPlayed
-from tools.results_v2.collect import KEY, MEASURES, SERIES, checked_name
+from tools.release_page.data import (
+    EGOS,
+    TRAINING_FILE,
+    CrossPlayed,
+    check_release,
+    read_crossplays,
+    read_humans,
+    read_pairs,
+)
+from tools.release_page.gentle.evaluations import KEY, MEASURES, SERIES, checked_name
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
 
@@ -132,11 +138,7 @@ def read_results(registry: Registry, release: str, data: Path) -> Results:
     Raises:
         ValueError: A table is malformed, of another release, or of other sides of a split.
     """
-    humans = [
-        human
-        for human in registry.policies
-        if human.role == "human" and human.release == release and human.task in GENTLE_TASKS
-    ]
+    humans = read_humans(registry, release, GENTLE_TASKS)
     defaults = registry.data.releases[release].splits if release in registry.data.releases else {}
     splits = {
         task: sorted(
@@ -163,23 +165,18 @@ def read_results(registry: Registry, release: str, data: Path) -> Results:
         for key, path in folders.items()
         if (path / TRAINING_FILE).is_file()
     }
-    crossplay = _read_crossplays(data, GENTLE_TASKS)
+    crossplay = read_crossplays(data, GENTLE_TASKS)
     for found in (*crossplay.values(), *egos.values()):
-        paper.check_release(found, release, {human.team for human in humans}, data)
+        check_release(found, release, {human.team for human in humans}, data)
     for (task, name, method), found in egos.items():
         _check_sides(found, {short(one): one for one in splits[task]}.get(name), name, method)
-    beside = _read_crossplays(data.with_name("v1"), PAPER_TASKS)
+    beside = read_crossplays(data.with_name("v1"), PAPER_TASKS)
     return Results(release, humans, splits, egos, trained, crossplay, beside)
-
-
-def _read_crossplays(data: Path, tasks: Sequence[str]) -> dict[str, CrossPlayed]:
-    folders = {task: data / CROSSPLAY / task for task in tasks}
-    return {task: paper.read_crossplay(path) for task, path in folders.items() if path.is_dir()}
 
 
 def _read_egos(folder: Path) -> Evaluated:
     told = (tables.read_json(folder / name) for name in (tables.SUMMARY_FILE, tables.RUN_FILE))
-    found = Evaluated(paper.read_pairs(folder), *told)
+    found = Evaluated(read_pairs(folder), *told)
     needed = (*KEY, "partner_team", "side", *MEASURES, "episodes", "nonfinite")
     if lacking := [name for name in needed if name not in found.pairs.columns]:
         raise ValueError(f"{folder} lacks the columns {', '.join(lacking)}; collect it again")

@@ -6,9 +6,10 @@ from typing import Literal
 
 from assistax_envs.versions import PAPER_TASKS
 from evaluation.figures.bootstrap import Interval
-from tools.paper_page import markdown
-from tools.paper_page.data import METHODS, CrossPlayed, Egos, Results
-from tools.paper_page.measures import (
+from tools.release_page import markdown
+from tools.release_page.data import CrossPlayed
+from tools.release_page.paper.data import METHODS, Egos, Results
+from tools.release_page.paper.measures import (
     improvement,
     incompatible_share,
     largest_exchange_loss,

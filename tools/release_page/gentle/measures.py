@@ -22,7 +22,7 @@ from evaluation.figures.bootstrap import (
 )
 from evaluation.figures.metrics import Difference, paired_difference
 from evaluation.figures.strategies import best_responses, br_diversity
-from tools.paper_page.data import CrossPlayed
+from tools.release_page.data import CrossPlayed
 
 CHOICES = 100  # of teams, drawn at random
 _TOLERANCE = 1e-10  # of the largest singular value; below it a direction counts as absent

@@ -4,7 +4,7 @@ import polars as pl
 
 from assistax_envs.versions import PAPER_TASKS
 from evaluation.figures.curves import learning_curves
-from tools.paper_page.data import Results
+from tools.release_page.paper.data import Results
 
 POINTS = 50  # half of what is stored of a member, so that every bin holds a point of each
 RISING = 0.05  # a curve whose last fifth gains more than this share of the return is still rising

@@ -6,15 +6,22 @@ import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import polars as pl
-import polars.selectors as cs
 
 from assistax_envs.versions import PAPER_TASKS
 from evaluation.record import tables
-from tools.paper_page import collect
+from tools.release_page.data import (
+    EGOS,
+    TRAINING_FILE,
+    CrossPlayed,
+    check_release,
+    read_crossplays,
+    read_humans,
+    read_pairs,
+)
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 
@@ -35,51 +42,6 @@ _CURVE_COLUMNS = {
     **dict.fromkeys(("task", "algorithm", "disability"), pl.String),
     **{"seed": pl.Int64, "steps": pl.Int64, "return": pl.Float64},
 }
-
-
-class Played(Protocol):
-    """What was played: its table of pairs, what is said of it, and how it ran."""
-
-    @property
-    def pairs(self) -> pl.DataFrame: ...
-    @property
-    def summary(self) -> Mapping[str, Any]: ...
-    @property
-    def run(self) -> Mapping[str, Any]: ...
-
-
-@dataclasses.dataclass(frozen=True)
-class CrossPlayed:
-    """The condensed cross-play of a task."""
-
-    pairs: pl.DataFrame
-    order: Mapping[str, Any]
-    strategies: Mapping[str, Any]
-    summary: Mapping[str, Any]
-    run: Mapping[str, Any]
-
-    @functools.cached_property
-    def matrix(self) -> np.ndarray:
-        """Mean returns [T, T], the teams of `teams` on both axes."""
-        wide = self.pairs.pivot("partner_team", index="ego_team", values="return")
-        rows = pl.DataFrame({"ego_team": self.teams}).join(
-            wide, on="ego_team", how="left", maintain_order="left"
-        )
-        return rows.select(self.teams).to_numpy().astype(float)
-
-    @property
-    def teams(self) -> list[str]:
-        """Teams in the order of the figure."""
-        return self.order["teams"]["order"]
-
-    @property
-    def clusters(self) -> list[list[int]]:
-        """Members of each cluster, as rows of `matrix`."""
-        places = {team: place for place, team in enumerate(self.teams)}
-        return [
-            [places[team] for team in cluster["members"]]
-            for cluster in self.order["teams"]["clusters"]
-        ]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -190,19 +152,15 @@ def read_results(registry: Registry, release: str, data: Path) -> Results:
     Raises:
         ValueError: a table is malformed, or is of another release.
     """
-    humans = [
-        entry for entry in registry.policies if entry.role == "human" and entry.release == release
-    ]
-    crossplay = {
-        task: read_crossplay(folder)
-        for task in PAPER_TASKS
-        if (folder := data / collect.CROSSPLAY / task).is_dir()
+    humans = read_humans(registry, release, PAPER_TASKS)
+    crossplay = read_crossplays(data, PAPER_TASKS)
+    folders = {
+        (task, name): data / EGOS / f"{task}-{name}" for task in PAPER_TASKS for name in METHODS
     }
-    keys = [(task, method) for task in PAPER_TASKS for method in METHODS]
     egos = {
-        key: _read_egos(path)
-        for key in keys
-        if _evaluated(path := data / collect.EGOS / "-".join(key))
+        key: _read_egos(folder)
+        for key, folder in folders.items()
+        if (folder / tables.PAIRS_FILE).is_file()
     }
     for found in (*crossplay.values(), *egos.values()):
         check_release(found, release, {human.team for human in humans}, data)
@@ -233,58 +191,14 @@ def read_notes(path: Path) -> dict[str, str]:
     return {name: text for name, text in found.items() if text}
 
 
-def check_release(found: Played, release: str, teams: set[str], data: Path) -> None:
-    """Refuse a table of another release, or with partners that are not among the teams."""
-    told = found.summary
-    if told["release"] != release:
-        raise ValueError(
-            f"{data} holds {told['task']} of release {told['release']}, and the page is of "
-            f"{release}; give the data of {release}"
-        )
-    others = sorted(set(found.pairs["partner_team"]) - teams)
-    if others:
-        raise ValueError(
-            f"{data} has {len(others)} partners on {told['task']} that are not in release "
-            f"{release}, first {others[0]}; play the teams of one release, such as --partners "
-            f"'{told['task']}/*-{release}'"
-        )
-
-
-def read_crossplay(folder: Path) -> CrossPlayed:
-    """Read a condensed cross-play; the same teams are on both of its axes."""
-    order, strategies, summary, run = (
-        tables.read_json(folder / name)
-        for name in (
-            tables.ORDER_FILE,
-            tables.STRATEGIES_FILE,
-            tables.SUMMARY_FILE,
-            tables.RUN_FILE,
-        )
-    )
-    if order["teams"] is None:
-        raise ValueError(
-            f"{folder} has other teams on its rows than on its columns; collect a whole cross-play"
-        )
-    return CrossPlayed(read_pairs(folder), order, strategies, summary, run)
-
-
-def _evaluated(folder: Path) -> bool:
-    return (folder / tables.PAIRS_FILE).is_file()
-
-
 def _read_egos(folder: Path) -> Egos:
-    training = folder / collect.TRAINING_FILE
+    training = folder / TRAINING_FILE
     return Egos(
         read_pairs(folder),
         tables.read_json(folder / tables.SUMMARY_FILE),
         tables.read_json(folder / tables.RUN_FILE),
         tables.read_json(training) if training.is_file() else None,
     )
-
-
-def read_pairs(folder: Path) -> pl.DataFrame:
-    """Read a folder's table of pairs, its floats in 64 bits again."""
-    return tables.read_parquet(folder / tables.PAIRS_FILE).with_columns(cs.float().cast(pl.Float64))
 
 
 def _read_curves(folder: Path) -> pl.DataFrame | None:

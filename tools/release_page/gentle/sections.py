@@ -1,7 +1,6 @@
-"""The page's sections in order, in Markdown."""
+"""Sections of the page: teams, splits, methods and diversity, in Markdown."""
 
-from collections.abc import Callable, Iterable, Mapping
-from functools import partial
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -10,116 +9,29 @@ from assistax_envs.versions import GENTLE_TASKS
 from evaluation.figures.bootstrap import Estimate, estimate
 from evaluation.figures.metrics import zero_shot
 from evaluation.figures.strategies import FEATURES
-from tools.paper_page.making import costs, ego_rows, played_rows, team_rows
-from tools.paper_page.markdown import MISSING, code, figure, image, spoken, table
-from tools.paper_page.sections import MATRIX_HEADINGS, matrix_figures
-from tools.results_v2.collect import REFERENCES
-from tools.results_v2.data import MIRROR, SERIES, Evaluated, Results, short
-from tools.results_v2.measures import Comparison, SplitCost, compare, diversity, split_cost
+from tools.release_page.crossplays import matrix_table
+from tools.release_page.gentle.data import MIRROR, SERIES, Evaluated, Results, short
+from tools.release_page.gentle.measures import (
+    Comparison,
+    SplitCost,
+    compare,
+    diversity,
+    split_cost,
+)
+from tools.release_page.markdown import MISSING, figure, image, spoken, table
 from zoo.schema import PolicyEntry, Split
 
 ALIKE = 1.05  # steps of training within this ratio count as equal
 SIDE = "test"  # of the partners that methods are compared with
-ALPHA = 0.05  # below it, a p after Holm's correction counts as a difference
 TRAINED_WITH = (f"ppo{MIRROR}", "ppo")  # the test side, and the training side
-TOLD = ("ppo", "ppo-told")  # what knowing a partner's preference is worth
-RECURRENT = "ppo-gru"
-_NOTHING = f"{MISSING.capitalize()}."
-
-
-def make_page(results: Results, pictures: str, command: str) -> str:
-    """Return the page as Markdown.
-
-    Args:
-        results: What there is of the release.
-        pictures: Folder of the figures, relative to the page.
-        command: The command that makes the page, for its last section.
-    """
-    found = {task: compared(results, task) for task in GENTLE_TASKS}
-    split_costs = {
-        split.id: cost(results, split) for task in GENTLE_TASKS for split in results.splits[task]
-    }
-    parts = {
-        "In short": in_short(results, found, split_costs),
-        "The population": by_task(results, population),
-        "Training for equally many steps": by_task(results, equal_steps),
-        "Splits, and what they cost": by_task(results, partial(splits, split_costs)),
-        "Methods": by_task(results, methods),
-        "Differences between methods": by_task(results, partial(differences, found)),
-        "Adaptation within a series of episodes": by_task(results, adaptation),
-        "Cross-play": cross_play(results, pictures),
-        "Diversity": diverse(results),
-        "How this was made": made(results, command),
-    }
-    head = (
-        f"# Release {results.release}: people who like different things\n\n"
-        "Returns with their 95% bootstrap intervals. This page is made from the registry and "
-        "committed tables by the command at its end. A *team* is a robot and a human that learned "
-        "together; an *ego* is a robot that learned with the training partners of a split. "
-        "Intervals of fewer than 16 seeds or partners are too narrow. In these tables all partners "
-        "played the same starts, so no interval here speaks of other starts."
-    )
-    return "\n\n".join([head, *(f"## {name}\n\n{text}" for name, text in parts.items())]) + "\n"
-
-
-def picture_names(results: Results) -> list[str]:
-    """Return the files of the figures that the data allow to draw."""
-    return [f"crossplay_{task}.png" for task in results.crossplay]
-
-
-def by_task(results: Results, section: Callable[[Results, str], str]) -> str:
-    """Return a section's text for every task below its name."""
-    texts = ((task, section(results, task)) for task in GENTLE_TASKS)
-    return "\n\n".join(f"### {spoken(task).capitalize()}\n\n{text}" for task, text in texts)
-
-
-def in_short(
-    results: Results,
-    found: Mapping[str, Comparison],
-    split_costs: Mapping[str, SplitCost | None],
-) -> str:
-    """Return what the default splits cost, and which methods come apart on them."""
-    rows: list[list[str]] = []
-    for task in GENTLE_TASKS:
-        default = [_lost(split_costs[split.id])[-1] for split in results.splits[task][:1]] or [
-            MISSING
-        ]
-        rows.append([spoken(task), *default, *_in_short(results, task, found[task])])
-    headings = ["task", "lost", "come apart", "do not", f"`{TOLD[0]}` - `{TOLD[1]}`"]
-    headings += [f"`{RECURRENT}`: last - first"]
-    return (
-        f"{table(headings, rows, (1, 4, 5))}\n\nOn the default splits: the share of M_test that a "
-        "robot loses because it trained with the training side; the trained methods that are not "
-        f"told what a partner likes, apart where p is below {ALPHA:g} after Holm's correction, the "
-        "better one first; what being told is worth, and what a memory gains within a series. The "
-        "sections below say how each is measured."
-    )
-
-
-def _in_short(results: Results, task: str, found: Comparison) -> list[str]:
-    trained = {pair: one for pair, one in found.items() if not {*pair} & {*REFERENCES, TOLD[1]}}
-    apart = {
-        pair: one
-        for pair, one in trained.items()
-        if one.adjusted is not None and one.adjusted < ALPHA
-    }
-    better = [
-        " > ".join(f"`{name}`" for name in (pair if one.difference.mean > 0 else pair[::-1]))
-        for pair, one in apart.items()
-    ]
-    alike = [f"`{a}`, `{b}`" for a, b in trained if (a, b) not in apart]
-    named = ["; ".join(names) or ("–" if trained else MISSING) for names in (better, alike)]
-    told = found.get(TOLD)
-    worth = f"{_mean(told.difference)}, p {_p(told.adjusted)}" if told else MISSING
-    egos = results.on_default(task, series=True).get(f"{RECURRENT}{SERIES}")
-    return [*named, worth, _gain(egos) if egos else MISSING]
+NOTHING = f"{MISSING.capitalize()}."
 
 
 def population(results: Results, task: str) -> str:
     """Return the number of teams and their self-play by setting, algorithm and steps."""
     humans = [human for human in results.humans if human.task == task]
     if not humans:
-        return _NOTHING
+        return NOTHING
     kinds = sorted({_kind(human) for human in humans})
     settings = sorted({human.disability for human in humans}, key=lambda name: (len(name), name))
     rows = [[setting, *(_teams(humans, kind, [setting]) for kind in kinds)] for setting in settings]
@@ -150,7 +62,7 @@ def equal_steps(results: Results, task: str) -> str:
             place = ", ".join(sorted(settings, key=lambda one: (len(one), one)))
             rows.append([steps, name.upper(), place, len(ours), *cells])
     if not rows:
-        return _NOTHING
+        return NOTHING
     headings = ["steps", "algorithm", "settings", "teams", "self-play IQM [95%]", "mean [95%]"]
     return (
         f"{table(headings, rows, (0, 3, 4, 5))}\n\nTeams of algorithms that trained for equally "
@@ -164,16 +76,16 @@ def splits(split_costs: Mapping[str, SplitCost | None], results: Results, task: 
     for split in results.splits[task]:
         found = results.methods(task, split, mirrored=True)
         earned = [
-            _mean(estimate(found[name].scores("return", SIDE))) if name in found else MISSING
+            mean(estimate(found[name].scores("return", SIDE))) if name in found else MISSING
             for name in TRAINED_WITH
         ]
         held = ", ".join(split.preferences.get("test", ())) or "–"
         what = f"{split.rule}, {split.held_out}" if split.held_out else split.rule
         name = f"`{short(split)}`" + (" (default)" if split is results.splits[task][0] else "")
         counts = [len(split.train), len(split.test)]
-        rows.append([name, what, *counts, held, *earned, *_lost(split_costs[split.id])])
+        rows.append([name, what, *counts, held, *earned, *lost(split_costs[split.id])])
     if not rows:
-        return _NOTHING
+        return NOTHING
     headings = ["split", "rule", "training partners", "test partners", "held-out preferences"]
     headings += [*(f"M_test of {name}" for name in TRAINED_WITH), "lost [95%]", "lost, share"]
     return (
@@ -205,7 +117,7 @@ def methods(results: Results, task: str) -> str:
         rows = [[f"`{name}`", *_figures(egos)] for name, egos in found.items()]
         texts += [f"`{short(split)}`:\n\n{table(headings, rows, range(1, 9))}"] if rows else []
     if not texts:
-        return _NOTHING
+        return NOTHING
     about = (
         "M is the mean return over partners; the gap is M_train - M_test. Safe success, the goal "
         "reached and nobody hurt, and violations, a contact above the hard limit, are shares of "
@@ -219,14 +131,14 @@ def differences(comparisons: Mapping[str, Comparison], results: Results, task: s
     """Return all pairwise differences in M_test on the default split, Holm-corrected."""
     found = comparisons[task]
     if not found:
-        return _NOTHING
+        return NOTHING
     rows = [
         [
             f"`{a}` - `{b}`",
-            _mean(one.difference),
+            mean(one.difference),
             f"{one.difference.partners_better:.0%}",
-            _p(one.p),
-            _p(one.adjusted),
+            p_value(one.p),
+            p_value(one.adjusted),
         ]
         for (a, b), one in found.items()
     ]
@@ -253,13 +165,13 @@ def adaptation(results: Results, task: str) -> str:
     """Return the return by place in a series, of every method that played one."""
     found = results.on_default(task, series=True)
     if not found:
-        return _NOTHING
+        return NOTHING
     places = sorted({place for egos in found.values() for place in egos.places})
     rows: list[list[object]] = []
     for name, egos in found.items():
         scores = {place: egos.scores("return", SIDE, place) for place in egos.places}
-        cells = [_mean(estimate(scores[one])) if one in scores else "–" for one in places]
-        rows.append([f"`{name.removesuffix(SERIES)}`", egos.seeds, *cells, _gain(egos)])
+        cells = [mean(estimate(scores[one])) if one in scores else "–" for one in places]
+        rows.append([f"`{name.removesuffix(SERIES)}`", egos.seeds, *cells, gain(egos)])
     headings = ["method", "seeds", *(f"episode {place}" for place in places), "last - first"]
     return (
         f"{table(headings, rows, range(1, len(headings)))}\n\nMean return with test partners by "
@@ -271,16 +183,11 @@ def adaptation(results: Results, task: str) -> str:
 
 def cross_play(results: Results, pictures: str) -> str:
     """Return self-play beside cross-play, and the clustered matrices."""
-    rows = [
-        [spoken(task), *(matrix_figures(played) if played else [MISSING, *["–"] * 5])]
-        for task in GENTLE_TASKS
-        for played in [results.crossplay.get(task)]
-    ]
     drawn = [
         image(f"{pictures}/crossplay_{task}.png", f"Cross-play of {spoken(task)}")
         for task in results.crossplay
     ]
-    return "\n\n".join([table(["task", *MATRIX_HEADINGS], rows, range(1, 7)), *drawn])
+    return "\n\n".join([matrix_table(results.crossplay, GENTLE_TASKS), *drawn])
 
 
 def diverse(results: Results) -> str:
@@ -288,7 +195,7 @@ def diverse(results: Results) -> str:
     releases = {results.release: results.crossplay, "v1": results.paper}
     found = [(release, *item) for release, one in releases.items() for item in one.items()]
     if not found:
-        return _NOTHING
+        return NOTHING
     size = max(1, min(len(played.teams) for _, _, played in found) // 2)
     rows: list[list[object]] = []
     for release, task, played in found:
@@ -310,41 +217,6 @@ def diverse(results: Results) -> str:
         f"the mean over random choices of {size} teams, half of the smallest cross-play, with the "
         "range of 95% of the choices."
     )
-
-
-def made(results: Results, command: str) -> str:
-    """Return device minutes and commands of every table; `command` makes the page."""
-    note = (
-        "Minutes are a process's own; up to twelve shared a GPU. What trained `ppo-mirror` is the "
-        "split with its sides exchanged, which is no split of the release."
-    )
-    return f"{note}\n\n{by_task(results, _made)}\n\nThis page:\n\n{code(command)}"
-
-
-def _made(results: Results, task: str) -> str:
-    humans = [human for human in results.humans if human.task == task]
-    trained = {
-        f"training {method} egos, {split}": told
-        for (of, split, method), told in results.trained.items()
-        if of == task
-    }
-    crossed = {
-        f"cross-play of {spoken(of)}": x for of, x in results.crossplay.items() if of == task
-    }
-    egos = {
-        f"evaluation of {method} egos, {split}": one
-        for (of, split, method), one in results.egos.items()
-        if of == task
-    }
-    rows = [
-        *team_rows(humans, GENTLE_TASKS),
-        *ego_rows(trained),
-        *played_rows(crossed),
-        *played_rows(egos),
-    ]
-    runs = [*trained.values(), *(one.run for one in (*crossed.values(), *egos.values()))]
-    text = costs(rows, [run.get("command", "") for run in runs])
-    return f"<details markdown>\n<summary>Minutes and commands</summary>\n\n{text}\n\n</details>"
 
 
 def _kind(human: PolicyEntry) -> tuple[str, str]:
@@ -372,7 +244,7 @@ def _alike(humans: Iterable[PolicyEntry]) -> list[list[PolicyEntry]]:
     return groups
 
 
-def _lost(found: SplitCost | None) -> list[str]:
+def lost(found: SplitCost | None) -> list[str]:
     """Return what a split costs, and which share that is."""
     if found is None:
         return [MISSING, MISSING]
@@ -396,18 +268,19 @@ def _figures(egos: Evaluated) -> list[object]:
     names = [side for side, scores in sides.items() for _ in range(scores.shape[1])]
     told = zero_shot(np.concatenate(list(sides.values()), axis=1), names)
     assert told.m_train and told.m_test and told.gap
-    returns = [cell for one in (told.m_train, told.m_test) for cell in (_mean(one), _iqm(one))]
+    returns = [cell for one in (told.m_train, told.m_test) for cell in (mean(one), _iqm(one))]
     shares = [estimate(egos.scores(name, SIDE)) for name in ("safe_success", "violated")]
-    return [egos.seeds, *returns, _mean(told.gap), *(_share(one) for one in shares)]
+    return [egos.seeds, *returns, mean(told.gap), *(_share(one) for one in shares)]
 
 
-def _gain(egos: Evaluated) -> str:
+def gain(egos: Evaluated) -> str:
     """Return what the last episode of a series earns beyond the first."""
     first, last = (egos.scores("return", SIDE, end(egos.places)) for end in (min, max))
-    return _mean(estimate(last - first))
+    return mean(estimate(last - first))
 
 
-def _mean(found: Estimate) -> str:
+def mean(found: Estimate) -> str:
+    """Return a mean with its interval."""
     return figure(vars(found), key="mean")
 
 
@@ -419,5 +292,6 @@ def _share(found: Estimate) -> str:
     return figure(vars(found), key="mean", percent=True)
 
 
-def _p(value: float | None) -> str:
+def p_value(value: float | None) -> str:
+    """Return a p-value; a dash where nothing was resampled."""
     return "–" if value is None else f"{value:.3f}"

@@ -30,15 +30,15 @@ from tests.evaluation.episode_tables import (
     teams,
 )
 from tests.zoo.conftest import SPECS, put, random_params, trained_team
-from tools.paper_page import measures
-from tools.paper_page.__main__ import run
-from tools.paper_page.claims import Claim, check_claims
-from tools.paper_page.collect import collect
-from tools.paper_page.data import CrossPlayed, Egos, Results, read_notes, read_paper, read_results
-from tools.paper_page.figures import draw_figures
-from tools.paper_page.measures import probability_of_improvement
-from tools.paper_page.page import make_page
-from tools.paper_page.pictures import picture_names
+from tools.release_page.__main__ import run
+from tools.release_page.collect import collect
+from tools.release_page.data import CrossPlayed
+from tools.release_page.paper import measures
+from tools.release_page.paper.claims import Claim, check_claims
+from tools.release_page.paper.data import Egos, Results, read_notes, read_paper, read_results
+from tools.release_page.paper.figures import figures
+from tools.release_page.paper.measures import probability_of_improvement
+from tools.release_page.paper.page import make_page
 from zoo.parameters.storage import write_policy_file
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, SelfPlay, Training
@@ -339,7 +339,7 @@ def test_ppo_above_sac_in_self_play():
 
 def test_verdict_of_mixed_criteria():
     def told(*outcomes: Any) -> str:
-        from tools.paper_page.claims import Criterion
+        from tools.release_page.paper.claims import Criterion
 
         return Claim(
             "c", "scratch", "f", [Criterion("w", "v", "t", outcome) for outcome in outcomes]
@@ -726,15 +726,12 @@ def test_self_play_beside_the_paper_s(mean: float, wanted: str):
     assert line.endswith(f"| {wanted} |")
 
 
-def test_pictures_are_those_that_are_drawn(tmp_path: Path):
+def test_pictures_are_those_that_the_data_allow():
     found = results(humans=humans({"ippo": [900.0]}), egos={("bed_bath", "sac"): egos(700, 690)})
-    drawn = draw_figures(found, tmp_path)
-    assert (
-        [path.name for path in drawn]
-        == picture_names(found)
-        == ["population.png", "zsc_bed_bath.png"]
-    )
-    assert not picture_names(results())
+    drawn = figures(found)
+    assert [*drawn] == ["population.png", "zsc_bed_bath.png"]
+    assert all(draw().axes for draw in drawn.values())
+    assert not figures(results())
 
 
 def test_the_committed_page_is_what_the_committed_tables_give(

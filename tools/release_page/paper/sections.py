@@ -1,29 +1,21 @@
 """Sections of the page: the release's figures beside the paper's, in Markdown."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from assistax_envs.versions import PAPER_TASKS
 from evaluation.figures.bootstrap import estimate
 from evaluation.record import tables
-from tools.paper_page.claims import Claim
-from tools.paper_page.data import METHODS, CrossPlayed, Results, planned
-from tools.paper_page.markdown import MISSING, figure, image, spoken, table
-from tools.paper_page.measures import variance_shares
-from tools.paper_page.training import RISING, gained_last, training_curves
+from tools.release_page.crossplays import matrix_table
+from tools.release_page.data import CrossPlayed
+from tools.release_page.markdown import MISSING, figure, image, spoken, table
+from tools.release_page.paper.claims import Claim
+from tools.release_page.paper.data import METHODS, Results, planned
+from tools.release_page.paper.measures import variance_shares
+from tools.release_page.paper.population import ALGORITHMS, Picture
+from tools.release_page.paper.training import RISING, gained_last, training_curves
 
-Picture = Callable[[str], str]  # from a figure's file name to its link
-
-MATRIX_HEADINGS = (
-    "teams",
-    "self-play IQM",
-    "cross-play IQM",
-    "lost with another's human",
-    "clusters",
-    "silhouette",
-)
-_ALGORITHMS = ("ippo", "mappo", "masac")
 _MEANINGS = """A claim *holds* where every criterion is met, and *in part* where its last one is but another is not;
 where the last one is not met it *does not hold*. *Undecided*: an interval reaches over its threshold.
 
@@ -48,7 +40,7 @@ def summary(results: Results, claims: Sequence[Claim]) -> str:
             f"{name.upper()} self-play on d1 (Table 2)",
             *(_short_verdict(results, task, name) for task in PAPER_TASKS),
         ]
-        for name in _ALGORITHMS
+        for name in ALGORITHMS
     ]
     for title in dict.fromkeys(claim.title for claim in claims):
         found = {claim.task: claim.headline for claim in claims if claim.title == title}
@@ -59,49 +51,11 @@ def summary(results: Results, claims: Sequence[Claim]) -> str:
     return f"{table(['', *map(spoken, PAPER_TASKS)], rows)}\n\nClaims by task: {told}."
 
 
-def population(results: Results, picture: Picture) -> str:
-    """Return Table 6 and Figure 2."""
-    counts = Counter((human.task, human.algorithm) for human in results.humans)
-    settings = Counter((human.task, human.algorithm, human.disability) for human in results.humans)
-    paper = results.paper["population"]
-    rows: list[list[object]] = []
-    for name in _ALGORITHMS:
-        cells = []
-        for task in PAPER_TASKS:
-            each = {setting: n for (t, a, setting), n in settings.items() if (t, a) == (task, name)}
-            cells += [
-                _made_of(each),
-                f"{planned({name: paper[task][name]})} = {_planned_of(paper[task][name])}",
-            ]
-        rows.append([name.upper(), *cells])
-    totals = [
-        (sum(n for (t, _), n in counts.items() if t == task), planned(paper[task]))
-        for task in PAPER_TASKS
-    ]
-    rows.append(["**Total**", *(f"**{n}**" for pair in totals for n in pair)])
-    headings = [
-        "settings × seeds",
-        *(f"{spoken(task)}{of}" for task in PAPER_TASKS for of in ("", ", paper")),
-    ]
-    ours, wanted = (sum(column) for column in zip(*totals, strict=True))
-    same = (
-        "The composition is the paper's."
-        if not _differences(settings, paper)
-        else (f"Different from the paper's: {'; '.join(_differences(settings, paper))}.")
-    )
-    drawn = (
-        image(picture("population.png"), "The population by task, algorithm and setting")
-        if ours
-        else f"Figure 2: {MISSING}."
-    )
-    return f"{table(headings, rows)}\n\n{ours} of {wanted} teams. {same}\n\n{drawn}"
-
-
 def self_play(results: Results) -> str:
     """Return Table 2."""
     rows: list[list[object]] = []
     for task in PAPER_TASKS:
-        for name in (*_ALGORITHMS, "isac"):
+        for name in (*ALGORITHMS, "isac"):
             theirs = results.paper["self_play"][task][name]
             ours = _self_play(results, task, name)
             if ours is None and name == "isac":
@@ -176,13 +130,11 @@ def curves(results: Results, picture: Picture) -> str:
 
 def cross_play(results: Results, picture: Picture) -> str:
     """Return Figure 4 with its figures, and Figure 5's two incompatible strategies."""
-    rows, shares, pairs = [], [], []
-    for task in PAPER_TASKS:
-        played = results.crossplay.get(task)
-        rows.append([spoken(task), *(matrix_figures(played) if played else [MISSING, *["–"] * 5])])
-        shares += [[spoken(task), *_shares(played)]] if played else []
-        pairs += [_exchange(task, played, results.paper["incompatible"])] if played else []
-    text = table(["task", *MATRIX_HEADINGS], rows, (1, 2, 3, 4, 5, 6))
+    shares, pairs = [], []
+    for task, played in results.crossplay.items():
+        shares.append([spoken(task), *_shares(played)])
+        pairs.append(_exchange(task, played, results.paper["incompatible"]))
+    text = matrix_table(results.crossplay, PAPER_TASKS)
     if not shares:
         return text
     split = table(["task", "robot", "human", "who fits whom, and noise"], shares, (1, 2, 3))
@@ -303,63 +255,15 @@ def _agreement(ours: Mapping[str, Any] | None, theirs: Mapping[str, Any]) -> str
 
 
 def _orders(results: Results, task: str) -> str:
-    theirs = {name: results.paper["self_play"][task][name]["iqm"] for name in _ALGORITHMS}
-    ours = {
-        name: found["iqm"] for name in _ALGORITHMS if (found := _self_play(results, task, name))
-    }
-    if len(ours) < len(_ALGORITHMS):
+    theirs = {name: results.paper["self_play"][task][name]["iqm"] for name in ALGORITHMS}
+    ours = {name: found["iqm"] for name in ALGORITHMS if (found := _self_play(results, task, name))}
+    if len(ours) < len(ALGORITHMS):
         return MISSING
     first, second = (
         " > ".join(name.upper() for name in sorted(found, key=found.__getitem__, reverse=True))
         for found in (ours, theirs)
     )
     return f"{first}, as in the paper" if first == second else f"{first}; in the paper {second}"
-
-
-def _made_of(settings: Mapping[str, int]) -> str:
-    """Return a number of teams as settings × seeds, or setting by setting where seeds differ."""
-    if not settings:
-        return "0"
-    total, sizes = sum(settings.values()), set(settings.values())
-    if len(sizes) == 1:
-        return f"{total} = {len(settings)} × {sizes.pop()}"
-    return f"{total}: {', '.join(f'{name} {n}' for name, n in sorted(settings.items()))}"
-
-
-def _planned_of(kind: Mapping[str, int]) -> str:
-    return f"{kind['settings']} × {kind['seeds']}"
-
-
-def _differences(
-    settings: Mapping[tuple[str, str, str], int], paper: Mapping[str, Any]
-) -> list[str]:
-    """Name the task and algorithm where a setting's number of seeds is not the paper's."""
-    wanted = {
-        (task, name, f"d{i + 1}"): kind["seeds"]
-        for task, kinds in paper.items()
-        for name, kind in kinds.items()
-        for i in range(kind["settings"])
-    }
-    differing = {
-        key[:2] for key in {*wanted, *settings} if wanted.get(key, 0) != settings.get(key, 0)
-    }
-    return [f"{spoken(task)} {name.upper()}" for task, name in sorted(differing)]
-
-
-def matrix_figures(played: CrossPlayed) -> list[object]:
-    """Return a task's cells of MATRIX_HEADINGS."""
-    told, order = played.summary, played.order["teams"]
-    gap = told["relative_gap"]
-    lost = "–" if gap is None else figure(gap, key="value", percent=True)
-    fit = "–" if order["silhouette"] is None else f"{order['silhouette']:.2f}"
-    return [
-        told["egos"],
-        figure(told["self_play"]),
-        figure(told["cross_play"]),
-        lost,
-        len(played.clusters),
-        fit,
-    ]
 
 
 def _shares(played: CrossPlayed) -> list[str]:

@@ -22,10 +22,11 @@ from evaluation.record import tables
 from evaluation.record.record import Record
 from tests.evaluation.episode_tables import CONTEXT, Team, episode_table, sealed
 from tests.zoo.conftest import SELF_PLAY, SPECS, put, random_params, trained_team
-from tools.results_v2 import measures
-from tools.results_v2.__main__ import run
-from tools.results_v2.collect import collect, condense
-from tools.results_v2.data import read_results
+from tools.release_page.__main__ import run
+from tools.release_page.collect import collect
+from tools.release_page.gentle import measures
+from tools.release_page.gentle.data import read_results
+from tools.release_page.gentle.evaluations import condense
 from zoo.parameters.storage import write_policy_file
 from zoo.registry import Registry, load_registry
 from zoo.schema import Split
@@ -315,8 +316,8 @@ def test_one_side_and_other_tasks_are_refused(tmp_path: Path, split: Split):
     table = episodes(split, noisy(2)[:, : len(test)], FILES, chosen=test)
     with pytest.raises(ValueError, match="no train partners"):
         collect(evaluated(tmp_path / "ev", table, split), tmp_path / "v2")
-    with pytest.raises(ValueError, match="allowed are gentle_scratch"):
-        collect(evaluated(tmp_path / "sc", table, split, {"task": "scratch"}), tmp_path / "v2")
+    with pytest.raises(ValueError, match="allowed are scratch, "):
+        collect(evaluated(tmp_path / "sc", table, split, {"task": "knit"}), tmp_path / "v2")
     plain = table.drop("preference")
     tables.write_episodes(plain, tmp_path / "ev" / tables.EPISODES_FILE)
     sealed(tmp_path / "ev")

@@ -1,7 +1,6 @@
 """Figures of the page, each drawn from a saved table by `evaluation.plots`."""
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import polars as pl
@@ -9,30 +8,26 @@ from matplotlib.figure import Figure
 
 from assistax_envs.versions import PAPER_TASKS
 from evaluation.plots.charts import zsc_dots
-from evaluation.plots.heatmap import crossplay_heatmap
-from evaluation.plots.matrix import arrange
 from evaluation.plots.population import population_grid
-from evaluation.plots.style import save_figure
-from tools.paper_page.data import METHODS, CrossPlayed, Results
-from tools.paper_page.panels import training_panels
-from tools.paper_page.pictures import picture_names
-from tools.paper_page.training import training_curves
-
-DPI = 130  # a 198 x 198 matrix keeps more than three points a cell
+from tools.release_page.crossplays import heatmap
+from tools.release_page.paper.data import METHODS, Results
+from tools.release_page.paper.panels import training_panels
+from tools.release_page.paper.training import training_curves
 
 
-def draw_figures(results: Results, folder: Path) -> list[Path]:
-    """Draw every figure that the data allow; return the files, those of `picture_names`."""
-    draw: dict[str, Callable[[], Figure]] = {"population.png": lambda: _population(results)}
-    draw["curves.png"] = lambda: _curves(results)
+def figures(results: Results) -> dict[str, Callable[[], Figure]]:
+    """Return what draws each figure that the data allow, by the name of its file."""
+    drawn: dict[str, Callable[[], Figure]] = {}
+    if results.humans:
+        drawn["population.png"] = lambda: _population(results)
+    if results.has_curves:
+        drawn["curves.png"] = lambda: _curves(results)
+    for task, played in results.crossplay.items():
+        drawn[f"crossplay_{task}.png"] = lambda played=played: heatmap(played)
     for task in PAPER_TASKS:
-        draw[f"crossplay_{task}.png"] = lambda task=task: heatmap(results.crossplay[task])
-        draw[f"zsc_{task}.png"] = lambda task=task: _bars(results, task)
-    written = []
-    for name in picture_names(results):
-        save_figure(draw[name](), folder / name, DPI)
-        written.append(folder / name)
-    return written
+        if any((task, method) in results.egos for method in METHODS):
+            drawn[f"zsc_{task}.png"] = lambda task=task: _bars(results, task)
+    return drawn
 
 
 def _population(results: Results) -> Figure:
@@ -59,11 +54,6 @@ def _curves(results: Results) -> Figure:
         "that algorithm (its Table 2)."
     )
     return training_panels(curves, final, caption=caption)
-
-
-def heatmap(played: CrossPlayed) -> Figure:
-    """Draw a cross-play's clustered matrix."""
-    return crossplay_heatmap(arrange(played.pairs, played.order), played.summary)
 
 
 def _bars(results: Results, task: str) -> Figure:

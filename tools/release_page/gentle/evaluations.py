@@ -1,15 +1,6 @@
-"""Condense folders of the gentle tasks into small tables that a repository can hold.
+"""Condense an evaluation on a gentle task: a row is a robot, a partner and a preference.
 
-| folder of | becomes |
-|---|---|
-| `assistax-zoo evaluate --split both --out` | `egos/TASK/SPLIT/METHOD/`: pairs, summary, run |
-| the same with `--series` | `egos/TASK/SPLIT/METHOD-series/`, with the place in the series |
-| `assistax-zoo train-ego --out` | `egos/TASK/SPLIT/METHOD/training.json` |
-| `assistax-zoo crossplay --out` | `crossplay/TASK/`: pairs, order, strategies, summary, run |
-
-In `pairs.parquet` a row is a robot, a partner and a preference, of a series also a place: the mean
-return, the shares of episodes, and their number. Folders may have been received from anybody: what
-they say names a folder only where it is one of our tasks, or fits a strict pattern.
+Of a series it is also a place. It has the mean return, the shares of episodes, and their number.
 """
 
 import re
@@ -19,20 +10,10 @@ from typing import Any
 
 import polars as pl
 
-from assistax_envs.versions import GENTLE_TASKS
 from evaluation.record import tables
 from evaluation.record.columns import PARTNER_COLUMNS, validate_episodes, with_safety
-from tools.paper_page.collect import (
-    EGO_FILE,
-    EGOS,
-    TRAINING_FILE,
-    check_unchanged,
-    collect_crossplay,
-    how_it_ran,
-    known_task,
-    read_training,
-    small,
-)
+from tools.release_page.data import EGOS
+from tools.release_page.folders import EGO_FILE, how_it_ran, small
 
 SERIES = "-series"  # ends the name of a method that played series of episodes
 REFERENCES = {"script": "script", "random": "uniform-random"}  # methods, as references are called
@@ -41,35 +22,6 @@ MEASURES = ("return", "success", "safe_success", "violated")  # means over a row
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,31}(-[a-z0-9_]{1,32}){0,9}")
 _TOLD = ("task", "release", "split", "env_version", "backend", "engine", "lock")
 _RUN = ("command", "date", "devices", "versions", "env_steps", "seconds")
-
-
-def collect(folder: Path, data: Path, method: str | None = None, split: str | None = None) -> Path:
-    """Condense one finished folder into the data of a release; return the folder that was written.
-
-    Args:
-        folder: Of evaluate, train-ego or crossplay.
-        data: Of the release.
-        method: Name of the robots' method; without it, their files' ("ppo-s0" is of ppo).
-            "script" and "random" are an evaluation's references, where it played them.
-        split: Under which split a training is filed, where it is not the one trained with.
-
-    Raises:
-        ValueError: The folder is none that can be condensed, or names no task or split of ours.
-    """
-    if method is not None:
-        checked_name(method, "method")
-    if (folder / "policies").is_dir():
-        first, content = read_training(folder, GENTLE_TASKS)
-        name = checked_name(method or first["algorithm"], "method")
-        out = _place(data, first["task"], split or first.get("split"), name)
-        tables.write_json(content, out / TRAINING_FILE)
-        return out
-    check_unchanged(folder)
-    summary = tables.read_json(folder / tables.SUMMARY_FILE)
-    known_task(summary, folder, GENTLE_TASKS)
-    if "self_play" in summary:
-        return collect_crossplay(folder, summary, data, GENTLE_TASKS)
-    return _collect_evaluation(folder, summary, data, method)
 
 
 def checked_name(name: object, what: str) -> str:
@@ -83,15 +35,27 @@ def checked_name(name: object, what: str) -> str:
     return name
 
 
-def _place(data: Path, task: str, split: object, method: str) -> Path:
+def place_of(data: Path, task: str, split: object, method: str) -> Path:
     """Return the folder of a method with a split, whose id may begin with the task."""
     name = split.removeprefix(f"{task}/") if isinstance(split, str) else split
     return data / EGOS / task / checked_name(name, "split") / method
 
 
-def _collect_evaluation(
+def collect_evaluation(
     folder: Path, summary: Mapping[str, Any], data: Path, method: str | None
 ) -> Path:
+    """Condense a finished evaluation; return the folder that was written.
+
+    Args:
+        folder: Of evaluate.
+        summary: Of the folder, its task checked.
+        data: Of the release.
+        method: Name of the robots' method; without it, their files' ("ppo-s0" is of ppo).
+            "script" and "random" are an evaluation's references, where it played them.
+
+    Raises:
+        ValueError: The folder has one side of the split alone, or names no split of ours.
+    """
     reference = REFERENCES.get(method or "")
     table = _reference_episodes(folder, reference) if reference else None
     file = tables.EPISODES_FILE if table is None else tables.REFERENCES_FILE
@@ -109,7 +73,7 @@ def _collect_evaluation(
     name += SERIES if series and not name.endswith(SERIES) else ""
     split = summary.get("split")
     split = split.get("id") if isinstance(split, dict) else split
-    out = _place(data, summary["task"], split, name)
+    out = place_of(data, summary["task"], split, name)
     pairs = condense(table.with_columns(ego_seed=pl.col("ego").replace_strict(seeds)))
     steps = int(table["steps"].sum())
     run = how_it_ran(folder, summary, steps)

@@ -1,0 +1,84 @@
+"""Condense what GPU runs wrote into small tables that a repository can hold.
+
+| folder of | becomes |
+|---|---|
+| `assistax-zoo crossplay --out` | `crossplay/TASK/`: pairs, order, strategies, summary, run |
+| `assistax-zoo evaluate --split both --out` | `egos/TASK-METHOD/`: a row a pair, summary, run |
+| the same of a gentle task | `egos/TASK/SPLIT/METHOD/`: pairs by preference, summary, run |
+| the same with `--series` | `egos/TASK/SPLIT/METHOD-series/`, with the place in the series |
+| `assistax-zoo train-ego --out` | `training.json` there: steps, device and seconds |
+"""
+
+from pathlib import Path
+from typing import Any
+
+from assistax_envs.versions import GENTLE_TASKS
+from evaluation.record import tables
+from tools.release_page.data import CROSSPLAY, EGOS, TRAINING_FILE
+from tools.release_page.folders import check_unchanged, how_it_ran, known_task, read_training, small
+from tools.release_page.gentle import evaluations as gentle
+from tools.release_page.paper import evaluations as paper
+
+
+def collect(folder: Path, data: Path, method: str | None = None, split: str | None = None) -> Path:
+    """Condense one finished folder into the data of a release; return the folder that was written.
+
+    Args:
+        folder: Of evaluate, train-ego or crossplay.
+        data: Of the release.
+        method: Name of the robots' method on a gentle task; without it, their files'.
+        split: Under which split a training is filed, where it is not the one trained with.
+
+    Raises:
+        ValueError: The folder is none that can be condensed, is unfinished or changed, or names no
+            task or split of ours.
+    """
+    if method is not None:
+        gentle.checked_name(method, "method")
+    if (folder / "policies").is_dir():
+        return _collect_training(folder, data, method, split)
+    if not (folder / tables.SUMMARY_FILE).is_file():
+        raise ValueError(
+            f"{folder} holds no {tables.SUMMARY_FILE} and no policies; give a finished folder of "
+            "crossplay, of evaluate --split both, or of train-ego"
+        )
+    check_unchanged(folder)
+    summary = tables.read_json(folder / tables.SUMMARY_FILE)
+    if "self_play" in summary:
+        return _collect_crossplay(folder, summary, data)
+    if "m_test" not in summary:
+        raise ValueError(
+            f"{folder / tables.SUMMARY_FILE} is of neither crossplay nor evaluate; give a finished "
+            "folder of one"
+        )
+    if known_task(summary, folder) in GENTLE_TASKS:
+        return gentle.collect_evaluation(folder, summary, data, method)
+    return paper.collect_evaluation(folder, summary, data)
+
+
+def _collect_training(folder: Path, data: Path, method: str | None, split: str | None) -> Path:
+    first, content = read_training(folder)
+    task, name = first["task"], method or first["algorithm"]
+    if task in GENTLE_TASKS:
+        name = gentle.checked_name(name, "method")
+        out = gentle.place_of(data, task, split or first.get("split"), name)
+    else:
+        out = data / EGOS / f"{task}-{name}"
+    tables.write_json(content, out / TRAINING_FILE)
+    return out
+
+
+def _collect_crossplay(folder: Path, summary: dict[str, Any], data: Path) -> Path:
+    """Condense a finished cross-play of published teams of one of the tasks."""
+    out = data / CROSSPLAY / known_task(summary, folder)
+    pairs = tables.read_parquet(folder / tables.PAIRS_FILE)
+    if pairs["ego_team"].null_count() or pairs["partner_team"].null_count():
+        raise ValueError(
+            f"{folder} has policies from outside the zoo; give a cross-play of published teams"
+        )
+    tables.write_parquet(small(pairs), out / tables.PAIRS_FILE)
+    for name in (tables.ORDER_FILE, tables.STRATEGIES_FILE):
+        tables.write_json(tables.read_json(folder / name), out / name)
+    tables.write_json(summary, out / tables.SUMMARY_FILE)
+    tables.write_json(how_it_ran(folder, summary), out / tables.RUN_FILE)
+    return out

@@ -1,0 +1,53 @@
+"""Cross-plays of a release: a row a task, and the clustered matrices."""
+
+from collections.abc import Mapping, Sequence
+
+from matplotlib.figure import Figure
+
+from evaluation.plots.heatmap import crossplay_heatmap
+from evaluation.plots.matrix import arrange
+from tools.release_page.data import CrossPlayed
+from tools.release_page.markdown import MISSING, figure, spoken, table
+
+_HEADINGS = (
+    "task",
+    "teams",
+    "self-play IQM",
+    "cross-play IQM",
+    "lost with another's human",
+    "clusters",
+    "silhouette",
+)
+
+
+def matrix_table(crossplays: Mapping[str, CrossPlayed], tasks: Sequence[str]) -> str:
+    """Return self-play beside cross-play, a row a task."""
+    rows = [
+        [
+            spoken(task),
+            *(_figures(crossplays[task]) if task in crossplays else [MISSING, *["–"] * 5]),
+        ]
+        for task in tasks
+    ]
+    return table(_HEADINGS, rows, range(1, len(_HEADINGS)))
+
+
+def heatmap(played: CrossPlayed) -> Figure:
+    """Draw a cross-play's clustered matrix."""
+    return crossplay_heatmap(arrange(played.pairs, played.order), played.summary)
+
+
+def _figures(played: CrossPlayed) -> list[object]:
+    """Return a task's cells below the headings but the first."""
+    told, order = played.summary, played.order["teams"]
+    gap = told["relative_gap"]
+    lost = "–" if gap is None else figure(gap, key="value", percent=True)
+    fit = "–" if order["silhouette"] is None else f"{order['silhouette']:.2f}"
+    return [
+        told["egos"],
+        figure(told["self_play"]),
+        figure(told["cross_play"]),
+        lost,
+        len(played.clusters),
+        fit,
+    ]

@@ -1,0 +1,97 @@
+"""What is kept of a finished folder, of whichever release; nothing that it says names a place.
+
+Folders may have been received from anybody: what they say names a folder only where it is one of
+our tasks, or fits a strict pattern.
+"""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path, PurePath
+from typing import Any
+
+import polars as pl
+import polars.selectors as cs
+
+from assistax_envs.versions import VERSIONS
+from evaluation.record import tables
+from evaluation.record.verification import verify_folder
+
+_METHOD = re.compile(r"[a-z][a-z0-9_]*")
+EGO_FILE = re.compile(rf"(?P<method>{_METHOD.pattern})-s(?P<seed>[0-9]{{1,6}})\.safetensors")
+_ABSOLUTE = re.compile(
+    r"(?<![^\s'\"=:])~?/[^\s'\"]+"
+)  # a path from the root, as a word of a command
+_KEPT_OF_TRAINING = ("steps", "device", "seconds", "backend", "date", "commit")
+
+
+def check_unchanged(folder: Path) -> None:
+    """Refuse a folder that is not what its manifest says, before a release's data take it in.
+
+    Raises:
+        ValueError: A file was changed, damaged or lost, or the folder has no manifest.
+    """
+    if problems := verify_folder(folder).problems:
+        raise ValueError(f"{problems[0]}; nothing was collected from {folder}")
+
+
+def read_training(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return what the first ego of a train-ego run says of itself, and what is kept of the run.
+
+    Raises:
+        ValueError: no finished egos, another task, or an algorithm that is no plain name.
+    """
+    from zoo.parameters.storage import read_policy_file
+
+    files = sorted((folder / "policies").glob("*.safetensors"))
+    told = [read_policy_file(path).metadata for path in files]
+    if not told or any({"task", "algorithm", "training"} - set(one) for one in told):
+        raise ValueError(f"{folder}/policies holds no finished egos; let train-ego run to its end")
+    first = told[0]
+    method = first["algorithm"]
+    if not (isinstance(method, str) and _METHOD.fullmatch(method)):
+        raise ValueError(f"{folder} names the algorithm {method!r}; expected a name such as ppo")
+    known_task(first, folder)
+    training = {
+        name: first["training"][name] for name in _KEPT_OF_TRAINING if name in first["training"]
+    }
+    command = _run_of(folder)["command"]
+    return first, {"egos": len(told), "split": first.get("split"), **training, "command": command}
+
+
+def known_task(told: Mapping[str, Any], folder: Path) -> str:
+    """Return the task that a received folder names: one of ours, since a folder is named so."""
+    if told.get("task") not in tuple(VERSIONS):  # it may be no text
+        raise ValueError(
+            f"{folder} names the task {told.get('task')!r}; allowed are {', '.join(VERSIONS)}"
+        )
+    return told["task"]
+
+
+def how_it_ran(
+    folder: Path, summary: Mapping[str, Any], steps: int | None = None
+) -> dict[str, Any]:
+    """Return how the folder came about: without paths, with the seconds of simulation.
+
+    `steps` are those of the simulation; without them, those of its episodes.
+    """
+    if steps is None:
+        steps = int(tables.read_parquet(folder / tables.EPISODES_FILE)["steps"].sum())
+    rate = summary["env_steps_per_second"]
+    return {
+        **_run_of(folder),
+        "env_steps": steps,
+        "seconds": steps / rate if rate else None,
+    }
+
+
+def _run_of(folder: Path) -> dict[str, Any]:
+    """Return what a folder says of its run, its command with names in place of absolute paths."""
+    path = folder / tables.RUN_FILE
+    run = tables.read_json(path) if path.is_file() else {}
+    command = _ABSOLUTE.sub(lambda found: PurePath(found[0]).name, str(run.get("command", "")))
+    return {**run, "command": command}
+
+
+def small(pairs: pl.DataFrame) -> pl.DataFrame:
+    """Return a table with its numbers in 32 bits."""
+    return pairs.with_columns(cs.float().cast(pl.Float32), cs.integer().cast(pl.Int32))

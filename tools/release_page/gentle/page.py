@@ -1,0 +1,156 @@
+"""The whole page: sections in order, and in short what they say."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+
+from matplotlib.figure import Figure
+
+from assistax_envs.versions import GENTLE_TASKS
+from tools.release_page.crossplays import heatmap
+from tools.release_page.data import Played
+from tools.release_page.gentle.data import SERIES, Results
+from tools.release_page.gentle.evaluations import REFERENCES
+from tools.release_page.gentle.measures import Comparison, SplitCost
+from tools.release_page.gentle.sections import (
+    adaptation,
+    compared,
+    cost,
+    cross_play,
+    differences,
+    diverse,
+    equal_steps,
+    gain,
+    lost,
+    mean,
+    methods,
+    p_value,
+    population,
+    splits,
+)
+from tools.release_page.making import costs
+from tools.release_page.markdown import MISSING, code, spoken, table
+
+ALPHA = 0.05  # below it, a p after Holm's correction counts as a difference
+TOLD = ("ppo", "ppo-told")  # what knowing a partner's preference is worth
+RECURRENT = "ppo-gru"
+
+
+def make_page(results: Results, pictures: str, command: str) -> str:
+    """Return the page as Markdown.
+
+    Args:
+        results: What there is of the release.
+        pictures: Folder of the figures, relative to the page.
+        command: The command that makes the page, for its last section.
+    """
+    found = {task: compared(results, task) for task in GENTLE_TASKS}
+    split_costs = {
+        split.id: cost(results, split) for task in GENTLE_TASKS for split in results.splits[task]
+    }
+    parts = {
+        "In short": in_short(results, found, split_costs),
+        "The population": by_task(results, population),
+        "Training for equally many steps": by_task(results, equal_steps),
+        "Splits, and what they cost": by_task(results, partial(splits, split_costs)),
+        "Methods": by_task(results, methods),
+        "Differences between methods": by_task(results, partial(differences, found)),
+        "Adaptation within a series of episodes": by_task(results, adaptation),
+        "Cross-play": cross_play(results, pictures),
+        "Diversity": diverse(results),
+        "How this was made": _cost_of_making(results, command),
+    }
+    head = (
+        f"# Release {results.release}: people who like different things\n\n"
+        "Returns with their 95% bootstrap intervals. This page is made from the registry and "
+        "committed tables by the command at its end. A *team* is a robot and a human that learned "
+        "together; an *ego* is a robot that learned with the training partners of a split. "
+        "Intervals of fewer than 16 seeds or partners are too narrow. In these tables all partners "
+        "played the same starts, so no interval here speaks of other starts."
+    )
+    return "\n\n".join([head, *(f"## {name}\n\n{text}" for name, text in parts.items())]) + "\n"
+
+
+def by_task(results: Results, section: Callable[[Results, str], str]) -> str:
+    """Return a section's text for every task below its name."""
+    texts = ((task, section(results, task)) for task in GENTLE_TASKS)
+    return "\n\n".join(f"### {spoken(task).capitalize()}\n\n{text}" for task, text in texts)
+
+
+def in_short(
+    results: Results,
+    found: Mapping[str, Comparison],
+    split_costs: Mapping[str, SplitCost | None],
+) -> str:
+    """Return what the default splits cost, and which methods come apart on them."""
+    rows: list[list[str]] = []
+    for task in GENTLE_TASKS:
+        default = [lost(split_costs[split.id])[-1] for split in results.splits[task][:1]] or [
+            MISSING
+        ]
+        rows.append([spoken(task), *default, *_in_short(results, task, found[task])])
+    headings = ["task", "lost", "come apart", "do not", f"`{TOLD[0]}` - `{TOLD[1]}`"]
+    headings += [f"`{RECURRENT}`: last - first"]
+    return (
+        f"{table(headings, rows, (1, 4, 5))}\n\nOn the default splits: the share of M_test that a "
+        "robot loses because it trained with the training side; the trained methods that are not "
+        f"told what a partner likes, apart where p is below {ALPHA:g} after Holm's correction, the "
+        "better one first; what being told is worth, and what a memory gains within a series. The "
+        "sections below say how each is measured."
+    )
+
+
+def _in_short(results: Results, task: str, found: Comparison) -> list[str]:
+    trained = {pair: one for pair, one in found.items() if not {*pair} & {*REFERENCES, TOLD[1]}}
+    apart = {
+        pair: one
+        for pair, one in trained.items()
+        if one.adjusted is not None and one.adjusted < ALPHA
+    }
+    better = [
+        " > ".join(f"`{name}`" for name in (pair if one.difference.mean > 0 else pair[::-1]))
+        for pair, one in apart.items()
+    ]
+    alike = [f"`{a}`, `{b}`" for a, b in trained if (a, b) not in apart]
+    named = ["; ".join(names) or ("–" if trained else MISSING) for names in (better, alike)]
+    told = found.get(TOLD)
+    worth = f"{mean(told.difference)}, p {p_value(told.adjusted)}" if told else MISSING
+    egos = results.on_default(task, series=True).get(f"{RECURRENT}{SERIES}")
+    return [*named, worth, gain(egos) if egos else MISSING]
+
+
+def figures(results: Results) -> dict[str, Callable[[], Figure]]:
+    """Return what draws each figure that the data allow, by the name of its file."""
+    return {
+        f"crossplay_{task}.png": partial(heatmap, played)
+        for task, played in results.crossplay.items()
+    }
+
+
+def _cost_of_making(results: Results, command: str) -> str:
+    """Return device minutes and commands of every table; `command` makes the page."""
+    note = (
+        "Minutes are a process's own; up to twelve shared a GPU. What trained `ppo-mirror` is the "
+        "split with its sides exchanged, which is no split of the release."
+    )
+    return f"{note}\n\n{by_task(results, _made)}\n\nThis page:\n\n{code(command)}"
+
+
+def _made(results: Results, task: str) -> str:
+    humans = [human for human in results.humans if human.task == task]
+    trained = {
+        f"{method} egos, {split}": told
+        for (of, split, method), told in results.trained.items()
+        if of == task
+    }
+    played: dict[str, Played] = {
+        f"cross-play of {spoken(of)}": crossed
+        for of, crossed in results.crossplay.items()
+        if of == task
+    }
+    played |= {
+        f"evaluation of {method} egos, {split}": egos
+        for (of, split, method), egos in results.egos.items()
+        if of == task
+    }
+    text = costs(humans, trained, played)
+    return f"<details markdown>\n<summary>Minutes and commands</summary>\n\n{text}\n\n</details>"

@@ -1,0 +1,98 @@
+"""The page's last section: which commands made the tables, on what device, in how many minutes."""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from assistax_envs.versions import VERSIONS
+from tools.release_page.data import Played
+from tools.release_page.markdown import MISSING, code, spoken, table
+from zoo.schema import PolicyEntry, Training
+
+_POLICY = re.compile(r"--policy[ =](\S+)")
+_TASKS = list(VERSIONS)
+_HEADINGS = ("what", "how much", "device", "backend", "device minutes")
+
+
+def costs(
+    humans: Sequence[PolicyEntry],
+    trained: Mapping[str, Mapping[str, Any]],
+    played: Mapping[str, Played],
+    page: str = "",
+) -> str:
+    """Return device minutes of every part as a table, then the commands that are known.
+
+    Args:
+        humans: Of the release's teams, whose training is told.
+        trained: Trainings of egos, by what is said of each.
+        played: Cross-plays and evaluations, by what is said of each.
+        page: Command that makes the page.
+    """
+    rows = [
+        *_team_rows(humans),
+        *([f"training {name}", *_ego_cells(run)] for name, run in trained.items()),
+        *([name, *_played_cells(result)] for name, result in played.items()),
+    ]
+    shown = table(_HEADINGS, rows, (4,)) if rows else f"{MISSING.capitalize()}."
+    runs = (*trained.values(), *(result.run for result in played.values()))
+    commands = dict.fromkeys([*(run.get("command", "") for run in runs), page])
+    known = [_shortened(command) for command in commands if command]
+    return "\n\n".join([shown, *([code("\n".join(known))] if known else [])])
+
+
+def _team_rows(everyone: Sequence[PolicyEntry]) -> list[list[object]]:
+    """Return a row for each task and algorithm of the registry's teams."""
+    kinds: dict[tuple[str, str], list[PolicyEntry]] = {}
+    for human in sorted(everyone, key=lambda human: (_TASKS.index(human.task), human.algorithm)):
+        kinds.setdefault((human.task, human.algorithm), []).append(human)
+    rows: list[list[object]] = []
+    for (task, algorithm), humans in kinds.items():
+        runs = list({human.run: human.training for human in humans}.values())
+        much = f"{len(humans)} teams, {_steps(runs)} steps each"
+        minutes = _minutes([run.seconds for run in runs])
+        rows.append([f"training {spoken(task)} {algorithm.upper()}", much, *_where(runs), minutes])
+    return rows
+
+
+def _ego_cells(run: Mapping[str, Any]) -> list[object]:
+    much = f"{run['egos']} egos, {run['steps'] / 1e6:.3g} M steps each"
+    place = [run.get("device") or "–", run.get("backend") or "–"]
+    return [much, *place, _minutes([run.get("seconds")])]
+
+
+def _played_cells(played: Played) -> list[object]:
+    run, summary = played.run, played.summary
+    much = (
+        f"{summary['episodes']:,} episodes, {summary['episodes_per_pair']} a pair, "
+        f"{summary['nonfinite']} non-finite"
+    )
+    devices = ", ".join(sorted(set(run.get("devices", [])))) or "–"
+    return [much, devices, summary["backend"], _minutes([run["seconds"]])]
+
+
+def _steps(runs: Sequence[Training]) -> str:
+    counts = sorted({round(run.steps / 1e6, 1) for run in runs})
+    return f"{counts[0]:g} M" if len(counts) == 1 else f"{counts[0]:g} to {counts[-1]:g} M"
+
+
+def _where(runs: Sequence[Training]) -> list[str]:
+    devices, backends = {run.device for run in runs if run.device}, {run.backend for run in runs}
+    return [", ".join(sorted(devices)) or "–", ", ".join(sorted(backends))]
+
+
+def _minutes(seconds: Sequence[float | None]) -> str:
+    known = [value for value in seconds if value is not None]
+    if not known:
+        return "–"
+    return f"{sum(known) / 60:.1f}" + (
+        "" if len(known) == len(seconds) else f", {len(seconds) - len(known)} unknown"
+    )
+
+
+def _shortened(command: str) -> str:
+    """Write the policies of many seeds as their first one and a number."""
+    policies = _POLICY.findall(command)
+    if len(policies) < 3:
+        return command
+    rest = re.sub(r" {2,}", " ", _POLICY.sub("", command)).strip()
+    return f"{rest} --policy {policies[0]}  # and {len(policies) - 1} more --policy"

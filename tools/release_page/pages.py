@@ -1,0 +1,35 @@
+"""A page and its figures on disk: written, or held against what is there."""
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+
+def relative_folder(images: Path, page: Path) -> str:
+    """Return the folder of the figures as the page links to it."""
+    return Path(os.path.relpath(images, page.parent)).as_posix()
+
+
+def first_difference(found: str, wanted: str) -> str:
+    """Say where two pages differ first."""
+    pairs = zip(found.splitlines(), wanted.splitlines(), strict=False)
+    for number, (one, other) in enumerate(pairs, start=1):
+        if one != other:
+            return f"line {number} is {one[:90]!r}, not {other[:90]!r}"
+    return f"it has {len(found.splitlines())} lines, not {len(wanted.splitlines())}"
+
+
+def check_page(out: Path, text: str, folder: Path, pictures: Iterable[str], again: str) -> None:
+    """Check that a page is this text and that its pictures are in the folder.
+
+    Raises:
+        ValueError: it is not so; the message says to run `again`.
+    """
+    if not out.is_file():
+        raise ValueError(f"{out} does not exist; {again}")
+    if (found := out.read_text(encoding="utf-8")) != text:
+        raise ValueError(
+            f"{out} is not what the tables give: {first_difference(found, text)}; {again}"
+        )
+    if missing := [name for name in pictures if not (folder / name).is_file()]:
+        raise ValueError(f"{folder} lacks {', '.join(missing)}; {again}")

@@ -1,1 +1,0 @@
-"""Make the results page of the release of gentle tasks from small tables."""
