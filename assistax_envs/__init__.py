@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from assistax_envs.disability import DISABILITY_SETTINGS, Disability
-    from assistax_envs.env import Env, EnvParams, EnvState, disability_params, make, select
+    from assistax_envs.env import Env, EnvState, make, select
+    from assistax_envs.humans import EnvParams, disability_params
     from assistax_envs.versions import TASKS, VERSIONS
 
 # Loaded on first use, so that reading versions and settings needs neither JAX nor MuJoCo.
@@ -13,11 +14,11 @@ _HOMES = {
     "DISABILITY_SETTINGS": "disability",
     "Disability": "disability",
     "Env": "env",
-    "EnvParams": "env",
+    "EnvParams": "humans",
     "EnvState": "env",
     "TASKS": "versions",
     "VERSIONS": "versions",
-    "disability_params": "env",
+    "disability_params": "humans",
     "make": "env",
     "select": "env",
 }

@@ -1,7 +1,6 @@
 """The environment: a task on a physics backend, batch first, inside jit and scan."""
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -9,7 +8,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax_envs.disability import DISABILITY_SETTINGS, Disability
+from assistax_envs.humans import EnvParams, disability_params
 from assistax_envs.models import build_model
 from assistax_envs.models.gentle_scenes import SCENES, SPARED
 from assistax_envs.physics import (
@@ -19,7 +18,6 @@ from assistax_envs.physics import (
     make_physics,
     resolve_backend,
 )
-from assistax_envs.preferences import DRAWN, PREFERENCES
 from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks import TASK_CLASSES, Measures, Sensors, Task
 from assistax_envs.tasks.base import HUMAN_ACTUATORS, HUMAN_JOINTS, ROBOT_JOINTS
@@ -29,18 +27,6 @@ from assistax_envs.versions import TASKS, VERSIONS, engine
 EPISODE_LENGTH = 1000  # control steps of 20 ms: always the full horizon
 LARGEST_STATE = 1e10  # beyond this MuJoCo itself calls a state unstable (mjMAXVAL)
 ELBOW = "human_right_elbow"
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class EnvParams:
-    """The human in each simulation, [N] each: its impairment (see `Disability`), its preference."""
-
-    strength: jax.Array
-    elbow_range: jax.Array
-    tremor: jax.Array
-    # int32: k for pk, 0 where one is drawn anew at each reset. Only the gentle tasks look at it.
-    preference: jax.Array
 
 
 @jax.tree_util.register_dataclass
@@ -294,27 +280,6 @@ def make(
     return Env(task, backend, weights, **options)
 
 
-def disability_params(
-    settings: Sequence[str | Disability],
-    preferences: Sequence[str] | np.ndarray | None = None,
-) -> EnvParams:
-    """Return the humans [N] of settings given as "d1".."d9" or `Disability`.
-
-    Args:
-        settings: [N] of their bodies.
-        preferences: [N] "p1".."p9", or "drawn" for one that changes from episode to episode; all
-            drawn if not given. [N, K] where each plays several episodes, as in evaluations.
-    """
-    rows = [_disability(setting) for setting in settings]
-    body = {
-        field.name: jnp.asarray([getattr(row, field.name) for row in rows], jnp.float32)
-        for field in dataclasses.fields(Disability)
-    }
-    likes = np.full(len(rows), DRAWN) if preferences is None else np.asarray(preferences)
-    codes = [_preference(str(name)) for name in likes.ravel()]
-    return EnvParams(**body, preference=jnp.asarray(codes, jnp.int32).reshape(likes.shape))
-
-
 def select(mask: jax.Array, on_true: Any, on_false: Any) -> Any:
     """Choose whole simulations.
 
@@ -325,23 +290,6 @@ def select(mask: jax.Array, on_true: Any, on_false: Any) -> Any:
         return jnp.where(mask.reshape(mask.shape + (1,) * (a.ndim - 1)), a, b)
 
     return jax.tree.map(choose, on_true, on_false)
-
-
-def _disability(setting: str | Disability) -> Disability:
-    if isinstance(setting, Disability):
-        return setting
-    if setting not in DISABILITY_SETTINGS:
-        raise ValueError(
-            f"disability setting is {setting!r}; allowed are {', '.join(DISABILITY_SETTINGS)}"
-        )
-    return DISABILITY_SETTINGS[setting]
-
-
-def _preference(name: str) -> int:
-    allowed = (DRAWN, *PREFERENCES)
-    if name not in allowed:
-        raise ValueError(f"preference is {name!r}; allowed are {', '.join(allowed)}")
-    return allowed.index(name)
 
 
 def _diverged(physics: PhysicsState, values: jax.Array, control: jax.Array) -> jax.Array:

@@ -20,7 +20,7 @@ from typing import Any
 
 import httpx2
 
-from assistax_board.client.client import Client
+from assistax_board.client import Client
 from benchmarks.pages import PageSpeed, read_pages
 
 TASK, ROBOT = "scratch", "scratch/ippo-d1-s0-v1/robot"
@@ -132,7 +132,7 @@ def _submit_all(
     address: str, tokens: list[str], seconds: float, answers: Any = None
 ) -> tuple[int, list[float]]:
     """Let every lab hand in a robot, watch it to its end, and begin anew while there is time."""
-    from assistax_board.client.submitting import POLL_SECONDS, read_file
+    from assistax_board.submitting import POLL_SECONDS, read_file
     from assistax_board.vocabulary import FINAL_STATES
 
     robot, end, times = read_file(Path(ROBOT)), time.monotonic() + seconds, []

@@ -22,16 +22,18 @@ FOLDERS = {
     "assistax_board": "board/assistax_board",
 }
 APART = ("physics/fused", "tasks/gentle_")  # counted apart: the engine, and the gentle tasks
-CLOSURES = {("open_zoo", "Partner"): 2000, ("evaluate",): 5600, ("cross_play",): 5600}
-MOST_STATEMENTS, MOST_DEPENDENCIES = 16137, 20
+# The plays' closures hold drawing, reports and Ray too (some 1,000), which results and `engine` offer.
+CLOSURES = {("open_zoo", "Partner"): 2000, ("evaluate",): 8150, ("cross_play",): 8150}
+MOST_STATEMENTS, MOST_DEPENDENCIES = 20650, 20  # of statements, what stood when rooms were made
 MOST_MODULES, MOST_LINES, MOST_FUNCTION_LINES, MOST_PARAMETERS = 12, 350, 60, 12
 OPTION = re.compile(r"(?<![\w-])--[a-z]")
 # What may stand once, and where: a pattern of source text, and the one file that may hold it.
 ONCE = {
-    r"def (\w*canonical\w*|json_sha256|\w*_digest)\(": "assistax_base/digest.py",
+    r"def (canonical_json|json_sha256)\(": "assistax_base/digest.py",
+    r"json\.dumps\([^)]*\)\.encode\(\)\)\.hexdigest": "assistax_base/digest.py",
     r"def \w*merkle_root\(": "assistax_base/digest.py",
     r"def first_problem\(": "assistax_base/validated.py",
-    r"\btrim_mean\(": "evaluation/figures/statistics.py",
+    r"\btrim_mean\(|def iqm\(": "assistax_base/statistics.py",
 }
 
 
@@ -176,13 +178,14 @@ def _sizes(modules: Mapping[str, Module], root: Path) -> Iterator[str]:
         count = sum(path.name != "__init__.py" for path in paths)
         if count > MOST_MODULES:
             yield f"{folder.relative_to(root)}: {count} modules, at most {MOST_MODULES}"
+    front = {*itertools.chain(*_literal(modules["assistax_zoo"].tree, "_HOMES").values())}
     for module in modules.values():
         place = module.path.relative_to(root)
         lines = len(module.path.read_text(encoding="utf-8").splitlines())
         if lines > MOST_LINES:
             yield f"{place}: {lines} lines, at most {MOST_LINES}"
         for function in module.functions:
-            if place.parent == Path("assistax_zoo"):  # the front door
+            if function.name in front:
                 continue
             long = (function.end_lineno or 0) - function.lineno + 1
             arguments = function.args

@@ -17,15 +17,15 @@ from typing import Any
 
 import numpy as np
 
-from assistax_board.client.checking import check_ledger, check_service
-from assistax_board.client.client import Client
-from assistax_board.client.submitting import verify_revealed
+from assistax_board.checking import check_ledger, check_service
+from assistax_board.client import Client
 from assistax_board.ids import new_id
 from assistax_board.live.client import play_live
 from assistax_board.rules.seasons import Plan
 from assistax_board.serve import open_service
 from assistax_board.service import Service
 from assistax_board.store.backup import back_up
+from assistax_board.submitting import verify_revealed
 from assistax_board.vocabulary import BACKEND, FINAL_STATES
 
 SEASON = "rehearsal"

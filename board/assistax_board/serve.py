@@ -142,8 +142,8 @@ def run_server(
     **pages: Any,
 ) -> None:
     """Serve until SIGINT or SIGTERM, ending requests first; `pages` go to `add_pages`."""
-    from assistax_board.api.app import create_app
     from assistax_board.api.operations import log_to_stderr
+    from assistax_board.app import create_app
 
     log_to_stderr()
     _Server(config_of(create_app(service, **pages), host, port, proxy), stop_workers).run()
@@ -326,6 +326,6 @@ def free_port(host: str, port: int) -> int:
             probe.bind((host, port))
         except OSError as error:
             raise ValueError(
-                f"cannot listen on {host}:{port} ({error.strerror}); choose another --port"
+                f"cannot listen on {host}:{port} ({error.strerror}); choose another port"
             ) from error
         return probe.getsockname()[1]

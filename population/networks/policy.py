@@ -11,7 +11,6 @@ import numpy as np
 from flax import linen as nn
 from jaxtyping import Array, Bool, Float
 
-from population.networks import gru
 from population.networks.spec import PolicySpec
 
 Params = dict[str, Any]  # nested dicts of arrays
@@ -108,23 +107,6 @@ class _Network:
         """Return the new carry and the output for obs [..., O]; see the subclasses."""
         raise NotImplementedError
 
-    def unroll(
-        self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
-    ) -> tuple[Carry, Any]:
-        """Apply `step` along the leading time axis of obs [T, ..., O] and first [T, ...].
-
-        What does not wait for the step before is done for all steps at once: only the recurrent
-        products stay in the scan, so sums are rounded in another order than in `step`.
-        """
-        if self.spec.torso == "mlp":
-            return self.step(params, carry, obs, first)
-        carry, features = _remember(self.spec, params, carry, obs, first)
-        return carry, self._heads(params, features)
-
-    def _heads(self, params: Params, features: jax.Array) -> Any:
-        """Return the output for the torso's features [..., H]."""
-        raise NotImplementedError
-
 
 class Critic(_Network):
     """The network of a `CriticSpec`; its input is normalised by the caller."""
@@ -144,9 +126,6 @@ class Critic(_Network):
         """Return the new carry and the values [...] of obs [..., O]."""
         output: Any = self._module.apply({"params": params}, carry, obs, first)
         return output
-
-    def _heads(self, params: Params, features: jax.Array) -> jax.Array:
-        return _linear(params[f"Dense_{len(self.spec.hidden) - 1}"], features)[..., 0]
 
 
 class Policy(_Network):
@@ -193,24 +172,6 @@ class Policy(_Network):
         output: Any = self._module.apply({"params": network}, carry, obs, first)
         carry, (mean, log_std) = output
         return carry, Gaussian(mean, log_std, self.spec.squash)
-
-    def unroll(
-        self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
-    ) -> tuple[Carry, Gaussian]:
-        """Apply `step` along the leading time axis of obs [T, ..., O] and first [T, ...]."""
-        if self.spec.normalise and self.spec.torso != "mlp":
-            obs = normalise(params["normaliser"], obs)
-        return super().unroll(params, carry, obs, first)
-
-    def _heads(self, params: Params, features: jax.Array) -> Gaussian:
-        place = len(self.spec.hidden) - 1
-        mean = _linear(params[f"Dense_{place}"], features)
-        if self.spec.std == "state":
-            log_std = INITIAL_LOG_STD + _linear(params[f"Dense_{place + 1}"], features)
-        else:
-            log_std = params["log_std"]
-        log_std = jnp.broadcast_to(jnp.clip(log_std, *LOG_STD_RANGE), mean.shape)
-        return Gaussian(mean, log_std, self.spec.squash)
 
     def act(
         self,
@@ -271,31 +232,6 @@ def _torso(
         carry = jnp.where(first[..., None], 0.0, carry)
         carry, features = nn.GRUCell(spec.hidden[-1])(carry, features)
     return carry, features
-
-
-def _remember(
-    spec: PolicySpec | CriticSpec,
-    params: Params,
-    carry: Carry,
-    obs: Float[Array, " T *batch O"],
-    first: Bool[Array, " T *batch"],
-) -> tuple[Carry, Float[Array, " T *batch H"]]:
-    """Apply the hidden layers of a recurrent torso to a chunk of T steps; see `nn.GRUCell`."""
-    activation = {"tanh": nn.tanh, "relu": nn.relu}[spec.activation]
-    features = obs
-    for layer in range(len(spec.hidden) - 1):
-        features = activation(_linear(params[f"Dense_{layer}"], features))
-    cell = params["GRUCell_0"]
-    inputs = jnp.concatenate([_linear(cell[f"i{gate}"], features) for gate in gru.GATES], axis=-1)
-    kernel = jnp.concatenate([cell[f"h{gate}"]["kernel"] for gate in gru.GATES], axis=-1)
-    states = gru.remember(kernel, cell["hn"]["bias"], carry, inputs, first)
-    return states[-1], states
-
-
-def _linear(layer: Params, inputs: jax.Array) -> jax.Array:
-    """Return what a dense layer makes of inputs [..., O]."""
-    product = inputs @ layer["kernel"]
-    return product + jnp.broadcast_to(layer["bias"], product.shape)
 
 
 def _dense(width: int, scale: float) -> nn.Dense:

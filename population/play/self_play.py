@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from assistax_base.statistics import iqm
 from population.environment import Environment
 from population.networks.policy import Params, Policy
 from population.play.rollout import Rollout
@@ -43,14 +44,12 @@ def self_play(
 
 
 def _figures(returns: np.ndarray, success: np.ndarray) -> dict[str, Any]:
-    from scipy import stats  # half a second, hence not at every start
-
     rows = np.random.default_rng(0).integers(len(returns), size=(_RESAMPLES, len(returns)))
     tail = (100.0 - _LEVEL) / 2.0
     low, high = np.percentile(returns[rows].mean(axis=1), [tail, 100.0 - tail])
     return {
         "mean": float(returns.mean()),
-        "iqm": float(stats.trim_mean(returns, 0.25)),
+        "iqm": iqm(returns),
         "mean_ci": [float(low), float(high)],
         "n": len(returns),
         "success": float(success.mean()),

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from population.networks.policy import Carry, Critic, Params
+from population.networks.unrolled import unroll_critic
 
 
 def advantages(
@@ -74,7 +75,7 @@ def values(
         last_first: Whether it starts an episode [N].
     """
     if critic.spec.torso == "mlp":
-        _, value = critic.unroll(params, carry, obs, first)
+        _, value = unroll_critic(critic, params, carry, obs, first)
         at_limit = carry
     else:
         carry, at_limit, value = _recurrent_values(critic, params, carry, obs, first, truncated)

@@ -20,6 +20,7 @@ from population.networks import shared_network
 from population.networks.members import member_map
 from population.networks.policy import Carry, Critic, Gaussian, Params, Policy, normalise
 from population.networks.spec import Role
+from population.networks.unrolled import unroll_critic, unroll_policy
 from population.trainers import diversity, experience, gae, normaliser
 from population.trainers.experience import Batch
 from population.trainers.frozen_partners import FrozenPartners
@@ -267,8 +268,12 @@ class PPO(Trainer):
             actor = self.actor(role, member, networks["actor"])
             critic = self._critic_params(role, networks["critic"])
             actor_carry, critic_carry = carries[role]
-            _, gaussian = self.policies[role].unroll(actor, actor_carry, part.obs, part.first)
-            _, value = self.critics[role].unroll(critic, critic_carry, part.critic_obs, part.first)
+            _, gaussian = unroll_policy(
+                self.policies[role], actor, actor_carry, part.obs, part.first
+            )
+            _, value = unroll_critic(
+                self.critics[role], critic, critic_carry, part.critic_obs, part.first
+            )
             role_loss, logged = ppo_loss(gaussian, value, part, hyper)
             loss = loss + role_loss / len(samples)
             metrics |= {f"{name}_{role}": value for name, value in logged.items()}

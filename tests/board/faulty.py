@@ -12,7 +12,7 @@ from typing import Any
 
 from sqlalchemy import event
 
-from assistax_board.client.client import Client
+from assistax_board.client import Client
 from assistax_board.rules import jobs
 from assistax_board.rules.scoring import Work
 from assistax_board.service import Service
@@ -62,7 +62,7 @@ def main(how: str, *words: str) -> None:
         return
     import uvicorn
 
-    from assistax_board.api.app import create_app
+    from assistax_board.app import create_app
     from assistax_board.serve import config_of
 
     folder, url, port, version = (*words, "1")[:4]

@@ -8,8 +8,8 @@ from collections.abc import Generator
 
 import uvicorn
 
-from assistax_board.api.app import create_app
-from assistax_board.client.client import Client
+from assistax_board.app import create_app
+from assistax_board.client import Client
 from assistax_board.serve import config_of, free_port
 from assistax_board.service import Service
 from assistax_board.vocabulary import Scope

@@ -7,7 +7,7 @@ from typing import Any
 import polars as pl
 import pytest
 
-from assistax_board.client import submitting
+from assistax_board import submitting
 from assistax_board.problems import Problem, Refusal
 from assistax_board.robots.admission import Admission, robot_sizes
 from assistax_board.service import Service

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
-from assistax_board.api.app import create_app
 from assistax_board.api.guards import MAX_BODY
-from assistax_board.client.client import Client
+from assistax_board.app import create_app
+from assistax_board.client import Client
 from assistax_board.service import Service
 from assistax_board.work.worker import Worker
 from tests.board.fakes import TASK, FakeScorer, draft, new_service, new_submitter, work_off
@@ -149,7 +149,7 @@ def test_health_and_metrics(service: Service, http: TestClient) -> None:
 def test_the_server_imports_nothing_heavy() -> None:
     from tests.test_layers import heavy_imports
 
-    assert heavy_imports("assistax_board.api.app", "assistax_board.work.worker") == []
+    assert heavy_imports("assistax_board.app", "assistax_board.work.worker") == []
 
 
 @pytest.mark.parametrize("path", ["/api/work/lease", "/api/work/x/refused"])

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
-from assistax_board.api.app import create_app
-from assistax_board.client.client import Client
+from assistax_board.app import create_app
+from assistax_board.client import Client
 from assistax_board.rules.scoring import Work
 from assistax_board.service import Service
 from assistax_board.work.worker import Budget, Worker

@@ -7,10 +7,10 @@ import pytest
 import sqlalchemy as sa
 from starlette.testclient import TestClient
 
-from assistax_board.api.app import create_app
-from assistax_board.client import checking
-from assistax_board.client.checking import check_ledger, check_service
-from assistax_board.client.client import Client
+from assistax_board import checking
+from assistax_board.app import create_app
+from assistax_board.checking import check_ledger, check_service
+from assistax_board.client import Client
 from assistax_board.service import Service
 from assistax_board.store import schema
 from assistax_board.store.schema import ENTRY

@@ -14,9 +14,9 @@ import httpx2
 import pytest
 import sqlalchemy as sa
 
-from assistax_board.client.submitting import for_reader
 from assistax_board.serve import open_service
 from assistax_board.store.schema import JOB
+from assistax_board.submitting import for_reader
 from assistax_zoo.shell.main import run
 from tests.untrained import HUMAN, ROBOT, params_of, published, untrained_team
 from zoo.parameters.storage import write_policy_file

@@ -25,7 +25,7 @@ import sqlalchemy as sa
 from sqlalchemy import event
 from starlette.testclient import TestClient
 
-from assistax_board.api.app import create_app
+from assistax_board.app import create_app
 from assistax_board.pages.cache import PageCache
 from assistax_board.rules import results
 from assistax_board.rules.scoring import Work, encode_table

@@ -21,7 +21,7 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from assistax_board.client.client import Client
+from assistax_board.client import Client
 from assistax_board.rules import jobs
 from assistax_board.serve import free_port
 from assistax_board.service import Service

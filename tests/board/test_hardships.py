@@ -13,7 +13,7 @@ from sqlalchemy import event
 
 from assistax_board import serve
 from assistax_board.api import guards
-from assistax_board.client.client import Client
+from assistax_board.client import Client
 from assistax_board.live import client as live_client
 from assistax_board.live.robot import LiveRobot
 from assistax_board.rules import jobs

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from assistax_board.client.client import Client
+from assistax_board.client import Client
 from assistax_board.problems import Problem, Refusal
 from assistax_board.robots import admission
 from assistax_board.robots.admission import Admission

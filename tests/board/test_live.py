@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from assistax_board.client.client import Client
+from assistax_board.client import Client
 from assistax_board.live import client as live_client
 from assistax_board.live import rooms
 from assistax_board.live.messages import decode, encode, pack_rows, unpack_rows

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
-from assistax_board.api.app import create_app
-from assistax_board.client.checking import check_service
+from assistax_board.app import create_app
+from assistax_board.checking import check_service
 from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.problems import Problem
 from assistax_board.rules import jobs

@@ -19,7 +19,7 @@ from limits import parse
 from starlette.testclient import TestClient
 
 from assistax_board.api import guards
-from assistax_board.api.app import create_app
+from assistax_board.app import create_app
 from assistax_board.pages import behind, boards
 from assistax_board.pages.cache import PageCache
 from assistax_board.pages.charts import axis_over

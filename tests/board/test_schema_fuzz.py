@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from assistax_board.api.app import create_app
+from assistax_board.app import create_app
 from tests.board.fakes import draft, new_service, new_submitter, work_off
 from tests.board.test_season import open_season
 

@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from starlette.testclient import TestClient
 
 from assistax_base.digest import leaf_sha256, merkle_root
-from assistax_board.api.app import create_app
+from assistax_board.app import create_app
 from assistax_board.pages.boards import Boards
 from assistax_board.pages.crossplays import CrossPlays
 from assistax_board.pages.season_boards import SeasonBoards

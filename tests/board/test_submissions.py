@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
-from assistax_board.api.app import create_app
+from assistax_board.app import create_app
 from assistax_board.problems import Problem
 from assistax_board.rules import jobs
 from assistax_board.rules.scoring import encode_table

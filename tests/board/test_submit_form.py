@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
-from assistax_board.api.app import create_app
+from assistax_board.app import create_app
 from assistax_board.pages.security import FIELD
 from assistax_board.service import Service
 from tests.board.fakes import new_service

@@ -13,14 +13,14 @@ import polars as pl
 import pytest
 
 import assistax_envs
-from assistax_board.client import submitting
-from assistax_board.client.submitting import _try_work
+from assistax_board import submitting
 from assistax_board.problems import Refusal
 from assistax_board.robots.admission import Admission, robot_sizes
 from assistax_board.rules.catalogue import PUBLIC_SEED, ZooCatalogue, panel_episodes, version_id
 from assistax_board.rules.release_pack import hidden_partners, ordinal, pack
 from assistax_board.rules.results import figures
 from assistax_board.rules.scoring import Work, decode_table, encode_table, table_bytes
+from assistax_board.submitting import _try_work
 from assistax_board.work.zoo_scorer import ZooScorer
 from assistax_envs import Env
 from assistax_envs.preferences import PREFERENCES

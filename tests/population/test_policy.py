@@ -6,6 +6,7 @@ from scipy import stats
 
 from population.networks.policy import Gaussian, Policy
 from population.networks.spec import PolicySpec
+from population.networks.unrolled import unroll_policy
 
 SPECS = [
     PolicySpec(
@@ -82,10 +83,12 @@ def test_first_resets_the_carry_and_a_misaligned_flag_does_not(spec):
     params = policy.init(jax.random.key(0))
     obs = jax.random.normal(jax.random.key(1), (6, 2, 5))
     first = jnp.zeros((6, 2), bool).at[0].set(True).at[3].set(True)
-    _, whole = policy.unroll(params, policy.initial_carry((2,)), obs, first)
-    _, second = policy.unroll(params, policy.initial_carry((2,)), obs[3:], first[3:])
+    _, whole = unroll_policy(policy, params, policy.initial_carry((2,)), obs, first)
+    _, second = unroll_policy(policy, params, policy.initial_carry((2,)), obs[3:], first[3:])
     np.testing.assert_allclose(whole.mean[3:], second.mean, rtol=1e-5, atol=1e-7)
-    _, shifted = policy.unroll(params, policy.initial_carry((2,)), obs, jnp.roll(first, 1, axis=0))
+    _, shifted = unroll_policy(
+        policy, params, policy.initial_carry((2,)), obs, jnp.roll(first, 1, axis=0)
+    )
     assert jnp.abs(shifted.mean[3:] - second.mean).max() > 1e-5
 
 

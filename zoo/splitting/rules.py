@@ -65,9 +65,8 @@ def make_split(
         held_out: Algorithm or disability setting that a leave-one-out rule tests on.
         n: Number of training partners of `small-train`.
         train: Team ids of the train side of `custom`.
-        test: Likewise.
-        train_preferences: What the train side's humans of a gentle task like, such as ("p2", "p3");
-            where only one side's are given, the other has the rest.
+        test: Those of the test side.
+        train_preferences: What the train side's humans like; one side's alone leaves the rest.
         test_preferences: What the test side's like.
 
     Raises:
@@ -97,9 +96,8 @@ def make_split(
     }
     preferences = _preferences(task, sorted(train_preferences), sorted(test_preferences))
     content |= {"preferences": preferences} if preferences else {}
-    split = Split.model_validate(
-        {"id": split_id(content), "sha256": json_sha256(content), **content}
-    )
+    named = {"id": split_id(content), "sha256": json_sha256(content)}
+    split = Split.model_validate(named | content)
     check_split(split)
     return split
 

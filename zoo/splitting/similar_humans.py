@@ -76,6 +76,7 @@ def probe_actions(group: PolicyStack) -> np.ndarray:
     import jax.numpy as jnp
 
     from population.networks.policy import Policy
+    from population.networks.unrolled import unroll_policy
 
     policy, obs = Policy(group.spec), probes(group)
     first = np.zeros(obs.shape[:2], bool)
@@ -83,7 +84,8 @@ def probe_actions(group: PolicyStack) -> np.ndarray:
 
     def play(params: dict) -> jax.Array:
         carry = policy.initial_carry((_SEQUENCES,))
-        return policy.unroll(params, carry, jnp.asarray(obs), jnp.asarray(first))[1].mode()
+        chunk = jnp.asarray(obs), jnp.asarray(first)
+        return unroll_policy(policy, params, carry, *chunk)[1].mode()
 
     return np.asarray(jax.jit(lambda params: jax.lax.map(play, params))(group.params))
 

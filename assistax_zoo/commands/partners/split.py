@@ -85,8 +85,7 @@ def create(
     Args:
         task: Task of the split.
         rule: How the partners are divided.
-        release: Release of the partners; default the newest that has the task. own:v0 is one of
-            teams that you published.
+        release: Release of the partners, such as own:v0; default the newest that has the task.
         seed: Seed of the rules half and small-train.
         held_out: Algorithm or disability setting that a leave-one-out rule tests on.
         n: Training partners of small-train.
@@ -116,8 +115,7 @@ def create(
         test_preferences=parse_names(test_preferences),
         **sides,
     )
-    counts = f"{len(split.train)} train, {len(split.test)} test"
-    lines = [f"split {split.id}: {counts}"]
+    lines = [f"split {split.id}: {len(split.train)} train, {len(split.test)} test"]
     rest = {*partner_teams(loaded.data, task, split.release)} - {*split.train, *split.test}
     if rest and rule in LEAVE_ONE_OUT:
         twins = ", ".join(sorted(rest))

@@ -18,7 +18,7 @@ def ledger_verify(*, url: str | None = None, json: bool = False) -> None:
     Example:
         assistax-zoo ledger verify --url https://board.example.org
     """
-    from assistax_board.client.checking import check_ledger
+    from assistax_board.checking import check_ledger
 
     print_answer(check_ledger(open_client(url, None)), json)
 
@@ -45,7 +45,7 @@ def service_check(
     Example:
         assistax-zoo service check --data board
     """
-    from assistax_board.client.checking import check_service
+    from assistax_board.checking import check_service
 
     if backup is None and data is not None:
         print_answer(check_service(open_folder(data, database, artefacts)), json)

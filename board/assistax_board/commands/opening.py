@@ -11,7 +11,7 @@ from assistax_board.vocabulary import SERVER_VARIABLE, TOKEN_VARIABLE
 from assistax_zoo.shell.console import print_json
 
 if TYPE_CHECKING:
-    from assistax_board.client.client import Client
+    from assistax_board.client import Client
     from assistax_board.service import Service
 
 SERVER = "http://127.0.0.1:8800"
@@ -42,7 +42,7 @@ def open_folder(data: Path, database: str | None = None, artefacts: str | None =
 
 def open_client(url: str | None, token_file: Path | None) -> "Client":
     """Return the client of a server, with a token from a file or the environment."""
-    from assistax_board.client.client import Client
+    from assistax_board.client import Client
 
     address = url or os.environ.get(SERVER_VARIABLE) or SERVER
     token = token_file.read_text().strip() if token_file else os.environ.get(TOKEN_VARIABLE)

@@ -45,7 +45,7 @@ def submit(
         raise ValueError("give a file, or --live with a robot such as python:mine:make")
     if all and not check:
         raise ValueError("--all is about a check at home; give it with --check")
-    from assistax_board.client import submitting
+    from assistax_board import submitting
 
     if check:
         if file is None:
@@ -105,7 +105,7 @@ def season_verify(name: str, /, *, root: str, url: str | None = None, json: bool
     Example:
         assistax-zoo season verify spring --root 3f0c...
     """
-    from assistax_board.client.submitting import verify_revealed
+    from assistax_board.submitting import verify_revealed
 
     print_answer(verify_revealed(open_client(url, None), name, root), json)
 

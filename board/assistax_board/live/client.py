@@ -3,7 +3,7 @@
 import time
 from typing import Any
 
-from assistax_board.client.client import Client
+from assistax_board.client import Client
 from assistax_board.live.messages import MAX_BYTES, decode, encode, pack_rows, unpack_rows
 
 PAUSE_SECONDS = 1.0  # between two attempts to connect

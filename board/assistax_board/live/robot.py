@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from assistax_board.client.client import Client
+from assistax_board.client import Client
 from assistax_board.ids import new_id
 from assistax_board.live.messages import decode, encode, pack_rows, unpack_rows
 from assistax_board.rules.scoring import Work

@@ -76,7 +76,7 @@ def create_season(
         raise Problem(
             "invalid",
             f"panels of {sizes['A']} and {sizes['B']} partners; panel B needs {ENOUGH_IN_B} for a "
-            "useful interval: train more, or say that a small one will do (--small)",
+            "useful interval: train more, or plan a small season",
         )
     row = {
         "id": new_id(),

@@ -22,7 +22,7 @@ def back_up(data: Path, target: Path) -> int:
         ValueError: The database is damaged, or names artefacts that are not in the folder.
     """
     if not (data / DATABASE_FILE).is_file():
-        raise ValueError(f"{data} holds no {DATABASE_FILE}; give the folder of --data")
+        raise ValueError(f"{data} holds no {DATABASE_FILE}; give the folder of a service")
     if target.exists():
         raise ValueError(f"{target} exists; choose another name, a backup replaces nothing")
     with tempfile.TemporaryDirectory(dir=target.parent) as folder:
@@ -91,7 +91,7 @@ def _check_named(database: Path, folder: Path) -> None:
     if missing:
         raise ValueError(
             f"{len(missing)} of {len(names)} artefacts are not in {folder}, such as {missing[0]}; "
-            "if the service keeps them elsewhere (--artefacts), use that store's own backup"
+            "if the service keeps them elsewhere, use that store's own backup"
         )
 
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Generator
 from typing import Any
 
 from assistax_base.digest import sha256
-from assistax_board.client.client import Client, fields_of
+from assistax_board.client import Client, fields_of
 from assistax_board.problems import Problem, Refusal
 from assistax_board.robots.limited import resident_bytes
 from assistax_board.rules.jobs import LEASE_SECONDS

@@ -13,7 +13,7 @@ from typing import Any
 
 from assistax_base.cluster import RayCluster, run_blocks
 from assistax_board.api.operations import log_to_stderr
-from assistax_board.client.client import Client
+from assistax_board.client import Client
 from assistax_board.live.robot import LiveRobot
 from assistax_board.rules.catalogue import ZooCatalogue
 from assistax_board.rules.scoring import Scorer

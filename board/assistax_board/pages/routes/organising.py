@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from assistax_board.api.guards import sign_in
-from assistax_board.client.checking import ledger_pages
+from assistax_board.checking import ledger_pages
 from assistax_board.clock import seconds_of
 from assistax_board.pages import security
 from assistax_board.pages.routes.submitting import read_form

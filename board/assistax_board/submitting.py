@@ -9,7 +9,7 @@ from typing import Any
 
 import polars as pl
 
-from assistax_board.client.client import Client
+from assistax_board.client import Client
 from assistax_board.ids import new_id
 from assistax_board.problems import Refusal
 from assistax_board.robots.admission import Admission, robot_sizes
@@ -168,7 +168,7 @@ def _robot_at_home(reference: str, task: str) -> Any:
 
     [ego] = read_egos([reference], load_registry(), task).stacks
     if not hasattr(ego, "act"):
-        raise ValueError(f"{reference} can be submitted as a file; --live is for robots in Python")
+        raise ValueError(f"{reference} can be submitted as a file; only robots in Python play live")
     return ego.act
 
 

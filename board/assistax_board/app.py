@@ -6,11 +6,11 @@ from fastapi import FastAPI
 from starlette.middleware import Middleware
 from starlette.middleware.base import BaseHTTPMiddleware
 
+from assistax_board.api import live as live
 from assistax_board.api import operations, public, submitting, working
 from assistax_board.api.desk import Desk
 from assistax_board.api.errors import add_error_handlers
 from assistax_board.api.guards import BodyLimit, HeadAsGet, Limiter
-from assistax_board.live import routes as live
 from assistax_board.live.rooms import Rooms
 from assistax_board.pages import add_pages
 from assistax_board.pages.security import SecurityHeaders

@@ -6,6 +6,7 @@ import pytest
 
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
+from population.networks.unrolled import unroll_policy
 
 T, N = 24, 6
 SPECS = (
@@ -25,7 +26,7 @@ def unrolled(policy: Policy, params, first, *, by_step: bool):
     carry = jax.random.normal(jax.random.key(2), policy.initial_carry((N,)).shape)
     if by_step:
         return jax.lax.scan(lambda c, x: policy.step(params, c, *x), carry, (obs, first))
-    return policy.unroll(params, carry, obs, first)
+    return unroll_policy(policy, params, carry, obs, first)
 
 
 def params_and_first(policy: Policy):
@@ -58,7 +59,7 @@ def test_nothing_is_remembered_over_an_episode_s_start_even_if_it_diverged(polic
 
     def total(params, carry):
         obs = jnp.ones((T, N, 5))
-        return policy.unroll(params, carry, obs, first)[1].mean.sum()
+        return unroll_policy(policy, params, carry, obs, first)[1].mean.sum()
 
     diverged = jnp.full(policy.initial_carry((N,)).shape, jnp.nan)
     gradient = jax.grad(total)(params, diverged)

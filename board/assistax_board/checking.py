@@ -5,7 +5,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from assistax_board.client.client import Client
+from assistax_board.client import Client
 from assistax_board.problems import Problem
 from assistax_board.service import Service
 from assistax_board.store.ledger import START, check_chain

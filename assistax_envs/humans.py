@@ -1,0 +1,61 @@
+"""Who the human in each simulation is: its impairment and its preference, as arrays."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from assistax_envs.disability import DISABILITY_SETTINGS, Disability
+from assistax_envs.preferences import DRAWN, PREFERENCES
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class EnvParams:
+    """The human in each simulation, [N] each: its impairment (see `Disability`), its preference."""
+
+    strength: jax.Array
+    elbow_range: jax.Array
+    tremor: jax.Array
+    # int32: k for pk, 0 where one is drawn anew at each reset. Only the gentle tasks look at it.
+    preference: jax.Array
+
+
+def disability_params(
+    settings: Sequence[str | Disability],
+    preferences: Sequence[str] | np.ndarray | None = None,
+) -> EnvParams:
+    """Return the humans [N] of settings given as "d1".."d9" or `Disability`.
+
+    Args:
+        settings: [N] of their bodies.
+        preferences: [N] "p1".."p9", or "drawn" for one that changes from episode to episode; all
+            drawn if not given. [N, K] where each plays several episodes, as in evaluations.
+    """
+    rows = [_disability(setting) for setting in settings]
+    body = {
+        field.name: jnp.asarray([getattr(row, field.name) for row in rows], jnp.float32)
+        for field in dataclasses.fields(Disability)
+    }
+    likes = np.full(len(rows), DRAWN) if preferences is None else np.asarray(preferences)
+    codes = [_preference(str(name)) for name in likes.ravel()]
+    return EnvParams(**body, preference=jnp.asarray(codes, jnp.int32).reshape(likes.shape))
+
+
+def _disability(setting: str | Disability) -> Disability:
+    if isinstance(setting, Disability):
+        return setting
+    if setting not in DISABILITY_SETTINGS:
+        raise ValueError(
+            f"disability setting is {setting!r}; allowed are {', '.join(DISABILITY_SETTINGS)}"
+        )
+    return DISABILITY_SETTINGS[setting]
+
+
+def _preference(name: str) -> int:
+    allowed = (DRAWN, *PREFERENCES)
+    if name not in allowed:
+        raise ValueError(f"preference is {name!r}; allowed are {', '.join(allowed)}")
+    return allowed.index(name)

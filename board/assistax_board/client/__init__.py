@@ -1,1 +1,0 @@
-"""Who speaks to a board: a laboratory's client, and checks of what a board says."""
