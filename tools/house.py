@@ -22,7 +22,7 @@ FOLDERS = {
     "assistax_board": "board/assistax_board",
 }
 APART = ("physics/fused", "tasks/gentle_")  # counted apart: the engine, and the gentle tasks
-# The plays' closures hold drawing, reports and Ray too (some 1,000), which results and `engine` offer.
+# The plays hold drawing, reports and Ray too (some 1,000), which results and `engine` offer.
 CLOSURES = {("open_zoo", "Partner"): 2000, ("evaluate",): 8150, ("cross_play",): 8150}
 MOST_STATEMENTS, MOST_DEPENDENCIES = 20650, 20  # of statements, what stood when rooms were made
 MOST_MODULES, MOST_LINES, MOST_FUNCTION_LINES, MOST_PARAMETERS = 12, 350, 60, 12
