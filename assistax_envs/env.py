@@ -40,6 +40,8 @@ class EnvParams:
     tremor: jax.Array
     # int32: k for pk, 0 where one is drawn anew at each reset. Only the gentle tasks look at it.
     preference: jax.Array
+    # `gentle_base.Liking` of persons, whose wishes are no row of the table; in place of preference.
+    likes: Any = None
 
 
 @jax.tree_util.register_dataclass
