@@ -11,11 +11,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax_envs.tasks.base import ARM_SEGMENTS, HUMAN_ACTUATORS
+from assistax_envs.tasks.base import ARM_SEGMENTS, HUMAN_ACTUATORS, ROBOT_JOINTS
 
 JOINTS = len(HUMAN_ACTUATORS)
 GRAVITY = 9.81  # m/s^2
-GRID = (7, 7, 5)  # postures tried, over each joint's range
+GRID = (9, 9, 7)  # postures tried, over each joint's range
+FACE = 0.25  # m from the middle of the head to that of the forearm: nobody holds it nearer
+PLACES = 8  # along the way to a posture, where nothing may be in between
 DEEP = 0.004  # m: a posture that lies deeper than this in anything is none
 _PARTS = ("human_right_upper_arm", "human_right_lower_arm", "human_right_hand")
 
@@ -43,6 +45,8 @@ class Arm:
         ]
         self._centre = np.array(data.xipos[bodies], np.float32)  # [2, 3] m
         self._weight = np.array(model.body_mass[bodies] * GRAVITY, np.float32)  # [2] N
+        # m: the robot's shoulder, from which its arm reaches
+        self.robot = np.array(data.xanchor[model.joint(ROBOT_JOINTS[1]).id], np.float32)
         sites = [model.site(f"human_{segment}") for segment in ARM_SEGMENTS]
         self._sites = np.array([site.id for site in sites])
         self._position = np.array(data.site_xpos[self._sites], np.float32)  # [2, 3] m
@@ -98,7 +102,7 @@ class Arm:
         for angles in itertools.chain([self.rest], itertools.product(*sides)):
             data = self._posed(np.array(angles))
             load = float(np.abs(self._held(data) / self.torque).max())
-            if self._inside(data) or load > most:
+            if load > most or self._before_face(data) or not self._free(np.array(angles)):
                 continue
             frames = data.site_xmat[self._sites].reshape(2, 3, 3)
             values = angles, data.site_xpos[self._sites], frames, load
@@ -118,11 +122,22 @@ class Arm:
         dofs = [self.model.joint(name).dofadr[0] for name in HUMAN_ACTUATORS]
         return np.array(data.qfrc_bias[dofs] - data.qfrc_passive[dofs])
 
-    def _inside(self, data: mujoco.MjData) -> bool:
+    def _free(self, angles: np.ndarray) -> bool:
+        """Return whether nothing is in the way from rest to a posture."""
+        shares = np.linspace(0.0, 1.0, PLACES + 1)[1:]
+        way = (self.rest + share * (angles - self.rest) for share in shares)
+        return all(self._depth(self._posed(place)) < DEEP for place in way)
+
+    def _depth(self, data: mujoco.MjData) -> float:
+        """Return how deep the arm is in anything, m."""
         arm = {self.model.geom(name).id for name in _PARTS}
-        return any(
-            contact.dist < -DEEP and not arm.isdisjoint(contact.geom) for contact in data.contact
-        )
+        touching = (contact for contact in data.contact if not arm.isdisjoint(contact.geom))
+        return max((-contact.dist for contact in touching), default=0.0)
+
+    def _before_face(self, data: mujoco.MjData) -> bool:
+        forearm = data.site_xpos[self._sites[-1]]
+        head = data.geom_xpos[self.model.geom("human_head").id]
+        return float(np.linalg.norm(forearm - head)) < FACE
 
     def _turns(self, angles: jax.Array) -> list[tuple[jax.Array, jax.Array]]:
         """Return each joint's own motion, rotation [N, 3, 3] and shift [N, 3], about its place."""
@@ -158,7 +173,7 @@ class Arm:
         weight: np.ndarray,
         joints: int,
     ) -> jax.Array:
-        """Return the torques [N, 3] of a weight at `centre` [N, 3] that hangs on the first joints."""
+        """Return the torques [N, 3] of a weight at `centre` that hangs on the first joints."""
         force = np.array([[0.0, 0.0, -1.0]], np.float32) * weight
         columns = [
             (axis * jnp.cross(centre - anchor, force)).sum(-1)

@@ -22,7 +22,6 @@ from assistax_envs.tasks.gentle_base import FELT, STEP
 
 LATEST = 16  # steps that a person remembers: 300 ms and now
 SMOOTHED = 0.25  # s, over which sliding is felt
-PUSHED = 1.0  # times the liked force: a push that asks for help
 CALLED, ASKED = 2.0 / 3.0, 1.0 / 3.0  # initiative from which on nothing, or a touch, is waited for
 LAPSE = 1.0  # s
 LIMP = 0.1  # tone of an arm at rest
@@ -31,6 +30,7 @@ REACTS = 0.2  # s, of a movement that needs no aim; Fitts' law adds to it
 AIM = 0.1  # rad, how well a posture is aimed at
 MOVED = 0.1  # rad, from where on another posture is worth a movement
 CORRELATED = 0.8  # of a step's noise, what was there the step before
+SUSTAINED = 0.2  # s, over which effort stiffens an arm
 REFLEX = 0.04  # s, over which stretching is felt by the reflex
 RESUMES = 0.3  # share of the limit below which a person helps again
 PHASES = np.array([0.0, 0.7, 2.1], np.float32)  # rad: joints do not tremble as one
@@ -62,7 +62,7 @@ class Mind:
     time: jax.Array  # s that the movement takes
     intended: jax.Array  # [N, 3] rad
     tone: jax.Array  # 0 to 1
-    torque: jax.Array  # [N, 3] N m
+    effort: jax.Array  # [N, 3] N m, smoothed torque
     activation: jax.Array  # [N, 3, 2] of muscles
     shaken: jax.Array  # [N, 3] correlated noise
     stretch: jax.Array  # [N, 3] rad/s, smoothed velocity
@@ -87,6 +87,7 @@ class Controller:
         self._pull: Callable[..., tuple[jax.Array, jax.Array]] = MUSCLES[family]
         self._place, self._carried = index(task), "liked_distance" in index(task)
         self._spared = SPARED[task]
+        self._asked = 0.5 if self._carried else 1.0  # share of the usual force that asks for help
 
     def initial(self, n: int) -> Mind:
         """Return the carry of N persons before their first observation."""
@@ -111,7 +112,7 @@ class Controller:
             time=zero,
             intended=none,
             tone=zero,
-            torque=none,
+            effort=none,
             activation=jnp.zeros((n, JOINTS, 2), jnp.float32),
             shaken=none,
             stretch=none,
@@ -169,7 +170,7 @@ class Controller:
     def _look(
         self, mind: Mind, now: Senses, numbers: dict[str, jax.Array], strength: jax.Array
     ) -> Mind:
-        """Look for the posture that helps: at an episode's start, and now and then in some tasks."""
+        """Look for the posture that helps: first, and now and then in some tasks."""
         again = self.postures.help.again
         due = mind.age % again == 0 if again else mind.age == 0
         place = numbers.get("liked_place", jnp.zeros_like(strength))
@@ -193,8 +194,9 @@ class Controller:
         keep = STEP / SMOOTHED
         sliding = mind.sliding + keep * (jnp.where(touching, slip, 0.0) - mind.sliding)
         speed = near = jnp.ones_like(slip)
-        if self._carried:  # a robot that waits is too near or too far
-            near = jnp.where(touching, 1.0, now.distance / numbers["liked_distance"])
+        if self._carried:  # once the arm lies there, a robot that waits is too near or too far
+            waits = ~touching & self.postures.there(now, numbers["liked_place"])
+            near = jnp.where(waits, now.distance / numbers["liked_distance"], 1.0)
         else:
             speed = sliding / numbers["liked_speed"]
         columns = [now.position, now.force[:, None], speed[:, None], near[:, None], away, along]
@@ -204,15 +206,16 @@ class Controller:
         then = jnp.take_along_axis(past, steps[:, None, None], axis=1)[:, 0]
         position, force, speed, near, away, along = jnp.split(then, (3, 4, 5, 6, 9), axis=1)
         force = force[:, 0]
-        liked = jnp.full_like(force, FOREARM) if self._carried else numbers["liked_force"]
-        felt = reaction.Felt(
-            force, numbers["tolerance"] * liked, liked, speed[:, 0], near[:, 0], away, along
-        )
+        # Who is carried has no liking for it, and misses no pressure.
+        unit = jnp.full_like(force, FOREARM) if self._carried else numbers["liked_force"]
+        liked = jnp.zeros_like(unit) if self._carried else unit
+        hurts, asks = numbers["tolerance"] * unit, self._asked * unit
+        felt = reaction.Felt(force, hurts, liked, asks, speed[:, 0], near[:, 0], away, along)
         mind = dataclasses.replace(mind, past=past, sliding=sliding, tool=now.tool)
         return mind, felt, position
 
     def _touch(self, mind: Mind, now: Senses) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Return unit joint directions away from the tool and along with it [N, 3], and its slip."""
+        """Return joint directions away from the tool and along with it [N, 3], and its slip."""
         position, turn = self.arm.frames(now.position)
         axis = turn[..., 2]  # [N, 2, 3]
         to_tool = now.tool[:, None] - position
@@ -238,10 +241,10 @@ class Controller:
         numbers: dict[str, jax.Array],
         chance: jax.Array,
     ) -> Mind:
-        """Decide whether to help, and move the intended posture on: by minimum jerk, unless hurt."""
+        """Decide whether to help, and move on towards it: by minimum jerk, unless hurt."""
         initiative, discomfort = numbers["initiative"], mind.reaction.discomfort
         touched = mind.touched | (felt.force > FELT)
-        pushed = mind.pushed | (felt.force > PUSHED * felt.liked)
+        pushed = mind.pushed | (felt.force > felt.asks)
         limit = numbers["limit"]
         stopped = jnp.where(mind.stopped, discomfort > RESUMES * limit, discomfort > limit)
         wants = (initiative >= CALLED) | ((initiative >= ASKED) & touched) | pushed
@@ -301,7 +304,7 @@ class Controller:
             weight=numbers["gravity"][:, None] * self.arm.gravity(now.position),
             tone=mind.tone,
             discomfort=mind.reaction.discomfort,
-            effort=mind.torque,
+            effort=mind.effort,
             most=most,
         )
         activation, torque = self._pull(command, mind.activation, numbers, self.arm.damping)
@@ -314,15 +317,15 @@ class Controller:
         shake = jnp.sin(turn[:, None] + jnp.asarray(PHASES)[None])
         torque = torque + (numbers["tremor"] * mind.tone)[:, None] * most * shake
         torque = jnp.clip(torque, -most, most)
-        effort = jnp.abs(torque / jnp.maximum(most, 1e-6)).mean(axis=1)
+        work = jnp.abs(torque / jnp.maximum(most, 1e-6)).mean(axis=1)
         mind = dataclasses.replace(
             mind,
             age=mind.age + 1,
-            torque=torque,
+            effort=mind.effort + STEP / SUSTAINED * (torque - mind.effort),
             activation=activation,
             shaken=shaken,
             stretch=stretch,
-            tired=jnp.minimum(mind.tired + STEP / 60.0 * numbers["fatigue"] * effort, 0.9),
+            tired=jnp.minimum(mind.tired + STEP / 60.0 * numbers["fatigue"] * work, 0.9),
         )
         return mind, torque / jnp.asarray(self.arm.torque)[None]
 

@@ -43,7 +43,7 @@ class Command:
     weight: jax.Array  # [N, 3] N m that hold the arm, the share that this person carries
     tone: jax.Array  # [N] 0 to 1, from limp to at work
     discomfort: jax.Array  # [N]
-    effort: jax.Array  # [N, 3] N m a step ago
+    effort: jax.Array  # [N, 3] N m, smoothed torque
     most: jax.Array  # [N, 3] N m
 
 

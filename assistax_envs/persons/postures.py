@@ -21,9 +21,11 @@ from assistax_envs.tasks.gentle_lift import ACROSS, MIDDLE
 from assistax_envs.tasks.gentle_scratch import HIDDEN
 
 EFFORT = 0.1  # of showing a point fully, for each square radian away from rest
-FARTHEST = 0.15  # m that a point may move before the robot has to follow it
+REACH = 0.65  # m from the robot's shoulder, beyond which it has to stretch for what it is shown
+RAISED = 0.15  # m above rest that a forearm is held up without tiring
 AT_EASE = 0.8  # share of the strength that holding a posture may take
 SEEN = 0.25  # cosine of the angle from which on a point counts as shown
+THERE = 0.1  # m
 SOFTLY = 0.1  # width of that step
 
 
@@ -57,7 +59,8 @@ class Postures:
         self._angles, self._load = table["angles"], table["load"]
         self._position, self._turn = table["position"], table["turn"]
         effort = ((self._angles - arm.rest) ** 2).sum(axis=1)
-        self._ease = -EFFORT * effort  # [M]
+        raised = self._position[:, LOWER_ARM, 2] - self._position[0, LOWER_ARM, 2] - RAISED
+        self._ease = -EFFORT * effort - 4.0 * np.maximum(raised, 0.0)  # [M]
         if self.help.away:
             self._from = np.stack([self._side(segment) for segment in range(2)])
         if self.help.chooses == "shows":
@@ -78,6 +81,10 @@ class Postures:
             score = score - 4.0 * jnp.maximum(0.0, load - AT_EASE)
         return jnp.asarray(self._angles)[score.argmax(axis=1)]
 
+    def there(self, senses: Senses, place: jax.Array) -> jax.Array:
+        """Return whether the forearm lies where a person likes it, [N]; of `best`'s arguments."""
+        return jnp.linalg.norm(self._way(senses, place), axis=-1) < THERE
+
     def _presents(self, senses: Senses, place: jax.Array) -> jax.Array:
         """Return how well each posture shows the target [N, M]."""
         del place
@@ -95,15 +102,14 @@ class Postures:
         facing = (normal * jnp.asarray(self._from)[segment][:, None]).sum(-1)
         point = jnp.einsum("mnij,nj->nmi", turns, local[row, segment])
         point = point + jnp.swapaxes(jnp.asarray(self._position)[:, segment], 0, 1)
-        home = jnp.asarray(self._position[0])[segment][:, None]
-        moved = jnp.linalg.norm(point - home, axis=-1)
-        return 2.0 * jnp.minimum(facing, 0.8) - 3.0 * jnp.maximum(0.0, moved - FARTHEST)
+        far = jnp.linalg.norm(point - jnp.asarray(self._arm.robot)[None, None], axis=-1)
+        return 2.0 * jnp.minimum(facing, 0.8) - 4.0 * jnp.maximum(0.0, far - REACH)
 
     def _shows(self, senses: Senses, place: jax.Array) -> jax.Array:
         """Return which share of the points that are left each posture shows [N, M]."""
         del place
         left = senses.unwiped / jnp.maximum(senses.unwiped.sum(axis=1, keepdims=True), 1.0)
-        return 3.0 * left @ jnp.asarray(self._shown).T
+        return 4.0 * left @ jnp.asarray(self._shown).T
 
     def _brings(self, senses: Senses, place: jax.Array) -> jax.Array:
         """Return how near each posture brings the forearm to its place [N, M]; 1 for 10 cm."""
@@ -117,6 +123,13 @@ class Postures:
         )
         return -10.0 * away
 
+    def _way(self, senses: Senses, place: jax.Array) -> jax.Array:
+        """Return the way [N, 3] of the forearm to where a person likes it, m."""
+        if not self._lift:
+            return senses.to_place
+        # The observed place is the middle one.
+        return senses.to_place + (place[:, None] - MIDDLE) * jnp.asarray(ACROSS, jnp.float32)[None]
+
     def _side(self, segment: int) -> np.ndarray:
         """Return the direction [3] from which the tool can come to a segment at rest."""
         low, high = self.help.away[segment]
@@ -129,7 +142,10 @@ class Postures:
         outward /= np.linalg.norm(outward, axis=1, keepdims=True)
         normal = np.einsum("mkij,kj->mki", self._turn[:, segment], outward)
         facing = (normal * self._from[segment]).sum(axis=-1)
-        return (1.0 / (1.0 + np.exp((SEEN - facing) / SOFTLY))).astype(np.float32)
+        point = np.einsum("mkij,kj->mki", self._turn[:, segment], offset)
+        far = np.linalg.norm(point + self._position[:, segment] - self._arm.robot, axis=-1)
+        seen = 1.0 / (1.0 + np.exp((SEEN - facing) / SOFTLY))
+        return (seen * np.exp(-np.maximum(0.0, far - REACH) / 0.1)).astype(np.float32)
 
 
 def _underside(arm: Arm) -> tuple[np.ndarray, np.ndarray]:

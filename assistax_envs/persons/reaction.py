@@ -26,7 +26,8 @@ class Felt:
 
     force: jax.Array  # [N] N, of all touches
     hurts: jax.Array  # [N] N, from where on
-    liked: jax.Array  # [N] N
+    liked: jax.Array  # [N] N; 0 where no pressure is missed
+    asks: jax.Array  # [N] N, a push that asks for help
     speed: jax.Array  # [N] what slides, as a share of what is liked; 1 where nobody minds
     near: jax.Array  # [N] distance of a robot that waits, likewise; 1 where nobody minds
     away: jax.Array  # [N, 3] unit joint direction that moves the skin away from the tool

@@ -69,15 +69,7 @@ def persons(task: str) -> np.ndarray:
         ValueError: there is no such task.
     """
     _check(task)
-    points = _points(task)
-    rows = [
-        [
-            parameter.quantile(share)
-            for parameter, share in zip(PARAMETERS[task], point, strict=True)
-        ]
-        for point in points.tolist()
-    ]
-    table = np.array(rows, np.float32)
+    table = _rows(task, _points(task))
     table.flags.writeable = False
     return table
 
@@ -101,14 +93,7 @@ def drawn(task: str, secret: bytes, count: int) -> np.ndarray:
     size = count * WIDTH
     stream = hashlib.shake_256(b"persons of " + task.encode() + b" from " + secret).digest(8 * size)
     shares = (np.frombuffer(stream, "<u8") >> 11).astype(np.float64) / 2.0**53
-    rows = [
-        [
-            parameter.quantile(share)
-            for parameter, share in zip(PARAMETERS[task], point, strict=True)
-        ]
-        for point in shares.reshape(count, WIDTH).tolist()
-    ]
-    return np.array(rows, np.float32)
+    return _rows(task, shares.reshape(count, WIDTH))
 
 
 def card(someone: Person) -> str:
@@ -133,6 +118,15 @@ def _grades(task: str, row: np.ndarray) -> list[str]:
         f"modified Ashworth: {grade(ASHWORTH, float(row[place['spasticity']]))}",
         f"range of motion of the elbow: {share:.0%}",
     ]
+
+
+def _rows(task: str, points: np.ndarray) -> np.ndarray:
+    """Return the rows of points [P, 25] of the unit cube."""
+    rows = [
+        [number.quantile(share) for number, share in zip(PARAMETERS[task], point, strict=True)]
+        for point in points.tolist()
+    ]
+    return np.array(rows, np.float32)
 
 
 def _points(task: str) -> np.ndarray:
