@@ -143,7 +143,7 @@ class Arm:
         """Return each joint's own motion, rotation [N, 3, 3] and shift [N, 3], about its place."""
         turns = []
         for place in range(JOINTS):
-            axis, anchor = self._axis[place], self._anchor[place]
+            axis, anchor = self._axis[place], jnp.asarray(self._anchor[place])
             cross = np.array(
                 [[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]], np.float32
             )
