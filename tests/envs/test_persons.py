@@ -244,7 +244,7 @@ def test_a_touch_is_felt_after_the_delay(delay: float) -> None:
 def test_withdraws_from_force_and_leans_into_a_light_touch() -> None:
     arm, obs = controller().arm, jnp.asarray(at_rest()[None])
     senses = sense("gentle_scratch", obs)
-    position, turn = arm.frames(senses.position)
+    position, _ = arm.frames(senses.position)
     for force, expected in ((20.0, 1.0), (1.0, -1.0), (4.0, 0.0)):
         minds, _ = watched(somebody(liked_speed=0.02), np.full(60, force))
         shift = minds[-1].reaction.shift
