@@ -44,7 +44,7 @@ class Arm:
             model.body(name).id for name in ("human_right_upper_arm", "human_right_lower_arm")
         ]
         self._centre = np.array(data.xipos[bodies], np.float32)  # [2, 3] m
-        self._weight = np.array(model.body_mass[bodies] * GRAVITY, np.float32)  # [2] N
+        self._weight = [float(model.body_mass[body] * GRAVITY) for body in bodies]  # N
         # m: the robot's shoulder, from which its arm reaches
         self.robot = np.array(data.xanchor[model.joint(ROBOT_JOINTS[1]).id], np.float32)
         sites = [model.site(f"human_{segment}") for segment in ARM_SEGMENTS]
@@ -170,7 +170,7 @@ class Arm:
         self,
         turns: list[tuple[jax.Array, jax.Array]],
         centre: jax.Array,
-        weight: np.ndarray,
+        weight: float,
         joints: int,
     ) -> jax.Array:
         """Return the torques [N, 3] of a weight at `centre` that hangs on the first joints."""

@@ -16,7 +16,7 @@ from assistax_envs.persons import muscles, noise, reaction
 from assistax_envs.persons.body import JOINTS, Arm
 from assistax_envs.persons.parameters import FOREARM, SPARED, index
 from assistax_envs.persons.postures import Postures
-from assistax_envs.persons.senses import Senses, sense
+from assistax_envs.persons.senses import Senses, columns, sense
 from assistax_envs.tasks import TASK_CLASSES
 from assistax_envs.tasks.gentle_base import FELT, STEP
 
@@ -146,9 +146,11 @@ class Controller:
     ) -> Mind:
         """Forget all where an episode begins.
 
-        Its chance comes from the bits of its start, which the episode's key drew, and of the row.
+        Its chance comes from the bits of the joints' start, which the episode's key drew and which
+        are the same on every backend, and from those of the row.
         """
-        bits = jax.lax.bitcast_convert_type(jnp.concatenate([obs, row], axis=1), jnp.uint32)
+        start = obs[:, columns(self.task)["position"]]
+        bits = jax.lax.bitcast_convert_type(jnp.concatenate([start, row], axis=1), jnp.uint32)
         fresh = self.initial(obs.shape[0])
         still = jnp.zeros_like(fresh.past).at[:, :, :JOINTS].set(now.position[:, None])
         still = still.at[:, :, JOINTS + 1 : JOINTS + 3].set(1.0)  # nothing slides, nobody is near
@@ -199,8 +201,8 @@ class Controller:
             near = jnp.where(waits, now.distance / numbers["liked_distance"], 1.0)
         else:
             speed = sliding / numbers["liked_speed"]
-        columns = [now.position, now.force[:, None], speed[:, None], near[:, None], away, along]
-        newest = jnp.concatenate(columns, axis=-1)
+        parts = [now.position, now.force[:, None], speed[:, None], near[:, None], away, along]
+        newest = jnp.concatenate(parts, axis=-1)
         past = jnp.concatenate([newest[:, None], mind.past[:, :-1]], axis=1)
         steps = jnp.clip(jnp.round(numbers["delay"] / STEP), 0, LATEST - 1).astype(jnp.int32)
         then = jnp.take_along_axis(past, steps[:, None, None], axis=1)[:, 0]

@@ -13,6 +13,10 @@ from assistax_envs.persons.controller import Controller, Mind
 from assistax_envs.persons.parameters import WIDTH, index
 from assistax_envs.tasks.gentle_base import Liking
 
+# Rows are filled up to a multiple of this: what is left of a vector of a CPU is computed one by one
+# and rounded otherwise, so that a person's last bits would depend on where in a batch it stands.
+LANES = 16
+
 
 class PersonPlayer:
     """All persons of a task and a family, in `population.policy.Policy`'s form."""
@@ -35,12 +39,19 @@ class PersonPlayer:
         """
         shape = obs.shape[:-1]
         n = math.prod(shape)
-        row = jnp.broadcast_to(params["row"], (*shape, WIDTH)).reshape(n, WIDTH)
-        flat = jax.tree.map(lambda leaf: leaf.reshape(n, *leaf.shape[len(shape) :]), carry)
-        first = jnp.broadcast_to(first, shape).reshape(n)
-        mind, action = self.controller.act(row, flat, obs.reshape(n, -1), first)
-        mind = jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), mind)
-        return mind, action.reshape(*shape, -1)
+        row, first = (
+            jnp.broadcast_to(params["row"], (*shape, WIDTH)),
+            jnp.broadcast_to(first, shape),
+        )
+
+        def flat(leaf: jax.Array) -> jax.Array:
+            leaf = leaf.reshape(n, *leaf.shape[len(shape) :])
+            more = -n % LANES
+            return jnp.concatenate([leaf, *[leaf[:1]] * more]) if more else leaf
+
+        given = jax.tree.map(flat, (row, carry, obs, first))
+        mind, action = self.controller.act(*given)
+        return jax.tree.map(lambda leaf: leaf[:n].reshape(*shape, *leaf.shape[1:]), (mind, action))
 
 
 def person_params(task: str, rows: np.ndarray) -> EnvParams:
