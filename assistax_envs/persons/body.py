@@ -149,9 +149,9 @@ class Arm:
             )
             angle = angles[:, place, None, None]
             turn = (
-                np.eye(3, dtype=np.float32)[None]
-                + jnp.sin(angle) * cross[None]
-                + (1.0 - jnp.cos(angle)) * (cross @ cross)[None]
+                jnp.eye(3)[None]
+                + jnp.sin(angle) * jnp.asarray(cross)[None]
+                + (1.0 - jnp.cos(angle)) * jnp.asarray(cross @ cross)[None]
             )
             turns.append((turn, anchor[None] - _apply(turn, anchor[None])))
         return turns
