@@ -14,7 +14,8 @@ from assistax_envs.persons.parameters import WIDTH, index
 from assistax_envs.tasks.gentle_base import Liking
 
 # Rows are filled up to a multiple of this: what is left of a vector of a CPU is computed one by one
-# and rounded otherwise, so that a person's last bits would depend on where in a batch it stands.
+# and rounded otherwise, so that a person's last bits would depend on where in a batch it stands. A
+# batch of another size is another program, and may still differ in the last bit.
 LANES = 16
 
 

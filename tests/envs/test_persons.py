@@ -407,4 +407,5 @@ def test_a_player_has_the_form_of_a_policy(shape: tuple[int, ...]) -> None:
     np.testing.assert_array_equal(alone.reshape(-1, 3)[0], action.reshape(-1, 3)[0])
     assert np.abs(alone.reshape(-1, 3)[1] - action.reshape(-1, 3)[1]).max() > 0.0
     _, among_more = watched(persons(task)[:BATCH], np.zeros(1))
-    np.testing.assert_array_equal(action.reshape(-1, 3), among_more[0, :n])
+    # Of a batch of another size: another program, which may round the last bit otherwise.
+    np.testing.assert_allclose(action.reshape(-1, 3), among_more[0, :n], atol=1e-6)
