@@ -46,7 +46,7 @@ class Mind:
 
     seed: jax.Array  # uint32, of the episode's chance
     age: jax.Array  # int32, steps
-    past: jax.Array  # [N, 16, 12] what was perceived, newest first
+    past: jax.Array  # [N, 16, 9] what was perceived, newest first
     tool: jax.Array  # [N, 3] m, a step ago
     sliding: jax.Array  # m/s, smoothed
     reaction: reaction.Reaction
@@ -96,7 +96,7 @@ class Controller:
         return Mind(
             seed=jnp.zeros(n, jnp.uint32),
             age=jnp.zeros(n, jnp.int32),
-            past=jnp.zeros((n, LATEST, 12), jnp.float32),
+            past=jnp.zeros((n, LATEST, 9), jnp.float32),
             tool=none,
             sliding=zero,
             reaction=calm,
@@ -191,7 +191,7 @@ class Controller:
         self, mind: Mind, now: Senses, numbers: dict[str, jax.Array]
     ) -> tuple[Mind, reaction.Felt, jax.Array]:
         """Return what is felt, of a delay ago, and the joints' position then [N, 3]."""
-        away, along, slip = self._touch(mind, now)
+        away, slip = self._touch(mind, now)
         touching = now.force > FELT
         keep = STEP / SMOOTHED
         sliding = mind.sliding + keep * (jnp.where(touching, slip, 0.0) - mind.sliding)
@@ -201,23 +201,23 @@ class Controller:
             near = jnp.where(waits, now.distance / numbers["liked_distance"], 1.0)
         else:
             speed = sliding / numbers["liked_speed"]
-        parts = [now.position, now.force[:, None], speed[:, None], near[:, None], away, along]
+        parts = [now.position, now.force[:, None], speed[:, None], near[:, None], away]
         newest = jnp.concatenate(parts, axis=-1)
         past = jnp.concatenate([newest[:, None], mind.past[:, :-1]], axis=1)
         steps = jnp.clip(jnp.round(numbers["delay"] / STEP), 0, LATEST - 1).astype(jnp.int32)
         then = jnp.take_along_axis(past, steps[:, None, None], axis=1)[:, 0]
-        position, force, speed, near, away, along = jnp.split(then, (3, 4, 5, 6, 9), axis=1)
+        position, force, speed, near, away = jnp.split(then, (3, 4, 5, 6), axis=1)
         force = force[:, 0]
         # Who is carried has no liking for it, and misses no pressure.
         unit = jnp.full_like(force, FOREARM) if self._carried else numbers["liked_force"]
         liked = jnp.zeros_like(unit) if self._carried else unit
         hurts, asks = numbers["tolerance"] * unit, self._asked * unit
-        felt = reaction.Felt(force, hurts, liked, asks, speed[:, 0], near[:, 0], away, along)
+        felt = reaction.Felt(force, hurts, liked, asks, speed[:, 0], near[:, 0], away)
         mind = dataclasses.replace(mind, past=past, sliding=sliding, tool=now.tool)
         return mind, felt, position
 
-    def _touch(self, mind: Mind, now: Senses) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Return joint directions away from the tool and along with it [N, 3], and its slip."""
+    def _touch(self, mind: Mind, now: Senses) -> tuple[jax.Array, jax.Array]:
+        """Return the unit joint direction away from the tool [N, 3], and its slip [N], m/s."""
         position, turn = self.arm.frames(now.position)
         axis = turn[..., 2]  # [N, 2, 3]
         to_tool = now.tool[:, None] - position
@@ -229,11 +229,8 @@ class Controller:
         jacobian = self.arm.jacobian(now.position, now.tool, on_lower)
         drift = (now.tool - mind.tool) / STEP - (jacobian * now.velocity[:, None]).sum(-1)
         drift = drift - (drift * outward).sum(-1, keepdims=True) * outward
-
-        def joints(direction: jax.Array) -> jax.Array:
-            return _unit((jacobian * direction[:, :, None]).sum(1))
-
-        return joints(-outward), joints(drift), jnp.linalg.norm(drift, axis=-1)
+        away = _unit((jacobian * -outward[:, :, None]).sum(1))
+        return away, jnp.linalg.norm(drift, axis=-1)
 
     def _intend(
         self,

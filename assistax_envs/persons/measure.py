@@ -27,6 +27,9 @@ SCRIPTED = 4.0  # N that the scripts keep to
 SWEEP = 4.0  # s, in which a probing script goes from a light to a hard touch and back
 WINDOWS = (2.0, 5.0)  # s from the first touch
 STEPS_A_SECOND = 50
+TOOL, ARMS = slice(14, 17), slice(24, 30)  # of the robot's observation: places, m
+TOUCHES = (FELT, 1.5, 3.0, 5.0, 8.0, 12.0, 20.0)  # N, bounds between strengths of a touch
+ANSWER = 20  # steps in which an arm answers
 CAMERAS = {"gentle_scratch": "side", "gentle_bath": "side", "gentle_lift": "head"}
 
 
@@ -120,7 +123,8 @@ def earned(seen: dict[str, np.ndarray]) -> dict[str, float]:
 def read(seen: dict[str, np.ndarray], wish: np.ndarray, window: float) -> tuple[float, int]:
     """Return in which share of unseen persons a linear reader finds the third of a wish.
 
-    It sees means, spreads and changes of what the robot observes from the first touch on.
+    It sees means, spreads and changes of what the robot observes from the first touch on, and how
+    the arm answered to light and to hard touches.
 
     Args:
         seen: of `episodes`.
@@ -130,17 +134,17 @@ def read(seen: dict[str, np.ndarray], wish: np.ndarray, window: float) -> tuple[
     Returns:
         The share, and of how many persons; a third is chance.
     """
-    obs, touched = seen["obs"], seen["force"] > FELT
+    obs, force, touched = seen["obs"], seen["force"], seen["force"] > FELT
     begin, length = touched.argmax(axis=0), int(window * STEPS_A_SECOND)
     enough = touched.any(axis=0) & (begin + length <= len(obs))
     features = []
     for person in np.flatnonzero(enough):
-        part = obs[begin[person] : begin[person] + length, person]
-        halves = np.array_split(part, 2)
+        when = slice(begin[person], begin[person] + length)
+        part = obs[when, person]
+        halves = [half.mean(axis=0) for half in np.array_split(part, 2)]
         change = np.abs(np.diff(part, axis=0)).mean(axis=0)
-        features.append(
-            np.concatenate([half.mean(axis=0) for half in halves] + [part.std(axis=0), change])
-        )
+        answers = _answers(part, force[when, person])
+        features.append(np.concatenate([*halves, part.std(axis=0), change, answers]))
     x = np.array(features, np.float64)
     thirds = np.searchsorted(np.quantile(wish, [1 / 3, 2 / 3]), wish[enough])
     train = np.arange(len(x)) % 3 > 0
@@ -152,6 +156,26 @@ def read(seen: dict[str, np.ndarray], wish: np.ndarray, window: float) -> tuple[
     weights = np.linalg.solve(square, x[train].T @ target[train])
     hit = (x[~train] @ weights).argmax(axis=1) == thirds[~train]
     return float(hit.mean()), len(hit)
+
+
+def _answers(part: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Return how the arm moved after touches of each strength, and how frequent those were.
+
+    Args:
+        part: [T, O] what the robot observed.
+        force: [T] N, which it observes too.
+    """
+    arms = part[:, ARMS].reshape(len(part), 2, 3)
+    aside = arms - part[:, None, TOOL]
+    aside /= np.linalg.norm(aside, axis=-1, keepdims=True)
+    moved = ((arms[ANSWER:] - arms[:-ANSWER]) * aside[:-ANSWER]).sum(axis=-1)  # [T', 2] m
+    place = np.searchsorted(TOUCHES, force[:-ANSWER])
+    rows = []
+    for strength in range(len(TOUCHES) + 1):
+        chosen = place == strength
+        share = chosen.mean()
+        rows.append([*(moved[chosen].mean(axis=0) if share else (0.0, 0.0)), share])
+    return np.concatenate(rows)
 
 
 def film(task: str, rows: np.ndarray, path: str, seconds: tuple[float, ...], seed: int = 0) -> None:
