@@ -90,6 +90,7 @@ def _stimuli(felt: Felt) -> tuple[jax.Array, jax.Array]:
     too_near = LIGHT / jnp.maximum(felt.near, 1e-3) - 1.0
     too_fast = jnp.where(touched, felt.speed / FAST - 1.0, 0.0)
     excess = jnp.maximum(felt.force / felt.hurts - 1.0, jnp.maximum(too_fast, too_near))
-    missing = (felt.force < LIGHT * felt.liked) | (felt.speed < LIGHT)
-    light = (touched & missing) | (felt.near > 1.0 / LIGHT)
+    # Who is pressed as hard as it likes, or harder, does not lean in to be rubbed faster.
+    slow = (felt.speed < LIGHT) & (felt.force < felt.liked)
+    light = (touched & ((felt.force < LIGHT * felt.liked) | slow)) | (felt.near > 1.0 / LIGHT)
     return jnp.clip(excess, 0.0, MOST), light.astype(jnp.float32)
