@@ -13,6 +13,7 @@ import pytest
 from assistax_envs.persons import muscles, reaction
 from assistax_envs.persons.body import JOINTS
 from assistax_envs.persons.controller import Controller, Mind
+from assistax_envs.persons.measure import earned, episodes
 from assistax_envs.persons.parameters import PARAMETERS, WIDTH, Parameter, index, left
 from assistax_envs.persons.player import PersonPlayer, person_params
 from assistax_envs.persons.rows import (
@@ -42,6 +43,7 @@ TABLES = {
     "gentle_lift": "821bef195b3ccf1bf65323ad3afd9087e9a3f25ffc87afbacd116c85f704e72b",
 }
 BATCH = 48
+HUMANS = ("person", "idle")
 NOBODY = {  # numbers of somebody without impairment or chance, of the gentle tasks of the skin
     "strength": 1.0, "range": 1.0, "tremor_frequency": 6.0, "tremor": 0.0, "spasticity": 0.0,
     "catch_speed": 1.0, "fatigue": 0.0, "slow_start": 0.1, "stiffness": 1.0, "delay": 0.1,
@@ -428,3 +430,11 @@ def test_a_player_has_the_form_of_a_policy(shape: tuple[int, ...]) -> None:
     _, among_more = watched(persons(task)[:BATCH], np.zeros(1))
     # Of a batch of another size: another program, which may round the last bit otherwise.
     np.testing.assert_allclose(action.reshape(-1, 3), among_more[0, :n], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_persons_help_and_can_be_told_apart_from_idle_ones() -> None:
+    rows = persons("gentle_scratch")[:24]
+    figures = {human: earned(episodes("gentle_scratch", rows, "script", human)) for human in HUMANS}
+    assert figures["person"]["return"] > 1.3 * figures["idle"]["return"] > 0.0
+    assert figures["person"]["success"] > figures["idle"]["success"]
