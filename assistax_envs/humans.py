@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,8 @@ class EnvParams:
     tremor: jax.Array
     # int32: k for pk, 0 where one is drawn anew at each reset. Only the gentle tasks look at it.
     preference: jax.Array
+    # `gentle_base.Liking` of persons, whose wishes are no row of the table; in place of preference.
+    likes: Any = None
 
 
 def disability_params(

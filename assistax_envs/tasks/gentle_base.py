@@ -4,6 +4,7 @@ Shapes: N simulations. Forces in N, lengths in m, speeds in m/s.
 """
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -47,6 +48,11 @@ def liking(preference: jax.Array, key: jax.Array) -> Liking:
     table = jnp.asarray([dataclasses.astuple(one) for one in PREFERENCES.values()], jnp.float32)
     drawn = jax.random.randint(key, (), 0, len(PREFERENCES))
     return Liking(*table[jnp.where(preference > 0, preference - 1, drawn)])
+
+
+def wishes(params: Any, key: jax.Array) -> Liking:
+    """Return what the human of one simulation likes: its own wishes, or those of a preference."""
+    return liking(params.preference, key) if params.likes is None else params.likes
 
 
 @jax.tree_util.register_dataclass

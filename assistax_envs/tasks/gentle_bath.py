@@ -25,7 +25,7 @@ from assistax_envs.tasks.gentle_base import (
     bump,
     costs,
     in_segment,
-    liking,
+    wishes,
     with_preference,
 )
 
@@ -102,7 +102,7 @@ class GentleBath:
             drift=jnp.zeros((2, 3), jnp.float32),
             nearest=nan,
             violated=jnp.zeros((), bool),
-            likes=liking(params.preference, likes_key),
+            likes=wishes(params, likes_key),
         )
         return self.pose.draw(pose_key), state
 

@@ -32,7 +32,7 @@ from assistax_envs.tasks.gentle_base import (
     TouchSensors,
     bump,
     costs,
-    liking,
+    wishes,
     with_preference,
 )
 
@@ -119,7 +119,7 @@ class GentleLift:
         """Draw the start pose [nq] and, where it is not given, the preference."""
         pose_key, likes_key, start_key = jax.random.split(key, 3)
         nan, zero = jnp.full((), jnp.nan, jnp.float32), jnp.zeros((), jnp.int32)
-        likes = liking(params.preference, likes_key)
+        likes = wishes(params, likes_key)
         state = LiftState(
             waist=_place(likes.place),
             section=jnp.full(3, jnp.nan, jnp.float32),

@@ -34,7 +34,7 @@ from assistax_envs.tasks.gentle_base import (
     bump,
     costs,
     in_segment,
-    liking,
+    wishes,
     with_preference,
 )
 from assistax_envs.tasks.scratch import START
@@ -112,7 +112,7 @@ class GentleScratch:
             liked=zero,
             strokes=jnp.zeros((), jnp.int32),
             violated=jnp.zeros((), bool),
-            likes=liking(params.preference, likes_key),
+            likes=wishes(params, likes_key),
         )
         return self.pose.draw(pose_key), state
 

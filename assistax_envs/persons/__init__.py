@@ -1,0 +1,40 @@
+"""Persons: partners made of numbers, who react in public. `docs/persons.md` says what they are."""
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from assistax_envs.persons.parameters import PARAMETERS, Parameter
+    from assistax_envs.persons.player import PersonPlayer, person_params
+    from assistax_envs.persons.rows import COUNT, Person, card, person, persons
+
+# Loaded on first use: the table of parameters needs neither JAX nor MuJoCo.
+_HOMES = {
+    "COUNT": "rows",
+    "PARAMETERS": "parameters",
+    "Parameter": "parameters",
+    "Person": "rows",
+    "PersonPlayer": "player",
+    "card": "rows",
+    "person": "rows",
+    "person_params": "player",
+    "persons": "rows",
+}
+
+__all__ = [
+    "COUNT",
+    "PARAMETERS",
+    "Parameter",
+    "Person",
+    "PersonPlayer",
+    "card",
+    "person",
+    "person_params",
+    "persons",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)

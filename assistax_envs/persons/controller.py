@@ -1,0 +1,339 @@
+"""A person at work: feels with a delay, reacts, intends, and pulls. A pure function of a carry.
+
+Shapes: N simulations; a row [N, 25] of numbers for each. One step is 20 ms.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from assistax_envs.persons import muscles, noise, reaction
+from assistax_envs.persons.body import JOINTS, Arm
+from assistax_envs.persons.parameters import FOREARM, SPARED, index
+from assistax_envs.persons.postures import Postures
+from assistax_envs.persons.senses import Senses, columns, sense
+from assistax_envs.tasks import TASK_CLASSES
+from assistax_envs.tasks.gentle_base import FELT, STEP
+
+LATEST = 16  # steps that a person remembers: 300 ms and now
+SMOOTHED = 0.25  # s, over which sliding is felt
+CALLED, ASKED = 2.0 / 3.0, 1.0 / 3.0  # initiative from which on nothing, or a touch, is waited for
+LAPSE = 1.0  # s
+LIMP = 0.1  # tone of an arm at rest
+RISE, FALL = 0.1, 0.4  # s, of the tone
+REACTS = 0.2  # s, of a movement that needs no aim; Fitts' law adds to it
+AIM = 0.1  # rad, how well a posture is aimed at
+MOVED = 0.1  # rad, from where on another posture is worth a movement
+CORRELATED = 0.8  # of a step's noise, what was there the step before
+SUSTAINED = 0.2  # s, over which effort stiffens an arm
+REFLEX = 0.04  # s, over which stretching is felt by the reflex
+RESUMES = 0.3  # share of the limit below which a person helps again
+PHASES = np.array([0.0, 0.7, 2.1], np.float32)  # rad: joints do not tremble as one
+
+LAWS = {"spring": reaction.proportional, "muscle": reaction.guarded}
+MUSCLES = {"spring": muscles.spring, "muscle": muscles.muscle}
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Mind:
+    """The carry; every leaf has axis N first."""
+
+    seed: jax.Array  # uint32, of the episode's chance
+    age: jax.Array  # int32, steps
+    past: jax.Array  # [N, 16, 9] what was perceived, newest first
+    tool: jax.Array  # [N, 3] m, a step ago
+    sliding: jax.Array  # m/s, smoothed
+    reaction: reaction.Reaction
+    touched: jax.Array  # bool, ever
+    pushed: jax.Array  # bool, ever
+    stopped: jax.Array  # bool: hurt, and not yet willing again
+    willing: jax.Array  # s since it wanted to help, 0 if it does not
+    lapsed: jax.Array  # s until attention is back
+    helps: jax.Array  # bool
+    help: jax.Array  # [N, 3] rad, the posture that helps as it believes
+    begin: jax.Array  # [N, 3] rad, where the movement began
+    way: jax.Array  # s since then
+    time: jax.Array  # s that the movement takes
+    intended: jax.Array  # [N, 3] rad
+    tone: jax.Array  # 0 to 1
+    effort: jax.Array  # [N, 3] N m, smoothed torque
+    activation: jax.Array  # [N, 3, 2] of muscles
+    shaken: jax.Array  # [N, 3] correlated noise
+    stretch: jax.Array  # [N, 3] rad/s, smoothed velocity
+    tired: jax.Array  # share of strength that is gone
+
+
+class Controller:
+    """The program of all persons of a task and a family."""
+
+    def __init__(self, task: str, model: mujoco.MjModel, family: str = "spring") -> None:
+        """Prepare for a task's scene.
+
+        Raises:
+            ValueError: there is no such family.
+        """
+        if family not in MUSCLES:
+            raise ValueError(f"family is {family!r}; allowed are {', '.join(MUSCLES)}")
+        of_task: Any = TASK_CLASSES[task](model)
+        self.task, self.arm = task, Arm(model, np.array(of_task.pose.angle, float))
+        self.postures = Postures(task, self.arm)
+        self._law: Callable[..., reaction.Reaction] = LAWS[family]
+        self._pull: Callable[..., tuple[jax.Array, jax.Array]] = MUSCLES[family]
+        self._place, self._carried = index(task), "liked_distance" in index(task)
+        self._spared = SPARED[task]
+        self._asked = 0.5 if self._carried else 1.0  # share of the usual force that asks for help
+
+    def initial(self, n: int) -> Mind:
+        """Return the carry of N persons before their first observation."""
+        zero, none = jnp.zeros(n, jnp.float32), jnp.zeros((n, JOINTS), jnp.float32)
+        no, calm = jnp.zeros(n, bool), reaction.calm(n)
+        return Mind(
+            seed=jnp.zeros(n, jnp.uint32),
+            age=jnp.zeros(n, jnp.int32),
+            past=jnp.zeros((n, LATEST, 9), jnp.float32),
+            tool=none,
+            sliding=zero,
+            reaction=calm,
+            touched=no,
+            pushed=no,
+            stopped=no,
+            willing=zero,
+            lapsed=zero,
+            helps=no,
+            help=none,
+            begin=none,
+            way=zero,
+            time=zero,
+            intended=none,
+            tone=zero,
+            effort=none,
+            activation=jnp.zeros((n, JOINTS, 2), jnp.float32),
+            shaken=none,
+            stretch=none,
+            tired=zero,
+        )
+
+    def act(
+        self, row: jax.Array, mind: Mind, obs: jax.Array, first: jax.Array
+    ) -> tuple[Mind, jax.Array]:
+        """Return the new carry and the actions [N, 3]: shares of the seat's torques.
+
+        Args:
+            row: [N, 25] numbers of `PARAMETERS`.
+            mind: the carry.
+            obs: [N, O] what a human in the seat observes.
+            first: [N] whether an episode begins; then the carry is forgotten.
+        """
+        numbers = {name: row[:, place] for name, place in self._place.items()}
+        strength = 1.0 - (1.0 - self._spared) * (1.0 - numbers["strength"])
+        now = sense(self.task, obs)
+        mind = self._begun(mind, row, obs, now, first)
+        mind = self._look(mind, now, numbers, strength)
+        mind, felt, late = self._feel(mind, now, numbers)
+        mind = dataclasses.replace(mind, reaction=self._law(mind.reaction, felt, numbers))
+        chance = noise.uniform(mind.seed, mind.age, 2 * JOINTS)
+        mind = self._intend(mind, felt, now, numbers, chance[:, JOINTS])
+        return self._move(mind, now, late, numbers, strength, noise.normal(chance[:, :JOINTS]))
+
+    def _begun(
+        self, mind: Mind, row: jax.Array, obs: jax.Array, now: Senses, first: jax.Array
+    ) -> Mind:
+        """Forget all where an episode begins.
+
+        Its chance comes from the bits of the joints' start, which the episode's key drew and which
+        are the same on every backend, and from those of the row.
+        """
+        start = obs[:, columns(self.task)["position"]]
+        bits = jax.lax.bitcast_convert_type(jnp.concatenate([start, row], axis=1), jnp.uint32)
+        fresh = self.initial(obs.shape[0])
+        still = jnp.zeros_like(fresh.past).at[:, :, :JOINTS].set(now.position[:, None])
+        still = still.at[:, :, JOINTS + 1 : JOINTS + 3].set(1.0)  # nothing slides, nobody is near
+        fresh = dataclasses.replace(
+            fresh,
+            seed=noise.seed_of(bits),
+            past=still,
+            tool=now.tool,
+            intended=now.position,
+            begin=now.position,
+            tone=jnp.full_like(fresh.tone, LIMP),
+        )
+
+        def choose(new: jax.Array, old: jax.Array) -> jax.Array:
+            return jnp.where(first.reshape(first.shape + (1,) * (new.ndim - 1)), new, old)
+
+        return jax.tree.map(choose, fresh, mind)
+
+    def _look(
+        self, mind: Mind, now: Senses, numbers: dict[str, jax.Array], strength: jax.Array
+    ) -> Mind:
+        """Look for the posture that helps: first, and now and then in some tasks."""
+        again = self.postures.help.again
+        due = mind.age % again == 0 if again else mind.age == 0
+        place = numbers.get("liked_place", jnp.zeros_like(strength))
+
+        def search(_: None) -> jax.Array:
+            best = self.postures.best(now, strength, place)
+            believed = [numbers[f"belief_{joint}"] for joint in ("shoulder1", "shoulder2", "elbow")]
+            believed = best + jnp.stack(believed, axis=-1)
+            low, high = jnp.asarray(self.arm.range.T)[:, None]
+            return jnp.clip(believed, low, high)
+
+        posture = jax.lax.cond(jnp.any(due), search, lambda _: mind.help, None)
+        return dataclasses.replace(mind, help=jnp.where(due[:, None], posture, mind.help))
+
+    def _feel(
+        self, mind: Mind, now: Senses, numbers: dict[str, jax.Array]
+    ) -> tuple[Mind, reaction.Felt, jax.Array]:
+        """Return what is felt, of a delay ago, and the joints' position then [N, 3]."""
+        away, slip = self._touch(mind, now)
+        touching = now.force > FELT
+        keep = STEP / SMOOTHED
+        sliding = mind.sliding + keep * (jnp.where(touching, slip, 0.0) - mind.sliding)
+        speed = near = jnp.ones_like(slip)
+        if self._carried:  # once the arm lies there, a robot that waits is too near or too far
+            waits = ~touching & self.postures.there(now, numbers["liked_place"])
+            near = jnp.where(waits, now.distance / numbers["liked_distance"], 1.0)
+        else:
+            speed = sliding / numbers["liked_speed"]
+        parts = [now.position, now.force[:, None], speed[:, None], near[:, None], away]
+        newest = jnp.concatenate(parts, axis=-1)
+        past = jnp.concatenate([newest[:, None], mind.past[:, :-1]], axis=1)
+        steps = jnp.clip(jnp.round(numbers["delay"] / STEP), 0, LATEST - 1).astype(jnp.int32)
+        then = jnp.take_along_axis(past, steps[:, None, None], axis=1)[:, 0]
+        position, force, speed, near, away = jnp.split(then, (3, 4, 5, 6), axis=1)
+        force = force[:, 0]
+        # Who is carried has no liking for it, and misses no pressure.
+        unit = jnp.full_like(force, FOREARM) if self._carried else numbers["liked_force"]
+        liked = jnp.zeros_like(unit) if self._carried else unit
+        hurts, asks = numbers["tolerance"] * unit, self._asked * unit
+        felt = reaction.Felt(force, hurts, liked, asks, speed[:, 0], near[:, 0], away)
+        mind = dataclasses.replace(mind, past=past, sliding=sliding, tool=now.tool)
+        return mind, felt, position
+
+    def _touch(self, mind: Mind, now: Senses) -> tuple[jax.Array, jax.Array]:
+        """Return the unit joint direction away from the tool [N, 3], and its slip [N], m/s."""
+        position, turn = self.arm.frames(now.position)
+        axis = turn[..., 2]  # [N, 2, 3]
+        to_tool = now.tool[:, None] - position
+        half = jnp.asarray(self.arm.half_length)[None]
+        along = jnp.clip((to_tool * axis).sum(-1), -half, half)
+        gap = to_tool - along[..., None] * axis
+        on_lower = jnp.linalg.norm(gap[:, 1], axis=-1) < jnp.linalg.norm(gap[:, 0], axis=-1)
+        outward = _unit(jnp.where(on_lower[:, None], gap[:, 1], gap[:, 0]))
+        jacobian = self.arm.jacobian(now.position, now.tool, on_lower)
+        drift = (now.tool - mind.tool) / STEP - (jacobian * now.velocity[:, None]).sum(-1)
+        drift = drift - (drift * outward).sum(-1, keepdims=True) * outward
+        away = _unit((jacobian * -outward[:, :, None]).sum(1))
+        return away, jnp.linalg.norm(drift, axis=-1)
+
+    def _intend(
+        self,
+        mind: Mind,
+        felt: reaction.Felt,
+        now: Senses,
+        numbers: dict[str, jax.Array],
+        chance: jax.Array,
+    ) -> Mind:
+        """Decide whether to help, and move on towards it: by minimum jerk, unless hurt."""
+        initiative, discomfort = numbers["initiative"], mind.reaction.discomfort
+        touched = mind.touched | (felt.force > FELT)
+        pushed = mind.pushed | (felt.force > felt.asks)
+        limit = numbers["limit"]
+        stopped = jnp.where(mind.stopped, discomfort > RESUMES * limit, discomfort > limit)
+        wants = (initiative >= CALLED) | ((initiative >= ASKED) & touched) | pushed
+        willing = jnp.where(wants & ~stopped, mind.willing + STEP, 0.0)
+        helps = willing > numbers["slow_start"]
+        begins = chance < numbers["lapses"] * (STEP / 60.0)
+        lapsed = jnp.where(begins, LAPSE, jnp.maximum(mind.lapsed - STEP, 0.0))
+        # Another movement begins with help, and where another posture would help more.
+        aside = jnp.abs(mind.help - mind.intended).max(axis=1)
+        arrived = mind.way >= mind.time
+        starts = (helps & ~mind.helps) | (helps & arrived & (aside > MOVED))
+        time = REACTS + numbers["pace"] * jnp.log2(1.0 + aside / AIM)
+        begin = jnp.where(starts[:, None], mind.intended, mind.begin)
+        way = jnp.where(starts, 0.0, jnp.where(lapsed > 0.0, mind.way, mind.way + STEP))
+        time = jnp.where(starts, time, mind.time)
+        planned = begin + (mind.help - begin) * _minimum_jerk(way, time)[:, None]
+        # An arm that does nothing intends to be where it is.
+        idle = mind.intended + STEP / FALL * (now.position - mind.intended)
+        work = jnp.maximum(
+            helps, jnp.clip(jnp.maximum(discomfort, mind.reaction.lightness), LIMP, 1.0)
+        )
+        tone = mind.tone + jnp.where(work > mind.tone, STEP / RISE, STEP / FALL) * (
+            work - mind.tone
+        )
+        return dataclasses.replace(
+            mind,
+            touched=touched,
+            pushed=pushed,
+            stopped=stopped,
+            willing=willing,
+            lapsed=lapsed,
+            helps=helps,
+            begin=begin,
+            way=way,
+            time=time,
+            intended=jnp.where(helps[:, None], planned, idle),
+            tone=tone,
+        )
+
+    def _move(
+        self,
+        mind: Mind,
+        now: Senses,
+        late: jax.Array,
+        numbers: dict[str, jax.Array],
+        strength: jax.Array,
+        normal: jax.Array,
+    ) -> tuple[Mind, jax.Array]:
+        """Return the carry and the actions [N, 3] that muscles, noise and tremor make."""
+        most = (strength * (1.0 - mind.tired))[:, None] * jnp.asarray(self.arm.torque)[None]
+        low, high = jnp.asarray(self.arm.range.T)[:, None]
+        command = muscles.Command(
+            intended=jnp.clip(mind.intended + mind.reaction.shift, low, high),
+            position=now.position,
+            late=late,
+            velocity=now.velocity,
+            weight=numbers["gravity"][:, None] * self.arm.gravity(now.position),
+            tone=mind.tone,
+            discomfort=mind.reaction.discomfort,
+            effort=mind.effort,
+            most=most,
+        )
+        activation, torque = self._pull(command, mind.activation, numbers, self.arm.damping)
+        stretch = mind.stretch + STEP / REFLEX * (now.velocity - mind.stretch)
+        torque = torque + muscles.spasticity(numbers, stretch)
+        fresh = float(np.sqrt(1.0 - CORRELATED**2))
+        shaken = CORRELATED * mind.shaken + fresh * normal
+        torque = torque * (1.0 + numbers["noise"][:, None] * shaken)
+        turn = 2.0 * np.pi * numbers["tremor_frequency"] * STEP * mind.age
+        shake = jnp.sin(turn[:, None] + jnp.asarray(PHASES)[None])
+        torque = torque + (numbers["tremor"] * mind.tone)[:, None] * most * shake
+        torque = jnp.clip(torque, -most, most)
+        work = jnp.abs(torque / jnp.maximum(most, 1e-6)).mean(axis=1)
+        mind = dataclasses.replace(
+            mind,
+            age=mind.age + 1,
+            effort=mind.effort + STEP / SUSTAINED * (torque - mind.effort),
+            activation=activation,
+            shaken=shaken,
+            stretch=stretch,
+            tired=jnp.minimum(mind.tired + STEP / 60.0 * numbers["fatigue"] * work, 0.9),
+        )
+        return mind, torque / jnp.asarray(self.arm.torque)[None]
+
+
+def _minimum_jerk(way: jax.Array, time: jax.Array) -> jax.Array:
+    """Return the share of a movement that is done: Flash and Hogan 1985."""
+    t = jnp.clip(way / jnp.maximum(time, STEP), 0.0, 1.0)
+    return t * t * t * (10.0 + t * (6.0 * t - 15.0))
+
+
+def _unit(vector: jax.Array) -> jax.Array:
+    return vector / jnp.maximum(jnp.linalg.norm(vector, axis=-1, keepdims=True), 1e-6)

@@ -1,0 +1,240 @@
+"""Measure persons without a trained robot: what scripts earn with them, what can be read of them.
+
+python -m assistax_envs.persons.measure play gentle_scratch
+python -m assistax_envs.persons.measure read gentle_scratch
+python -m assistax_envs.persons.measure film gentle_scratch nine.png
+"""
+
+import argparse
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import assistax_envs
+from assistax_envs.persons.parameters import index
+from assistax_envs.persons.player import PersonPlayer, person_params
+from assistax_envs.persons.rows import INNER, persons
+from assistax_envs.scripted import scripted_robot
+from assistax_envs.tasks.gentle_base import FELT
+from assistax_envs.versions import GENTLE_TASKS
+
+# Column of the robot's observation that holds the force, of scripts that keep to one.
+FORCE = {"gentle_scratch": 43, "gentle_bath": 37}
+SCRIPTED = 4.0  # N that the scripts keep to
+SWEEP = 4.0  # s, in which a probing script goes from a light to a hard touch and back
+WINDOWS = (2.0, 5.0)  # s from the first touch
+STEPS_A_SECOND = 50
+TOOL, ARMS = slice(14, 17), slice(24, 30)  # of the robot's observation: places, m
+TOUCHES = (FELT, 1.5, 3.0, 5.0, 8.0, 12.0, 20.0)  # N, bounds between strengths of a touch
+ANSWER = 20  # steps in which an arm answers
+CAMERAS = {"gentle_scratch": "side", "gentle_bath": "side", "gentle_lift": "head"}
+
+
+@functools.cache
+def _program(task: str, robot: str, human: str, family: str, steps: int) -> tuple[Any, Any, Any]:
+    """Return the environment, and programs that start episodes and play `steps` of them."""
+    env, player = assistax_envs.make(task), PersonPlayer(task, family)
+    script = scripted_robot(task, env.model)
+
+    def command(obs: jax.Array, time: jax.Array) -> jax.Array:
+        if robot == "idle":
+            return jnp.zeros((obs.shape[0], env.action_size["robot"]))
+        if robot == "probe" and task in FORCE:  # told that it is SCRIPTED when it is something else
+            phase = jnp.abs((time / (STEPS_A_SECOND * SWEEP)) % 1.0 - 0.5) * 2.0
+            obs = obs.at[:, FORCE[task]].multiply(SCRIPTED / (1.0 + 14.0 * phase))
+        return script(obs)
+
+    def step(row: jax.Array, loop: tuple[Any, Any], time: jax.Array) -> tuple[Any, Any]:
+        state, carry = loop
+        obs = state.obs
+        carry, action = player.act({"row": row}, carry, obs["human"], time == 0)
+        action = jnp.zeros_like(action) if human == "idle" else action
+        state = env.step(state, {"robot": command(obs["robot"], time), "human": action})
+        seen = {
+            "reward": state.reward,
+            "force": state.measures.force,
+            "success": state.measures.success,
+            "violated": state.measures.violated,
+            "discomfort": carry.reaction.discomfort,
+            "obs": obs["robot"],
+        }
+        return (state, carry), seen
+
+    @jax.jit
+    def begin(row: jax.Array, params: Any, keys: jax.Array) -> tuple[Any, Any]:
+        return env.reset(keys, params), player.initial_carry((row.shape[0],))
+
+    @jax.jit
+    def play(row: jax.Array, loop: tuple[Any, Any], time: jax.Array) -> tuple[Any, Any]:
+        return jax.lax.scan(functools.partial(step, row), loop, time + jnp.arange(steps))
+
+    return env, begin, play
+
+
+def episodes(
+    task: str,
+    rows: np.ndarray,
+    robot: str = "script",
+    human: str = "person",
+    family: str = "spring",
+    steps: int = 1000,
+    seed: int = 0,
+) -> dict[str, np.ndarray]:
+    """Play an episode of a robot that nobody trained with each person.
+
+    Args:
+        task: one of the gentle tasks.
+        rows: [N, 25] of the persons.
+        robot: "script", "idle", or "probe": the script whose force goes from 1 to 15 N and back in
+            4 s, where it keeps to a force.
+        human: "person", or "idle": it has the person's body and wishes, and does nothing.
+        family: of the persons.
+        steps: to play.
+        seed: of the episodes' starts.
+
+    Returns:
+        Arrays [T, N] "reward", "force", "success", "violated", "discomfort" and [T, N, O] "obs".
+    """
+    _, begin, play = _program(task, robot, human, family, steps)
+    keys = jax.random.split(jax.random.key(seed), len(rows))
+    loop = begin(jnp.asarray(rows), person_params(task, rows), keys)
+    _, seen = play(jnp.asarray(rows), loop, jnp.zeros((), jnp.int32))
+    return jax.tree.map(np.asarray, seen)
+
+
+def earned(seen: dict[str, np.ndarray]) -> dict[str, float]:
+    """Return means over persons of what episodes of `episodes` came to."""
+    success, violated = seen["success"].any(axis=0), seen["violated"].any(axis=0)
+    touching = seen["force"][seen["force"] > FELT]
+    return {
+        "return": float(seen["reward"].sum(axis=0).mean()),
+        "success": float(success.mean()),
+        "safe success": float((success & ~violated).mean()),
+        "violations": float(violated.mean()),
+        "force, median": float(np.median(touching)) if touching.size else 0.0,
+        "force, 99%": float(np.percentile(touching, 99)) if touching.size else 0.0,
+        "in discomfort": float((seen["discomfort"] > 0.2).mean()),
+    }
+
+
+def read(seen: dict[str, np.ndarray], wish: np.ndarray, window: float) -> tuple[float, int]:
+    """Return in which share of unseen persons a linear reader finds the third of a wish.
+
+    It sees means, spreads and changes of what the robot observes from the first touch on, and how
+    the arm answered to light and to hard touches.
+
+    Args:
+        seen: of `episodes`.
+        wish: [N] of the persons.
+        window: s.
+
+    Returns:
+        The share, and of how many persons; a third is chance.
+    """
+    obs, force, touched = seen["obs"], seen["force"], seen["force"] > FELT
+    begin, length = touched.argmax(axis=0), int(window * STEPS_A_SECOND)
+    enough = touched.any(axis=0) & (begin + length <= len(obs))
+    features = []
+    for person in np.flatnonzero(enough):
+        when = slice(begin[person], begin[person] + length)
+        part = obs[when, person]
+        halves = [half.mean(axis=0) for half in np.array_split(part, 2)]
+        change = np.abs(np.diff(part, axis=0)).mean(axis=0)
+        answers = _answers(part, force[when, person])
+        features.append(np.concatenate([*halves, part.std(axis=0), change, answers]))
+    x = np.array(features, np.float64)
+    thirds = np.searchsorted(np.quantile(wish, [1 / 3, 2 / 3]), wish[enough])
+    train = np.arange(len(x)) % 3 > 0
+    spread = x[train].std(axis=0)
+    x = (x - x[train].mean(axis=0)) / np.where(spread > 1e-9, spread, np.inf)
+    x = np.clip(np.column_stack([x, np.ones(len(x))]), -5.0, 5.0)
+    target = np.eye(3)[thirds]
+    square = x[train].T @ x[train] + 30.0 * np.eye(x.shape[1])
+    weights = np.linalg.solve(square, x[train].T @ target[train])
+    hit = (x[~train] @ weights).argmax(axis=1) == thirds[~train]
+    return float(hit.mean()), len(hit)
+
+
+def _answers(part: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Return how the arm moved after touches of each strength, and how frequent those were.
+
+    Args:
+        part: [T, O] what the robot observed.
+        force: [T] N, which it observes too.
+    """
+    arms = part[:, ARMS].reshape(len(part), 2, 3)
+    aside = arms - part[:, None, TOOL]
+    aside /= np.linalg.norm(aside, axis=-1, keepdims=True)
+    moved = ((arms[ANSWER:] - arms[:-ANSWER]) * aside[:-ANSWER]).sum(axis=-1)  # [T', 2] m
+    place = np.searchsorted(TOUCHES, force[:-ANSWER])
+    rows = []
+    for strength in range(len(TOUCHES) + 1):
+        chosen = place == strength
+        share = chosen.mean()
+        rows.append([*(moved[chosen].mean(axis=0) if share else (0.0, 0.0)), share])
+    return np.concatenate(rows)
+
+
+def film(task: str, rows: np.ndarray, path: str, seconds: tuple[float, ...], seed: int = 0) -> None:
+    """Draw a row of pictures for each person: the script's episode at some times."""
+    from PIL import Image
+
+    env, begin, play = _program(task, "script", "person", "spring", 10)
+    keys = jax.random.split(jax.random.key(seed), len(rows))
+    row = jnp.asarray(rows)
+    loop, pictures = begin(row, person_params(task, rows), keys), []
+    for time in range(0, int(max(seconds) * STEPS_A_SECOND) + 1, 10):
+        if time / STEPS_A_SECOND in seconds:
+            shots = (env.render(loop[0], i, CAMERAS[task], 200, 170) for i in range(len(rows)))
+            pictures.append([shot[:105] for shot in shots])
+        loop, _ = play(row, loop, jnp.asarray(time, jnp.int32))
+    env.close()
+    lines = [np.concatenate(line, axis=1) for line in zip(*pictures, strict=True)]
+    Image.fromarray(np.concatenate(lines)).quantize(48).save(path)  # small enough for a page
+
+
+def main() -> None:
+    """Run one of the module's commands."""
+    parser = argparse.ArgumentParser(prog="python -m assistax_envs.persons.measure")
+    parser.add_argument("what", choices=("play", "read", "film"))
+    parser.add_argument("task", choices=GENTLE_TASKS)
+    parser.add_argument("path", nargs="?", default="persons.png")
+    parser.add_argument("--count", type=int)
+    parser.add_argument("--family", choices=("spring", "muscle"), default="spring")
+    options = parser.parse_args()
+    count = options.count or {"play": 50, "read": 900, "film": 9}[options.what]
+    rows = persons(options.task)[:INNER][:count]
+    if options.what == "film":
+        film(options.task, rows, options.path, (0.0, 2.0, 4.0, 6.0, 10.0))
+    elif options.what == "play":
+        for robot, human in (("script", "person"), ("script", "idle"), ("idle", "person")):
+            figures = earned(episodes(options.task, rows, robot, human, options.family))
+            line = ", ".join(f"{name} {value:.3g}" for name, value in figures.items())
+            print(f"{options.task}, {robot} with {human} x {count}: {line}", flush=True)
+    else:
+        _print_read(options.task, rows, options.family)
+
+
+def _print_read(task: str, rows: np.ndarray, family: str) -> None:
+    place = index(task)
+    wishes = [name for name in place if name.startswith("liked")] + ["tolerance"]
+    for robot in ("script", "probe") if task in FORCE else ("script",):
+        seen = episodes(task, rows, robot, "person", family, steps=600)
+        for name in wishes:
+            for window in WINDOWS:
+                wish = rows[:, place[name]]
+                share, of = read(seen, wish, window)
+                mixed = np.random.default_rng(0).permutation(wish)
+                chance, _ = read(seen, mixed, window)
+                print(
+                    f"{task}, {robot}: {name} from {window:g} s in {share:.0%} of {of} "
+                    f"(shuffled {chance:.0%}, chance 33%)",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main()

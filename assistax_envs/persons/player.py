@@ -1,0 +1,74 @@
+"""Persons as players of the human's seat, in the form of a policy."""
+
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from assistax_envs.humans import EnvParams
+from assistax_envs.models import build_model
+from assistax_envs.persons.controller import Controller, Mind
+from assistax_envs.persons.parameters import WIDTH, index
+from assistax_envs.tasks.gentle_base import Liking
+
+# Rows are filled up to a multiple of this: what is left of a vector of a CPU is computed one by one
+# and rounded otherwise, so that a person's last bits would depend on where in a batch it stands. A
+# batch of another size is another program, and may still differ in the last bit.
+LANES = 16
+
+
+class PersonPlayer:
+    """All persons of a task and a family, in `population.networks.policy.Policy`'s form."""
+
+    def __init__(self, task: str, family: str = "spring") -> None:
+        self.controller = Controller(task, build_model(task), family)
+
+    def initial_carry(self, batch_shape: tuple[int, ...]) -> Mind:
+        """Return the carry before the first observation, leaves [*batch_shape, ...]."""
+        mind = self.controller.initial(math.prod(batch_shape))
+        return jax.tree.map(lambda leaf: leaf.reshape(*batch_shape, *leaf.shape[1:]), mind)
+
+    def act(
+        self, params: Any, carry: Mind, obs: jax.Array, first: jax.Array
+    ) -> tuple[Mind, jax.Array]:
+        """Return the carry and the actions [..., 3] for observations [..., O].
+
+        `params` holds "row", [25] of one person or [..., 25] of as many as there are observations:
+        thousands of persons need no map.
+        """
+        shape = obs.shape[:-1]
+        n = math.prod(shape)
+        row, first = (
+            jnp.broadcast_to(params["row"], (*shape, WIDTH)),
+            jnp.broadcast_to(first, shape),
+        )
+
+        def flat(leaf: jax.Array) -> jax.Array:
+            leaf = leaf.reshape(n, *leaf.shape[len(shape) :])
+            more = -n % LANES
+            return jnp.concatenate([leaf, *[leaf[:1]] * more]) if more else leaf
+
+        given = jax.tree.map(flat, (row, carry, obs, first))
+        mind, action = self.controller.act(*given)
+        return jax.tree.map(lambda leaf: leaf[:n].reshape(*shape, *leaf.shape[1:]), (mind, action))
+
+
+def person_params(task: str, rows: np.ndarray) -> EnvParams:
+    """Return the bodies and wishes that the environment needs of persons with rows [N, 25].
+
+    Strength and tremor are the person's own, and not taken twice.
+    """
+    place, n = index(task), len(rows)
+    column = {name: jnp.asarray(rows[:, where]) for name, where in place.items()}
+    one = jnp.ones(n, jnp.float32)
+    names = ("force", "speed", "distance", "place")
+    likes = Liking(*(column.get(f"liked_{name}", one) for name in names))
+    return EnvParams(
+        strength=one,
+        elbow_range=column["range"],
+        tremor=jnp.zeros(n, jnp.float32),
+        preference=jnp.zeros(n, jnp.int32),
+        likes=likes,
+    )

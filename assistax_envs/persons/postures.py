@@ -1,0 +1,157 @@
+"""The posture that helps, by task: a row names what a person tries to do with its arm.
+
+A person looks for it among postures in which its arm lies in nothing and that it can hold. It
+shows the skin that is to be touched to where the tool can come from, or brings the forearm to its
+place. Shapes: N simulations, M postures, K points.
+"""
+
+import dataclasses
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from assistax_envs.persons.body import Arm
+from assistax_envs.persons.senses import Senses
+from assistax_envs.tasks.arm_assist import LOWER_ARM
+from assistax_envs.tasks.bed_bath import arm_points
+from assistax_envs.tasks.gentle_bath import UNDERSIDE
+from assistax_envs.tasks.gentle_lift import ACROSS, MIDDLE
+from assistax_envs.tasks.gentle_scratch import HIDDEN
+
+EFFORT = 0.1  # of showing a point fully, for each square radian away from rest
+REACH = 0.65  # m from the robot's shoulder, beyond which it has to stretch for what it is shown
+RAISED = 0.15  # m above rest that a forearm is held up without tiring
+AT_EASE = 0.8  # share of the strength that holding a posture may take
+SEEN = 0.25  # cosine of the angle from which on a point counts as shown
+THERE = 0.1  # m
+SOFTLY = 0.1  # width of that step
+
+
+@dataclasses.dataclass(frozen=True)
+class Help:
+    """How a task is helped."""
+
+    chooses: str  # "presents" one point, "shows" many, "brings" the forearm to its place
+    again: int  # steps after which a person looks for a better posture; 0: never
+    away: tuple[tuple[float, float], ...] = ()  # degrees about each segment: hidden at rest
+    most: float = np.inf  # share of the seat's torque that holding may take
+
+
+HELP: dict[str, Help] = {
+    "scratch": Help("presents", 0, HIDDEN, 0.95),
+    "bed_bath": Help("presents", 100, UNDERSIDE, 0.95),
+    "arm_assist": Help("brings", 0),
+    "gentle_scratch": Help("presents", 0, HIDDEN, 0.95),
+    "gentle_bath": Help("shows", 200, UNDERSIDE, 0.95),
+    "gentle_lift": Help("brings", 0),
+}
+
+
+class Postures:
+    """Chooses among the postures of a task's scene."""
+
+    def __init__(self, task: str, arm: Arm) -> None:
+        self.help = HELP[task]
+        self._arm, self._lift = arm, task == "gentle_lift"
+        table = arm.postures(self.help.most)
+        self._angles, self._load = table["angles"], table["load"]
+        self._position, self._turn = table["position"], table["turn"]
+        effort = ((self._angles - arm.rest) ** 2).sum(axis=1)
+        raised = self._position[:, LOWER_ARM, 2] - self._position[0, LOWER_ARM, 2] - RAISED
+        self._ease = -EFFORT * effort - 4.0 * np.maximum(raised, 0.0)  # [M]
+        if self.help.away:
+            self._from = np.stack([self._side(segment) for segment in range(2)])
+        if self.help.chooses == "shows":
+            self._shown = self._show(*_underside(arm))
+        self._choose: Callable[..., jax.Array] = getattr(self, f"_{self.help.chooses}")
+
+    def best(self, senses: Senses, strength: jax.Array, place: jax.Array) -> jax.Array:
+        """Return the posture [N, 3] that helps.
+
+        Args:
+            senses: what a person perceives.
+            strength: [N] share of the seat's torque that it has.
+            place: [N] m across the waist where it likes its forearm to lie; of lift alone.
+        """
+        score = self._choose(senses, place) + jnp.asarray(self._ease)[None]
+        if np.isfinite(self.help.most):
+            load = jnp.asarray(self._load)[None] / strength[:, None]
+            score = score - 4.0 * jnp.maximum(0.0, load - AT_EASE)
+        return jnp.asarray(self._angles)[score.argmax(axis=1)]
+
+    def there(self, senses: Senses, place: jax.Array) -> jax.Array:
+        """Return whether the forearm lies where a person likes it, [N]; of `best`'s arguments."""
+        return jnp.linalg.norm(self._way(senses, place), axis=-1) < THERE
+
+    def _presents(self, senses: Senses, place: jax.Array) -> jax.Array:
+        """Return how well each posture shows the target [N, M]."""
+        del place
+        position, turn = self._arm.frames(senses.position)
+        local = jnp.einsum("nsij,nsi->nsj", turn, senses.target[:, None] - position)
+        radial = local.at[..., 2].set(0.0)
+        off = jnp.abs(jnp.linalg.norm(radial, axis=-1) - jnp.asarray(self._arm.radius)[None])
+        beyond = jnp.abs(local[..., 2]) - jnp.asarray(self._arm.half_length)[None]
+        segment = (off + jnp.maximum(0.0, beyond)).argmin(axis=1)  # whose skin it lies on
+        row = jnp.arange(segment.shape[0])
+        outward = radial[row, segment]
+        outward = outward / jnp.maximum(jnp.linalg.norm(outward, axis=-1, keepdims=True), 1e-6)
+        turns = jnp.asarray(self._turn)[:, segment]  # [M, N, 3, 3]
+        normal = jnp.einsum("mnij,nj->nmi", turns, outward)
+        facing = (normal * jnp.asarray(self._from)[segment][:, None]).sum(-1)
+        point = jnp.einsum("mnij,nj->nmi", turns, local[row, segment])
+        point = point + jnp.swapaxes(jnp.asarray(self._position)[:, segment], 0, 1)
+        far = jnp.linalg.norm(point - jnp.asarray(self._arm.robot)[None, None], axis=-1)
+        return 2.0 * jnp.minimum(facing, 0.8) - 4.0 * jnp.maximum(0.0, far - REACH)
+
+    def _shows(self, senses: Senses, place: jax.Array) -> jax.Array:
+        """Return which share of the points that are left each posture shows [N, M]."""
+        del place
+        left = senses.unwiped / jnp.maximum(senses.unwiped.sum(axis=1, keepdims=True), 1.0)
+        return 4.0 * left @ jnp.asarray(self._shown).T
+
+    def _brings(self, senses: Senses, place: jax.Array) -> jax.Array:
+        """Return how near each posture brings the forearm to its place [N, M]; 1 for 10 cm."""
+        position, _ = self._arm.frames(senses.position)
+        goal = position[:, LOWER_ARM] + senses.to_place
+        if self._lift:  # the observed place is the middle one
+            across = jnp.asarray(ACROSS, jnp.float32)[None]
+            goal = goal + (place[:, None] - MIDDLE) * across
+        away = jnp.linalg.norm(
+            goal[:, None] - jnp.asarray(self._position)[None, :, LOWER_ARM], axis=-1
+        )
+        return -10.0 * away
+
+    def _way(self, senses: Senses, place: jax.Array) -> jax.Array:
+        """Return the way [N, 3] of the forearm to where a person likes it, m."""
+        if not self._lift:
+            return senses.to_place
+        # The observed place is the middle one.
+        return senses.to_place + (place[:, None] - MIDDLE) * jnp.asarray(ACROSS, jnp.float32)[None]
+
+    def _side(self, segment: int) -> np.ndarray:
+        """Return the direction [3] from which the tool can come to a segment at rest."""
+        low, high = self.help.away[segment]
+        angle = np.radians(0.5 * (low + high) + 180.0)
+        return self._turn[0, segment] @ np.array([np.cos(angle), np.sin(angle), 0.0], np.float32)
+
+    def _show(self, segment: np.ndarray, offset: np.ndarray) -> np.ndarray:
+        """Return how well each posture shows each point, [M, K] in [0, 1]."""
+        outward = offset * np.array([1.0, 1.0, 0.0], np.float32)
+        outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+        normal = np.einsum("mkij,kj->mki", self._turn[:, segment], outward)
+        facing = (normal * self._from[segment]).sum(axis=-1)
+        point = np.einsum("mkij,kj->mki", self._turn[:, segment], offset)
+        far = np.linalg.norm(point + self._position[:, segment] - self._arm.robot, axis=-1)
+        seen = 1.0 / (1.0 + np.exp((SEEN - facing) / SOFTLY))
+        return (seen * np.exp(-np.maximum(0.0, far - REACH) / 0.1)).astype(np.float32)
+
+
+def _underside(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points that are wiped in gentle bath: segment [K] and offset [K, 3], m."""
+    segment, offset = arm_points(arm.model)
+    low, high = np.array(UNDERSIDE)[segment].T
+    angle = np.degrees(np.arctan2(offset[:, 1], offset[:, 0])) - low
+    under = angle % 360.0 < high - low
+    return segment[under], offset[under]

@@ -1,0 +1,154 @@
+"""Ten thousand persons a task: Sobol's points, dealt into sides, and their identity."""
+
+import dataclasses
+import functools
+import hashlib
+
+import numpy as np
+
+from assistax_envs.persons.parameters import (
+    ASHWORTH,
+    MRC,
+    PARAMETERS,
+    WIDTH,
+    grade,
+    index,
+    left,
+)
+
+PROGRAM_VERSION = 1  # goes up when the same row acts otherwise in the same situation
+COUNT = 10_000
+INNER = 8_000  # persons inside 80% of every axis: training, and each tenth of them validation
+CORNERS = 9_000  # from INNER to here: beyond it on several axes, of the same program
+BEYOND = 5  # axes at least; of 25 a point of the whole cube has that many on average
+BITS = 30  # of a coordinate
+SIDES = ("training", "validation", "test")
+FAMILIES = ("spring", "muscle")  # forms of the controller; see `spring` and `muscle`
+
+
+@dataclasses.dataclass(frozen=True)
+class Person:
+    """A row of numbers, and what it is called."""
+
+    task: str
+    number: int
+    side: str  # one of SIDES
+    family: str  # one of FAMILIES
+    row: np.ndarray  # [25] float32
+
+    @property
+    def name(self) -> str:
+        """Return what the registry calls it."""
+        return f"person-{self.number:05d}"
+
+    @property
+    def identity(self) -> str:
+        """Return the SHA-256 of the program's version, the family, the task and the row."""
+        head = f"person program {PROGRAM_VERSION} {self.family} {self.task}\n"
+        return hashlib.sha256(head.encode() + self.row.astype("<f4").tobytes()).hexdigest()
+
+
+def person(task: str, number: int) -> Person:
+    """Return a person of a task.
+
+    Raises:
+        ValueError: there is no such task or number.
+    """
+    _check(task)
+    if not 0 <= number < COUNT:
+        raise ValueError(f"person {number} is not there; allowed are 0 to {COUNT - 1}")
+    family = FAMILIES[number >= CORNERS]
+    return Person(task, number, side(number), family, persons(task)[number])
+
+
+@functools.cache
+def persons(task: str) -> np.ndarray:
+    """Return the rows of all persons of a task, [10000, 25] float32, read-only.
+
+    Raises:
+        ValueError: there is no such task.
+    """
+    _check(task)
+    table = _rows(task, _points(task))
+    table.flags.writeable = False
+    return table
+
+
+def side(number: int) -> str:
+    """Return whom a person is for.
+
+    Training: inside; validation: each tenth of those; test: corners, and the other family.
+    """
+    if number >= INNER:
+        return "test"
+    return "validation" if number % 10 == 9 else "training"
+
+
+def drawn(task: str, secret: bytes, count: int) -> np.ndarray:
+    """Return rows [count, 25] of persons from anywhere in the cube, from a secret.
+
+    The same secret gives the same rows: a season's hidden persons need no storage.
+    """
+    _check(task)
+    size = count * WIDTH
+    stream = hashlib.shake_256(b"persons of " + task.encode() + b" from " + secret).digest(8 * size)
+    shares = (np.frombuffer(stream, "<u8") >> 11).astype(np.float64) / 2.0**53
+    return _rows(task, shares.reshape(count, WIDTH))
+
+
+def card(someone: Person) -> str:
+    """Return a person's numbers as text, each beside its range and, where there is one, a grade."""
+    task, row = someone.task, someone.row
+    lines = [f"{someone.name} of {task}: {someone.side}, {someone.family}"]
+    lines.append(f"identity {someone.identity}")
+    for parameter, value in zip(PARAMETERS[task], row, strict=True):
+        unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+        bounds = f"{parameter.low:g} to {parameter.high:g}{unit}"
+        none = f", none in {parameter.none:.0%}" if parameter.none else ""
+        lines.append(f"{parameter.name:17} {value:8.4g}{unit:10} [{bounds}{none}]")
+    return "\n".join([*lines, *_grades(task, row)])
+
+
+def _grades(task: str, row: np.ndarray) -> list[str]:
+    place = index(task)
+    strength = left(task, float(row[place["strength"]]))
+    share = left(task, float(row[place["range"]]))
+    return [
+        f"MRC grade of what a seat at full strength leaves: {grade(MRC, strength)}",
+        f"modified Ashworth: {grade(ASHWORTH, float(row[place['spasticity']]))}",
+        f"range of motion of the elbow: {share:.0%}",
+    ]
+
+
+def _rows(task: str, points: np.ndarray) -> np.ndarray:
+    """Return the rows of points [P, 25] of the unit cube."""
+    rows = [
+        [number.quantile(share) for number, share in zip(PARAMETERS[task], point, strict=True)]
+        for point in points.tolist()
+    ]
+    return np.array(rows, np.float32)
+
+
+def _points(task: str) -> np.ndarray:
+    """Return points [10000, 25] of the unit cube: first those inside, corners, the other family.
+
+    Sobol's numbers by Joe and Kuo, shifted by bits of the task's name: a scrambling that no other
+    version of a library draws otherwise.
+    """
+    from scipy.stats import qmc
+
+    size = 2**15
+    plain = qmc.Sobol(WIDTH, scramble=False, bits=BITS).random(size)
+    digest = hashlib.shake_256(b"persons of " + task.encode()).digest(4 * WIDTH)
+    shift = np.frombuffer(digest, "<u4") >> (32 - BITS)
+    points = ((plain * 2.0**BITS).astype(np.uint32) ^ shift) / 2.0**BITS
+    begin, end = 2**14, size  # corners come from the second half, everybody else from the first
+    corners = points[begin:end]
+    corners = corners[(np.abs(corners - 0.5) > 0.4).sum(axis=1) >= BEYOND]
+    inner = 0.1 + 0.8 * points[: INNER + COUNT - CORNERS]
+    return np.concatenate([inner[:INNER], corners[: CORNERS - INNER], inner[INNER:]])
+
+
+def _check(task: str) -> None:
+    if task not in PARAMETERS:
+        raise ValueError(f"task is {task!r}; allowed are {', '.join(PARAMETERS)}")

@@ -1,0 +1,111 @@
+"""The numbers of persons: ranges, sources, sides, identity, and the bits of ten thousand rows."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from assistax_envs.persons.parameters import PARAMETERS, WIDTH, Parameter
+from assistax_envs.persons.rows import (
+    BEYOND,
+    CORNERS,
+    COUNT,
+    INNER,
+    SIDES,
+    card,
+    drawn,
+    person,
+    persons,
+    side,
+)
+from assistax_envs.versions import TASKS
+
+# SHA-256 of the rows of all persons of a task, little-endian float32.
+TABLES = {
+    "scratch": "33ef462c02265f7ff6896aa86e401559fe5f6421c569d2f973c2d41925a37d08",
+    "bed_bath": "d9a02e82f8f60240bfac49d81c1c08593e1b73d838afb9cd47169a5dc1a987cb",
+    "arm_assist": "50e5f820227420a95cd82c9fa58a3771c4303cebec6d2aa6c0db44284b38944d",
+    "gentle_scratch": "018edcf029b6a7c411c739a74cc8bafcf260b25a4484e75e86c161b325bccb69",
+    "gentle_bath": "6c73358893d5b7b705499b4b54d54b8366a4dc79ad94c09b204c042165659970",
+    "gentle_lift": "821bef195b3ccf1bf65323ad3afd9087e9a3f25ffc87afbacd116c85f704e72b",
+}
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_number_of_every_person_lies_in_its_range(task: str) -> None:
+    table = persons(task)
+    assert table.shape == (COUNT, WIDTH) and WIDTH == len(PARAMETERS[task]) == 25
+    for parameter, column in zip(PARAMETERS[task], table.T, strict=True):
+        low, high = np.float32(parameter.low), np.float32(parameter.high)
+        inside = (low <= column) & (column <= high)
+        inside |= (parameter.none > 0.0) & (column == 0.0)
+        assert inside.all(), parameter.name
+        assert len(np.unique(column)) > 100, parameter.name
+        assert parameter.source and parameter.meaning
+
+
+@pytest.mark.parametrize("task", ["gentle_scratch", "gentle_lift"])
+def test_the_page_prints_the_ranges_and_sources(task: str) -> None:
+    page = (Path(__file__).parents[2] / "docs/persons.md").read_text()
+    for parameter in PARAMETERS[task]:
+        bounds = f"{parameter.low:g} to {parameter.high:g}"
+        rows = [row for row in page.splitlines() if row.startswith(f"| `{parameter.name}` |")]
+        assert any(bounds in row and parameter.source in row for row in rows), parameter.name
+
+
+def test_a_parameter_knows_its_range_and_its_distribution() -> None:
+    force = next(p for p in PARAMETERS["gentle_scratch"] if p.name == "liked_force")
+    shares = [force.quantile(share) for share in (0.0, 0.5, 1.0)]
+    assert shares[0] == force.low and shares[2] == force.high
+    assert 3.5 < shares[1] < 4.5  # N, the median before both ends are cut
+    assert force.holds(4.0) and not force.holds(force.high * 1.01) and not force.holds(0.0)
+    tremor = next(p for p in PARAMETERS["gentle_scratch"] if p.name == "tremor")
+    assert tremor.quantile(0.3) == 0.0 and tremor.holds(0.0) and not tremor.holds(0.01)
+    with pytest.raises(ValueError, match="give low < high"):
+        Parameter("nothing", "1", 1.0, 1.0, "", "")
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_persons_are_the_same_to_the_bit(task: str) -> None:
+    assert hashlib.sha256(persons(task).astype("<f4").tobytes()).hexdigest() == TABLES[task]
+
+
+def test_a_person_is_named_by_its_numbers() -> None:
+    someone = person("gentle_scratch", 42)
+    assert someone.name == "person-00042" and someone.side == "training"
+    assert someone.identity == person("gentle_scratch", 42).identity
+    others = {person("gentle_scratch", number).identity for number in range(0, COUNT, 500)}
+    assert len(others) == 20 and someone.identity not in others
+    assert person("gentle_scratch", CORNERS).family == "muscle"
+    printed = card(someone)
+    for parameter, value in zip(PARAMETERS["gentle_scratch"], someone.row, strict=True):
+        assert f"{parameter.name} " in printed and f"{value:.4g}" in printed
+        assert f"[{parameter.low:g} to {parameter.high:g}" in printed
+    with pytest.raises(ValueError, match="allowed are 0 to 9999"):
+        person("gentle_scratch", COUNT)
+    with pytest.raises(ValueError, match="allowed are scratch"):
+        persons("gentle_walk")
+
+
+@pytest.mark.parametrize("task", ["gentle_scratch", "gentle_lift"])
+def test_training_lies_inside_and_corners_lie_beyond(task: str) -> None:
+    counts = {name: sum(side(number) == name for number in range(COUNT)) for name in SIDES}
+    assert counts == {"training": 7200, "validation": 800, "test": 2000}
+    table = persons(task)
+    low, high = (
+        np.array([parameter.quantile(share) for parameter in PARAMETERS[task]], np.float32)
+        for share in (0.1, 0.9)
+    )
+    beyond = ((table < low) | (table > high)).sum(axis=1)
+    assert (beyond[:INNER] == 0).all() and (beyond[CORNERS:] == 0).all()
+    # Below 0.4 or 0.5 everybody has no tremor and no spasticity: those two hide a lower end.
+    assert (beyond[INNER:CORNERS] >= BEYOND - 2).all()
+
+
+def test_a_secret_draws_the_same_hidden_persons() -> None:
+    rows = drawn("gentle_bath", b"a season", 50)
+    np.testing.assert_array_equal(rows, drawn("gentle_bath", b"a season", 50))
+    assert not np.array_equal(rows, drawn("gentle_bath", b"another season", 50))
+    for parameter, column in zip(PARAMETERS["gentle_bath"], rows.T, strict=True):
+        assert all(parameter.holds(float(f"{value:.6g}")) for value in column), parameter.name
