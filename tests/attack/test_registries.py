@@ -192,6 +192,7 @@ def test_the_harness_finds_a_lock_that_looks_at_names_alone(
     registry_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The planted defect of this family."""
+    # The check is taken away: nothing public can.
     monkeypatch.setattr("zoo.lock._check", lambda registry, lock: None)
     with pytest.raises(AssertionError):
         test_a_lock_takes_nothing_else_of_a_registry_made_anew(registry_path, tmp_path)

@@ -226,6 +226,7 @@ def hidden_returns(service: Service) -> list[float]:
 def test_a_planted_leak_is_found(
     leak: str, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
+    # The leak is planted where a panel's end is written.
     real = results._finish_panel
     log = logging.getLogger("assistax_board")
 

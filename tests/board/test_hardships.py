@@ -64,6 +64,7 @@ def test_who_says_nothing_is_hung_up_on(
 
 @pytest.mark.slow
 def test_without_that_they_would_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The limit is taken away: nothing public can.
     monkeypatch.setattr(serve._IdleTimeout, "_look", lambda *_: None)
     with served(new_service(tmp_path)) as server:
         silent = connected(server)

@@ -20,6 +20,8 @@ from assistax_board.rules.catalogue import PUBLIC_SEED, ZooCatalogue, panel_epis
 from assistax_board.rules.release_pack import hidden_partners, ordinal, pack
 from assistax_board.rules.results import figures
 from assistax_board.rules.scoring import Work, decode_table, encode_table, table_bytes
+
+# Work that no server knows, as a trial at home makes it.
 from assistax_board.submitting import _try_work
 from assistax_board.work.zoo_scorer import ZooScorer
 from assistax_envs import Env

@@ -35,6 +35,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("ASSISTAX_ZOO_REGISTRY", str(tmp_path / "registry.json"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
     monkeypatch.delenv("ASSISTAX_ZOO_REMOTE", raising=False)
+    # The probe is a process of some seconds; its answer is what differs here.
     monkeypatch.setattr(doctor, "_probe", lambda: WELL)
     return tmp_path
 
@@ -256,6 +257,7 @@ def test_a_jax_that_does_not_start_is_one_line(
     """XLA ends the process: not this one."""
     monkeypatch.undo()
     monkeypatch.setenv(variable, value)
+    # The machine's part alone, whose process is a real one here.
     found = list(doctor._machine())
     assert [(one.topic, one.state) for one in found] == [("jax", "broken")]
     assert words in found[0].text
@@ -287,6 +289,7 @@ def test_compilers_really_compile(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_gpu_that_jax_does_not_use_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    # The device's file of a GPU that this machine lacks.
     monkeypatch.setattr(doctor, "_GPU", Path("/proc/self/status"))
     monkeypatch.delenv("JAX_PLATFORMS", raising=False)
     [found] = examined(capsys)["jax"]

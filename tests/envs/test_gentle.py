@@ -122,6 +122,7 @@ def felt(task: str, backend: str = "native") -> tuple[Any, np.ndarray]:
         jnp.asarray(model.jnt_range, jnp.float32), (len(states), model.njnt, 2)
     )
     env = environment(task, backend)
+    # Forces of a state that is set, not reached: an environment only plays.
     readings = env._task.sensors.read(env._physics.forward(physics, ranges))
     if backend == "fused":  # which iterates until nothing changes
         model = converged(model)
@@ -264,6 +265,7 @@ def test_a_hard_contact_is_a_violation_for_the_rest_of_the_episode(task: str) ->
     still = jnp.zeros((8, model.nv), jnp.float32)
     physics = PhysicsState(jnp.asarray(states.qpos)[rows], still, still)
     sensors: Any = env._task.sensors
+    # Readings that the test alters before the task judges them: an environment returns neither.
     readings = sensors.read(env._physics.forward(physics, env._joint_range(begun.params)))
     hard = dataclasses.replace(readings, peak=jnp.where(rows % 2 == 0, HARD + 1.0, HARD - 1.0))
     state, _, terms, measures = env._task.transition(begun.task, hard)

@@ -15,6 +15,8 @@ from assistax_envs import disability_params
 from assistax_envs.preferences import PREFERENCES
 from assistax_envs.tasks.base import HUMAN_ACTUATORS
 from assistax_envs.tasks.gentle_base import TouchReadings
+
+# The formula by itself, at values that play seldom reaches.
 from assistax_envs.tasks.gentle_lift import HANDWARD, THERE, UNDER, WAY, _lifted_at
 from tests.envs.conftest import environment, play, start
 
@@ -25,6 +27,7 @@ def _begun(task: str, preferences: list[str]) -> tuple[Any, Any, TouchReadings]:
     n = len(preferences)
     keys = jax.random.split(jax.random.key(1), n)
     state = env.reset(keys, disability_params(["d1"] * n, preferences))
+    # Readings that tests alter before the task pays for them: an environment returns neither.
     values = env._physics.forward(state.physics, env._joint_range(state.params))
     return env._task, state.task, env._sensors.read(values)
 
@@ -113,6 +116,7 @@ def test_a_point_on_the_arms_far_side_is_farther_than_the_way_through_the_arm() 
     tool = jnp.asarray(0.1 * task._outward[:1] + task._offset[:1])  # over the first point
     for sign, turned in ((1.0, 0.0), (-1.0, 1.0)):
         both = jnp.broadcast_to(sign * tool[:, None], (1, 2, 3))
+        # The turn by itself: the pay adds it to a distance.
         assert float(task._turned_away(both)[0, 0]) == pytest.approx(turned, abs=1e-5)
     along = jnp.broadcast_to(tool[:, None].at[..., 2].add(0.2), (1, 2, 3))
     assert float(task._turned_away(along)[0, 0]) == pytest.approx(0.0, abs=1e-5)

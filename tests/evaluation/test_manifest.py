@@ -247,6 +247,7 @@ def test_the_sample_is_another_each_time_and_can_be_repeated(
 
     monkeypatch.setattr(replay, "Runner", Seen)
     monkeypatch.setattr("evaluation.play.tiles.SMALL_JOB", 1)
+    # One simulation a tile: no backend makes tiles so small.
     monkeypatch.setattr("evaluation.replay.job._tile_envs", lambda backend, manifest: 1)
     for seed in (*[None] * 20, 3, 3):
         with pytest.raises(ValueError, match="seen"):

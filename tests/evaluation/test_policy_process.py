@@ -217,6 +217,7 @@ def test_its_process_ends_with_it_and_with_its_parent(folder: Path, line: str) -
     code = f"import os, signal, time\nmake = lambda: lambda obs: {line}"
     write(folder / "mine.py", code)
     robot = PolicyProcess("mine.py", "make", {})
+    # The process that has to end: its number is nobody else's business.
     pid = robot._process.pid
     robot.close()
     assert gone(pid)

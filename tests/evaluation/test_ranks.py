@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.ranks import GAP, SEED, World, measure_seed_sds, root_mean_square
+
+# The bound by itself: ranks show only what follows from it.
 from evaluation.figures.metrics.ranks import SEED_SDS, Ranks, _most_equal, rank_methods
 
 

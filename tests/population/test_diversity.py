@@ -87,6 +87,7 @@ def test_densities_too_small_for_a_float_are_still_told_apart():
 def test_humans_who_act_alike_get_their_own_entropy_and_no_more():
     ppo, state, batch, hyper = rollout(PAIR)
     alike, first = jax.tree.map(lambda leaf: jnp.stack([leaf[0]] * 2), (state.members, batch))
+    # The bonus by itself, before training mixes it with the rest.
     paid, logged = ppo._with_bonus(alike, first, hyper)
     coefficient = hyper["population_coef"][:, None, None]
     own = first.reward - coefficient * first.log_prob["human"]

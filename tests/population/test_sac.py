@@ -58,6 +58,7 @@ def values(sac, state, role, action):
     [N, A].
     """
     member = jax.tree.map(lambda leaf: leaf[0], state.members)
+    # What critics say, which training never returns.
     return sac._values(
         role, member.learners[role].networks["critic"], member, state.simulations.env.obs, action
     )
@@ -94,12 +95,14 @@ def test_without_a_task_the_policy_becomes_uniform_over_its_actions(planted, mon
     dimension.
     """
     if planted:
+        # The planted defect: the squash's slope left out.
         monkeypatch.setattr(policy, "_log_slope", unsquashed)
     config = SACConfig(**SMALL, autotune=False, initial_alpha=0.5, critic="local")
     sac, state, _ = run(ToyEnv(constant), config, updates=150)
     member = jax.tree.map(lambda leaf: leaf[0], state.members)
     keys = jax.random.split(jax.random.key(3), 500)
     obs = state.simulations.env.obs
+    # Actions as the trainer draws them, from a state of training.
     action, _ = jax.vmap(lambda key: sac._act(member.learners, member, obs, key))(keys)
     size = float(jnp.abs(action["human"]).mean())
     assert (abs(size - 0.5) < 0.06) != planted

@@ -73,6 +73,7 @@ def test_a_picture_opens_at_its_own_size(built: Path) -> None:
 def test_a_planted_defect_stops_the_build(
     planted: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # The defect is planted in a page between its source and the build.
     relink = site._relink
     monkeypatch.setattr(site, "_relink", lambda text: f"{relink(text)}\n\n{planted}\n")
     with pytest.raises(ValueError, match=re.escape(told)):

@@ -173,6 +173,7 @@ def test_a_lost_answer_is_looked_up(hub: Hub, cache: Path, teams) -> None:
     "route", ["POST .*/repos/create", COMMITS, "POST .*/preupload/", "POST .*/tag/", "PUT /lfs/"]
 )
 def test_a_busy_hub_is_asked_again(route: str, hub: Hub, cache: Path, teams, monkeypatch) -> None:
+    # The library sleeps between attempts, and has no option for it.
     monkeypatch.setattr("huggingface_hub.utils._http.time.sleep", lambda seconds: None)
     hub.upload_mode = "lfs"
     hub.faults = [Fault(route, status=503, times=2)]

@@ -21,6 +21,8 @@ from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry
 from zoo.transport.fetch import Report, fetch
 from zoo.transport.remotes import open_remote
+
+# The planted defect replaces what a transfer runs.
 from zoo.transport.transfer import _Transfer
 from zoo.verify import verify
 
