@@ -132,8 +132,8 @@ class _Seen:
 
 def waited(process: Path) -> list[float]:
     """Return how many seconds each thread of a process waited for a processor."""
-    told = [path.read_text().split() for path in process.glob("task/*/schedstat")]
-    return [int(words[1]) / 1e9 for words in told]
+    statistics = [path.read_text().split() for path in process.glob("task/*/schedstat")]
+    return [int(words[1]) / 1e9 for words in statistics]
 
 
 def _child(words: list[str], home: str, attack: Attack) -> None:

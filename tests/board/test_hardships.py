@@ -132,8 +132,8 @@ def test_a_live_robot_that_thinks_long_is_not_hung_up_on(
         return np.zeros((len(obs), 3), np.float32)
 
     id = play(service, slow)
-    [found] = [row for row in service.queries.submissions() if row.id == id]
-    assert found.state == "scored"
+    [row_of_id] = [row for row in service.queries.submissions() if row.id == id]
+    assert row_of_id.state == "scored"
 
 
 class Watched(Counting):

@@ -61,9 +61,9 @@ def test_humans_of_gentle_tasks_are_spared_half_of_a_setting(task: str, left: fl
     params = assistax_envs.disability_params(["d1", "d3"])
     # Torques are an input of the engine, which no state keeps.
     control = env._control(params, full, jnp.zeros(full["human"].shape))
-    given = np.asarray(control)[:, env._actuators["human"]]
-    np.testing.assert_allclose(given, np.outer([1.0, left], np.ones(given.shape[1])), atol=1e-6)
-    assert (given[0] == 1.0).all()  # d1 to the bit
+    torques = np.asarray(control)[:, env._actuators["human"]]
+    np.testing.assert_allclose(torques, np.outer([1.0, left], np.ones(torques.shape[1])), atol=1e-6)
+    assert (torques[0] == 1.0).all()  # d1 to the bit
     # The range of joints is an input of the engine too.
     ranges = np.asarray(env._joint_range(assistax_envs.disability_params(["d1", "d7"])))
     assert (ranges[0] == np.asarray(env.model.jnt_range, np.float32)).all()

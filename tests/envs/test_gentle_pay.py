@@ -51,7 +51,9 @@ def test_an_arm_starts_somewhere_on_its_way_and_slides_off_when_nobody_holds_it(
 
 def _between(corners: np.ndarray) -> np.ndarray:
     places = np.linspace(0, len(corners) - 1, 500)
-    return np.stack([np.interp(places, range(len(corners)), each) for each in corners.T], axis=1)
+    return np.stack(
+        [np.interp(places, range(len(corners)), column) for column in corners.T], axis=1
+    )
 
 
 @pytest.mark.slow
@@ -82,9 +84,9 @@ def _rest(arm: jax.Array, distance: float, force: float = 0.0) -> dict[str, np.n
 def test_rest_pays_most_with_the_hook_at_the_liked_distance_and_nothing_with_a_touch() -> None:
     _, state, _ = _begun("gentle_lift", list(PREFERENCES))
     pays = {distance: _rest(state.waist, distance)["rest"] for distance in (0.1, 0.25, 0.6)}
-    for row, one in enumerate(PREFERENCES.values()):
-        assert pays[one.distance][row] == pytest.approx(1.0, abs=1e-4)
-        others = [pays[d][row] for d in pays if d != one.distance]
+    for row, preference in enumerate(PREFERENCES.values()):
+        assert pays[preference.distance][row] == pytest.approx(1.0, abs=1e-4)
+        others = [pays[d][row] for d in pays if d != preference.distance]
         assert max(others) < 0.7 and min(others) > 0.2
     assert not _rest(state.waist, 0.1, force=1.0)["rest"].any()
     still = _rest(state.waist, 0.25)
@@ -98,7 +100,9 @@ def test_rest_pays_at_the_liked_place_alone_and_the_robot_does_not_see_which_it_
     for name in names:
         place = jnp.broadcast_to(state.waist[names.index(name)], (len(names), 3))
         pays = _rest(place, 0.25)
-        same = np.array([one.place == PREFERENCES[name].place for one in PREFERENCES.values()])
+        same = np.array(
+            [preference.place == PREFERENCES[name].place for preference in PREFERENCES.values()]
+        )
         assert (pays["rest"][same] > 0.2).all() and not pays["rest"][~same].any()
         assert (pays["there"][same] > 0.99).all() and (pays["there"][~same] < 0.3).all()
     env = environment("gentle_lift", "native")

@@ -135,8 +135,8 @@ def test_words_never_cover_the_scene(two: EnvState):
     """The scene alone is drawn above the words: what is written below changes nothing there."""
     env = environment(TASK, "native")
     rich = dataclasses.replace(two, reward=jnp.full(2, 123.0))
-    one, other = env.render(two, **SIZE), env.render(rich, **SIZE)
-    assert (one[:SCENE] == other[:SCENE]).all() and (one[SCENE:] != other[SCENE:]).any()
+    first, other = env.render(two, **SIZE), env.render(rich, **SIZE)
+    assert (first[:SCENE] == other[:SCENE]).all() and (first[SCENE:] != other[SCENE:]).any()
     assert env.render(two, width=64, height=48).shape == (48, 64, 3)  # no room for words
 
 

@@ -58,6 +58,6 @@ if __name__ == "__main__":
     for task in PAPER_TASKS:
         states = [visited(robot) for robot in teams(task)]
         for name in states[0]:
-            arrays[f"{task}_{name}"] = np.concatenate([each[name] for each in states])
+            arrays[f"{task}_{name}"] = np.concatenate([part[name] for part in states])
     np.savez_compressed(PATH, **arrays)
     print(PATH, PATH.stat().st_size)
