@@ -37,9 +37,12 @@ def test_every_name_is_there_typed_and_documented() -> None:
     source = (ROOT / "assistax_zoo" / "__init__.py").read_text(encoding="utf-8")
     checked = source[source.index("TYPE_CHECKING:") : source.index("__all__")]
     for name in az.__all__:
-        found = getattr(az, name)
+        value_of_name = getattr(az, name)
         assert name in checked
-        documented = [found, *(vars(found).values() if inspect.isclass(found) else ())]
+        documented = [
+            value_of_name,
+            *(vars(value_of_name).values() if inspect.isclass(value_of_name) else ()),
+        ]
         for public_name in documented:
             public = not getattr(public_name, "__name__", "_").startswith("_")
             if inspect.isfunction(public_name) and public:

@@ -90,8 +90,8 @@ def call(
     if child.is_alive():
         child.kill()
         child.join()
-    told = home / "writes.json"
-    writes = json.loads(told.read_text()) if told.is_file() else {}
+    counts = home / "writes.json"
+    writes = json.loads(counts.read_text()) if counts.is_file() else {}
     return Outcome(
         child.exitcode,
         _told(home / "out.txt"),

@@ -32,9 +32,9 @@ def test_a_row_to_measure_by_takes_no_place() -> None:
 
 
 def test_figures_are_those_of_the_scores() -> None:
-    one = method("one", 100, 2)
-    [row] = board_rows([one], Panel(DISABILITIES))
-    scores = one.returns.mean(axis=2)
+    single = method("one", 100, 2)
+    [row] = board_rows([single], Panel(DISABILITIES))
+    scores = single.returns.mean(axis=2)
     assert row.m_test.mean == pytest.approx(scores.mean())
     assert row.m_test.mean_ci is not None
     assert row.m_test.mean_ci[0] < scores.mean() < row.m_test.mean_ci[1]

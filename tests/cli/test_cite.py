@@ -23,13 +23,13 @@ def cited(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, dict[str
     text = capsys.readouterr().out
     assert text.count("{") == text.count("}")
     entries = re.split(r"\n\n(?=@)", text.strip())
-    found = {}
+    citations = {}
     for entry in entries:
         key = re.match(r"@\w+\{(\w+),\n", entry)
         assert key is not None and entry.endswith("}\n}")
         fields = re.findall(r"^  (\w+) = \{((?:.|\n)*?)\}(?:,|\n\})", entry, re.MULTILINE)
-        found[key[1]] = {name: " ".join(value.split()) for name, value in fields}
-    return found
+        citations[key[1]] = {name: " ".join(value.split()) for name, value in fields}
+    return citations
 
 
 def test_it_agrees_with_the_citation_file(capsys: pytest.CaptureFixture[str]) -> None:

@@ -43,11 +43,11 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def examined(capsys: pytest.CaptureFixture[str], code: int = 0) -> dict[str, list[dict[str, Any]]]:
     """Run `doctor --json`; return its findings by topic."""
     try:
-        found = main.run(["doctor", "--json"])
+        status = main.run(["doctor", "--json"])
     except SystemExit as ended:
-        found = ended.code
+        status = ended.code
     answer = json.loads(capsys.readouterr().out)
-    assert (found, answer["ok"]) == (code, code == 0), answer["findings"][:3]
+    assert (status, answer["ok"]) == (code, code == 0), answer["findings"][:3]
     topics: dict[str, list[dict[str, Any]]] = {}
     for finding in answer["findings"]:
         assert "\n" not in finding["text"]

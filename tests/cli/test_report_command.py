@@ -116,8 +116,10 @@ def test_strategies_of_a_crossplay(crossplay: Path, capfd: pytest.CaptureFixture
     assert printed == tables.read_json(crossplay / tables.STRATEGIES_FILE)
     assert len(printed["clusters"]) == 2
     assert call("strategies", crossplay) == 0
-    told = capfd.readouterr().out
-    assert all(word in told for word in ("BR-Div: rank 1 of 6", "most incompatible", "medoid"))
+    strategies = capfd.readouterr().out
+    assert all(
+        word in strategies for word in ("BR-Div: rank 1 of 6", "most incompatible", "medoid")
+    )
     assert call("strategies", crossplay / "none") == 1
     assert "does not exist" in capfd.readouterr().err
 

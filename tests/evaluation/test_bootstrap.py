@@ -44,7 +44,7 @@ def coverage(
     rng = np.random.default_rng(1)
     figures = [figure(rng, seed) for seed in range(repetitions)]
     return {
-        name: float(np.mean([holds(getattr(one, name), 0.0) for one in figures]))
+        name: float(np.mean([holds(getattr(figure, name), 0.0) for figure in figures]))
         for name in ("iqm_ci", "mean_ci")
     }
 

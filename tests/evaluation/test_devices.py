@@ -23,7 +23,7 @@ print(len(jax.local_devices()))
 
 
 @pytest.mark.parametrize(
-    ("told", "before", "count"),
+    ("settings", "before", "count"),
     [
         ({}, "", 3),
         ({"JAX_NUM_CPU_DEVICES": "2"}, "", 2),
@@ -32,10 +32,12 @@ print(len(jax.local_devices()))
     ],
 )
 def test_jax_starts_with_a_device_for_each_core_unless_it_was_told(
-    told: dict[str, str], before: str, count: int
+    settings: dict[str, str], before: str, count: int
 ) -> None:
     command = [sys.executable, "-c", START.format(before=before)]
-    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"} | told
+    environment = {
+        name: value for name, value in os.environ.items() if name != "XLA_FLAGS"
+    } | settings
     done = subprocess.run(
         command, env=environment, capture_output=True, text=True, check=True, timeout=120
     )

@@ -42,5 +42,5 @@ def test_a_chain_of_many_leaves_needs_no_recursion():
     points = np.cumsum(np.arange(1.0, 301.0))[:, None]
     condensed = distance.pdist(points)
     ordered = optimal_leaf_order(hierarchy.single(condensed), distance.squareform(condensed))
-    found = hierarchy.leaves_list(ordered).tolist()
-    assert found in (list(range(300)), list(range(300))[::-1])
+    order = hierarchy.leaves_list(ordered).tolist()
+    assert order in (list(range(300)), list(range(300))[::-1])

@@ -108,7 +108,7 @@ def test_a_report_loads_nothing_from_elsewhere(crossplay: Path, evaluation: Path
 def test_a_crossplay_is_told_with_command_versions_and_hashes(crossplay: Path, tmp_path: Path):
     text = page_of(crossplay, tmp_path)
     assert "--task scratch --seed 7 --out &#39;x &amp; &lt;y&gt;&#39;" in text
-    for told in (
+    for words in (
         "Cross-play: scratch",
         "scratch-half-v0",
         "release v0",
@@ -116,7 +116,7 @@ def test_a_crossplay_is_told_with_command_versions_and_hashes(crossplay: Path, t
         "sha256",
         "Strategies of the humans",
     ):
-        assert told in text
+        assert words in text
     assert text.count("<tr>") > 20
     assert page_of(crossplay, tmp_path) == text
 
@@ -143,8 +143,8 @@ def test_tables_of_other_options_go(evaluation: Path, crossplay: Path, tmp_path:
 
 def test_an_evaluation_is_told_with_its_references(evaluation: Path, tmp_path: Path):
     text = page_of(evaluation, tmp_path)
-    for told in ("M_test", "zero action", "Unscorable", "source of B", "data:image/svg+xml"):
-        assert told in text
+    for words in ("M_test", "zero action", "Unscorable", "source of B", "data:image/svg+xml"):
+        assert words in text
 
 
 def test_ids_cannot_break_out_of_the_page(evaluation: Path, tmp_path: Path):
@@ -334,8 +334,8 @@ def test_a_film_is_of_the_episode_that_the_manifest_names(crossplay: Path, tmp_p
 
 @pytest.fixture(scope="module")
 def browser() -> Generator[Browser]:
-    with browsing() as found:
-        yield found
+    with browsing() as browser:
+        yield browser
 
 
 @pytest.mark.slow
@@ -351,8 +351,8 @@ def test_a_held_pair_has_its_address_and_the_command_that_films_it(
     box = page.locator("#matrix").bounding_box()
     assert box is not None
     page.mouse.click(box["x"] + 0.4 * box["width"], box["y"] + 0.6 * box["height"])
-    told = page.locator("#tip").inner_text()
-    robot, human = re.findall(r"^(?:robot|human) (\S+)", told, re.MULTILINE)
+    tip = page.locator("#tip").inner_text()
+    robot, human = re.findall(r"^(?:robot|human) (\S+)", tip, re.MULTILINE)
     address = page.locator("#pair-address").inner_text()
     assert address == page.url and address.endswith(urlencode({"robot": robot, "human": human}))
     command = page.locator("#pair-command").inner_text()

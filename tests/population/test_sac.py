@@ -142,8 +142,8 @@ def test_soft_targets_are_those_of_the_formula():
     for b in range(6):
         value = min(q[0, b], q[1, b]) - 0.3 * log_prob[b]
         expected.append(reward[b] + (0.0 if terminated[b] else 0.9 * value))
-    found = soft_target(*(jnp.asarray(x) for x in (reward, terminated, q, log_prob)), 0.3, 0.9)
-    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    target = soft_target(*(jnp.asarray(x) for x in (reward, terminated, q, log_prob)), 0.3, 0.9)
+    np.testing.assert_allclose(target, expected, rtol=1e-5)
 
 
 def test_log_density_of_a_squashed_action_is_that_of_the_change_of_variables():
@@ -197,7 +197,7 @@ def test_a_member_learns_the_same_whoever_trains_beside_it(platform, monkeypatch
         for x in (beside, alone)
     ]
     jax.tree.map(
-        lambda many, one: np.testing.assert_allclose(many[1:2], one, rtol=1e-3, atol=1e-5),
+        lambda many, alone: np.testing.assert_allclose(many[1:2], alone, rtol=1e-3, atol=1e-5),
         *networks,
     )
 

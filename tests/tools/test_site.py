@@ -61,7 +61,7 @@ def test_a_picture_opens_at_its_own_size(built: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("planted", "told"),
+    ("planted", "message"),
     [
         ("[x](nowhere.md)", "page does not exist"),
         ("[x](zoo.md#nowhere)", "anchor"),
@@ -71,12 +71,12 @@ def test_a_picture_opens_at_its_own_size(built: Path) -> None:
     ],
 )
 def test_a_planted_defect_stops_the_build(
-    planted: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    planted: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The defect is planted in a page between its source and the build.
     relink = site._relink
     monkeypatch.setattr(site, "_relink", lambda text: f"{relink(text)}\n\n{planted}\n")
-    with pytest.raises(ValueError, match=re.escape(told)):
+    with pytest.raises(ValueError, match=re.escape(message)):
         site.build(tmp_path)
 
 

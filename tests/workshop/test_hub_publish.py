@@ -212,10 +212,10 @@ def test_a_publication_that_is_killed(route: str, hub: Hub, cache: Path, teams) 
         "put(trained_teams(('mappo',)))"
     )
     environment = {**os.environ, "HF_ENDPOINT": hub.url, "HF_HUB_DISABLE_XET": "1"}
-    asked = hub.count(route)
+    requests = hub.count(route)
     with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, env=environment) as process:
         deadline = time.monotonic() + 60
-        while hub.count(route) == asked:
+        while hub.count(route) == requests:
             assert time.monotonic() < deadline and process.poll() is None
             time.sleep(0.01)
         process.send_signal(signal.SIGKILL)

@@ -251,13 +251,13 @@ def test_curves_keep_success_and_harm_where_metrics_have_them(tmp_path):
     config, path = curves_config(2), tmp_path / "scratch-ippo.parquet"
     plain = metrics(config, [1.0, 2.0], [1, 3])
     write_curves(path, [(plain.filter(pl.col("seed") == 0), config)])
-    told = plain.with_columns(pl.Series("success", [0.0, 0.0, 1.0, 1.0]), violated=0.5, noise=1.0)
-    table = thin(told, config, points=1)
+    curves = plain.with_columns(pl.Series("success", [0.0, 0.0, 1.0, 1.0]), violated=0.5, noise=1.0)
+    table = thin(curves, config, points=1)
     assert table.columns[5:] == ["return", "success", "violated"]
     assert table["success"].to_list() == [0.75, 0.75]
-    found = write_curves(path, [(told.filter(pl.col("seed") == 4), config)])
-    assert found.filter(pl.col("seed") == 0)["violated"].to_list() == [None, None]
-    assert found.filter(pl.col("seed") == 4)["violated"].to_list() == [0.5, 0.5]
+    paths = write_curves(path, [(curves.filter(pl.col("seed") == 4), config)])
+    assert paths.filter(pl.col("seed") == 0)["violated"].to_list() == [None, None]
+    assert paths.filter(pl.col("seed") == 4)["violated"].to_list() == [0.5, 0.5]
 
 
 def test_a_long_run_keeps_a_hundred_points_for_each_member(tmp_path):

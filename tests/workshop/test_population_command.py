@@ -217,8 +217,8 @@ def test_one_failure_leaves_the_other_groups_alone(place, capsys):
     )  # episodes have 8 steps
     assert run(words(place, "--json")) == 1
     captured = capsys.readouterr()
-    found = {row["group"]: row["published"] for row in json.loads(captured.out)["groups"]}
-    assert found == {"toy-one": 0, "toy-other": 2}
+    published = {row["group"]: row["published"] for row in json.loads(captured.out)["groups"]}
+    assert published == {"toy-one": 0, "toy-other": 2}
     assert captured.err.splitlines()[-1].startswith(
         "error: 1 failed, and the same command tries again: toy-one:"
     )

@@ -60,13 +60,13 @@ def visible(folder: Path) -> list[str]:
 
 
 def refused(
-    registry: Registry, cache: Path, kind: type[ZooError], *told: str, pattern: str = "*/robot"
+    registry: Registry, cache: Path, kind: type[ZooError], *words: str, pattern: str = "*/robot"
 ) -> str:
     """Fetch, and hold the error against what every error says."""
     with pytest.raises(kind) as caught:
         get(registry, pattern)
     message = str(caught.value)
-    assert all(word in message for word in ("expected ", "found ", "next: ", *told)), message
+    assert all(word in message for word in ("expected ", "found ", "next: ", *words)), message
     assert visible(cache) == []
     return message
 

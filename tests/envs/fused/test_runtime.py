@@ -273,8 +273,8 @@ def test_a_harmed_file_is_built_anew(own_cache: Path, harm) -> None:
 def test_a_file_of_another_key_is_not_taken(own_cache: Path) -> None:
     path = cache.cached("one", ".o", lambda output: output.write_bytes(b"one") and None)
     path.rename(path.with_name(path.name.replace("one-", "two-")))
-    found = cache.cached("two", ".o", lambda output: output.write_bytes(b"two") and None)
-    assert found.read_bytes() == b"two"
+    built = cache.cached("two", ".o", lambda output: output.write_bytes(b"two") and None)
+    assert built.read_bytes() == b"two"
 
 
 def test_a_folder_that_others_may_write_to_is_refused(own_cache: Path) -> None:
