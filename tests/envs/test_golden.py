@@ -73,5 +73,7 @@ def test_behaviour_changes_only_with_the_version(task: str, backend: str) -> Non
 
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
-    for each in sys.argv[1:] or TASKS:
-        (FOLDER / f"{each}.json").write_text(json.dumps(trajectory(each, "native")) + "\n")
+    for name_of_task in sys.argv[1:] or TASKS:
+        (FOLDER / f"{name_of_task}.json").write_text(
+            json.dumps(trajectory(name_of_task, "native")) + "\n"
+        )

@@ -47,8 +47,8 @@ def test_jax_starts_with_a_device_for_each_core_unless_it_was_told(
 def test_a_large_job_has_more_devices_and_a_gpu_is_always_used(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    found = jax.local_devices()[:1] * 3
-    monkeypatch.setattr(jax, "local_devices", lambda: found)
+    three_times = jax.local_devices()[:1] * 3
+    monkeypatch.setattr(jax, "local_devices", lambda: three_times)
     most = devices.SIMULATIONS_OF_A_CORE
     counts = [len(devices_for(size)) for size in (1, 2 * most - 1, 2 * most, 100 * most)]
     assert counts == [1, 1, 2, 3]

@@ -75,9 +75,9 @@ def test_a_result_is_that_of_its_folder(
     monkeypatch.chdir(tmp_path)  # relative names too: "~" is no home, "file:" no address
     folder = Path(name)
     shutil.copytree(home / "robot0", NEIGHBOURS[name])
-    found = evaluate(home, 1, folder)
+    first_result = evaluate(home, 1, folder)
     assert [path.name for path in tmp_path.iterdir() if path.name == name] == [name]
-    assert found.to_json()["env_steps_per_second"] is not None  # it was played, here
+    assert first_result.to_json()["env_steps_per_second"] is not None  # it was played, here
     again, expected = evaluate(home, 1, folder), az.load_result(home / "robot1")
     assert again.to_json()["env_steps_per_second"] is None
     for result in (again, az.load_result(folder)):

@@ -561,8 +561,8 @@ def test_saved_matrix_survives_its_files(tmp_path: Path):
     pairs, order, _ = saved(teams(6), 2)
     tables.write_parquet(pairs, tmp_path / tables.PAIRS_FILE)
     tables.write_json(order, tmp_path / tables.ORDER_FILE)
-    found = arrange(
+    arranged = arrange(
         tables.read_parquet(tmp_path / tables.PAIRS_FILE),
         tables.read_json(tmp_path / tables.ORDER_FILE),
     )
-    np.testing.assert_array_equal(found.values, arrange(pairs, order).values)
+    np.testing.assert_array_equal(arranged.values, arrange(pairs, order).values)

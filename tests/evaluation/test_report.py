@@ -237,8 +237,8 @@ def test_the_matrix_holds_the_saved_pairs_in_every_order(crossplay: Path):
         for c, column in enumerate(data["columns"]):
             value = data["measures"]["return"]["values"][r][c]
             assert value == pytest.approx(expected[row["name"], column["name"]], rel=1e-3)
-    for one in data["orders"].values():
-        assert sorted(one["rows"]) == sorted(one["columns"]) == list(range(12))
+    for axes_order in data["orders"].values():
+        assert sorted(axes_order["rows"]) == sorted(axes_order["columns"]) == list(range(12))
     shared = data["orders"]["teams"]
     assert [data["rows"][i]["team"] for i in shared["rows"]] == [
         data["columns"][i]["team"] for i in shared["columns"]
@@ -316,11 +316,11 @@ def test_a_film_is_of_the_episode_that_the_manifest_names(crossplay: Path, tmp_p
     gentle = {**IDENTITY, "task": "x; rm -r .", "preferences": ["p1", "p3", "p5"]}
     write_manifest(folder, {"identity": gentle})
     seal(folder)
-    found = film_of(page_of(folder, tmp_path))
-    assert found is not None and "--task 'x; rm -r .' --seed 5" in found["command"]
-    assert sorted(found["preferences"]) == sorted(set(table["partner"]))
-    assert {found["preferences"][f"{team_id(('ippo', 'd1', 0))}/human"]} == {"p3"}
-    assert set(found["preferences"].values()) == {"p3", "p5"}
+    film_shown = film_of(page_of(folder, tmp_path))
+    assert film_shown is not None and "--task 'x; rm -r .' --seed 5" in film_shown["command"]
+    assert sorted(film_shown["preferences"]) == sorted(set(table["partner"]))
+    assert {film_shown["preferences"][f"{team_id(('ippo', 'd1', 0))}/human"]} == {"p3"}
+    assert set(film_shown["preferences"].values()) == {"p3", "p5"}
     write_manifest(folder, {"identity": {**IDENTITY, "apart": False}})
     seal(folder)
     assert film_of(page_of(folder, tmp_path)) is None

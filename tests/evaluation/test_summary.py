@@ -131,16 +131,16 @@ def test_partners_without_a_side_are_refused():
 def test_crossplay_of_the_matrix_game():
     payoff = np.array([[4.0, 1.0], [0.5, 3.0]])
     pair = teams(2)
-    found = tables.to_json(
+    content = tables.to_json(
         summary.summarise_crossplay(
             recorded(episode_table(payoff[:, :, None], pair, pair)), CONTEXT
         )
     )
-    figures = [found[key]["mean"] for key in ("self_play", "cross_play", "gap")]
+    figures = [content[key]["mean"] for key in ("self_play", "cross_play", "gap")]
     assert figures == [3.5, 0.75, 2.75]
-    assert found["relative_gap"]["value"] == pytest.approx(2.75 / 3.5)
-    assert found["best_ego"] == {"ego": f"{team_id(pair[0])}/robot", "mean": 2.5}
-    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    assert content["relative_gap"]["value"] == pytest.approx(2.75 / 3.5)
+    assert content["best_ego"] == {"ego": f"{team_id(pair[0])}/robot", "mean": 2.5}
+    assert json.loads(json.dumps(content, allow_nan=False)) == content
 
 
 def test_crossplay_keeps_self_play_on_the_diagonal_of_the_shared_order():

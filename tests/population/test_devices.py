@@ -144,9 +144,9 @@ def save_and_restore(case, folder):
     checkpoints.save(1, states[2])
     rows = {}
     for count, like in states.items():
-        found = checkpoints.restore_latest(like)
-        assert found is not None and found[0] == 1
-        restored = found[1]
+        latest = checkpoints.restore_latest(like)
+        assert latest is not None and latest[0] == 1
+        restored = latest[1]
         for path, leaf, begun, saved in zip(
             *leaves(restored), leaves(like)[1], leaves(states[2])[1], strict=True
         ):

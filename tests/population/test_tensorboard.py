@@ -58,11 +58,11 @@ def check(events, metrics, speeds):
     table = pl.read_parquet(metrics)
     assert sorted(path.name for path in events.iterdir()) == sorted(MEMBERS)
     for member, name in enumerate(MEMBERS):
-        found, rows = scalars(events / name), table.filter(pl.col("member") == member)
-        assert [step for step, _ in found["episode/reward"]] == rows["steps"].to_list()
-        assert len(found.pop("speed/steps_per_second")) == speeds
-        logged = [column for column in rows.columns if tag(column) in found]
-        assert set(map(tag, logged)) == set(found)
+        series, rows = scalars(events / name), table.filter(pl.col("member") == member)
+        assert [step for step, _ in series["episode/reward"]] == rows["steps"].to_list()
+        assert len(series.pop("speed/steps_per_second")) == speeds
+        logged = [column for column in rows.columns if tag(column) in series]
+        assert set(map(tag, logged)) == set(series)
         assert {
             "return",
             "term_robot",
@@ -72,7 +72,7 @@ def check(events, metrics, speeds):
         } <= set(logged)
         for column in logged:
             expected = rows.select("steps", column).drop_nulls().to_numpy()
-            np.testing.assert_allclose(found[tag(column)], expected, rtol=1e-6, err_msg=column)
+            np.testing.assert_allclose(series[tag(column)], expected, rtol=1e-6, err_msg=column)
 
 
 def test_event_files_hold_what_the_metrics_hold(whole):

@@ -648,9 +648,9 @@ def test_the_better_convention_is_held_out(tmp_path: Path, split: Split, registr
     collect(played(tmp_path, split, matrix + rng.normal(size=matrix.shape)), tmp_path / "v2")
     words = ["cluster", TASK, "--release", "v2", "--data", str(tmp_path / "v2")]
     assert run([*words, "--registry", str(registry.path)]) == 0
-    [found] = [split for split in load_registry(registry.path).splits if split.rule == "custom"]
-    assert found.test == tuple(sorted(team_id(TEAMS[place]) for place in (0, 3, 8)))
-    assert len(found.train) == len(TEAMS) - 3
+    [custom] = [split for split in load_registry(registry.path).splits if split.rule == "custom"]
+    assert custom.test == tuple(sorted(team_id(TEAMS[place]) for place in (0, 3, 8)))
+    assert len(custom.train) == len(TEAMS) - 3
     words += ["--held-out", "masac", "--test-preferences", "p1,p5", "--default"]
     assert run([*words, "--registry", str(registry.path)]) == 0
     harder = load_registry(registry.path).split(TASK)

@@ -264,9 +264,9 @@ def test_a_long_run_keeps_a_hundred_points_for_each_member(tmp_path):
     config = curves_config(1234)
     table = metrics(config, [1.0] * 1234, [1] * 1234)
     write_curves(tmp_path / "curves" / "scratch-ippo.parquet", [(table, config)])
-    found = pl.read_parquet(tmp_path / "curves" / "scratch-ippo.parquet")
-    assert found.group_by("seed").len()["len"].to_list() == [100, 100]
-    assert found["steps"].max() == 1234 * 32 and set(found["return"]) == {1.0}
+    curve = pl.read_parquet(tmp_path / "curves" / "scratch-ippo.parquet")
+    assert curve.group_by("seed").len()["len"].to_list() == [100, 100]
+    assert curve["steps"].max() == 1234 * 32 and set(curve["return"]) == {1.0}
 
 
 def test_curves_of_other_members_stay_in_the_file(tmp_path):
@@ -280,8 +280,8 @@ def test_curves_of_other_members_stay_in_the_file(tmp_path):
         path,
         [(table.filter(pl.col("seed") == 4).with_columns(pl.lit(9.0).alias("return")), config)],
     )
-    found = pl.read_parquet(path)
-    assert {seed: set(rows["return"]) for (seed,), rows in found.group_by("seed")} == {
+    written = pl.read_parquet(path)
+    assert {seed: set(rows["return"]) for (seed,), rows in written.group_by("seed")} == {
         0: {1.0, 2.0},
         4: {9.0},
     }

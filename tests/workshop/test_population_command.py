@@ -85,9 +85,9 @@ def test_a_plan_is_trained_and_published_once(place, capsys):
     progress = json.loads((place / "plan.progress.json").read_text())
     assert (progress["teams"], progress["published"]) == (4, 4)
     assert progress["groups"]["toy-other"]["state"] == "published"
-    [one] = progress["groups"]["toy-one"]["runs"].values()
-    assert (one["state"], one["teams"], one["steps"]) == ("published", 2, 96)
-    assert (one["seconds"], one["steps_per_second"]) == (4.0, 2 * 96 / 4)
+    [toy_run] = progress["groups"]["toy-one"]["runs"].values()
+    assert (toy_run["state"], toy_run["teams"], toy_run["steps"]) == ("published", 2, 96)
+    assert (toy_run["seconds"], toy_run["steps_per_second"]) == (4.0, 2 * 96 / 4)
 
     curve = pl.read_parquet(place / "curves" / "toy-one.parquet")
     assert curve.columns[:6] == ["task", "algorithm", "disability", "seed", "steps", "return"]

@@ -164,8 +164,8 @@ def test_the_documented_torch_module_gives_the_same_actions(
     ours, theirs = policy.initial_carry((ROWS,)), None
     for step in range(3):
         ours, expected = policy.act(params, ours, jnp.asarray(obs[step]), jnp.zeros(ROWS, bool))
-        found, theirs = module(numpy_torch.Tensor(obs[step]), theirs)
-        np.testing.assert_allclose(found.value, expected, atol=TOLERANCE)
+        actual, theirs = module(numpy_torch.Tensor(obs[step]), theirs)
+        np.testing.assert_allclose(actual.value, expected, atol=TOLERANCE)
 
 
 def test_the_documented_torch_module_with_torch_itself(tmp_path: Path) -> None:
@@ -184,8 +184,8 @@ def test_the_documented_torch_module_with_torch_itself(tmp_path: Path) -> None:
         for step in range(STEPS):
             ours, expected = policy.act(params, ours, jnp.asarray(obs[step]), jnp.zeros(ROWS, bool))
             with torch.no_grad():
-                found, theirs = module(torch.from_numpy(obs[step]), theirs)
-            np.testing.assert_allclose(found.numpy(), expected, atol=TOLERANCE)
+                actual, theirs = module(torch.from_numpy(obs[step]), theirs)
+            np.testing.assert_allclose(actual.numpy(), expected, atol=TOLERANCE)
 
 
 def test_torch_files_keep_the_standard_deviation(tmp_path: Path) -> None:
