@@ -20,12 +20,12 @@ def refuse_shadows() -> None:
         spec = module.__spec__ if module else importlib.machinery.PathFinder.find_spec(name)
         if spec is None or spec.origin is None:
             places = list(spec.submodule_search_locations or ()) if spec else []
-            found = Path(places[0]) if places else None
+            place = Path(places[0]) if places else None
         else:
-            found = Path(spec.origin)
-            found = found.parent if found.name == "__init__.py" else found
-        if found is not None and found.resolve() != _ROOT / name:
+            place = Path(spec.origin)
+            place = place.parent if place.name == "__init__.py" else place
+        if place is not None and place.resolve() != _ROOT / name:
             raise ImportError(
-                f"{found} has the name of a package of assistax-zoo, and Python imports it instead "
+                f"{place} has the name of a package of assistax-zoo, and Python imports it instead "
                 "of ours; rename it, or start Python in another folder"
             )

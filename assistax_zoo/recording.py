@@ -106,10 +106,10 @@ def _record(
     states = list(pair.play(check, on_step, number, heard))
     count = len(states)
 
-    def given(values: list[Any]) -> "pl.Series":
+    def with_end(values: list[Any]) -> "pl.Series":
         """Return what each step gave, and nothing at the end."""
-        found = pl.Series(np.asarray(values))
-        return pl.concat([found, pl.Series([None], dtype=found.dtype)])
+        series = pl.Series(np.asarray(values))
+        return pl.concat([series, pl.Series([None], dtype=series.dtype)])
 
     columns: dict[str, Any] = {
         "episode": np.full(count, number, np.int32),
@@ -118,9 +118,9 @@ def _record(
     for role in actions:
         seen = np.stack([np.asarray(state.obs[role][0], np.float32) for state in states])
         columns[f"{role}_observation"] = pl.Series(seen)
-    columns |= {f"{role}_action": given(acted) for role, acted in actions.items()}
+    columns |= {f"{role}_action": with_end(acted) for role, acted in actions.items()}
     for name, leaf in _gains(pair.env).items():
-        columns[name] = given([np.asarray(leaf(state))[0] for state in states[1:]])
+        columns[name] = with_end([np.asarray(leaf(state))[0] for state in states[1:]])
     return pl.DataFrame(columns)
 
 

@@ -94,12 +94,12 @@ def attack_all(attempts: int, submitters: int) -> list[dict[str, float | str]]:
     for shared in (0.0, 0.02, 0.1):
         for how in typing.get_args(Attack):
             for board in typing.get_args(Board):
-                found = [attack(how, board, attempts, shared, seed) for seed in range(submitters)]
+                results = [attack(how, board, attempts, shared, seed) for seed in range(submitters)]
                 means = {
-                    field.name: float(np.mean([getattr(one, field.name) for one in found]))
+                    field.name: float(np.mean([getattr(result, field.name) for result in results]))
                     for field in dataclasses.fields(Attacked)
                 }
-                largest = max(one.gain_b for one in found)
+                largest = max(result.gain_b for result in results)
                 row = {"shared": shared, "attack": how, "board": board, **means}
                 rows.append({**row, "largest_gain_b": largest})
     return rows

@@ -31,13 +31,13 @@ class PageSpeed:
 def read_pages(url: str, readers: int, seconds: float) -> list[PageSpeed]:
     """Let readers read for a while and return a row for each kind of page, and one for all."""
     try:
-        found = asyncio.run(_read_all(url, readers, seconds))
+        reads = asyncio.run(_read_all(url, readers, seconds))
     except httpx2.HTTPError as error:
-        told = str(error) or type(error).__name__
-        raise OSError(f"{url} does not answer ({told}); start a server there first") from None
-    kinds = sorted({kind for kind, _, _ in found})
-    rows = [_row(kind, [one for one in found if one[0] == kind]) for kind in kinds]
-    return [*rows, _row("all", found)]
+        reason = str(error) or type(error).__name__
+        raise OSError(f"{url} does not answer ({reason}); start a server there first") from None
+    kinds = sorted({kind for kind, _, _ in reads})
+    rows = [_row(kind, [read for read in reads if read[0] == kind]) for kind in kinds]
+    return [*rows, _row("all", reads)]
 
 
 _Read = tuple[str, float, bool]  # kind of page, seconds, whether it came
@@ -51,7 +51,7 @@ async def _read_all(url: str, readers: int, seconds: float) -> list[_Read]:
             await client.get(address, timeout=None)
         end = time.monotonic() + seconds
         readings = [_reader(client, pages, end, random.Random(i)) for i in range(readers)]
-        return [one for reading in await asyncio.gather(*readings) for one in reading]
+        return [read for reading in await asyncio.gather(*readings) for read in reading]
 
 
 async def _pages(client: httpx2.AsyncClient) -> dict[str, str]:
@@ -66,8 +66,8 @@ async def _pages(client: httpx2.AsyncClient) -> dict[str, str]:
         "partners": r'href="(/tasks/\w+/partners)"',
         "season": r'href="(/seasons/\w+)"',
     }
-    found = {kind: re.search(pattern, board) for kind, pattern in kinds.items()}
-    known = {kind: one[1] for kind, one in found.items() if one}
+    links = {kind: re.search(pattern, board) for kind, pattern in kinds.items()}
+    known = {kind: link[1] for kind, link in links.items() if link}
     return {"home": "/", "board": tasks[0], "ledger": "/ledger", **known}
 
 
@@ -75,7 +75,7 @@ async def _reader(
     client: httpx2.AsyncClient, pages: dict[str, str], end: float, rng: random.Random
 ) -> list[_Read]:
     """Open page after page; the first after a part of a pause, so that not all begin at once."""
-    found: list[_Read] = []
+    reads: list[_Read] = []
     await asyncio.sleep(rng.uniform(0, PAUSE))
     while time.monotonic() < end:
         kind, address = rng.choice(list(pages.items()))
@@ -84,9 +84,9 @@ async def _reader(
             came = (await client.get(address)).status_code == 200
         except httpx2.HTTPError:
             came = False
-        found.append((kind, time.monotonic() - began, came))
+        reads.append((kind, time.monotonic() - began, came))
         await asyncio.sleep(rng.uniform(0.5, 1.5) * PAUSE)
-    return found
+    return reads
 
 
 def _row(kind: str, reads: list[_Read]) -> PageSpeed:

@@ -94,7 +94,7 @@ def measure_seed_sds(folder: Path) -> dict[str, list[float]]:
 
     What chance between seeds and partners adds to it is taken off.
     """
-    found: dict[str, list[float]] = {}
+    seed_sds: dict[str, list[float]] = {}
     for path in sorted(glob.glob(f"{folder}/v*/egos/**/pairs.parquet", recursive=True)):
         parts = Path(path).relative_to(folder).parts
         if "series" in parts[-2]:  # played in another way
@@ -102,8 +102,8 @@ def measure_seed_sds(folder: Path) -> dict[str, list[float]]:
         task = parts[2].rsplit("-", 1)[0] if len(parts) == 4 else parts[2]
         scores = _matrix(pl.read_parquet(path))
         if len(scores) > 1:
-            found.setdefault(task, []).append(_seed_sd(scores))
-    return found
+            seed_sds.setdefault(task, []).append(_seed_sd(scores))
+    return seed_sds
 
 
 def root_mean_square(values: Sequence[float]) -> float:

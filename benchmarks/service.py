@@ -66,7 +66,7 @@ def measure_service(readers: int, submitters: int, seconds: float) -> ServiceSpe
             handed_in, times = answers.get(timeout=600)
             cpu, count = _cpu(process.pid) - cpu, _requests(address) - count
             worker.terminate()
-        states = [each.state for each in service.queries.submissions(limit=100_000)]
+        states = [submission.state for submission in service.queries.submissions(limit=100_000)]
         service.database.close()
     return ServiceSpeed(
         pages,
@@ -88,8 +88,8 @@ def _server(folder: Path) -> Generator[tuple[Any, str]]:
         address = ""
         while process.poll() is None and not address:
             time.sleep(0.1)
-            told = (folder / "log").read_text().split()
-            address = told[1] if len(told) > 1 else ""
+            line = (folder / "log").read_text().split()
+            address = line[1] if len(line) > 1 else ""
         Client(address).call("GET", "/api/health")  # it asks again until there is an answer
         yield process, address
     finally:

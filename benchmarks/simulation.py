@@ -169,8 +169,8 @@ def _untrained_job(env: Any, shape: tuple[int, int, int]) -> Job:
             lambda leaf, n=count: np.repeat(leaf[None], n, 0), Policy(spec).init(jax.random.key(0))
         )
         members = {
-            f"{role}-{i}": Member(f"{role}-{i}", "", disability=one)
-            for i, one in enumerate(_settings(count))
+            f"{role}-{i}": Member(f"{role}-{i}", "", disability=setting)
+            for i, setting in enumerate(_settings(count))
         }
         seats.append(Roster((PolicyStack(spec, tuple(members), params),), members))
     return Job(env.task, env.version, env.backend, seats[0], seats[1], shape[2])

@@ -27,8 +27,8 @@ def evaluate_policies(
     **options: Any,
 ) -> EvaluationSummary:
     chosen = choose_partners(registry, how.task, split, partners)
-    asked: dict[str, Any] = {"trained_with": trained_with, "baselines": references is not None}
-    cast = cast_robots(registry, robots, chosen, **asked)
+    choices: dict[str, Any] = {"trained_with": trained_with, "baselines": references is not None}
+    cast = cast_robots(registry, robots, chosen, **choices)
     return evaluate(cast, how, folder, references=references, **options)
 
 

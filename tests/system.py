@@ -10,8 +10,8 @@ CHROMIUM = next(
 )
 
 
-def needs(package: str, found: object) -> pytest.MarkDecorator:
+def needs(package: str, there: object) -> pytest.MarkDecorator:
     """Skip a test whose system package is missing; let it fail under CI's REQUIRE_SYSTEM=1."""
     required = os.environ.get("REQUIRE_SYSTEM") == "1"
     reason = f"needs {package} (Debian: apt-get install {package})"
-    return pytest.mark.skipif(not found and not required, reason=reason)
+    return pytest.mark.skipif(not there and not required, reason=reason)

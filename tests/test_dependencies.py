@@ -67,12 +67,12 @@ def test_the_core_asks_for_at_most_twenty_packages() -> None:
 def test_every_import_of_the_core_is_declared() -> None:
     files = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
     assert len(files) > 150
-    found = [
+    imports = [
         line
         for path in files
         for line in undeclared(path.relative_to(ROOT).as_posix(), path.read_text())
     ]
-    assert found == []
+    assert imports == []
 
 
 @pytest.mark.parametrize(

@@ -58,8 +58,8 @@ def test_packages_import_only_the_layers_below() -> None:
 )
 def test_a_planted_violation_is_found(tmp_path: Path, package: str, statement: str) -> None:
     plant(tmp_path, package, statement)
-    [found] = violations(tmp_path)
-    assert found.startswith(f"{package}/planted.py:")
+    [violation] = violations(tmp_path)
+    assert violation.startswith(f"{package}/planted.py:")
 
 
 @pytest.mark.parametrize(
@@ -90,8 +90,8 @@ def test_command_line_and_registry_import_nothing_heavy() -> None:
 
 
 def test_an_evaluation_waits_for_neither_scipy_nor_matplotlib() -> None:
-    found = heavy_imports("assistax_zoo.evaluating", "assistax_envs.env", "evaluation.cast.egos")
-    assert found == ["jax", "mujoco"]  # and for Flax only where networks play
+    heavy = heavy_imports("assistax_zoo.evaluating", "assistax_envs.env", "evaluation.cast.egos")
+    assert heavy == ["jax", "mujoco"]  # and for Flax only where networks play
 
 
 def test_a_heavy_import_is_found() -> None:

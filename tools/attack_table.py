@@ -46,12 +46,12 @@ def table(families: Iterable[Mapping[str, Any]]) -> str:
     """Return the table of families, and a sentence with their sums."""
     families = list(families)
     rows = [
-        f"| {one['family']} | {one['trials']:,} | {one.get('struck', '')} | {one['failures']} | "
-        f"{one['slowest_seconds']:.1f} | {one['most_memory_mib']:,} |"
-        for one in families
+        f"| {family['family']} | {family['trials']:,} | {family.get('struck', '')} | "
+        f"{family['failures']} | {family['slowest_seconds']:.1f} | {family['most_memory_mib']:,} |"
+        for family in families
     ]
-    trials, failures = (sum(one[name] for one in families) for name in ("trials", "failures"))
-    least = min(one["share"] for one in families)
+    trials, failures = (sum(family[name] for family in families) for name in ("trials", "failures"))
+    least = min(family["share"] for family in families)
     part = "" if least == 1 else f" This was no whole attack: a share of {least:g} of the trials."
     sums = f"{trials:,} trials of {len(families)} families, {failures} failures.{part}"
     return "\n".join((HEAD, *rows, "", sums))

@@ -60,11 +60,11 @@ def touches(model: mujoco.MjModel) -> dict[str, list[str]]:
 
     The robot's geoms first, then the human's arm.
     """
-    found: dict[str, list[str]] = {}
+    against: dict[str, list[str]] = {}
     for pair in zip(model.pair_geom1, model.pair_geom2, strict=True):
         first, second = sorted((model.geom(int(geom)).name for geom in pair), key=_rank)
-        found.setdefault(first, []).append(second)
-    return {name: found[name] for name in sorted(found, key=_rank)}
+        against.setdefault(first, []).append(second)
+    return {name: against[name] for name in sorted(against, key=_rank)}
 
 
 def collision_model(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -99,7 +99,7 @@ def picture(tasks: Sequence[str], width: int = 480, height: int = 360) -> np.nda
         shown = build_dressed(task), collision_model(model)
         for field in ("cam_pos", "cam_quat", "cam_fovy"):  # both from where the picture is taken
             getattr(shown[1], field)[0] = getattr(shown[0], field)[0]
-        panes = [_draw(each, qpos, width, height) for each in shown]
+        panes = [_draw(shown_model, qpos, width, height) for shown_model in shown]
         rows += [np.concatenate(panes, axis=1), _caption(task, model, 2 * width)]
     return np.concatenate(rows)
 

@@ -120,7 +120,7 @@ def figures(modules: Mapping[str, Module], root: Path = ROOT) -> Iterator[tuple[
     for doors, most in CLOSURES.items():
         reached = closure(modules, doors)
         name = f"statements behind {' and '.join(doors)}, {len(reached)} modules"
-        yield name, sum(modules[each].statements for each in reached), most
+        yield name, sum(modules[reached_name].statements for reached_name in reached), most
     counted = [m for m in modules.values() if not any(part in str(m.path) for part in APART)]
     name = "statements of core, workshop and board"
     yield name, sum(module.statements for module in counted), MOST_STATEMENTS

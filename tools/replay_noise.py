@@ -47,15 +47,19 @@ def measure(
 def add(key: str, measured: list[dict[str, Any]]) -> None:
     """Write what was measured on some backends, the larger of each figure."""
     noise = json.loads(FILE.read_text()) if FILE.is_file() else {}
-    write({**noise, key: {name: largest([one[name] for one in measured]) for name in measured[0]}})
+    write(
+        {**noise, key: {name: largest([scale[name] for scale in measured]) for name in measured[0]}}
+    )
 
 
 def largest(scales: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the larger of several measurements of a column, figure by figure."""
     return {
-        "quantiles": [max(row) for row in zip(*(one["quantiles"] for one in scales), strict=True)],
-        "rms": max(one["rms"] for one in scales),
-        "largest": max(one["largest"] for one in scales),
+        "quantiles": [
+            max(row) for row in zip(*(scale["quantiles"] for scale in scales), strict=True)
+        ],
+        "rms": max(scale["rms"] for scale in scales),
+        "largest": max(scale["largest"] for scale in scales),
     }
 
 
@@ -99,7 +103,7 @@ def play(task: str, backend: str, teams: int, out: Path) -> None:
     env, job = make_job(how, registry_roster(registry, egos), humans)
     random = dataclasses.replace(reference_job(env, job, RANDOM), episodes=EPISODES * teams)
     jobs = (job, random)
-    played = [play_job(env, one, MAX_ENVS[backend]) for one in jobs]
+    played = [play_job(env, job_to_play, MAX_ENVS[backend]) for job_to_play in jobs]
     pl.concat(played).write_parquet(out)
 
 

@@ -40,8 +40,8 @@ def build(out: Path = ROOT / "build") -> Path:
     command = [sys.executable, "-m", "zensical", "build", "--strict", "--clean", "-f", settings]
     done = subprocess.run(command, capture_output=True, text=True, cwd=out)
     if done.returncode:
-        told = (done.stdout + done.stderr).partition("Traceback")[0]
-        raise ValueError(re.sub(r"\x1b\[[\d;]*m", "", told))
+        output = (done.stdout + done.stderr).partition("Traceback")[0]
+        raise ValueError(re.sub(r"\x1b\[[\d;]*m", "", output))
     if problems := find_problems(out / "site"):
         raise ValueError("\n".join(problems))
     return out / "site"
@@ -104,16 +104,16 @@ class _Page(HTMLParser):
         self.feed(path.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        given = {name: value or "" for name, value in attrs}
-        self.anchors |= {given[name] for name in ("id", "name") if name in given}
+        attributes = {name: value or "" for name, value in attrs}
+        self.anchors |= {attributes[name] for name in ("id", "name") if name in attributes}
         if self._is_error_page:
             return
-        if tag == "a" and given.get("href"):
-            self.links.append(given["href"])
-        if tag == "link" and given.get("rel") not in ("canonical", "next", "prev"):
-            self.fetched.append(given["href"])
-        if given.get(_FETCHED.get(tag, "")):
-            self.fetched.append(given[_FETCHED[tag]])
+        if tag == "a" and attributes.get("href"):
+            self.links.append(attributes["href"])
+        if tag == "link" and attributes.get("rel") not in ("canonical", "next", "prev"):
+            self.fetched.append(attributes["href"])
+        if attributes.get(_FETCHED.get(tag, "")):
+            self.fetched.append(attributes[_FETCHED[tag]])
 
 
 def _write_pages(folder: Path) -> None:

@@ -36,9 +36,9 @@ def ended_by_interrupts() -> Generator[None]:
         OSError: This process may open no more files.
         RuntimeError: It may start no more threads.
     """
-    told, tell = os.pipe()
+    numbers, tell = os.pipe()
     os.set_blocking(tell, False)
-    threading.Thread(target=_watch, args=(told,), name="interrupts", daemon=True).start()
+    threading.Thread(target=_watch, args=(numbers,), name="interrupts", daemon=True).start()
     before = signal.set_wakeup_fd(tell, warn_on_full_buffer=False)
     remembers = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if remembers:  # not where it is ignored, as in the background
@@ -90,10 +90,10 @@ def _hide_interrupts(unraisable: "sys.UnraisableHookArgs") -> None:
         sys.__unraisablehook__(unraisable)
 
 
-def _watch(told: int) -> None:
-    while number := os.read(told, 1):
+def _watch(numbers: int) -> None:
+    while number := os.read(numbers, 1):
         if number[0] == signal.SIGINT:
             _interrupted.set()  # the main thread may be far from handling it
             time.sleep(GRACE)
             end_now()
-    os.close(told)
+    os.close(numbers)

@@ -37,14 +37,20 @@ def test_every_name_is_there_typed_and_documented() -> None:
     source = (ROOT / "assistax_zoo" / "__init__.py").read_text(encoding="utf-8")
     checked = source[source.index("TYPE_CHECKING:") : source.index("__all__")]
     for name in az.__all__:
-        found = getattr(az, name)
+        value_of_name = getattr(az, name)
         assert name in checked
-        documented = [found, *(vars(found).values() if inspect.isclass(found) else ())]
-        for each in documented:
-            public = not getattr(each, "__name__", "_").startswith("_")
-            if inspect.isfunction(each) and public:
-                assert inspect.getdoc(each), f"{name}: {each.__name__}"
-                assert set(inspect.signature(each).parameters) <= {*each.__annotations__, "self"}
+        documented = [
+            value_of_name,
+            *(vars(value_of_name).values() if inspect.isclass(value_of_name) else ()),
+        ]
+        for public_name in documented:
+            public = not getattr(public_name, "__name__", "_").startswith("_")
+            if inspect.isfunction(public_name) and public:
+                assert inspect.getdoc(public_name), f"{name}: {public_name.__name__}"
+                assert set(inspect.signature(public_name).parameters) <= {
+                    *public_name.__annotations__,
+                    "self",
+                }
 
 
 def test_an_unknown_name_lists_the_known_ones() -> None:
@@ -102,15 +108,15 @@ def test_the_command_refuses_such_a_module_in_one_line(tmp_path: Path) -> None:
 def test_examples_run(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 20)
     monkeypatch.chdir(tmp_path)
-    given: dict[str, Any] = {}
+    received: dict[str, Any] = {}
     if module == "assistax_zoo.results":
         options: dict[str, Any] = {"task": "scratch", "episodes": 1, "progress": False}
         near = {"split": "both", "partners": "scratch/ippo-d1-s[01]-v1", "references": False}
-        given["result"] = az.evaluate(lambda obs: obs[:, :7] * 0.0, **options, **near)
+        received["result"] = az.evaluate(lambda obs: obs[:, :7] * 0.0, **options, **near)
         team = "scratch/ippo-d1-s0-v1"
-        given["matrix"] = az.cross_play(team, team, **options)
-    found = importlib.import_module(module)
-    done = doctest.testmod(found, extraglobs=given, optionflags=doctest.ELLIPSIS)
+        received["matrix"] = az.cross_play(team, team, **options)
+    loaded = importlib.import_module(module)
+    done = doctest.testmod(loaded, extraglobs=received, optionflags=doctest.ELLIPSIS)
     assert done.attempted and not done.failed
 
 

@@ -52,18 +52,18 @@ def test_it_is_short_and_keeps_what_it_showed(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [one for one in notebooks.names() if one not in LEARNING])
+@pytest.mark.parametrize("name", [name for name in notebooks.names() if name not in LEARNING])
 def test_every_cell_runs(name: str, tmp_path: Path) -> None:
     kept = nbformat.read(notebooks.FOLDER / f"{name}.ipynb", as_version=4)
     length = f"assistax_envs.env.EPISODE_LENGTH = {STEPS.get(name, 20)}"
     content = notebooks.run(name, tmp_path, f"import assistax_envs.env\n{length}")
     for before, after in zip(cells(kept), cells(content), strict=True):
-        assert [sorted(one.get("data", ())) for one in before.outputs] == [
-            sorted(one.get("data", ())) for one in after.outputs
+        assert [sorted(output.get("data", ())) for output in before.outputs] == [
+            sorted(output.get("data", ())) for output in after.outputs
         ]
-    told = shown(content)
+    printed = shown(content)
     if name == "notebook":
-        assert "<table" in told and "self-play" in told and "Comparison(scratch" in told
+        assert "<table" in printed and "self-play" in printed and "Comparison(scratch" in printed
         assert (tmp_path / "crossplay.png").stat().st_size > 1000
         assert os.listdir(tmp_path / "cache" / "assistax-zoo")
 

@@ -89,11 +89,11 @@ def test_a_saved_result_is_loaded_and_compared(
     again = az.load_result(saved)
     assert isinstance(again, az.EvaluationResult) and again.summary == result.summary
     moving = evaluate(lambda obs: np.ones((len(obs), 7)), zoo, split="both", episodes=2)
-    found = az.compare(moving, saved)
-    assert told(found.test).mean == pytest.approx(
+    comparison = az.compare(moving, saved)
+    assert told(comparison.test).mean == pytest.approx(
         told(moving.m_test).mean - told(result.m_test).mean
     )
-    assert repr(found).startswith("Comparison(scratch: test partners ")
+    assert repr(comparison).startswith("Comparison(scratch: test partners ")
     other = evaluate(lambda obs: np.ones((len(obs), 7)), zoo, episodes=1)
     with pytest.raises(ValueError, match="different"):
         az.compare(other, saved)
@@ -164,15 +164,15 @@ def test_what_is_missing_is_named_or_fetched(
         evaluate(robot, az.open_zoo(bare))
     with pytest.raises(RemoteError, match=r"8 of 8 policies.* 2 shards missing"):
         evaluate(lambda obs: obs[:, :7], az.open_zoo(bare), references=True)
-    found = evaluate(robot, az.open_zoo(bare), fetch=True)
-    assert told(found.m_test).mean == told(evaluate(robot, zoo).m_test).mean
+    result = evaluate(robot, az.open_zoo(bare), fetch=True)
+    assert told(result.m_test).mean == told(evaluate(robot, zoo).m_test).mean
 
 
 def test_a_temporary_folder_lives_as_long_as_the_result(zoo: az.Zoo) -> None:
-    found = evaluate("scratch/ippo-d1-s0-v0/robot", zoo)
-    folder = found.folder
+    result = evaluate("scratch/ippo-d1-s0-v0/robot", zoo)
+    folder = result.folder
     assert (folder / tables.EPISODES_FILE).is_file()
-    del found
+    del result
     assert not folder.exists()
 
 
@@ -202,20 +202,20 @@ def test_every_form_of_one_robot_earns_the_same(zoo: az.Zoo, tmp_path: Path) -> 
 
 
 def test_a_list_are_seeds_of_one_method(zoo: az.Zoo) -> None:
-    found = evaluate([f"scratch/ippo-d1-s{seed}-v0/robot" for seed in (0, 1)], zoo)
+    result = evaluate([f"scratch/ippo-d1-s{seed}-v0/robot" for seed in (0, 1)], zoo)
     # Each robot's own human is left out: 3 of the 4 partners.
-    assert told(found.m_test).n == 2 * 3 and len(found.summary.egos) == 2
+    assert told(result.m_test).n == 2 * 3 and len(result.summary.egos) == 2
 
 
 def test_a_crossplay_clusters_and_draws(zoo: az.Zoo, tmp_path: Path) -> None:
     teams = "scratch/ippo-d?-s[01]-v0"
     globs = f"{teams}/robot", f"{teams}/human"
     options: dict[str, Any] = {"episodes": 1, "backend": "native", "progress": False, "seed": 5}
-    found = az.cross_play(*globs, task="scratch", zoo=zoo, **options)
+    result = az.cross_play(*globs, task="scratch", zoo=zoo, **options)
     film = "assistax-zoo render --task scratch --seed 5"  # though nobody typed a seed
-    assert film in found.report(tmp_path / "xp.html").read_text()
-    assert found.pairs.height == 16 and told(found.self_play).n == 4
-    found.plot(tmp_path / "xp.png")
+    assert film in result.report(tmp_path / "xp.html").read_text()
+    assert result.pairs.height == 16 and told(result.self_play).n == 4
+    result.plot(tmp_path / "xp.png")
     assert (tmp_path / "xp.png").stat().st_size > 1000
-    assert "self-play" in repr(found) and "self-play" in found._repr_html_()
-    assert json.loads((found.folder / "run.json").read_text())["command"]
+    assert "self-play" in repr(result) and "self-play" in result._repr_html_()
+    assert json.loads((result.folder / "run.json").read_text())["command"]

@@ -69,11 +69,11 @@ def results_of(name: str) -> Callable[[Path], Figures]:
     """Return what reads a results folder: its tables by their bytes, its summary by its figures."""
 
     def read(home: Path) -> Figures:
-        found = dict(files_of(name, "*.parquet")(home))
+        figures = dict(files_of(name, "*.parquet")(home))
         for path in (home / name).glob("*.json"):
             if path.name not in ("manifest.json", "run.json"):
-                found[path.name] = digest(json.dumps(_steady(json.loads(path.read_text()))))
-        return found
+                figures[path.name] = digest(json.dumps(_steady(json.loads(path.read_text()))))
+        return figures
 
     return read
 
@@ -83,8 +83,8 @@ def files_of(folder: str, pattern: str) -> Callable[[Path], Figures]:
 
     def read(home: Path) -> Figures:
         root = home / folder
-        found = [path for path in root.glob(pattern) if path.is_file()]
-        visible = [path for path in found if not path.name.startswith(".")]
+        paths = [path for path in root.glob(pattern) if path.is_file()]
+        visible = [path for path in paths if not path.name.startswith(".")]
         return {
             str(path.relative_to(root)): hashlib.sha256(path.read_bytes()).hexdigest()
             for path in visible
@@ -99,5 +99,5 @@ def digest(text: str) -> str:
 
 def _steady(value: Any) -> Any:
     if isinstance(value, dict):
-        return {name: _steady(one) for name, one in value.items() if name not in UNSTEADY}
-    return [_steady(one) for one in value] if isinstance(value, list) else value
+        return {name: _steady(part) for name, part in value.items() if name not in UNSTEADY}
+    return [_steady(part) for part in value] if isinstance(value, list) else value

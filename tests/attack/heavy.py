@@ -142,44 +142,44 @@ def changes() -> dict[str, Change]:
     """Return every change of a received folder, by what it is; manifests fit what they hold."""
     numbers = ("episodes", "seed", "series")
     devices = ("/dev/zero", "/dev/random", "/dev/stdin", "/proc/kmsg", "/proc/self/pagemap")
-    found: dict[str, Change] = {
+    changes: dict[str, Change] = {
         f"identity.{name} is {value}": set_in("identity", name, value=value)
         for name in numbers
         for value in LARGE
     }
     for name in ("max_envs", "tile_envs"):
-        found |= {f"{name} is {value}": set_in(name, value=value) for value in (*LARGE, 0)}
-    found |= {f"a source is {name}": named(name) for name in devices}
-    found["one file by 40 names"] = many_files
-    found["a file of this folder is a device"] = set_in(
+        changes |= {f"{name} is {value}": set_in(name, value=value) for value in (*LARGE, 0)}
+    changes |= {f"a source is {name}": named(name) for name in devices}
+    changes["one file by 40 names"] = many_files
+    changes["a file of this folder is a device"] = set_in(
         "files", value={"/dev/zero": "0" * 64, "../../../dev/zero": "0" * 64}
     )
     rows = [["x", "0" * 64, None]] * 1_000_000
-    found["a million partners in the manifest"] = set_in("identity", "partners", value=rows)
+    changes["a million partners in the manifest"] = set_in("identity", "partners", value=rows)
     for name in (tables.EPISODES_FILE, tables.PARTNERS_FILE, tables.PROFILE_FILE):
-        found[f"{name} of three million rows"] = sealed(name, more_rows)
+        changes[f"{name} of three million rows"] = sealed(name, more_rows)
     kinds: dict[str, tuple[pl.DataType, Any]] = {
         "numbers": (pl.Float64(), 1.0),
         "nothing": (pl.Null(), None),
     }
     for name, (kind, value) in kinds.items():
-        found[f"episodes: 5 * 10^7 rows of {name}"] = sealed(
+        changes[f"episodes: 5 * 10^7 rows of {name}"] = sealed(
             tables.EPISODES_FILE, one_column(kind, value)
         )
     tricks = (many_columns, long_text, many_partners, far_episodes)
-    found |= {
+    changes |= {
         f"episodes: {trick.__name__}": sealed(tables.EPISODES_FILE, trick) for trick in tricks
     }
     for name in (tables.SUMMARY_FILE, tables.RUN_FILE):
         for trick in (deep, long_number, many_zeros, blank):
-            found[f"{name}: {trick.__name__}"] = sealed(name, trick)
-    found["summary.json: long_notes"] = sealed(tables.SUMMARY_FILE, long_notes)
-    found["a picture of 60,000 by 60,000"] = sealed(tables.MATRIX_FIGURE, wide_picture)
+            changes[f"{name}: {trick.__name__}"] = sealed(name, trick)
+    changes["summary.json: long_notes"] = sealed(tables.SUMMARY_FILE, long_notes)
+    changes["a picture of 60,000 by 60,000"] = sealed(tables.MATRIX_FIGURE, wide_picture)
     for trick in (deep, long_number, blank):
-        found[f"manifest: {trick.__name__}"] = lambda folder, trick=trick: _write(
+        changes[f"manifest: {trick.__name__}"] = lambda folder, trick=trick: _write(
             folder / provenance.MANIFEST_FILE, trick
         )
-    return found
+    return changes
 
 
 def _write(path: Path, trick: Callable[[bytes], bytes]) -> None:

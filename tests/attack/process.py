@@ -90,8 +90,8 @@ def call(
     if child.is_alive():
         child.kill()
         child.join()
-    told = home / "writes.json"
-    writes = json.loads(told.read_text()) if told.is_file() else {}
+    counts = home / "writes.json"
+    writes = json.loads(counts.read_text()) if counts.is_file() else {}
     return Outcome(
         child.exitcode,
         _told(home / "out.txt"),
@@ -132,8 +132,8 @@ class _Seen:
 
 def waited(process: Path) -> list[float]:
     """Return how many seconds each thread of a process waited for a processor."""
-    told = [path.read_text().split() for path in process.glob("task/*/schedstat")]
-    return [int(words[1]) / 1e9 for words in told]
+    statistics = [path.read_text().split() for path in process.glob("task/*/schedstat")]
+    return [int(words[1]) / 1e9 for words in statistics]
 
 
 def _child(words: list[str], home: str, attack: Attack) -> None:

@@ -32,12 +32,12 @@ def run(words: list[str], program: Callable[[list[str]], int] = main.run) -> str
             code = program(words)
         except SystemExit as ended:
             code = ended.code
-    told = err.getvalue()
-    assert "Traceback" not in told and "\x1b" not in told + out.getvalue(), told[-300:]
-    assert "this is unexpected" not in told, told[-300:]
-    assert code in (0, 1), f"{code}: {told[-300:]}"
+    printed = err.getvalue()
+    assert "Traceback" not in printed and "\x1b" not in printed + out.getvalue(), printed[-300:]
+    assert "this is unexpected" not in printed, printed[-300:]
+    assert code in (0, 1), f"{code}: {printed[-300:]}"
     if code:
-        raise Refused(told or out.getvalue())
+        raise Refused(printed or out.getvalue())
     return out.getvalue()
 
 

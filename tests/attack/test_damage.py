@@ -78,9 +78,9 @@ def test_registries(registry_path: Path, inside: Path) -> None:
     true = copied(registry_path, inside)
 
     def check(whole: bytes, data: bytes) -> None:
-        found = load_registry(true.path)
-        if found.data != true.data:
-            assert not verify(found).ok, "a changed registry passes `verify`"
+        read = load_registry(true.path)
+        if read.data != true.data:
+            assert not verify(read).ok, "a changed registry passes `verify`"
 
     with attack("damaged registries") as ledger:
         spoil(ledger, true.path, 1200, check, "registry")
@@ -120,8 +120,8 @@ def test_policy_files(registry_path: Path, inside: Path) -> None:
     write_policy_file(path, entry.spec, leaves)
 
     def check(whole: bytes, data: bytes) -> None:
-        found = flatten(read_policy_file(path).params)
-        assert all(np.isfinite(value).all() for value in found.values())
+        leaves = flatten(read_policy_file(path).params)
+        assert all(np.isfinite(value).all() for value in leaves.values())
 
     with attack("damaged policies") as ledger:
         spoil(ledger, path, 800, check, "policy")
@@ -176,8 +176,8 @@ def test_results(made: Path, inside: Path) -> None:
         finally:
             (result / provenance.MANIFEST_FILE).write_bytes(manifest)
 
-    files = [one for one in sorted(result.iterdir()) if one.is_file()]
-    files = [one for one in files if not one.name.startswith(".") and one.suffix != ".png"]
+    files = [path for path in sorted(result.iterdir()) if path.is_file()]
+    files = [path for path in files if not path.name.startswith(".") and path.suffix != ".png"]
     with attack("damaged results") as ledger:
         for path in files:
             spoil(ledger, path, 50, check, path.name)
@@ -185,9 +185,9 @@ def test_results(made: Path, inside: Path) -> None:
                 spoil(ledger, path, 30, sealed, f"sealed {path.name}")
 
 
-def _same_json(one: bytes, other: bytes) -> bool:
+def _same_json(left: bytes, other: bytes) -> bool:
     try:
-        return json.loads(one) == json.loads(other)
+        return json.loads(left) == json.loads(other)
     except ValueError:
         return False
 
@@ -201,15 +201,15 @@ def test_parts_and_tables(inside: Path) -> None:
     mixed = run_job(MatrixGame(), _mixed(), inside / "mixed", max_envs=7).table
     with attack("damaged parts and tables") as ledger:
         for trial in range(ledger.wanted(100)):
-            name, wanted = ledger.random.choice((("finished", true), ("parts", mixed)))
+            name, expected = ledger.random.choice((("finished", true), ("parts", mixed)))
             folder = Path(shutil.copytree(inside / name, inside / f"{name}{trial}"))
-            files = [one for one in folder.rglob("*.*") if one.suffix in (".json", ".parquet")]
+            files = [path for path in folder.rglob("*.*") if path.suffix in (".json", ".parquet")]
             path = ledger.random.choice(files)
             path.write_bytes(damaged(ledger.random, path.read_bytes(), path.suffix))
             with ledger.trial(f"{name} {path.name}"):
                 again = job if name == "finished" else _mixed()
                 try:
-                    assert run_job(MatrixGame(), again, folder).table.equals(wanted)
+                    assert run_job(MatrixGame(), again, folder).table.equals(expected)
                 except REFUSALS as error:
                     assert path.name == provenance.MANIFEST_FILE, error
             shutil.rmtree(folder)
@@ -235,7 +235,7 @@ def test_checkpoints(inside: Path) -> None:
     with attack("damaged checkpoints") as ledger:
         for trial in range(ledger.wanted(200)):
             folder = Path(shutil.copytree(inside / "whole", inside / str(trial)))
-            files = [one for one in folder.rglob("*") if one.is_file() and one.stat().st_size]
+            files = [path for path in folder.rglob("*") if path.is_file() and path.stat().st_size]
             path = ledger.random.choice(files)
             path.write_bytes(ledger.random.choice(BYTES)(ledger.random, path.read_bytes()))
             with ledger.trial(f"checkpoint {path.relative_to(folder)}"):
@@ -246,12 +246,12 @@ def test_checkpoints(inside: Path) -> None:
 def _restore(folder: Path, states: dict[int, dict]) -> None:
     try:
         with contextlib.closing(Checkpoints(folder)) as checkpoints:
-            found = checkpoints.restore_latest(states[1])
+            restored = checkpoints.restore_latest(states[1])
     except REFUSALS as error:
         return told(error)
-    assert found is not None
-    wanted = states[found[0]]
-    assert all(np.array_equal(found[1][name], wanted[name]) for name in wanted)
+    assert restored is not None
+    expected = states[restored[0]]
+    assert all(np.array_equal(restored[1][name], expected[name]) for name in expected)
     return None
 
 

@@ -27,13 +27,13 @@ CHEAP = ("publish", "fetch", "report")
 
 def ended_well(ledger: Ledger, outcome: Outcome, fault: Attack) -> None:
     ledger.judge(outcome)
-    told = outcome.err[-400:]
+    message = outcome.err[-400:]
     # Where memory ends within a C++ library, it aborts, and no handler of ours is asked.
     if outcome.code == -signal.SIGABRT and "RLIMIT_AS" in fault.limits:
         return
-    assert outcome.code in (0, 1), f"{outcome.code}: {told}"
-    assert outcome.code == 0 or not outcome.err or "error: " in outcome.err, told
-    assert "this is unexpected" not in outcome.err, told
+    assert outcome.code in (0, 1), f"{outcome.code}: {message}"
+    assert outcome.code == 0 or not outcome.err or "error: " in outcome.err, message
+    assert "this is unexpected" not in outcome.err, message
 
 
 @contextlib.contextmanager
@@ -50,9 +50,9 @@ def mounted(folder: Path, options: str) -> Generator[bool]:
             subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
-def leaves_no_wrong_file(command: Command, home: Path, wanted: dict[str, str]) -> None:
+def leaves_no_wrong_file(command: Command, home: Path, expected: dict[str, str]) -> None:
     left = command.figures(home)
-    assert left.items() <= wanted.items(), "a file is not of an undisturbed run"
+    assert left.items() <= expected.items(), "a file is not of an undisturbed run"
 
 
 @pytest.mark.attack
@@ -60,7 +60,7 @@ def leaves_no_wrong_file(command: Command, home: Path, wanted: dict[str, str]) -
 def test_limits(name: str, table: dict[str, Command], tmp_path: Path) -> None:
     command = table[name]
     call(command.words, tmp_path / "whole")
-    wanted = dict(command.figures(tmp_path / "whole"))
+    expected = dict(command.figures(tmp_path / "whole"))
     with attack(f"faults of {name}") as ledger:
         cases = list(FAULTS)
         ledger.random.shuffle(cases)
@@ -68,9 +68,9 @@ def test_limits(name: str, table: dict[str, Command], tmp_path: Path) -> None:
             home = tmp_path / str(number)
             with ledger.trial(f"{name}, {fault}"):
                 ended_well(ledger, call(command.words, home, FAULTS[fault]), FAULTS[fault])
-                leaves_no_wrong_file(command, home, wanted)
+                leaves_no_wrong_file(command, home, expected)
                 again = call(command.words, home)
-                assert again.code == 0 and command.figures(home) == wanted, again.err[-300:]
+                assert again.code == 0 and command.figures(home) == expected, again.err[-300:]
 
 
 PLACES = {"publish": "mine", "fetch": "cache", "report": "small", "evaluate": "out"}
@@ -82,7 +82,7 @@ def test_disks(name: str, table: dict[str, Command], tmp_path: Path) -> None:
     command = table[name]
     words = [*command.words[:-1], "small/page.html"] if name == "report" else command.words
     call(command.words, tmp_path / "whole")
-    wanted = dict(command.figures(tmp_path / "whole"))
+    expected = dict(command.figures(tmp_path / "whole"))
     with attack(f"disks of {name}") as ledger:
         cases = list(DISKS.items())
         ledger.random.shuffle(cases)
@@ -92,4 +92,4 @@ def test_disks(name: str, table: dict[str, Command], tmp_path: Path) -> None:
                 if not there:
                     pytest.skip("may not mount a file system")
                 ended_well(ledger, call(words, home), Attack())
-                leaves_no_wrong_file(command, home, wanted)
+                leaves_no_wrong_file(command, home, expected)

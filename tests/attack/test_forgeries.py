@@ -88,9 +88,9 @@ def judged(folder: Path, zoo: Registry) -> ReplayReport | None:
         return None
 
 
-def passes(found: ReplayReport | None, true: ReplayReport) -> bool:
+def passes(report: ReplayReport | None, true: ReplayReport) -> bool:
     """Return whether nothing that is false of a folder was said."""
-    return found is not None and found.ok and found.unchecked == true.unchecked
+    return report is not None and report.ok and report.unchecked == true.unchecked
 
 
 @pytest.mark.parametrize("of", ["evaluation", "crossplay"])

@@ -23,12 +23,12 @@ SOON = 2.0  # seconds, without those that it waited for a processor
 
 def ended_well(ledger: Ledger, outcome: Outcome) -> None:
     ledger.judge(outcome)
-    told = outcome.err[-300:]
-    assert outcome.code in (0, 130), f"{outcome.code}: {told}"  # 0: done before the key press
-    assert outcome.err.count("error") <= 1, told
+    message = outcome.err[-300:]
+    assert outcome.code in (0, 130), f"{outcome.code}: {message}"  # 0: done before the key press
+    assert outcome.err.count("error") <= 1, message
     if outcome.code == 130:
         spent = outcome.seconds - outcome.waited
-        assert outcome.err.splitlines()[-1] == "error: interrupted", told
+        assert outcome.err.splitlines()[-1] == "error: interrupted", message
         assert spent < SOON, f"{spent:.1f} s after the key press"
 
 
@@ -38,8 +38,8 @@ def test_interrupted_commands(name: str, table: dict[str, Command], tmp_path: Pa
     command = table[name]
     call(command.words, tmp_path / "warm")
     whole = call(command.words, tmp_path / "whole")
-    wanted = command.figures(tmp_path / "whole")
-    assert whole.code == 0 and wanted, whole.err
+    expected = command.figures(tmp_path / "whole")
+    assert whole.code == 0 and expected, whole.err
     with attack(f"interrupts of {name}") as ledger:
         for trial in range(ledger.wanted(INTERRUPTS[name])):
             home = tmp_path / str(trial)
@@ -49,8 +49,8 @@ def test_interrupted_commands(name: str, table: dict[str, Command], tmp_path: Pa
                 ended_well(ledger, pressed)
                 ledger.struck += pressed.code == 130
                 left = command.figures(home)
-                assert left.items() <= wanted.items(), "a file is not of an undisturbed run"
+                assert left.items() <= expected.items(), "a file is not of an undisturbed run"
                 again = call(command.words, home)
                 ledger.judge(again)
                 assert again.code == 0, again.err[-300:]
-                assert command.figures(home) == wanted
+                assert command.figures(home) == expected

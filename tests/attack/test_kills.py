@@ -33,14 +33,14 @@ def strike(ledger: Ledger, command: Command, home: Path, whole: Outcome, trial: 
     return call(command.words, home, press=(signal.SIGKILL, moment))
 
 
-def check(ledger: Ledger, command: Command, home: Path, wanted: Figures) -> None:
+def check(ledger: Ledger, command: Command, home: Path, expected: Figures) -> None:
     left = command.figures(home)
-    wrong = [name for name, digest in left.items() if wanted.get(name) != digest]
+    wrong = [name for name, digest in left.items() if expected.get(name) != digest]
     assert not wrong, f"after the kill {wrong} are not those of an undisturbed run"
     again = call(command.words, home)
     ledger.judge(again)
     assert again.code == 0, f"the next run ended with {again.code}: {again.err[-300:]}"
-    assert command.figures(home) == wanted, "the next run's figures are others"
+    assert command.figures(home) == expected, "the next run's figures are others"
 
 
 @pytest.mark.attack
@@ -49,8 +49,8 @@ def test_killed_commands_go_on(name: str, table: dict[str, Command], tmp_path: P
     command = table[name]
     call(command.words, tmp_path / "warm")  # so that kills do not fall into a compilation
     whole = call(command.words, tmp_path / "whole")
-    wanted = command.figures(tmp_path / "whole")
-    assert whole.code == 0 and wanted and not whole.outside, (whole, wanted)
+    expected = command.figures(tmp_path / "whole")
+    assert whole.code == 0 and expected and not whole.outside, (whole, expected)
     with attack(f"kills of {name}") as ledger:
         for trial in range(ledger.wanted(KILLS[name])):
             home = tmp_path / str(trial)
@@ -59,4 +59,4 @@ def test_killed_commands_go_on(name: str, table: dict[str, Command], tmp_path: P
                 ledger.judge(killed)
                 ledger.struck += killed.code == -signal.SIGKILL
                 assert killed.code in (-signal.SIGKILL, 0), killed.err[-300:]
-                check(ledger, command, home, wanted)
+                check(ledger, command, home, expected)

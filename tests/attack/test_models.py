@@ -40,14 +40,14 @@ def tensors(header: Any, data: bytes = bytes(64), size: int | None = None) -> by
 def leaf(dtype: str = "F32", shape: Any = (4,), offsets: Any = (0, 16), **more: Any) -> bytes:
     """Return a safetensors file of one tensor and our metadata."""
     metadata = {"assistax": json.dumps({"spec": SPEC, "rows": ["x"]})}
-    one = {"dtype": dtype, "shape": shape, "data_offsets": offsets}
-    return tensors({"__metadata__": metadata, "log_std": one, **more})
+    tensor = {"dtype": dtype, "shape": shape, "data_offsets": offsets}
+    return tensors({"__metadata__": metadata, "log_std": tensor, **more})
 
 
 def described(spec: Any, rows: Any = ("x",)) -> bytes:
-    one = {"dtype": "F32", "shape": [4], "data_offsets": [0, 16]}
+    tensor = {"dtype": "F32", "shape": [4], "data_offsets": [0, 16]}
     text = json.dumps({"spec": spec, "rows": rows})
-    return tensors({"__metadata__": {"assistax": text}, "log_std": one}, bytes(16))
+    return tensors({"__metadata__": {"assistax": text}, "log_std": tensor}, bytes(16))
 
 
 def tar(name: str, size: int = 3, kind: bytes = tarfile.REGTYPE) -> bytes:

@@ -21,9 +21,9 @@ def test_planted_defects_are_caught(tmp_path: Path) -> None:
         for name, defect in cases:
             with ledger.trial(name), ledger.excused():
                 text = plant(defect, copy)
-                code, told = run_tests([defect.test], copy)
+                code, output = run_tests([defect.test], copy)
                 (copy / defect.file).write_text(text, encoding="utf-8")
-                assert code == FAILED, f"{defect.test} ended with {code}: {told[-300:]}"
+                assert code == FAILED, f"{defect.test} ended with {code}: {output[-300:]}"
         with ledger.trial("no defect"), ledger.excused():
-            code, told = run_tests({defect.test for _, defect in cases}, copy)
-            assert code == FINISHED, f"without a defect they ended with {code}: {told[-300:]}"
+            code, output = run_tests({defect.test for _, defect in cases}, copy)
+            assert code == FINISHED, f"without a defect they ended with {code}: {output[-300:]}"

@@ -167,12 +167,12 @@ def test_two_results_in_one_folder(registry_path: Path, tmp_path: Path) -> None:
         for number, (first, second) in enumerate(cases[: ledger.wanted(len(cases))]):
             home = tmp_path / str(number)
             with ledger.trial(f"{first}, then {second}"):
-                wanted = alone(first)
+                expected = alone(first)
                 assert play(ledger, words[first], home) == 0
                 code = play(ledger, words[second], home)
                 same = first == second and "code" not in first
                 assert code == (0 if same else 1), f"exit code {code}"
-                assert results_of("out")(home) == wanted, "the first result was changed"
+                assert results_of("out")(home) == expected, "the first result was changed"
 
 
 def play(ledger: Ledger, words: Sequence[str], home: Path) -> int | None:

@@ -108,7 +108,7 @@ def check(kind: str, true: Registry, cache: Path, registry_too: bool) -> str:
     """Fetch from a server; return "fetched" or the refusal."""
     files = {"registry.json": true.path.read_bytes()}
     files |= {Path(path).name: true.shard_path(path).read_bytes() for path in true.data.shards}
-    wanted = {sha256(data) for data in files.values()}
+    expected = {sha256(data) for data in files.values()}
 
     def misbehave(connection, request, data):
         wrong = registry_too or b"registry.json" not in request.split(b"\r\n")[0]
@@ -117,17 +117,17 @@ def check(kind: str, true: Registry, cache: Path, registry_too: bool) -> str:
     with serving(files, misbehave) as server:
         remote = open_remote(server.url)
         try:
-            found = remote_registry(remote)
-            fetch(found, found.policies, remote)
-            told = "fetched"
+            received = remote_registry(remote)
+            fetch(received, received.policies, remote)
+            outcome = "fetched"
         except ZooError as error:
-            told = str(error)
-            assert told.isprintable() and len(told) < 2000, told
+            outcome = str(error)
+            assert outcome.isprintable() and len(outcome) < 2000, outcome
     kept = [path for path in cache.rglob("*") if path.is_file() and path.stat().st_size]
     visible = [path for path in kept if not path.name.startswith(".")]
-    assert all(sha256(path.read_bytes()) in wanted for path in visible), visible
-    assert (told == "fetched") <= (len(visible) >= len(files)), told
-    return told
+    assert all(sha256(path.read_bytes()) in expected for path in visible), visible
+    assert (outcome == "fetched") <= (len(visible) >= len(files)), outcome
+    return outcome
 
 
 def attack_with(ledger: Ledger, registry: Registry, folder: Path, patch: pytest.MonkeyPatch) -> int:

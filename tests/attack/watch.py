@@ -35,7 +35,11 @@ class Watch:
             return
         if event != "open" and event not in _CHANGES:
             return
-        paths = [one for one in arguments[:2] if isinstance(one, str | bytes | os.PathLike)]
+        paths = [
+            argument
+            for argument in arguments[:2]
+            if isinstance(argument, str | bytes | os.PathLike)
+        ]
         self._see([os.fsdecode(path) for path in (paths[:1] if event == "open" else paths)])
 
     def _fsync(self, descriptor: int) -> None:

@@ -19,6 +19,7 @@ from tests.workshop.test_sweep import plan
 def two_cpus():
     import ray
 
+    # A cluster of this size: only the private name takes the number of cores.
     ray_blocks._connect(ray, None, num_cpus=2)
     yield
     ray.shutdown()
@@ -86,6 +87,7 @@ def test_what_a_cluster_can_never_give_is_refused(two_cpus, tmp_path):
 def test_a_block_takes_a_whole_machine_unless_it_has_a_gpu(two_cpus):
     import ray
 
+    # What a block asks of a machine is seen nowhere else without a cluster of many machines.
     assert ray_blocks._resolved(ray, RayCluster()).cpus == 2
     assert ray_blocks._slots(ray, RayCluster(cpus=0.5)) == 4
     assert ray_blocks._resolved(ray, RayCluster(gpus=0.5)).cpus == 1

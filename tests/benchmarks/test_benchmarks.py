@@ -43,9 +43,9 @@ def test_env_prints_a_line_for_people(capfd: pytest.CaptureFixture[str]):
         )
         == 0
     )
-    told = capfd.readouterr().out
-    assert "compilation not counted" in told
-    assert "env steps/s" in told
+    printed = capfd.readouterr().out
+    assert "compilation not counted" in printed
+    assert "env steps/s" in printed
 
 
 @pytest.mark.slow
@@ -58,7 +58,7 @@ def test_evaluate_compares_the_evaluator_with_the_environment(capfd: pytest.Capt
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--task", "feeding"], "task is 'feeding'; allowed are all, scratch"),
         (["--backend", "gpu"], "backend is 'gpu'; allowed are auto, fused, native"),
@@ -69,11 +69,11 @@ def test_evaluate_compares_the_evaluator_with_the_environment(capfd: pytest.Capt
     ],
 )
 def test_bad_input_gets_one_clear_line(
-    words: list[str], told: str, capfd: pytest.CaptureFixture[str]
+    words: list[str], message: str, capfd: pytest.CaptureFixture[str]
 ):
     assert run(["env", *words]) == 1
     lines = capfd.readouterr()
-    assert told in lines.err
+    assert message in lines.err
     assert lines.err.count("\n") == 1
     assert lines.out == ""
 
@@ -149,5 +149,5 @@ def test_pages_of_no_server(capfd: pytest.CaptureFixture[str]):
     with socket.socket() as taken:  # bound and never listening
         taken.bind(("127.0.0.1", 0))
         assert run(["pages", "--url", f"http://127.0.0.1:{taken.getsockname()[1]}"]) == 1
-    told = capfd.readouterr().err
-    assert "does not answer" in told and told.count("\n") == 1
+    printed = capfd.readouterr().err
+    assert "does not answer" in printed and printed.count("\n") == 1

@@ -71,9 +71,9 @@ def accessibility_faults(page: Page) -> list[str]:
     """Return what axe finds on a page, from "serious" on, with the places."""
     # Evaluated by the browser's debugger, which the page's policy does not bind.
     page.evaluate(AXE.read_text(encoding="utf-8"))
-    found = page.evaluate("axe.run({resultTypes: ['violations']})")
+    report = page.evaluate("axe.run({resultTypes: ['violations']})")
     return [
-        f"{one['id']}: {one['nodes'][0]['html'][:120]}"
-        for one in found["violations"]
-        if one["impact"] in ("serious", "critical")
+        f"{violation['id']}: {violation['nodes'][0]['html'][:120]}"
+        for violation in report["violations"]
+        if violation["impact"] in ("serious", "critical")
     ]

@@ -73,7 +73,9 @@ def cluster() -> Generator[Cluster]:
 
 
 def _binaries() -> Path | None:
-    found = [Path(each) for each in sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)]
+    folders = [
+        Path(path) for path in sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)
+    ]
     with contextlib.suppress(TypeError):
-        found.append(Path(str(shutil.which("initdb"))).parent)
-    return next((each for each in found if (each / "initdb").is_file()), None)
+        folders.append(Path(str(shutil.which("initdb"))).parent)
+    return next((folder for folder in folders if (folder / "initdb").is_file()), None)

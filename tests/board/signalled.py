@@ -18,9 +18,9 @@ FIRST = ""  # counted from the start
 class Fate:
     """Sends signals; each moment is [function, calls since it was called, signal]."""
 
-    def __init__(self, moments: list[tuple[str, int, int]], told: Path) -> None:
-        self._told = told
-        self._moments: list[Any] = [list(one) for one in moments]
+    def __init__(self, moments: list[tuple[str, int, int]], written: Path) -> None:
+        self._told = written
+        self._moments: list[Any] = [list(moment) for moment in moments]
         self.calls = 0
 
     def __call__(self, frame: FrameType, event: str, _: object) -> None:
@@ -40,9 +40,9 @@ class Fate:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # the shell may ignore it
-    told, moments = Path(sys.argv[2]), json.loads(sys.argv[1])
+    written, moments = Path(sys.argv[2]), json.loads(sys.argv[1])
     sys.argv = ["assistax-zoo", *sys.argv[3:]]
-    sys.setprofile(Fate(moments, told))
+    sys.setprofile(Fate(moments, written))
     from assistax_zoo.__main__ import start
 
     sys.exit(start())

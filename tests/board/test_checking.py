@@ -32,9 +32,9 @@ def changed(service: Service, statement: Any) -> None:
 
 def test_a_whole_service_is_whole(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(checking, "_PAGE", 2)  # several pages
-    found = check_service(service)
+    problems = check_service(service)
     counts = {"ledger": 3, "artefacts": 4, "receipts": 1, "notices": 0}
-    assert found == {**counts, "whole": True}
+    assert problems == {**counts, "whole": True}
     client = Client("", transport=TestClient(create_app(service)))
     assert check_ledger(client)["entries"] == 3
     assert check_ledger(client)["last_hash"] == service.queries.ledger()[-1].hash

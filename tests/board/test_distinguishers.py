@@ -161,9 +161,11 @@ def look(season: Season) -> None:
             answer = season.http.get(address)
             left_out = ("etag", "content-length")  # both follow from the body
             headers = sorted((k, v) for k, v in answer.headers.items() if k not in left_out)
-            told = CLOCKED.sub("", answer.text) if address == "/metrics" else answer.text
+            shown_text = CLOCKED.sub("", answer.text) if address == "/metrics" else answer.text
             season.seen.append(
-                COMMITMENTS.sub("#", f"{address} {answer.status_code} {headers} {count} {told}")
+                COMMITMENTS.sub(
+                    "#", f"{address} {answer.status_code} {headers} {count} {shown_text}"
+                )
             )
 
 
@@ -226,6 +228,7 @@ def hidden_returns(service: Service) -> list[float]:
 def test_a_planted_leak_is_found(
     leak: str, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
+    # The leak is planted where a panel's end is written.
     real = results._finish_panel
     log = logging.getLogger("assistax_board")
 
@@ -261,24 +264,25 @@ def plant_statements(monkeypatch: pytest.MonkeyPatch, value: float) -> None:
 
 def times(seasons: tuple[Season, Season], address: str, rounds: int) -> np.ndarray:
     """Return how long an answer takes [N, 2], the two asked in turns in a random order."""
-    rng, found = np.random.default_rng(0), np.empty((rounds, 2))
+    rng, differences = np.random.default_rng(0), np.empty((rounds, 2))
     for number in range(rounds):
         for which in rng.permutation(2):
             began = time.perf_counter()
             seasons[which].http.get(address)
-            found[number, which] = time.perf_counter() - began
-    return found
+            differences[number, which] = time.perf_counter() - began
+    return differences
 
 
-def p_value(found: np.ndarray) -> float:
+def p_value(differences: np.ndarray) -> float:
     """Return how likely so large a difference is if the two are the same: pairs are swapped.
 
     Of lower quartiles, since what else a machine does only ever adds.
     """
-    swapped = np.random.default_rng(1).random((2000, len(found), 1)) < 0.5
-    drawn = np.where(swapped, found[:, ::-1], found)  # [2000, N, 2]
+    swapped = np.random.default_rng(1).random((2000, len(differences), 1)) < 0.5
+    drawn = np.where(swapped, differences[:, ::-1], differences)  # [2000, N, 2]
     seen, chance = (
-        np.abs(np.diff(np.quantile(times, 0.25, axis=-2), axis=-1)) for times in (found, drawn)
+        np.abs(np.diff(np.quantile(times, 0.25, axis=-2), axis=-1))
+        for times in (differences, drawn)
     )
     return float((1 + (chance >= seen).sum()) / 2001)
 

@@ -87,9 +87,9 @@ def losses(service: Service, season: str, count: int) -> tuple[dict[str, int], l
             lost.append(f"{row.id} is {row.state} and its attempt is {row.attempt}")
         if row.state == "scored" and results[row.id] != JOBS:
             lost.append(f"{row.id} has {results[row.id]} results")
-        told = kinds["submission", row.id], kinds["end", row.id], kinds["score", row.id]
-        if told != (1, 1, int(row.state == "scored")):
-            lost.append(f"{row.id} is told {told} times in the ledger")
+        moments = kinds["submission", row.id], kinds["end", row.id], kinds["score", row.id]
+        if moments != (1, 1, int(row.state == "scored")):
+            lost.append(f"{row.id} is told {moments} times in the ledger")
     lost += wrong_scores(service)
     held = [row for row in service.queries.attempts(season) if row.reserved]
     lost += [f"{row.submitter} has {row.reserved} attempts reserved" for row in held]
@@ -261,7 +261,7 @@ PLANTED: dict[str, tuple[Any, str]] = {
 @pytest.mark.parametrize("name", PLANTED)
 def test_a_planted_loss_is_found(tmp_path: Path, name: str) -> None:
     service, season = ended(tmp_path)
-    statement, told = PLANTED[name]
+    statement, message = PLANTED[name]
     with service.database.write() as connection:
         connection.execute(statement)
-    assert any(told in row for row in losses(service, season, 2)[1])
+    assert any(message in row for row in losses(service, season, 2)[1])

@@ -64,6 +64,7 @@ def test_who_says_nothing_is_hung_up_on(
 
 @pytest.mark.slow
 def test_without_that_they_would_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The limit is taken away: nothing public can.
     monkeypatch.setattr(serve._IdleTimeout, "_look", lambda *_: None)
     with served(new_service(tmp_path)) as server:
         silent = connected(server)
@@ -131,8 +132,8 @@ def test_a_live_robot_that_thinks_long_is_not_hung_up_on(
         return np.zeros((len(obs), 3), np.float32)
 
     id = play(service, slow)
-    [found] = [row for row in service.queries.submissions() if row.id == id]
-    assert found.state == "scored"
+    [row_of_id] = [row for row in service.queries.submissions() if row.id == id]
+    assert row_of_id.state == "scored"
 
 
 class Watched(Counting):

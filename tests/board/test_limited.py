@@ -165,6 +165,7 @@ def test_one_lab_keeps_few_places_at_the_desk(tmp_path: Path) -> None:
             for i in range(4)
         ]
         time.sleep(1.0)
+        # Patience ends while they wait: the argument is for the start alone.
         many._patience = other._patience = 0.0
         with pytest.raises(OSError, match="503"):
             many.submit(b"robot 1.0", request_id="request-9", **fields)

@@ -100,6 +100,7 @@ def test_lost_connections_do_not_show(tmp_path: Path, monkeypatch: pytest.Monkey
     first = play(calm, Counting())
 
     def connect(client: Client, submission: str) -> Dropping:
+        # A real connection, that the test lets drop.
         return Dropping(live_client._connect(client, submission), rng)
 
     second = play(stormy, Counting(), connect)

@@ -91,6 +91,7 @@ def test_damaged_parquet_of_a_worker_ends_no_server_and_no_submission(
         client.give_back(work)
         monkeypatch.setattr(working, "encode_table", lambda table: damaged_parquet(table)[-1])
         done = Worker(client, scorer, idle=0.01)
+        # One job, where `run` would go on to the next.
         assert done._do(client.lease("w", scorer.versions())) == 0
         assert shown(service, id).state == "running", "its job is in the queue again"
         monkeypatch.undo()

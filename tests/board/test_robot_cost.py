@@ -65,6 +65,6 @@ def test_what_depends_on_weights_alone_is_shared_by_all_rows() -> None:
     nodes = [helper.make_node("Gemm", ["obs", "w"], ["h"], transB=1)]
     nodes.append(helper.make_node("Gemm", ["h", "u"], ["action"], transB=1))
     robot = Admission(SIZES).read(file_of(nodes, constants, "action"), TASK)
-    found = nanoseconds(robot.spec.player(), robot.params, OBS)
+    measured = nanoseconds(robot.spec.player(), robot.params, OBS)
     transposed = 1024 * (OBS + ACT)
-    assert PRODUCT * transposed < found < PRODUCT * transposed + NUMBER * transposed / 10
+    assert PRODUCT * transposed < measured < PRODUCT * transposed + NUMBER * transposed / 10

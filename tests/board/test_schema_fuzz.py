@@ -23,8 +23,8 @@ def test_no_request_breaks_the_server(tmp_path: Path) -> None:
     token = service.create_token(("submit", "work", "organise"), submitter="fuzzer")
     headers = {"Authorization": f"Bearer {token}"}
     schema = schemathesis.openapi.from_asgi("/openapi.json", app)
-    found: list[Any] = list(schema.get_all_operations())
-    operations = [each.ok() for each in found]
+    results: list[Any] = list(schema.get_all_operations())
+    operations = [result.ok() for result in results]
     for operation in operations:
         fuzz(operation, headers)
     assert len(operations) > 20

@@ -96,8 +96,8 @@ def test_nothing_hidden_is_in_any_answer(tmp_path: Path) -> None:
     texts = []
     for path in paths:
         for name in (id, season, "spring"):
-            found = http.get(path.replace("{id}", name).replace("{task}", TASK))
-            texts.append(found.text)
+            answer = http.get(path.replace("{id}", name).replace("{task}", TASK))
+            texts.append(answer.text)
     assert any('"panel":"A"' in text for text in texts)
     assert [word for word in hidden for text in texts if word in text] == []
 
@@ -329,8 +329,12 @@ def test_a_scored_submission_can_be_taken_back(tmp_path: Path) -> None:
     id = service.submit(lab, draft(season=season))
     work_off(service)
     service.withdraw(id, lab)
-    found = shown(service, id)
-    assert (found.state, found.reason, found.attempt) == ("retracted", "withdrawn", "spent")
+    submission = shown(service, id)
+    assert (submission.state, submission.reason, submission.attempt) == (
+        "retracted",
+        "withdrawn",
+        "spent",
+    )
     assert service.queries.scores(task=TASK) == []
     assert service.queries.scores(submission=id)  # its own page still tells
     assert service.queries.receipt(id)
@@ -352,9 +356,9 @@ def test_nobody_leaves_while_panel_b_is_played(tmp_path: Path) -> None:
 
 
 def state_of(service: Service, season: str) -> str:
-    found = service.queries.season(season)
-    assert found is not None
-    return found.state
+    season_row = service.queries.season(season)
+    assert season_row is not None
+    return season_row.state
 
 
 def test_another_root_proves_nothing(tmp_path: Path) -> None:
@@ -477,7 +481,7 @@ def test_entries_are_chosen_over_the_network(tmp_path: Path) -> None:
         client = server.client("submit")
         fields = {"task": TASK, "method": "mine", "season": season}
         id = client.submit(b"robot 2.0", request_id="request-1", **fields)["id"]
-        assert [one["id"] for one in client.enter("spring", [id])] == [id]
+        assert [entry["id"] for entry in client.enter("spring", [id])] == [id]
         assert shown(service, id).entered
         assert client.enter(season, []) == []
         assert not shown(service, id).entered

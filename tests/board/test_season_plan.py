@@ -105,8 +105,8 @@ def test_a_smaller_plan_has_fewer_seeds_of_every_group(
 def test_one_task_in_a_release_of_another_name(tmp_path: Path) -> None:
     path = make(tmp_path / "plan.json", "--task", "gentle_bath", "--release", "v7")
     private, public = read_plan(path), read_plan(V2)
-    wanted = [group.name for group in public.groups if group.task == "gentle_bath"]
-    assert private.release == "v7" and [group.name for group in private.groups] == wanted
+    expected = [group.name for group in public.groups if group.task == "gentle_bath"]
+    assert private.release == "v7" and [group.name for group in private.groups] == expected
 
 
 def test_it_is_its_owners_alone_and_says_what_differs_from_defaults(tmp_path: Path) -> None:

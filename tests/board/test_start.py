@@ -33,9 +33,9 @@ NAMED: list[Moment] = [
 
 def strike(folder: Path, moments: list[Moment]) -> tuple[int, list[str], int]:
     """Start a server, signal it; return its code, its lines and at which call it was struck."""
-    mark, told = f"{folder}-{os.getpid()}", folder / "told"
-    told.write_text("0")
-    words = [json.dumps(moments), told, "serve", "--data", folder / "board", "--port", "0"]
+    mark, log = f"{folder}-{os.getpid()}", folder / "told"
+    log.write_text("0")
+    words = [json.dumps(moments), log, "serve", "--data", folder / "board", "--port", "0"]
     done = subprocess.run(
         [sys.executable, "-m", "tests.board.signalled", *map(str, words)],
         cwd=ROOT,
@@ -46,17 +46,17 @@ def strike(folder: Path, moments: list[Moment]) -> tuple[int, list[str], int]:
         timeout=SOON,
     )
     assert left_alive(mark) == []
-    return done.returncode, done.stderr.splitlines(), json.loads(told.read_text())
+    return done.returncode, done.stderr.splitlines(), json.loads(log.read_text())
 
 
 def left_alive(mark: str) -> list[str]:
     """Return who still runs of those that have this mark, after the second that they may take."""
     end = time.monotonic() + 5
-    while found := [path.name for path in Path("/proc").glob("[0-9]*") if _has(path, mark)]:
+    while processes := [path.name for path in Path("/proc").glob("[0-9]*") if _has(path, mark)]:
         if time.monotonic() > end:
             break
         time.sleep(0.1)
-    return found
+    return processes
 
 
 def _has(process: Path, mark: str) -> bool:
@@ -67,14 +67,14 @@ def _has(process: Path, mark: str) -> bool:
 
 
 def check(code: int, lines: list[str], folder: Path) -> None:
-    told = "\n".join(lines)
-    assert "Traceback" not in told, told
+    text = "\n".join(lines)
+    assert "Traceback" not in text, text
     if code == 0:
-        assert lines[-1] == "stopped", told
+        assert lines[-1] == "stopped", text
     elif code == 130:
-        assert lines == ["error: interrupted"], told
+        assert lines == ["error: interrupted"], text
     else:  # before the command was there, and Python with it
-        assert (code, lines) == (-signal.SIGTERM, []), (code, told)
+        assert (code, lines) == (-signal.SIGTERM, []), (code, text)
     service = open_service(folder / "board")
     with service.database.read() as connection:
         assert connection.exec_driver_sql("PRAGMA integrity_check").scalar() == "ok"

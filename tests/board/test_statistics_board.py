@@ -32,9 +32,9 @@ def test_a_row_to_measure_by_takes_no_place() -> None:
 
 
 def test_figures_are_those_of_the_scores() -> None:
-    one = method("one", 100, 2)
-    [row] = board_rows([one], Panel(DISABILITIES))
-    scores = one.returns.mean(axis=2)
+    single = method("one", 100, 2)
+    [row] = board_rows([single], Panel(DISABILITIES))
+    scores = single.returns.mean(axis=2)
     assert row.m_test.mean == pytest.approx(scores.mean())
     assert row.m_test.mean_ci is not None
     assert row.m_test.mean_ci[0] < scores.mean() < row.m_test.mean_ci[1]
@@ -64,10 +64,10 @@ def test_one_episode_and_unknown_disabilities_leave_gaps_and_not_guesses() -> No
 
 def test_one_partner_in_ten_earns_no_more_than_the_worst_tenth() -> None:
     scores = np.random.default_rng(4).permutation(np.arange(40.0))[None]
-    found = worst_tenth(scores)
-    assert (scores <= found.value).sum() == 4
-    assert found.value_ci is not None
-    assert found.value_ci[0] <= found.value <= found.value_ci[1]
+    worst = worst_tenth(scores)
+    assert (scores <= worst.value).sum() == 4
+    assert worst.value_ci is not None
+    assert worst.value_ci[0] <= worst.value <= worst.value_ci[1]
 
 
 def test_a_method_that_missed_partners_is_refused_by_name() -> None:

@@ -37,7 +37,7 @@ def test_a_team_that_only_has_luck_is_shown_nothing_in_95_of_100_seasons() -> No
     fooled = 0
     for _ in range(100):
         first, *others = BASE + rng.normal(0, 4, (50, 60))
-        answers = (ladder_release(first, one, attempt=2 + i) for i, one in enumerate(others))
+        answers = (ladder_release(first, scores, attempt=2 + i) for i, scores in enumerate(others))
         fooled += any(answer is not None for answer in answers)
     assert fooled <= 10
 
@@ -45,9 +45,9 @@ def test_a_team_that_only_has_luck_is_shown_nothing_in_95_of_100_seasons() -> No
 @pytest.mark.parametrize("shared", [0.0, 0.02])
 def test_a_thousand_attempts_gain_less_than_a_half_width_on_panel_b(shared: float) -> None:
     for how in ("climb", "gather"):
-        found = attack(how, "ladder", 1000, shared, seed=0)
-        assert found.gain_b < found.half_width
-        assert found.shown < 5.0  # exact answers let 30 or more be shown, see below
+        attacked = attack(how, "ladder", 1000, shared, seed=0)
+        assert attacked.gain_b < attacked.half_width
+        assert attacked.shown < 5.0  # exact answers let 30 or more be shown, see below
 
 
 def test_a_board_that_shows_every_score_is_climbed() -> None:

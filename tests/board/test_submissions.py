@@ -156,11 +156,11 @@ def test_a_job_given_back_is_no_failure(tmp_path: Path) -> None:
 
 def test_one_lab_cannot_keep_the_others_out(tmp_path: Path) -> None:
     service = new_service(tmp_path)
-    many, one = new_submitter(service, "many"), new_submitter(service, "one")
+    many, single = new_submitter(service, "many"), new_submitter(service, "one")
     for number in range(3):
         service.submit(many, draft(request=f"r{number}"))
     advance(service, 1.0)
-    id = service.submit(one, draft())
+    id = service.submit(single, draft())
     assert shown(service, id).place == 2
 
 

@@ -51,7 +51,7 @@ def test_a_form_sent_twice_is_one_submission(service: Service, reader: TestClien
 
 
 @pytest.mark.parametrize(
-    ("changed", "status", "told"),
+    ("changed", "status", "message"),
     [
         ({"account_token": "azt_wrong"}, 401, "this token is not valid"),
         ({"account_token": ""}, 401, "send a token"),
@@ -63,11 +63,11 @@ def test_a_form_sent_twice_is_one_submission(service: Service, reader: TestClien
     ],
 )
 def test_what_cannot_be_handed_in_comes_back_with_a_reason(
-    service: Service, reader: TestClient, changed: dict[str, str], status: int, told: str
+    service: Service, reader: TestClient, changed: dict[str, str], status: int, message: str
 ) -> None:
     token = service.create_token(("submit",), submitter="lab")
     answer = send(reader, filled(reader, token) | changed)
-    assert answer.status_code == status and told in answer.text
+    assert answer.status_code == status and message in answer.text
     assert token not in answer.text and "azt_wrong" not in answer.text
     assert service.queries.submissions() == []
 

@@ -30,8 +30,8 @@ def missing(text: str) -> list[str]:
     """Return the lines whose tests are not there."""
     lacking = []
     for threat, names in threats(text).items():
-        found = [_is_there(*name.split("::")) for name in names]
-        lacking += [] if found and all(found) else [threat]
+        present = [_is_there(*name.split("::")) for name in names]
+        lacking += [] if present and all(present) else [threat]
     return lacking
 
 
@@ -64,15 +64,15 @@ def test_a_threat_without_a_test_would_be_found() -> None:
 @pytest.fixture
 def dialled(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Who was dialled by this process; nobody is."""
-    found: list[Any] = []
+    tests: list[Any] = []
 
     def connect(_: socket.socket, address: Any) -> None:
-        found.append(address)
+        tests.append(address)
         raise OSError("no network here")
 
     monkeypatch.setattr(socket.socket, "connect", connect)
     monkeypatch.setattr(socket.socket, "connect_ex", connect)
-    return found
+    return tests
 
 
 def test_the_server_dials_nobody(tmp_path: Path, dialled: list[Any]) -> None:

@@ -17,6 +17,7 @@ from tests.board.running import served
 def two_cpus() -> Iterator[None]:
     import ray
 
+    # A cluster of this size: only the private name takes the number of cores.
     ray_blocks._connect(ray, None, num_cpus=2)
     yield
     ray.shutdown()

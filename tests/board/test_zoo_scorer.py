@@ -20,6 +20,8 @@ from assistax_board.rules.catalogue import PUBLIC_SEED, ZooCatalogue, panel_epis
 from assistax_board.rules.release_pack import hidden_partners, ordinal, pack
 from assistax_board.rules.results import figures
 from assistax_board.rules.scoring import Work, decode_table, encode_table, table_bytes
+
+# Work that no server knows, as a trial at home makes it.
 from assistax_board.submitting import _try_work
 from assistax_board.work.zoo_scorer import ZooScorer
 from assistax_envs import Env
@@ -243,15 +245,15 @@ def test_reference_rows_are_what_evaluate_plays(registry: Registry, tmp_path: Pa
     assert job.own_episodes, "as the identity of a version says"
     jobs = reference_jobs(env, job, own_robots(registry, entries))[:2]
     played = pl.concat(
-        run_job(env, one, tmp_path / str(place)).table for place, one in enumerate(jobs)
+        run_job(env, job, tmp_path / str(place)).table for place, job in enumerate(jobs)
     )
     egos = pl.col("ego"), pl.col("ego").str.starts_with(TASK)
     for name, chosen in ((RANDOM, egos[0] == RANDOM), (SELF_PLAY, egos[1])):
         reference = dataclasses.replace(work_item, kind="reference", format=name)
-        found = scorer_of(registry).play(reference, None, None)
+        table = scorer_of(registry).play(reference, None, None)
         expected = played.filter(chosen).sort("partner", "episode")
-        assert found.sort("partner", "episode")["return"].equals(expected["return"])
-        assert expected.height == found.height == 6
+        assert table.sort("partner", "episode")["return"].equals(expected["return"])
+        assert expected.height == table.height == 6
 
 
 @pytest.mark.slow

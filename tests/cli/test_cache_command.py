@@ -92,8 +92,8 @@ def test_an_unknown_kind_names_those_that_are(
 ) -> None:
     before = files(home)
     assert main.run(["cache", "clean", "--what", "data", "--yes"]) == 1
-    told = capsys.readouterr().err
-    assert all(kind in told for kind in OURS) and "'data'" in told
+    printed = capsys.readouterr().err
+    assert all(kind in printed for kind in OURS) and "'data'" in printed
     assert files(home) == before
 
 

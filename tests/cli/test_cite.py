@@ -23,27 +23,27 @@ def cited(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, dict[str
     text = capsys.readouterr().out
     assert text.count("{") == text.count("}")
     entries = re.split(r"\n\n(?=@)", text.strip())
-    found = {}
+    citations = {}
     for entry in entries:
         key = re.match(r"@\w+\{(\w+),\n", entry)
         assert key is not None and entry.endswith("}\n}")
         fields = re.findall(r"^  (\w+) = \{((?:.|\n)*?)\}(?:,|\n\})", entry, re.MULTILINE)
-        found[key[1]] = {name: " ".join(value.split()) for name, value in fields}
-    return found
+        citations[key[1]] = {name: " ".join(value.split()) for name, value in fields}
+    return citations
 
 
 def test_it_agrees_with_the_citation_file(capsys: pytest.CaptureFixture[str]) -> None:
-    given = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    found = cited(capsys)
-    [paper] = given["references"]
-    printed = found["hinckeldey2025assistax"]
-    names = [f"{one['family-names']}, {one['given-names']}" for one in paper["authors"]]
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    citations = cited(capsys)
+    [paper] = citation["references"]
+    printed = citations["hinckeldey2025assistax"]
+    names = [f"{author['family-names']}, {author['given-names']}" for author in paper["authors"]]
     assert printed["author"].split(" and ") == names
     assert (printed["title"], printed["url"]) == (paper["title"], paper["url"])
     assert printed["year"] == str(paper["year"])
-    assert found["assistax_zoo"]["title"] == given["title"]
+    assert citations["assistax_zoo"]["title"] == citation["title"]
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert (given["version"], given["license"]) == (project["version"], project["license"])
+    assert (citation["version"], citation["license"]) == (project["version"], project["license"])
 
 
 def test_it_names_the_release_its_root_and_the_registry(

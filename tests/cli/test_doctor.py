@@ -35,6 +35,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("ASSISTAX_ZOO_REGISTRY", str(tmp_path / "registry.json"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
     monkeypatch.delenv("ASSISTAX_ZOO_REMOTE", raising=False)
+    # The probe is a process of some seconds; its answer is what differs here.
     monkeypatch.setattr(doctor, "_probe", lambda: WELL)
     return tmp_path
 
@@ -42,11 +43,11 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def examined(capsys: pytest.CaptureFixture[str], code: int = 0) -> dict[str, list[dict[str, Any]]]:
     """Run `doctor --json`; return its findings by topic."""
     try:
-        found = main.run(["doctor", "--json"])
+        status = main.run(["doctor", "--json"])
     except SystemExit as ended:
-        found = ended.code
+        status = ended.code
     answer = json.loads(capsys.readouterr().out)
-    assert (found, answer["ok"]) == (code, code == 0), answer["findings"][:3]
+    assert (status, answer["ok"]) == (code, code == 0), answer["findings"][:3]
     topics: dict[str, list[dict[str, Any]]] = {}
     for finding in answer["findings"]:
         assert "\n" not in finding["text"]
@@ -55,14 +56,14 @@ def examined(capsys: pytest.CaptureFixture[str], code: int = 0) -> dict[str, lis
 
 
 def test_a_sound_installation_has_nothing_broken(capsys: pytest.CaptureFixture[str]) -> None:
-    found = examined(capsys)
-    assert found.keys() >= {"python", "packages", "extras", "jax", "backend", "compilers"}
-    assert found.keys() >= {"cache", "disk", "registry", "added", "remote"}
-    assert found["backend"][0]["details"] == {"auto": "fused"}
-    registry = found["registry"][0]["details"]
+    topics = examined(capsys)
+    assert topics.keys() >= {"python", "packages", "extras", "jax", "backend", "compilers"}
+    assert topics.keys() >= {"cache", "disk", "registry", "added", "remote"}
+    assert topics["backend"][0]["details"] == {"auto": "fused"}
+    registry = topics["registry"][0]["details"]
     assert (registry["roots"], registry["absent_shards"]) == (True, 0)
     assert registry["releases"] == ["v0"]
-    kinds = [finding["details"]["kind"] for finding in found["cache"] if finding["details"]]
+    kinds = [finding["details"]["kind"] for finding in topics["cache"] if finding["details"]]
     assert kinds == ["shards", "registries", "references", "xla", "fused"]
 
 
@@ -96,7 +97,7 @@ def test_a_missing_extra_is_named_with_the_line_that_installs_it(
     monkeypatch.setattr(
         requirements,
         "version_of",
-        lambda wanted: None if wanted.lower() == package[0].lower() else version_of(wanted),
+        lambda name: None if name.lower() == package[0].lower() else version_of(name),
     )
     missing = {
         finding["details"]["extra"]: finding["text"]
@@ -141,7 +142,11 @@ def test_a_package_that_is_too_old_is_broken(
     old = {"polars": "1.0.0", "mujoco-mjx": "3.16.0"}
     for module in (requirements, doctor):
         monkeypatch.setattr(module, "version_of", lambda name: old.get(name) or version_of(name))
-    broken = [one["text"] for one in examined(capsys, 1)["packages"] if one["state"] == "broken"]
+    broken = [
+        finding["text"]
+        for finding in examined(capsys, 1)["packages"]
+        if finding["state"] == "broken"
+    ]
     assert broken[0] == "mujoco-mjx 3.16.0; install it with: pip install 'mujoco-mjx>=3.17'"
     assert broken[1] == "polars 1.0.0; install it with: pip install 'polars>=2'"
     assert broken[2].endswith("mujoco-mjx 3.16.0 must be of the same minor release")
@@ -155,8 +160,8 @@ def test_a_checkout_that_is_not_installed_is_named(
 
     for name in ("metadata", "requires"):
         monkeypatch.setattr(requirements, name, unknown)
-    found = examined(capsys, 1)
-    assert "pip install -e ." in found["packages"][0]["text"]
+    topics = examined(capsys, 1)
+    assert "pip install -e ." in topics["packages"][0]["text"]
 
 
 def test_a_registry_that_was_changed_is_broken(
@@ -187,8 +192,8 @@ def test_a_remote_matters_where_shards_are_missing(
 ) -> None:
     assert examined(capsys)["remote"][0]["state"] == "ok"
     shutil.move(here / "zoo", here / "elsewhere")
-    found = examined(capsys, 1)["remote"][0]
-    assert "assistax-zoo config remote" in found["text"]
+    remote = examined(capsys, 1)["remote"][0]
+    assert "assistax-zoo config remote" in remote["text"]
     monkeypatch.setenv("ASSISTAX_ZOO_REMOTE", str(here / "nothing"))
     assert examined(capsys, 1)["remote"][0]["details"]["answers"] is False
     monkeypatch.setenv("ASSISTAX_ZOO_REMOTE", str(here))
@@ -204,15 +209,15 @@ def test_a_remote_that_hangs_is_left(
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = f"http://127.0.0.1:{silent.getsockname()[1]}"
         monkeypatch.setenv("ASSISTAX_ZOO_REMOTE", address)
-        [found] = examined(capsys)["remote"]
-    assert found["state"] == "advice" and "no answer within" in found["text"]
+        [remote] = examined(capsys)["remote"]
+    assert remote["state"] == "advice" and "no answer within" in remote["text"]
 
 
 def test_a_folder_that_cannot_be_written_names_its_variable(
     here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (here / "cache").write_text("a file in the place of a folder")
-    [broken] = [one for one in examined(capsys, 1)["disk"] if one["state"] == "broken"]
+    [broken] = [finding for finding in examined(capsys, 1)["disk"] if finding["state"] == "broken"]
     assert "$ASSISTAX_ZOO_CACHE" in broken["text"]
 
 
@@ -226,7 +231,7 @@ def test_a_disk_with_little_room_is_named(
 ) -> None:
     usage = type("Usage", (), {"free": free})
     monkeypatch.setattr(doctor.shutil, "disk_usage", lambda path: usage)
-    assert {one["state"] for one in examined(capsys, code)["disk"]} == {state}
+    assert {finding["state"] for finding in examined(capsys, code)["disk"]} == {state}
 
 
 def test_programs_that_others_may_write_are_broken(
@@ -235,8 +240,8 @@ def test_programs_that_others_may_write_are_broken(
     folder = compiled.folder()
     folder.mkdir(parents=True)
     folder.chmod(0o777)
-    found = examined(capsys, 1)["compilers"]
-    assert "XDG_CACHE_HOME" in found[0]["text"]
+    compilers = examined(capsys, 1)["compilers"]
+    assert "XDG_CACHE_HOME" in compilers[0]["text"]
 
 
 @pytest.mark.parametrize(
@@ -256,16 +261,17 @@ def test_a_jax_that_does_not_start_is_one_line(
     """XLA ends the process: not this one."""
     monkeypatch.undo()
     monkeypatch.setenv(variable, value)
-    found = list(doctor._machine())
-    assert [(one.topic, one.state) for one in found] == [("jax", "broken")]
-    assert words in found[0].text
+    # The machine's part alone, whose process is a real one here.
+    findings = list(doctor._machine())
+    assert [(finding.topic, finding.state) for finding in findings] == [("jax", "broken")]
+    assert words in findings[0].text
 
 
 def test_a_driver_that_hangs_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
     monkeypatch.setattr(doctor, "PROBE_SECONDS", 0.01)
-    [found] = doctor._machine()
-    assert found.state == "broken" and found.text.startswith("JAX did not start within 0 s")
+    [finding] = doctor._machine()
+    assert finding.state == "broken" and finding.text.startswith("JAX did not start within 0 s")
 
 
 def test_compilers_really_compile(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -287,10 +293,11 @@ def test_compilers_really_compile(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_gpu_that_jax_does_not_use_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    # The device's file of a GPU that this machine lacks.
     monkeypatch.setattr(doctor, "_GPU", Path("/proc/self/status"))
     monkeypatch.delenv("JAX_PLATFORMS", raising=False)
-    [found] = examined(capsys)["jax"]
-    assert found["state"] == "advice" and "jax[cuda12]" in found["text"]
+    [finding] = examined(capsys)["jax"]
+    assert finding["state"] == "advice" and "jax[cuda12]" in finding["text"]
 
 
 def test_no_secret_is_printed(

@@ -40,20 +40,20 @@ def call(*words: Any) -> int:
 
 
 def evaluate(registry: Path, *words: Any, policy: Any = "zoo:scratch/ippo-d1-s0-v0/robot") -> int:
-    given = {"--task": "scratch", "--episodes": 2, "--backend": "native"}
-    defaults = [word for option in given.items() if option[0] not in words for word in option]
+    options = {"--task": "scratch", "--episodes": 2, "--backend": "native"}
+    defaults = [word for option in options.items() if option[0] not in words for word in option]
     defaults += [] if "--references" in words else ["--no-references"]
     return call("evaluate", "--policy", policy, "--registry", registry, *defaults, *words)
 
 
 def failure(capfd: pytest.CaptureFixture[str], code: int) -> str:
     """Return the one line of an error."""
-    told = capfd.readouterr()
+    printed = capfd.readouterr()
     assert code == 1
-    assert told.out == ""
-    assert told.err.startswith("error: ")
-    assert told.err.count("\n") == 1
-    return told.err
+    assert printed.out == ""
+    assert printed.err.startswith("error: ")
+    assert printed.err.count("\n") == 1
+    return printed.err
 
 
 def test_json_is_the_object_of_the_design(registry: Path, capfd: pytest.CaptureFixture[str]):
@@ -86,13 +86,15 @@ def test_both_sides_give_the_gap_and_keep_the_tables(
     registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
     assert evaluate(registry, "--split", "both", "--out", tmp_path / "out") == 0
-    told = capfd.readouterr().out
+    printed = capfd.readouterr().out
     assert all(
-        word in told
+        word in printed
         for word in ("M_test", "M_train - M_test", "d9", "worst partner", str(tmp_path / "out"))
     )
-    told = told.replace("\n", " ")
-    assert "not new to it, left out of the figures, kept in the tables: scratch/ippo-d1-s0" in told
+    printed = printed.replace("\n", " ")
+    assert (
+        "not new to it, left out of the figures, kept in the tables: scratch/ippo-d1-s0" in printed
+    )
     table = pl.read_parquet(tmp_path / "out" / "episodes.parquet")
     assert table.height == 16
     assert sorted(table["side"].unique()) == ["test", "train"]
@@ -118,10 +120,10 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
         )
     assert call("crossplay", *words, "--out", tmp_path / "xp", "--json") == 0
     capfd.readouterr()
-    given = ["--references", "--crossplay", tmp_path / "xp", "--out", tmp_path / "out"]
-    assert evaluate(registry, *given, "--json") == 0
-    found = json.loads(capfd.readouterr().out)
-    assert set(found["references"]) == {
+    options = ["--references", "--crossplay", tmp_path / "xp", "--out", tmp_path / "out"]
+    assert evaluate(registry, *options, "--json") == 0
+    result = json.loads(capfd.readouterr().out)
+    assert set(result["references"]) == {
         "zero_action",
         "uniform_random",
         "self_play",
@@ -130,9 +132,11 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
         "passive_human",
         "script_with_passive_human",
     }
-    assert [figure["n"] for figure in found["references"].values()] == [3] * 5 + [1] * 2
-    assert found["references"]["best_response"]["mean"] >= found["references"]["self_play"]["mean"]
-    assert sum(found["relative"]["bounds"]["best"].values()) == 3
+    assert [figure["n"] for figure in result["references"].values()] == [3] * 5 + [1] * 2
+    assert (
+        result["references"]["best_response"]["mean"] >= result["references"]["self_play"]["mean"]
+    )
+    assert sum(result["relative"]["bounds"]["best"].values()) == 3
     bounds = pl.read_parquet(tmp_path / "out" / "bounds.parquet")
     assert bounds.height == 4
     assert pl.read_parquet(tmp_path / "out" / "references.parquet").height == (4 * 4 + 2) * 2
@@ -141,10 +145,10 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
     assert json.loads((tmp_path / "out" / "run.json").read_text())["command"].startswith(
         "assistax-zoo evaluate"
     )
-    assert evaluate(registry, *given[:3], policy="zoo:scratch/ippo-d9-s0-v0/robot") == 0
-    told = capfd.readouterr()
-    assert "zero action" in told.out
-    assert "reference egos" not in told.err  # played once for all policies
+    assert evaluate(registry, *options[:3], policy="zoo:scratch/ippo-d9-s0-v0/robot") == 0
+    printed = capfd.readouterr()
+    assert "zero action" in printed.out
+    assert "reference egos" not in printed.err  # played once for all policies
 
 
 def test_a_robot_of_unknown_code_is_replaced_only_if_that_is_asked_for(
@@ -286,9 +290,9 @@ def test_a_robot_in_plain_numpy(
     assert evaluate(registry, "--json", policy="python:numpy_robot_of_a_test:zero") == 0
     assert json.loads(capfd.readouterr().out)["egos"] == ["python:numpy_robot_of_a_test:zero"]
     code = evaluate(registry, policy="python:numpy_robot_of_a_test:wrong")
-    told = failure(capfd, code)
-    assert "zeros it returned float64 of shape (2, 6); expected floats of shape (2, 7)" in told
-    assert "the robot of task scratch reads observations [N, 34] and gives actions" in told
+    message = failure(capfd, code)
+    assert "zeros it returned float64 of shape (2, 6); expected floats of shape (2, 7)" in message
+    assert "the robot of task scratch reads observations [N, 34] and gives actions" in message
 
 
 def test_a_policy_file_is_evaluated_and_one_of_another_task_refused(
@@ -299,15 +303,15 @@ def test_a_policy_file_is_evaluated_and_one_of_another_task_refused(
     capfd.readouterr()
     other = PolicySpec("robot", observation_size=47, action_size=7, hidden=(8,))
     write_policy_file(tmp_path / "other.safetensors", other, params_of(other, 1))
-    told = failure(capfd, evaluate(registry, policy=tmp_path / "other.safetensors"))
+    message = failure(capfd, evaluate(registry, policy=tmp_path / "other.safetensors"))
     assert (
         "other.safetensors reads observations of 47 numbers; the robot of task scratch has 34"
-        in told
+        in message
     )
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--episodes", "0"], "episodes is 0; each pair needs at least 1"),
         (["--task", "scratchitch"], "task is 'scratchitch'; allowed are scratch"),
@@ -328,9 +332,9 @@ def test_a_policy_file_is_evaluated_and_one_of_another_task_refused(
     ],
 )
 def test_bad_input_gets_one_clear_line(
-    registry: Path, words: list[str], told: str, capfd: pytest.CaptureFixture[str]
+    registry: Path, words: list[str], message: str, capfd: pytest.CaptureFixture[str]
 ):
-    assert told in failure(capfd, evaluate(registry, *words))
+    assert message in failure(capfd, evaluate(registry, *words))
 
 
 def test_a_corrupted_shard_is_told_with_both_hashes(
@@ -344,9 +348,9 @@ def test_a_corrupted_shard_is_told_with_both_hashes(
     data[-5] ^= 1
     shard.chmod(0o644)
     shard.write_bytes(bytes(data))
-    told = failure(capfd, evaluate(registry))
-    assert expected in told
-    assert shard.name in told
+    message = failure(capfd, evaluate(registry))
+    assert expected in message
+    assert shard.name in message
 
 
 def test_a_release_of_another_environment_version_is_refused(
@@ -356,21 +360,21 @@ def test_a_release_of_another_environment_version_is_refused(
     changed = text.replace('"environments": {"scratch": 1}', '"environments": {"scratch": 2}')
     assert changed != text
     registry.write_text(dump_registry(with_roots(parse_registry(changed, "edited"))))
-    told = failure(capfd, evaluate(registry))
-    assert "expected version 1 of environment scratch" in told
-    assert "release v0, trained on version 2" in told
+    message = failure(capfd, evaluate(registry))
+    assert "expected version 1 of environment scratch" in message
+    assert "release v0, trained on version 2" in message
 
 
 def test_an_output_folder_that_cannot_be_written_is_found_first(
     registry: Path, tmp_path: Path, capfd: Any
 ):
     (tmp_path / "file").write_text("in the way")
-    told = failure(
+    message = failure(
         capfd,
         evaluate(registry, "--out", tmp_path / "file" / "out", policy="python:never_imported:f"),
     )
-    assert "cannot write to" in told
-    assert "choose another folder" in told
+    assert "cannot write to" in message
+    assert "choose another folder" in message
 
 
 def test_a_missing_task_is_wrong_usage(capfd: pytest.CaptureFixture[str]):

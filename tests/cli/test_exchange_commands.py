@@ -48,15 +48,13 @@ def test_the_same_export_again_writes_nothing(zoo: Path, tmp_path: Path, capsys)
 def test_export_to_safetensors_and_torch(zoo: Path, tmp_path: Path, capsys) -> None:
     out = tmp_path / "robot.safetensors"
     done = answer(capsys, "export", f"{FIRST}/robot", "--format", "safetensors", "--out", str(out))
-    found = read_policy_file(out)
-    assert done["bytes"] == out.stat().st_size and found.metadata["id"] == f"{FIRST}/robot"
-    assert (
-        found.params["Dense_0"]["kernel"].shape == (5, 4) and found.metadata["disability"] == "d1"
-    )
+    read = read_policy_file(out)
+    assert done["bytes"] == out.stat().st_size and read.metadata["id"] == f"{FIRST}/robot"
+    assert read.params["Dense_0"]["kernel"].shape == (5, 4) and read.metadata["disability"] == "d1"
     assert "--force" in refusal(
         capsys, "export", f"{FIRST}/robot", "--format", "torch", "--out", str(out)
     )
-    assert read_policy_file(out).metadata == found.metadata
+    assert read_policy_file(out).metadata == read.metadata
     assert (
         run(["export", str(out), "--format", "torch", "--out", str(tmp_path / "torch.safetensors")])
         == 0
@@ -236,7 +234,8 @@ def test_an_onnx_robot_of_release_v0_reaches_what_its_original_does(
         for name, policy in (("ours", f"zoo:{V0_TEAM}/robot"), ("onnx", f"onnx:{robot}"))
     ]
     ours, theirs = (
-        next(one[side]["mean"] for side in ("m_train", "m_test") if one[side]) for one in means
+        next(figures[side]["mean"] for side in ("m_train", "m_test") if figures[side])
+        for figures in means
     )
     assert theirs == pytest.approx(ours, rel=0.02)
 

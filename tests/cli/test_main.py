@@ -282,7 +282,9 @@ def test_completion_is_installed_and_knows_the_commands(tmp_path: Path) -> None:
         }
         words traj; words plot cr; words evaluate --tas
     """
-    told = subprocess.run(
+    completions = subprocess.run(
         ["bash", "-c", script], capture_output=True, text=True, env={"HOME": str(tmp_path)}
     )
-    assert told.stdout.split("\n")[:3] == ["trajectories", "crossplay", "--task"], told.stderr
+    assert completions.stdout.split("\n")[:3] == ["trajectories", "crossplay", "--task"], (
+        completions.stderr
+    )

@@ -30,11 +30,11 @@ def call(
 
 
 def failure(capfd: pytest.CaptureFixture[str], code: int) -> str:
-    told = capfd.readouterr()
+    printed = capfd.readouterr()
     assert code == 1
-    assert told.out == ""
-    assert told.err.startswith("error: ") and told.err.count("\n") == 1
-    return told.err
+    assert printed.out == ""
+    assert printed.err.startswith("error: ") and printed.err.count("\n") == 1
+    return printed.err
 
 
 def test_a_png_is_a_strip_of_four_moments(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
@@ -44,7 +44,7 @@ def test_a_png_is_a_strip_of_four_moments(tmp_path: Path, capfd: pytest.CaptureF
     strip = np.asarray(Image.open(out))
     assert strip.shape == (120, 4 * 160, 3)
     moments = np.split(strip, 4, axis=1)
-    assert all((one != other).any() for one, other in itertools.pairwise(moments))
+    assert all((picture != other).any() for picture, other in itertools.pairwise(moments))
     assert film.moments(20) == [1, 5, 11, 20] and film.moments(1) == [0, 1]
     assert [path.name for path in out.parent.iterdir()] == ["strip.png"]
 
@@ -77,7 +77,7 @@ def test_a_sheet_and_a_gif_lie_beside_an_mp4(tmp_path: Path):
     sheet = np.asarray(Image.open(tmp_path / "film.png"))
     assert sheet.shape == (3 * 120, 4 * 160, 3)
     panes = [pane for row in np.split(sheet, 3) for pane in np.split(row, 4, axis=1)]
-    assert all((one != other).any() for one, other in itertools.pairwise(panes))
+    assert all((picture != other).any() for picture, other in itertools.pairwise(panes))
     assert call("--out", tmp_path / "short.png", "--steps", 2, "--sheet", *SMALL) == 0
     assert np.asarray(Image.open(tmp_path / "short.png")).shape == (120, 3 * 160, 3)
 

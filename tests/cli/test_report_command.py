@@ -42,11 +42,11 @@ def crossplay(tmp_path: Path) -> Path:
 def test_compare_prints_the_paired_difference(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
     a, b = evaluated(tmp_path / "a", 10.0), evaluated(tmp_path / "b")
     assert call("compare", a, b, "--json") == 0
-    found = json.loads(capfd.readouterr().out)
-    assert (found["a"], found["b"], found["task"]) == (str(a), str(b), "scratch")
+    figures = json.loads(capfd.readouterr().out)
+    assert (figures["a"], figures["b"], figures["task"]) == (str(a), str(b), "scratch")
     for side in ("test", "train"):
-        assert found[side]["mean"] == pytest.approx(10.0, abs=1e-3)
-        assert (found[side]["p_positive"], found[side]["partners_better"]) == (1.0, 1.0)
+        assert figures[side]["mean"] == pytest.approx(10.0, abs=1e-3)
+        assert (figures[side]["p_positive"], figures[side]["partners_better"]) == (1.0, 1.0)
     assert call("compare", b, a) == 0
     assert "test  partners: mean -10.0" in capfd.readouterr().out
 
@@ -54,12 +54,14 @@ def test_compare_prints_the_paired_difference(tmp_path: Path, capfd: pytest.Capt
 def test_what_nobody_checked_is_said(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
     a, b = evaluated(tmp_path / "a", 10.0), evaluated(tmp_path / "b")
     assert call("compare", a, b) == 0
-    told = capfd.readouterr().out
-    assert all(f"note: {folder} has no manifest.json: nothing of it" in told for folder in (a, b))
+    printed = capfd.readouterr().out
+    assert all(
+        f"note: {folder} has no manifest.json: nothing of it" in printed for folder in (a, b)
+    )
     provenance.seal(a)
     assert call("compare", a, b) == 0
-    told = capfd.readouterr().out
-    assert f"{b} has no manifest.json" in told and f"{a} has no" not in told
+    printed = capfd.readouterr().out
+    assert f"{b} has no manifest.json" in printed and f"{a} has no" not in printed
     manifest = provenance.read_manifest(b := a) or {}
     files = {name: manifest["files"][name] for name in manifest["files"] if "episodes" not in name}
     provenance.write_manifest(b, {"files": files})
@@ -88,15 +90,15 @@ def test_names_of_a_received_folder_command_no_terminal(
     table = table.with_columns(partner=evil, partner_team=evil)
     save_crossplay(Record(table, tmp_path / "evil"), CONTEXT)
     assert call("strategies", tmp_path / "evil") == 0
-    told = capfd.readouterr().out
-    assert "[red]" in told and not set(HOSTILE) & set("\x1b\x9b\x07") & set(told)
-    assert "\nverified" not in told
+    printed = capfd.readouterr().out
+    assert "[red]" in printed and not set(HOSTILE) & set("\x1b\x9b\x07") & set(printed)
+    assert "\nverified" not in printed
 
 
 def test_methods_evaluated_unlike_are_not_compared(tmp_path: Path, crossplay: Path, capfd: Any):
     a, b = evaluated(tmp_path / "a"), evaluated(tmp_path / "b", backend="mjx")
     engine = {"name": "native", "version": "another"}
-    for other, told in (
+    for other, message in (
         (b, "backend is native in"),
         (evaluated(tmp_path / "d", engine=engine), "engine is {} in"),
         (crossplay, "holds a cross-play; compare takes evaluations"),
@@ -104,7 +106,7 @@ def test_methods_evaluated_unlike_are_not_compared(tmp_path: Path, crossplay: Pa
     ):
         assert call("compare", a, other) == 1
         error = capfd.readouterr().err
-        assert told in error
+        assert message in error
         assert error.count("\n") == 1
 
 
@@ -114,8 +116,10 @@ def test_strategies_of_a_crossplay(crossplay: Path, capfd: pytest.CaptureFixture
     assert printed == tables.read_json(crossplay / tables.STRATEGIES_FILE)
     assert len(printed["clusters"]) == 2
     assert call("strategies", crossplay) == 0
-    told = capfd.readouterr().out
-    assert all(word in told for word in ("BR-Div: rank 1 of 6", "most incompatible", "medoid"))
+    strategies = capfd.readouterr().out
+    assert all(
+        word in strategies for word in ("BR-Div: rank 1 of 6", "most incompatible", "medoid")
+    )
     assert call("strategies", crossplay / "none") == 1
     assert "does not exist" in capfd.readouterr().err
 

@@ -208,8 +208,8 @@ def test_a_split_that_holds_preferences_out_says_so_and_becomes_the_default(
     shown = capsys.readouterr().out
     assert "test, under p1, p5, p9" in shown and "train, under p2, p3, p4, p6, p7, p8" in shown
     assert answer(capsys, "split", "verify", "--registry", path)["ok"]
-    told = refusal(capsys, *words, "--train-preferences", "p1", "--registry", path)
-    assert "no preference on both sides, found p1" in told
+    message = refusal(capsys, *words, "--train-preferences", "p1", "--registry", path)
+    assert "no preference on both sides, found p1" in message
 
 
 def test_bad_splits_are_refused(zoo: Path, capsys) -> None:

@@ -63,10 +63,10 @@ def test_jaxmarl_under_vmap_is_its_batch(marl: AssistaxMarlEnv):
 
     mapped = jax.jit(lambda: play(jax.vmap(marl.reset), jax.vmap(marl.step)))()
     batch = jax.jit(lambda: play(marl.reset_batch, marl.step_batch))()
-    for one, other in zip(
+    for left, other in zip(
         jax.tree.leaves((mapped[0], mapped[2])), jax.tree.leaves((batch[0], batch[2])), strict=True
     ):
-        np.testing.assert_allclose(one, other, atol=1e-6)
+        np.testing.assert_allclose(left, other, atol=1e-6)
 
 
 def test_jaxmarl_resets_the_done_and_only_them(marl: AssistaxMarlEnv):

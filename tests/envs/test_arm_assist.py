@@ -32,6 +32,7 @@ def test_the_rotation_term_as_printed_grows_with_misalignment_and_the_aligned_on
 
 def test_the_hooks_target_orientation_is_a_rotation_and_near_the_start() -> None:
     env = environment("arm_assist", "native")
+    # The orientation by itself: observations hold its difference from the tool's.
     hook = ArmAssist(env.model)._hook
     np.testing.assert_allclose(hook.T @ hook, np.eye(3), atol=1e-5)
     assert np.linalg.det(hook) == pytest.approx(1.0, abs=1e-5)

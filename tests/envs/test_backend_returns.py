@@ -41,6 +41,7 @@ def returns(
     goal reached.
     """
     env = assistax_envs.make(task, backend)
+    # Gravity is no option of an environment.
     env._physics.model.opt.gravity[:] *= gravity
     act = team(TEAMS[task], EPISODES)
     params = disability_params([setting or TEAMS[task].split("-")[1]] * EPISODES)

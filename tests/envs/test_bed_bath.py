@@ -16,6 +16,7 @@ from tests.envs.conftest import environment, start
 def _readings() -> Readings:
     env = environment("bed_bath", "native")
     state = start("bed_bath", "native", ["d1"])
+    # Readings of a state: an environment returns observations alone.
     values = env._physics.forward(state.physics, env._joint_range(state.params))
     return Sensors(env.model).read(values)
 

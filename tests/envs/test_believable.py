@@ -12,6 +12,7 @@ from assistax_envs.models import build_model
 from assistax_envs.models.gentle_scenes import SCENES
 from assistax_envs.tasks import TASK_CLASSES
 from assistax_envs.tasks.base import ARM_SEGMENTS, ROBOT_JOINTS
+from assistax_envs.tasks.bed_bath import arm_points
 from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
 from tests.envs.conftest import constant_actions, play, start
 
@@ -133,10 +134,11 @@ def _nearest(model: mujoco.MjModel, task: str, seed: int) -> float:
         data.qpos[model.joint(joint).qposadr[0]] = rng.uniform(*model.joint(joint).range)
     mujoco.mj_kinematics(model, data)
     index = rng.integers(52)
+    segments, offsets = arm_points(model)
     row, offset = (
         (int(state.segment), np.asarray(state.offset))
         if task == "scratch"
-        else (int(definition._segment[index]), definition._offset[index])
+        else (int(segments[index]), offsets[index])
     )
     site = data.site(f"human_{ARM_SEGMENTS[row]}")
     target = site.xpos + site.xmat.reshape(3, 3) @ offset

@@ -58,13 +58,13 @@ def test_shapes_and_types(task: str, backend: str) -> None:
     after = play(task, backend, state, random_actions(4, 1))[0]
     assert env.observation_size == WIDTHS[task]
     assert env.action_size == {"robot": 7, "human": 3}
-    for each in (state, after):
-        assert {name: obs.shape for name, obs in each.obs.items()} == {
+    for moment in (state, after):
+        assert {name: obs.shape for name, obs in moment.obs.items()} == {
             n: (4, w) for n, w in WIDTHS[task].items()
         }
-        assert each.reward.shape == (4,)
-        assert set(each.terms) == set(env.term_names)
-        assert {leaf.shape[0] for leaf in jax.tree.leaves(each)} == {4}
+        assert moment.reward.shape == (4,)
+        assert set(moment.terms) == set(env.term_names)
+        assert {leaf.shape[0] for leaf in jax.tree.leaves(moment)} == {4}
     assert jax.tree.structure(state) == jax.tree.structure(after)
     assert [leaf.dtype for leaf in jax.tree.leaves(state)] == [
         leaf.dtype for leaf in jax.tree.leaves(after)
@@ -159,7 +159,7 @@ def test_no_number_of_the_fused_engine_depends_on_the_warm_start() -> None:
         state, physics=dataclasses.replace(state.physics, warmstart=warmstart)
     )
     actions = random_actions(4, 30, seed=3)
-    ours, theirs = (play("scratch", "fused", each, actions)[-1] for each in (state, other))
+    ours, theirs = (play("scratch", "fused", begun, actions)[-1] for begun in (state, other))
     np.testing.assert_array_equal(ours.physics.qpos, theirs.physics.qpos)
     np.testing.assert_array_equal(ours.obs["global"], theirs.obs["global"])
 
@@ -231,8 +231,11 @@ def _agree(
     a: list[assistax_envs.EnvState], b: list[assistax_envs.EnvState], paid: bool = True
 ) -> bool:
     rows, others = (
-        [np.concatenate([each.physics.qpos, each.reward[:, None] * paid], axis=-1) for each in one]
-        for one in (a, b)
+        [
+            np.concatenate([step.physics.qpos, step.reward[:, None] * paid], axis=-1)
+            for step in steps
+        ]
+        for steps in (a, b)
     )
     difference = np.abs(np.stack(rows) - np.stack(others))
     return bool(difference.max() < LARGEST_DIFFERENCE and difference.mean() < MEAN_DIFFERENCE)

@@ -41,6 +41,7 @@ def test_d9_narrows_the_elbows_reach_in_the_same_batch(backend: str) -> None:
         for push in (-1.0, 1.0)
     ]
     lows, highs = (np.asarray(last.physics.qpos)[:, elbow.qposadr[0]] for last in pushed)
+    # The pose of rest, which no observation says.
     rest = environment("scratch", "native")._task.pose.angle[elbow.qposadr[0]]
     low, high = elbow.range
     assert highs[0] == pytest.approx(high, abs=0.06)
@@ -58,13 +59,15 @@ def test_humans_of_gentle_tasks_are_spared_half_of_a_setting(task: str, left: fl
     env = environment(task, "native")
     full = {role: jnp.ones((2, size)) for role, size in env.action_size.items()}
     params = assistax_envs.disability_params(["d1", "d3"])
+    # Torques are an input of the engine, which no state keeps.
     control = env._control(params, full, jnp.zeros(full["human"].shape))
-    given = np.asarray(control)[:, env._actuators["human"]]
-    np.testing.assert_allclose(given, np.outer([1.0, left], np.ones(given.shape[1])), atol=1e-6)
-    assert (given[0] == 1.0).all()  # d1 to the bit
+    torques = np.asarray(control)[:, env._actuators["human"]]
+    np.testing.assert_allclose(torques, np.outer([1.0, left], np.ones(torques.shape[1])), atol=1e-6)
+    assert (torques[0] == 1.0).all()  # d1 to the bit
+    # The range of joints is an input of the engine too.
     ranges = np.asarray(env._joint_range(assistax_envs.disability_params(["d1", "d7"])))
     assert (ranges[0] == np.asarray(env.model.jnt_range, np.float32)).all()
-    wide, narrow = np.diff(ranges[:, env._elbow])[:, 0]
+    wide, narrow = np.diff(ranges[:, env._elbow])[:, 0]  # the joint that a setting narrows
     assert narrow == pytest.approx(left * wide)
     others = np.arange(env.model.njnt) != env._elbow
     assert (ranges[1, others] == ranges[0, others]).all()
@@ -106,6 +109,7 @@ def test_tremor_is_zero_mean_and_lies_between_4_and_12_hz() -> None:
     state = jax.jit(env.reset)(jax.random.split(jax.random.key(0), size), params)
 
     def body(state: EnvState, step: jax.Array) -> tuple[EnvState, jax.Array]:
+        # The torques of a tremor, which no state keeps.
         filtered, share = env._shake(
             dataclasses.replace(state, step=jnp.full(size, step, jnp.int32))
         )
@@ -131,6 +135,7 @@ def test_the_tremor_filter_is_a_butterworth_band_pass_of_unit_variance(rate: flo
     b, a = signal.butter(1, BAND, btype="bandpass", fs=rate)
     b /= np.sqrt(np.square(signal.lfilter(b, a, np.eye(1, 4096)[0])).sum())
     ours = TremorFilter(rate)
+    # The filter's coefficients, beside SciPy's.
     np.testing.assert_array_equal(ours._b, b.astype(np.float32))
     np.testing.assert_array_equal(ours._a, a.astype(np.float32))
 

@@ -96,7 +96,7 @@ def test_every_pair_of_robot_and_human_is_soft_and_felt_and_no_other(task: str) 
     assert touches == felt
     for body, place, parts in LINKS.values():
         link = [
-            each for each in range(model.ngeom) if model.geom_bodyid[each] == model.body(body).id
+            geom for geom in range(model.ngeom) if model.geom_bodyid[geom] == model.body(body).id
         ]
         assert {frozenset((model.geom(link[place]).name, part)) for part in parts} <= touches
     for pair, solref in zip(named, model.pair_solref, strict=True):
@@ -122,10 +122,15 @@ def felt(task: str, backend: str = "native") -> tuple[Any, np.ndarray]:
         jnp.asarray(model.jnt_range, jnp.float32), (len(states), model.njnt, 2)
     )
     env = environment(task, backend)
+    # Forces of a state that is set, not reached: an environment only plays.
     readings = env._task.sensors.read(env._physics.forward(physics, ranges))
     if backend == "fused":  # which iterates until nothing changes
         model = converged(model)
-    data, wanted, force = mujoco.MjData(model), np.zeros((len(states), model.npair, 3)), np.zeros(6)
+    data, expected, force = (
+        mujoco.MjData(model),
+        np.zeros((len(states), model.npair, 3)),
+        np.zeros(6),
+    )
     pairs = [{int(a), int(b)} for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)]
     for i, (qpos, qvel) in enumerate(zip(states.qpos, states.qvel, strict=True)):
         data.qpos[:], data.qvel[:] = qpos, qvel
@@ -138,10 +143,10 @@ def felt(task: str, backend: str = "native") -> tuple[Any, np.ndarray]:
             mujoco.mj_contactForce(model, data, k, force)
             world = contact.frame.reshape(3, 3).T @ force[:3]
             sign = 1.0 if names[1] == touch[1] else -1.0  # from the first to the second
-            row = wanted[i, pairs.index(set(map(int, contact.geom)))]
+            row = expected[i, pairs.index(set(map(int, contact.geom)))]
             if np.linalg.norm(world) > np.linalg.norm(row):
                 row[:] = sign * world
-    return readings, wanted
+    return readings, expected
 
 
 @pytest.mark.parametrize("backend", ["native", "fused"])
@@ -149,24 +154,24 @@ def felt(task: str, backend: str = "native") -> tuple[Any, np.ndarray]:
 def test_the_force_is_that_of_all_the_robots_contacts_in_the_worlds_frame(
     task: str, backend: str
 ) -> None:
-    readings, wanted = felt(task, backend)
-    size = np.linalg.norm(wanted, axis=-1)
+    readings, expected = felt(task, backend)
+    size = np.linalg.norm(expected, axis=-1)
     assert (size.sum(axis=1) > 1.0).sum() > 30
     scale = 1.0 + size.sum(axis=1)
-    for found, want in (
+    for read, want in (
         (readings.force, size.sum(axis=1)),
         (readings.peak, size.max(axis=1)),
-        (np.linalg.norm(readings.tool_force - wanted.sum(axis=1), axis=1), 0.0),
+        (np.linalg.norm(readings.tool_force - expected.sum(axis=1), axis=1), 0.0),
     ):
-        assert np.median(np.abs(np.asarray(found) - want) / scale) < 1e-3
-        assert (np.abs(np.asarray(found) - want) / scale < 0.05).mean() > 0.97
-    mirrored = np.linalg.norm(readings.tool_force + wanted.sum(axis=1), axis=1) / scale
+        assert np.median(np.abs(np.asarray(read) - want) / scale) < 1e-3
+        assert (np.abs(np.asarray(read) - want) / scale < 0.05).mean() > 0.97
+    mirrored = np.linalg.norm(readings.tool_force + expected.sum(axis=1), axis=1) / scale
     assert np.median(mirrored[size.sum(axis=1) > 1.0]) > 0.1  # the sign is seen
 
 
 @one_gentle_task
 def test_what_touches_the_arm_is_told_from_what_touches_the_rest(task: str) -> None:
-    readings, wanted = felt(task)
+    readings, expected = felt(task)
     model = build_model(task)
     names = [
         {model.geom(int(g)).name for g in pair}
@@ -176,8 +181,8 @@ def test_what_touches_the_arm_is_told_from_what_touches_the_rest(task: str) -> N
         {"robot_tool", f"human_{part}"}
         for part in ("right_upper_arm", "right_lower_arm", "right_hand")
     ]
-    on_arm = np.linalg.norm(wanted, axis=-1)[:, [pair in arm for pair in names]].sum(axis=1)
-    scale = 1.0 + np.linalg.norm(wanted, axis=-1).sum(axis=1)
+    on_arm = np.linalg.norm(expected, axis=-1)[:, [pair in arm for pair in names]].sum(axis=1)
+    scale = 1.0 + np.linalg.norm(expected, axis=-1).sum(axis=1)
     assert (np.abs(np.asarray(readings.on_arm) - on_arm) / scale < 0.05).mean() > 0.97
     assert (on_arm > 0.5).any() and (np.asarray(readings.force) - on_arm > 0.5).any()
 
@@ -239,9 +244,9 @@ def test_costs_lie_between_minus_one_and_nothing_and_each_has_its_reason() -> No
     }
     assert set(reasons) == set(calm)
     for name, fields in reasons.items():
-        found = {term: float(value[0]) for term, value in costs(_readings(**fields)).items()}
-        assert -1.0 <= found.pop(name) < 0.0
-        assert not any(found.values())
+        paid = {term: float(value[0]) for term, value in costs(_readings(**fields)).items()}
+        assert -1.0 <= paid.pop(name) < 0.0
+        assert not any(paid.values())
     worst = costs(_readings(force=[1e6], peak=[1e6], bent=[9.0], tool_velocity=[[99.0, 0.0, 0.0]]))
     assert all(float(value[0]) == -1.0 for value in worst.values())
 
@@ -264,6 +269,7 @@ def test_a_hard_contact_is_a_violation_for_the_rest_of_the_episode(task: str) ->
     still = jnp.zeros((8, model.nv), jnp.float32)
     physics = PhysicsState(jnp.asarray(states.qpos)[rows], still, still)
     sensors: Any = env._task.sensors
+    # Readings that the test alters before the task judges them: an environment returns neither.
     readings = sensors.read(env._physics.forward(physics, env._joint_range(begun.params)))
     hard = dataclasses.replace(readings, peak=jnp.where(rows % 2 == 0, HARD + 1.0, HARD - 1.0))
     state, _, terms, measures = env._task.transition(begun.task, hard)
@@ -282,11 +288,14 @@ def test_a_hard_contact_is_a_violation_for_the_rest_of_the_episode(task: str) ->
 
 def test_names_go_through_all_forces_and_speeds() -> None:
     assert list(PREFERENCES) == [f"p{k}" for k in range(1, 10)]
-    assert {(one.force, one.speed) for one in PREFERENCES.values()} == {
+    assert {(preference.force, preference.speed) for preference in PREFERENCES.values()} == {
         (force, speed) for force in FORCES for speed in SPEEDS
     }
-    for one, other in itertools.combinations(VALUES, 2):  # any two values meet once
-        pairs = {(getattr(each, one), getattr(each, other)) for each in PREFERENCES.values()}
+    for first, other in itertools.combinations(VALUES, 2):  # any two values meet once
+        pairs = {
+            (getattr(preference, first), getattr(preference, other))
+            for preference in PREFERENCES.values()
+        }
         assert len(pairs) == len(PREFERENCES)
     with pytest.raises(ValueError, match="preferred speed is 0"):
         Preference(4.0, 0.0, 0.1, 0.2)
@@ -296,15 +305,15 @@ def test_names_go_through_all_forces_and_speeds() -> None:
 def test_a_given_preference_is_kept_and_an_open_one_is_drawn_evenly(task: str) -> None:
     reset = compiled(task, "native")[0]
     keys = jax.random.split(jax.random.key(3), N)
-    given = ["p1", "p9", "p5", "p6"] * (N // 4)
+    names = ["p1", "p9", "p5", "p6"] * (N // 4)
     for seed in range(2):
         state = reset(
-            jax.random.split(jax.random.key(seed), N), disability_params(["d1"] * N, given)
+            jax.random.split(jax.random.key(seed), N), disability_params(["d1"] * N, names)
         )
-        wanted = [PREFERENCES[name] for name in given]
-        np.testing.assert_allclose(state.task.likes.force, [one.force for one in wanted])
-        np.testing.assert_allclose(state.task.likes.speed, [one.speed for one in wanted])
-        np.testing.assert_allclose(state.task.likes.distance, [one.distance for one in wanted])
+        likes = [PREFERENCES[name] for name in names]
+        np.testing.assert_allclose(state.task.likes.force, [like.force for like in likes])
+        np.testing.assert_allclose(state.task.likes.speed, [like.speed for like in likes])
+        np.testing.assert_allclose(state.task.likes.distance, [like.distance for like in likes])
     drawn = reset(keys, disability_params(["d1"] * N)).task.likes
     pairs = set(zip(drawn.force.tolist(), drawn.speed.tolist(), strict=True))
     assert len(pairs) == len(PREFERENCES)
@@ -325,17 +334,19 @@ def test_the_human_knows_its_preference_and_the_robot_does_not(task: str) -> Non
     reset, keys = compiled(task, "native")[0], jax.random.split(jax.random.key(5), 2)
     apart = next(
         name
-        for name, each in PREFERENCES.items()
-        if all(getattr(each, wish) != getattr(PREFERENCES["p1"], wish) for wish in WISHES[task])
+        for name, preference in PREFERENCES.items()
+        if all(
+            getattr(preference, wish) != getattr(PREFERENCES["p1"], wish) for wish in WISHES[task]
+        )
     )
-    one, other = (
+    first, other = (
         reset(keys, disability_params(["d1"] * 2, [name] * 2)).obs for name in ("p1", apart)
     )
-    np.testing.assert_array_equal(one["robot"], other["robot"])
+    np.testing.assert_array_equal(first["robot"], other["robot"])
     count = len(WISHES[task])
     for seat in ("human", "global"):
-        assert (one[seat] != other[seat]).sum(axis=1).tolist() == [count] * 2
-        np.testing.assert_array_equal(one[seat][:, :-count], other[seat][:, :-count])
+        assert (first[seat] != other[seat]).sum(axis=1).tolist() == [count] * 2
+        np.testing.assert_array_equal(first[seat][:, :-count], other[seat][:, :-count])
     middle = reset(keys, disability_params(["d1"] * 2, ["p5"] * 2)).obs["human"]
     np.testing.assert_allclose(middle[:, -count:], 0.0, atol=1e-6)
 
@@ -379,9 +390,11 @@ def test_a_told_robot_sees_what_the_human_does(task: str) -> None:
 
 def test_preferences_change_nothing_in_the_papers_tasks() -> None:
     step, keys = compiled("scratch", "native"), jax.random.split(jax.random.key(7), 2)
-    one, other = (step[0](keys, disability_params(["d1"] * 2, [name] * 2)) for name in ("p1", "p9"))
+    first, other = (
+        step[0](keys, disability_params(["d1"] * 2, [name] * 2)) for name in ("p1", "p9")
+    )
     actions = random_actions(2, 3)
-    ends = [play("scratch", "native", each, actions)[-1] for each in (one, other)]
+    ends = [play("scratch", "native", begun, actions)[-1] for begun in (first, other)]
     np.testing.assert_array_equal(ends[0].obs["global"], ends[1].obs["global"])
     np.testing.assert_array_equal(ends[0].reward, ends[1].reward)
 
@@ -411,7 +424,7 @@ def test_the_script_brings_the_tool_to_its_target(task: str) -> None:
     idle = play(
         task, "native", begun, [{"robot": jnp.zeros((8, 7)), "human": jnp.zeros((8, 3))}] * 150
     )
-    assert np.median(nearest) < 0.6 * np.median([np.asarray(_gap(each)) for each in idle])
+    assert np.median(nearest) < 0.6 * np.median([np.asarray(_gap(state)) for state in idle])
 
 
 def _gap(state) -> jax.Array:
@@ -440,11 +453,11 @@ def test_the_jacobian_is_mujocos() -> None:
         linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
         mujoco.mj_jacSite(model, data, linear, angular, site)
         columns = [joint.dofadr[0] for joint in joints]
-        found = chain.jacobian(
+        jacobian = chain.jacobian(
             jnp.asarray(angles, jnp.float32)[None],
             jnp.asarray(data.site_xpos[site], jnp.float32)[None],
         )
-        for ours, theirs in zip(found, (linear, angular), strict=True):
+        for ours, theirs in zip(jacobian, (linear, angular), strict=True):
             np.testing.assert_allclose(ours[0], theirs[:, columns], atol=1e-5)
 
 

@@ -15,6 +15,8 @@ from assistax_envs import disability_params
 from assistax_envs.preferences import PREFERENCES
 from assistax_envs.tasks.base import HUMAN_ACTUATORS
 from assistax_envs.tasks.gentle_base import TouchReadings
+
+# The formula by itself, at values that play seldom reaches.
 from assistax_envs.tasks.gentle_lift import HANDWARD, THERE, UNDER, WAY, _lifted_at
 from tests.envs.conftest import environment, play, start
 
@@ -25,6 +27,7 @@ def _begun(task: str, preferences: list[str]) -> tuple[Any, Any, TouchReadings]:
     n = len(preferences)
     keys = jax.random.split(jax.random.key(1), n)
     state = env.reset(keys, disability_params(["d1"] * n, preferences))
+    # Readings that tests alter before the task pays for them: an environment returns neither.
     values = env._physics.forward(state.physics, env._joint_range(state.params))
     return env._task, state.task, env._sensors.read(values)
 
@@ -48,7 +51,9 @@ def test_an_arm_starts_somewhere_on_its_way_and_slides_off_when_nobody_holds_it(
 
 def _between(corners: np.ndarray) -> np.ndarray:
     places = np.linspace(0, len(corners) - 1, 500)
-    return np.stack([np.interp(places, range(len(corners)), each) for each in corners.T], axis=1)
+    return np.stack(
+        [np.interp(places, range(len(corners)), column) for column in corners.T], axis=1
+    )
 
 
 @pytest.mark.slow
@@ -79,9 +84,9 @@ def _rest(arm: jax.Array, distance: float, force: float = 0.0) -> dict[str, np.n
 def test_rest_pays_most_with_the_hook_at_the_liked_distance_and_nothing_with_a_touch() -> None:
     _, state, _ = _begun("gentle_lift", list(PREFERENCES))
     pays = {distance: _rest(state.waist, distance)["rest"] for distance in (0.1, 0.25, 0.6)}
-    for row, one in enumerate(PREFERENCES.values()):
-        assert pays[one.distance][row] == pytest.approx(1.0, abs=1e-4)
-        others = [pays[d][row] for d in pays if d != one.distance]
+    for row, preference in enumerate(PREFERENCES.values()):
+        assert pays[preference.distance][row] == pytest.approx(1.0, abs=1e-4)
+        others = [pays[d][row] for d in pays if d != preference.distance]
         assert max(others) < 0.7 and min(others) > 0.2
     assert not _rest(state.waist, 0.1, force=1.0)["rest"].any()
     still = _rest(state.waist, 0.25)
@@ -95,7 +100,9 @@ def test_rest_pays_at_the_liked_place_alone_and_the_robot_does_not_see_which_it_
     for name in names:
         place = jnp.broadcast_to(state.waist[names.index(name)], (len(names), 3))
         pays = _rest(place, 0.25)
-        same = np.array([one.place == PREFERENCES[name].place for one in PREFERENCES.values()])
+        same = np.array(
+            [preference.place == PREFERENCES[name].place for preference in PREFERENCES.values()]
+        )
         assert (pays["rest"][same] > 0.2).all() and not pays["rest"][~same].any()
         assert (pays["there"][same] > 0.99).all() and (pays["there"][~same] < 0.3).all()
     env = environment("gentle_lift", "native")
@@ -113,6 +120,7 @@ def test_a_point_on_the_arms_far_side_is_farther_than_the_way_through_the_arm() 
     tool = jnp.asarray(0.1 * task._outward[:1] + task._offset[:1])  # over the first point
     for sign, turned in ((1.0, 0.0), (-1.0, 1.0)):
         both = jnp.broadcast_to(sign * tool[:, None], (1, 2, 3))
+        # The turn by itself: the pay adds it to a distance.
         assert float(task._turned_away(both)[0, 0]) == pytest.approx(turned, abs=1e-5)
     along = jnp.broadcast_to(tool[:, None].at[..., 2].add(0.2), (1, 2, 3))
     assert float(task._turned_away(along)[0, 0]) == pytest.approx(0.0, abs=1e-5)

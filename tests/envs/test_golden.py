@@ -44,17 +44,19 @@ def trajectory(task: str, backend: str) -> dict:
         "reward": [state.reward for state in picked],
         "return": np.sum([np.asarray(state.reward, np.float64) for state in states], axis=0),
     }
-    rounded = {name: np.asarray(each, np.float64).round(6).tolist() for name, each in seen.items()}
+    rounded = {
+        name: np.asarray(values, np.float64).round(6).tolist() for name, values in seen.items()
+    }
     return {"version": VERSIONS[task], **rounded}
 
 
 @pytest.mark.parametrize(
     ("task", "backend"),
     [
-        pytest.param(task, each, marks=[pytest.mark.slow] * (each == "mjx"))
+        pytest.param(task, tolerance, marks=[pytest.mark.slow] * (tolerance == "mjx"))
         for task in TASKS
-        for each in TOLERANCES
-        if each in backends(task)
+        for tolerance in TOLERANCES
+        if tolerance in backends(task)
     ],
 )
 def test_behaviour_changes_only_with_the_version(task: str, backend: str) -> None:
@@ -65,11 +67,13 @@ def test_behaviour_changes_only_with_the_version(task: str, backend: str) -> Non
     now = trajectory(task, backend)
     for name, tolerance in TOLERANCES[backend].items():
         np.testing.assert_allclose(np.array(now[name]), np.array(golden[name]), atol=tolerance)
-    seen, pinned = (np.array(each["global"])[:2, :, ANGLES] for each in (now, golden))
+    seen, pinned = (np.array(trajectory["global"])[:2, :, ANGLES] for trajectory in (now, golden))
     np.testing.assert_allclose(seen, pinned, atol=FIRST_ANGLES)
 
 
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
-    for each in sys.argv[1:] or TASKS:
-        (FOLDER / f"{each}.json").write_text(json.dumps(trajectory(each, "native")) + "\n")
+    for name_of_task in sys.argv[1:] or TASKS:
+        (FOLDER / f"{name_of_task}.json").write_text(
+            json.dumps(trajectory(name_of_task, "native")) + "\n"
+        )

@@ -58,6 +58,7 @@ def test_the_same_state_gives_the_same_bytes_and_another_other_ones(two: EnvStat
     env = environment(TASK, "native")
     first, other = env.render(two, 0, **SIZE), env.render(two, 1, **SIZE)
     np.testing.assert_array_equal(env.render(two, 0, **SIZE), first)
+    # A renderer is made from the task, which an environment keeps to itself.
     np.testing.assert_array_equal(Renderer(env._task, **SIZE).frame(two, 0), first)
     assert (other != first).any()
 
@@ -134,8 +135,8 @@ def test_words_never_cover_the_scene(two: EnvState):
     """The scene alone is drawn above the words: what is written below changes nothing there."""
     env = environment(TASK, "native")
     rich = dataclasses.replace(two, reward=jnp.full(2, 123.0))
-    one, other = env.render(two, **SIZE), env.render(rich, **SIZE)
-    assert (one[:SCENE] == other[:SCENE]).all() and (one[SCENE:] != other[SCENE:]).any()
+    first, other = env.render(two, **SIZE), env.render(rich, **SIZE)
+    assert (first[:SCENE] == other[:SCENE]).all() and (first[SCENE:] != other[SCENE:]).any()
     assert env.render(two, width=64, height=48).shape == (48, 64, 3)  # no room for words
 
 
@@ -163,6 +164,7 @@ def test_looks_change_no_physics(task: str):
 
 
 def test_a_shape_that_weighs_or_touches_would_be_noticed(monkeypatch: pytest.MonkeyPatch):
+    # The scene before it is compiled, to which a shape can be added.
     plain, scene = build_model(TASK), build._scene(TASK)
     scene.body("human_right_lower_arm").add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05] * 3)
     monkeypatch.setattr(build, "_scene", lambda task: scene)

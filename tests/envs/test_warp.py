@@ -22,6 +22,7 @@ SIZE = 4
 
 @pytest.fixture(autouse=True)
 def without_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The check asks for a GPU: these kernels run on a processor too.
     monkeypatch.setattr(backend, "_check_warp", lambda: None)
 
 
@@ -32,6 +33,7 @@ def advance(physics, task: str, steps: int = 12) -> tuple[PhysicsState, jax.Arra
     control = jnp.asarray(
         np.random.default_rng(0).uniform(-0.7, 0.7, (SIZE, env.model.nu)), jnp.float32
     )
+    # The range of joints is an input of the engine, which no state keeps.
     limits = env._joint_range(state.params)
     step = jax.jit(physics.step)
     physics_state, values = step(state.physics, control, limits)
@@ -44,6 +46,7 @@ def advance(physics, task: str, steps: int = 12) -> tuple[PhysicsState, jax.Arra
 def test_substeps_without_sensors_change_no_bit(task: str) -> None:
     physics = backend.MjxPhysics(environment(task, "native").model, "warp")
     lean = advance(physics, task)
+    # The model without sensors is an inner shortcut, which the test takes away.
     blind, physics._blind_model = physics._blind_model, None
     jax.tree.map(np.testing.assert_array_equal, lean, advance(physics, task))
     physics._mjx_model = blind  # planted: no substep has sensors
@@ -55,6 +58,7 @@ def test_substeps_without_sensors_change_no_bit(task: str) -> None:
 @pytest.mark.parametrize("task", PAPER_TASKS)
 def test_it_agrees_with_mujoco(task: str) -> None:
     ours, _ = advance(backend.MjxPhysics(environment(task, "native").model, "warp"), task)
+    # The engine alone, step by step.
     theirs, _ = advance(environment(task, "native")._physics, task)
     np.testing.assert_allclose(ours.qpos, theirs.qpos, atol=3e-2)
     assert float(np.abs(ours.qpos - theirs.qpos).mean()) < 1e-3

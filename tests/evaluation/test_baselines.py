@@ -91,10 +91,10 @@ def test_references_are_played_once_for_all_policies(tmp_path: Path):
     options: dict[str, Any] = {
         "on_progress": lambda state: seen.append(f"{state.what} {state.total}")
     }
-    one, files = play_references(
+    together, files = play_references(
         MatrixGame(), job_of(robots(0.3), humans(-0.5, 0.5)), own, tmp_path, **options
     )
-    assert one.group_by(COLUMN).len().sort(COLUMN).rows() == [
+    assert together.group_by(COLUMN).len().sort(COLUMN).rows() == [
         (SELF_PLAY, 6),
         (RANDOM, 6),
         (ZERO, 6),
@@ -104,7 +104,7 @@ def test_references_are_played_once_for_all_policies(tmp_path: Path):
     again, same = play_references(
         MatrixGame(), job_of(robots(-0.9), humans(-0.5, 0.5)), own, tmp_path, **options
     )
-    assert again.equals(one) and same == files and all(path.is_file() for path in files)
+    assert again.equals(together) and same == files and all(path.is_file() for path in files)
     assert set(seen) == {"reference egos 0"}
 
 
@@ -122,8 +122,8 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_script_and_a_passive_human_are_played(tmp_path: Path, scripted: None):
     partners = humans(-0.5, 0.5)
     job = job_of(robots(0.3, -0.3), partners, sides=dict.fromkeys(partners.ids, "test"))
-    found, _ = play_references(MatrixGame(), job, (robots(-0.5, 0.5), partners), tmp_path)
-    assert found.group_by(COLUMN).len().sort(COLUMN).rows() == [
+    played, _ = play_references(MatrixGame(), job, (robots(-0.5, 0.5), partners), tmp_path)
+    assert played.group_by(COLUMN).len().sort(COLUMN).rows() == [
         (PASSIVE, 9),  # the script and both robots
         (SCRIPT, 6),
         (SELF_PLAY, 6),
@@ -131,13 +131,13 @@ def test_the_script_and_a_passive_human_are_played(tmp_path: Path, scripted: Non
         (ZERO, 6),
     ]
     table = run_job(MatrixGame(), job, tmp_path / "job").table
-    shown, _ = summarise_references(recorded(table), found, bounds_table(found))
+    shown, _ = summarise_references(recorded(table), played, bounds_table(played))
     luck = {
-        (ego, partner): found.filter((pl.col("ego") == ego) & (pl.col("partner") == partner))
-        for ego, partner in found.select("ego", "partner").unique().rows()
+        (ego, partner): played.filter((pl.col("ego") == ego) & (pl.col("partner") == partner))
+        for ego, partner in played.select("ego", "partner").unique().rows()
     }
     paid = {pair: float(rows["term_payoff"].mean()) for pair, rows in luck.items()}
-    steps = int(found["steps"][0])
+    steps = int(played["steps"][0])
     assert paid[SCRIPT, partners.ids[0]] == pytest.approx(steps * PAYOFF[1, 0])
     assert paid[SCRIPT, partners.ids[1]] == pytest.approx(steps * PAYOFF[1, 1])
     assert paid[SCRIPT, PASSIVE] == pytest.approx(
@@ -160,14 +160,14 @@ def test_a_robot_from_outside_meets_the_passive_human_too(tmp_path: Path, script
     host = HostEgo("host", lambda obs: np.full((len(obs), ROBOT.action_size), 2.0, np.float32))
     job = job_of(Roster((host,), {"host": Member("host", "0")}), humans(-0.5, 0.5))
     assert "clipped" in run_job(MatrixGame(), job, tmp_path / "job").table.columns
-    found, _ = play_references(MatrixGame(), job, None, tmp_path)
-    assert found.group_by(COLUMN).len().sort(COLUMN).rows() == [
+    played, _ = play_references(MatrixGame(), job, None, tmp_path)
+    assert played.group_by(COLUMN).len().sort(COLUMN).rows() == [
         (PASSIVE, 6),
         (SCRIPT, 6),
         (RANDOM, 6),
         (ZERO, 6),
     ]
-    assert "clipped" not in found.columns
+    assert "clipped" not in played.columns
 
 
 def test_a_tasks_script_is_a_policy():
@@ -209,8 +209,10 @@ def played(low: list[float], own: list[float | None]) -> pl.DataFrame:
     parts = [zero.with_columns(pl.lit(ZERO).alias("reference"))]
     for i, value in enumerate(own):
         if value is not None:
-            one = episode_table(np.full((1, 1, 2), value), [PARTNERS[i]], [PARTNERS[i]], ["test"])
-            parts.append(one.with_columns(pl.lit(SELF_PLAY).alias("reference")))
+            scored = episode_table(
+                np.full((1, 1, 2), value), [PARTNERS[i]], [PARTNERS[i]], ["test"]
+            )
+            parts.append(scored.with_columns(pl.lit(SELF_PLAY).alias("reference")))
     return pl.concat(parts, how="vertical_relaxed")
 
 

@@ -44,7 +44,7 @@ def coverage(
     rng = np.random.default_rng(1)
     figures = [figure(rng, seed) for seed in range(repetitions)]
     return {
-        name: float(np.mean([holds(getattr(one, name), 0.0) for one in figures]))
+        name: float(np.mean([holds(getattr(figure, name), 0.0) for figure in figures]))
         for name in ("iqm_ci", "mean_ci")
     }
 
@@ -131,6 +131,7 @@ def test_the_same_seed_gives_the_same_interval_however_draws_are_chunked(
 ):
     scores = np.random.default_rng(0).normal(size=(5, 9))
     whole = bootstrap.estimate(scores, seed=4).iqm_ci
+    # A chunk's size is set for memory, and results may not depend on it.
     monkeypatch.setattr(bootstrap, "_ENTRIES_AT_ONCE", 700)
     assert bootstrap.estimate(scores, seed=4).iqm_ci == pytest.approx(whole, rel=1e-12)
     assert bootstrap.estimate(scores, seed=5).iqm_ci != whole

@@ -32,8 +32,8 @@ def test_a_glob_is_looked_up_in_one_release_unless_it_names_its_own() -> None:
 
 def test_egos_join_a_cross_play_only_where_they_are_meant() -> None:
     def robots(pattern):
-        found = in_release(load_registry(), pattern, "v1", task="scratch", role="robot")
-        return {entry.id for entry in found}
+        entries = in_release(load_registry(), pattern, "v1", task="scratch", role="robot")
+        return {entry.id for entry in entries}
 
     ego = "scratch/ppo-ego-s0-v1/robot"
     assert len(robots("scratch/*")) == 198 and ego not in robots("scratch/*")

@@ -11,16 +11,16 @@ from tools.release_page.paper.measures import branches
 
 
 def test_known_clusters_are_found_and_stand_together():
-    found = clustering.cluster_teams(clustered_matrix(18, 3))
+    clusters = clustering.cluster_teams(clustered_matrix(18, 3))
     truth = np.arange(18) % 3
-    assert found.silhouette is not None
-    assert found.silhouette > 0.8
-    assert len(found.medoids) == 3
-    for label, medoid in enumerate(found.medoids):
-        members = np.flatnonzero(found.labels == label)
+    assert clusters.silhouette is not None
+    assert clusters.silhouette > 0.8
+    assert len(clusters.medoids) == 3
+    for label, medoid in enumerate(clusters.medoids):
+        members = np.flatnonzero(clusters.labels == label)
         assert len(set(truth[members])) == 1
         assert medoid in members
-    assert [label for label, _ in itertools.groupby(found.labels[found.order])] == [0, 1, 2]
+    assert [label for label, _ in itertools.groupby(clusters.labels[clusters.order])] == [0, 1, 2]
 
 
 def test_medoid_is_the_member_nearest_to_all_others():
@@ -61,18 +61,18 @@ def test_branches_are_the_leaves_below_each_node():
 
 
 def test_without_structure_all_are_one_cluster():
-    found = clustering.cluster_profiles(np.random.default_rng(0).normal(size=(40, 40)))
-    assert len(found.medoids) == 1
-    assert found.silhouette is not None
-    assert found.silhouette < clustering.MIN_SILHOUETTE
+    clusters = clustering.cluster_profiles(np.random.default_rng(0).normal(size=(40, 40)))
+    assert len(clusters.medoids) == 1
+    assert clusters.silhouette is not None
+    assert clusters.silhouette < clustering.MIN_SILHOUETTE
 
 
 def test_the_order_begins_with_the_higher_returns_and_agrees_with_the_tree():
     points = np.array([[0.0], [1.0], [1.2], [50.0], [51.0], [51.1]])
-    found = clustering.cluster_profiles(points)
-    assert found.labels.tolist() == [1, 1, 1, 0, 0, 0]
-    assert set(found.order[:3]) == {3, 4, 5}
-    assert found.order.tolist() == hierarchy.leaves_list(found.linkage).tolist()
+    clusters = clustering.cluster_profiles(points)
+    assert clusters.labels.tolist() == [1, 1, 1, 0, 0, 0]
+    assert set(clusters.order[:3]) == {3, 4, 5}
+    assert clusters.order.tolist() == hierarchy.leaves_list(clusters.linkage).tolist()
 
 
 def test_silhouette_is_its_definition():
@@ -93,9 +93,9 @@ def test_silhouette_is_its_definition():
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_small_and_equal_profiles_have_an_order(count: int):
-    found = clustering.cluster_profiles(np.ones((count, 4)))
-    assert sorted(found.order) == list(range(count))
-    assert len(found.medoids) == 1
+    clusters = clustering.cluster_profiles(np.ones((count, 4)))
+    assert sorted(clusters.order) == list(range(count))
+    assert len(clusters.medoids) == 1
 
 
 def test_wrong_matrices_are_refused():
@@ -106,9 +106,9 @@ def test_wrong_matrices_are_refused():
 
 
 def test_json_names_policies_in_order():
-    found = clustering.cluster_profiles(np.array([[0.0], [10.0], [0.5], [10.5]])).to_json(
+    clusters = clustering.cluster_profiles(np.array([[0.0], [10.0], [0.5], [10.5]])).to_json(
         ["a", "b", "c", "d"]
     )
-    assert set(found["order"][:2]) == {"b", "d"}
-    assert [set(cluster["members"]) for cluster in found["clusters"]] == [{"b", "d"}, {"a", "c"}]
-    assert found["leaves"] == ["a", "b", "c", "d"]
+    assert set(clusters["order"][:2]) == {"b", "d"}
+    assert [set(cluster["members"]) for cluster in clusters["clusters"]] == [{"b", "d"}, {"a", "c"}]
+    assert clusters["leaves"] == ["a", "b", "c", "d"]

@@ -23,7 +23,7 @@ print(len(jax.local_devices()))
 
 
 @pytest.mark.parametrize(
-    ("told", "before", "count"),
+    ("settings", "before", "count"),
     [
         ({}, "", 3),
         ({"JAX_NUM_CPU_DEVICES": "2"}, "", 2),
@@ -32,10 +32,12 @@ print(len(jax.local_devices()))
     ],
 )
 def test_jax_starts_with_a_device_for_each_core_unless_it_was_told(
-    told: dict[str, str], before: str, count: int
+    settings: dict[str, str], before: str, count: int
 ) -> None:
     command = [sys.executable, "-c", START.format(before=before)]
-    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"} | told
+    environment = {
+        name: value for name, value in os.environ.items() if name != "XLA_FLAGS"
+    } | settings
     done = subprocess.run(
         command, env=environment, capture_output=True, text=True, check=True, timeout=120
     )
@@ -45,8 +47,8 @@ def test_jax_starts_with_a_device_for_each_core_unless_it_was_told(
 def test_a_large_job_has_more_devices_and_a_gpu_is_always_used(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    found = jax.local_devices()[:1] * 3
-    monkeypatch.setattr(jax, "local_devices", lambda: found)
+    three_times = jax.local_devices()[:1] * 3
+    monkeypatch.setattr(jax, "local_devices", lambda: three_times)
     most = devices.SIMULATIONS_OF_A_CORE
     counts = [len(devices_for(size)) for size in (1, 2 * most - 1, 2 * most, 100 * most)]
     assert counts == [1, 1, 2, 3]

@@ -18,11 +18,11 @@ GUIDE = ROOT / "docs" / "evaluation.md"
 
 def printed(name: str) -> str:
     """Return the code block that follows the file's name."""
-    found = re.search(
+    match = re.search(
         rf"`{name}\.py`:\n\n```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL
     )
-    assert found is not None
-    return found.group(1)
+    assert match is not None
+    return match.group(1)
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ def unreadable(test, loaded):
     """Return a `_verified_row` that notes what is taken from shards and cannot take a row of the
     test half.
     """
+    # Reading a row is where every way to the parameters passes.
     take = storage._verified_row
 
     def row(*place):

@@ -71,15 +71,15 @@ def test_an_onnx_file_that_is_not_there_is_told(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("reference", "told"),
+    ("reference", "message"),
     [
         ("scratch/ippo-d1-s0-v0/robot", "is of task scratch, not of bed_bath; .*--task scratch"),
         ("bed_bath/ippo-d1-s0-v0/human", "is a human, not a robot; .* bed_bath/.*-v0/robot"),
         ("zero", "is no robot to evaluate"),
     ],
 )
-def test_what_cannot_play_says_why(reference: str, told: str):
-    with pytest.raises(ValueError, match=told):
+def test_what_cannot_play_says_why(reference: str, message: str):
+    with pytest.raises(ValueError, match=message):
         read_egos([reference], EMPTY, "bed_bath")
 
 
@@ -109,7 +109,7 @@ def test_a_python_factory_of_the_working_folder_is_found(module: str):
 
 
 @pytest.mark.parametrize(
-    ("reference", "told"),
+    ("reference", "message"),
     [
         ("python:my_robot_under_test", "lacks a part; expected python:package.module:factory"),
         ("python:my_robot_under_test.py:", "lacks a part; expected .*python:FILE.py:factory"),
@@ -125,8 +125,8 @@ def test_a_python_factory_of_the_working_folder_is_found(module: str):
         ("python:my_robot_under_test:wrong", r"wrong\(\) returned int; expected a callable"),
     ],
 )
-def test_a_bad_factory_gets_one_line(module: str, reference: str, told: str):
-    with pytest.raises(ValueError, match=told) as caught:
+def test_a_bad_factory_gets_one_line(module: str, reference: str, message: str):
+    with pytest.raises(ValueError, match=message) as caught:
         read_egos([reference], EMPTY, "scratch")
     assert "\n" not in str(caught.value)
 
@@ -150,16 +150,16 @@ def probed(robot: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("robot", "told"),
+    ("robot", "message"),
     [
         (lambda obs: obs @ np.zeros((30, 7)), "failed: ValueError: matmul"),
         (lambda obs: np.zeros((len(obs), 3)), r"returned float64 of shape \(2, 3\)"),
         (lambda obs: sys.exit(3), "failed: SystemExit: 3"),
     ],
 )
-def test_a_robot_that_cannot_play_is_told_both_sizes_and_the_task(robot: Any, told: str):
+def test_a_robot_that_cannot_play_is_told_both_sizes_and_the_task(robot: Any, message: str):
     sizes = r"robot of task scratch reads observations \[N, 34\] and gives actions \[N, 7\]"
-    with pytest.raises(EgoError, match=f"given two rows of zeros it {told}.*{sizes}"):
+    with pytest.raises(EgoError, match=f"given two rows of zeros it {message}.*{sizes}"):
         probed(robot)
 
 

@@ -376,7 +376,7 @@ def test_a_finished_folder_is_read_not_run_again(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"episodes": 4}, "episodes 3 there, 4 here"),
         ({"seed": 1}, "seed 0 there, 1 here"),
@@ -387,9 +387,9 @@ def test_a_finished_folder_is_read_not_run_again(tmp_path: Path):
         ),
     ],
 )
-def test_a_folder_of_another_job_is_refused(tmp_path: Path, changes: dict[str, Any], told: str):
+def test_a_folder_of_another_job_is_refused(tmp_path: Path, changes: dict[str, Any], message: str):
     run_job(MatrixGame(), make_job(), tmp_path)
-    with pytest.raises(ValueError, match=f"holds another job.*{told}.*another folder"):
+    with pytest.raises(ValueError, match=f"holds another job.*{message}.*another folder"):
         run_job(MatrixGame(), make_job(**changes), tmp_path)
 
 
@@ -411,7 +411,7 @@ def test_a_folder_that_cannot_be_written_is_found_before_the_run(tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"episodes": 0}, "episodes is 0"),
         ({"seed": -1}, "seed is -1"),
@@ -422,8 +422,8 @@ def test_a_folder_that_cannot_be_written_is_found_before_the_run(tmp_path: Path)
         ),
     ],
 )
-def test_a_job_that_makes_no_sense_is_refused(changes: dict[str, Any], told: str):
-    with pytest.raises(ValueError, match=told):
+def test_a_job_that_makes_no_sense_is_refused(changes: dict[str, Any], message: str):
+    with pytest.raises(ValueError, match=message):
         make_job(**changes)
 
 

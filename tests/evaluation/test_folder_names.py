@@ -75,16 +75,16 @@ def test_a_result_is_that_of_its_folder(
     monkeypatch.chdir(tmp_path)  # relative names too: "~" is no home, "file:" no address
     folder = Path(name)
     shutil.copytree(home / "robot0", NEIGHBOURS[name])
-    found = evaluate(home, 1, folder)
+    first_result = evaluate(home, 1, folder)
     assert [path.name for path in tmp_path.iterdir() if path.name == name] == [name]
-    assert found.to_json()["env_steps_per_second"] is not None  # it was played, here
-    again, wanted = evaluate(home, 1, folder), az.load_result(home / "robot1")
+    assert first_result.to_json()["env_steps_per_second"] is not None  # it was played, here
+    again, expected = evaluate(home, 1, folder), az.load_result(home / "robot1")
     assert again.to_json()["env_steps_per_second"] is None
     for result in (again, az.load_result(folder)):
-        assert result.episodes.equals(wanted.episodes)
-    assert isinstance(wanted, az.EvaluationResult)
-    assert az.compare(folder, home / "robot1").test == az.compare(wanted, wanted).test
-    assert again.partners.equals(wanted.partners)
+        assert result.episodes.equals(expected.episodes)
+    assert isinstance(expected, az.EvaluationResult)
+    assert az.compare(folder, home / "robot1").test == az.compare(expected, expected).test
+    assert again.partners.equals(expected.partners)
     again.report(tmp_path / "page.html")
     again.plot(tmp_path / "profile.png", "profile")
     assert verify_folder(folder).ok and not check_sources(folder).problems

@@ -36,9 +36,9 @@ def same_machine() -> bool:
     return all(MADE_WITH[name] == value for name, value in here.items())
 
 
-def assert_golden(found: Path, name: str) -> None:
+def assert_golden(file: Path, name: str) -> None:
     """Hold a table against the golden one of this name, every value of it."""
-    table, golden = tables.read_parquet(found), tables.read_parquet(GOLDEN / f"{name}.parquet")
+    table, golden = tables.read_parquet(file), tables.read_parquet(GOLDEN / f"{name}.parquet")
     assert table.schema == golden.schema
     if same_machine():
         differing = [
@@ -48,7 +48,7 @@ def assert_golden(found: Path, name: str) -> None:
         ]
         assert differing == []
         if version("polars") == MADE_WITH["polars"]:
-            assert found.read_bytes() == (GOLDEN / f"{name}.parquet").read_bytes()
+            assert file.read_bytes() == (GOLDEN / f"{name}.parquet").read_bytes()
         return
     described = [*EGO_COLUMNS, *PARTNER_COLUMNS, "episode", "key"]
     assert table.select(described).equals(golden.select(described))

@@ -70,15 +70,15 @@ def played(
     return in_order(pl.concat(parts), job)
 
 
-def differing(one: pl.DataFrame, other: pl.DataFrame) -> int:
+def differing(first: pl.DataFrame, other: pl.DataFrame) -> int:
     """Return how many episodes differ in any value, of those that both tables have."""
     keys = ["ego", "partner", "episode"]
     shared = (
-        one.join(other, on=keys, how="semi").sort(keys),
-        other.join(one, on=keys, how="semi").sort(keys),
+        first.join(other, on=keys, how="semi").sort(keys),
+        other.join(first, on=keys, how="semi").sort(keys),
     )
     assert shared[0].height == shared[1].height > 0
-    same = [(shared[0][name].eq_missing(shared[1][name])).to_numpy() for name in one.columns]
+    same = [(shared[0][name].eq_missing(shared[1][name])).to_numpy() for name in first.columns]
     return int((~np.all(same, axis=0)).sum())
 
 

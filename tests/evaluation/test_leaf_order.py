@@ -29,12 +29,12 @@ def test_no_order_that_the_tree_allows_is_shorter(seed: int):
     distances = distance.squareform(condensed)
     tree = hierarchy.average(condensed)
     ordered = optimal_leaf_order(tree, distances)
-    found = hierarchy.leaves_list(ordered).tolist()
-    assert length(found, distances) == pytest.approx(
+    leaves = hierarchy.leaves_list(ordered).tolist()
+    assert length(leaves, distances) == pytest.approx(
         min(length(order, distances) for order in all_orders(tree))
     )
-    assert found in all_orders(tree)
-    assert found == hierarchy.dendrogram(ordered, no_plot=True)["leaves"]
+    assert leaves in all_orders(tree)
+    assert leaves == hierarchy.dendrogram(ordered, no_plot=True)["leaves"]
     np.testing.assert_array_equal(ordered[:, 2:], tree[:, 2:])
 
 
@@ -42,5 +42,5 @@ def test_a_chain_of_many_leaves_needs_no_recursion():
     points = np.cumsum(np.arange(1.0, 301.0))[:, None]
     condensed = distance.pdist(points)
     ordered = optimal_leaf_order(hierarchy.single(condensed), distance.squareform(condensed))
-    found = hierarchy.leaves_list(ordered).tolist()
-    assert found in (list(range(300)), list(range(300))[::-1])
+    order = hierarchy.leaves_list(ordered).tolist()
+    assert order in (list(range(300)), list(range(300))[::-1])

@@ -247,6 +247,7 @@ def test_the_sample_is_another_each_time_and_can_be_repeated(
 
     monkeypatch.setattr(replay, "Runner", Seen)
     monkeypatch.setattr("evaluation.play.tiles.SMALL_JOB", 1)
+    # One simulation a tile: no backend makes tiles so small.
     monkeypatch.setattr("evaluation.replay.job._tile_envs", lambda backend, manifest: 1)
     for seed in (*[None] * 20, 3, 3):
         with pytest.raises(ValueError, match="seen"):
@@ -333,15 +334,15 @@ def test_what_cannot_be_replayed_says_why(folder: Path, registry: Registry) -> N
 def test_the_commands_say_what_they_found(
     folder: Path, registry: Registry, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    given = ["--registry", str(registry.path)]
+    options = ["--registry", str(registry.path)]
     assert run(["verify", str(folder)]) == 0
     assert "verified 6 files" in capfd.readouterr().out
-    assert run(["replay", str(folder), *given, "--seed", "5"]) == 0
-    told = capfd.readouterr().out
-    assert "sample of seed 5: 8 of 8 episodes and 36 of 36 of the references" in told
+    assert run(["replay", str(folder), *options, "--seed", "5"]) == 0
+    printed = capfd.readouterr().out
+    assert "sample of seed 5: 8 of 8 episodes and 36 of 36 of the references" in printed
     changed(folder, load_registry(registry.path), 1.5)
     with pytest.raises(SystemExit, match="1"):
-        run(["replay", str(folder), *given, "--json"])
+        run(["replay", str(folder), *options, "--json"])
     assert json.loads(capfd.readouterr().out)["differing"] == 8
     (folder / tables.SUMMARY_FILE).write_text("{}")
     with pytest.raises(SystemExit, match="1"):

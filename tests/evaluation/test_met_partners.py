@@ -46,7 +46,7 @@ def registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
     split = make_split(data.teams, task=TASK, release="v0", **options)
     save_registry(data.model_copy(update={"splits": (*data.splits, split)}), path)
     half = load_registry(path).split(TASK)
-    named = [{"split": one.id, "sha256": one.sha256} for one in (half, split)]
+    named = [{"split": entry.id, "sha256": entry.sha256} for entry in (half, split)]
     lost = {"split": "scratch/half-s7-v0-01234567", "sha256": "0" * 64}
     egos = [trained_ego(seed, against) for seed, against in enumerate((*named, lost))]
     publish(egos, path, "v0", date="2026-01-01")

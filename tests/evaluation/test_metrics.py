@@ -236,10 +236,10 @@ def test_rank_stability_of_a_clear_order_is_one_and_of_noise_nothing():
 
 
 def test_diversity_by_hand():
-    found = strategies.br_diversity(
+    diverse = strategies.br_diversity(
         np.array([[0.0, 5.0], [2.0, 3.0]])
     )  # scaled to the rows (0, 1) and (1, 0)
-    assert (found.log_determinant, found.rank, found.participation_ratio) == (
+    assert (diverse.log_determinant, diverse.rank, diverse.participation_ratio) == (
         pytest.approx(0.0),
         2,
         pytest.approx(2.0),

@@ -73,8 +73,8 @@ def test_every_operator_is_as_onnxruntime_has_it(name: str) -> None:
     x = RNG.normal(size=(1, OBS)).astype(np.float32)
     expected: Any = session.run(None, {"x": x})[0]
     program, params = admit_onnx(data, OBS, expected.shape[1])
-    [found] = onnx_program.run(program, params, [jnp.asarray(x)])
-    np.testing.assert_allclose(found, expected, rtol=2e-6, atol=2e-6)
+    [output] = onnx_program.run(program, params, [jnp.asarray(x)])
+    np.testing.assert_allclose(output, expected, rtol=2e-6, atol=2e-6)
 
 
 def test_every_operator_has_a_case() -> None:
@@ -98,10 +98,10 @@ def test_our_own_exports_play_as_the_policies_they_are_of(torso: Any, squash: An
     for step in range(4):
         obs = jnp.asarray(RNG.normal(size=(5, OBS)), jnp.float32)
         first = jnp.full(5, step in (0, 2))
-        one, expected = policy.act(params, carries[0], obs, first)
-        two, found = played.act(weights, carries[1], obs, first)
-        carries = one, two
-        np.testing.assert_allclose(found, expected, atol=1e-6)
+        next_carry, expected = policy.act(params, carries[0], obs, first)
+        two, actual = played.act(weights, carries[1], obs, first)
+        carries = next_carry, two
+        np.testing.assert_allclose(actual, expected, atol=1e-6)
 
 
 def test_rows_cannot_see_each_other() -> None:

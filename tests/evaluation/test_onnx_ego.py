@@ -100,12 +100,12 @@ def test_its_digest_names_what_plays_it(tmp_path: Path) -> None:
 
 def test_its_digest_is_that_of_its_bytes(tmp_path: Path) -> None:
     write(tmp_path / "robot.onnx", MLP)
-    one = described(tmp_path / "robot.onnx")
-    assert one.id == f"onnx:{tmp_path / 'robot.onnx'}"
+    description = described(tmp_path / "robot.onnx")
+    assert description.id == f"onnx:{tmp_path / 'robot.onnx'}"
     (tmp_path / "other.onnx").write_bytes(
         (tmp_path / "robot.onnx").read_bytes().replace(b"assistax-zoo", b"assistax_zoo")
     )
-    assert described(tmp_path / "other.onnx").digest != one.digest
+    assert described(tmp_path / "other.onnx").digest != description.digest
 
 
 def test_a_wrong_width_is_told(tmp_path: Path) -> None:
@@ -149,8 +149,10 @@ def test_a_fixed_batch_says_which_axis_must_be_dynamic(tmp_path: Path) -> None:
     helper, kind = onnx.helper, onnx.TensorProto.FLOAT
     fixed = helper.make_tensor_value_info("obs", kind, [1, 5])
     save(tmp_path / "robot.onnx", [helper.make_node("Identity", ["obs"], ["y"])], [fixed])
-    told = r"the first axis of obs \[1, 5\] must be dynamic.*dynamic_axes=\{'obs': \{0: 'batch'\}\}"
-    with pytest.raises(ValueError, match=told):
+    message = (
+        r"the first axis of obs \[1, 5\] must be dynamic.*dynamic_axes=\{'obs': \{0: 'batch'\}\}"
+    )
+    with pytest.raises(ValueError, match=message):
         load(tmp_path / "robot.onnx")
 
 

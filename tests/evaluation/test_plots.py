@@ -198,13 +198,13 @@ def test_nothing_is_cut_off_or_written_over_something_else(count: int, how: Any)
         for label in bar.get_yticklabels()
         if not bar.get_ylim()[0] <= label.get_position()[1] <= bar.get_ylim()[1]
     ]
-    found = [
+    matches = [
         text
         for text in figure.findobj(Text)
         if text.get_text() and text.get_visible() and text not in unseen
     ]
     boxes = [
-        (text.get_text(), np.array(text.get_window_extent(renderer).extents)) for text in found
+        (text.get_text(), np.array(text.get_window_extent(renderer).extents)) for text in matches
     ]
     size = figure.get_size_inches() * figure.dpi
     for words, box in boxes:
@@ -234,9 +234,9 @@ def test_a_small_matrix_shows_its_numbers_with_self_play_in_bold():
 
 
 @pytest.mark.parametrize(
-    ("least", "told"), [(0.0, None), (-5000.0, "5% of pairs, down to -5,000,")]
+    ("least", "message"), [(0.0, None), (-5000.0, "5% of pairs, down to -5,000,")]
 )
-def test_a_few_very_bad_pairs_do_not_take_the_colours(least: float, told: str | None):
+def test_a_few_very_bad_pairs_do_not_take_the_colours(least: float, message: str | None):
     values = np.linspace(0.0, 500.0, 20)
     values[0] = least
     table = episode_table(values.reshape(1, 20, 1), ["my robot"], teams(20))
@@ -244,17 +244,17 @@ def test_a_few_very_bad_pairs_do_not_take_the_colours(least: float, told: str | 
     summarised = tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
     figure = crossplay_heatmap(arrange(pairs, order), summarised)
     [image] = axes_by_label(figure)["matrix"].images
-    first = 0.0 if told is None else 0.95 * values[1] + 0.05 * least
+    first = 0.0 if message is None else 0.95 * values[1] + 0.05 * least
     assert (image.norm.vmin, image.norm.vmax) == (pytest.approx(first), 500.0)
-    assert told is None or any(told in text for text in texts(figure))
+    assert message is None or any(message in text for text in texts(figure))
 
 
 def test_an_outsider_is_drawn_without_self_play():
     table = episode_table(np.arange(20.0).reshape(1, 20, 1), ["my robot"], teams(20))
     pairs, order = derived.crossplay_matrix(recorded(table))
     matrix = arrange(pairs, order)
-    told = tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
-    figure = crossplay_heatmap(matrix, told)
+    content = tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
+    figure = crossplay_heatmap(matrix, content)
     assert not matrix.self_play.any()
     assert "from outside the zoo" in texts(figure)
     with pytest.raises(
@@ -319,8 +319,8 @@ def lab(colour: str | np.ndarray, vision: str = "normal") -> np.ndarray:
 
 def closest(colours: Iterable[str], others: Iterable[Any], vision: str) -> float:
     """Return the least distance in Lab between two colours, one of each list."""
-    seen, beside = ([lab(one, vision) for one in many] for many in (colours, others))
-    return min(float(np.linalg.norm(one - other)) for one in seen for other in beside)
+    seen, beside = ([lab(colour, vision) for colour in many] for many in (colours, others))
+    return min(float(np.linalg.norm(first - other)) for first in seen for other in beside)
 
 
 SETTINGS = style.disability_colours([f"d{i}" for i in range(1, 10)])
@@ -336,8 +336,8 @@ def test_strip_colours_differ_for_every_colour_vision(
 ):
     """From each other, and from the map of the matrix beside which they stand."""
     assert len(set(colours.values())) == len(colours)
-    for one, other in itertools.combinations(colours.values(), 2):
-        assert closest([one], [other], vision) > least, (one, other)
+    for first, other in itertools.combinations(colours.values(), 2):
+        assert closest([first], [other], vision) > least, (first, other)
     assert closest(colours.values(), MAP, vision) > off
 
 
@@ -365,7 +365,7 @@ def test_an_algorithm_has_one_colour_whatever_stands_beside_it():
         if path.name != "style.py"
     }
     known = set(style.ALGORITHMS.values()) | set(SETTINGS.values())
-    assert [path for path, found in everywhere.items() if known & set(found)] == []
+    assert [path for path, colours in everywhere.items() if known & set(colours)] == []
 
 
 def test_unknown_settings_get_colours_and_outsiders_grey():
@@ -397,11 +397,11 @@ def evaluations() -> dict[str, dict[str, Any]]:
 
 
 def test_dots_stand_at_the_mean_with_whiskers_as_long_as_the_interval():
-    found = evaluations()
-    figure = zsc_dots(found)
+    summaries = evaluations()
+    figure = zsc_dots(summaries)
     axes = axes_by_label(figure)["returns"]
     dots = sorted(line.get_ydata()[0] for line in axes.lines if len(line.get_ydata()) == 1)
-    values = [one[key] for one in found.values() for key in ("m_test", "m_train")]
+    values = [figures[key] for figures in summaries.values() for key in ("m_test", "m_train")]
     assert dots == pytest.approx(sorted(value["mean"] for value in values))
     whiskers = sorted(tuple(line.get_ydata()) for line in axes.lines if len(line.get_ydata()) == 2)
     np.testing.assert_allclose(whiskers, sorted(tuple(value["mean_ci"]) for value in values))
@@ -415,10 +415,10 @@ def test_dots_stand_at_the_mean_with_whiskers_as_long_as_the_interval():
 
 @pytest.mark.parametrize("zero_action", [3.0, 990.0])
 def test_the_axis_holds_robots_and_references_however_far_apart(zero_action):
-    found = evaluations()
-    found["ppo"]["references"] = {"zero_action": {"mean": zero_action}, "script": None}
-    axes = axes_by_label(zsc_dots(found, {"self-play": 510.0}))["returns"]
-    ends = [end for one in found.values() for end in (*one["m_test"]["mean_ci"],)]
+    summaries = evaluations()
+    summaries["ppo"]["references"] = {"zero_action": {"mean": zero_action}, "script": None}
+    axes = axes_by_label(zsc_dots(summaries, {"self-play": 510.0}))["returns"]
+    ends = [end for figures in summaries.values() for end in (*figures["m_test"]["mean_ci"],)]
     low, high = axes.get_ylim()
     assert low < min([*ends, zero_action]) and max([*ends, zero_action]) < high
     legend = [text.get_text() for text in axes.get_legend().get_texts()]
@@ -427,30 +427,32 @@ def test_the_axis_holds_robots_and_references_however_far_apart(zero_action):
 
 
 def test_the_axis_is_zoomed_where_references_are_near():
-    found = evaluations()
-    low, high = axes_by_label(zsc_dots(found, {"self-play": 510.0}))["returns"].get_ylim()
+    summaries = evaluations()
+    low, high = axes_by_label(zsc_dots(summaries, {"self-play": 510.0}))["returns"].get_ylim()
     ends = [
         end
-        for one in found.values()
+        for figures in summaries.values()
         for key in ("m_test", "m_train")
-        for end in one[key]["mean_ci"]
+        for end in figures[key]["mean_ci"]
     ]
     assert min(ends) - 40 < low < min(ends) and max(ends) < high < max(ends) + 40
 
 
 def test_a_side_that_was_not_evaluated_has_no_dot():
-    found = {name: {**one, "m_train": None, "gap": None} for name, one in evaluations().items()}
-    lines = axes_by_label(zsc_dots(found))["returns"].lines
+    summaries = {
+        name: {**figures, "m_train": None, "gap": None} for name, figures in evaluations().items()
+    }
+    lines = axes_by_label(zsc_dots(summaries))["returns"].lines
     assert sum(len(line.get_ydata()) == 1 for line in lines) == 2
 
 
 def test_disability_points_and_mixed_tasks():
-    found = evaluations()
-    axes = axes_by_label(trait_points(found))["returns"]
+    summaries = evaluations()
+    axes = axes_by_label(trait_points(summaries))["returns"]
     assert [label.get_text() for label in axes.get_xticklabels()] == ["d1", "d9"]
-    found["fcp"]["task"] = "bed_bath"
+    summaries["fcp"]["task"] = "bed_bath"
     with pytest.raises(ValueError, match="several tasks, bed_bath, scratch"):
-        trait_points(found)
+        trait_points(summaries)
     with pytest.raises(ValueError, match="nothing to draw"):
         zsc_dots({})
 
@@ -559,8 +561,8 @@ def test_saved_matrix_survives_its_files(tmp_path: Path):
     pairs, order, _ = saved(teams(6), 2)
     tables.write_parquet(pairs, tmp_path / tables.PAIRS_FILE)
     tables.write_json(order, tmp_path / tables.ORDER_FILE)
-    found = arrange(
+    arranged = arrange(
         tables.read_parquet(tmp_path / tables.PAIRS_FILE),
         tables.read_json(tmp_path / tables.ORDER_FILE),
     )
-    np.testing.assert_array_equal(found.values, arrange(pairs, order).values)
+    np.testing.assert_array_equal(arranged.values, arrange(pairs, order).values)

@@ -98,7 +98,7 @@ def test_without_a_declaration_it_is_not_taken_for_known(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("depends", "told"),
+    ("depends", "message"),
     [
         ("['/dev/zero']", "DEPENDS names /dev/zero, which is no regular file"),
         ("['.']", "DEPENDS names .*, which is no regular file"),
@@ -106,9 +106,11 @@ def test_without_a_declaration_it_is_not_taken_for_known(folder: Path) -> None:
         ("3", "DEPENDS of mine.py is 3; expected a list of paths"),
     ],
 )
-def test_what_it_declares_is_a_list_of_regular_files(folder: Path, depends: str, told: str) -> None:
+def test_what_it_declares_is_a_list_of_regular_files(
+    folder: Path, depends: str, message: str
+) -> None:
     write(folder / "mine.py", f"DEPENDS = {depends}\ndef make(): return lambda obs: obs")
-    with pytest.raises(EgoError, match=told):
+    with pytest.raises(EgoError, match=message):
         digest("python:mine.py:make")
 
 
@@ -120,7 +122,7 @@ def test_it_may_declare_paths_as_objects(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("message", "told"),
+    ("message", "error"),
     [
         (rb'{"error": "\u001b[31mred\u001b[0m\nline"}', r"step 0: \[31mred \[0m line"),
         (b"{]", "step 0: the robot's process answers in no form that is known"),
@@ -129,7 +131,7 @@ def test_it_may_declare_paths_as_objects(folder: Path) -> None:
     ],
 )
 def test_what_its_process_says_beside_the_protocol_is_one_line(
-    folder: Path, message: bytes, told: str
+    folder: Path, message: bytes, error: str
 ) -> None:
     """A robot may write to the pipe itself."""
     code = f"""\
@@ -144,13 +146,13 @@ def test_what_its_process_says_beside_the_protocol_is_one_line(
         def make(): return act
         """
     write(folder / "mine.py", code)
-    with pytest.raises(EgoError, match=told) as caught:
+    with pytest.raises(EgoError, match=error) as caught:
         ask(read("python:mine.py:make"))
     assert str(caught.value).isprintable()
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "message"),
     [
         ("sys.exit(0)", "SystemExit: 0"),
         ("raise GeneratorExit", "GeneratorExit"),
@@ -161,7 +163,7 @@ def test_what_its_process_says_beside_the_protocol_is_one_line(
         ("return obs[:, :2]", r"returned float32 of shape \(4, 2\)"),
     ],
 )
-def test_whatever_it_does_is_an_error_of_one_line(folder: Path, line: str, told: str) -> None:
+def test_whatever_it_does_is_an_error_of_one_line(folder: Path, line: str, message: str) -> None:
     write(
         folder / "mine.py",
         f"""\
@@ -172,7 +174,7 @@ def test_whatever_it_does_is_an_error_of_one_line(folder: Path, line: str, told:
         def make(): return act
         """,
     )
-    with pytest.raises(EgoError, match=f"step 0: {told}") as caught:
+    with pytest.raises(EgoError, match=f"step 0: {message}") as caught:
         ask(read("python:mine.py:make"))
     assert str(caught.value).isprintable()
 
@@ -192,8 +194,8 @@ def test_what_it_prints_is_not_read_as_an_answer(
     code = "print('hello')\ndef act(obs):\n    print('act', flush=True)\n    return obs\n"
     write(folder / "mine.py", code + "make = lambda: act")
     np.testing.assert_array_equal(ask(read("python:mine.py:make")), OBS)
-    told = capfd.readouterr()
-    assert told.out == "" and "act" in told.err
+    printed = capfd.readouterr()
+    assert printed.out == "" and "act" in printed.err
 
 
 def test_its_libraries_take_one_thread(folder: Path) -> None:
@@ -217,6 +219,7 @@ def test_its_process_ends_with_it_and_with_its_parent(folder: Path, line: str) -
     code = f"import os, signal, time\nmake = lambda: lambda obs: {line}"
     write(folder / "mine.py", code)
     robot = PolicyProcess("mine.py", "make", {})
+    # The process that has to end: its number is nobody else's business.
     pid = robot._process.pid
     robot.close()
     assert gone(pid)

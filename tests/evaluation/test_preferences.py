@@ -190,15 +190,15 @@ def test_preferences_of_the_other_side_are_told(tmp_path: Path) -> None:
     wrong = summarise_evaluation(
         recorded(played(tmp_path / "b", preferences=("p1", "p3"))), context
     )
-    told = "test partners played under p3; the split's test preferences are p1, p5, p9"
-    assert told in wrong.notes
+    warning = "test partners played under p3; the split's test preferences are p1, p5, p9"
+    assert warning in wrong.notes
 
 
 def test_methods_whose_partners_liked_different_things_are_not_compared(tmp_path: Path) -> None:
-    one, other = (played(tmp_path / name, preferences=(name,)) for name in ("p1", "p2"))
-    assert summarise_comparison(recorded(one), recorded(one)).test is not None
+    first, other = (played(tmp_path / name, preferences=(name,)) for name in ("p1", "p2"))
+    assert summarise_comparison(recorded(first), recorded(first)).test is not None
     with pytest.raises(ValueError, match="the partners of the two tables liked different things"):
-        summarise_comparison(recorded(one), recorded(other))
+        summarise_comparison(recorded(first), recorded(other))
 
 
 @pytest.fixture(scope="module")
@@ -233,8 +233,8 @@ def test_an_evaluation_plays_what_the_split_says_and_tells_it(
     assert sorted(both.by_preference) == ["p1", "p5", "p9"]
     replayed = replay_folder(tmp_path / "both", gentle, sample=9)
     assert replayed.ok and replayed.exact
-    asked, liked = evaluate("asked", "test", preferences="p2")
-    assert liked == {"test": {"p2"}} and any("played under p2" in note for note in asked.notes)
+    chosen, liked = evaluate("asked", "test", preferences="p2")
+    assert liked == {"test": {"p2"}} and any("played under p2" in note for note in chosen.notes)
     series, liked = evaluate("series", "test", series=3)
     assert list(series.by_place) == ["1", "2", "3"] and liked == {"test": {"p1", "p5", "p9"}}
     assert replay_folder(tmp_path / "series", gentle, sample=9).exact
@@ -262,7 +262,7 @@ def test_how_knows_which_tasks_have_preferences() -> None:
 
 
 @pytest.mark.parametrize(
-    ("task", "names", "told"),
+    ("task", "names", "message"),
     [
         (
             "scratch",
@@ -274,6 +274,6 @@ def test_how_knows_which_tasks_have_preferences() -> None:
         ("gentle_lift", "", "preferences are none; give each"),
     ],
 )
-def test_other_preferences_are_refused(task: str, names: Any, told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_other_preferences_are_refused(task: str, names: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         How(task, 8, preferences=names)

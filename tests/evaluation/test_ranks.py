@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.ranks import GAP, SEED, World, measure_seed_sds, root_mean_square
+
+# The bound by itself: ranks show only what follows from it.
 from evaluation.figures.metrics.ranks import SEED_SDS, Ranks, _most_equal, rank_methods
 
 
@@ -68,7 +70,7 @@ def test_what_follows_from_two_claims_is_claimed() -> None:
 def test_three_seeds_find_four_of_five_true_orders() -> None:
     """Six methods 100 apart, seeds of standard deviation 40, which is known beforehand."""
     world, rng = World(gap=GAP), np.random.default_rng(5)
-    found = {
+    ranks = {
         (seeds, known): np.mean(
             [
                 rank_methods(world.draw(seeds, rng), seed_sd=known).better[np.tril_indices(6, -1)]
@@ -77,10 +79,10 @@ def test_three_seeds_find_four_of_five_true_orders() -> None:
         )
         for seeds, known in ((2, SEED), (3, SEED), (3, None), (5, None))
     }
-    assert found[3, SEED] > 0.77  # 81% of many; the error of 100 lists is 1%
-    assert found[2, SEED] > 0.3
-    assert found[3, None] > 0.5
-    assert found[5, None] > 0.9
+    assert ranks[3, SEED] > 0.77  # 81% of many; the error of 100 lists is 1%
+    assert ranks[2, SEED] > 0.3
+    assert ranks[3, None] > 0.5
+    assert ranks[5, None] > 0.9
 
 
 def test_a_row_of_two_unlike_robots_erases_nobody() -> None:

@@ -20,7 +20,7 @@ EGOS, PARTNERS, EPISODES = 2, 9, 8
 
 
 @pytest.fixture
-def found() -> pl.DataFrame:
+def episodes() -> pl.DataFrame:
     """Episodes of two robots that earn what published ones do, with what a scratch table has."""
     rng = np.random.default_rng(0)
     size = EGOS * PARTNERS * EPISODES
@@ -59,15 +59,15 @@ def test_every_task_was_measured_and_every_column_of_it() -> None:
         read_noise("juggling")
 
 
-def test_what_processors_do_passes(found: pl.DataFrame) -> None:
+def test_what_processors_do_passes(episodes: pl.DataFrame) -> None:
     """Last bits everywhere, a little in a tenth of the episodes, one that is wholly another."""
     rng = np.random.default_rng(1)
-    gaps = rng.normal(0, 0.5, found.height)
-    some = rng.random(found.height) < 0.1
+    gaps = rng.normal(0, 0.5, episodes.height)
+    some = rng.random(episodes.height) < 0.1
     gaps[some] += rng.normal(0, 30, some.sum())
     gaps[5] = 450
-    kept = found.with_columns(pl.col("return") + pl.Series(gaps))
-    assert noise_problems("scratch", kept, found) == []
+    kept = episodes.with_columns(pl.col("return") + pl.Series(gaps))
+    assert noise_problems("scratch", kept, episodes) == []
 
 
 @pytest.mark.parametrize(
@@ -82,49 +82,50 @@ def test_what_processors_do_passes(found: pl.DataFrame) -> None:
         ((pl.col("partner") == "human3") & (pl.col("ego") == "robot1"), 1.4),
     ],
 )
-def test_a_bias_is_found(found: pl.DataFrame, rows: pl.Expr, by: float) -> None:
-    problems = noise_problems("scratch", raised(found, rows, by), found)
+def test_a_bias_is_found(episodes: pl.DataFrame, rows: pl.Expr, by: float) -> None:
+    problems = noise_problems("scratch", raised(episodes, rows, by), episodes)
     assert problems and all(problem.startswith("return of ") for problem in problems)
 
 
-def test_every_column_is_compared(found: pl.DataFrame) -> None:
-    for name in measured_columns(found):
-        column = ~pl.col(name) if found[name].dtype == pl.Boolean else pl.col(name) * 1.5 + 400
-        problems = noise_problems("scratch", found.with_columns(column), found)
+def test_every_column_is_compared(episodes: pl.DataFrame) -> None:
+    for name in measured_columns(episodes):
+        column = ~pl.col(name) if episodes[name].dtype == pl.Boolean else pl.col(name) * 1.5 + 400
+        problems = noise_problems("scratch", episodes.with_columns(column), episodes)
         assert any(problem.startswith(f"{name} of ") for problem in problems), name
-    strange = found.with_columns(term_bonus=pl.lit(1.0))
+    strange = episodes.with_columns(term_bonus=pl.lit(1.0))
     assert "never measured" in noise_problems("scratch", strange, strange)[0]
 
 
-def test_random_actions_have_a_scale_of_their_own(found: pl.DataFrame) -> None:
+def test_random_actions_have_a_scale_of_their_own(episodes: pl.DataFrame) -> None:
     """Their episodes all end otherwise elsewhere; beside them others are held to their own."""
     rng = np.random.default_rng(2)
     robot = pl.when(pl.col("ego") == "robot0").then(pl.lit(RANDOM)).otherwise(pl.col("ego"))
-    played = found.with_columns(robot.alias("ego"))
-    gaps = np.where(played["ego"] == RANDOM, rng.normal(0, 100, found.height), 0)
+    played = episodes.with_columns(robot.alias("ego"))
+    gaps = np.where(played["ego"] == RANDOM, rng.normal(0, 100, episodes.height), 0)
     kept = played.with_columns(pl.col("return") + pl.Series(gaps))
     assert noise_problems("scratch", kept, played) == []
-    assert noise_problems("scratch", kept.with_columns(found["ego"]), found)
+    assert noise_problems("scratch", kept.with_columns(episodes["ego"]), episodes)
     assert noise_problems("scratch", raised(kept, pl.col("ego") == "robot1", 1.05), played)
     assert noise_problems("scratch", raised(kept, pl.col("ego") == RANDOM, 1.5), played)
 
 
-def test_the_scale_is_that_of_the_wildest_robot(found: pl.DataFrame) -> None:
+def test_the_scale_is_that_of_the_wildest_robot(episodes: pl.DataFrame) -> None:
     """So that a robot which differs as those that were measured is not taken for forged."""
-    other = raised(found, pl.col("ego") == "robot1", 1.1)
-    scale = measure_noise(found, other)["return"]
-    gaps = (other["return"] - found["return"]).filter(found["ego"] == "robot1").to_numpy()
+    other = raised(episodes, pl.col("ego") == "robot1", 1.1)
+    scale = measure_noise(episodes, other)["return"]
+    gaps = (other["return"] - episodes["return"]).filter(episodes["ego"] == "robot1").to_numpy()
     assert scale["largest"] == pytest.approx(gaps.max(), rel=0.1)
     assert scale["rms"] == pytest.approx(np.sqrt(np.mean(gaps**2)), rel=0.1)
     assert scale["quantiles"][0] == pytest.approx(np.median(gaps), rel=0.1)
-    assert measure_noise(found, found)["return"]["rms"] == 0
+    assert measure_noise(episodes, episodes)["return"]["rms"] == 0
 
 
 def test_the_detectable_bias_is_what_the_docs_say() -> None:
     """Of the mean return of one robot with 486 episodes, 27 partners times 18."""
-    told = {"scratch": 926, "bed_bath": 814, "arm_assist": 4232, "gentle_lift": 473}
+    figures = {"scratch": 926, "bed_bath": 814, "arm_assist": 4232, "gentle_lift": 473}
     shares = {
-        task: mean_tolerance(read_noise(task)["return"], 486) / mean for task, mean in told.items()
+        task: mean_tolerance(read_noise(task)["return"], 486) / mean
+        for task, mean in figures.items()
     }
     assert {task: round(100 * share, 1) for task, share in shares.items()} == SHARES
 

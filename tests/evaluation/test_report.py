@@ -108,7 +108,7 @@ def test_a_report_loads_nothing_from_elsewhere(crossplay: Path, evaluation: Path
 def test_a_crossplay_is_told_with_command_versions_and_hashes(crossplay: Path, tmp_path: Path):
     text = page_of(crossplay, tmp_path)
     assert "--task scratch --seed 7 --out &#39;x &amp; &lt;y&gt;&#39;" in text
-    for told in (
+    for words in (
         "Cross-play: scratch",
         "scratch-half-v0",
         "release v0",
@@ -116,7 +116,7 @@ def test_a_crossplay_is_told_with_command_versions_and_hashes(crossplay: Path, t
         "sha256",
         "Strategies of the humans",
     ):
-        assert told in text
+        assert words in text
     assert text.count("<tr>") > 20
     assert page_of(crossplay, tmp_path) == text
 
@@ -143,8 +143,8 @@ def test_tables_of_other_options_go(evaluation: Path, crossplay: Path, tmp_path:
 
 def test_an_evaluation_is_told_with_its_references(evaluation: Path, tmp_path: Path):
     text = page_of(evaluation, tmp_path)
-    for told in ("M_test", "zero action", "Unscorable", "source of B", "data:image/svg+xml"):
-        assert told in text
+    for words in ("M_test", "zero action", "Unscorable", "source of B", "data:image/svg+xml"):
+        assert words in text
 
 
 def test_ids_cannot_break_out_of_the_page(evaluation: Path, tmp_path: Path):
@@ -237,8 +237,8 @@ def test_the_matrix_holds_the_saved_pairs_in_every_order(crossplay: Path):
         for c, column in enumerate(data["columns"]):
             value = data["measures"]["return"]["values"][r][c]
             assert value == pytest.approx(expected[row["name"], column["name"]], rel=1e-3)
-    for one in data["orders"].values():
-        assert sorted(one["rows"]) == sorted(one["columns"]) == list(range(12))
+    for axes_order in data["orders"].values():
+        assert sorted(axes_order["rows"]) == sorted(axes_order["columns"]) == list(range(12))
     shared = data["orders"]["teams"]
     assert [data["rows"][i]["team"] for i in shared["rows"]] == [
         data["columns"][i]["team"] for i in shared["columns"]
@@ -316,11 +316,11 @@ def test_a_film_is_of_the_episode_that_the_manifest_names(crossplay: Path, tmp_p
     gentle = {**IDENTITY, "task": "x; rm -r .", "preferences": ["p1", "p3", "p5"]}
     write_manifest(folder, {"identity": gentle})
     seal(folder)
-    found = film_of(page_of(folder, tmp_path))
-    assert found is not None and "--task 'x; rm -r .' --seed 5" in found["command"]
-    assert sorted(found["preferences"]) == sorted(set(table["partner"]))
-    assert {found["preferences"][f"{team_id(('ippo', 'd1', 0))}/human"]} == {"p3"}
-    assert set(found["preferences"].values()) == {"p3", "p5"}
+    film_shown = film_of(page_of(folder, tmp_path))
+    assert film_shown is not None and "--task 'x; rm -r .' --seed 5" in film_shown["command"]
+    assert sorted(film_shown["preferences"]) == sorted(set(table["partner"]))
+    assert {film_shown["preferences"][f"{team_id(('ippo', 'd1', 0))}/human"]} == {"p3"}
+    assert set(film_shown["preferences"].values()) == {"p3", "p5"}
     write_manifest(folder, {"identity": {**IDENTITY, "apart": False}})
     seal(folder)
     assert film_of(page_of(folder, tmp_path)) is None
@@ -334,8 +334,8 @@ def test_a_film_is_of_the_episode_that_the_manifest_names(crossplay: Path, tmp_p
 
 @pytest.fixture(scope="module")
 def browser() -> Generator[Browser]:
-    with browsing() as found:
-        yield found
+    with browsing() as browser:
+        yield browser
 
 
 @pytest.mark.slow
@@ -351,8 +351,8 @@ def test_a_held_pair_has_its_address_and_the_command_that_films_it(
     box = page.locator("#matrix").bounding_box()
     assert box is not None
     page.mouse.click(box["x"] + 0.4 * box["width"], box["y"] + 0.6 * box["height"])
-    told = page.locator("#tip").inner_text()
-    robot, human = re.findall(r"^(?:robot|human) (\S+)", told, re.MULTILINE)
+    tip = page.locator("#tip").inner_text()
+    robot, human = re.findall(r"^(?:robot|human) (\S+)", tip, re.MULTILINE)
     address = page.locator("#pair-address").inner_text()
     assert address == page.url and address.endswith(urlencode({"robot": robot, "human": human}))
     command = page.locator("#pair-command").inner_text()

@@ -60,10 +60,10 @@ PARAMS = MODULE.init(__import__("jax").random.key(0), OBS)
     ids=["callable", "list", "act", "predict", "flax", "flax-params", "flax-bound"],
 )
 def test_every_form_gives_the_same_actions(robot: Any) -> None:
-    found = as_robot(robot)
+    made = as_robot(robot)
     for _ in range(2):
-        found.reset(4)
-        np.testing.assert_allclose(found(OBS), 2.0 * OBS, rtol=1e-6)
+        made.reset(4)
+        np.testing.assert_allclose(made(OBS), 2.0 * OBS, rtol=1e-6)
 
 
 def test_state_and_resets_arrive() -> None:

@@ -26,12 +26,15 @@ from evaluation.cast.robot_names import parse_reference
     ],
 )
 def test_every_form_is_read(text: str, parts: tuple) -> None:
-    found = parse_reference(text)
-    assert (found.text, found.kind, found.source, found.factory, found.arguments) == (text, *parts)
+    parsed = parse_reference(text)
+    assert (parsed.text, parsed.kind, parsed.source, parsed.factory, parsed.arguments) == (
+        text,
+        *parts,
+    )
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("best", "unknown form; allowed are an id such as scratch/"),
         ("x.py:make", "did you mean python:x.py:make?"),
@@ -43,8 +46,8 @@ def test_every_form_is_read(text: str, parts: tuple) -> None:
         ("python:mod:make?weights", "unreadable arguments"),
     ],
 )
-def test_what_is_no_reference_says_what_it_may_have_been(text: str, told: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(told)):
+def test_what_is_no_reference_says_what_it_may_have_been(text: str, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
         parse_reference(text)
 
 

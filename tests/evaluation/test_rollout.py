@@ -232,7 +232,9 @@ def test_a_block_of_several_networks_is_what_each_two_of_them_give(options: dict
     ):
         alone = play_stacks([robot], [human], THEIR_SETTINGS[p], **options)
         jax.tree.map(
-            lambda one, every, e=e, p=p: np.testing.assert_allclose(one, every[e, p], rtol=1e-5),
+            lambda alone, every, e=e, p=p: np.testing.assert_allclose(
+                alone, every[e, p], rtol=1e-5
+            ),
             alone,
             whole,
         )
@@ -305,18 +307,18 @@ def test_values_do_not_depend_on_the_block(stochastic: bool):
 
 def parameters_per_simulation(program: Any, simulations: int, kernel: int) -> list[str]:
     """Return the equations, at any depth, whose result holds a kernel for each simulation."""
-    found = []
+    sizes = []
     for equation in program.eqns:
         for value in equation.outvars:
             if math.prod(getattr(value.aval, "shape", ())) >= simulations * kernel:
-                found.append(str(equation.primitive))
+                sizes.append(str(equation.primitive))
         for inner in jax.tree.leaves(
             list(equation.params.values()), is_leaf=lambda x: hasattr(x, "eqns")
         ):
             inner = getattr(inner, "jaxpr", inner)
             if hasattr(inner, "eqns"):
-                found += parameters_per_simulation(inner, simulations, kernel)
-    return found
+                sizes += parameters_per_simulation(inner, simulations, kernel)
+    return sizes
 
 
 def test_no_simulation_has_parameters_of_its_own():

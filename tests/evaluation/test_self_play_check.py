@@ -85,14 +85,14 @@ def test_whole_teams_are_replayed_and_every_policy_is_stepped(registry: Registry
     told: list[int] = []
     report = check(registry, on_progress=told.append)
     assert report.ok and report.policies == 9 and sum(told) == 4 and report.backend == "jax"
-    found = {team.team: team for team in report.teams}
-    assert set(found) == {
+    by_team = {team.team: team for team in report.teams}
+    assert set(by_team) == {
         f"scratch/ippo-{name}-v0" for name in ("d1-s0", "d9-s1", "d1-s2", "d1-s4")
     }
     assert all(team.found == RETURN for team in report.teams)
     assert (
-        found["scratch/ippo-d1-s2-v0"].expected is None
-        and found["scratch/ippo-d1-s0-v0"].expected == RETURN
+        by_team["scratch/ippo-d1-s2-v0"].expected is None
+        and by_team["scratch/ippo-d1-s0-v0"].expected == RETURN
     )
     assert [drift.found for drift in report.drifts] == [0.0] and json.loads(
         json.dumps(report.to_json())

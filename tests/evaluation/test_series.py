@@ -84,9 +84,9 @@ def test_summary_has_the_return_in_each_place(tmp_path: Path) -> None:
     job = job_of(counting(ROBOT), series=3)
     table = run_job(MatrixGame(), job, tmp_path).table
     validate_episodes(table)
-    found = summarise_evaluation(recorded(table), CONTEXT).by_place
-    assert list(found) == ["1", "2", "3"]
-    for place, figure in found.items():
+    places = summarise_evaluation(recorded(table), CONTEXT).by_place
+    assert list(places) == ["1", "2", "3"]
+    for place, figure in places.items():
         mean = table.filter(place=int(place))["return"].mean()
         assert (figure.mean, figure.n) == (pytest.approx(mean), 3)
         assert figure.mean_ci is not None
@@ -169,12 +169,12 @@ def test_the_identity_knows_of_series_only_where_there_are_any() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"series": 4}, "series is 4 of 6 episodes; give 1 or more, and a multiple of it"),
         ({"series": 0}, "series is 0"),
     ],
 )
-def test_series_that_cannot_be_played_are_refused(changes: dict, told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_series_that_cannot_be_played_are_refused(changes: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         job_of(robots(0.5), **changes)

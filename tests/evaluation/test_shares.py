@@ -25,9 +25,9 @@ def test_blocks_of_several_hosts_merge_to_the_table_of_one_run(tmp_path: Path):
     job, whole = mixed_job(), run_job(MatrixGame(), mixed_job(), tmp_path / "whole", max_envs=7)
     hosts = [tmp_path / f"host{i}" for i in range(3)]
     done = [run_share(MatrixGame(), job, hosts[i], (i + 1, 3), max_envs=7) for i in (2, 0, 1)]
-    assert sum(one.chunks for one in done) == done[0].all_chunks
-    assert sum(one.episodes for one in done) == job.rows
-    assert all(one.missing == one.all_chunks - one.chunks for one in done)
+    assert sum(share.chunks for share in done) == done[0].all_chunks
+    assert sum(share.episodes for share in done) == job.rows
+    assert all(share.missing == share.all_chunks - share.chunks for share in done)
     for host in hosts[1:]:
         shutil.copytree(host / PARTS_FOLDER, hosts[0] / PARTS_FOLDER, dirs_exist_ok=True)
     merged = run_job(MatrixGame(), job, hosts[0], max_envs=7)
@@ -68,7 +68,7 @@ def test_a_share_that_is_none_is_refused(tmp_path: Path, share: tuple[int, int])
 
 def test_a_folder_has_one_writer(tmp_path: Path):
     with locked(tmp_path):
-        for run in (run_job, lambda *given: run_share(*given, (1, 2))):
+        for run in (run_job, lambda *args: run_share(*args, (1, 2))):
             with pytest.raises(
                 ValueError, match=r"another process is writing to .*; wait until it is done"
             ):
@@ -111,14 +111,14 @@ def test_killed_at_any_moment_a_run_resumes_to_the_same_bytes(tmp_path: Path, se
         "run_job(MatrixGame(), mixed_job(), Path(sys.argv[1]), max_envs=2)\n"
     )
     rng, folder = np.random.default_rng(seed), tmp_path / "killed"
-    wanted = int(rng.integers(1, 20))
+    count = int(rng.integers(1, 20))
     with subprocess.Popen([sys.executable, "-c", script, str(folder)], cwd=ROOT) as process:
-        while process.poll() is None and len(list((folder / PARTS_FOLDER).glob("part-*"))) < wanted:
+        while process.poll() is None and len(list((folder / PARTS_FOLDER).glob("part-*"))) < count:
             time.sleep(0.001)
         time.sleep(rng.uniform(0, 0.01))
         os.kill(process.pid, signal.SIGKILL)
     resumed = run_job(MatrixGame(), mixed_job(), folder)
     whole = run_job(MatrixGame(), mixed_job(), tmp_path / "whole", max_envs=1000)
     assert resumed.table.equals(whole.table)
-    files = [one / tables.EPISODES_FILE for one in (folder, tmp_path / "whole")]
+    files = [root / tables.EPISODES_FILE for root in (folder, tmp_path / "whole")]
     assert files[0].read_bytes() == files[1].read_bytes()

@@ -53,8 +53,8 @@ def test_crossplay_on_ray_is_that_of_a_single_run_byte_for_byte(
     words += ["--episodes", "1"]
     assert run([*words, "--out", str(tmp_path / "local")]) == 0
     assert run([*words, "--out", str(tmp_path / "ray"), "--engine", "ray", "--ray-cpus", "1"]) == 0
-    told = capfd.readouterr()
-    assert "found finished" in told.out  # the parts came from the workers
+    printed = capfd.readouterr()
+    assert "found finished" in printed.out  # the parts came from the workers
     for name in ("episodes.parquet", "pairs.parquet"):
         assert (tmp_path / "ray" / name).read_bytes() == (tmp_path / "local" / name).read_bytes()
     assert (
@@ -85,7 +85,7 @@ def test_parts_that_are_not_here_are_missed(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--share", "1/2", "--engine", "ray"], "--share is one share of a run by hand"),
         (["--ray-cpus", "2"], "--ray-cpus needs --engine ray"),
@@ -93,8 +93,8 @@ def test_parts_that_are_not_here_are_missed(tmp_path: Path, monkeypatch: pytest.
     ],
 )
 def test_options_that_do_not_fit_get_one_line(
-    words: list[str], told: str, tmp_path: Path, capsys: Any
+    words: list[str], message: str, tmp_path: Path, capsys: Any
 ):
     assert run(["crossplay", "--task", "scratch", "--out", str(tmp_path / "xp"), *words]) == 1
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "xp").exists()

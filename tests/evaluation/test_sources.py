@@ -94,7 +94,7 @@ def files_of(home: Path) -> list[Path]:
     manifest = provenance.read_manifest(home / "out") or {}
     listed = manifest["sources"]
     registry = load_registry(home / "zoo" / "registry.json")
-    named = [name for one in listed["releases"].values() for name in one["policies"]]
+    named = [name for release in listed["releases"].values() for name in release["policies"]]
     shards = {entry.shard for entry in registry.policies if entry.id in named}
     return [
         *(home / "out" / name for name in (*manifest["files"], provenance.MANIFEST_FILE)),
@@ -130,22 +130,22 @@ def test_one_bit_of_the_registry_is_found(home: Path) -> None:
     path, rng = home / "zoo" / "registry.json", random.Random(0)
     whole = path.read_bytes()
     [release] = (provenance.read_manifest(home / "out") or {})["sources"]["releases"].values()
-    found = 0
+    count = 0
     for _ in range(150):
         path.write_bytes(flipped(whole, rng.randrange(len(whole)), rng.randrange(8)))
         if not same_content(path.read_bytes(), whole):
             about_the_figures = not check_sources(home / "out").problems
             if about_the_figures:
                 assert not verified(path), "neither check finds it"
-            found += not about_the_figures
+            count += not about_the_figures
     path.write_bytes(whole)
     kinds = {name.partition(" ")[0] for name in release["entries"]}
-    assert found > 50 and kinds == {"team", "run", "split", "setting", "shard"}
+    assert count > 50 and kinds == {"team", "run", "split", "setting", "shard"}
 
 
-def same_content(one: bytes, other: bytes) -> bool:
+def same_content(first: bytes, other: bytes) -> bool:
     try:
-        return json.loads(one) == json.loads(other)
+        return json.loads(first) == json.loads(other)
     except ValueError:
         return False
 
@@ -253,14 +253,14 @@ def test_a_folder_of_code_files_and_a_cross_play_is_replayed_with_them(
         replay_folder(home / "out", registry)
     with pytest.raises(ValueError, match="give its folder as well"):
         replay_folder(home / "out", registry, run_code=True)
-    given: dict[str, Any] = {"run_code": True, "crossplay": home / "crossplay"}
-    report = replay_folder(home / "out", registry, **given)
+    options: dict[str, Any] = {"run_code": True, "crossplay": home / "crossplay"}
+    report = replay_folder(home / "out", registry, **options)
     assert report.ok and report.exact and not report.unchecked, report
     path = home / "crossplay" / PAIRS_FILE
     whole, manifest = path.read_bytes(), (home / "crossplay" / "manifest.json").read_bytes()
     write_parquet(read_parquet(path).with_columns(pl.col("return") + 1), path)
     provenance.seal(home / "crossplay")
-    report = replay_folder(home / "out", registry, **given)
+    report = replay_folder(home / "out", registry, **options)
     assert not report.ok and "pairs.parquet is not what its episodes give" in report.problems[0]
     path.write_bytes(whole)
     (home / "crossplay" / "manifest.json").write_bytes(manifest)

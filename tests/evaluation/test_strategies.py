@@ -34,45 +34,49 @@ def planted() -> pl.DataFrame:
 
 
 def test_planted_groups_of_behaviour_are_found_with_a_member_as_medoid():
-    found = summarise_strategies(planted())
-    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    strategies = summarise_strategies(planted())
+    assert json.loads(json.dumps(strategies, allow_nan=False)) == strategies
     groups = [
-        {int(name.split("-s")[1].split("-")[0]) % 3 for name in one["members"]}
-        for one in found["clusters"]
+        {int(name.split("-s")[1].split("-")[0]) % 3 for name in cluster["members"]}
+        for cluster in strategies["clusters"]
     ]
     assert sorted(groups, key=min) == [{0}, {1}, {2}]
-    assert all(one["medoid"] in one["members"] for one in found["clusters"])
-    assert [len(one["members"]) for one in found["clusters"]] == [4, 4, 4]
+    assert all(cluster["medoid"] in cluster["members"] for cluster in strategies["clusters"])
+    assert [len(cluster["members"]) for cluster in strategies["clusters"]] == [4, 4, 4]
 
 
 def test_a_partner_is_described_with_its_best_robot():
     pairs = planted()
-    found = best_responses(pairs)
-    assert found.robots == [
+    responses = best_responses(pairs)
+    assert responses.robots == [
         f"{team_id(team)}/robot" for team in TEAMS
     ]  # self-play is planted highest
     own = pairs.filter(pl.col("ego_team") == pl.col("partner_team"))
-    np.testing.assert_allclose(found.features[:, 2], own["force_mean"])
+    np.testing.assert_allclose(responses.features[:, 2], own["force_mean"])
     matrix = clustered_matrix(12, 3)
-    np.testing.assert_allclose(found.returns, matrix, rtol=1e-6)
+    np.testing.assert_allclose(responses.returns, matrix, rtol=1e-6)
 
 
 def test_the_incompatible_two_lose_when_robots_are_exchanged():
-    found = summarise_strategies(planted())
+    strategies = summarise_strategies(planted())
     seeds = [
-        int(name.split("-s")[1].split("-")[0]) % 3 for name in found["incompatible"]["partners"]
+        int(name.split("-s")[1].split("-")[0]) % 3
+        for name in strategies["incompatible"]["partners"]
     ]
     assert seeds[0] != seeds[1]
-    own, exchanged = found["incompatible"]["returns"], found["incompatible"]["returns_exchanged"]
+    own, exchanged = (
+        strategies["incompatible"]["returns"],
+        strategies["incompatible"]["returns_exchanged"],
+    )
     assert min(own) - 200 > max(exchanged)
 
 
 def test_one_robot_for_all_has_no_incompatible_two():
     table = episode_table(np.ones((1, 12, 1)), teams(1), TEAMS)
-    found = summarise_strategies(pair_table(recorded(table)))
-    assert found["incompatible"] is None
-    assert len(found["clusters"]) == 1
-    assert found["diverse_subset"] == []
+    strategies = summarise_strategies(pair_table(recorded(table)))
+    assert strategies["incompatible"] is None
+    assert len(strategies["clusters"]) == 1
+    assert strategies["diverse_subset"] == []
 
 
 def test_a_table_without_behaviour_says_what_to_do():

@@ -35,56 +35,56 @@ def summarised(table: pl.DataFrame) -> dict[str, Any]:
 
 def test_evaluation_has_the_promised_figures_and_is_json():
     table = evaluation_table()
-    found = summarised(table)
-    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    figures = summarised(table)
+    assert json.loads(json.dumps(figures, allow_nan=False)) == figures
     means = table.group_by("side").agg(pl.col("return").mean())
     by_side = dict(means.iter_rows())
-    assert found["m_test"]["mean"] == pytest.approx(by_side["test"])
-    assert found["m_train"]["mean"] == pytest.approx(by_side["train"])
-    assert found["gap"]["mean"] == pytest.approx(by_side["train"] - by_side["test"])
-    assert (found["m_test"]["n"], found["m_train"]["n"]) == (24, 12)
-    assert found["m_test"]["generalises_to"] == "seeds, partners and starts"
-    assert found["common_starts"]
-    assert found["split"] == tables.to_json(CONTEXT.split)
-    assert (found["episodes"], found["episodes_per_pair"], found["nonfinite"]) == (144, 4, 0)
+    assert figures["m_test"]["mean"] == pytest.approx(by_side["test"])
+    assert figures["m_train"]["mean"] == pytest.approx(by_side["train"])
+    assert figures["gap"]["mean"] == pytest.approx(by_side["train"] - by_side["test"])
+    assert (figures["m_test"]["n"], figures["m_train"]["n"]) == (24, 12)
+    assert figures["m_test"]["generalises_to"] == "seeds, partners and starts"
+    assert figures["common_starts"]
+    assert figures["split"] == tables.to_json(CONTEXT.split)
+    assert (figures["episodes"], figures["episodes_per_pair"], figures["nonfinite"]) == (144, 4, 0)
     for name in ("release", "env_version", "backend", "env_steps_per_second", "task"):
-        assert found[name] == getattr(CONTEXT, name)
+        assert figures[name] == getattr(CONTEXT, name)
 
 
 def test_groups_and_the_worst_partner_are_about_the_test_partners():
     table = evaluation_table()
-    found = summarised(table)
+    figures = summarised(table)
     test = table.filter(side="test")
     for column, key in (
         ("partner_algorithm", "by_algorithm"),
         ("partner_disability", "by_disability"),
     ):
         expected = dict(test.group_by(column).agg(pl.col("return").mean()).iter_rows())
-        assert {name: figure["mean"] for name, figure in found[key].items()} == pytest.approx(
+        assert {name: figure["mean"] for name, figure in figures[key].items()} == pytest.approx(
             expected
         )
     worst = test.group_by("partner").agg(pl.col("return").mean()).sort("return").row(0, named=True)
-    assert found["worst_partner"]["partner"] == worst["partner"]
-    assert found["worst_partner"]["mean"] == pytest.approx(worst["return"])
-    assert found["cvar_10"]["n"] == 24
-    assert found["fairness"]["gap"]["value"] == pytest.approx(
-        abs(found["by_disability"]["d1"]["mean"] - found["by_disability"]["d9"]["mean"])
+    assert figures["worst_partner"]["partner"] == worst["partner"]
+    assert figures["worst_partner"]["mean"] == pytest.approx(worst["return"])
+    assert figures["cvar_10"]["n"] == 24
+    assert figures["fairness"]["gap"]["value"] == pytest.approx(
+        abs(figures["by_disability"]["d1"]["mean"] - figures["by_disability"]["d9"]["mean"])
     )
 
 
 def test_only_training_partners_leave_m_test_empty():
-    found = summarised(evaluation_table().filter(side="train"))
-    assert (found["m_test"], found["gap"], found["side"]) == (None, None, "train")
-    assert found["m_train"]["n"] == 12
+    figures = summarised(evaluation_table().filter(side="train"))
+    assert (figures["m_test"], figures["gap"], figures["side"]) == (None, None, "train")
+    assert figures["m_train"]["n"] == 12
 
 
 def test_one_ego_and_one_episode_are_said_to_be_so():
-    found = summarised(evaluation_table(egos=1, k=1))
-    assert found["m_test"]["generalises_to"] == "partners"
-    assert found["cvar_10"] is None
-    assert found["worst_partner"]["crossfit"] is None
-    assert found["notes"][0].startswith("one ego: intervals speak about new partners")
-    assert any("groups of partners have as few as" in note for note in found["notes"])
+    figures = summarised(evaluation_table(egos=1, k=1))
+    assert figures["m_test"]["generalises_to"] == "partners"
+    assert figures["cvar_10"] is None
+    assert figures["worst_partner"]["crossfit"] is None
+    assert figures["notes"][0].startswith("one ego: intervals speak about new partners")
+    assert any("groups of partners have as few as" in note for note in figures["notes"])
 
 
 def test_clipped_actions_are_said():
@@ -103,12 +103,13 @@ def test_nonfinite_episodes_are_counted_and_never_left_out():
         .otherwise("return")
         .alias("return"),
     )
-    found = summarised(table)
-    assert found["nonfinite"] == 3
-    assert found["episodes"] == 144
-    assert found["m_test"]["mean"] == pytest.approx(table.filter(side="test")["return"].mean())
+    figures = summarised(table)
+    assert figures["nonfinite"] == 3
+    assert figures["episodes"] == 144
+    assert figures["m_test"]["mean"] == pytest.approx(table.filter(side="test")["return"].mean())
     assert (
-        "3 of 144 episodes became non-finite and earn 0 from then on; they count" in found["notes"]
+        "3 of 144 episodes became non-finite and earn 0 from then on; they count"
+        in figures["notes"]
     )
     assert derived.partner_table(recorded(table))["nonfinite"].sum() == 3
 
@@ -116,9 +117,9 @@ def test_nonfinite_episodes_are_counted_and_never_left_out():
 def test_egos_from_outside_the_zoo_are_seeds_of_one_method():
     returns = np.random.default_rng(0).normal(500, 50, (2, 12, 2))
     table = episode_table(returns, ["a.safetensors", "b.safetensors"], PARTNERS, SIDES)
-    found = summarised(table)
-    assert found["egos"] == ["a.safetensors", "b.safetensors"]
-    assert found["m_test"]["n"] == 16
+    figures = summarised(table)
+    assert figures["egos"] == ["a.safetensors", "b.safetensors"]
+    assert figures["m_test"]["n"] == 16
 
 
 def test_partners_without_a_side_are_refused():
@@ -130,16 +131,16 @@ def test_partners_without_a_side_are_refused():
 def test_crossplay_of_the_matrix_game():
     payoff = np.array([[4.0, 1.0], [0.5, 3.0]])
     pair = teams(2)
-    found = tables.to_json(
+    content = tables.to_json(
         summary.summarise_crossplay(
             recorded(episode_table(payoff[:, :, None], pair, pair)), CONTEXT
         )
     )
-    figures = [found[key]["mean"] for key in ("self_play", "cross_play", "gap")]
+    figures = [content[key]["mean"] for key in ("self_play", "cross_play", "gap")]
     assert figures == [3.5, 0.75, 2.75]
-    assert found["relative_gap"]["value"] == pytest.approx(2.75 / 3.5)
-    assert found["best_ego"] == {"ego": f"{team_id(pair[0])}/robot", "mean": 2.5}
-    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    assert content["relative_gap"]["value"] == pytest.approx(2.75 / 3.5)
+    assert content["best_ego"] == {"ego": f"{team_id(pair[0])}/robot", "mean": 2.5}
+    assert json.loads(json.dumps(content, allow_nan=False)) == content
 
 
 def test_crossplay_keeps_self_play_on_the_diagonal_of_the_shared_order():
@@ -168,10 +169,10 @@ def test_other_teams_on_the_axes_share_no_order():
 def test_comparison_is_paired_and_refuses_other_partners_or_keys():
     table = evaluation_table()
     better = table.with_columns(pl.col("return") + 10.0)
-    found = summary.summarise_comparison(recorded(better), recorded(table))
-    assert found.test is not None and found.train is not None
-    assert found.test.mean == pytest.approx(10.0)
-    assert (found.test.partners_better, found.train.partners_better) == (1.0, 1.0)
+    comparison = summary.summarise_comparison(recorded(better), recorded(table))
+    assert comparison.test is not None and comparison.train is not None
+    assert comparison.test.mean == pytest.approx(10.0)
+    assert (comparison.test.partners_better, comparison.train.partners_better) == (1.0, 1.0)
     with pytest.raises(ValueError, match="different partners"):
         summary.summarise_comparison(
             recorded(better.filter(pl.col("partner_seed") > 0)), recorded(table)
@@ -207,15 +208,15 @@ def test_profile_falls_from_one_to_nothing():
 
 
 def test_saved_folders_hold_what_is_printed(tmp_path: Path):
-    found = derived.save_evaluation(Record(evaluation_table(), tmp_path / "m"), CONTEXT)
-    assert tables.read_json(tmp_path / "m" / tables.SUMMARY_FILE) == tables.to_json(found)
+    saved = derived.save_evaluation(Record(evaluation_table(), tmp_path / "m"), CONTEXT)
+    assert tables.read_json(tmp_path / "m" / tables.SUMMARY_FILE) == tables.to_json(saved)
     partners = tables.read_parquet(tmp_path / "m" / tables.PARTNERS_FILE)
     assert partners.height == 12
     assert (partners["return_low"] < partners["return"]).all()
     population = teams(6)
     table = episode_table(clustered_matrix(6, 2)[:, :, None], population, population)
-    found = derived.save_crossplay(Record(table, tmp_path / "x"), CONTEXT)
-    assert tables.read_json(tmp_path / "x" / tables.SUMMARY_FILE) == tables.to_json(found)
+    saved = derived.save_crossplay(Record(table, tmp_path / "x"), CONTEXT)
+    assert tables.read_json(tmp_path / "x" / tables.SUMMARY_FILE) == tables.to_json(saved)
     assert tables.read_parquet(tmp_path / "x" / tables.PAIRS_FILE).height == 36
     assert set(tables.read_json(tmp_path / "x" / tables.ORDER_FILE)) >= {"rows", "columns", "teams"}
 
@@ -227,12 +228,12 @@ def test_partners_trained_with_an_ego_are_kept_but_not_counted(tmp_path: Path):
     table = table.with_columns(
         pl.when(pl.col("partner") == own).then(5000.0).otherwise("return").alias("return")
     )
-    found = derived.save_evaluation(Record(table, tmp_path / "new"), CONTEXT)
-    assert found.m_test is not None and found.m_test.n == 7
-    assert found.m_test.mean < 1000
-    assert found.partners == {"train": 4, "test": 7}
-    assert found.episodes == 11 * 4
-    assert any("left out of the figures" in note and own in note for note in found.notes)
+    saved = derived.save_evaluation(Record(table, tmp_path / "new"), CONTEXT)
+    assert saved.m_test is not None and saved.m_test.n == 7
+    assert saved.m_test.mean < 1000
+    assert saved.partners == {"train": 4, "test": 7}
+    assert saved.episodes == 11 * 4
+    assert any("left out of the figures" in note and own in note for note in saved.notes)
     kept = tables.read_parquet(tmp_path / "new" / tables.PARTNERS_FILE)
     assert kept.filter(partner=own)["return"].item() == 5000.0
     profile = tables.read_parquet(tmp_path / "new" / tables.PROFILE_FILE)

@@ -131,11 +131,11 @@ def test_a_malformed_table_is_refused_with_what_is_wrong(change, message: str):
 def test_parquet_gives_the_table_back(tmp_path: Path):
     path = tmp_path / "run" / tables.EPISODES_FILE
     tables.write_episodes(small(), path)
-    found = tables.read_episodes(path)
+    episodes = tables.read_episodes(path)
     absent = (*GENTLE, "place", "clipped")  # of gentle tasks, series, robots from outside
     written = {name: dtype for name, dtype in SCHEMA.items() if name not in absent}
-    assert {name: dtype for name, dtype in found.schema.items() if name in SCHEMA} == written
-    np.testing.assert_array_equal(lay_out(found).values, lay_out(small()).values)
+    assert {name: dtype for name, dtype in episodes.schema.items() if name in SCHEMA} == written
+    np.testing.assert_array_equal(lay_out(episodes).values, lay_out(small()).values)
     assert [file.name for file in path.parent.iterdir()] == [tables.EPISODES_FILE]
 
 
@@ -238,9 +238,9 @@ def test_a_panic_or_an_abort_of_the_reader_is_a_damaged_file(tmp_path: Path):
     ends = {}
     for place in places:
         path.write_bytes(whole)
-        code, told = outcomes(path, "raw", [place])
-        ends[place] = told[1] if code == 0 else code
-        assert (told[0] == "readable") == (ends[place] == "read"), (place, told)
+        code, output = outcomes(path, "raw", [place])
+        ends[place] = output[1] if code == 0 else code
+        assert (output[0] == "readable") == (ends[place] == "read"), (place, output)
     assert {"PanicException", -signal.SIGABRT} <= set(ends.values()), ends
     path.write_bytes(whole)
     panics = [place for place, end in ends.items() if end == "PanicException"]

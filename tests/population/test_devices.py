@@ -106,22 +106,22 @@ def in_another_order(config, trainer, shares=None):
 def train_each(case, runs):
     """Train one run after another: see `run` in the test for what is said of each."""
     config, partners = arguments(case)
-    for given in runs:
+    for options in runs:
 
-        def progress(report, until=given["until"]):
+        def progress(report, until=options["until"]):
             if report.update == until:
                 raise Killed
 
-        if given["copy_of"]:
-            shutil.copytree(given["copy_of"], given["folder"])
-        devices = jax.devices()[: given["devices"]]
+        if options["copy_of"]:
+            shutil.copytree(options["copy_of"], options["folder"])
+        devices = jax.devices()[: options["devices"]]
         with contextlib.suppress(Killed), pytest.MonkeyPatch.context() as patch:
-            if given["planted"]:
+            if options["planted"]:
                 patch.setattr(training, "initial_state", in_another_order)
             train(
                 config,
                 ToyEnv(match),
-                given["folder"],
+                options["folder"],
                 partners=partners,
                 progress=progress,
                 devices=devices,
@@ -144,9 +144,9 @@ def save_and_restore(case, folder):
     checkpoints.save(1, states[2])
     rows = {}
     for count, like in states.items():
-        found = checkpoints.restore_latest(like)
-        assert found is not None and found[0] == 1
-        restored = found[1]
+        latest = checkpoints.restore_latest(like)
+        assert latest is not None and latest[0] == 1
+        restored = latest[1]
         for path, leaf, begun, saved in zip(
             *leaves(restored), leaves(like)[1], leaves(states[2])[1], strict=True
         ):
@@ -178,7 +178,7 @@ def count_shares(cases):
     )
 
 
-def on_several_devices(function, *given):
+def on_several_devices(function, *args):
     """Call a function of this module where the CPU is several devices; return what it printed."""
     flags = (
         f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={HOST_DEVICES}"
@@ -188,7 +188,7 @@ def on_several_devices(function, *given):
     code = "import json, sys; from tests.population import test_devices as tests; "
     code += f"tests.{function.__name__}(*json.loads(sys.argv[1]))"
     process = subprocess.run(
-        [sys.executable, "-c", code, json.dumps(given)],
+        [sys.executable, "-c", code, json.dumps(args)],
         env={**os.environ, "XLA_FLAGS": flags.strip()}, capture_output=True, text=True, timeout=900,
     )  # fmt: skip
     assert process.returncode == 0, process.stderr[-4000:]
@@ -223,13 +223,13 @@ def test_members_end_on_several_devices_as_on_one(case, tmp_path):
 
     def run(name, devices, *, until=None, copy_of=None, planted=False):
         source = str(tmp_path / copy_of) if copy_of else None
-        given = {
+        inputs = {
             "folder": str(tmp_path / name),
             "devices": devices,
             "until": until,
             "copy_of": source,
         }
-        return {**given, "planted": planted}
+        return {**inputs, "planted": planted}
 
     runs = [run("one", 1), run("two", 2), run("four", 4), run("planted", 2, planted=True)]
     runs += [
@@ -238,21 +238,21 @@ def test_members_end_on_several_devices_as_on_one(case, tmp_path):
         run("moved", 1, copy_of="killed"),
     ]
     on_several_devices(train_each, case, runs)
-    found = {
+    results = {
         name: devices_of(tmp_path / name) for name in ("one", "two", "four", "resumed", "moved")
     }
-    assert found == {"one": 1, "two": 2, "four": 4, "resumed": 2, "moved": 1}
-    one, two = (tmp_path / name for name in ("one", "two"))
+    assert results == {"one": 1, "two": 2, "four": 4, "resumed": 2, "moved": 1}
+    first, two = (tmp_path / name for name in ("one", "two"))
     assert difference(tmp_path / "resumed", two) == 0.0
-    assert max(difference(tmp_path / name, one) for name in ("two", "four", "moved")) < ROUNDING
-    assert difference(tmp_path / "planted", one) > 100 * ROUNDING
+    assert max(difference(tmp_path / name, first) for name in ("two", "four", "moved")) < ROUNDING
+    assert difference(tmp_path / "planted", first) > 100 * ROUNDING
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", TRAINERS)
 def test_a_checkpoint_of_two_devices_is_read_on_any_number(case, tmp_path):
-    found = on_several_devices(save_and_restore, case, str(tmp_path / "state"))
-    assert found == {"1": [32], "2": [16, 16], "4": [8, 8, 8, 8]}
+    restored = on_several_devices(save_and_restore, case, str(tmp_path / "state"))
+    assert restored == {"1": [32], "2": [16, 16], "4": [8, 8, 8, 8]}
 
 
 def test_as_many_devices_are_used_as_divide_the_members():

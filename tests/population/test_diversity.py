@@ -56,7 +56,7 @@ def test_the_mean_density_is_that_of_a_population_whoever_trains_beside_it(platf
     monkeypatch.setattr(jax, "default_backend", lambda: platform)
     members = (Member(0, "d1"), Member(0, "d9"), Member(1, "d1"), Member(1, "d9"))
     ppo, state, batch, hyper = rollout(members)
-    found = usual(ppo, state, batch, hyper["peers"])
+    divergence = usual(ppo, state, batch, hyper["peers"])
     params = ppo.policy_params(state.members)["human"]
     for member, population in enumerate([(0, 2), (1, 3), (0, 2), (1, 3)]):
         obs, raw = batch.obs["human"][member], np.asarray(batch.raw["human"][member], float)
@@ -71,22 +71,25 @@ def test_the_mean_density_is_that_of_a_population_whoever_trains_beside_it(platf
             for name in ("mean", "log_std")
         )
         expected = slow_log_mean_density(mean, log_std, raw)
-        np.testing.assert_allclose(found[member], expected, rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(divergence[member], expected, rtol=1e-4, atol=1e-4)
     everyone = usual(ppo, state, batch, jnp.tile(jnp.arange(4), (4, 1)))
-    assert np.abs(everyone - found).max() > 1e-3  # a planted neighbour of another setting shows
+    assert (
+        np.abs(everyone - divergence).max() > 1e-3
+    )  # a planted neighbour of another setting shows
 
 
 def test_densities_too_small_for_a_float_are_still_told_apart():
     """A mean of densities, and not of their logarithms, would be log 0 where nobody goes."""
     ppo, state, batch, hyper = rollout(PAIR)
     far = dataclasses.replace(batch, raw={**batch.raw, "human": batch.raw["human"] + 100.0})
-    found = usual(ppo, state, far, hyper["peers"])
-    assert np.isfinite(found).all() and (found < -1000.0).all()
+    divergence = usual(ppo, state, far, hyper["peers"])
+    assert np.isfinite(divergence).all() and (divergence < -1000.0).all()
 
 
 def test_humans_who_act_alike_get_their_own_entropy_and_no_more():
     ppo, state, batch, hyper = rollout(PAIR)
     alike, first = jax.tree.map(lambda leaf: jnp.stack([leaf[0]] * 2), (state.members, batch))
+    # The bonus by itself, before training mixes it with the rest.
     paid, logged = ppo._with_bonus(alike, first, hyper)
     coefficient = hyper["population_coef"][:, None, None]
     own = first.reward - coefficient * first.log_prob["human"]

@@ -74,18 +74,20 @@ def test_every_partner_acts_in_its_share_and_nowhere_else(platform, monkeypatch)
             for g in partners.stacks
             if name in g.ids
         ]
-        _, wanted = Policy(spec).act(params, (), obs[row], first[row])
-        np.testing.assert_allclose(action[row], wanted, rtol=1e-5, atol=1e-6)
+        _, expected = Policy(spec).act(params, (), obs[row], first[row])
+        np.testing.assert_allclose(action[row], expected, rtol=1e-5, atol=1e-6)
 
 
 def test_every_partner_plays_under_its_own_disability():
     run = config(PPO)
     env = ToyEnv(match)
     state = initial_state(run, PPO(run.trainer, env, 1, population()))
-    wanted = disability_params([s for _ in range(2) for s in ("d1", "d3", "d9") for _ in range(4)])
+    expected = disability_params(
+        [s for _ in range(2) for s in ("d1", "d3", "d9") for _ in range(4)]
+    )
     for name in ("strength", "elbow_range"):
         np.testing.assert_array_equal(
-            getattr(state.simulations.env.params, name), getattr(wanted, name)
+            getattr(state.simulations.env.params, name), getattr(expected, name)
         )
 
 
@@ -93,8 +95,8 @@ def test_partners_take_turns_in_the_preferences_that_are_named_and_in_no_others(
     run = dataclasses.replace(config(PPO), task="gentle_lift", preferences=("p2", "p9", "p4"))
     state = initial_state(run, PPO(run.trainer, ToyEnv(match), 1, population()))
     likes = state.simulations.env.params.preference.reshape(2, 3, 4)  # member, partner, simulation
-    wanted = [[2, 9, 4, 2], [9, 4, 2, 9], [4, 2, 9, 4]]
-    np.testing.assert_array_equal(likes, [wanted, wanted])
+    expected = [[2, 9, 4, 2], [9, 4, 2, 9], [4, 2, 9, 4]]
+    np.testing.assert_array_equal(likes, [expected, expected])
     drawn = initial_state(config(PPO), PPO(run.trainer, ToyEnv(match), 1, population()))
     assert not drawn.simulations.env.params.preference.any()
     assert TrainConfig.from_json(json.loads(json.dumps(run.to_json()))) == run
@@ -157,7 +159,7 @@ def test_with_more_partners_than_simulations_each_has_one():
         stack(spec, [f"{index}-{row}" for row in range(33)], seed=index)
         for index, spec in enumerate(specs)
     ]
-    settings = {name: DISABILITY_SETTINGS["d1"] for one in stacks for name in one.ids}
+    settings = {name: DISABILITY_SETTINGS["d1"] for stack in stacks for name in stack.ids}
     partners = FrozenPartners(stacks, settings)
     count = fitting_envs(64, len(partners))
     partners.check(ToyEnv(match), count)
@@ -166,10 +168,10 @@ def test_with_more_partners_than_simulations_each_has_one():
     _, action = partners.act(partners.params, carry, obs, jnp.zeros(len(obs), bool), 2)
     for row in (0, 32, 33, 98, 99, 197):
         spec, params = specs[row % 99 // 33], stacks[row % 99 // 33].params
-        _, wanted = Policy(spec).act(
+        _, expected = Policy(spec).act(
             jax.tree.map(itemgetter(row % 33), params), (), obs[row], jnp.zeros((), bool)
         )
-        np.testing.assert_allclose(action[row], wanted, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(action[row], expected, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.slow

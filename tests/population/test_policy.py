@@ -30,8 +30,8 @@ def test_shapes_follow_the_leading_axes_and_stacked_parameters(spec):
     carry, action = jax.vmap(policy.act)(params, policy.initial_carry((3, 4, 5)), obs, first)
     assert action.shape == (3, 4, 5, 2)
     assert jnp.abs(action).max() <= 1.0
-    one = jax.tree.map(lambda leaf: leaf[1], params)
-    _, alone = policy.act(one, policy.initial_carry(()), obs[1, 2, 3], first[1, 2, 3])
+    member = jax.tree.map(lambda leaf: leaf[1], params)
+    _, alone = policy.act(member, policy.initial_carry(()), obs[1, 2, 3], first[1, 2, 3])
     np.testing.assert_allclose(alone, action[1, 2, 3], rtol=1e-5, atol=1e-7)
     assert isinstance(carry, tuple) == (spec.torso == "mlp")
 

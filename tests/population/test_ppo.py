@@ -200,9 +200,9 @@ def test_a_member_learns_the_same_whoever_trains_beside_it(platform, monkeypatch
     assert_close = partial(
         np.testing.assert_allclose, rtol=1e-3, atol=1e-5
     )  # two programs round differently
-    jax.tree.map(lambda many, one: assert_close(many[1:2], one), *networks)
+    jax.tree.map(lambda many, alone: assert_close(many[1:2], alone), *networks)
     with pytest.raises(AssertionError):
-        jax.tree.map(lambda many, one: assert_close(many[2:3], one), *networks)
+        jax.tree.map(lambda many, alone: assert_close(many[2:3], alone), *networks)
 
 
 class Diverging(ToyEnv):

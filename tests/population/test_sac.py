@@ -58,6 +58,7 @@ def values(sac, state, role, action):
     [N, A].
     """
     member = jax.tree.map(lambda leaf: leaf[0], state.members)
+    # What critics say, which training never returns.
     return sac._values(
         role, member.learners[role].networks["critic"], member, state.simulations.env.obs, action
     )
@@ -94,12 +95,14 @@ def test_without_a_task_the_policy_becomes_uniform_over_its_actions(planted, mon
     dimension.
     """
     if planted:
+        # The planted defect: the squash's slope left out.
         monkeypatch.setattr(policy, "_log_slope", unsquashed)
     config = SACConfig(**SMALL, autotune=False, initial_alpha=0.5, critic="local")
     sac, state, _ = run(ToyEnv(constant), config, updates=150)
     member = jax.tree.map(lambda leaf: leaf[0], state.members)
     keys = jax.random.split(jax.random.key(3), 500)
     obs = state.simulations.env.obs
+    # Actions as the trainer draws them, from a state of training.
     action, _ = jax.vmap(lambda key: sac._act(member.learners, member, obs, key))(keys)
     size = float(jnp.abs(action["human"]).mean())
     assert (abs(size - 0.5) < 0.06) != planted
@@ -139,8 +142,8 @@ def test_soft_targets_are_those_of_the_formula():
     for b in range(6):
         value = min(q[0, b], q[1, b]) - 0.3 * log_prob[b]
         expected.append(reward[b] + (0.0 if terminated[b] else 0.9 * value))
-    found = soft_target(*(jnp.asarray(x) for x in (reward, terminated, q, log_prob)), 0.3, 0.9)
-    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    target = soft_target(*(jnp.asarray(x) for x in (reward, terminated, q, log_prob)), 0.3, 0.9)
+    np.testing.assert_allclose(target, expected, rtol=1e-5)
 
 
 def test_log_density_of_a_squashed_action_is_that_of_the_change_of_variables():
@@ -194,7 +197,7 @@ def test_a_member_learns_the_same_whoever_trains_beside_it(platform, monkeypatch
         for x in (beside, alone)
     ]
     jax.tree.map(
-        lambda many, one: np.testing.assert_allclose(many[1:2], one, rtol=1e-3, atol=1e-5),
+        lambda many, alone: np.testing.assert_allclose(many[1:2], alone, rtol=1e-3, atol=1e-5),
         *networks,
     )
 

@@ -58,13 +58,13 @@ def test_an_exported_policy_acts_as_the_shared_network_does(role, variant):
         lambda leaf: leaf.shape, jax.eval_shape(own.init, keys[0])
     )
     obs, first = jax.random.normal(keys[2], (4, observation)), jnp.zeros(4, bool)
-    _, wanted = shared.step(params, shared.initial_carry((4,)), pad(obs, role, width), first)
-    _, found = own.step(folded, own.initial_carry((4,)), obs, first)
-    np.testing.assert_allclose(found.mean, wanted.mean[:, :action], rtol=1e-4, atol=1e-5)
-    np.testing.assert_allclose(found.log_std, wanted.log_std[:, :action], rtol=1e-4, atol=1e-5)
+    _, expected = shared.step(params, shared.initial_carry((4,)), pad(obs, role, width), first)
+    _, actual = own.step(folded, own.initial_carry((4,)), obs, first)
+    np.testing.assert_allclose(actual.mean, expected.mean[:, :action], rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(actual.log_std, expected.log_std[:, :action], rtol=1e-4, atol=1e-5)
     other = "human" if role == "robot" else "robot"
     _, different = shared.step(params, shared.initial_carry((4,)), pad(obs, other, width), first)
-    assert not np.allclose(found.mean, different.mean[:, :action], atol=1e-3)
+    assert not np.allclose(actual.mean, different.mean[:, :action], atol=1e-3)
 
 
 def test_roles_share_one_network_and_keep_their_specs():

@@ -58,11 +58,11 @@ def check(events, metrics, speeds):
     table = pl.read_parquet(metrics)
     assert sorted(path.name for path in events.iterdir()) == sorted(MEMBERS)
     for member, name in enumerate(MEMBERS):
-        found, rows = scalars(events / name), table.filter(pl.col("member") == member)
-        assert [step for step, _ in found["episode/reward"]] == rows["steps"].to_list()
-        assert len(found.pop("speed/steps_per_second")) == speeds
-        logged = [column for column in rows.columns if tag(column) in found]
-        assert set(map(tag, logged)) == set(found)
+        series, rows = scalars(events / name), table.filter(pl.col("member") == member)
+        assert [step for step, _ in series["episode/reward"]] == rows["steps"].to_list()
+        assert len(series.pop("speed/steps_per_second")) == speeds
+        logged = [column for column in rows.columns if tag(column) in series]
+        assert set(map(tag, logged)) == set(series)
         assert {
             "return",
             "term_robot",
@@ -71,8 +71,8 @@ def check(events, metrics, speeds):
             "value_loss_human",
         } <= set(logged)
         for column in logged:
-            wanted = rows.select("steps", column).drop_nulls().to_numpy()
-            np.testing.assert_allclose(found[tag(column)], wanted, rtol=1e-6, err_msg=column)
+            expected = rows.select("steps", column).drop_nulls().to_numpy()
+            np.testing.assert_allclose(series[tag(column)], expected, rtol=1e-6, err_msg=column)
 
 
 def test_event_files_hold_what_the_metrics_hold(whole):
@@ -131,9 +131,9 @@ def test_a_loss_that_is_not_finite_is_written_as_it_is(tmp_path):
     }
     files(Progress(1, 6, 320, 1920, 100.0, 16.0, pl.DataFrame([row])))
     files.close()
-    found = scalars(tmp_path / "tb" / MEMBERS[0])
-    assert math.isnan(found["learning/policy_loss_robot"][0][1]) and "episode/return" not in found
-    assert found["speed/steps_per_second"] == [(80, 25.0)]
+    logged = scalars(tmp_path / "tb" / MEMBERS[0])
+    assert math.isnan(logged["learning/policy_loss_robot"][0][1]) and "episode/return" not in logged
+    assert logged["speed/steps_per_second"] == [(80, 25.0)]
 
 
 def test_without_the_library_it_says_what_to_install(tmp_path, monkeypatch):

@@ -74,6 +74,6 @@ def test_members_side_by_side_have_their_own_gradients(policy: Policy) -> None:
         return jnp.square(unrolled(policy, params, first, by_step=False)[1].mean).mean()
 
     whole = jax.vmap(jax.grad(loss))(stacked)
-    one = jax.grad(loss)(jax.tree.map(lambda leaf: leaf[1], stacked))
-    for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(one), strict=True):
+    gradient = jax.grad(loss)(jax.tree.map(lambda leaf: leaf[1], stacked))
+    for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(gradient), strict=True):
         assert jnp.allclose(a[1], b, rtol=1e-5, atol=1e-8)

@@ -14,6 +14,8 @@ import wandb
 from wandb.proto import wandb_internal_pb2
 
 from population.config import make_members
+
+# The log as `train_population` makes it, for a toy environment.
 from population.runs.logged_run import _log
 from population.runs.tensorboard import scalars
 from population.runs.train import train

@@ -43,11 +43,11 @@ def test_it_shows_exactly_the_geoms_of_the_contact_pairs(task: str) -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_the_caption_has_every_pair_once(task: str) -> None:
     model = build_model(task)
-    told = [
+    printed = [
         frozenset((first, other)) for first, others in touches(model).items() for other in others
     ]
-    assert len(told) == model.npair
-    assert set(told) == paired(model)
+    assert len(printed) == model.npair
+    assert set(printed) == paired(model)
 
 
 def test_a_pair_that_is_added_is_shown() -> None:
@@ -63,7 +63,7 @@ def test_a_pair_that_is_added_is_shown() -> None:
 
 def test_owners_have_their_colours() -> None:
     owners = pair_geoms(build_model("scratch"))
-    assert {owner: sum(each == owner for each in owners.values()) for owner in COLOURS} == {
+    assert {owner: sum(name == owner for name in owners.values()) for owner in COLOURS} == {
         "robot": 2, "human": 7, "furniture": 2,
     }  # fmt: skip
     assert (owners["robot_tool"], owners["right_thigh"], owners["right_rail_inner"]) == (

@@ -118,8 +118,8 @@ def test_the_cost_of_a_split_by_hand():
     # It earns 1 on the mean, and with other seeds nothing: of that there is no share either.
     lost, share = measures.split_cost(np.array([[-8.0], [10.0]]), seeds)
     assert lost.value == pytest.approx(1 - 100) and share is None
-    one = measures.split_cost(np.array([[10.0]]), np.array([[8.0]]))
-    assert one.share is not None and one.share.value_ci is None
+    cost = measures.split_cost(np.array([[10.0]]), np.array([[8.0]]))
+    assert cost.share is not None and cost.share.value_ci is None
     with pytest.raises(ValueError, match="the same partners"):
         measures.split_cost(partners, partners[:, :2])
 
@@ -168,8 +168,8 @@ def evaluated(
     )
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
     derived.save_evaluation(Record(table, folder), context)
-    told = tables.read_json(folder / tables.SUMMARY_FILE)
-    tables.write_json({**told, **(changes or {})}, folder / tables.SUMMARY_FILE)
+    summary = tables.read_json(folder / tables.SUMMARY_FILE)
+    tables.write_json({**summary, **(changes or {})}, folder / tables.SUMMARY_FILE)
     command = "assistax-zoo evaluate --policy python:/home/me/x.py:Robot --out=/mnt/ev ~/y/z"
     tables.write_json(
         {"command": command, "devices": ["cpu"], "home": "/home/me"}, folder / tables.RUN_FILE
@@ -201,8 +201,8 @@ def test_an_evaluation_is_condensed_by_preference(tmp_path: Path, split: Split):
     assert row["violated"] == np.mean(own < 50)
     assert row["safe_success"] == np.mean(own >= 50)
     assert (row["episodes"], row["nonfinite"]) == (2, 0)
-    told = tables.read_json(out / tables.RUN_FILE)
-    assert told["command"] == "assistax-zoo evaluate --policy python:x.py:Robot --out=ev z"
+    run = tables.read_json(out / tables.RUN_FILE)
+    assert run["command"] == "assistax-zoo evaluate --policy python:x.py:Robot --out=ev z"
     everything = "".join(path.read_text() for path in out.glob("*.json")) + str(pairs.to_dicts())
     assert "/mnt" not in everything and "/home" not in everything
 
@@ -210,14 +210,14 @@ def test_an_evaluation_is_condensed_by_preference(tmp_path: Path, split: Split):
 def test_the_page_says_what_evaluate_said(tmp_path: Path, split: Split, registry: Registry):
     folder = evaluated(tmp_path / "ev", episodes(split, noisy(2), FILES), split)
     collect(folder, tmp_path / "v2")
-    told = tables.read_json(folder / tables.SUMMARY_FILE)
+    summary = tables.read_json(folder / tables.SUMMARY_FILE)
     row = cells(page(tmp_path), "`ppo`")
-    assert row[1] == figure(told["m_train"]["mean"], told["m_train"]["mean_ci"])
-    assert row[2] == figure(told["m_train"]["iqm"], told["m_train"]["iqm_ci"])
-    assert row[3] == figure(told["m_test"]["mean"], told["m_test"]["mean_ci"])
-    assert row[4] == figure(told["m_test"]["iqm"], told["m_test"]["iqm_ci"])
-    assert row[5] == figure(told["gap"]["mean"], told["gap"]["mean_ci"])
-    assert row[7].startswith(f"{told['violations']['mean']:.1%} [")
+    assert row[1] == figure(summary["m_train"]["mean"], summary["m_train"]["mean_ci"])
+    assert row[2] == figure(summary["m_train"]["iqm"], summary["m_train"]["iqm_ci"])
+    assert row[3] == figure(summary["m_test"]["mean"], summary["m_test"]["mean_ci"])
+    assert row[4] == figure(summary["m_test"]["iqm"], summary["m_test"]["iqm_ci"])
+    assert row[5] == figure(summary["gap"]["mean"], summary["gap"]["mean_ci"])
+    assert row[7].startswith(f"{summary['violations']['mean']:.1%} [")
 
 
 def test_series_references_and_named_methods(tmp_path: Path, split: Split):
@@ -248,10 +248,15 @@ def test_series_references_and_named_methods(tmp_path: Path, split: Split):
 def trained_egos(folder: Path, **changes: Any) -> Path:
     (folder / "policies").mkdir(parents=True)
     training = {"steps": 5_000_000, "seconds": 90.0, "device": "cpu", "backend": "fused"}
-    told = {"task": TASK, "algorithm": "ppo", "split": f"{TASK}/half-s0-v2", "training": training}
+    metadata = {
+        "task": TASK,
+        "algorithm": "ppo",
+        "split": f"{TASK}/half-s0-v2",
+        "training": training,
+    }
     params = random_params(SPECS["robot"], 0)
     path = folder / "policies" / "ppo-s0.safetensors"
-    write_policy_file(path, SPECS["robot"], params, {**told, **changes})
+    write_policy_file(path, SPECS["robot"], params, {**metadata, **changes})
     return folder
 
 
@@ -263,9 +268,13 @@ def test_training_is_filed_with_its_method(tmp_path: Path):
     assert collect(folder, tmp_path / "v2") == egos / "half-s0-v2" / "ppo"
     out = collect(folder, tmp_path / "v2", "ppo-mirror", "without-mep")
     assert out == egos / "without-mep" / "ppo-mirror"
-    told = tables.read_json(out / "training.json")
-    assert (told["steps"], told["seconds"], told["egos"]) == (5_000_000, 90.0, 1)
-    assert told["command"] == command.replace("/home/me/runs/", "")
+    training_file = tables.read_json(out / "training.json")
+    assert (training_file["steps"], training_file["seconds"], training_file["egos"]) == (
+        5_000_000,
+        90.0,
+        1,
+    )
+    assert training_file["command"] == command.replace("/home/me/runs/", "")
 
 
 HOSTILE = ["../../x", "/tmp/x", "..", "half/../../x", "", ["half"], None, "Half", "a\nb", "a" * 99]
@@ -277,8 +286,15 @@ def test_a_received_folder_cannot_name_a_place(tmp_path: Path, split: Split):
     played = evaluated(tmp_path / "ev", episodes(split, noisy(2), FILES), split)
     summary = tables.read_json(played / tables.SUMMARY_FILE)
     for place, name in enumerate(HOSTILE):
-        told = [{"task": name}, {"split": name}, {"split": f"{TASK}/{name}"}, {"algorithm": name}]
-        runs = [trained_egos(tmp_path / f"run{place}-{i}", **one) for i, one in enumerate(told)]
+        changes = [
+            {"task": name},
+            {"split": name},
+            {"split": f"{TASK}/{name}"},
+            {"algorithm": name},
+        ]
+        runs = [
+            trained_egos(tmp_path / f"run{place}-{i}", **change) for i, change in enumerate(changes)
+        ]
         before = sorted(tmp_path.rglob("*"))
         for folder in runs:
             with pytest.raises(ValueError, match=r"names the|the split is|the method is"):
@@ -357,11 +373,11 @@ def put_method(
     table = pl.DataFrame(rows).with_columns(*(pl.lit("x").alias(name) for name in names))
     pairs = condense(table.with_columns(partner_seed=pl.lit(0)))
     folder = data / "egos" / TASK / split.id.split("/")[1] / method
-    told = {"task": TASK, "release": "v2", "backend": "fused", "episodes": len(rows)}
-    told |= {"episodes_per_pair": 3, "nonfinite": 0}
+    summary = {"task": TASK, "release": "v2", "backend": "fused", "episodes": len(rows)}
+    summary |= {"episodes_per_pair": 3, "nonfinite": 0}
     run = {"command": f"assistax-zoo evaluate {method}", "devices": ["H200"], "seconds": 90.0}
     tables.write_parquet(pairs, folder / tables.PAIRS_FILE)
-    tables.write_json({**told, **more}, folder / tables.SUMMARY_FILE)
+    tables.write_json({**summary, **more}, folder / tables.SUMMARY_FILE)
     tables.write_json(run, folder / tables.RUN_FILE)
     return folder
 
@@ -425,13 +441,13 @@ def test_the_split_costs_a_fifth(data: Path, tmp_path: Path, registry: Registry,
 def test_all_pairs_of_methods_are_compared(data: Path, tmp_path: Path, registry: Registry):
     text = page(tmp_path)
     least = 2 / 2001
-    found = {
+    rows_shown = {
         name: cells(text, name, "Differences between methods")
         for name in ("`ppo` - `random`", "`ppo` - `sac`", "`random` - `sac`")
     }
-    for name, value in zip(found, (75, 30, -45), strict=True):
+    for name, value in zip(rows_shown, (75, 30, -45), strict=True):
         better = "100%" if value > 0 else "0%"
-        assert found[name] == [figure(value), better, f"{least:.3f}", f"{3 * least:.3f}"]
+        assert rows_shown[name] == [figure(value), better, f"{least:.3f}", f"{3 * least:.3f}"]
     assert "for the 3 differences" in text
 
 
@@ -442,11 +458,11 @@ def test_in_short_only_trained_methods_come_apart(
     put_method(data, split, "ppo-told", {"train": [100, 100, 100], "test": [70, 110, 70]})
     # This one is as good as PPO with every partner, and so not apart from it.
     put_method(data, split, "ppo-gru", {"train": [100, 100, 100], "test": [70, 100, 70]})
-    lost, apart, alike, told, memory = cells(page(tmp_path), "gentle scratch", "In short")
+    lost, apart, alike, knowing, memory = cells(page(tmp_path), "gentle scratch", "In short")
     assert (lost, memory) == ("20.0% [20.0%, 20.0%]", figure(25))
     assert set(apart.split("; ")) == {"`ppo` > `sac`", "`ppo-gru` > `sac`"}
     assert alike == "`ppo`, `ppo-gru`"
-    assert told.startswith(figure(-10 / 3) + ", p 0.0")
+    assert knowing.startswith(figure(-10 / 3) + ", p 0.0")
 
 
 def test_the_recurrent_robot_adapts(data: Path, tmp_path: Path, registry: Registry):
@@ -481,10 +497,10 @@ def test_what_is_not_there_is_said_so(
     data: Path, tmp_path: Path, registry: Registry, capfd: pytest.CaptureFixture[str]
 ):
     text = page(tmp_path)
-    told = capfd.readouterr().err
-    assert "not measured yet: cross-play of gentle_scratch" in told
-    assert "not measured yet: ppo-gru-series on gentle_bath" in told
-    assert "ppo on gentle_scratch" not in told
+    message = capfd.readouterr().err
+    assert "not measured yet: cross-play of gentle_scratch" in message
+    assert "not measured yet: ppo-gru-series on gentle_bath" in message
+    assert "ppo on gentle_scratch" not in message
     # Of the two other tasks every section says so: seven by task.
     assert text.count("Not measured yet.") == 2 * 7 + 1
     for block in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
@@ -632,9 +648,9 @@ def test_the_better_convention_is_held_out(tmp_path: Path, split: Split, registr
     collect(played(tmp_path, split, matrix + rng.normal(size=matrix.shape)), tmp_path / "v2")
     words = ["cluster", TASK, "--release", "v2", "--data", str(tmp_path / "v2")]
     assert run([*words, "--registry", str(registry.path)]) == 0
-    [found] = [one for one in load_registry(registry.path).splits if one.rule == "custom"]
-    assert found.test == tuple(sorted(team_id(TEAMS[place]) for place in (0, 3, 8)))
-    assert len(found.train) == len(TEAMS) - 3
+    [custom] = [split for split in load_registry(registry.path).splits if split.rule == "custom"]
+    assert custom.test == tuple(sorted(team_id(TEAMS[place]) for place in (0, 3, 8)))
+    assert len(custom.train) == len(TEAMS) - 3
     words += ["--held-out", "masac", "--test-preferences", "p1,p5", "--default"]
     assert run([*words, "--registry", str(registry.path)]) == 0
     harder = load_registry(registry.path).split(TASK)
@@ -648,9 +664,9 @@ def test_choices_of_teams_keep_rows_columns_and_features_together(
 ):
     collect(crossplay, tmp_path / "v2")
     played = read_results(registry, "v2", tmp_path / "v2").crossplay[TASK]
-    found = measures.diversity(played, len(TEAMS))
+    spread = measures.diversity(played, len(TEAMS))
     # A choice of all teams is the whole, in whatever order.
-    assert found.chosen_returns.value == pytest.approx(found.returns) == len(TEAMS) - 1
-    assert found.chosen_behaviour.value == pytest.approx(found.behaviour)
+    assert spread.chosen_returns.value == pytest.approx(spread.returns) == len(TEAMS) - 1
+    assert spread.chosen_behaviour.value == pytest.approx(spread.behaviour)
     with pytest.raises(ValueError, match="the cross-play has"):
         measures.diversity(played, len(TEAMS) + 1)

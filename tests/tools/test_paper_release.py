@@ -93,14 +93,14 @@ def test_poor_teams_are_not_taken_for_incompatible_ones():
 
 
 def test_two_groups_that_lose_with_each_other_are_found():
-    found = measures.largest_exchange_loss(blocks(120), permutations=39)
-    assert found.loss == pytest.approx(0.6, abs=0.02)
-    assert [set(group % 2) for group in sorted(found.groups, key=lambda group: group[0] % 2)] == [
+    loss = measures.largest_exchange_loss(blocks(120), permutations=39)
+    assert loss.loss == pytest.approx(0.6, abs=0.02)
+    assert [set(group % 2) for group in sorted(loss.groups, key=lambda group: group[0] % 2)] == [
         {0},
         {1},
     ]
-    assert found.p == pytest.approx(1 / 40)
-    assert found.null < 0.3
+    assert loss.p == pytest.approx(1 / 40)
+    assert loss.null < 0.3
     one_way = blocks()
     one_way[0::2, 1::2] = 890.0  # the robots of the first half play well with every human
     assert measures.largest_exchange_loss(one_way, permutations=1).loss < 0.05
@@ -113,9 +113,9 @@ def test_a_few_outliers_are_no_group():
     assert measures.largest_exchange_loss(matrix, permutations=1).loss < 0.1
     matrix[:4, 4:] = matrix[4:, :4] = 100.0
     matrix[:4, :4] = 900.0
-    found = measures.largest_exchange_loss(matrix, permutations=1)
-    assert found.loss > 0.8
-    assert {bool(set(group) <= {0, 1, 2, 3}) for group in found.groups} == {True, False}
+    loss = measures.largest_exchange_loss(matrix, permutations=1)
+    assert loss.loss > 0.8
+    assert {bool(set(group) <= {0, 1, 2, 3}) for group in loss.groups} == {True, False}
 
 
 def test_loss_without_groups_is_chance():
@@ -130,16 +130,16 @@ def test_loss_without_groups_is_chance():
 
 def test_variance_is_split_between_robots_and_humans():
     for robots, humans in ((100, 0), (0, 100), (100, 100)):
-        found = measures.variance_shares(
+        shares = measures.variance_shares(
             additive(robots, humans, count=60, noise=1) + 400 * np.eye(60)
         )
         total = robots**2 + humans**2
-        assert found.robot.value == pytest.approx(robots**2 / total, abs=0.02)
-        assert found.human.value == pytest.approx(humans**2 / total, abs=0.02)
-        assert found.robot.value + found.human.value + found.rest.value == pytest.approx(1)
-        assert found.rest.value < 0.01
-        assert found.human.value_ci is not None
-        assert found.human.value_ci[0] - 0.01 < found.human.value <= found.human.value_ci[1]
+        assert shares.robot.value == pytest.approx(robots**2 / total, abs=0.02)
+        assert shares.human.value == pytest.approx(humans**2 / total, abs=0.02)
+        assert shares.robot.value + shares.human.value + shares.rest.value == pytest.approx(1)
+        assert shares.rest.value < 0.01
+        assert shares.human.value_ci is not None
+        assert shares.human.value_ci[0] - 0.01 < shares.human.value <= shares.human.value_ci[1]
     assert measures.variance_shares(blocks(60)).rest.value > 0.95
 
 
@@ -147,11 +147,14 @@ def test_variance_is_split_between_robots_and_humans():
 def test_probability_of_improvement_with_its_interval(stratified: bool):
     rng = np.random.default_rng(3)
     x, y = rng.normal(0.5, 1, (6, 8)), rng.normal(0, 1, (5, 8))
-    found = measures.improvement(x, y, stratified=stratified)
-    assert found.value == probability_of_improvement(x, y)
-    assert found.value_ci is not None and found.value_ci[0] < found.value < found.value_ci[1]
+    improved = measures.improvement(x, y, stratified=stratified)
+    assert improved.value == probability_of_improvement(x, y)
+    assert (
+        improved.value_ci is not None
+        and improved.value_ci[0] < improved.value < improved.value_ci[1]
+    )
     back = measures.improvement(y, x, stratified=stratified)
-    assert back.value == pytest.approx(1 - found.value)
+    assert back.value == pytest.approx(1 - improved.value)
     assert measures.improvement(x + 99, y, stratified=stratified).value_ci == (1, 1)
     assert measures.improvement(x, x, stratified=stratified).value == 0.5
 
@@ -163,26 +166,26 @@ def test_improvement_interval_is_that_of_plain_resampling():
     for _ in range(3000):
         a, b, c = rng.integers(0, 5, 5), rng.integers(0, 4, 4), rng.integers(0, 7, 7)
         draws.append(probability_of_improvement(x[a][:, c], y[b][:, c]))
-    found = measures.improvement(x, y, resamples=3000)
-    assert found.value_ci is not None
-    np.testing.assert_allclose(found.value_ci, np.quantile(draws, (0.025, 0.975)), atol=0.02)
+    improved = measures.improvement(x, y, resamples=3000)
+    assert improved.value_ci is not None
+    np.testing.assert_allclose(improved.value_ci, np.quantile(draws, (0.025, 0.975)), atol=0.02)
     columns = []
     for _ in range(3000):
         a, b = rng.integers(0, 5, (5, 7)), rng.integers(0, 4, (4, 7))
         columns.append(
             probability_of_improvement(np.take_along_axis(x, a, 0), np.take_along_axis(y, b, 0))
         )
-    found = measures.improvement(x, y, stratified=True, resamples=3000)
-    assert found.value_ci is not None
-    np.testing.assert_allclose(found.value_ci, np.quantile(columns, (0.025, 0.975)), atol=0.02)
+    improved = measures.improvement(x, y, stratified=True, resamples=3000)
+    assert improved.value_ci is not None
+    np.testing.assert_allclose(improved.value_ci, np.quantile(columns, (0.025, 0.975)), atol=0.02)
 
 
 def test_relative_gap():
     sides = ["train", "test"] * 5
     scores = np.where(np.array(sides) == "train", 100.0, 80.0) + np.arange(4)[:, None]
-    found = measures.relative_gap(scores, sides)
-    assert found.value == pytest.approx(20 / 101.5)
-    assert found.value_ci is not None and found.value_ci[0] <= found.value <= found.value_ci[1]
+    gap = measures.relative_gap(scores, sides)
+    assert gap.value == pytest.approx(20 / 101.5)
+    assert gap.value_ci is not None and gap.value_ci[0] <= gap.value <= gap.value_ci[1]
 
 
 # Claims
@@ -191,9 +194,9 @@ def test_relative_gap():
 def played(matrix: np.ndarray, population: list[Team] = POPULATION) -> CrossPlayed:
     table = episode_table(matrix[:, :, None], population, population)
     pairs, order = derived.crossplay_matrix(recorded(table))
-    told = tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
+    content = tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
     run = {"command": "assistax-zoo crossplay", "seconds": 60.0, "devices": ["cpu"]}
-    return CrossPlayed(pairs, order, summarise_strategies(pairs), told, run)
+    return CrossPlayed(pairs, order, summarise_strategies(pairs), content, run)
 
 
 def egos(train: float, test: float, spread: float = 5.0) -> Egos:
@@ -205,14 +208,14 @@ def egos(train: float, test: float, spread: float = 5.0) -> Egos:
     pairs = pair_table(recorded(table)).with_columns(
         pl.Series("ego_seed", np.repeat(np.arange(SEEDS), PARTNERS))
     )
-    told = tables.to_json(summary.summarise_evaluation(recorded(table), CONTEXT))
-    return Egos(pairs, told, {"command": "assistax-zoo evaluate", "seconds": None}, None)
+    content = tables.to_json(summary.summarise_evaluation(recorded(table), CONTEXT))
+    return Egos(pairs, content, {"command": "assistax-zoo evaluate", "seconds": None}, None)
 
 
 def humans(
     returns: dict[str, list[float]], task: str = "scratch", disability: str = "d1"
 ) -> list[PolicyEntry]:
-    found = []
+    covered = []
     for algorithm, means in returns.items():
         for seed, mean in enumerate(means):
             team = f"{task}/{algorithm}-{disability}-s{seed}-v0"
@@ -234,10 +237,10 @@ def humans(
                 seed,
                 "0" * 64,
             )
-            found.append(
+            covered.append(
                 PolicyEntry(f"{team}/human", team, *place, f"{task}-{algorithm}", training, own)
             )
-    return found
+    return covered
 
 
 def results(**changes: Any) -> Results:
@@ -245,9 +248,9 @@ def results(**changes: Any) -> Results:
     return dataclasses.replace(empty, **changes)
 
 
-def verdict(found: Results, title: str, task: str) -> str:
+def verdict(tables_of: Results, title: str, task: str) -> str:
     [claim] = [
-        claim for claim in check_claims(found) if title in claim.title and claim.task == task
+        claim for claim in check_claims(tables_of) if title in claim.title and claim.task == task
     ]
     return claim.verdict
 
@@ -259,7 +262,7 @@ def test_nothing_is_claimed_of_what_was_not_measured():
 
 
 @pytest.mark.parametrize(
-    ("matrix", "wanted"),
+    ("matrix", "expected"),
     [
         (blocks(), "holds"),
         (
@@ -271,12 +274,12 @@ def test_nothing_is_claimed_of_what_was_not_measured():
     ],
 )
 @pytest.mark.parametrize("task", ["scratch", "bed_bath"])
-def test_groups_of_incompatible_strategies(matrix: np.ndarray, wanted: str, task: str):
-    assert verdict(results(crossplay={task: played(matrix)}), "incompatible", task) == wanted
+def test_groups_of_incompatible_strategies(matrix: np.ndarray, expected: str, task: str):
+    assert verdict(results(crossplay={task: played(matrix)}), "incompatible", task) == expected
 
 
 @pytest.mark.parametrize(
-    ("matrix", "wanted"),
+    ("matrix", "expected"),
     [
         (additive(200, 10), "holds"),
         (additive(250, 130, count=60), "holds in part"),
@@ -285,13 +288,13 @@ def test_groups_of_incompatible_strategies(matrix: np.ndarray, wanted: str, task
         (additive(100, 100), "undecided"),
     ],
 )
-def test_the_human_contributes_little(matrix: np.ndarray, wanted: str):
-    found = results(crossplay={"arm_assist": played(matrix, teams(len(matrix)))})
-    assert verdict(found, "contributes", "arm_assist") == wanted
+def test_the_human_contributes_little(matrix: np.ndarray, expected: str):
+    release = results(crossplay={"arm_assist": played(matrix, teams(len(matrix)))})
+    assert verdict(release, "contributes", "arm_assist") == expected
 
 
 @pytest.mark.parametrize(
-    ("train", "test", "wanted"),
+    ("train", "test", "expected"),
     [
         (800, 795, "holds"),
         (800, 500, "does not hold"),
@@ -299,11 +302,11 @@ def test_the_human_contributes_little(matrix: np.ndarray, wanted: str):
         (800, 720, "undecided"),
     ],
 )
-def test_small_gap(train: float, test: float, wanted: str):
-    spread = 60.0 if wanted == "undecided" else 5.0
-    found = results(egos={("scratch", "ppo"): egos(train, test, spread)})
-    assert verdict(found, "gap, PPO", "scratch") == wanted
-    assert verdict(found, "gap, SAC", "scratch") == "not measured yet"
+def test_small_gap(train: float, test: float, expected: str):
+    spread = 60.0 if expected == "undecided" else 5.0
+    release = results(egos={("scratch", "ppo"): egos(train, test, spread)})
+    assert verdict(release, "gap, PPO", "scratch") == expected
+    assert verdict(release, "gap, SAC", "scratch") == "not measured yet"
 
 
 def test_ppo_egos_above_sac_egos():
@@ -329,9 +332,9 @@ def test_ppo_above_sac_in_self_play():
         "mappo": [600.0, 700, 800, 900],
         "masac": [650.0, 700, 750, 800],
     }
-    found = results(humans=humans(rising))
-    assert verdict(found, "IPPO above", "scratch") == "holds"
-    assert verdict(found, "MAPPO above", "scratch") == "undecided"
+    release = results(humans=humans(rising))
+    assert verdict(release, "IPPO above", "scratch") == "holds"
+    assert verdict(release, "MAPPO above", "scratch") == "undecided"
     falling = results(humans=humans({"ippo": [100.0, 200, 300], "masac": [650.0, 700, 750]}))
     assert verdict(falling, "IPPO above", "scratch") == "does not hold"
     assert verdict(falling, "MAPPO above", "scratch") == "not measured yet"
@@ -420,20 +423,22 @@ def test_a_cross_play_is_condensed_and_read_back(crossplay_folder: Path, tmp_pat
     pairs = tables.read_parquet(out / "pairs.parquet")
     assert pairs.height == 144
     assert {pairs.schema[name] for name in ("return", "return_sd", "force_mean")} == {pl.Float32()}
-    told = tables.read_json(out / "run.json")
-    assert told["command"] == "assistax-zoo crossplay --egos 'scratch/*' --lock=a.lock --out xp"
-    assert told["env_steps"] == 288_000
-    assert told["seconds"] == pytest.approx(288_000 / (CONTEXT.env_steps_per_second or 1.0))
+    run = tables.read_json(out / "run.json")
+    assert run["command"] == "assistax-zoo crossplay --egos 'scratch/*' --lock=a.lock --out xp"
+    assert run["env_steps"] == 288_000
+    assert run["seconds"] == pytest.approx(288_000 / (CONTEXT.env_steps_per_second or 1.0))
 
 
 def test_the_matrix_is_the_one_that_was_played(crossplay_folder: Path, tmp_path: Path):
     collect(crossplay_folder, tmp_path / "data")
-    found = read_results(published(tmp_path), "v0", tmp_path / "data").crossplay["scratch"]
-    places = [[team_id(team) for team in PUBLISHED].index(name) for name in found.teams]
+    played_again = read_results(published(tmp_path), "v0", tmp_path / "data").crossplay["scratch"]
+    places = [[team_id(team) for team in PUBLISHED].index(name) for name in played_again.teams]
     np.testing.assert_allclose(
-        found.matrix, clustered_matrix(12, 2)[np.ix_(places, places)], rtol=1e-6
+        played_again.matrix, clustered_matrix(12, 2)[np.ix_(places, places)], rtol=1e-6
     )
-    assert sorted(place for cluster in found.clusters for place in cluster) == list(range(12))
+    assert sorted(place for cluster in played_again.clusters for place in cluster) == list(
+        range(12)
+    )
 
 
 def test_an_evaluation_is_condensed_under_its_method(tmp_path: Path):
@@ -445,12 +450,12 @@ def test_an_evaluation_is_condensed_under_its_method(tmp_path: Path):
     ]
     assert pairs["episodes"].unique().to_list() == [2]
     assert "/mnt" not in "".join(path.read_text() for path in out.glob("*.json"))
-    found = read_results(published(tmp_path), "v0", tmp_path / "data").egos["scratch", "sac"]
+    trained = read_results(published(tmp_path), "v0", tmp_path / "data").egos["scratch", "sac"]
     whole = Record.read(tmp_path / "evaluated-sac").returns.scores
     np.testing.assert_allclose(
-        np.sort(found.scores, axis=None), np.sort(whole, axis=None), rtol=1e-6
+        np.sort(trained.scores, axis=None), np.sort(whole, axis=None), rtol=1e-6
     )
-    assert found.scores.shape == (3, 4)
+    assert trained.scores.shape == (3, 4)
 
 
 def test_training_of_egos_is_condensed(tmp_path: Path):
@@ -464,7 +469,7 @@ def test_training_of_egos_is_condensed(tmp_path: Path):
         "secret": "/home/me",
     }
     for seed in range(2):
-        told = {
+        metadata = {
             "task": "scratch",
             "algorithm": "ppo",
             "seed": seed,
@@ -475,13 +480,13 @@ def test_training_of_egos_is_condensed(tmp_path: Path):
             folder / f"ppo-s{seed}.safetensors",
             SPECS["robot"],
             random_params(SPECS["robot"], seed),
-            told,
+            metadata,
         )
     out = collect(folder.parent, tmp_path / "data")
-    found = tables.read_json(out / "training.json")
-    assert found["egos"] == 2
-    assert (found["steps"], found["seconds"], found["split"]) == (5000, 90.0, "half")
-    assert "secret" not in found
+    written = tables.read_json(out / "training.json")
+    assert written["egos"] == 2
+    assert (written["steps"], written["seconds"], written["split"]) == (5000, 90.0, "half")
+    assert "secret" not in written
 
 
 @pytest.mark.parametrize(
@@ -489,7 +494,7 @@ def test_training_of_egos_is_condensed(tmp_path: Path):
     [
         (lambda folder: (folder / "summary.json").unlink(), "holds no summary.json"),
         (
-            lambda folder: resealed(folder, lambda told: {"task": told["task"]}),
+            lambda folder: resealed(folder, lambda content: {"task": content["task"]}),
             "neither crossplay nor",
         ),
         (lambda folder: (folder / "strategies.json").unlink(), "strategies.json is missing"),
@@ -512,7 +517,7 @@ def test_a_received_folder_cannot_write_outside(
     data = tmp_path / "a" / "b" / "data"
     played = evaluation_folder(tmp_path, "ppo", 0)
     for folder in (crossplay_folder, played):
-        resealed(folder, lambda told: {**told, "task": task})
+        resealed(folder, lambda content: {**content, "task": task})
     trained = tmp_path / "run" / "policies"
     trained.mkdir(parents=True)
     metadata = {"task": task, "algorithm": "ppo", "training": {}}
@@ -528,9 +533,9 @@ def test_a_received_folder_cannot_write_outside(
 def test_an_algorithm_cannot_name_a_place(tmp_path: Path) -> None:
     folder = tmp_path / "run" / "policies"
     folder.mkdir(parents=True)
-    told = {"task": "scratch", "algorithm": "../../x", "training": {}}
+    metadata = {"task": "scratch", "algorithm": "../../x", "training": {}}
     params = random_params(SPECS["robot"], 0)
-    write_policy_file(folder / "ppo-s0.safetensors", SPECS["robot"], params, told)
+    write_policy_file(folder / "ppo-s0.safetensors", SPECS["robot"], params, metadata)
     with pytest.raises(ValueError, match="names the algorithm"):
         collect(folder.parent, tmp_path / "data")
     assert not (tmp_path / "data").exists()
@@ -540,7 +545,7 @@ def test_one_side_or_several_methods_are_refused(tmp_path: Path):
     with pytest.raises(ValueError, match="--split both"):
         collect(evaluation_folder(tmp_path, "ppo", 0, ("test", "test")), tmp_path / "data")
     folder = evaluation_folder(tmp_path, "sac", 0)
-    resealed(folder, lambda told: {**told, "egos": ["zoo:scratch/ippo-d1-s0-v0/robot"]})
+    resealed(folder, lambda content: {**content, "egos": ["zoo:scratch/ippo-d1-s0-v0/robot"]})
     with pytest.raises(ValueError, match="expected the policies of one train-ego run"):
         collect(folder, tmp_path / "data")
 
@@ -584,11 +589,11 @@ def test_the_page_of_a_partial_release(
 ):
     assert run(words) == 0
     text = (tmp_path / "page.md").read_text()
-    told = capfd.readouterr().err
-    assert "422 of 434 teams of Table 6" in told
-    assert "not measured yet: cross-play of bed_bath" in told
-    assert "cross-play of scratch" not in told
-    assert f"{told.count('warning: ')} warnings" in told
+    message = capfd.readouterr().err
+    assert "422 of 434 teams of Table 6" in message
+    assert "not measured yet: cross-play of bed_bath" in message
+    assert "cross-play of scratch" not in message
+    assert f"{message.count('warning: ')} warnings" in message
     assert "| scratch | IPPO | 950.5" in text
     assert "12 of 434 teams" in text
     assert "**Why.** Ours plays its most likely actions." in text
@@ -604,8 +609,8 @@ def test_the_page_of_a_partial_release(
 
 def test_trainings_stand_with_their_minutes_and_commands():
     training = {"egos": 2, "steps": 5e6, "seconds": 90.0, "command": "assistax-zoo train-ego"}
-    one = dataclasses.replace(egos(800, 790), training=training)
-    text = make_page(results(egos={("scratch", "ppo"): one}), "images", "make results")
+    ego = dataclasses.replace(egos(800, 790), training=training)
+    text = make_page(results(egos={("scratch", "ppo"): ego}), "images", "make results")
     assert "| training scratch PPO egos | 2 egos, 5 M steps each | – | – | 1.5 |" in text
     assert "\nassistax-zoo train-ego\nassistax-zoo evaluate\n" in text
 
@@ -616,9 +621,9 @@ def test_every_table_has_as_many_cells_in_each_row():
         crossplay={task: played(blocks()) for task in ("scratch", "bed_bath", "arm_assist")},
         egos={("scratch", "ppo"): egos(800, 790), ("bed_bath", "sac"): egos(700, 690)},
     )
-    for found in (everything, results()):
+    for release in (everything, results()):
         blocks_of_lines = re.findall(
-            r"(?:^\|.*\n)+", make_page(found, "images", "make results"), re.MULTILINE
+            r"(?:^\|.*\n)+", make_page(release, "images", "make results"), re.MULTILINE
         )
         assert len(blocks_of_lines) >= 5
         for block in blocks_of_lines:
@@ -712,9 +717,9 @@ def test_the_paper_s_population_is_complete_only_with_every_team():
 
 
 @pytest.mark.parametrize(
-    ("mean", "wanted"), [(940.0, "agree"), (700.0, "below"), (1100.0, "above")]
+    ("mean", "expected"), [(940.0, "agree"), (700.0, "below"), (1100.0, "above")]
 )
-def test_self_play_beside_the_paper_s(mean: float, wanted: str):
+def test_self_play_beside_the_paper_s(mean: float, expected: str):
     page = make_page(
         results(humans=humans({"ippo": [mean - 1, mean, mean + 1]})), "images", "make results"
     )
@@ -723,12 +728,12 @@ def test_self_play_beside_the_paper_s(mean: float, wanted: str):
         for line in page.splitlines()
         if line.startswith("| scratch | IPPO | ") and "939.5 [" in line
     ]
-    assert line.endswith(f"| {wanted} |")
+    assert line.endswith(f"| {expected} |")
 
 
 def test_pictures_are_those_that_the_data_allow():
-    found = results(humans=humans({"ippo": [900.0]}), egos={("bed_bath", "sac"): egos(700, 690)})
-    drawn = figures(found)
+    release = results(humans=humans({"ippo": [900.0]}), egos={("bed_bath", "sac"): egos(700, 690)})
+    drawn = figures(release)
     assert [*drawn] == ["population.png", "zsc_bed_bath.png"]
     assert all(draw().axes for draw in drawn.values())
     assert not figures(results())

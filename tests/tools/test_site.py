@@ -28,7 +28,7 @@ def test_no_table_is_left_as_text(built: Path) -> None:
     for path in built.glob("*.html"):
         assert not re.search(r"<p>[^<]*\|\s*-{3,}", path.read_text(encoding="utf-8")), path.name
     page = (built / "CONTRIBUTING.html").read_text(encoding="utf-8")
-    assert page.count("<table") == 2
+    assert page.count("<table") == 3
 
 
 def test_every_name_has_its_place_in_the_reference(built: Path) -> None:
@@ -61,7 +61,7 @@ def test_a_picture_opens_at_its_own_size(built: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("planted", "told"),
+    ("planted", "message"),
     [
         ("[x](nowhere.md)", "page does not exist"),
         ("[x](zoo.md#nowhere)", "anchor"),
@@ -71,11 +71,12 @@ def test_a_picture_opens_at_its_own_size(built: Path) -> None:
     ],
 )
 def test_a_planted_defect_stops_the_build(
-    planted: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    planted: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # The defect is planted in a page between its source and the build.
     relink = site._relink
     monkeypatch.setattr(site, "_relink", lambda text: f"{relink(text)}\n\n{planted}\n")
-    with pytest.raises(ValueError, match=re.escape(told)):
+    with pytest.raises(ValueError, match=re.escape(message)):
         site.build(tmp_path)
 
 

@@ -56,15 +56,15 @@ def gates(**changes: pl.DataFrame) -> dict[str, Gate]:
 
 
 def test_gates_by_hand() -> None:
-    found = gates()
-    assert found["script with a passive human"].value == 0.0
-    assert found["script with a passive human"].holds
-    assert found["teams reach the goal"].value == 1.0 and found["teams hurt nobody"].holds
-    assert found["cross-play between seeds"].value == pytest.approx(0.5)
-    assert found["contact steps below 65 N"].holds
-    assert found["fastest joint, share of the datasheet's"].holds
-    missing = [name for name, gate in found.items() if gate.holds is None]
-    assert [found[name].told.rpartition("needs ")[2] for name in missing] == [
+    by_name = gates()
+    assert by_name["script with a passive human"].value == 0.0
+    assert by_name["script with a passive human"].holds
+    assert by_name["teams reach the goal"].value == 1.0 and by_name["teams hurt nobody"].holds
+    assert by_name["cross-play between seeds"].value == pytest.approx(0.5)
+    assert by_name["contact steps below 65 N"].holds
+    assert by_name["fastest joint, share of the datasheet's"].holds
+    missing = [name for name, gate in by_name.items() if gate.holds is None]
+    assert [by_name[name].told.rpartition("needs ")[2] for name in missing] == [
         *("a passive robot", "a passive robot", "a response to each team", "told teams"),
         *("recurrent teams", "egos, and egos that are told", "a gentle task", "blind teams"),
     ]
@@ -94,9 +94,9 @@ def test_other_conditions_are_shares_of_what_teams_earn(
     condition: str, gate: str, earned: float, value: float, holds: bool
 ) -> None:
     pairs = played([[[earned] * 4, [0.0] * 4], [[0.0] * 4, [earned] * 4]])
-    found = gates(**{condition: own_of(pairs)})[gate]
-    assert found.value == pytest.approx(value) and found.holds == holds
-    assert found.ci == pytest.approx((value, value))  # nobody differs
+    gate_found = gates(**{condition: own_of(pairs)})[gate]
+    assert gate_found.value == pytest.approx(value) and gate_found.holds == holds
+    assert gate_found.ci == pytest.approx((value, value))  # nobody differs
 
 
 def test_what_egos_earn_among_strangers_says_what_knowing_and_remembering_are_worth() -> None:
@@ -118,8 +118,8 @@ def test_a_script_that_does_the_task_fails_its_gate_and_so_do_teams_that_hurt() 
     able = played([[[90.0] * 4]], ["script"], TWO[:1])
     assert not gates(**{"script, passive human": able})["script with a passive human"].holds
     rough = played([[[100.0] * 4, [50.0] * 4], [[50.0] * 4, [100.0] * 4]], violated=True)
-    found = gates(**{"all pairs": rough})
-    assert not found["teams hurt nobody"].holds and not found["teams reach the goal"].holds
+    by_name = gates(**{"all pairs": rough})
+    assert not by_name["teams hurt nobody"].holds and not by_name["teams reach the goal"].holds
 
 
 def test_the_best_posture_is_chosen_on_the_other_half_of_the_episodes() -> None:
@@ -137,9 +137,11 @@ def test_intervals_widen_with_the_teams() -> None:
         returns[i, i] = value
     pairs = played(returns, four, four)
     own = pairs.filter(pl.col("ego_team") == pl.col("partner_team"))
-    found = gates(**{"all pairs": pairs, "told": own})["teams whose robot is told the preference"]
-    assert found.value == pytest.approx(1.0) and found.ci is not None
-    assert found.ci[0] < 0.85 and found.ci[1] > 1.15
+    gate_found = gates(**{"all pairs": pairs, "told": own})[
+        "teams whose robot is told the preference"
+    ]
+    assert gate_found.value == pytest.approx(1.0) and gate_found.ci is not None
+    assert gate_found.ci[0] < 0.85 and gate_found.ci[1] > 1.15
     mistaken = gates(**{"all pairs": pairs, "mistaken humans": own})
     paired = mistaken["humans that believe in another preference"]
     assert paired.ci == pytest.approx((0.0, 0.0))  # each team beside itself
@@ -155,11 +157,11 @@ def test_a_mistaken_human_sees_the_next_preference_and_the_reward_does_not(task:
     env = make(task, "native")
     wrong, keys = WrongBeliefEnv(env), jax.random.split(jax.random.key(0), 9)
     params = disability_params(["d1"] * 9, list(PREFERENCES))
-    one, other = (jax.jit(each.reset)(keys, params) for each in (env, wrong))
-    jax.tree.map(np.testing.assert_array_equal, one.task.likes, other.task.likes)
-    np.testing.assert_array_equal(one.obs["robot"], other.obs["robot"])
+    first, other = (jax.jit(environment.reset)(keys, params) for environment in (env, wrong))
+    jax.tree.map(np.testing.assert_array_equal, first.task.likes, other.task.likes)
+    np.testing.assert_array_equal(first.obs["robot"], other.obs["robot"])
     count = len(WISHES[task])
-    np.testing.assert_array_equal(one.obs["human"][:, :-count], other.obs["human"][:, :-count])
+    np.testing.assert_array_equal(first.obs["human"][:, :-count], other.obs["human"][:, :-count])
     for column, wish in enumerate(WISHES[task], start=-count):
         values = VALUES[wish]
         for row, liked in enumerate(PREFERENCES.values()):
@@ -171,9 +173,9 @@ def test_a_mistaken_human_sees_the_next_preference_and_the_reward_does_not(task:
     np.testing.assert_allclose(after.obs["human"][:, -count:], other.obs["human"][:, -count:])
 
 
-def trained(folder: Path, told: tuple[str, ...] = ("human",), seeds: int = 2) -> Path:
+def trained(folder: Path, observers: tuple[str, ...] = ("human",), seeds: int = 2) -> Path:
     """Return a finished run of teams that learned nothing."""
-    env = make(TASK, "native", told=told)
+    env = make(TASK, "native", told=observers)
     config = TrainConfig(TASK, "ippo", make_members(tuple(range(seeds)), ("d1",)), steps=10)
     specs = {
         role: PolicySpec(role, env.observation_size[role], env.action_size[role], hidden=(4,))
@@ -213,15 +215,17 @@ def test_an_audit_of_run_folders(
     words = [word for name, path in runs.items() for word in (f"--{name}", str(path))]
     options = ["--episodes", "2", "--backend", "native", "--out", str(tmp_path / "out")]
     assert run(["audit", TASK, *words, *options]) == 0
-    told = capsys.readouterr().out
-    assert "cross-play" in told and "own, step by step: contact steps" in told  # cells are folded
-    found = az.audit(
+    printed = capsys.readouterr().out
+    assert (
+        "cross-play" in printed and "own, step by step: contact steps" in printed
+    )  # cells are folded
+    result = az.audit(
         TASK, str(runs["team"]), episodes=2, backend="native", out=tmp_path / "out", progress=False
     )
-    assert found.teams == ("own/ippo-d1-s0/robot", "own/ippo-d1-s1/robot")
-    assert found.figures["own teams"]["episodes"] == 40  # ten times as many
-    assert {"safe_success", "violated", "contact_peak"} <= set(found.figures["strangers"])
-    assert "mistaken humans" in found.figures and "told" not in found.figures
+    assert result.teams == ("own/ippo-d1-s0/robot", "own/ippo-d1-s1/robot")
+    assert result.figures["own teams"]["episodes"] == 40  # ten times as many
+    assert {"safe_success", "violated", "contact_peak"} <= set(result.figures["strangers"])
+    assert "mistaken humans" in result.figures and "told" not in result.figures
 
 
 def test_bad_audits_are_refused_in_one_line(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ def test_teams_the_passive_robot_and_best_responses_are_what_an_audit_takes(tmp_
         changes=TINY,
         backend="native",
     )
-    found = audit(
+    audited = audit(
         "gentle_lift",
         str(tmp_path / "teams"),
         passive_robot=str(tmp_path / "passive"),
@@ -42,11 +42,11 @@ def test_teams_the_passive_robot_and_best_responses_are_what_an_audit_takes(tmp_
         episodes=2,
         progress=False,
     )
-    assert found.teams == ("teams/ippo-d1-s100/robot", "teams/ippo-d1-s101/robot")
+    assert audited.teams == ("teams/ippo-d1-s100/robot", "teams/ippo-d1-s101/robot")
     played = {"passive robot, teams' humans", "told", "best responses"}
-    assert played < set(found.figures)
-    assert found.figures["best responses"]["episodes"] == 4  # each with the human it was made for
-    egos = [found.figures[f"ego{kind}"]["episodes"] for kind in ("", " told", " recurrent")]
+    assert played < set(audited.figures)
+    assert audited.figures["best responses"]["episodes"] == 4  # each with the human it was made for
+    egos = [audited.figures[f"ego{kind}"]["episodes"] for kind in ("", " told", " recurrent")]
     assert egos == [4, 4, 4]  # two robots with the human of the second team alone
 
 

@@ -173,6 +173,7 @@ def test_a_lost_answer_is_looked_up(hub: Hub, cache: Path, teams) -> None:
     "route", ["POST .*/repos/create", COMMITS, "POST .*/preupload/", "POST .*/tag/", "PUT /lfs/"]
 )
 def test_a_busy_hub_is_asked_again(route: str, hub: Hub, cache: Path, teams, monkeypatch) -> None:
+    # The library sleeps between attempts, and has no option for it.
     monkeypatch.setattr("huggingface_hub.utils._http.time.sleep", lambda seconds: None)
     hub.upload_mode = "lfs"
     hub.faults = [Fault(route, status=503, times=2)]
@@ -211,10 +212,10 @@ def test_a_publication_that_is_killed(route: str, hub: Hub, cache: Path, teams) 
         "put(trained_teams(('mappo',)))"
     )
     environment = {**os.environ, "HF_ENDPOINT": hub.url, "HF_HUB_DISABLE_XET": "1"}
-    asked = hub.count(route)
+    requests = hub.count(route)
     with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, env=environment) as process:
         deadline = time.monotonic() + 60
-        while hub.count(route) == asked:
+        while hub.count(route) == requests:
             assert time.monotonic() < deadline and process.poll() is None
             time.sleep(0.01)
         process.send_signal(signal.SIGKILL)

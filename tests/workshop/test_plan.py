@@ -251,22 +251,22 @@ def test_curves_keep_success_and_harm_where_metrics_have_them(tmp_path):
     config, path = curves_config(2), tmp_path / "scratch-ippo.parquet"
     plain = metrics(config, [1.0, 2.0], [1, 3])
     write_curves(path, [(plain.filter(pl.col("seed") == 0), config)])
-    told = plain.with_columns(pl.Series("success", [0.0, 0.0, 1.0, 1.0]), violated=0.5, noise=1.0)
-    table = thin(told, config, points=1)
+    curves = plain.with_columns(pl.Series("success", [0.0, 0.0, 1.0, 1.0]), violated=0.5, noise=1.0)
+    table = thin(curves, config, points=1)
     assert table.columns[5:] == ["return", "success", "violated"]
     assert table["success"].to_list() == [0.75, 0.75]
-    found = write_curves(path, [(told.filter(pl.col("seed") == 4), config)])
-    assert found.filter(pl.col("seed") == 0)["violated"].to_list() == [None, None]
-    assert found.filter(pl.col("seed") == 4)["violated"].to_list() == [0.5, 0.5]
+    paths = write_curves(path, [(curves.filter(pl.col("seed") == 4), config)])
+    assert paths.filter(pl.col("seed") == 0)["violated"].to_list() == [None, None]
+    assert paths.filter(pl.col("seed") == 4)["violated"].to_list() == [0.5, 0.5]
 
 
 def test_a_long_run_keeps_a_hundred_points_for_each_member(tmp_path):
     config = curves_config(1234)
     table = metrics(config, [1.0] * 1234, [1] * 1234)
     write_curves(tmp_path / "curves" / "scratch-ippo.parquet", [(table, config)])
-    found = pl.read_parquet(tmp_path / "curves" / "scratch-ippo.parquet")
-    assert found.group_by("seed").len()["len"].to_list() == [100, 100]
-    assert found["steps"].max() == 1234 * 32 and set(found["return"]) == {1.0}
+    curve = pl.read_parquet(tmp_path / "curves" / "scratch-ippo.parquet")
+    assert curve.group_by("seed").len()["len"].to_list() == [100, 100]
+    assert curve["steps"].max() == 1234 * 32 and set(curve["return"]) == {1.0}
 
 
 def test_curves_of_other_members_stay_in_the_file(tmp_path):
@@ -280,8 +280,8 @@ def test_curves_of_other_members_stay_in_the_file(tmp_path):
         path,
         [(table.filter(pl.col("seed") == 4).with_columns(pl.lit(9.0).alias("return")), config)],
     )
-    found = pl.read_parquet(path)
-    assert {seed: set(rows["return"]) for (seed,), rows in found.group_by("seed")} == {
+    written = pl.read_parquet(path)
+    assert {seed: set(rows["return"]) for (seed,), rows in written.group_by("seed")} == {
         0: {1.0, 2.0},
         4: {9.0},
     }

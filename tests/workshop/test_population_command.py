@@ -85,9 +85,9 @@ def test_a_plan_is_trained_and_published_once(place, capsys):
     progress = json.loads((place / "plan.progress.json").read_text())
     assert (progress["teams"], progress["published"]) == (4, 4)
     assert progress["groups"]["toy-other"]["state"] == "published"
-    [one] = progress["groups"]["toy-one"]["runs"].values()
-    assert (one["state"], one["teams"], one["steps"]) == ("published", 2, 96)
-    assert (one["seconds"], one["steps_per_second"]) == (4.0, 2 * 96 / 4)
+    [toy_run] = progress["groups"]["toy-one"]["runs"].values()
+    assert (toy_run["state"], toy_run["teams"], toy_run["steps"]) == ("published", 2, 96)
+    assert (toy_run["seconds"], toy_run["steps_per_second"]) == (4.0, 2 * 96 / 4)
 
     curve = pl.read_parquet(place / "curves" / "toy-one.parquet")
     assert curve.columns[:6] == ["task", "algorithm", "disability", "seed", "steps", "return"]
@@ -217,8 +217,8 @@ def test_one_failure_leaves_the_other_groups_alone(place, capsys):
     )  # episodes have 8 steps
     assert run(words(place, "--json")) == 1
     captured = capsys.readouterr()
-    found = {row["group"]: row["published"] for row in json.loads(captured.out)["groups"]}
-    assert found == {"toy-one": 0, "toy-other": 2}
+    published = {row["group"]: row["published"] for row in json.loads(captured.out)["groups"]}
+    assert published == {"toy-one": 0, "toy-other": 2}
     assert captured.err.splitlines()[-1].startswith(
         "error: 1 failed, and the same command tries again: toy-one:"
     )

@@ -52,9 +52,9 @@ def test_a_sweep_ends_with_a_table_and_a_preset(tmp_path):
     assert pl.read_parquet(tmp_path / "sweep.parquet").equals(results)
     content = json.loads((tmp_path / "preset.json").read_text())
     assert content["algorithm"] == "ippo"
-    found = vars(preset("ippo", **content["hyperparameters"]))
+    settings = vars(preset("ippo", **content["hyperparameters"]))
     mean = results.group_by("configuration").agg(pl.col("final_return").mean()).sort("final_return")
-    assert found["learning_rate"] == sweep.points()[mean["configuration"][-1]]["learning_rate"]
+    assert settings["learning_rate"] == sweep.points()[mean["configuration"][-1]]["learning_rate"]
     assert run_sweep(sweep, partial(ToyEnv, match), tmp_path).equals(
         results
     )  # finished blocks are not trained again

@@ -37,8 +37,8 @@ class Repository:
         return oid
 
     def resolve(self, revision: str) -> str | None:
-        found = self.branches.get(revision) or self.tags.get(revision)
-        return found or (revision if revision in self.commits else None)
+        revisions = self.branches.get(revision) or self.tags.get(revision)
+        return revisions or (revision if revision in self.commits else None)
 
 
 @dataclasses.dataclass
@@ -128,11 +128,12 @@ class _Handler(BaseHTTPRequestHandler):
         length = int(self.headers.get("Content-Length") or 0)
         self.body = self.rfile.read(length) if length else b""
         self.route = urllib.parse.unquote(urllib.parse.urlsplit(self.path).path)
-        asked = f"{self.command} {self.route}"
+        request = f"{self.command} {self.route}"
         with self.hub.lock:
-            self.hub.log.append(f"{asked} {self.headers.get('Range', '')}".rstrip())
+            self.hub.log.append(f"{request} {self.headers.get('Range', '')}".rstrip())
             self.fault = next(
-                (f for f in self.hub.faults if f.times > 0 and re.search(f.match, asked)), Fault("")
+                (f for f in self.hub.faults if f.times > 0 and re.search(f.match, request)),
+                Fault(""),
             )
             self.fault.times -= 1
         if self.fault.status:
@@ -144,11 +145,11 @@ class _Handler(BaseHTTPRequestHandler):
         return self._answer({"error": "no such route"}, 404)
 
     def _repository(self, repo: str, kind: str = "model") -> Repository | None:
-        found = self.hub.repositories.get(repo)
-        if found is None or found.kind != kind:
+        repository = self.hub.repositories.get(repo)
+        if repository is None or repository.kind != kind:
             self._answer({"error": "Repository not found"}, 404, {"X-Error-Code": "RepoNotFound"})
             return None
-        return found
+        return repository
 
     def info(self, kind: str, repo: str, revision: str | None = None) -> None:
         if repository := self._repository(repo, kind):
@@ -175,11 +176,11 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(answer)
 
     def create(self) -> None:
-        wanted = json.loads(self.body)
-        name = f"{wanted['organization']}/{wanted['name']}"
+        body = json.loads(self.body)
+        name = f"{body['organization']}/{body['name']}"
         if name in self.hub.repositories:
             return self._answer({"error": "exists", "url": f"{self.hub.url}/{name}"}, 409)
-        repository = self.hub.repositories[name] = Repository(wanted.get("type") or "model")
+        repository = self.hub.repositories[name] = Repository(body.get("type") or "model")
         repository.commit({".gitattributes": b"*.safetensors filter=lfs\n"})
         return self._answer({"url": f"{self.hub.url}/{name}"})
 
@@ -200,8 +201,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def batch(self, repo: str) -> None:
         objects = [
-            {**wanted, "actions": {"upload": {"href": f"{self.hub.url}/lfs/{wanted['oid']}"}}}
-            for wanted in json.loads(self.body)["objects"]
+            {**entry, "actions": {"upload": {"href": f"{self.hub.url}/lfs/{entry['oid']}"}}}
+            for entry in json.loads(self.body)["objects"]
         ]
         self._answer({"transfer": "basic", "objects": objects})
 

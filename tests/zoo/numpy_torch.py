@@ -37,15 +37,15 @@ class Module:
         self._buffers.add(name)
 
     def parameters_by_name(self) -> dict[str, Any]:
-        found: dict[str, Any] = {}
+        functions: dict[str, Any] = {}
         for name, value in vars(self).items():
             if isinstance(value, Module):
-                found |= {
+                functions |= {
                     f"{name}.{inner}": place for inner, place in value.parameters_by_name().items()
                 }
             elif isinstance(value, Tensor):
-                found[name] = (self, name)
-        return found
+                functions[name] = (self, name)
+        return functions
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         places = self.parameters_by_name()

@@ -66,9 +66,9 @@ def test_large_files_are_refused_in_little_memory(reader: str, kind: str, tmp_pa
         timeout=60,
         cwd=ROOT,
     )
-    told = [int(line) for line in done.stdout.split()]
-    assert len(told) == 2 and told[0] < 2000, done.stderr[-500:]
-    assert told[1] < LIMIT
+    sizes = [int(line) for line in done.stdout.split()]
+    assert len(sizes) == 2 and sizes[0] < 2000, done.stderr[-500:]
+    assert sizes[1] < LIMIT
 
 
 def test_many_keys_that_stand_twice_are_no_trap() -> None:

@@ -66,8 +66,8 @@ def test_a_remote_s_card_has_the_newest_release_s_figures(
     registry: Registry, team, publish_to
 ) -> None:
     assert "| scratch | ippo | d1 | 4 | " in model_card(registry, "org/zoo")
-    one = dataclasses.replace(
+    candidate = dataclasses.replace(
         team("ippo", "d1", 0), self_play={"mean": 7.0, "iqm": 7.0, "mean_ci": [6.0, 8.0], "n": 16}
     )
-    text = model_card(publish_to([one], registry.path, release="v1"), "org/zoo")
+    text = model_card(publish_to([candidate], registry.path, release="v1"), "org/zoo")
     assert "| scratch | ippo | d1 | 1 | 7.0 |" in text and "| scratch | ippo | d9 | 4 | " in text

@@ -97,9 +97,9 @@ def play_onnx(data: bytes, obs: np.ndarray, first: np.ndarray) -> np.ndarray:
 def test_onnx_gives_the_same_actions(spec: PolicySpec) -> None:
     params = trained(spec)
     obs, first, expected = episode(spec, params)
-    found = play_onnx(to_onnx(spec, params), obs, first)
-    assert found.dtype == np.float32 and found.shape == expected.shape
-    assert np.abs(found - expected).max() < TOLERANCE
+    actions = play_onnx(to_onnx(spec, params), obs, first)
+    assert actions.dtype == np.float32 and actions.shape == expected.shape
+    assert np.abs(actions - expected).max() < TOLERANCE
     assert np.ptp(expected) > 0.5  # there was something to tell apart
 
 
@@ -164,8 +164,8 @@ def test_the_documented_torch_module_gives_the_same_actions(
     ours, theirs = policy.initial_carry((ROWS,)), None
     for step in range(3):
         ours, expected = policy.act(params, ours, jnp.asarray(obs[step]), jnp.zeros(ROWS, bool))
-        found, theirs = module(numpy_torch.Tensor(obs[step]), theirs)
-        np.testing.assert_allclose(found.value, expected, atol=TOLERANCE)
+        actual, theirs = module(numpy_torch.Tensor(obs[step]), theirs)
+        np.testing.assert_allclose(actual.value, expected, atol=TOLERANCE)
 
 
 def test_the_documented_torch_module_with_torch_itself(tmp_path: Path) -> None:
@@ -184,8 +184,8 @@ def test_the_documented_torch_module_with_torch_itself(tmp_path: Path) -> None:
         for step in range(STEPS):
             ours, expected = policy.act(params, ours, jnp.asarray(obs[step]), jnp.zeros(ROWS, bool))
             with torch.no_grad():
-                found, theirs = module(torch.from_numpy(obs[step]), theirs)
-            np.testing.assert_allclose(found.numpy(), expected, atol=TOLERANCE)
+                actual, theirs = module(torch.from_numpy(obs[step]), theirs)
+            np.testing.assert_allclose(actual.numpy(), expected, atol=TOLERANCE)
 
 
 def test_torch_files_keep_the_standard_deviation(tmp_path: Path) -> None:
@@ -199,9 +199,9 @@ def test_torch_files_keep_the_standard_deviation(tmp_path: Path) -> None:
 def test_safetensors_files_are_read_back(tmp_path: Path) -> None:
     spec, params = SPECS[0], trained(SPECS[0])
     write_policy_file(tmp_path / "robot.safetensors", spec, params, {"id": "x"})
-    found = read_policy_file(tmp_path / "robot.safetensors")
-    assert found.spec == spec and found.metadata == {"id": "x"}
-    jax.tree.map(np.testing.assert_array_equal, found.params, params)
+    read = read_policy_file(tmp_path / "robot.safetensors")
+    assert read.spec == spec and read.metadata == {"id": "x"}
+    jax.tree.map(np.testing.assert_array_equal, read.params, params)
 
 
 def test_exported_files_run_without_this_project(tmp_path: Path) -> None:

@@ -36,8 +36,8 @@ def visible(folder: Path) -> set[str]:
     return {path.name for path in folder.rglob("*.safetensors") if not path.name.startswith(".")}
 
 
-def same_parameters(one: Registry, other: Registry, pattern: str = "*") -> bool:
-    groups = [load_stacks(registry, registry.select(pattern)) for registry in (one, other)]
+def same_parameters(first: Registry, other: Registry, pattern: str = "*") -> bool:
+    groups = [load_stacks(registry, registry.select(pattern)) for registry in (first, other)]
     for a, b in zip(*groups, strict=True):
         assert a.ids == b.ids
         assert np.array_equal(a.params["Dense_0"]["kernel"], b.params["Dense_0"]["kernel"])
@@ -106,13 +106,13 @@ def test_offline_uses_what_is_there(registry: Registry, cache: Path, hub: Hub, m
     hub.put("org/zoo", registry.path.parent)
     get("hf://org/zoo", "*/human")
     monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
-    asked = len(hub.log)
+    requests = len(hub.log)
     assert get("hf://org/zoo", "*/human")[1].present == 1
     with pytest.raises(OfflineError, match="HF_HUB_OFFLINE"):
         get("hf://org/zoo", "*/robot")
     with pytest.raises(OfflineError, match="fetch once while online"):
         get("hf://org/other")
-    assert len(hub.log) == asked
+    assert len(hub.log) == requests
 
 
 def test_a_remote_may_not_change_what_it_published(
@@ -143,7 +143,7 @@ def test_a_growing_remote_is_followed(
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "message"),
     [
         ("hf://zoo", "hf://org/name"),
         ("hf://org/zoo/more", "hf://org/name"),
@@ -155,11 +155,11 @@ def test_a_growing_remote_is_followed(
     ],
 )
 def test_a_wrong_remote_is_named(
-    name: str, told: str, registry: Registry, cache: Path, hub: Hub
+    name: str, message: str, registry: Registry, cache: Path, hub: Hub
 ) -> None:
     hub.put("org/zoo", registry.path.parent, tag="v0")
     hub.put("org/data", registry.path.parent, kind="dataset")
-    with pytest.raises(RemoteError, match=told) as caught:
+    with pytest.raises(RemoteError, match=message) as caught:
         get(name)
     assert all(
         word in str(caught.value) for word in ("expected", "found", "nothing was fetched", "next: ")
@@ -219,13 +219,13 @@ def test_progress_counts_every_byte_once(large: Registry, cache: Path, hub: Hub)
 def test_command(registry: Registry, cache: Path, hub: Hub, capsys, monkeypatch) -> None:
     hub.put("org/zoo", registry.path.parent, tag="v0")
     assert run(["fetch", "scratch/*/human", "--from", "hf://org/zoo@v0"]) == 0
-    told = capsys.readouterr()
+    printed = capsys.readouterr()
     assert (
-        "verified 8 policies in 1 shards" in told.out
-        and "commit" in told.out
-        and "--registry" in told.out
+        "verified 8 policies in 1 shards" in printed.out
+        and "commit" in printed.out
+        and "--registry" in printed.out
     )
-    assert "MB" in told.err
+    assert "MB" in printed.err
     assert run(["fetch", "--from", "hf://org/zoo@v9"]) == 1
     assert capsys.readouterr().err.count("\n") == 1
     monkeypatch.setenv("ASSISTAX_ZOO_REMOTE", "hf://org/zoo")

@@ -21,6 +21,8 @@ from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry
 from zoo.transport.fetch import Report, fetch
 from zoo.transport.remotes import open_remote
+
+# The planted defect replaces what a transfer runs.
 from zoo.transport.transfer import _Transfer
 from zoo.verify import verify
 
@@ -58,13 +60,13 @@ def visible(folder: Path) -> list[str]:
 
 
 def refused(
-    registry: Registry, cache: Path, kind: type[ZooError], *told: str, pattern: str = "*/robot"
+    registry: Registry, cache: Path, kind: type[ZooError], *words: str, pattern: str = "*/robot"
 ) -> str:
     """Fetch, and hold the error against what every error says."""
     with pytest.raises(kind) as caught:
         get(registry, pattern)
     message = str(caught.value)
-    assert all(word in message for word in ("expected ", "found ", "next: ", *told)), message
+    assert all(word in message for word in ("expected ", "found ", "next: ", *words)), message
     assert visible(cache) == []
     return message
 

@@ -69,12 +69,12 @@ BYTES: tuple[Damage, ...] = (flip, cut, grow, splice, zero)
 @pytest.fixture
 def genuine(registry: Registry) -> dict[str, str]:
     """Row hashes of the undamaged release, recomputed from its bytes."""
-    found: dict[str, str] = {}
+    causes: dict[str, str] = {}
     for group in load_stacks(registry, registry.policies):
         leaves = flatten(group.params)
         for row, name in enumerate(group.ids):
-            found[name] = row_sha256({leaf: value[row] for leaf, value in leaves.items()})
-    return found
+            causes[name] = row_sha256({leaf: value[row] for leaf, value in leaves.items()})
+    return causes
 
 
 def one_line(error: ZooError) -> None:

@@ -25,9 +25,9 @@ TEAMS = st.builds(
 @seed(0)
 @settings(deadline=None)
 @given(TEAMS, TEAMS)
-def test_parse_and_format_are_inverse(one: TeamId, other: TeamId) -> None:
-    assert parse_team(str(one)) == one
-    assert (str(one) == str(other)) == (one == other)
+def test_parse_and_format_are_inverse(first: TeamId, other: TeamId) -> None:
+    assert parse_team(str(first)) == first
+    assert (str(first) == str(other)) == (first == other)
 
 
 @seed(2)

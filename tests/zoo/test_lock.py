@@ -66,7 +66,9 @@ def unused_setting(table: dict[str, Any]) -> None:
 def earlier(lock: Lock, registry: Registry, version: int, path: Path) -> Lock:
     """Return the lock as an earlier version of this package wrote it."""
     content = lock.model_dump(mode="json", exclude={"lock_version", "sha256"}, exclude_unset=True)
-    settings = {name: one.model_dump() for name, one in registry.data.disability_settings.items()}
+    settings = {
+        name: setting.model_dump() for name, setting in registry.data.disability_settings.items()
+    }
     content["disability_settings"] = json_sha256(settings)
     if version == 1:
         del content["root"], content["leaves"]
@@ -141,7 +143,7 @@ def test_a_registry_that_differs_is_refused(
     def other_version(table: dict[str, Any]) -> None:
         table["v0"]["environments"]["scratch"] = 2
 
-    for table, edit, told in (
+    for table, edit, message in (
         ("teams", other_row, f"policy {team}/human"),
         ("shards", other_shard, "entry shard zoo/shards/v0/"),
         ("disability_settings", other_settings, "entry setting d9"),
@@ -149,7 +151,8 @@ def test_a_registry_that_differs_is_refused(
     ):
         registry.path.write_text(original)
         with pytest.raises(
-            LockError, match=f"expected {told}.*as locked, found .*; nothing was done; next: fetch"
+            LockError,
+            match=f"expected {message}.*as locked, found .*; nothing was done; next: fetch",
         ):
             apply_lock(changed(registry, table, edit), lock, task="scratch")
     smaller = publish_to(teams(seeds=range(2)), tmp_path / "smaller" / "registry.json")
@@ -177,7 +180,7 @@ def test_a_lock_that_was_edited_or_damaged(registry: Registry, lock: Lock, tmp_p
     path = tmp_path / "assistax-zoo.lock"
     text = path.read_text()
     digest = lock.policies["scratch/ippo-d1-s0-v0/human"]
-    for damage, told in (
+    for damage, message in (
         (text.replace(digest, "0" * 64), "it was edited"),
         (text.replace('"lock_version": 3', '"lock_version": 4'), "version 4"),
         (text.replace('"lock_version": 3', '"lock_version": 2'), "content of version 2"),
@@ -187,7 +190,7 @@ def test_a_lock_that_was_edited_or_damaged(registry: Registry, lock: Lock, tmp_p
         ("{}", "KeyError"),
     ):
         path.write_text(damage)
-        with pytest.raises(LockError, match=told):
+        with pytest.raises(LockError, match=message):
             read_lock(path)
     path.unlink()
     with pytest.raises(LockError, match="no such file"):

@@ -111,7 +111,7 @@ def test_what_was_published_cannot_be_saved_away(registry: Registry) -> None:
     split = create_split(registry.path, task="scratch", seed=1)
     now = load_registry(registry.path)
     fewer = now.data.model_copy(
-        update={"splits": tuple(one for one in now.splits if one.id != split.id)}
+        update={"splits": tuple(kept for kept in now.splits if kept.id != split.id)}
     )
     with pytest.raises(ImmutableError, match=f"split {split.id} gone or changed"):
         save_registry(fewer, registry.path)

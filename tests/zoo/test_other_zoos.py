@@ -124,7 +124,10 @@ def test_their_splits_and_locks_are_theirs(
         assert both.split("scratch", word) == split
     for word in ("lab:both", "lab:half-s0:both", f"{split.id}:both"):  # as `--split` takes it
         manifest, chosen = choose_partners(both, "scratch", word, None)
-        assert manifest == split and {one.team for one in chosen} == {*split.train, *split.test}
+        assert manifest == split and {member.team for member in chosen} == {
+            *split.train,
+            *split.test,
+        }
     with pytest.raises(ValueError, match="after the colon test, train, both are allowed"):
         choose_partners(both, "scratch", "lab:half-s0:tset", None)
     assert all(team.startswith("lab:") and team in both.data.teams for team in split.train)
@@ -177,26 +180,26 @@ def test_another_default_split_is_shown_and_asked_for(
     open_zoo(address)
     before = load_registry().split("scratch", "lab:")
     one_partner(load_registry(lab.path))
-    told = r"default split of scratch in v0 is .*custom.* \(1 train, 1 test\), was scratch/half"
-    with pytest.raises(UpdateError, match=told):
+    warning = r"default split of scratch in v0 is .*custom.* \(1 train, 1 test\), was scratch/half"
+    with pytest.raises(UpdateError, match=warning):
         add(remote, "lab")
-    with pytest.raises(UpdateError, match=told):
+    with pytest.raises(UpdateError, match=warning):
         remote_registry(open_remote(remote))
-    with pytest.raises(UpdateError, match=told):
+    with pytest.raises(UpdateError, match=warning):
         open_zoo(address)
     assert open_zoo(address, accept_changes=True).registry.split("scratch").rule == "custom"
     for words in (["add", remote, "--as", "lab"], ["fetch", "--from", remote]):
         assert run(words) == 1
         assert "(1 train, 1 test)" in capsys.readouterr().err
     assert load_registry().split("scratch", "lab:") == before
-    asked: list[list[str]] = []
+    calls: list[list[str]] = []
 
     def take(changes: Sequence[str]) -> bool:
-        asked.append(list(changes))
+        calls.append(list(changes))
         return True
 
     add(remote, "lab", take)
-    assert len(asked) == 1 and load_registry().split("scratch", "lab:").rule == "custom"
+    assert len(calls) == 1 and load_registry().split("scratch", "lab:").rule == "custom"
     publish_to(teams(("isac",)), lab.path, "v1")
     assert run(["add", remote, "--as", "lab", "--yes"]) == 0
     assert "the default release is v1, was v0" in capsys.readouterr().err
@@ -242,8 +245,8 @@ def test_their_teams_are_locked_and_cross_played_by_a_glob(
     assert read_lock(out).release == "lab:v0"
     both = load_registry()
     for release, expected in ((None, "lab:v1"), ("v0", "lab:v0"), ("lab:v0", "lab:v0")):
-        found = in_release(both, "lab:*", release, task="scratch", role="robot")
-        assert {entry.release for entry in found} == {expected}
+        entries = in_release(both, "lab:*", release, task="scratch", role="robot")
+        assert {entry.release for entry in entries} == {expected}
 
 
 def test_the_default_remote_is_set_once(

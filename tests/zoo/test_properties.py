@@ -99,11 +99,11 @@ def test_selection_is_the_plain_filter(
 def test_several_patterns_are_their_union(teams: list[TeamId], patterns: list[str]) -> None:
     entries = registry_of(teams).policies
     try:
-        found = select(entries, patterns)
+        selected = select(entries, patterns)
     except UnknownIdError:
         return
-    assert {entry.id for entry in found} == {
-        entry.id for one in patterns for entry in select(entries, one)
+    assert {entry.id for entry in selected} == {
+        entry.id for pattern in patterns for entry in select(entries, pattern)
     }
 
 

@@ -18,14 +18,14 @@ REGISTRY = load_registry(ROOT / "registry.json")
 @pytest.mark.parametrize("role", ["human", "robot"])
 def test_release_v1_is_table_6(role: str) -> None:
     teams = [e for e in REGISTRY.select(release="v1", role=role) if e.disability != EGO]
-    found = Counter((e.task, e.algorithm, e.disability) for e in teams)
-    wanted = {
-        (task, algorithm, f"d{setting}"): told["seeds"]
+    counts = Counter((e.task, e.algorithm, e.disability) for e in teams)
+    expected = {
+        (task, algorithm, f"d{setting}"): settings["seeds"]
         for task, algorithms in read_paper()["population"].items()
-        for algorithm, told in algorithms.items()
-        for setting in range(1, told["settings"] + 1)
+        for algorithm, settings in algorithms.items()
+        for setting in range(1, settings["settings"] + 1)
     }
-    assert found == wanted and found.total() == 434
+    assert counts == expected and counts.total() == 434
     assert all(entry.self_play for entry in teams)
 
 
@@ -70,20 +70,20 @@ def test_every_task_has_its_default_and_leave_one_out_splits() -> None:
 
 def test_release_v2_is_its_plan() -> None:
     plan = read_plan(ROOT / "zoo" / "plans" / "v2.json")
-    wanted = {
+    expected = {
         f"{group.task}/{group.algorithm}-{member.label}-v2"
         for group in plan.groups
         for member in group.members
     }
     humans = [e for e in REGISTRY.select(release="v2", role="human") if e.disability != EGO]
-    assert {entry.team for entry in humans} == wanted
+    assert {entry.team for entry in humans} == expected
     assert Counter(entry.task for entry in humans) == dict.fromkeys(GENTLE_TASKS, 198)
     assert all(entry.self_play for entry in humans)
 
 
 def test_a_task_has_its_own_default_release() -> None:
-    found = {task: REGISTRY.release_of(task) for task in (*PAPER_TASKS, *GENTLE_TASKS)}
-    assert found == dict.fromkeys(PAPER_TASKS, "v1") | dict.fromkeys(GENTLE_TASKS, "v2")
+    releases = {task: REGISTRY.release_of(task) for task in (*PAPER_TASKS, *GENTLE_TASKS)}
+    assert releases == dict.fromkeys(PAPER_TASKS, "v1") | dict.fromkeys(GENTLE_TASKS, "v2")
     assert REGISTRY.split("scratch", "half").release == "v1"
 
 

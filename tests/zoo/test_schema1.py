@@ -24,8 +24,8 @@ def test_a_registry_of_the_first_schema_reads_as_before() -> None:
     )
     assert data["schema_version"] == 1 and len(registry.policies) == 16
     for team, entry in data["teams"].items():
-        found = registry.team(team).self_play
-        assert found is not None and list(found.mean_ci) == entry["self_play"]["ci"]
+        self_play = registry.team(team).self_play
+        assert self_play is not None and list(self_play.mean_ci) == entry["self_play"]["ci"]
     assert registry.split("scratch").sha256 == data["splits"][0]["sha256"]
     assert verify(registry).ok and load_stacks(registry, registry.policies)
 

@@ -131,7 +131,7 @@ def test_the_threshold_stands_between_copies_and_training_seeds_of_release_v0() 
     registry = load_registry(ROOT / "registry.json")
     (group,) = load_stacks(registry, registry.select("scratch/ippo-*-v0/human"))
     actions = probe_actions(group)
-    found = differences(actions)[np.triu_indices(len(group.ids), 1)]
-    assert found.min() > 2.5 * THRESHOLD
+    distances = differences(actions)[np.triu_indices(len(group.ids), 1)]
+    assert distances.min() > 2.5 * THRESHOLD
     copies = dataclasses.replace(group, params=noisy(group.params, 0.1))
     assert np.abs(probe_actions(copies) - actions).mean(axis=(1, 2, 3)).max() < THRESHOLD

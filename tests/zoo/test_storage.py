@@ -29,10 +29,10 @@ from zoo.parameters.storage import (
 from zoo.registry import Registry, build_registry
 
 
-def leaves_equal(one, other) -> bool:
-    one, other = flatten(one), flatten(other)
-    return one.keys() == other.keys() and all(
-        np.array_equal(one[name], other[name]) for name in one
+def leaves_equal(first, other) -> bool:
+    first, other = flatten(first), flatten(other)
+    return first.keys() == other.keys() and all(
+        np.array_equal(first[name], other[name]) for name in first
     )
 
 
@@ -252,25 +252,25 @@ def test_a_damaged_policy_file_gives_one_line_or_the_same_parameters(
     position %= len(whole)
     damaged = whole[:position] + patch + whole[position + cut :]
     try:
-        found, metadata = decode(damaged, "test")
+        params_read, metadata = decode(damaged, "test")
     except ZooError as error:
         assert str(error).isprintable()
         return
-    if metadata.get("sha256") == row_sha256(leaves) and set(found) == set(leaves):
-        same = all(np.array_equal(found[name], leaves[name]) for name in leaves)
+    if metadata.get("sha256") == row_sha256(leaves) and set(params_read) == set(leaves):
+        same = all(np.array_equal(params_read[name], leaves[name]) for name in leaves)
         assert same == (
-            row_sha256(found) == metadata["sha256"]
+            row_sha256(params_read) == metadata["sha256"]
         )  # only the hash tells a flipped byte
 
 
 def test_policy_files_round_trip(tmp_path: Path, params, specs) -> None:
     path, tree = tmp_path / "mine.safetensors", params(specs["robot"], 1)
     write_policy_file(path, specs["robot"], tree, {"author": "me", "steps": 3})
-    spec, found, metadata = read_policy_file(path)
+    spec, params_read, metadata = read_policy_file(path)
     assert (
         spec == specs["robot"]
         and metadata == {"author": "me", "steps": 3}
-        and leaves_equal(found, tree)
+        and leaves_equal(params_read, tree)
     )
     data = path.read_bytes()
     path.write_bytes(data.replace(b"tanh", b"relu"))
@@ -299,9 +299,9 @@ def test_what_cannot_be_stored_is_refused(tmp_path: Path, params, specs) -> None
 
 
 def test_rows_of_a_shard_have_one_form(params, specs) -> None:
-    one, other = flatten(params(specs["robot"], 1)), flatten(params(specs["human"], 1))
+    first, other = flatten(params(specs["robot"], 1)), flatten(params(specs["human"], 1))
     with pytest.raises(FormatError, match=r"Dense_0/kernel .*\(5, 4\).*\(6, 4\)"):
-        encode_shard(specs["robot"], [("a", one), ("b", other)])
+        encode_shard(specs["robot"], [("a", first), ("b", other)])
 
 
 def test_parameters_are_held_against_the_network_of_their_spec(params, specs) -> None:

@@ -41,8 +41,8 @@ def test_rows_are_held_against_the_registry(registry: Registry) -> None:
     entry, other = registry.policies[0], registry.policies[2]
 
     def swap(data: dict[str, Any]) -> None:
-        one, two = (data["teams"][team]["policies"]["robot"] for team in (entry.team, other.team))
-        one["row"], two["row"] = two["row"], one["row"]
+        first, two = (data["teams"][team]["policies"]["robot"] for team in (entry.team, other.team))
+        first["row"], two["row"] = two["row"], first["row"]
 
     problems = verify(replant(registry, swap)).problems
     assert any(
@@ -69,13 +69,15 @@ def test_a_shard_rewritten_with_its_hash_is_caught_by_the_rows(registry: Registr
 
 
 def test_duplicates_and_lost_rows_are_found(registry: Registry) -> None:
-    one, two = registry.policies[0], registry.policies[2]
+    first, two = registry.policies[0], registry.policies[2]
 
     def point(data: dict[str, Any]) -> None:
-        data["teams"][two.team]["policies"]["robot"] = data["teams"][one.team]["policies"]["robot"]
+        data["teams"][two.team]["policies"]["robot"] = data["teams"][first.team]["policies"][
+            "robot"
+        ]
 
     problems = "\n".join(verify(replant(registry, point)).problems)
-    assert f"{two.id} has the same parameters as {one.id}" in problems
+    assert f"{two.id} has the same parameters as {first.id}" in problems
     assert "rows are not one policy each" in problems
 
 

@@ -39,14 +39,14 @@ def heatmap(played: CrossPlayed) -> Figure:
 
 def _figures(played: CrossPlayed) -> list[object]:
     """Return a task's cells below the headings but the first."""
-    told, order = played.summary, played.order["teams"]
-    gap = told["relative_gap"]
+    summary, order = played.summary, played.order["teams"]
+    gap = summary["relative_gap"]
     lost = "–" if gap is None else figure(gap, key="value", percent=True)
     fit = "–" if order["silhouette"] is None else f"{order['silhouette']:.2f}"
     return [
-        told["egos"],
-        figure(told["self_play"]),
-        figure(told["cross_play"]),
+        summary["egos"],
+        figure(summary["self_play"]),
+        figure(summary["cross_play"]),
         lost,
         len(played.clusters),
         fit,

@@ -78,20 +78,20 @@ def read_crossplays(data: Path, tasks: Sequence[str]) -> dict[str, CrossPlayed]:
     return {task: read_crossplay(folder) for task, folder in folders.items() if folder.is_dir()}
 
 
-def check_release(found: Played, release: str, teams: set[str], data: Path) -> None:
+def check_release(table: Played, release: str, teams: set[str], data: Path) -> None:
     """Refuse a table of another release, or with partners that are not among the teams."""
-    told = found.summary
-    if told["release"] != release:
+    summary = table.summary
+    if summary["release"] != release:
         raise ValueError(
-            f"{data} holds {told['task']} of release {told['release']}, and the page is of "
+            f"{data} holds {summary['task']} of release {summary['release']}, and the page is of "
             f"{release}; give the data of {release}"
         )
-    others = sorted(set(found.pairs["partner_team"]) - teams)
+    others = sorted(set(table.pairs["partner_team"]) - teams)
     if others:
         raise ValueError(
-            f"{data} has {len(others)} partners on {told['task']} that are not in release "
+            f"{data} has {len(others)} partners on {summary['task']} that are not in release "
             f"{release}, first {others[0]}; play the teams of one release, such as --partners "
-            f"'{told['task']}/*-{release}'"
+            f"'{summary['task']}/*-{release}'"
         )
 
 

@@ -43,10 +43,10 @@ def read_training(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     from zoo.parameters.storage import read_policy_file
 
     files = sorted((folder / "policies").glob("*.safetensors"))
-    told = [read_policy_file(path).metadata for path in files]
-    if not told or any({"task", "algorithm", "training"} - set(one) for one in told):
+    metadata = [read_policy_file(path).metadata for path in files]
+    if not metadata or any({"task", "algorithm", "training"} - set(fields) for fields in metadata):
         raise ValueError(f"{folder}/policies holds no finished egos; let train-ego run to its end")
-    first = told[0]
+    first = metadata[0]
     method = first["algorithm"]
     if not (isinstance(method, str) and _METHOD.fullmatch(method)):
         raise ValueError(f"{folder} names the algorithm {method!r}; expected a name such as ppo")
@@ -55,16 +55,21 @@ def read_training(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         name: first["training"][name] for name in _KEPT_OF_TRAINING if name in first["training"]
     }
     command = _run_of(folder)["command"]
-    return first, {"egos": len(told), "split": first.get("split"), **training, "command": command}
+    return first, {
+        "egos": len(metadata),
+        "split": first.get("split"),
+        **training,
+        "command": command,
+    }
 
 
-def known_task(told: Mapping[str, Any], folder: Path) -> str:
+def known_task(metadata: Mapping[str, Any], folder: Path) -> str:
     """Return the task that a received folder names: one of ours, since a folder is named so."""
-    if told.get("task") not in tuple(VERSIONS):  # it may be no text
+    if metadata.get("task") not in tuple(VERSIONS):  # it may be no text
         raise ValueError(
-            f"{folder} names the task {told.get('task')!r}; allowed are {', '.join(VERSIONS)}"
+            f"{folder} names the task {metadata.get('task')!r}; allowed are {', '.join(VERSIONS)}"
         )
-    return told["task"]
+    return metadata["task"]
 
 
 def how_it_ran(
@@ -88,7 +93,7 @@ def _run_of(folder: Path) -> dict[str, Any]:
     """Return what a folder says of its run, its command with names in place of absolute paths."""
     path = folder / tables.RUN_FILE
     run = tables.read_json(path) if path.is_file() else {}
-    command = _ABSOLUTE.sub(lambda found: PurePath(found[0]).name, str(run.get("command", "")))
+    command = _ABSOLUTE.sub(lambda match: PurePath(match[0]).name, str(run.get("command", "")))
     return {**run, "command": command}
 
 

@@ -10,13 +10,13 @@ def relative_folder(images: Path, page: Path) -> str:
     return Path(os.path.relpath(images, page.parent)).as_posix()
 
 
-def first_difference(found: str, wanted: str) -> str:
+def first_difference(text: str, expected: str) -> str:
     """Say where two pages differ first."""
-    pairs = zip(found.splitlines(), wanted.splitlines(), strict=False)
-    for number, (one, other) in enumerate(pairs, start=1):
-        if one != other:
-            return f"line {number} is {one[:90]!r}, not {other[:90]!r}"
-    return f"it has {len(found.splitlines())} lines, not {len(wanted.splitlines())}"
+    pairs = zip(text.splitlines(), expected.splitlines(), strict=False)
+    for number, (line, other) in enumerate(pairs, start=1):
+        if line != other:
+            return f"line {number} is {line[:90]!r}, not {other[:90]!r}"
+    return f"it has {len(text.splitlines())} lines, not {len(expected.splitlines())}"
 
 
 def check_page(out: Path, text: str, folder: Path, pictures: Iterable[str], again: str) -> None:
@@ -27,9 +27,9 @@ def check_page(out: Path, text: str, folder: Path, pictures: Iterable[str], agai
     """
     if not out.is_file():
         raise ValueError(f"{out} does not exist; {again}")
-    if (found := out.read_text(encoding="utf-8")) != text:
+    if (written := out.read_text(encoding="utf-8")) != text:
         raise ValueError(
-            f"{out} is not what the tables give: {first_difference(found, text)}; {again}"
+            f"{out} is not what the tables give: {first_difference(written, text)}; {again}"
         )
     if missing := [name for name in pictures if not (folder / name).is_file()]:
         raise ValueError(f"{folder} lacks {', '.join(missing)}; {again}")

@@ -70,12 +70,12 @@ def audit(
     egos = {"ego": ego, "ego_told": ego_told, "ego_recurrent": ego_recurrent}
     robots = {"passive": passive_robot, "response": response}
     pairs = {"told": told, "blind": blind, "recurrent": recurrent}
-    found = _read(read_robots, robots, registry, task) | _read(read_teams, pairs, registry, task)
-    found |= _read(read_trained_egos, egos, registry, task)
+    policies = _read(read_robots, robots, registry, task) | _read(read_teams, pairs, registry, task)
+    policies |= _read(read_trained_egos, egos, registry, task)
     play = partial(audit_task, episodes=episodes, seed=seed, backend=backend)
     shown = chosen_progress(progress, study_progress(f"audit {task}"))
     with tempfile.TemporaryDirectory() as temporary, shown as on_progress:
-        return play(task, own, Others(**found), Path(out or temporary), on_progress=on_progress)
+        return play(task, own, Others(**policies), Path(out or temporary), on_progress=on_progress)
 
 
 def _read(

@@ -62,5 +62,5 @@ def trajectories(
                 zoo=registry,
                 on_step=lambda: advance(1),
             )
-    told = {"out": out, "episodes": episodes, "steps": table.height - episodes}
-    answer(json, told, f"wrote {told['steps']} steps of {episodes} episodes to {out}")
+    content = {"out": out, "episodes": episodes, "steps": table.height - episodes}
+    answer(json, content, f"wrote {content['steps']} steps of {episodes} episodes to {out}")

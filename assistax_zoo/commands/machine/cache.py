@@ -19,10 +19,10 @@ def cache(*, json: bool = False) -> None:
     Example:
         assistax-zoo cache
     """
-    found = [held(kind) for kind in KINDS]
-    total = sum(kind.bytes for kind in found)
-    lines = [f"{_amount(kind)}  {kind.folder}" for kind in found]
-    answer(json, {"kinds": [vars(kind) for kind in found], "bytes": total}, *lines)
+    kinds = [held(kind) for kind in KINDS]
+    total = sum(kind.bytes for kind in kinds)
+    lines = [f"{_amount(kind)}  {kind.folder}" for kind in kinds]
+    answer(json, {"kinds": [vars(kind) for kind in kinds], "bytes": total}, *lines)
 
 
 def clean_cache(
@@ -46,12 +46,12 @@ def clean_cache(
     """
     kinds = chosen_kinds(what)
     results = [clean(kind) if yes else (held(kind), []) for kind in kinds]
-    found, busy = [kind for kind, _ in results], [path for _, paths in results for path in paths]
-    total = sum(kind.bytes for kind in found)
-    lines = [f"{_amount(kind)}  {kind.what}" for kind in found]
+    shown, busy = [kind for kind, _ in results], [path for _, paths in results for path in paths]
+    total = sum(kind.bytes for kind in shown)
+    lines = [f"{_amount(kind)}  {kind.what}" for kind in shown]
     lines += [f"kept, another process writes to it: {path}" for path in busy]
     done = "removed" if yes else "add --yes to remove"
-    content = {"removed": yes, "kinds": [vars(kind) for kind in found], "bytes": total}
+    content = {"removed": yes, "kinds": [vars(kind) for kind in shown], "bytes": total}
     answer(json, {**content, "busy": busy}, *lines, f"{done} {total / 1e6:.1f} MB")
 
 

@@ -178,9 +178,9 @@ def _summed_df(variances: np.ndarray, df: np.ndarray, total: np.ndarray) -> np.n
     shares = np.square(variances) / (df + 1)
     shares = shares[:, None] + shares
     nothing = shares == 0  # two single robots, or seeds that are all alike
-    found = np.square(total) / np.where(nothing, 1.0, shares) - 1
+    summed = np.square(total) / np.where(nothing, 1.0, shares) - 1
     least = np.minimum(df[:, None], df)
-    return np.where(nothing, least, np.clip(found, least, df[:, None] + df))
+    return np.where(nothing, least, np.clip(summed, least, df[:, None] + df))
 
 
 def _step_down(pairs: _Pairs, alpha: float) -> np.ndarray:

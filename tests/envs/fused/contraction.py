@@ -25,8 +25,8 @@ def main() -> None:
             start = time.perf_counter()
             run(states, 400, ranges)
             times[name].append(time.perf_counter() - start)
-    for name, each in times.items():
-        share = np.median(np.array(times["off"]) / np.array(each))
+    for name, seconds in times.items():
+        share = np.median(np.array(times["off"]) / np.array(seconds))
         print(f"contraction {name}: {1 / share:.2f} of the time without")
 
 

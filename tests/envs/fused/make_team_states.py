@@ -41,12 +41,14 @@ def visited(robot: PolicyEntry) -> dict[str, np.ndarray]:
 
     def step(state, time):
         action = act(state, time)
+        # The engine's input of this step, which no state keeps.
         control = env._control(state.params, action, env._shake(state)[1])
         seen = state.physics.qpos, state.physics.qvel, control
         return env.step(state, action), seen
 
     _, seen = jax.jit(lambda state: jax.lax.scan(step, state, jnp.arange(STEPS)))(start)
     qpos, qvel, ctrl = (np.concatenate(np.asarray(x)[list(TIMES)]) for x in seen)
+    # The engine's input too.
     elbow = np.tile(np.asarray(env._joint_range(params))[:, env._elbow], (len(TIMES), 1))
     return {"qpos": qpos, "qvel": qvel, "ctrl": ctrl, "elbow": elbow}
 
@@ -56,6 +58,6 @@ if __name__ == "__main__":
     for task in PAPER_TASKS:
         states = [visited(robot) for robot in teams(task)]
         for name in states[0]:
-            arrays[f"{task}_{name}"] = np.concatenate([each[name] for each in states])
+            arrays[f"{task}_{name}"] = np.concatenate([part[name] for part in states])
     np.savez_compressed(PATH, **arrays)
     print(PATH, PATH.stat().st_size)

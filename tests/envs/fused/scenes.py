@@ -71,15 +71,15 @@ def deepest(model: mujoco.MjModel, qpos: np.ndarray) -> float:
 def touching_states(task: str, each: int = 6) -> States:
     """Return states in which each of the scene's pairs in turn touches, by up to 8 mm."""
     model, rng = scene(task), np.random.default_rng(11)
-    data, found = mujoco.MjData(model), []
+    data, touching = mujoco.MjData(model), []
     for pair in range(model.npair):
-        count = len(found) + each
-        while len(found) < count:
+        count = len(touching) + each
+        while len(touching) < count:
             if (qpos := _touching(model, data, pair, rng)) is not None:
-                found.append(qpos)
-    n = len(found)
+                touching.append(qpos)
+    n = len(touching)
     return States(
-        np.array(found), rng.normal(size=(n, model.nv)), rng.uniform(-1, 1, (n, model.nu))
+        np.array(touching), rng.normal(size=(n, model.nv)), rng.uniform(-1, 1, (n, model.nu))
     )
 
 

@@ -154,13 +154,13 @@ def contacts(model: mujoco.MjModel, states: States) -> np.ndarray:
 def test_mixed_model(name: str) -> None:
     model, engine = planted(name)
     states = states_of(model, 400, seed=5, spread=2.5)
-    found = contacts(model, states)
-    shallow = found.sum(axis=(1, 2)) <= 8
-    states, found = states[shallow], found[shallow]
+    touching = contacts(model, states)
+    shallow = touching.sum(axis=(1, 2)) <= 8
+    states, touching = states[shallow], touching[shallow]
     _, velocity, sensors = oracle(model, states)
     _, got, sensed = engine(states)
     error = relative_error(got, velocity, states.qvel)
-    assert (found.any(axis=0)).sum() == model.npair, "some pair never touched"
+    assert (touching.any(axis=0)).sum() == model.npair, "some pair never touched"
     assert np.median(error) < 2e-6 and error.max() < 5e-4
     forces, scale = slice(0, 12), np.abs(sensors[:, :12]).max(axis=1, keepdims=True) + 1.0
     wrong = np.abs(sensed[:, forces] - sensors[:, forces]) / scale
@@ -171,8 +171,8 @@ def test_mixed_model(name: str) -> None:
 def test_parallel_capsules_touch_twice() -> None:
     model, engine = planted("parallel")
     states = states_of(model, 200, seed=6, spread=0.12)
-    found = contacts(model, states)
-    assert (found == 2).sum() > 50, "no pair touched in two places"
+    touching = contacts(model, states)
+    assert (touching == 2).sum() > 50, "no pair touched in two places"
     _, velocity, sensors = oracle(model, states)
     _, got, sensed = engine(states)
     assert relative_error(got, velocity, states.qvel).max() < 3e-4

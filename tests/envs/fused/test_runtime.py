@@ -69,8 +69,8 @@ def run(call: str, q, qd, u, substeps: int = 4, effort=0.0):
     n = q.shape[0]
     shapes = [jax.ShapeDtypeStruct((n, width), jnp.float32) for width in WIDTHS]
     bounds = jnp.tile(jnp.array([[[-100.0, 100.0]]]), (n, 1, 1))
-    given = q, qd, jnp.broadcast_to(effort, (n, 1)).astype(jnp.float32), u, bounds
-    q, qd, effort, sensors = jax.ffi.ffi_call(call, shapes)(*given, substeps=np.int32(substeps))
+    inputs = q, qd, jnp.broadcast_to(effort, (n, 1)).astype(jnp.float32), u, bounds
+    q, qd, effort, sensors = jax.ffi.ffi_call(call, shapes)(*inputs, substeps=np.int32(substeps))
     return q, qd, sensors[:, :2], effort, sensors[:, 2:]
 
 
@@ -90,9 +90,9 @@ def states(n: int) -> list[jax.Array]:
 @pytest.mark.parametrize("n", [1, 7, 8, 9, 1000])
 @pytest.mark.parametrize("substeps", [1, 4])
 def test_a_batch_of_any_size(call: str, n: int, substeps: int) -> None:
-    given = states(n)
-    found = run(call, *given, substeps=substeps)
-    for a, b in zip(found[:3], by_hand(*map(np.asarray, given), substeps), strict=True):
+    inputs = states(n)
+    results = run(call, *inputs, substeps=substeps)
+    for a, b in zip(results[:3], by_hand(*map(np.asarray, inputs), substeps), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
@@ -111,14 +111,14 @@ def test_inside_jit_and_scan(call: str) -> None:
 
 
 def test_calls_from_more_threads_than_there_are_cores_end(call: str) -> None:
-    given = states(5000)
+    inputs = states(5000)
     step = jax.jit(lambda *args: run(call, *args))
-    expected = step(*given)
+    expected = step(*inputs)
     wrong: list[int] = []
 
     def work(k: int) -> None:
         for _ in range(20):
-            if not np.array_equal(step(*given)[0], expected[0]):
+            if not np.array_equal(step(*inputs)[0], expected[0]):
                 wrong.append(k)
 
     threads = [threading.Thread(target=work, args=(k,)) for k in range(16)]
@@ -132,10 +132,10 @@ def test_calls_from_more_threads_than_there_are_cores_end(call: str) -> None:
 
 def test_what_could_not_be_solved_is_not_a_number_and_its_neighbours_are(call: str) -> None:
     q, qd, u = states(16)
-    found = run(call, q.at[5].set(200.0), qd, u)
+    results = run(call, q.at[5].set(200.0), qd, u)
     expected = run(call, q, qd, u)
-    assert np.isnan(found[1][5]).all()
-    for a, b in zip(found[:3], expected[:3], strict=True):
+    assert np.isnan(results[1][5]).all()
+    for a, b in zip(results[:3], expected[:3], strict=True):
         np.testing.assert_array_equal(np.delete(a, 5, 0), np.delete(b, 5, 0))
 
 
@@ -151,8 +151,8 @@ def test_numbers_below_the_normal_ones_are_kept(call: str) -> None:
 def test_every_width_and_processor_gives_the_same_bits(call: str, lanes: int, features) -> None:
     name = f"toy_step_{lanes}"
     cpu.register(name, "toy", lambda: TOY, lanes, features)
-    given = states(37)
-    for a, b in zip(run(name, *given)[:3], run(call, *given)[:3], strict=True):
+    inputs = states(37)
+    for a, b in zip(run(name, *inputs)[:3], run(call, *inputs)[:3], strict=True):
         np.testing.assert_array_equal(a, b)
 
 
@@ -168,8 +168,8 @@ def test_simulations_that_were_as_hard_share_a_vector_and_no_number_depends_on_i
     *again, _, hardest = run(call, q, still, still, effort=effort)
     np.testing.assert_array_equal(hardest, q)
     for wrong in (jnp.nan, jnp.inf, -1.0, 1e30, jnp.where(hard, -jnp.inf, jnp.nan)):
-        found = run(call, q, still, still, effort=wrong)[:3]
-        for a, b, c in zip(found, numbers, again, strict=True):
+        results = run(call, q, still, still, effort=wrong)[:3]
+        for a, b, c in zip(results, numbers, again, strict=True):
             np.testing.assert_array_equal(a, b)
             np.testing.assert_array_equal(b, c)
 
@@ -273,8 +273,8 @@ def test_a_harmed_file_is_built_anew(own_cache: Path, harm) -> None:
 def test_a_file_of_another_key_is_not_taken(own_cache: Path) -> None:
     path = cache.cached("one", ".o", lambda output: output.write_bytes(b"one") and None)
     path.rename(path.with_name(path.name.replace("one-", "two-")))
-    found = cache.cached("two", ".o", lambda output: output.write_bytes(b"two") and None)
-    assert found.read_bytes() == b"two"
+    built = cache.cached("two", ".o", lambda output: output.write_bytes(b"two") and None)
+    assert built.read_bytes() == b"two"
 
 
 def test_a_folder_that_others_may_write_to_is_refused(own_cache: Path) -> None:

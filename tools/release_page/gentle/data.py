@@ -50,13 +50,13 @@ class Evaluated:
         means = chosen.group_by("ego_seed", "partner").agg(total.alias(measure))
         wide = means.pivot("partner", index="ego_seed", values=measure).sort("ego_seed")
         partners = chosen["partner"].unique().sort().to_list()
-        found = wide.select(partners).to_numpy().astype(float)
-        if not np.isfinite(found).all():
+        values = wide.select(partners).to_numpy().astype(float)
+        if not np.isfinite(values).all():
             raise ValueError(
-                f"{measure} of {np.count_nonzero(~np.isfinite(found))} of {found.size} pairs on "
+                f"{measure} of {np.count_nonzero(~np.isfinite(values))} of {values.size} pairs on "
                 f"{self.summary['task']} is not there; collect the whole evaluation again"
             )
-        return found
+        return values
 
     @property
     def seeds(self) -> int:
@@ -95,9 +95,9 @@ class Results:
     ) -> dict[str, Evaluated]:
         """Return what was evaluated on a split, by method; mirrored ones are no methods."""
         return {
-            method: found
-            for (one, name, method), found in self.egos.items()
-            if (one, name) == (task, short(split))
+            method: egos
+            for (its_task, name, method), egos in self.egos.items()
+            if (its_task, name) == (task, short(split))
             and method.endswith(SERIES) == series
             and (mirrored or not method.endswith(MIRROR))
         }
@@ -105,9 +105,9 @@ class Results:
     def on_default(self, task: str, *, series: bool = False) -> dict[str, Evaluated]:
         """Return the same of a task's default split; empty where it has none."""
         return {
-            method: found
+            method: egos
             for split in self.splits[task][:1]
-            for method, found in self.methods(task, split, series=series).items()
+            for method, egos in self.methods(task, split, series=series).items()
         }
 
     @property
@@ -142,8 +142,8 @@ def read_results(registry: Registry, release: str, data: Path) -> Results:
     defaults = registry.data.releases[release].splits if release in registry.data.releases else {}
     splits = {
         task: sorted(
-            (one for one in registry.splits if (one.task, one.release) == (task, release)),
-            key=lambda one: (one.id != defaults.get(one.task), one.id),
+            (split for split in registry.splits if (split.task, split.release) == (task, release)),
+            key=lambda split: (split.id != defaults.get(split.task), split.id),
         )
         for task in GENTLE_TASKS
     }
@@ -166,29 +166,31 @@ def read_results(registry: Registry, release: str, data: Path) -> Results:
         if (path / TRAINING_FILE).is_file()
     }
     crossplay = read_crossplays(data, GENTLE_TASKS)
-    for found in (*crossplay.values(), *egos.values()):
-        check_release(found, release, {human.team for human in humans}, data)
-    for (task, name, method), found in egos.items():
-        _check_sides(found, {short(one): one for one in splits[task]}.get(name), name, method)
+    for played in (*crossplay.values(), *egos.values()):
+        check_release(played, release, {human.team for human in humans}, data)
+    for (task, name, method), played in egos.items():
+        _check_sides(
+            played, {short(split): split for split in splits[task]}.get(name), name, method
+        )
     beside = read_crossplays(data.with_name("v1"), PAPER_TASKS)
     return Results(release, humans, splits, egos, trained, crossplay, beside)
 
 
 def _read_egos(folder: Path) -> Evaluated:
-    told = (tables.read_json(folder / name) for name in (tables.SUMMARY_FILE, tables.RUN_FILE))
-    found = Evaluated(read_pairs(folder), *told)
+    documents = (tables.read_json(folder / name) for name in (tables.SUMMARY_FILE, tables.RUN_FILE))
+    egos = Evaluated(read_pairs(folder), *documents)
     needed = (*KEY, "partner_team", "side", *MEASURES, "episodes", "nonfinite")
-    if lacking := [name for name in needed if name not in found.pairs.columns]:
+    if lacking := [name for name in needed if name not in egos.pairs.columns]:
         raise ValueError(f"{folder} lacks the columns {', '.join(lacking)}; collect it again")
-    return found
+    return egos
 
 
-def _check_sides(found: Evaluated, split: Split | None, name: str, method: str) -> None:
+def _check_sides(egos: Evaluated, split: Split | None, name: str, method: str) -> None:
     """Refuse an evaluation whose partners are not those of its split's sides, all of them."""
     if split is None:
         raise ValueError(f"{method} was evaluated on {name}, which is no split of the release")
     for side in SIDES:
-        teams = set(found.pairs.filter(pl.col("side") == side)["partner_team"])
+        teams = set(egos.pairs.filter(pl.col("side") == side)["partner_team"])
         if teams and teams != set(getattr(split, side)):
             raise ValueError(
                 f"{method} was evaluated with other {side} partners than those of {split.id}: "

@@ -77,16 +77,16 @@ def collect_evaluation(
     pairs = condense(table.with_columns(ego_seed=pl.col("ego").replace_strict(seeds)))
     steps = int(table["steps"].sum())
     run = how_it_ran(folder, summary, steps)
-    told = {
-        **{one: summary.get(one) for one in _TOLD},
+    content = {
+        **{field: summary.get(field) for field in _TOLD},
         "egos": len(seeds),
         "episodes": table.height,
         "episodes_per_pair": table.height // table.select("ego", "partner").n_unique(),
         "nonfinite": int(table["nonfinite"].sum()),
     }
     tables.write_parquet(pairs, out / tables.PAIRS_FILE)
-    tables.write_json(told, out / tables.SUMMARY_FILE)
-    tables.write_json({one: run[one] for one in _RUN if one in run}, out / tables.RUN_FILE)
+    tables.write_json(content, out / tables.SUMMARY_FILE)
+    tables.write_json({field: run[field] for field in _RUN if field in run}, out / tables.RUN_FILE)
     return out
 
 
@@ -125,15 +125,15 @@ def _reference_episodes(folder: Path, reference: str) -> pl.DataFrame | None:
 
 def _seeds(egos: list[str], method: str | None, folder: Path) -> tuple[str, dict[str, int]]:
     """Return the method's name and each robot's seed: its file's, or else its place."""
-    found = [EGO_FILE.fullmatch(PurePath(ego).name) for ego in egos]
-    methods = {match["method"] for match in found if match}
-    if method is None and (None in found or len(methods) != 1):
+    matches = [EGO_FILE.fullmatch(PurePath(ego).name) for ego in egos]
+    methods = {match["method"] for match in matches if match}
+    if method is None and (None in matches or len(methods) != 1):
         raise ValueError(
             f"{folder} evaluated {', '.join(egos[:3])}; name their method with --as, such as "
             "--as ppo-gru"
         )
     name = checked_name(method or methods.pop(), "method")
-    seeds = [int(match["seed"]) for match in found if match]
+    seeds = [int(match["seed"]) for match in matches if match]
     if len(set(seeds)) < len(egos):
         seeds = list(range(len(egos)))
     return name, dict(zip(egos, seeds, strict=True))

@@ -53,13 +53,20 @@ Comparison = dict[tuple[str, str], Compared]  # by the names of two methods
 
 def compare(scores: Mapping[str, np.ndarray]) -> Comparison:
     """Compare every two methods by their returns [S, P] with the same partners."""
-    found = {
+    differences = {
         (a, b): paired_difference(scores[a], scores[b])
         for a, b in itertools.combinations(scores, 2)
     }
-    p = {pair: value for pair, one in found.items() if (value := two_sided(one)) is not None}
+    p = {
+        pair: value
+        for pair, difference in differences.items()
+        if (value := two_sided(difference)) is not None
+    }
     adjusted = dict(zip(p, holm(list(p.values())), strict=True))
-    return {pair: Compared(one, p.get(pair), adjusted.get(pair)) for pair, one in found.items()}
+    return {
+        pair: Compared(difference, p.get(pair), adjusted.get(pair))
+        for pair, difference in differences.items()
+    }
 
 
 def two_sided(difference: Difference) -> float | None:
@@ -174,10 +181,10 @@ def diversity(played: CrossPlayed, size: int, *, seed: int = 0) -> Diverse:
     matrix, teams = played.matrix, len(played.teams)
     if not 1 <= size <= teams:
         raise ValueError(f"size is {size}; the cross-play has {teams} teams")
-    found = best_responses(played.pairs)
+    responses = best_responses(played.pairs)
     named = dict(played.pairs.select("partner", "partner_team").unique().rows())
-    places = {named[partner]: place for place, partner in enumerate(found.partners)}
-    features = found.features[[places[team] for team in played.teams]]
+    places = {named[partner]: place for place, partner in enumerate(responses.partners)}
+    features = responses.features[[places[team] for team in played.teams]]
     rng = np.random.default_rng(seed)
     chosen = [rng.choice(teams, size, replace=False) for _ in range(CHOICES)]
     behaviour = np.array([br_diversity(features[i]).participation_ratio for i in chosen])

@@ -43,17 +43,17 @@ def make_page(results: Results, pictures: str, command: str) -> str:
         pictures: Folder of the figures, relative to the page.
         command: The command that makes the page, for its last section.
     """
-    found = {task: compared(results, task) for task in GENTLE_TASKS}
+    comparisons = {task: compared(results, task) for task in GENTLE_TASKS}
     split_costs = {
         split.id: cost(results, split) for task in GENTLE_TASKS for split in results.splits[task]
     }
     parts = {
-        "In short": in_short(results, found, split_costs),
+        "In short": in_short(results, comparisons, split_costs),
         "The population": by_task(results, population),
         "Training for equally many steps": by_task(results, equal_steps),
         "Splits, and what they cost": by_task(results, partial(splits, split_costs)),
         "Methods": by_task(results, methods),
-        "Differences between methods": by_task(results, partial(differences, found)),
+        "Differences between methods": by_task(results, partial(differences, comparisons)),
         "Adaptation within a series of episodes": by_task(results, adaptation),
         "Cross-play": cross_play(results, pictures),
         "Diversity": diverse(results),
@@ -78,7 +78,7 @@ def by_task(results: Results, section: Callable[[Results, str], str]) -> str:
 
 def in_short(
     results: Results,
-    found: Mapping[str, Comparison],
+    comparisons: Mapping[str, Comparison],
     split_costs: Mapping[str, SplitCost | None],
 ) -> str:
     """Return what the default splits cost, and which methods come apart on them."""
@@ -87,7 +87,7 @@ def in_short(
         default = [lost(split_costs[split.id])[-1] for split in results.splits[task][:1]] or [
             MISSING
         ]
-        rows.append([spoken(task), *default, *_in_short(results, task, found[task])])
+        rows.append([spoken(task), *default, *_in_short(results, task, comparisons[task])])
     headings = ["task", "lost", "come apart", "do not", f"`{TOLD[0]}` - `{TOLD[1]}`"]
     headings += [f"`{RECURRENT}`: last - first"]
     return (
@@ -99,21 +99,23 @@ def in_short(
     )
 
 
-def _in_short(results: Results, task: str, found: Comparison) -> list[str]:
-    trained = {pair: one for pair, one in found.items() if not {*pair} & {*REFERENCES, TOLD[1]}}
+def _in_short(results: Results, task: str, comparison: Comparison) -> list[str]:
+    trained = {
+        pair: result for pair, result in comparison.items() if not {*pair} & {*REFERENCES, TOLD[1]}
+    }
     apart = {
-        pair: one
-        for pair, one in trained.items()
-        if one.adjusted is not None and one.adjusted < ALPHA
+        pair: result
+        for pair, result in trained.items()
+        if result.adjusted is not None and result.adjusted < ALPHA
     }
     better = [
-        " > ".join(f"`{name}`" for name in (pair if one.difference.mean > 0 else pair[::-1]))
-        for pair, one in apart.items()
+        " > ".join(f"`{name}`" for name in (pair if result.difference.mean > 0 else pair[::-1]))
+        for pair, result in apart.items()
     ]
     alike = [f"`{a}`, `{b}`" for a, b in trained if (a, b) not in apart]
     named = ["; ".join(names) or ("–" if trained else MISSING) for names in (better, alike)]
-    told = found.get(TOLD)
-    worth = f"{mean(told.difference)}, p {p_value(told.adjusted)}" if told else MISSING
+    knowing = comparison.get(TOLD)
+    worth = f"{mean(knowing.difference)}, p {p_value(knowing.adjusted)}" if knowing else MISSING
     egos = results.on_default(task, series=True).get(f"{RECURRENT}{SERIES}")
     return [*named, worth, gain(egos) if egos else MISSING]
 
@@ -138,8 +140,8 @@ def _cost_of_making(results: Results, command: str) -> str:
 def _made(results: Results, task: str) -> str:
     humans = [human for human in results.humans if human.task == task]
     trained = {
-        f"{method} egos, {split}": told
-        for (of, split, method), told in results.trained.items()
+        f"{method} egos, {split}": training
+        for (of, split, method), training in results.trained.items()
         if of == task
     }
     played: dict[str, Played] = {

@@ -49,17 +49,17 @@ def equal_steps(results: Results, task: str) -> str:
     rows: list[list[object]] = []
     for group in _alike([human for human in humans if human.self_play]):
         names = sorted({human.algorithm for human in group})
-        each = {name: {h.disability for h in group if h.algorithm == name} for name in names}
-        settings = set.intersection(*each.values())
+        settings_of = {name: {h.disability for h in group if h.algorithm == name} for name in names}
+        settings = set.intersection(*settings_of.values())
         if len(names) < 2 or not settings:
             continue
         steps = f"{min(h.training.steps for h in group) / 1e6:.3g} M"
         shared = [human for human in group if human.disability in settings]
         for name in names:
             ours = [human for human in shared if human.algorithm == name]
-            found = _self_play(ours)
-            cells = [figure(found), figure(found, key="mean")]
-            place = ", ".join(sorted(settings, key=lambda one: (len(one), one)))
+            self_play = _self_play(ours)
+            cells = [figure(self_play), figure(self_play, key="mean")]
+            place = ", ".join(sorted(settings, key=lambda setting: (len(setting), setting)))
             rows.append([steps, name.upper(), place, len(ours), *cells])
     if not rows:
         return NOTHING
@@ -74,9 +74,9 @@ def splits(split_costs: Mapping[str, SplitCost | None], results: Results, task: 
     """Return the splits with their rules and counts, and the share that unseen partners cost."""
     rows: list[list[object]] = []
     for split in results.splits[task]:
-        found = results.methods(task, split, mirrored=True)
+        methods = results.methods(task, split, mirrored=True)
         earned = [
-            mean(estimate(found[name].scores("return", SIDE))) if name in found else MISSING
+            mean(estimate(methods[name].scores("return", SIDE))) if name in methods else MISSING
             for name in TRAINED_WITH
         ]
         held = ", ".join(split.preferences.get("test", ())) or "–"
@@ -100,8 +100,8 @@ def splits(split_costs: Mapping[str, SplitCost | None], results: Results, task: 
 
 def cost(results: Results, split: Split) -> SplitCost | None:
     """Return what unseen partners cost on a split; None where either robot was not evaluated."""
-    found = results.methods(split.task, split, mirrored=True)
-    both = {name: found[name] for name in TRAINED_WITH if name in found}
+    methods = results.methods(split.task, split, mirrored=True)
+    both = {name: methods[name] for name in TRAINED_WITH if name in methods}
     _check_alike(both, split)
     scores = [egos.scores("return", SIDE) for egos in both.values()]
     return split_cost(*scores) if len(scores) == len(TRAINED_WITH) else None
@@ -113,8 +113,8 @@ def methods(results: Results, task: str) -> str:
     headings += ["gap, mean", "safe success", "violations"]
     texts = []
     for split in results.splits[task]:
-        found = results.methods(task, split)
-        rows = [[f"`{name}`", *_figures(egos)] for name, egos in found.items()]
+        methods = results.methods(task, split)
+        rows = [[f"`{name}`", *_figures(egos)] for name, egos in methods.items()]
         texts += [f"`{short(split)}`:\n\n{table(headings, rows, range(1, 9))}"] if rows else []
     if not texts:
         return NOTHING
@@ -129,21 +129,21 @@ def methods(results: Results, task: str) -> str:
 
 def differences(comparisons: Mapping[str, Comparison], results: Results, task: str) -> str:
     """Return all pairwise differences in M_test on the default split, Holm-corrected."""
-    found = comparisons[task]
-    if not found:
+    comparison = comparisons[task]
+    if not comparison:
         return NOTHING
     rows = [
         [
             f"`{a}` - `{b}`",
-            mean(one.difference),
-            f"{one.difference.partners_better:.0%}",
-            p_value(one.p),
-            p_value(one.adjusted),
+            mean(result.difference),
+            f"{result.difference.partners_better:.0%}",
+            p_value(result.p),
+            p_value(result.adjusted),
         ]
-        for (a, b), one in found.items()
+        for (a, b), result in comparison.items()
     ]
     headings = ["difference", "M_test, mean [95%]", "partners better with the former", "p"]
-    count = sum(one.p is not None for one in found.values())
+    count = sum(result.p is not None for result in comparison.values())
     return (
         f"{table([*headings, 'p, Holm'], rows, range(1, 5))}\n\nOn "
         f"`{short(results.splits[task][0])}`. p is two-sided, by the bootstrap of seeds and "
@@ -154,23 +154,23 @@ def differences(comparisons: Mapping[str, Comparison], results: Results, task: s
 
 def compared(results: Results, task: str) -> Comparison:
     """Compare every two methods in M_test on a task's default split; empty below two methods."""
-    found = results.on_default(task)
-    if len(found) < 2:
+    methods = results.on_default(task)
+    if len(methods) < 2:
         return {}
-    _check_alike(found, results.splits[task][0])
-    return compare({name: egos.scores("return", SIDE) for name, egos in found.items()})
+    _check_alike(methods, results.splits[task][0])
+    return compare({name: egos.scores("return", SIDE) for name, egos in methods.items()})
 
 
 def adaptation(results: Results, task: str) -> str:
     """Return the return by place in a series, of every method that played one."""
-    found = results.on_default(task, series=True)
-    if not found:
+    methods = results.on_default(task, series=True)
+    if not methods:
         return NOTHING
-    places = sorted({place for egos in found.values() for place in egos.places})
+    places = sorted({place for egos in methods.values() for place in egos.places})
     rows: list[list[object]] = []
-    for name, egos in found.items():
+    for name, egos in methods.items():
         scores = {place: egos.scores("return", SIDE, place) for place in egos.places}
-        cells = [mean(estimate(scores[one])) if one in scores else "–" for one in places]
+        cells = [mean(estimate(scores[place])) if place in scores else "–" for place in places]
         rows.append([f"`{name.removesuffix(SERIES)}`", egos.seeds, *cells, gain(egos)])
     headings = ["method", "seeds", *(f"episode {place}" for place in places), "last - first"]
     return (
@@ -193,17 +193,22 @@ def cross_play(results: Results, pictures: str) -> str:
 def diverse(results: Results) -> str:
     """Return how many directions behaviour and cross-play have, beside those of release v1."""
     releases = {results.release: results.crossplay, "v1": results.paper}
-    found = [(release, *item) for release, one in releases.items() for item in one.items()]
-    if not found:
+    crossplays = [
+        (release, *item)
+        for release, played_tasks in releases.items()
+        for item in played_tasks.items()
+    ]
+    if not crossplays:
         return NOTHING
-    size = max(1, min(len(played.teams) for _, _, played in found) // 2)
+    size = max(1, min(len(played.teams) for _, _, played in crossplays) // 2)
     rows: list[list[object]] = []
-    for release, task, played in found:
-        one = diversity(played, size)
+    for release, task, played in crossplays:
+        spread = diversity(played, size)
         chosen = [
-            figure(vars(value), 2, "value") for value in (one.chosen_behaviour, one.chosen_returns)
+            figure(vars(value), 2, "value")
+            for value in (spread.chosen_behaviour, spread.chosen_returns)
         ]
-        whole = [f"{value:.2f}" for value in (one.behaviour, one.returns)]
+        whole = [f"{value:.2f}" for value in (spread.behaviour, spread.returns)]
         cells = [whole[0], chosen[0], whole[1], chosen[1]]
         rows.append([release, spoken(task), len(played.teams), *cells])
     of = f"of {size} teams [95%]"
@@ -224,7 +229,7 @@ def _kind(human: PolicyEntry) -> tuple[str, str]:
 
 
 def _teams(humans: Iterable[PolicyEntry], kind: tuple[str, str], settings: list[str]) -> str:
-    chosen = [one for one in humans if _kind(one) == kind and one.disability in settings]
+    chosen = [human for human in humans if _kind(human) == kind and human.disability in settings]
     return f"{len(chosen)}: {figure(_self_play(chosen))}" if chosen else "–"
 
 
@@ -236,7 +241,7 @@ def _self_play(humans: Iterable[PolicyEntry]) -> dict[str, Any] | None:
 def _alike(humans: Iterable[PolicyEntry]) -> list[list[PolicyEntry]]:
     """Group teams by their steps: the most of a group are at most ALIKE times the fewest."""
     groups: list[list[PolicyEntry]] = []
-    for human in sorted(humans, key=lambda one: one.training.steps):
+    for human in sorted(humans, key=lambda human: human.training.steps):
         fewest = groups[-1][0].training.steps if groups else None
         if fewest is None or human.training.steps > ALIKE * fewest:
             groups.append([])
@@ -244,19 +249,19 @@ def _alike(humans: Iterable[PolicyEntry]) -> list[list[PolicyEntry]]:
     return groups
 
 
-def lost(found: SplitCost | None) -> list[str]:
+def lost(cost: SplitCost | None) -> list[str]:
     """Return what a split costs, and which share that is."""
-    if found is None:
+    if cost is None:
         return [MISSING, MISSING]
-    share = "–" if found.share is None else figure(vars(found.share), key="value", percent=True)
-    return [figure(vars(found.lost), key="value"), share]
+    share = "–" if cost.share is None else figure(vars(cost.share), key="value", percent=True)
+    return [figure(vars(cost.lost), key="value"), share]
 
 
-def _check_alike(found: Mapping[str, Evaluated], split: Split) -> None:
+def _check_alike(methods: Mapping[str, Evaluated], split: Split) -> None:
     """Refuse methods that played other partners, preferences or numbers of episodes."""
-    first = next(iter(found), "")
-    for name, egos in found.items():
-        if not egos.played(SIDE).equals(found[first].played(SIDE)):
+    first = next(iter(methods), "")
+    for name, egos in methods.items():
+        if not egos.played(SIDE).equals(methods[first].played(SIDE)):
             raise ValueError(
                 f"{first} and {name} on {split.id} played other preferences or numbers of "
                 "episodes with the test partners; evaluate both with the same --episodes"
@@ -266,11 +271,13 @@ def _check_alike(found: Mapping[str, Evaluated], split: Split) -> None:
 def _figures(egos: Evaluated) -> list[object]:
     sides = {side: egos.scores("return", side) for side in ("train", "test")}
     names = [side for side, scores in sides.items() for _ in range(scores.shape[1])]
-    told = zero_shot(np.concatenate(list(sides.values()), axis=1), names)
-    assert told.m_train and told.m_test and told.gap
-    returns = [cell for one in (told.m_train, told.m_test) for cell in (mean(one), _iqm(one))]
+    figures = zero_shot(np.concatenate(list(sides.values()), axis=1), names)
+    assert figures.m_train and figures.m_test and figures.gap
+    returns = [
+        cell for side in (figures.m_train, figures.m_test) for cell in (mean(side), _iqm(side))
+    ]
     shares = [estimate(egos.scores(name, SIDE)) for name in ("safe_success", "violated")]
-    return [egos.seeds, *returns, mean(told.gap), *(_share(one) for one in shares)]
+    return [egos.seeds, *returns, mean(figures.gap), *(_share(share) for share in shares)]
 
 
 def gain(egos: Evaluated) -> str:
@@ -279,17 +286,17 @@ def gain(egos: Evaluated) -> str:
     return mean(estimate(last - first))
 
 
-def mean(found: Estimate) -> str:
+def mean(estimated: Estimate) -> str:
     """Return a mean with its interval."""
-    return figure(vars(found), key="mean")
+    return figure(vars(estimated), key="mean")
 
 
-def _iqm(found: Estimate) -> str:
-    return figure(vars(found))
+def _iqm(estimated: Estimate) -> str:
+    return figure(vars(estimated))
 
 
-def _share(found: Estimate) -> str:
-    return figure(vars(found), key="mean", percent=True)
+def _share(estimated: Estimate) -> str:
+    return figure(vars(estimated), key="mean", percent=True)
 
 
 def p_value(value: float | None) -> str:

@@ -158,7 +158,7 @@ def _gap(egos: Egos | None) -> list[Criterion]:
     if egos is None:
         return []
     gap = relative_gap(egos.scores, egos.partners["side"].to_list())
-    wide, told = SMALL_GAP, _told(gap)
+    wide, words = SMALL_GAP, _told(gap)
     if gap.value_ci is None:
         outcome: Outcome = "undecided"
     elif max(map(abs, gap.value_ci)) <= wide:
@@ -168,7 +168,7 @@ def _gap(egos: Egos | None) -> list[Criterion]:
             "not met" if min(gap.value_ci) > wide or max(gap.value_ci) < -wide else "undecided"
         )
     what = "(M_train - M_test) / M_train, interval over seeds"
-    return [Criterion(what, told, f"interval within ±{wide:.0%}", outcome)]
+    return [Criterion(what, words, f"interval within ±{wide:.0%}", outcome)]
 
 
 def _egos(ppo: Egos | None, sac: Egos | None) -> list[Criterion]:
@@ -197,8 +197,8 @@ def _against(what: str, figure: Interval, threshold: float, *, above: bool) -> C
 
 
 def _told(figure: Interval) -> str:
-    told = markdown.figure(vars(figure), key="value", percent=True)
-    return told if figure.value_ci else f"{told}, no interval"
+    words = markdown.figure(vars(figure), key="value", percent=True)
+    return words if figure.value_ci else f"{words}, no interval"
 
 
 def _met(true: bool) -> Outcome:

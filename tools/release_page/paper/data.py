@@ -79,15 +79,15 @@ class Results:
 
     def self_play(self, task: str, algorithm: str, disability: str = "d1") -> np.ndarray:
         """Return the mean self-play returns [S] of a setting's teams, in order of seeds."""
-        found = [
+        humans = [
             human for human in self.humans if (human.task, human.algorithm) == (task, algorithm)
         ]
-        found = sorted(
+        humans = sorted(
             (human.seed, human)
-            for human in found
+            for human in humans
             if human.disability == disability and human.self_play
         )
-        return np.array([human.self_play.mean for _, human in found if human.self_play])
+        return np.array([human.self_play.mean for _, human in humans if human.self_play])
 
     @property
     def has_curves(self) -> bool:
@@ -97,11 +97,11 @@ class Results:
     @property
     def missing(self) -> list[str]:
         """Name what is not measured yet."""
-        wanted = sum(planned(kinds) for kinds in self.paper["population"].values())
+        planned_teams = sum(planned(kinds) for kinds in self.paper["population"].values())
         lacks = (
             []
-            if len(self.humans) >= wanted
-            else [f"{wanted - len(self.humans)} of {wanted} teams of Table 6"]
+            if len(self.humans) >= planned_teams
+            else [f"{planned_teams - len(self.humans)} of {planned_teams} teams of Table 6"]
         )
         unimpaired = None if self.curves is None else self.curves.filter(disability="d1")
         drawn = (
@@ -162,8 +162,8 @@ def read_results(registry: Registry, release: str, data: Path) -> Results:
         for key, folder in folders.items()
         if (folder / tables.PAIRS_FILE).is_file()
     }
-    for found in (*crossplay.values(), *egos.values()):
-        check_release(found, release, {human.team for human in humans}, data)
+    for played in (*crossplay.values(), *egos.values()):
+        check_release(played, release, {human.team for human in humans}, data)
     return Results(
         release,
         humans,
@@ -185,10 +185,10 @@ def read_notes(path: Path) -> dict[str, str]:
     if not path.is_file():
         return {}
     parts = re.split(r"^## +(.+?) *$", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    found = dict(zip(parts[1::2], (text.strip() for text in parts[2::2]), strict=True))
-    if unknown := [name for name in found if name not in NOTES]:
+    sections = dict(zip(parts[1::2], (text.strip() for text in parts[2::2]), strict=True))
+    if unknown := [name for name in sections if name not in NOTES]:
         raise ValueError(f"{path} has a section {unknown[0]!r}; allowed are {', '.join(NOTES)}")
-    return {name: text for name, text in found.items() if text}
+    return {name: text for name, text in sections.items() if text}
 
 
 def _read_egos(folder: Path) -> Egos:
@@ -203,8 +203,8 @@ def _read_egos(folder: Path) -> Egos:
 
 def _read_curves(folder: Path) -> pl.DataFrame | None:
     files = sorted(folder.glob("*.parquet"))
-    found = [tables.read_parquet(path) for path in files]
-    for path, table in zip(files, found, strict=True):
+    tables_read = [tables.read_parquet(path) for path in files]
+    for path, table in zip(files, tables_read, strict=True):
         if lacking := [name for name in _CURVE_COLUMNS if name not in table.columns]:
             raise ValueError(
                 f"{path} lacks {', '.join(lacking)}; a curve has {', '.join(_CURVE_COLUMNS)}"
@@ -213,9 +213,9 @@ def _read_curves(folder: Path) -> pl.DataFrame | None:
         pl.concat(
             [
                 table.select(pl.col(name).cast(kind) for name, kind in _CURVE_COLUMNS.items())
-                for table in found
+                for table in tables_read
             ]
         )
-        if found
+        if tables_read
         else None
     )

@@ -44,13 +44,13 @@ def collect_evaluation(folder: Path, summary: dict[str, Any], data: Path) -> Pat
 
 def _egos(references: list[str], folder: Path) -> tuple[str, dict[str, tuple[str, int]]]:
     """Return the one method of the egos, and each one's file name and seed."""
-    found = {reference: EGO_FILE.fullmatch(PurePath(reference).name) for reference in references}
-    methods = {match["method"] for match in found.values() if match}
-    if None in found.values() or len(methods) != 1:
+    matches = {reference: EGO_FILE.fullmatch(PurePath(reference).name) for reference in references}
+    methods = {match["method"] for match in matches.values() if match}
+    if None in matches.values() or len(methods) != 1:
         raise ValueError(
             f"{folder} evaluated {', '.join(references[:3])}; expected the policies of one "
             "train-ego run, such as runs/scratch-ppo/policies/ppo-s0.safetensors"
         )
     return methods.pop(), {
-        name: (match[0], int(match["seed"])) for name, match in found.items() if match
+        name: (match[0], int(match["seed"])) for name, match in matches.items() if match
     }

@@ -45,8 +45,8 @@ def _population(results: Results) -> Figure:
 def _curves(results: Results) -> Figure:
     curves = training_curves(results)
     final = {
-        task: {name: figure["iqm"] for name, figure in found.items()}
-        for task, found in results.paper["self_play"].items()
+        task: {name: figure["iqm"] for name, figure in figures.items()}
+        for task, figures in results.paper["self_play"].items()
     }
     caption = (
         f"Release {results.release}, setting d1. IQM of the training return over seeds and its "
@@ -57,9 +57,9 @@ def _curves(results: Results) -> Figure:
 
 
 def _bars(results: Results, task: str) -> Figure:
-    found = {method.upper(): results.egos.get((task, method)) for method in METHODS}
+    egos_of = {method.upper(): results.egos.get((task, method)) for method in METHODS}
     summaries: dict[str, Mapping[str, Any]] = {
-        name: egos.summary for name, egos in found.items() if egos
+        name: egos.summary for name, egos in egos_of.items() if egos
     }
     played = results.crossplay.get(task)
     lines = {"self-play of all teams": played.summary["self_play"]["mean"]} if played else {}

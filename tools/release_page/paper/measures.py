@@ -100,11 +100,11 @@ def variance_shares(
         [_shares(filled[np.ix_(i, i)]) for i in rng.integers(0, teams, (resamples, teams))]
     )
     n = teams * (teams - 1)
-    found = [
+    intervals = [
         Interval(value, interval(column, "teams"), n, "teams")
         for value, column in zip(_shares(filled), draws.T, strict=True)
     ]
-    return VarianceShares(*found)
+    return VarianceShares(*intervals)
 
 
 def probability_of_improvement(x: np.ndarray, y: np.ndarray) -> float:

@@ -21,9 +21,11 @@ def population(results: Results, picture: Picture) -> str:
     for name in ALGORITHMS:
         cells = []
         for task in PAPER_TASKS:
-            each = {setting: n for (t, a, setting), n in settings.items() if (t, a) == (task, name)}
+            teams = {
+                setting: n for (t, a, setting), n in settings.items() if (t, a) == (task, name)
+            }
             cells += [
-                _made_of(each),
+                _made_of(teams),
                 f"{planned({name: paper[task][name]})} = {_planned_of(paper[task][name])}",
             ]
         rows.append([name.upper(), *cells])
@@ -36,7 +38,7 @@ def population(results: Results, picture: Picture) -> str:
         "settings × seeds",
         *(f"{spoken(task)}{of}" for task in PAPER_TASKS for of in ("", ", paper")),
     ]
-    ours, wanted = (sum(column) for column in zip(*totals, strict=True))
+    ours, planned_teams = (sum(column) for column in zip(*totals, strict=True))
     same = (
         "The composition is the paper's."
         if not _differences(settings, paper)
@@ -47,7 +49,7 @@ def population(results: Results, picture: Picture) -> str:
         if ours
         else f"Figure 2: {MISSING}."
     )
-    return f"{table(headings, rows)}\n\n{ours} of {wanted} teams. {same}\n\n{drawn}"
+    return f"{table(headings, rows)}\n\n{ours} of {planned_teams} teams. {same}\n\n{drawn}"
 
 
 def _made_of(settings: Mapping[str, int]) -> str:
@@ -68,13 +70,15 @@ def _differences(
     settings: Mapping[tuple[str, str, str], int], paper: Mapping[str, Any]
 ) -> list[str]:
     """Name the task and algorithm where a setting's number of seeds is not the paper's."""
-    wanted = {
+    planned_teams = {
         (task, name, f"d{i + 1}"): kind["seeds"]
         for task, kinds in paper.items()
         for name, kind in kinds.items()
         for i in range(kind["settings"])
     }
     differing = {
-        key[:2] for key in {*wanted, *settings} if wanted.get(key, 0) != settings.get(key, 0)
+        key[:2]
+        for key in {*planned_teams, *settings}
+        if planned_teams.get(key, 0) != settings.get(key, 0)
     }
     return [f"{spoken(task)} {name.upper()}" for task, name in sorted(differing)]

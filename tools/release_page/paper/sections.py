@@ -43,12 +43,14 @@ def summary(results: Results, claims: Sequence[Claim]) -> str:
         for name in ALGORITHMS
     ]
     for title in dict.fromkeys(claim.title for claim in claims):
-        found = {claim.task: claim.headline for claim in claims if claim.title == title}
+        headlines = {claim.task: claim.headline for claim in claims if claim.title == title}
         [about] = {claim.figure for claim in claims if claim.title == title}
-        rows.append([f"{title}: {about}", *(found.get(task, "–") for task in PAPER_TASKS)])
+        rows.append([f"{title}: {about}", *(headlines.get(task, "–") for task in PAPER_TASKS)])
     counts = Counter(claim.verdict for claim in claims)
-    told = ", ".join(f"*{verdict}* {counts[verdict]}" for verdict in _VERDICTS if counts[verdict])
-    return f"{table(['', *map(spoken, PAPER_TASKS)], rows)}\n\nClaims by task: {told}."
+    counted = ", ".join(
+        f"*{verdict}* {counts[verdict]}" for verdict in _VERDICTS if counts[verdict]
+    )
+    return f"{table(['', *map(spoken, PAPER_TASKS)], rows)}\n\nClaims by task: {counted}."
 
 
 def self_play(results: Results) -> str:
@@ -92,10 +94,10 @@ def curves(results: Results, picture: Picture) -> str:
     """Return Figure 3."""
     if not results.has_curves:
         return f"Figure 3: {MISSING}."
-    found = training_curves(results)
+    curves = training_curves(results)
     rows: list[list[object]] = []
-    for task, algorithm in found.select("task", "algorithm").unique(maintain_order=True).rows():
-        curve = found.filter(task=task, algorithm=algorithm)
+    for task, algorithm in curves.select("task", "algorithm").unique(maintain_order=True).rows():
+        curve = curves.filter(task=task, algorithm=algorithm)
         end = curve.row(-1, named=True)
         last = {
             "iqm": end["iqm"],
@@ -176,18 +178,18 @@ def zero_shot(results: Results, picture: Picture) -> str:
             if egos is None:
                 rows.append([spoken(task), method.upper(), "–", MISSING, "–", "–", "–"])
                 continue
-            told = egos.summary
-            worst = told["worst_partner"]
+            summary = egos.summary
+            worst = summary["worst_partner"]
             figures = [
-                figure(told["m_train"]),
-                figure(told["m_test"]),
-                figure(told["gap"], key="mean"),
+                figure(summary["m_train"]),
+                figure(summary["m_test"]),
+                figure(summary["gap"], key="mean"),
             ]
             rows.append(
                 [
                     spoken(task),
                     method.upper(),
-                    len(told["egos"]),
+                    len(summary["egos"]),
                     *figures,
                     f"{worst['mean']:,.1f} ({worst['partner'].split('/')[1]})",
                 ]
@@ -201,12 +203,12 @@ def zero_shot(results: Results, picture: Picture) -> str:
         "mean gap [95%]",
         "worst test partner",
     ]
-    found = [
+    tasks = [
         task for task in PAPER_TASKS if any((task, method) in results.egos for method in METHODS)
     ]
     drawn = [
         image(picture(f"zsc_{task}.png"), f"Returns of egos on {spoken(task)}", "60%")
-        for task in found
+        for task in tasks
     ]
     about = (
         "Intervals here resample seeds and partners, so they speak about new ones of both; the gap "
@@ -256,12 +258,14 @@ def _agreement(ours: Mapping[str, Any] | None, theirs: Mapping[str, Any]) -> str
 
 def _orders(results: Results, task: str) -> str:
     theirs = {name: results.paper["self_play"][task][name]["iqm"] for name in ALGORITHMS}
-    ours = {name: found["iqm"] for name in ALGORITHMS if (found := _self_play(results, task, name))}
+    ours = {
+        name: figures["iqm"] for name in ALGORITHMS if (figures := _self_play(results, task, name))
+    }
     if len(ours) < len(ALGORITHMS):
         return MISSING
     first, second = (
-        " > ".join(name.upper() for name in sorted(found, key=found.__getitem__, reverse=True))
-        for found in (ours, theirs)
+        " > ".join(name.upper() for name in sorted(returns, key=returns.__getitem__, reverse=True))
+        for returns in (ours, theirs)
     )
     return f"{first}, as in the paper" if first == second else f"{first}; in the paper {second}"
 
@@ -277,9 +281,9 @@ def _shares(played: CrossPlayed) -> list[str]:
 def _exchange(task: str, played: CrossPlayed, paper: Mapping[str, Any]) -> list[object]:
     pair = played.strategies["incompatible"]
     theirs = "–"
-    if told := paper.get(task):
-        returns = " and ".join(f"{value:.1f}" for value in told["returns"])
-        theirs = f"{returns}, exchanged below {told['exchanged_below']}"
+    if exchange := paper.get(task):
+        returns = " and ".join(f"{value:.1f}" for value in exchange["returns"])
+        theirs = f"{returns}, exchanged below {exchange['exchanged_below']}"
     if pair is None:
         return [spoken(task), "none loses both ways", "–", "–", theirs]
     names = ", ".join(name.split("/")[1] for name in pair["partners"])

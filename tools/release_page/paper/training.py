@@ -31,8 +31,8 @@ def curve_kinds(results: Results) -> list[tuple[str, str]]:
     """Return task and algorithm of the curves that there are of setting d1."""
     if results.curves is None:
         return []
-    found = set(results.curves.filter(disability="d1").select("task", "algorithm").unique().rows())
-    return sorted(found, key=lambda kind: (PAPER_TASKS.index(kind[0]), kind[1]))
+    kinds = set(results.curves.filter(disability="d1").select("task", "algorithm").unique().rows())
+    return sorted(kinds, key=lambda kind: (PAPER_TASKS.index(kind[0]), kind[1]))
 
 
 def gained_last(curve: pl.DataFrame) -> float:

@@ -72,7 +72,7 @@ def audit(
         from assistax_workshop.auditing import audit as audit_teams
         from evaluation.record.tables import to_json
 
-        found = to_json(
+        result = to_json(
             audit_teams(
                 task,
                 team,
@@ -84,20 +84,20 @@ def audit(
                 out=out,
             )
         )
-    (print_json if json else _print)(found)
+    (print_json if json else _print)(result)
 
 
-def _print(found: Mapping[str, Any]) -> None:
+def _print(result: Mapping[str, Any]) -> None:
     """Print an audit's gates as a table, then the figures behind them."""
-    title = f"{found['task']}, {len(found['teams'])} teams, {found['episodes']} episodes a pair"
+    title = f"{result['task']}, {len(result['teams'])} teams, {result['episodes']} episodes a pair"
     table = new_table(title)
     for name in ("gate", "bar", "found", "95%", "holds"):
         table.add_column(name, overflow="fold")
-    for gate in found["gates"]:
+    for gate in result["gates"]:
         ends = " to ".join(f"{end:.2f}" for end in gate["ci"] or ())
         value = gate["told"] if gate["value"] is None else f"{gate['value']:.3f}"
         held = {True: "yes", False: "NO", None: "-"}[gate["holds"]]
         table.add_row(gate["gate"], gate["bar"], value, ends or "-", held)
     print_table(table)
-    for name, figures in found["figures"].items():
+    for name, figures in result["figures"].items():
         print(f"{name}: {', '.join(f'{what} {value:.3g}' for what, value in figures.items())}")

@@ -190,8 +190,8 @@ def _play(
             played[Condition[name.upper()]] = met.filter(~pl.col("partner").is_in(egos.met))
     for name in ("recurrent", "told", "blind"):
         if pairs := getattr(others, name):
-            told = {"told": BOTH, "blind": ()}.get(name)
-            there = env if told is None else table.env(told=told)
+            observers = {"told": BOTH, "blind": ()}.get(name)
+            there = env if observers is None else table.env(told=observers)
             played[Condition[name.upper()]] = table.play(
                 name, pairs.robots, pairs.humans, env=there, paired=True
             )
@@ -247,11 +247,11 @@ class _Tables:
             preferences=preferences_of(self.task),
         )
 
-        def told(state: Progress) -> None:
+        def report(state: Progress) -> None:
             if self.on_progress is not None:
                 self.on_progress(dataclasses.replace(state, what=name))
 
-        return run_job(env, job, self.folder / name, on_progress=told).table
+        return run_job(env, job, self.folder / name, on_progress=report).table
 
 
 def touches(env: Any, teams: Teams, episodes: int, seed: int) -> dict[str, float]:
@@ -266,20 +266,20 @@ def touches(env: Any, teams: Teams, episodes: int, seed: int) -> dict[str, float
         speeds.append(speed)
     force, contact = np.concatenate(forces), np.concatenate(contacts)
     felt = force > FELT
-    found = {"contact steps": float(felt.mean())}
+    shares = {"contact steps": float(felt.mean())}
     if felt.any():
         below = float((contact[felt] < HARD).mean())
         quantiles = np.quantile(force[felt], (0.5, 0.95, 0.99, 1.0))
         names = ("force 50%", "force 95%", "force 99%", "force largest")
-        found |= dict(zip(names, map(float, quantiles), strict=True))
-        found["contact steps below the limit"] = below
-    return found | {"joint speed, share of the limit": float(np.concatenate(speeds).max())}
+        shares |= dict(zip(names, map(float, quantiles), strict=True))
+        shares["contact steps below the limit"] = below
+    return shares | {"joint speed, share of the limit": float(np.concatenate(speeds).max())}
 
 
 def _steps(env: Any, robot: Any, human: Any, params: Any, seed: int) -> tuple[np.ndarray, ...]:
     """Return force, largest contact and fastest joint's share of its limit, [T * K] each."""
     policies = {"robot": Policy(robot.spec), "human": Policy(human.spec)}
-    given = {"robot": robot.params, "human": human.params}
+    params_of = {"robot": robot.params, "human": human.params}
     count = params.strength.shape[0]
     limits = np.array(JOINT_SPEEDS, np.float32)[None]
 
@@ -287,7 +287,7 @@ def _steps(env: Any, robot: Any, human: Any, params: Any, seed: int) -> tuple[np
         state, memory = carry
         first = jnp.full(count, time == 0)
         acted = {
-            role: policy.act(given[role], memory[role], state.obs[role], first)
+            role: policy.act(params_of[role], memory[role], state.obs[role], first)
             for role, policy in policies.items()
         }
         state = env.step(state, {role: action for role, (_, action) in acted.items()})

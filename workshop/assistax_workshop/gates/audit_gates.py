@@ -61,8 +61,8 @@ def gates_of(
     played = {Condition(name): table for name, table in tables.items()}  # refuses others
     pairs = played[Condition.PAIRS]
     own, goal = played[Condition.OWN], "safe_success" if REGISTERED[task].felt else "success"
-    each = with_safety(own).group_by("ego").agg(pl.col(goal).cast(pl.Float64).mean())
-    half = float(each[goal].to_numpy().max()) / 2
+    reached = with_safety(own).group_by("ego").agg(pl.col(goal).cast(pl.Float64).mean())
+    half = float(reached[goal].to_numpy().max()) / 2
 
     def earned(
         name: str, bar: str, what: Condition, least: float, needs: str, paired: bool = False
@@ -114,16 +114,16 @@ def _ego_gates(played: Mapping[Condition, pl.DataFrame]) -> list[Gate]:
         "among strangers, a robot that is told the preference",
         "egos, and egos that are told",
     )
-    plain, told, recurrent = map(
+    plain, knowing, recurrent = map(
         played.get, (Condition.EGO, Condition.EGO_TOLD, Condition.EGO_RECURRENT)
     )
-    if plain is None or told is None:
+    if plain is None or knowing is None:
         return [Gate(name, "> 5% more", None, None, None, f"not measured: needs {needs}")]
-    worth = _earned(name, "> 5% more", plain, told, 1.05, needs, than="not told")
+    worth = _earned(name, "> 5% more", plain, knowing, 1.05, needs, than="not told")
     name, bar = "share of that which a recurrent robot wins back", "the interval above 0"
     if recurrent is None:
         return [worth, Gate(name, bar, None, None, None, "not measured: needs recurrent egos")]
-    returns = [_by_robot(table, "return") for table in (plain, told, recurrent)]
+    returns = [_by_robot(table, "return") for table in (plain, knowing, recurrent)]
     said = f"return {returns[2].mean():.1f}"
     if returns[1].mean() <= returns[0].mean():
         return [worth, Gate(name, bar, None, None, None, f"{said}: nothing to win back")]
@@ -148,11 +148,11 @@ def condition_figures(table: pl.DataFrame) -> dict[str, float]:
 def _touch_gates(touch: Mapping[str, float]) -> list[Gate]:
     below = touch.get("contact steps below the limit")
     speed = touch["joint speed, share of the limit"]
-    told = "own teams, step by step"
+    detail = "own teams, step by step"
     return [
         Gate(f"contact steps below {HARD:.0f} N", ">= 0.99", below, None,
-             None if below is None else below >= 0.99, told if below else "nobody was touched"),
-        Gate("fastest joint, share of the datasheet's", "<= 1", speed, None, speed <= 1.0, told),
+             None if below is None else below >= 0.99, detail if below else "nobody was touched"),
+        Gate("fastest joint, share of the datasheet's", "<= 1", speed, None, speed <= 1.0, detail),
     ]  # fmt: skip
 
 
@@ -178,13 +178,13 @@ def _cross_play(table: pl.DataFrame) -> Gate:
         Traits(*(who[f"{seat}_{t}"].to_list() for t in ("team", "algorithm", "disability")))
         for who, seat in seats
     ]
-    found = cross_play(returns.values, *traits, common_starts=returns.common_starts)
-    gap, own, strange = found.relative_gap, found.self_play, found.cross_play
-    told = f"return {strange.mean:.1f}, own teams {own.mean:.1f}" if own and strange else ""
+    result = cross_play(returns.values, *traits, common_starts=returns.common_starts)
+    gap, own, strange = result.relative_gap, result.self_play, result.cross_play
+    detail = f"return {strange.mean:.1f}, own teams {own.mean:.1f}" if own and strange else ""
     if gap is None:
-        return Gate(name, bar, None, None, None, f"{told}: no share of it")
+        return Gate(name, bar, None, None, None, f"{detail}: no share of it")
     holds = gap.value > 0.1 and gap.value_ci is not None and gap.value_ci[0] > 0.0
-    return Gate(name, bar, gap.value, gap.value_ci, holds, told)
+    return Gate(name, bar, gap.value, gap.value_ci, holds, detail)
 
 
 def _lost(gate: Gate, least: float, *, above: bool = False) -> Gate:
@@ -217,11 +217,11 @@ def _earned(
     if paired:
         own, who = own.join(other, on=("partner", "episode"), how="semi"), "partner"
     ours, theirs = _by_robot(own, "return", who), _by_robot(other, "return", who)
-    told = f"return {theirs.mean():.1f}, {than} {ours.mean():.1f}"
+    detail = f"return {theirs.mean():.1f}, {than} {ours.mean():.1f}"
     if ours.mean() <= 0.0:
-        return Gate(name, bar, None, None, None, f"{told}: no share of it")
+        return Gate(name, bar, None, None, None, f"{detail}: no share of it")
     value, ci = _estimate(lambda a, b: b / a, ours, theirs, paired=paired)
-    return Gate(name, bar, value, ci, value >= least, told)
+    return Gate(name, bar, value, ci, value >= least, detail)
 
 
 def _estimate(

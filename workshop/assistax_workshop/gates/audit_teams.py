@@ -58,8 +58,8 @@ def read_teams(sources: Sequence[str], registry: Registry, task: str) -> Teams:
     """
     pairs: list[tuple[Single, Single]] = []
     for source in sources:
-        found = _of_run(source, task) if Path(source).is_dir() else _of_zoo(source, registry, task)
-        pairs += [(team["robot"], team["human"]) for team in found if len(team) == 2]
+        teams = _of_run(source, task) if Path(source).is_dir() else _of_zoo(source, registry, task)
+        pairs += [(team["robot"], team["human"]) for team in teams if len(team) == 2]
     if not pairs:
         raise ValueError(f"no team of {task} in {', '.join(sources)}; give a folder of `train`")
     by_specs: dict[Any, list[tuple[Single, Single]]] = {}
@@ -68,8 +68,8 @@ def read_teams(sources: Sequence[str], registry: Registry, task: str) -> Teams:
     ordered = [pair for alike in by_specs.values() for pair in alike]
     stacks: tuple[list[PolicyStack], list[PolicyStack]] = ([], [])
     for alike in by_specs.values():
-        for seat, one in enumerate(stacks):
-            one += stack_policies((m.id, spec, params) for m, spec, params in
+        for seat, stack in enumerate(stacks):
+            stack += stack_policies((m.id, spec, params) for m, spec, params in
                                   (pair[seat] for pair in alike))  # fmt: skip
     robots, humans = (
         Roster(tuple(stacks[seat]), {pair[seat][0].id: pair[seat][0] for pair in ordered})
@@ -104,12 +104,12 @@ def read_trained_egos(sources: Sequence[str], registry: Registry, task: str) -> 
 
 
 def _of_run(source: str, task: str) -> list[dict[str, Single]]:
-    found: list[dict[str, Single]] = []
+    teams: list[dict[str, Single]] = []
     for team in read_run(source):
         if team.task != task:
             raise ValueError(f"{source} is of task {team.task}; give teams of {task}")
         name = f"{Path(source).resolve().name}/{team.algorithm}-{team.disability}-s{team.seed}"
-        found.append(
+        teams.append(
             {
                 role: (
                     Member(
@@ -126,7 +126,7 @@ def _of_run(source: str, task: str) -> list[dict[str, Single]]:
                 for role, params in team.params.items()
             }
         )
-    return found
+    return teams
 
 
 def _of_zoo(pattern: str, registry: Registry, task: str) -> list[dict[str, Single]]:

@@ -63,8 +63,10 @@ def make_candidate(team: TrainedTeam, release: str, check: Check) -> Candidate:
         )
         against = TrainedAgainst(**team.trained_against) if team.trained_against else None
     except (ValidationError, TypeError) as error:
-        found = first_problem(error) if isinstance(error, ValidationError) else str(error)
-        raise PublishError(f"team {name}", "provenance and figures of the schema", found) from None
+        problem = first_problem(error) if isinstance(error, ValidationError) else str(error)
+        raise PublishError(
+            f"team {name}", "provenance and figures of the schema", problem
+        ) from None
     return Candidate(name, team.specs, leaves, hashes, run, provenance, figures, against)
 
 
@@ -72,11 +74,11 @@ def _name(team: TrainedTeam, release: str) -> TeamId:
     """Return the id under which a team, or the robot of a `train-ego` run, is published."""
     if team.is_ego:
         if not team.trained_against:
-            found = "none: split.json is missing (resuming the training writes it)"
+            missing = "none: split.json is missing (resuming the training writes it)"
             raise PublishError(
                 f"ego {team.task}/{team.algorithm} seed {team.seed}",
                 "the split that it was trained against",
-                found,
+                missing,
             )
         return TeamId(team.task, team.algorithm, EGO, team.seed, release)
     if team.disability not in DISABILITY_SETTINGS:

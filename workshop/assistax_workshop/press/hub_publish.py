@@ -167,8 +167,8 @@ def _commit(api: Any, remote: HubRemote, files: dict[str, bytes], release: str, 
             if isinstance(error, TransientError) and head.revision == remote.revision:
                 raise
             expected = f"commit {remote.revision} as its newest"
-            found = f"{head.revision}: somebody published meanwhile"
-            raise PublishError(remote.name, expected, found, "publish again") from None
+            newest = f"{head.revision}: somebody published meanwhile"
+            raise PublishError(remote.name, expected, newest, "publish again") from None
 
     advice = "publish again; what was sent is not visible"
     refuse = functools.partial(PublishError, remote.name, "a commit", next_step=advice)

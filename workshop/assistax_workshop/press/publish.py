@@ -170,9 +170,9 @@ def _with_release(
 ) -> RegistryFile:
     """Return the registry with the release, its new tasks' environment versions added."""
     if data.disability_settings != installed_settings():
-        found = f"{installed_settings()} in the installed environments"
+        installed = f"{installed_settings()} in the installed environments"
         raise ImmutableError(
-            "disability settings", f"the registry's {data.disability_settings}", found
+            "disability settings", f"the registry's {data.disability_settings}", installed
         )
     entry = data.releases.get(release, created)
     versions = dict(entry.environments)
