@@ -69,6 +69,8 @@ def addresses(client: TestClient) -> list[str]:
         EXPLORER,
         linked(client, board, r"/submissions/\w+"),
         queued[1],
+        linked(client, board, r"/submissions/\w+") + "/method",
+        "/tasks/scratch/heatmap",
         "/seasons",
         linked(client, "/seasons", r"/seasons/\w+"),
         "/ledger",

@@ -17,6 +17,7 @@ from tests.system import CHROMIUM, needs
 pytestmark = [pytest.mark.slow, needs("chromium", CHROMIUM)]
 PAGES = (
     *("/", "/tasks/scratch", "/tasks/arm_assist", "/tasks/scratch/compare", "/tasks/nowhere"),
+    *("/tasks/scratch?search=ego&sort=iqm&show=methods", "/tasks/scratch/heatmap"),
     *("/tasks/scratch/partners?disability=d3", "/partners/scratch/ippo-d1-s0-v1"),
     *("/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1", "/tasks/scratch/explorer"),
     *("/seasons", "/seasons/5ea5011", "/submit?task=scratch", "/ledger", "/organise", "/docs"),
@@ -38,10 +39,11 @@ def browser() -> Iterator[Browser]:
 
 
 def submissions(page: Page, address: str) -> list[str]:
-    """Return the page of a scored submission, and of one that waits."""
+    """Return the page of a scored submission, of one that waits, and of the first's method."""
     page.goto(f"{address}/tasks/scratch")
     links = page.locator(".board tbody a").first, page.locator(".queue a").first
-    return [str(link.get_attribute("href")) for link in links]
+    scored, waiting = (str(link.get_attribute("href")) for link in links)
+    return [scored, waiting, f"{scored}/method"]
 
 
 def from_board_to_explorer(page: Page, address: str) -> None:

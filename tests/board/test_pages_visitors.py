@@ -94,3 +94,50 @@ def test_a_link_with_a_version_shows_the_board_that_it_showed(tmp_path: Path) ->
     newest = reader.get(f"/tasks/{TASK}?version={new.queries.versions(TASK)[0][0]}").text
     assert "of an older version" not in newest
     assert reader.get(f"/tasks/{TASK}?version=never").status_code == 404
+
+
+def test_a_method_has_a_page_with_its_history_and_partners(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    lab, other = new_submitter(service), new_submitter(service, "other")
+    ids = [service.submit(lab, draft(strength, f"r{strength}")) for strength in (1.0, 4.0)]
+    service.submit(lab, draft(2.0, "r2", method="another idea"))
+    service.submit(other, draft(3.0, "r3"))
+    work_off(service)
+    last = service.submit(lab, draft(5.0, "r5"))
+    reader = TestClient(create_app(service))
+    page = reader.get(f"/submissions/{last}/method").text
+    assert "3 submissions of this name" in page
+    listed = re.findall(r'<th scope="row"><a href="/submissions/(\w+)"', page)
+    assert set(listed) == {*ids, last}, "of this lab and name alone"
+    means = re.findall(r'<td>public</td>\s*<td class="number">([\d.]+)</td>', page)
+    assert sorted(round(float(mean)) for mean in means) == [2, 4]
+    assert "queued" in page
+    scored = reader.get(f"/submissions/{ids[0]}/method").text
+    assert "M_test of 2 seeds" in scored
+    assert scored.count('class="number shade-') == 2 * 60, "two seeds with 60 partners"
+    assert f'href="/submissions/{ids[0]}/method"' in reader.get(f"/submissions/{ids[0]}").text
+    assert reader.get("/submissions/none/method").status_code == 404
+
+
+def test_an_erased_labs_method_has_no_name_on_its_page(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    lab = new_submitter(service, "Lab of Ada")
+    id = service.submit(lab, draft(1.0, method="adas idea"))
+    work_off(service)
+    reader = TestClient(create_app(service))
+    assert "adas idea" in reader.get(f"/submissions/{id}/method").text
+    service.erase_submitter(lab)
+    reader = TestClient(create_app(service))
+    for address in (f"/submissions/{id}/method", f"/tasks/{TASK}/heatmap", f"/tasks/{TASK}.csv"):
+        page = reader.get(address).text
+        assert "Ada" not in page and "adas" not in page, address
+
+
+def test_methods_and_partners_are_a_map(client: TestClient) -> None:
+    page = client.get(f"{BOARD}/heatmap").text
+    assert page.count('class="number shade-') == 4 * 99, "the methods that compete"
+    assert "self-play" not in page
+    shades = [int(shade) for shade in re.findall(r'class="number shade-(\d)"', page)]
+    assert (min(shades), max(shades)) == (0, 9)
+    assert page.index("ppo ego") < page.index("scripted")
+    assert client.get("/tasks/bed_bath/heatmap").status_code == 404

@@ -51,9 +51,13 @@ class Queries:
         task: str | None = None,
         submitter: str | None = None,
         season: str | None = None,
+        method_of: str | None = None,
         limit: int = 100,
     ) -> list[Submission]:
-        """Return the newest submissions first; `submitter` is an id."""
+        """Return the newest submissions first.
+
+        `submitter` is an id; `method_of` is that of a submission of the method.
+        """
         query = (
             _submission_query().order_by(SUBMISSION.created_at.desc(), SUBMISSION.id).limit(limit)
         )
@@ -63,6 +67,7 @@ class Queries:
             (SUBMISSION.season, season),
         ):
             query = query if value is None else query.where(column == value)
+        query = query if method_of is None else query.where(_of_method(method_of))
         with self._database.read() as connection:
             queue = Queue(connection)
             return [queue.describe(row) for row in connection.execute(query)]
@@ -88,8 +93,12 @@ class Queries:
         panel: str | None = None,
         season: str | None = None,
         version: str | None = None,
+        method_of: str | None = None,
     ) -> list[Score]:
-        """Return released scores, the oldest first; `version` is an id, see `versions`."""
+        """Return released scores, the oldest first.
+
+        `version` is an id, see `versions`; `method_of` is that of a submission of the method.
+        """
         query = (
             sa.select(
                 schema.scores,
@@ -116,6 +125,7 @@ class Queries:
         )
         for column, value in conditions:
             query = query if value is None else query.where(column == value)
+        query = query if method_of is None else query.where(_of_method(method_of))
         with self._database.read() as connection:
             return [_score(row) for row in connection.execute(query)]
 
@@ -197,6 +207,14 @@ def _submission_query() -> sa.Select:
     return sa.select(schema.submissions, name).join(
         schema.submitters, SUBMITTER.id == SUBMISSION.submitter
     )
+
+
+def _of_method(submission: str) -> sa.ColumnElement[bool]:
+    """Return whether a submission has the task, submitter and method of another."""
+    keys = SUBMISSION.task, SUBMISSION.submitter, SUBMISSION.method
+    other = schema.submissions.alias()
+    same = sa.select(*(other.c[key.name] for key in keys)).where(other.c.id == submission)
+    return sa.tuple_(*keys).in_(same)
 
 
 def _score(row: Any) -> Score:
