@@ -143,6 +143,23 @@ def test_axe_finds_nothing_serious_and_nothing_runs_out_of_the_window(
     assert faults == []
 
 
+def test_a_row_of_a_board_is_three_lines_on_a_telephone(browser: Browser, address: str) -> None:
+    """Each method: its place and name, its return and interval, and two figures more."""
+    lines = """[...document.querySelectorAll(".board tbody tr")].map((row) => {
+      const boxes = [...row.children].map((cell) => cell.getBoundingClientRect());
+      const middles = boxes.filter((box) => box.height).map((box) => box.y + box.height / 2);
+      middles.sort((a, b) => a - b);
+      return 1 + middles.slice(1).filter((y, i) => y - middles[i] > 10).length;
+    })"""
+    height = "document.querySelector('.board tbody tr').getBoundingClientRect().height"
+    with opened(browser, 400) as page:
+        page.goto(f"{address}/tasks/scratch")
+        assert page.evaluate(lines) == [3] * 7
+        assert page.evaluate(height) < 110
+        row = page.get_by_role("row", name="ppo ego").inner_text()
+        assert "987" in row and " to " in row and "4 seeds" in row
+
+
 def test_axe_would_find_a_fault(browser: Browser, address: str) -> None:
     with opened(browser) as page:
         page.goto(address)

@@ -3,15 +3,19 @@
 import csv
 import io
 import re
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from starlette.testclient import TestClient
 
+from assistax_board import pages
 from assistax_board.app import create_app
+from assistax_board.pages.security import FIELD
 from tests.board.board_data import HOSTILE, VERSION, Robot, make_app
 from tests.board.fakes import TASK, advance, draft, new_service, new_submitter, work_off
+from tests.board.test_pages import Films, inline
 
 BOARD = "/tasks/scratch"
 
@@ -141,3 +145,40 @@ def test_methods_and_partners_are_a_map(client: TestClient) -> None:
     assert (min(shades), max(shades)) == (0, 9)
     assert page.index("ppo ego") < page.index("scripted")
     assert client.get("/tasks/bed_bath/heatmap").status_code == 404
+
+
+def test_the_home_page_says_what_this_is_and_who_leads(client: TestClient) -> None:
+    page = client.get("/").text
+    lead = re.search(r'<p class="lead">(.*?)</p>', page, re.DOTALL)
+    assert lead and lead[1].count(".") == 3, "three sentences"
+    leaders = re.findall(r'<span class="rank">(\d).*?<a href="/submissions/\w+">([^<]+)</a>', page)
+    assert [place for place, _ in leaders] == ["1", "1", "3"]
+    assert [name for _, name in leaders[:2]] == ["ppo ego", "sac ego"]
+    assert page.count("Nobody has been scored yet") == 2
+    assert "<figure>" not in page, "no film was made"
+
+
+def test_the_home_page_shows_the_film_that_was_made_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    films, address = Films(), "/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1"
+    monkeypatch.setattr(pages, "run_command", lambda arguments, registry: films(arguments))
+    with TestClient(make_app(tmp_path, ())) as reader:
+        token = re.search(rf'name="{FIELD}" value="(\w+)"', reader.get(address).text)
+        assert token
+        reader.post(address, data={FIELD: token[1]})
+        end = time.monotonic() + 30
+        while "<figure>" not in (page := reader.get("/").text) and time.monotonic() < end:
+            time.sleep(0.1)
+        film = re.search(r'class="film" src="([^"]+)"', page)
+        assert film
+        assert reader.get(film[1]).content == b"film"
+        assert f'href="{address}"' in page
+        assert inline(page) == []
+    [note] = (tmp_path / "films").glob("*/pair.json")
+    note.write_text(note.read_text().replace("ippo-d1-s0-v1", "gone"))
+    other = tmp_path / "other"
+    other.mkdir()
+    (tmp_path / "films").rename(other / "films")
+    with TestClient(make_app(other, ())) as reader:
+        assert "<figure>" not in reader.get("/").text, "of a pair that this server does not have"

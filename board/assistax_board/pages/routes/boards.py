@@ -10,6 +10,7 @@ from starlette.responses import Response
 from assistax_board.pages.boards import Board
 from assistax_board.pages.cache import respond
 from assistax_board.pages.charts import axis_over
+from assistax_board.pages.routes.partners import pair_values
 from assistax_board.pages.routes.rows import (
     LONGEST,
     SAFETY,
@@ -33,6 +34,7 @@ def board_router(site: Site) -> APIRouter:
                 "boards": {task: site.boards.of(task) for task in site.tasks},
                 "seasons": site.queries.seasons(),
                 "played": site.crossplays.tasks,
+                "film": newest_film(site),
             }
 
         return site.page(request, "", LIVE, "home.html", values)
@@ -77,6 +79,19 @@ def board_router(site: Site) -> APIRouter:
         return site.page(request, f"{task} {a} {b}", LIVE, "compare.html", values)
 
     return router
+
+
+def newest_film(site: Site) -> dict[str, Any] | None:
+    """Return what the home page shows of the film that was made last, if its pair is here."""
+    pair = site.videos.newest()
+    if pair is None:
+        return None
+    seats = [id.split("/")[1] for id in (pair.robot, pair.human)]
+    try:
+        values = pair_values(site, pair.task, *seats)
+    except NotFoundError:  # of another registry
+        return None
+    return values if values["film"] else None
 
 
 def board_values(site: Site, task: str, version: str | None, view: View) -> dict[str, Any]:
