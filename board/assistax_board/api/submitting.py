@@ -3,14 +3,14 @@
 import dataclasses
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Depends, Query, Request
 
 from assistax_board.api.errors import RESPONSES, existing
-from assistax_board.api.guards import SUBMIT, Submitter, TheService
+from assistax_board.api.guards import SUBMIT, Submitter, TheService, count_read
 from assistax_board.problems import Problem
-from assistax_board.rules.submissions import Draft
+from assistax_board.rules.submissions import MAX_BYTES, Draft
 from assistax_board.rules.tokens import Principal
-from assistax_board.store.shown import Submission
+from assistax_board.store.shown import Attempts, Limits, SeasonLimit, Submission
 
 router = APIRouter(prefix="/api", tags=["submit"], responses=RESPONSES)
 
@@ -63,6 +63,30 @@ def _hand_in(service: Any, submitter: str, draft: Draft) -> Submission:
         raise Problem("not_found", f"no season {draft.season!r}; GET /api/seasons lists them")
     draft = dataclasses.replace(draft, season=season.id if season else None)
     return service.queries.submission(service.submit(submitter, draft))
+
+
+@router.get("/limits", dependencies=[Depends(count_read)])
+def limits(request: Request, principal: Submitter) -> Limits:
+    """Return what you may still hand in: requests of this hour, and attempts of open seasons."""
+    return limits_of(request, principal)
+
+
+def limits_of(request: Request, principal: Principal) -> Limits:
+    """Return what a token's owner may still hand in; nothing is spent by asking."""
+    state, submitter = request.app.state, str(principal.submitter)
+    queries = state.service.queries
+    seasons = [
+        SeasonLimit(
+            *(season.id, season.name, season.task, season.closes_at),
+            *(attempts.spent, attempts.reserved, attempts.budget, attempts.left),
+        )
+        for season in queries.seasons()
+        if season.state == "open"
+        for attempts in queries.attempts(season.id, submitter)
+        or [Attempts(submitter, 0, 0, season.budget)]
+    ]
+    left = state.limiter.left(SUBMIT, principal.token)
+    return Limits(MAX_BYTES, SUBMIT.amount, left, tuple(seasons))
 
 
 @router.post("/submissions/{id}/withdraw")

@@ -14,6 +14,7 @@ def submit(
     season: str | None = None,
     licence: str = "evaluation-only",
     live: str | None = None,
+    limits: bool = False,
     check: bool = False,
     all: bool = False,
     watch: bool = False,
@@ -31,6 +32,7 @@ def submit(
         season: Season to take part in; default the public board alone.
         licence: What others may do with the file: evaluation-only, or a licence such as MIT.
         live: A robot that stays here instead of a file, such as python:mine:make.
+        limits: Only print what you may still hand in: of this hour, and of each open season.
         check: Only check: the server's own admission, and a few episodes with public partners.
         all: With `--check`: play the whole public half as the server does, and print its figures.
         watch: Wait for the end: print place in the queue and time left, then place on the board.
@@ -41,6 +43,12 @@ def submit(
     Example:
         assistax-zoo submit robot.onnx --task scratch --check
     """
+    if limits:
+        from assistax_board.submitting import limits_for_reader
+
+        answer = open_client(server.url, server.token_file).limits()
+        print_answer(answer if json else limits_for_reader(answer), json)
+        return
     if (file is None) == (live is None):
         raise ValueError("give a file, or --live with a robot such as python:mine:make")
     if all and not check:

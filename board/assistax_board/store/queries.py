@@ -167,8 +167,11 @@ class Queries:
             row = connection.execute(query).mappings().first()
             return None if row is None else _season(row)
 
-    def attempts(self, season: str) -> list[Attempts]:
-        """Return who has made how many attempts in a season: they stand on the board."""
+    def attempts(self, season: str, submitter: str | None = None) -> list[Attempts]:
+        """Return who has made how many attempts in a season: they stand on the board.
+
+        `submitter` is the id of the one who is asked about.
+        """
         query = (
             sa.select(SUBMITTER.name, SUBMISSION.attempt, SEASON.budget, sa.func.count())
             .join(schema.submitters, SUBMITTER.id == SUBMISSION.submitter)
@@ -176,6 +179,8 @@ class Queries:
             .where(SUBMISSION.season == season, SUBMISSION.kind != "reference")
             .group_by(SUBMITTER.name, SUBMISSION.attempt, SEASON.budget)
         )
+        if submitter is not None:
+            query = query.where(SUBMISSION.submitter == submitter)
         counts: dict[str, dict[str, int]] = {}
         with self._database.read() as connection:
             for name, attempt, budget, count in connection.execute(query):

@@ -91,6 +91,30 @@ class Attempts:
 
 
 @dataclasses.dataclass(frozen=True)
+class SeasonLimit:
+    """What a submitter may still do in an open season."""
+
+    id: str
+    name: str
+    task: str
+    closes_at: float | None
+    spent: int
+    reserved: int  # of submissions that are under way
+    budget: int
+    left: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """What a submitter may still do."""
+
+    file_bytes: int  # that a file may have
+    requests_an_hour: int  # with which robots are handed in
+    requests_left: int  # now
+    seasons: tuple[SeasonLimit, ...]  # that are open, the newest first
+
+
+@dataclasses.dataclass(frozen=True)
 class LedgerEntry:
     """One entry of the ledger; `hash` covers the rest and the entry before."""
 
