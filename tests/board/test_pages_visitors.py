@@ -6,6 +6,7 @@ import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from starlette.testclient import TestClient
@@ -13,6 +14,7 @@ from starlette.testclient import TestClient
 from assistax_board import pages
 from assistax_board.app import create_app
 from assistax_board.pages.security import FIELD
+from assistax_board.store.queries import Queries
 from tests.board.board_data import HOSTILE, VERSION, Robot, make_app
 from tests.board.fakes import TASK, advance, draft, new_service, new_submitter, work_off
 from tests.board.test_pages import Films, inline
@@ -182,3 +184,59 @@ def test_the_home_page_shows_the_film_that_was_made_last(
     (tmp_path / "films").rename(other / "films")
     with TestClient(make_app(other, ())) as reader:
         assert "<figure>" not in reader.get("/").text, "of a pair that this server does not have"
+
+
+def entries(reader: TestClient, address: str = "/news.atom") -> list[dict[str, str]]:
+    """Return a feed's entries, each by its elements."""
+    root = ElementTree.fromstring(reader.get(address).text)
+    space = "{http://www.w3.org/2005/Atom}"
+    return [
+        {child.tag.removeprefix(space): child.get("href") or child.text or "" for child in entry}
+        for entry in root.iter(f"{space}entry")
+    ]
+
+
+def test_new_scores_and_seasons_are_a_feed(client: TestClient) -> None:
+    answer = client.get("/news.atom")
+    assert answer.headers["content-type"] == "application/atom+xml; charset=utf-8"
+    news = entries(client)
+    titles = [entry["title"] for entry in news]
+    assert len(news) == 4 + 3 + 1 + 2 + 1, "every seed, and one season"
+    assert titles[-1] == "Season Spring & <b>sun</b> of scratch opened"
+    assert any(title.startswith(f"{HOSTILE} by group on scratch: 95") for title in titles)
+    assert [entry["updated"] for entry in news] == sorted(
+        (entry["updated"] for entry in news), reverse=True
+    )
+    assert len({entry["id"] for entry in news}) == len(news)
+    assert all(client.get(entry["link"]).status_code == 200 for entry in news)
+    assert entries(client, "/tasks/scratch/news.atom") == news
+    assert entries(client, "/tasks/bed_bath/news.atom") == []
+    assert client.get("/tasks/nowhere/news.atom").status_code == 404
+
+
+def test_a_feed_is_bounded_and_read_from_the_database_once_for_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+    real = Queries.scores
+    monkeypatch.setattr(
+        Queries, "scores", lambda self, **which: asked.append(1) or real(self, **which)
+    )
+    with TestClient(make_app(tmp_path, (Robot("lab", "mine", 5.0, seeds=60),))) as reader:
+        news = [entries(reader) for _ in range(5)]
+    assert [len(feed) for feed in news] == [50] * 5
+    assert len(asked) == 1
+
+
+def test_a_robot_that_is_scored_again_keeps_its_entry(tmp_path: Path) -> None:
+    old = new_service(tmp_path)
+    old.submit(new_submitter(old), draft(1.0))
+    work_off(old)
+    before = entries(TestClient(create_app(old)))
+    new = new_service(tmp_path, version=2)
+    advance(new, 60.0)
+    new.adopt_version()
+    work_off(new, version=2)
+    after = entries(TestClient(create_app(new)))
+    assert [entry["id"] for entry in after] == [entry["id"] for entry in before]
+    assert after[0]["updated"] > before[0]["updated"]

@@ -94,8 +94,9 @@ class Queries:
         season: str | None = None,
         version: str | None = None,
         method_of: str | None = None,
+        newest: int | None = None,
     ) -> list[Score]:
-        """Return released scores, the oldest first.
+        """Return released scores, the oldest first; of `newest` so many of the last ones.
 
         `version` is an id, see `versions`; `method_of` is that of a submission of the method.
         """
@@ -109,7 +110,8 @@ class Queries:
             .join(schema.submissions, SUBMISSION.id == SCORE.submission)
             .join(schema.submitters, SUBMITTER.id == SUBMISSION.submitter)
             .where(SCORE.released.is_not(None))
-            .order_by(SCORE.created_at, SCORE.submission)
+            .order_by(SCORE.created_at.desc(), SCORE.submission.desc(), SCORE.panel)
+            .limit(newest)
         )
         if submission is None:  # off every board; its own page still tells
             query = query.where(
@@ -127,7 +129,7 @@ class Queries:
             query = query if value is None else query.where(column == value)
         query = query if method_of is None else query.where(_of_method(method_of))
         with self._database.read() as connection:
-            return [_score(row) for row in connection.execute(query)]
+            return [_score(row) for row in connection.execute(query)][::-1]
 
     def partner_scores(
         self, submissions: Sequence[str], version: str | None = None
