@@ -13,11 +13,14 @@ from starlette.testclient import TestClient
 
 from assistax_board import pages
 from assistax_board.app import create_app
+from assistax_board.client import Client
 from assistax_board.pages.security import FIELD
+from assistax_board.problems import Problem
 from assistax_board.store.queries import Queries
 from tests.board.board_data import HOSTILE, VERSION, Robot, make_app
 from tests.board.fakes import TASK, advance, draft, new_service, new_submitter, work_off
 from tests.board.test_pages import Films, inline
+from tests.board.test_submit_form import filled, send
 
 BOARD = "/tasks/scratch"
 
@@ -240,3 +243,56 @@ def test_a_robot_that_is_scored_again_keeps_its_entry(tmp_path: Path) -> None:
     after = entries(TestClient(create_app(new)))
     assert [entry["id"] for entry in after] == [entry["id"] for entry in before]
     assert after[0]["updated"] > before[0]["updated"]
+
+
+WORDS = {
+    "about": f"Learns slowly. {HOSTILE}",
+    "link": "https://example.org/a?b=1&c",
+    "citation": "@misc{x,\n}",
+}
+
+
+def test_a_methods_page_has_its_text_link_and_citation(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    lab = new_submitter(service)
+    id = service.submit(lab, draft(1.0, **WORDS))
+    later = service.submit(lab, draft(2.0, "r2"))
+    reader = TestClient(create_app(service))
+    page = reader.get(f"/submissions/{later}/method").text
+    assert "Learns slowly. &lt;script&gt;" in page and "<script>alert" not in page
+    assert 'href="https://example.org/a?b=1&amp;c" rel="nofollow' in page
+    assert "@misc{x,\n}" in page
+    assert inline(page) == []
+    service.erase_submitter(lab)
+    assert reader.get(f"/api/submissions/{id}").json()["about"] is None
+    assert "slowly" not in TestClient(create_app(service)).get(f"/submissions/{id}/method").text
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        {"about": "x" * 601},
+        {"about": "\x1b[2J"},
+        {"link": "javascript:alert(1)"},
+        {"link": "https://example.org/a b"},
+        {"link": "https://" + "x" * 200},
+        {"citation": "x" * 1001},
+    ],
+)
+def test_what_is_said_of_a_method_is_bounded(tmp_path: Path, words: dict[str, str]) -> None:
+    service = new_service(tmp_path)
+    with pytest.raises(Problem, match=r"at most|begins with"):
+        service.submit(new_submitter(service), draft(1.0, **words))
+    assert service.queries.submissions() == []
+
+
+def test_the_form_and_the_api_take_what_is_said_of_a_method(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    token = service.create_token(("submit",), submitter="lab")
+    with TestClient(create_app(service), follow_redirects=False) as reader:
+        form = filled(reader, token, **WORDS)
+        assert send(reader, form).status_code == 303
+        fields = {"task": TASK, "method": "mine", "request_id": "request-1"} | WORDS
+        assert Client("", token, transport=reader).submit(b"robot 1.0", **fields)
+    kept = [(row.about, row.link, row.citation) for row in service.queries.submissions()]
+    assert kept == [tuple(WORDS.values())] * 2

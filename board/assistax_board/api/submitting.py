@@ -8,13 +8,14 @@ from fastapi import APIRouter, Depends, Query, Request
 from assistax_board.api.errors import RESPONSES, existing
 from assistax_board.api.guards import SUBMIT, Submitter, TheService, count_read
 from assistax_board.problems import Problem
-from assistax_board.rules.submissions import MAX_BYTES, Draft
+from assistax_board.rules.submissions import DESCRIPTION, MAX_BYTES, Draft
 from assistax_board.rules.tokens import Principal
 from assistax_board.store.shown import Attempts, Limits, SeasonLimit, Submission
 
 router = APIRouter(prefix="/api", tags=["submit"], responses=RESPONSES)
 
 Text = Annotated[str, Query(min_length=1, max_length=80)]
+Words = Annotated[str | None, Query(max_length=max(DESCRIPTION.values()))]
 _FILE = {
     "requestBody": {
         "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
@@ -37,16 +38,20 @@ async def submit(
     licence: Text = "evaluation-only",
     season: Annotated[str | None, Query(max_length=80)] = None,
     kind: Literal["file", "live"] = "file",
+    about: Words = None,
+    link: Words = None,
+    citation: Words = None,
 ) -> Submission:
     """Hand in a robot: the body is its file, empty for a live one.
 
     `request_id` is chosen by you: if no answer arrives, send the same again, and it is one
-    submission.
+    submission. `about`, `link` and `citation` are shown on the method's page.
     """
     with request.app.state.desk.place(str(principal.submitter)):
         body = await whole_body(request)
         data = body if body or kind == "file" else None
-        draft = Draft(task, method, request_id, licence, season, kind, data)
+        words = {"about": about, "link": link, "citation": citation}
+        draft = Draft(task, method, request_id, licence, season, kind, data, **words)
         return await hand_in(request, principal, draft)
 
 

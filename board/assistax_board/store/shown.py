@@ -29,6 +29,9 @@ class Submission:
     jobs_done: int
     jobs: int
     entered: bool  # chosen for panel B of its season
+    about: str | None  # what its submitter says of the method
+    link: str | None
+    citation: str | None
 
 
 @dataclasses.dataclass(frozen=True)

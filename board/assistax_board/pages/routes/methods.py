@@ -49,11 +49,14 @@ def method_values(site: Site, submission: Submission) -> dict[str, Any]:
     scores = site.queries.scores(method_of=submission.id)
     shown = [score for score in scores if "mean" in score.figures]
     ends = [end for score in shown for end in score.figures.get("mean_ci") or ()]
+    history = site.queries.submissions(method_of=submission.id, limit=_NEWEST)
+    described = (entry for entry in history if entry.about or entry.link or entry.citation)
     return {
         "submission": submission,
+        "described": next(described, None),  # as the newest that says anything does
         "row": row,
         "safety": safety_of(site, board).get(row[0].name) if board and row else None,
-        "history": site.queries.submissions(method_of=submission.id, limit=_NEWEST),
+        "history": history,
         "scores": {
             id: [score for score in shown if score.submission == id]
             for id in {score.submission for score in shown}

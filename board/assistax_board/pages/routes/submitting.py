@@ -4,6 +4,7 @@ The token is typed, or filled in by the browser's own store, with each form. No 
 in, so no other site can act for its owner; the form itself is answered only to who was given it.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,12 +20,13 @@ from assistax_board.ids import new_id
 from assistax_board.pages import security
 from assistax_board.pages.site import Site
 from assistax_board.problems import CODES, Problem
-from assistax_board.rules.submissions import LICENCES, Draft
+from assistax_board.rules.submissions import DESCRIPTION, LICENCES, Draft
 from assistax_board.store.shown import Limits
 
 FIELDS = (
     security.FIELD,
     *("request_id", "account_token", "task", "method", "licence", "season", "limits"),
+    *DESCRIPTION,
 )
 
 
@@ -63,6 +65,8 @@ def submit_router(site: Site) -> APIRouter:
             names = ("task", "method", "request_id", "licence", "season")
             task, method, request_id, licence, season = (texts[name] for name in names)
             draft = Draft(task, method.strip(), request_id, licence, season or None, data=file)
+            words = {name: texts[name].strip().replace("\r", "") for name in DESCRIPTION}
+            draft = dataclasses.replace(draft, **words)
             with state.desk.place(str(owner.submitter)):
                 submission = await hand_in(request, owner, draft)
         except Problem as problem:
@@ -98,7 +102,7 @@ def come_back(
     limits: Limits | None = None,
 ) -> Response:
     """Answer with the form as it was filled in, and why nothing was handed in, or its limits."""
-    texts = {name: texts[name] for name in ("task", "method", "licence", "season")}
+    texts = {name: texts[name] for name in ("task", "method", "licence", "season", *DESCRIPTION)}
     message = "Nothing was handed in: " + problem.message if problem else ""
     values = form_values(site, texts, message, limits)
     return site.form(request, "submit.html", CODES[problem.code] if problem else 200, **values)
@@ -109,6 +113,13 @@ def form_values(
 ) -> dict[str, Any]:
     """Return what the form shows: the choices, what was given before, and why it came back."""
     seasons = [season for season in site.queries.seasons() if season.state == "open"]
-    texts = {"task": site.tasks[0], "method": "", "licence": LICENCES[-1], "season": ""} | texts
-    choices = {"seasons": seasons, "licences": LICENCES, "limits": limits, "rate": SUBMIT.amount}
+    empty = {"task": site.tasks[0], "method": "", "licence": LICENCES[-1], "season": ""}
+    texts = empty | dict.fromkeys(DESCRIPTION, "") | texts
+    choices = {
+        "seasons": seasons,
+        "licences": LICENCES,
+        "limits": limits,
+        "rate": SUBMIT.amount,
+        "most": DESCRIPTION,
+    }
     return {**choices, "given": texts, "message": message, "request_id": new_id(20)}
