@@ -67,6 +67,10 @@ class Client:
         """Hand in a robot; `fields` are those of `POST /api/submissions`."""
         return self.call("POST", "/api/submissions", params=fields, content=data).json()
 
+    def limits(self) -> dict[str, Any]:
+        """Return what the token's owner may still hand in."""
+        return self.call("GET", "/api/limits").json()
+
     def submission(self, id: str) -> dict[str, Any]:
         """Return a submission as it stands."""
         return self.call("GET", f"/api/submissions/{id}").json()

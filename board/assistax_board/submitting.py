@@ -152,6 +152,18 @@ def for_reader(submission: dict[str, Any], address: str) -> dict[str, Any]:
     return shown | {"page": f"{address}/submissions/{submission['id']}"}
 
 
+def limits_for_reader(limits: dict[str, Any]) -> dict[str, Any]:
+    """Return what may still be handed in as its submitter reads it; --json has all."""
+    requests = f"{limits['requests_left']} of {limits['requests_an_hour']} left this hour"
+    shown = {"largest file": f"{limits['file_bytes']} bytes", "requests": requests}
+    for season in limits["seasons"]:
+        shown[f"season {season['name']}"] = (
+            f"{season['left']} of {season['budget']} attempts left on {season['task']}, "
+            f"{season['spent']} made, {season['reserved']} under way"
+        )
+    return shown
+
+
 def verify_revealed(client: Client, name: str, root: str) -> dict[str, Any]:
     """Fetch what a closed season reveals and hold it against the root; return what was proved."""
     statement = client.call("GET", f"/api/seasons/{name}/revealed").json()

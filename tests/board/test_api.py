@@ -1,6 +1,7 @@
 """The API from outside: who may do what, what is refused, and a submission from end to end."""
 
 import html
+import json
 import logging
 import re
 from pathlib import Path
@@ -11,6 +12,7 @@ from starlette.testclient import TestClient
 from assistax_board.api.guards import MAX_BODY
 from assistax_board.app import create_app
 from assistax_board.client import Client
+from assistax_board.commands import submitting as commands
 from assistax_board.service import Service
 from assistax_board.work.worker import Worker
 from tests.board.fakes import TASK, FakeScorer, draft, new_service, new_submitter, work_off
@@ -256,3 +258,41 @@ def test_the_schema_says_who_needs_a_token(http: TestClient) -> None:
     assert schema["components"]["securitySchemes"]["token"]["scheme"] == "bearer"
     assert schema["paths"]["/api/submissions"]["post"]["security"] == [{"token": []}]
     assert "security" not in schema["paths"]["/api/submissions"]["get"]
+
+
+def test_a_lab_sees_what_it_may_still_hand_in(service: Service, http: TestClient) -> None:
+    open_season(service, budget=3)
+    client = client_of(service, http, "submit")
+    before = client.limits()
+    [season] = before["seasons"]
+    assert (season["name"], season["left"], season["spent"]) == ("spring", 3, 0)
+    assert before["requests_left"] == before["requests_an_hour"] == 60
+    client.submit(b"robot 1.0", season="season1", **FIELDS)
+    service.submit(new_submitter(service, "other"), draft(season=season["id"]))
+    after = client.limits()
+    [season] = after["seasons"]
+    assert (season["left"], season["reserved"], after["requests_left"]) == (2, 1, 59)
+    assert client.limits() == after, "asking spends nothing"
+    assert "other" not in str(after)
+    assert http.get("/api/limits").status_code == 401
+    token = service.create_token(("work",))
+    headers = {"Authorization": f"Bearer {token}"}
+    assert http.get("/api/limits", headers=headers).status_code == 403
+
+
+def test_the_command_prints_limits_and_hands_nothing_in(
+    service: Service,
+    http: TestClient,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    open_season(service, budget=3)
+    client = client_of(service, http, "submit")
+    monkeypatch.setattr(commands, "open_client", lambda url, token: client)
+    commands.submit(task=TASK, limits=True)
+    printed = capsys.readouterr().out
+    assert "season spring: 3 of 3 attempts left on scratch, 0 made, 0 under way" in printed
+    assert "requests: 60 of 60 left this hour" in printed
+    commands.submit(task=TASK, limits=True, json=True)
+    assert json.loads(capsys.readouterr().out) == client.limits()
+    assert service.queries.submissions() == []

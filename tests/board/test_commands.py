@@ -108,6 +108,8 @@ def test_a_season_by_its_commands(board: dict[str, Any], tmp_path: Path) -> None
     answer = json.loads(submitted)
     assert (answer["state"], answer["scores"].keys()) == ("scored", {"public", "A"})
     assert (answer["board_place"], answer["of_methods"]) == (1, 1)
+    limits = command("submit", "--task", "scratch", "--limits", **environment)
+    assert "attempts left on scratch, 1 made, 0 under way" in limits
     output = command(*by, "again", **environment)
     assert "place: 1–2 of 2 on http://127.0.0.1" in output, "the same robot shares its place"
     assert f"mean return, public: {answer['scores']['public']['mean']:.1f}" in output

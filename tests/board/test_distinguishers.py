@@ -142,6 +142,8 @@ def addresses(season: Season) -> list[str]:
     ids = [row.id for row in season.service.queries.submissions()]
     paths = [path for path, methods in app.openapi()["paths"].items() if "get" in methods]
     paths += ["/", f"/tasks/{TASK}", "/ledger", "/seasons", "/seasons/{id}", "/submissions/{id}"]
+    paths += [f"/tasks/{TASK}.csv", f"/tasks/{TASK}?sort=m_test&search=mine&show=methods"]
+    paths += [f"/tasks/{TASK}/heatmap", "/submissions/{id}/method", "/news.atom"]
     names = [*ids, "season1", "hidden-0001"]
     return sorted(
         {path.replace("{id}", n).replace("{task}", TASK) for path in paths for n in names}

@@ -60,6 +60,7 @@ def addresses(client: TestClient) -> list[str]:
         "/",
         board,
         "/tasks/arm_assist",
+        "/tasks/scratch?sort=iqm&search=o&show=methods",
         "/tasks/scratch/compare",
         "/tasks/scratch/partners",
         "/tasks/scratch/partners?algorithm=ippo&disability=d3",
@@ -68,6 +69,8 @@ def addresses(client: TestClient) -> list[str]:
         EXPLORER,
         linked(client, board, r"/submissions/\w+"),
         queued[1],
+        linked(client, board, r"/submissions/\w+") + "/method",
+        "/tasks/scratch/heatmap",
         "/seasons",
         linked(client, "/seasons", r"/seasons/\w+"),
         "/ledger",
@@ -148,7 +151,10 @@ def test_every_board_says_what_the_partners_are_not(client: TestClient) -> None:
 
 
 def test_a_seasons_secret_is_on_no_page(client: TestClient, addresses: list[str]) -> None:
-    assert not [address for address in addresses if "hidden-4711" in client.get(address).text]
+    others = ["/news.atom", "/tasks/scratch/news.atom", "/tasks/scratch.csv"]
+    assert not [
+        address for address in [*addresses, *others] if "hidden-4711" in client.get(address).text
+    ]
 
 
 def test_methods_that_cannot_be_told_apart_share_a_place(client: TestClient) -> None:
@@ -170,16 +176,16 @@ def test_seeds_are_pooled_and_the_random_row_is_zero(client: TestClient) -> None
 def test_a_submission_tells_its_place_in_the_queue(
     client: TestClient, addresses: list[str]
 ) -> None:
-    text = client.get(addresses[10]).text
+    text = client.get(addresses[11]).text
     assert "number 1 in the queue" in text
     assert "data-live" in text
 
 
 def test_a_receipt_can_be_downloaded(client: TestClient, addresses: list[str]) -> None:
-    answer = client.get(f"{addresses[9]}/receipt.json")
+    answer = client.get(f"{addresses[10]}/receipt.json")
     assert answer.headers["content-disposition"].startswith("attachment")
     assert set(answer.json()) == {"content", "signature"}
-    assert client.get(f"{addresses[10]}/receipt.json").status_code == 404
+    assert client.get(f"{addresses[11]}/receipt.json").status_code == 404
 
 
 def test_partners_are_filtered_by_every_trait(client: TestClient) -> None:

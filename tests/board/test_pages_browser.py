@@ -17,6 +17,7 @@ from tests.system import CHROMIUM, needs
 pytestmark = [pytest.mark.slow, needs("chromium", CHROMIUM)]
 PAGES = (
     *("/", "/tasks/scratch", "/tasks/arm_assist", "/tasks/scratch/compare", "/tasks/nowhere"),
+    *("/tasks/scratch?search=ego&sort=iqm&show=methods", "/tasks/scratch/heatmap"),
     *("/tasks/scratch/partners?disability=d3", "/partners/scratch/ippo-d1-s0-v1"),
     *("/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1", "/tasks/scratch/explorer"),
     *("/seasons", "/seasons/5ea5011", "/submit?task=scratch", "/ledger", "/organise", "/docs"),
@@ -38,10 +39,11 @@ def browser() -> Iterator[Browser]:
 
 
 def submissions(page: Page, address: str) -> list[str]:
-    """Return the page of a scored submission, and of one that waits."""
+    """Return the page of a scored submission, of one that waits, and of the first's method."""
     page.goto(f"{address}/tasks/scratch")
     links = page.locator(".board tbody a").first, page.locator(".queue a").first
-    return [str(link.get_attribute("href")) for link in links]
+    scored, waiting = (str(link.get_attribute("href")) for link in links)
+    return [scored, waiting, f"{scored}/method"]
 
 
 def from_board_to_explorer(page: Page, address: str) -> None:
@@ -139,6 +141,23 @@ def test_axe_finds_nothing_serious_and_nothing_runs_out_of_the_window(
                     found.append("wider than the window")
                 faults += [f"{path} at {width}: {one}" for one in found]
     assert faults == []
+
+
+def test_a_row_of_a_board_is_three_lines_on_a_telephone(browser: Browser, address: str) -> None:
+    """Each method: its place and name, its return and interval, and two figures more."""
+    lines = """[...document.querySelectorAll(".board tbody tr")].map((row) => {
+      const boxes = [...row.children].map((cell) => cell.getBoundingClientRect());
+      const middles = boxes.filter((box) => box.height).map((box) => box.y + box.height / 2);
+      middles.sort((a, b) => a - b);
+      return 1 + middles.slice(1).filter((y, i) => y - middles[i] > 10).length;
+    })"""
+    height = "document.querySelector('.board tbody tr').getBoundingClientRect().height"
+    with opened(browser, 400) as page:
+        page.goto(f"{address}/tasks/scratch")
+        assert page.evaluate(lines) == [3] * 7
+        assert page.evaluate(height) < 110
+        row = page.get_by_role("row", name="ppo ego").inner_text()
+        assert "987" in row and " to " in row and "4 seeds" in row
 
 
 def test_axe_would_find_a_fault(browser: Browser, address: str) -> None:

@@ -12,6 +12,7 @@ from assistax_board.app import create_app
 from assistax_board.pages.security import FIELD
 from assistax_board.service import Service
 from tests.board.fakes import new_service
+from tests.board.test_season import open_season
 
 
 @pytest.fixture
@@ -117,3 +118,19 @@ def test_forms_with_files_are_few_at_once_and_in_a_minute(
         patch.setattr("assistax_board.api.desk.FORMS", 0)
         assert send(reader, form).status_code == 503
     assert [send(reader, form).status_code for _ in range(22)][-1] == 429
+
+
+def test_a_lab_sees_its_limits_on_the_form_and_hands_nothing_in(
+    service: Service, reader: TestClient
+) -> None:
+    open_season(service, budget=3)
+    token = service.create_token(("submit",), submitter="lab")
+    answer = send(reader, filled(reader, token) | {"limits": "show"})
+    assert answer.status_code == 200
+    assert "3 of 3 attempts left" in answer.text
+    assert "60 of 60 requests left" in answer.text
+    assert token not in answer.text
+    assert service.queries.submissions() == []
+    assert 'value="mine"' in answer.text, "the form is as it was filled in"
+    wrong = send(reader, filled(reader, "azt_wrong") | {"limits": "show"})
+    assert (wrong.status_code, "attempts left" in wrong.text) == (401, False)

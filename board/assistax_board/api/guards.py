@@ -52,6 +52,10 @@ class Limiter:
             message = f"more than {rate}; wait and try again"
             raise Problem("too_many_requests", message, max(1, math.ceil(wait)))
 
+    def left(self, rate: RateLimitItem, who: str) -> int:
+        """Return how many requests may still be made now."""
+        return self._windows.get_window_stats(rate, str(rate), who).remaining
+
 
 class HeadAsGet:
     """ASGI middleware: HEAD is answered as GET is, without the body."""

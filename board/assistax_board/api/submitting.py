@@ -3,18 +3,19 @@
 import dataclasses
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Depends, Query, Request
 
 from assistax_board.api.errors import RESPONSES, existing
-from assistax_board.api.guards import SUBMIT, Submitter, TheService
+from assistax_board.api.guards import SUBMIT, Submitter, TheService, count_read
 from assistax_board.problems import Problem
-from assistax_board.rules.submissions import Draft
+from assistax_board.rules.submissions import DESCRIPTION, MAX_BYTES, Draft
 from assistax_board.rules.tokens import Principal
-from assistax_board.store.shown import Submission
+from assistax_board.store.shown import Attempts, Limits, SeasonLimit, Submission
 
 router = APIRouter(prefix="/api", tags=["submit"], responses=RESPONSES)
 
 Text = Annotated[str, Query(min_length=1, max_length=80)]
+Words = Annotated[str | None, Query(max_length=max(DESCRIPTION.values()))]
 _FILE = {
     "requestBody": {
         "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
@@ -37,16 +38,20 @@ async def submit(
     licence: Text = "evaluation-only",
     season: Annotated[str | None, Query(max_length=80)] = None,
     kind: Literal["file", "live"] = "file",
+    about: Words = None,
+    link: Words = None,
+    citation: Words = None,
 ) -> Submission:
     """Hand in a robot: the body is its file, empty for a live one.
 
     `request_id` is chosen by you: if no answer arrives, send the same again, and it is one
-    submission.
+    submission. `about`, `link` and `citation` are shown on the method's page.
     """
     with request.app.state.desk.place(str(principal.submitter)):
         body = await whole_body(request)
         data = body if body or kind == "file" else None
-        draft = Draft(task, method, request_id, licence, season, kind, data)
+        words = {"about": about, "link": link, "citation": citation}
+        draft = Draft(task, method, request_id, licence, season, kind, data, **words)
         return await hand_in(request, principal, draft)
 
 
@@ -63,6 +68,30 @@ def _hand_in(service: Any, submitter: str, draft: Draft) -> Submission:
         raise Problem("not_found", f"no season {draft.season!r}; GET /api/seasons lists them")
     draft = dataclasses.replace(draft, season=season.id if season else None)
     return service.queries.submission(service.submit(submitter, draft))
+
+
+@router.get("/limits", dependencies=[Depends(count_read)])
+def limits(request: Request, principal: Submitter) -> Limits:
+    """Return what you may still hand in: requests of this hour, and attempts of open seasons."""
+    return limits_of(request, principal)
+
+
+def limits_of(request: Request, principal: Principal) -> Limits:
+    """Return what a token's owner may still hand in; nothing is spent by asking."""
+    state, submitter = request.app.state, str(principal.submitter)
+    queries = state.service.queries
+    seasons = [
+        SeasonLimit(
+            *(season.id, season.name, season.task, season.closes_at),
+            *(attempts.spent, attempts.reserved, attempts.budget, attempts.left),
+        )
+        for season in queries.seasons()
+        if season.state == "open"
+        for attempts in queries.attempts(season.id, submitter)
+        or [Attempts(submitter, 0, 0, season.budget)]
+    ]
+    left = state.limiter.left(SUBMIT, principal.token)
+    return Limits(MAX_BYTES, SUBMIT.amount, left, tuple(seasons))
 
 
 @router.post("/submissions/{id}/withdraw")

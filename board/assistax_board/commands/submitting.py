@@ -1,8 +1,32 @@
 """Commands of who hands robots in."""
 
+import dataclasses
 from pathlib import Path
 
+from cyclopts import Parameter
+
 from assistax_board.commands.opening import Server, open_client, print_answer
+
+_NO_METHOD = (
+    "give --method with a name for the board, such as --method ppo-large; submissions of one name "
+    "are seeds of one method, so another robot needs another name"
+)
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Words:
+    """What the method's page says of it.
+
+    Attributes:
+        about: A text of at most 600 characters.
+        link: Address of a paper or of code, https://...
+        citation: How to cite it, such as a BibTeX entry.
+    """
+
+    about: str | None = None
+    link: str | None = None
+    citation: str | None = None
 
 
 def submit(
@@ -14,6 +38,8 @@ def submit(
     season: str | None = None,
     licence: str = "evaluation-only",
     live: str | None = None,
+    words: Words = Words(),
+    limits: bool = False,
     check: bool = False,
     all: bool = False,
     watch: bool = False,
@@ -31,6 +57,8 @@ def submit(
         season: Season to take part in; default the public board alone.
         licence: What others may do with the file: evaluation-only, or a licence such as MIT.
         live: A robot that stays here instead of a file, such as python:mine:make.
+        words: What the method's page says of it.
+        limits: Only print what you may still hand in: of this hour, and of each open season.
         check: Only check: the server's own admission, and a few episodes with public partners.
         all: With `--check`: play the whole public half as the server does, and print its figures.
         watch: Wait for the end: print place in the queue and time left, then place on the board.
@@ -41,6 +69,8 @@ def submit(
     Example:
         assistax-zoo submit robot.onnx --task scratch --check
     """
+    if limits:
+        return _print_limits(server, json)
     if (file is None) == (live is None):
         raise ValueError("give a file, or --live with a robot such as python:mine:make")
     if all and not check:
@@ -52,16 +82,20 @@ def submit(
             raise ValueError("--check is about a file; a live robot is tried with `evaluate`")
         answer = submitting.check_file(file, task, registry, whole=all)
     elif method is None:
-        raise ValueError(
-            "give --method with a name for the board, such as --method ppo-large; submissions of "
-            "one name are seeds of one method, so another robot needs another name"
-        )
+        raise ValueError(_NO_METHOD)
     else:
         fields = {"task": task, "method": method, "season": season, "licence": licence}
         client = open_client(server.url, server.token_file)
-        answer = submitting.hand_in(client, file, live, fields, watch=watch)
+        answer = submitting.hand_in(client, file, live, fields | vars(words), watch=watch)
         answer = answer if json else submitting.for_reader(answer, client.address)
     print_answer(answer, json)
+
+
+def _print_limits(server: Server, json: bool) -> None:
+    from assistax_board.submitting import limits_for_reader
+
+    answer = open_client(server.url, server.token_file).limits()
+    print_answer(answer if json else limits_for_reader(answer), json)
 
 
 def season_enter(

@@ -18,6 +18,8 @@ from assistax_board.pages.cache import PageCache, respond
 from assistax_board.pages.crossplays import PUBLISHED, CrossPlays
 from assistax_board.pages.rendering import static_files
 from assistax_board.pages.routes.boards import board_router
+from assistax_board.pages.routes.methods import method_router
+from assistax_board.pages.routes.news import news_router
 from assistax_board.pages.routes.organising import organiser_router
 from assistax_board.pages.routes.partners import explorer_router, pair_router, partner_router
 from assistax_board.pages.routes.reference import reference_router
@@ -31,8 +33,8 @@ from assistax_board.store.queries import Queries
 from zoo.registry import load_registry
 
 ROUTERS = (
-    *(board_router, season_router, submit_router, partner_router, pair_router),
-    *(explorer_router, organiser_router, reference_router),
+    *(board_router, method_router, season_router, submit_router, partner_router, pair_router),
+    *(explorer_router, organiser_router, reference_router, news_router),
 )
 FILMS = Path("~/.cache/assistax-zoo/films")  # where no other folder is given
 

@@ -79,32 +79,41 @@ class Boards:
         self._boards: Behind[Board | None] = Behind()
         self._memories: dict[str, _Memory] = {}
 
-    def of(self, task: str) -> Board | None:
-        """Return the board of a task under its newest version, or None while it is empty.
+    def of(self, task: str, version: str | None = None) -> Board | None:
+        """Return the board of a task under a version, or None while it is empty.
 
         Who asks waits a moment for a new one, then gets the board as it was before the last score.
+        Without a version it is the newest.
         """
-        scored = self._scored(task)
+        scored = self._scored(task, version)
         if scored is None:
             return None
         key = scored.version, tuple((seed.id, seed.submitter) for seed in scored.submissions)
-        return self._boards.value(task, key, lambda: self._board(task, scored))
+        return self._boards.value(
+            _name(task, version), key, lambda: self._board(task, scored, version is None)
+        )
 
-    def is_behind(self, task: str) -> bool:
+    def is_behind(self, task: str, version: str | None = None) -> bool:
         """Return whether scores are there that the board does not show yet."""
-        return self._boards.is_behind(task)
+        return self._boards.is_behind(_name(task, version))
 
-    def _scored(self, task: str) -> "_Scored | None":
+    def _scored(self, task: str, version: str | None) -> "_Scored | None":
         """Return what a board is of: its version, and all submissions that count."""
         versions = self._queries.versions(task)
-        if not versions:
+        chosen = next((row for row in versions if version in (None, row[0])), None)
+        if chosen is None:
             return None
         every = self._queries.submissions(task=task, limit=_NEWEST)
         scored = tuple(row for row in every if row.state == "scored")
-        return _Scored(*versions[0], scored)
+        if version is not None:  # an old board stays as it is when others are scored under a newer
+            scores = self._queries.scores(task=task, panel="public", version=version)
+            under_it = {score.submission for score in scores}
+            scored = tuple(row for row in scored if row.id in under_it)
+        return _Scored(*chosen, scored)
 
-    def _board(self, task: str, scored: "_Scored") -> Board | None:
-        memory = self._memories.setdefault(task, _Memory())
+    def _board(self, task: str, scored: "_Scored", is_newest: bool) -> Board | None:
+        # What old boards read is not kept: they hardly change.
+        memory = self._memories.setdefault(task, _Memory()) if is_newest else _Memory()
         memory.learn(self._queries, scored)
         methods = memory.methods(scored.submissions)
         if not methods:
@@ -131,6 +140,10 @@ class Boards:
         )
         named = tuple((row, by_name[row.name]) for row in rows)
         return Board(task, scored.version, scored.identity, partners, named)
+
+
+def _name(task: str, version: str | None) -> str:
+    return task if version is None else f"{task} {version}"
 
 
 @dataclasses.dataclass(frozen=True)

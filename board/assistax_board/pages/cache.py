@@ -19,6 +19,7 @@ from starlette.responses import Response
 
 WAITING = 5.0  # seconds that a page may be too old and is still shown while a new one is made
 _PAGES = 512  # kept; addresses are made by readers, so there is no end of them
+HTML = "text/html; charset=utf-8"
 _IMMUTABLE = "public, max-age=31536000, immutable"
 
 
@@ -32,7 +33,7 @@ class Page:
     media_type: str
 
 
-def pack(body: bytes, media_type: str = "text/html; charset=utf-8") -> Page:
+def pack(body: bytes, media_type: str = HTML) -> Page:
     """Return a body with its packed form and its name by content."""
     packed = gzip.compress(body, compresslevel=6, mtime=0)
     return Page(body, packed, f'"{hashlib.sha256(body).hexdigest()[:32]}"', media_type)
@@ -46,27 +47,33 @@ class PageCache:
         self._lock = threading.Lock()
         self._entries: collections.OrderedDict[str, _Entry] = collections.OrderedDict()
 
-    def page(self, key: str, seconds: float, render: Callable[[], str]) -> Page:
+    def page(
+        self, key: str, seconds: float, render: Callable[[], str], media_type: str = HTML
+    ) -> Page:
         """Return the page of a key, at most `seconds` old, or a little older while it is made."""
+
+        def made() -> Page:
+            return pack(render().encode(), media_type)
+
         entry = self._entry(key)
         age = self._clock() - entry.until
         if entry.page and (age < 0 or entry.lock.locked()):
             return entry.page
         if entry.page and age < WAITING:  # a board takes long when a score was added
-            behind = threading.Thread(target=self._try_to_renew, args=(entry, seconds, render))
+            behind = threading.Thread(target=self._try_to_renew, args=(entry, seconds, made))
             behind.daemon = True
             behind.start()
             return entry.page
-        return self._renew(entry, seconds, render)
+        return self._renew(entry, seconds, made)
 
     def _try_to_renew(self, *args: Any) -> None:
         with contextlib.suppress(Exception):  # who finds no copy to be shown will see the error
             self._renew(*args)
 
-    def _renew(self, entry: "_Entry", seconds: float, render: Callable[[], str]) -> Page:
+    def _renew(self, entry: "_Entry", seconds: float, made: Callable[[], Page]) -> Page:
         with entry.lock:
             if entry.page is None or self._clock() >= entry.until:
-                entry.page = pack(render().encode())
+                entry.page = made()
                 entry.until = self._clock() + seconds
             return entry.page
 

@@ -8,7 +8,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from assistax_board.pages.boards import Boards
-from assistax_board.pages.cache import Page, PageCache, pack, respond
+from assistax_board.pages.cache import HTML, Page, PageCache, pack, respond
 from assistax_board.pages.crossplays import CrossPlay, CrossPlays
 from assistax_board.pages.rendering import render
 from assistax_board.pages.season_boards import SeasonBoards
@@ -67,6 +67,7 @@ class Site:
         seconds: float,
         template: str,
         values: Callable[[], dict[str, Any]],
+        media_type: str = HTML,
     ) -> Response:
         """Answer with a page, rendered at most every few seconds for all its readers.
 
@@ -76,7 +77,7 @@ class Site:
         def rendered() -> str:
             return self.render(template, request.url.path, **values())
 
-        return respond(request, self.cache.page(f"{template} {key}", seconds, rendered))
+        return respond(request, self.cache.page(f"{template} {key}", seconds, rendered, media_type))
 
     def render(self, template: str, path: str, **values: Any) -> str:
         """Return a page with what every page shows."""

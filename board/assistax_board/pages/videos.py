@@ -30,7 +30,7 @@ WAITING = 50  # pairs in the queue; then the next is asked to come back
 EPISODES = 16  # whose returns stand beside a film
 SECONDS = 600  # for one pair
 MOST_BYTES = 2 * 1024**3  # of all films; then those go that nobody has looked at for longest
-_FILM, _RETURNS = "film", "returns.json"
+_FILM, _RETURNS, _PAIR = "film", "returns.json", "pair.json"
 _LOG = logging.getLogger(__name__)
 
 Run = Callable[[Sequence[str]], None]
@@ -79,6 +79,14 @@ class Videos:
             with contextlib.suppress(OSError):
                 os.utime(film.parent)  # somebody looks at it
         return film
+
+    def newest(self) -> Pair | None:
+        """Return the pair whose film was made last, if there is any."""
+        notes = sorted(self._folder.glob(f"*/{_PAIR}"), key=lambda path: path.stat().st_mtime)
+        if not notes:
+            return None
+        fields = json.loads(notes[-1].read_text())
+        return Pair(**fields | {"content": tuple(fields["content"])})
 
     def returns(self, pair: Pair) -> list[float] | None:
         """Return what the pair earned in each episode, once its film is made."""
@@ -131,6 +139,7 @@ class Videos:
             self._run(play_command(pair, played))
             table = pl.read_parquet(played / "episodes.parquet").sort("episode")
             (made / _RETURNS).write_text(json.dumps(table["return"].to_list()))
+            (made / _PAIR).write_text(json.dumps(dataclasses.asdict(pair)))
             shutil.rmtree(self._folder / pair.key, ignore_errors=True)
             made.replace(self._folder / pair.key)
         self._forget(keep=pair.key)

@@ -197,7 +197,8 @@ def erase_submitter(service: "Service", submitter: str) -> None:
             jobs.cancel_jobs(connection, row.id)  # of a scored one, whose file goes too
             update = sa.update(schema.submissions).where(SUBMISSION.id == row.id)
             # Its client chose the request, and may have written anything.
-            connection.execute(update.values(method="erased", request=row.id))
+            nothing = dict.fromkeys(submissions.DESCRIPTION)
+            connection.execute(update.values(method="erased", request=row.id, **nothing))
             _sign_anew(service, connection, row.id)
         others = sa.select(SUBMISSION.artefact).where(
             SUBMISSION.submitter != submitter, SUBMISSION.artefact.is_not(None)

@@ -10,6 +10,7 @@ Everything that happens at once to a submission happens in one transaction, with
 """
 
 import dataclasses
+import re
 from typing import Any
 
 import sqlalchemy as sa
@@ -29,6 +30,9 @@ MAX_BYTES = 16 * 1024 * 1024
 LAST = 1_000_000  # turn of the references: they are played when nobody else waits
 LICENCES = ("Apache-2.0", "MIT", "BSD-3-Clause", "CC-BY-4.0", "CC0-1.0", "evaluation-only")
 
+# What a submitter may say of a method, and in how many characters.
+DESCRIPTION = {"about": 600, "link": 200, "citation": 1000}
+
 
 @dataclasses.dataclass(frozen=True)
 class Draft:
@@ -43,6 +47,9 @@ class Draft:
     data: bytes | None = None  # of a file alone
     format: str | None = None  # as admission found it; of a reference its name
     refusal: str | None = None  # as admission found it
+    about: str | None = None  # what the submitter says of the method, on its page
+    link: str | None = None
+    citation: str | None = None
 
 
 def check_draft(draft: Draft, catalogue: Catalogue) -> None:
@@ -58,6 +65,7 @@ def check_draft(draft: Draft, catalogue: Catalogue) -> None:
     for name, value, most in (("method", draft.method, 80), ("request", draft.request, 64)):
         if not 1 <= len(value) <= most or not value.isprintable():
             raise Problem("invalid", f"{name} has 1 to {most} printable characters")
+    _check_description(draft)
     if (draft.data is not None) != (draft.kind == "file"):
         raise Problem("invalid", "a submission is a file, or kind live without a file")
     if draft.kind == "live" and draft.season is not None:
@@ -68,6 +76,15 @@ def check_draft(draft: Draft, catalogue: Catalogue) -> None:
         )
     if draft.data is not None and len(draft.data) > MAX_BYTES:
         raise Problem("too_large", f"a file has at most {MAX_BYTES} bytes")
+
+
+def _check_description(draft: Draft) -> None:
+    for name, most in DESCRIPTION.items():
+        text = getattr(draft, name) or ""
+        if len(text) > most or not text.replace("\n", "").isprintable():
+            raise Problem("invalid", f"{name} has at most {most} printable characters")
+    if draft.link and not re.fullmatch(r"https?://[^\s/]+(/\S*)?", draft.link):
+        raise Problem("invalid", "link begins with https:// or http:// and holds no spaces")
 
 
 def known(database: Database, submitter: str, request: str) -> str | None:
@@ -239,6 +256,7 @@ def _row(
         "turn": LAST if draft.kind == "reference" else connection.execute(waiting).scalar_one(),
         "created_at": now,
         "finished_at": now if refused else None,
+        **{name: getattr(draft, name) or None for name in DESCRIPTION},
     }
 
 

@@ -51,9 +51,13 @@ class Queries:
         task: str | None = None,
         submitter: str | None = None,
         season: str | None = None,
+        method_of: str | None = None,
         limit: int = 100,
     ) -> list[Submission]:
-        """Return the newest submissions first; `submitter` is an id."""
+        """Return the newest submissions first.
+
+        `submitter` is an id; `method_of` is that of a submission of the method.
+        """
         query = (
             _submission_query().order_by(SUBMISSION.created_at.desc(), SUBMISSION.id).limit(limit)
         )
@@ -63,6 +67,7 @@ class Queries:
             (SUBMISSION.season, season),
         ):
             query = query if value is None else query.where(column == value)
+        query = query if method_of is None else query.where(_of_method(method_of))
         with self._database.read() as connection:
             queue = Queue(connection)
             return [queue.describe(row) for row in connection.execute(query)]
@@ -88,8 +93,13 @@ class Queries:
         panel: str | None = None,
         season: str | None = None,
         version: str | None = None,
+        method_of: str | None = None,
+        newest: int | None = None,
     ) -> list[Score]:
-        """Return released scores, the oldest first; `version` is an id, see `versions`."""
+        """Return released scores, the oldest first; of `newest` so many of the last ones.
+
+        `version` is an id, see `versions`; `method_of` is that of a submission of the method.
+        """
         query = (
             sa.select(
                 schema.scores,
@@ -100,7 +110,8 @@ class Queries:
             .join(schema.submissions, SUBMISSION.id == SCORE.submission)
             .join(schema.submitters, SUBMITTER.id == SUBMISSION.submitter)
             .where(SCORE.released.is_not(None))
-            .order_by(SCORE.created_at, SCORE.submission)
+            .order_by(SCORE.created_at.desc(), SCORE.submission.desc(), SCORE.panel)
+            .limit(newest)
         )
         if submission is None:  # off every board; its own page still tells
             query = query.where(
@@ -116,8 +127,9 @@ class Queries:
         )
         for column, value in conditions:
             query = query if value is None else query.where(column == value)
+        query = query if method_of is None else query.where(_of_method(method_of))
         with self._database.read() as connection:
-            return [_score(row) for row in connection.execute(query)]
+            return [_score(row) for row in connection.execute(query)][::-1]
 
     def partner_scores(
         self, submissions: Sequence[str], version: str | None = None
@@ -157,8 +169,11 @@ class Queries:
             row = connection.execute(query).mappings().first()
             return None if row is None else _season(row)
 
-    def attempts(self, season: str) -> list[Attempts]:
-        """Return who has made how many attempts in a season: they stand on the board."""
+    def attempts(self, season: str, submitter: str | None = None) -> list[Attempts]:
+        """Return who has made how many attempts in a season: they stand on the board.
+
+        `submitter` is the id of the one who is asked about.
+        """
         query = (
             sa.select(SUBMITTER.name, SUBMISSION.attempt, SEASON.budget, sa.func.count())
             .join(schema.submitters, SUBMITTER.id == SUBMISSION.submitter)
@@ -166,6 +181,8 @@ class Queries:
             .where(SUBMISSION.season == season, SUBMISSION.kind != "reference")
             .group_by(SUBMITTER.name, SUBMISSION.attempt, SEASON.budget)
         )
+        if submitter is not None:
+            query = query.where(SUBMISSION.submitter == submitter)
         counts: dict[str, dict[str, int]] = {}
         with self._database.read() as connection:
             for name, attempt, budget, count in connection.execute(query):
@@ -197,6 +214,14 @@ def _submission_query() -> sa.Select:
     return sa.select(schema.submissions, name).join(
         schema.submitters, SUBMITTER.id == SUBMISSION.submitter
     )
+
+
+def _of_method(submission: str) -> sa.ColumnElement[bool]:
+    """Return whether a submission has the task, submitter and method of another."""
+    keys = SUBMISSION.task, SUBMISSION.submitter, SUBMISSION.method
+    other = schema.submissions.alias()
+    same = sa.select(*(other.c[key.name] for key in keys)).where(other.c.id == submission)
+    return sa.tuple_(*keys).in_(same)
 
 
 def _score(row: Any) -> Score:

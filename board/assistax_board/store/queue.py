@@ -58,6 +58,9 @@ class Queue:
             jobs_done=live.get("done", 0),
             jobs=sum(live.values()),
             entered=row.entered_at is not None,
+            about=row.about,
+            link=row.link,
+            citation=row.citation,
         )
 
     def _left(self, submission: str) -> int:

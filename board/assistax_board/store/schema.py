@@ -94,6 +94,7 @@ submissions = sa.Table(
     sa.Column("created_at", sa.Float, nullable=False),
     sa.Column("finished_at", sa.Float),
     sa.Column("entered_at", sa.Float),  # when it was chosen for panel B
+    *(sa.Column(name, sa.Text) for name in ("about", "link", "citation")),  # of its method
     sa.UniqueConstraint("submitter", "request"),
 )
 sa.Index("ix_submissions_state", submissions.c.state)

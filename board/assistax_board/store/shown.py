@@ -29,6 +29,9 @@ class Submission:
     jobs_done: int
     jobs: int
     entered: bool  # chosen for panel B of its season
+    about: str | None  # what its submitter says of the method
+    link: str | None
+    citation: str | None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,6 +91,30 @@ class Attempts:
     def left(self) -> int:
         """How many may still be made."""
         return max(0, self.budget - self.spent - self.reserved)
+
+
+@dataclasses.dataclass(frozen=True)
+class SeasonLimit:
+    """What a submitter may still do in an open season."""
+
+    id: str
+    name: str
+    task: str
+    closes_at: float | None
+    spent: int
+    reserved: int  # of submissions that are under way
+    budget: int
+    left: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """What a submitter may still do."""
+
+    file_bytes: int  # that a file may have
+    requests_an_hour: int  # with which robots are handed in
+    requests_left: int  # now
+    seasons: tuple[SeasonLimit, ...]  # that are open, the newest first
 
 
 @dataclasses.dataclass(frozen=True)

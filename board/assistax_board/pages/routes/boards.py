@@ -1,14 +1,24 @@
 """Pages of scores: the tasks, a task's board, and two of its methods side by side."""
 
 import functools
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
 from assistax_board.pages.boards import Board
+from assistax_board.pages.cache import respond
 from assistax_board.pages.charts import axis_over
+from assistax_board.pages.routes.partners import pair_values
+from assistax_board.pages.routes.rows import (
+    LONGEST,
+    SAFETY,
+    SORTS,
+    View,
+    board_csv,
+    old_version,
+)
 from assistax_board.pages.site import LIVE, NotFoundError, Site
 from evaluation.figures.metrics import paired_difference
 
@@ -24,16 +34,39 @@ def board_router(site: Site) -> APIRouter:
                 "boards": {task: site.boards.of(task) for task in site.tasks},
                 "seasons": site.queries.seasons(),
                 "played": site.crossplays.tasks,
+                "film": newest_film(site),
             }
 
         return site.page(request, "", LIVE, "home.html", values)
 
-    @router.get("/tasks/{task}")
-    def board(request: Request, task: str) -> Response:
-        def values() -> dict[str, Any]:
-            return board_values(site, site.task(task))
+    @router.get("/tasks/{task}.csv")
+    def table(request: Request, task: str, version: str = "") -> Response:
+        def text() -> str:
+            board = site.boards.of(task, old_version(site, task, version))
+            if board is None:
+                raise NotFoundError(f"The board of {task} is empty, or being computed.")
+            return board_csv(board, safety_of(site, board))
 
-        return site.page(request, task, LIVE, "board.html", values)
+        page = site.cache.page(f"board.csv {task} {version}", LIVE, text, "text/csv; charset=utf-8")
+        response = respond(request, page)
+        response.headers["Content-Disposition"] = f'attachment; filename="{site.task(task)}.csv"'
+        return response
+
+    @router.get("/tasks/{task}")
+    def board(
+        request: Request,
+        task: str,
+        version: str = "",
+        sort: str = "",
+        search: Annotated[str, Query(max_length=LONGEST)] = "",
+        show: str = "",
+    ) -> Response:
+        view = View(sort, search, show)
+
+        def values() -> dict[str, Any]:
+            return board_values(site, task, old_version(site, task, version), view)
+
+        return site.page(request, f"{task} {version} {view}", LIVE, "board.html", values)
 
     @router.get("/tasks/{task}/compare")
     def compare(request: Request, task: str, a: str = "", b: str = "") -> Response:
@@ -48,9 +81,23 @@ def board_router(site: Site) -> APIRouter:
     return router
 
 
-def board_values(site: Site, task: str) -> dict[str, Any]:
-    """Return what the board's page shows."""
-    board = site.boards.of(task)
+def newest_film(site: Site) -> dict[str, Any] | None:
+    """Return what the home page shows of the film that was made last, if its pair is here."""
+    pair = site.videos.newest()
+    if pair is None:
+        return None
+    seats = [id.split("/")[1] for id in (pair.robot, pair.human)]
+    try:
+        values = pair_values(site, pair.task, *seats)
+    except NotFoundError:  # of another registry
+        return None
+    return values if values["film"] else None
+
+
+def board_values(site: Site, task: str, version: str | None, view: View) -> dict[str, Any]:
+    """Return what the board's page shows; without a version it is of the newest."""
+    board = site.boards.of(task, version)
+    safety = safety_of(site, board) if board else {}
     rows = board.rows if board else ()
     # Rows to measure by are far away and would press the others into one point.
     drawn = [row for row, played in rows if not played.is_reference] or [row for row, _ in rows]
@@ -59,8 +106,13 @@ def board_values(site: Site, task: str) -> dict[str, Any]:
     return {
         "task": task,
         "board": board,
-        "safety": safety_of(site, board) if board else {},
-        "is_behind": site.boards.is_behind(task),
+        "rows": view.of(board, safety) if board else (),
+        "view": view,
+        "sorts": {name: text for name, text in SORTS.items() if safety or name not in SAFETY},
+        "old_version": version,
+        "versions": site.queries.versions(task),
+        "safety": safety,
+        "is_behind": site.boards.is_behind(task, version),
         "axis": axis_over(ends),
         "waiting": sorted(waiting, key=lambda row: row.place or 0),
         "seasons": site.queries.seasons(task),

@@ -4,6 +4,7 @@ The token is typed, or filled in by the browser's own store, with each form. No 
 in, so no other site can act for its owner; the form itself is answered only to who was given it.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,17 +14,19 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.responses import RedirectResponse, Response
 
-from assistax_board.api.guards import FORM, client_of, sign_in
-from assistax_board.api.submitting import hand_in
+from assistax_board.api.guards import FORM, SUBMIT, client_of, sign_in
+from assistax_board.api.submitting import hand_in, limits_of
 from assistax_board.ids import new_id
 from assistax_board.pages import security
 from assistax_board.pages.site import Site
 from assistax_board.problems import CODES, Problem
-from assistax_board.rules.submissions import LICENCES, Draft
+from assistax_board.rules.submissions import DESCRIPTION, LICENCES, Draft
+from assistax_board.store.shown import Limits
 
 FIELDS = (
     security.FIELD,
-    *("request_id", "account_token", "task", "method", "licence", "season"),
+    *("request_id", "account_token", "task", "method", "licence", "season", "limits"),
+    *DESCRIPTION,
 )
 
 
@@ -53,11 +56,17 @@ def submit_router(site: Site) -> APIRouter:
         try:
             token = texts["account_token"].strip()
             owner = await run_in_threadpool(sign_in, request, token, "submit")
+            if texts["limits"]:
+                return await run_in_threadpool(
+                    come_back, site, request, texts, limits=limits_of(request, owner)
+                )
             if not file:
                 raise Problem("invalid", "choose a file that is not empty")
             names = ("task", "method", "request_id", "licence", "season")
             task, method, request_id, licence, season = (texts[name] for name in names)
             draft = Draft(task, method.strip(), request_id, licence, season or None, data=file)
+            words = {name: texts[name].strip().replace("\r", "") for name in DESCRIPTION}
+            draft = dataclasses.replace(draft, **words)
             with state.desk.place(str(owner.submitter)):
                 submission = await hand_in(request, owner, draft)
         except Problem as problem:
@@ -85,16 +94,32 @@ async def read_form(
     return {name: text if isinstance(text, str) else "" for name, text in texts.items()}, data
 
 
-def come_back(site: Site, request: Request, texts: dict[str, str], problem: Problem) -> Response:
-    """Answer with the form as it was filled in, and why nothing was handed in."""
-    texts = {name: texts[name] for name in ("task", "method", "licence", "season")}
-    values = form_values(site, texts, "Nothing was handed in: " + problem.message)
-    return site.form(request, "submit.html", CODES[problem.code], **values)
+def come_back(
+    site: Site,
+    request: Request,
+    texts: dict[str, str],
+    problem: Problem | None = None,
+    limits: Limits | None = None,
+) -> Response:
+    """Answer with the form as it was filled in, and why nothing was handed in, or its limits."""
+    texts = {name: texts[name] for name in ("task", "method", "licence", "season", *DESCRIPTION)}
+    message = "Nothing was handed in: " + problem.message if problem else ""
+    values = form_values(site, texts, message, limits)
+    return site.form(request, "submit.html", CODES[problem.code] if problem else 200, **values)
 
 
-def form_values(site: Site, texts: dict[str, str], message: str = "") -> dict[str, Any]:
+def form_values(
+    site: Site, texts: dict[str, str], message: str = "", limits: Limits | None = None
+) -> dict[str, Any]:
     """Return what the form shows: the choices, what was given before, and why it came back."""
     seasons = [season for season in site.queries.seasons() if season.state == "open"]
-    texts = {"task": site.tasks[0], "method": "", "licence": LICENCES[-1], "season": ""} | texts
-    choices = {"seasons": seasons, "licences": LICENCES}
+    empty = {"task": site.tasks[0], "method": "", "licence": LICENCES[-1], "season": ""}
+    texts = empty | dict.fromkeys(DESCRIPTION, "") | texts
+    choices = {
+        "seasons": seasons,
+        "licences": LICENCES,
+        "limits": limits,
+        "rate": SUBMIT.amount,
+        "most": DESCRIPTION,
+    }
     return {**choices, "given": texts, "message": message, "request_id": new_id(20)}

@@ -1,0 +1,116 @@
+"""A board's rows as a reader asked for them: sorted, searched, and as CSV."""
+
+import csv
+import dataclasses
+import io
+import math
+from collections.abc import Mapping
+
+from assistax_board.pages.boards import Board, Played
+from assistax_board.pages.site import NotFoundError, Site
+from assistax_board.places.boards import BoardRow
+
+Row = tuple[BoardRow, Played]
+Safety = Mapping[str, tuple[float, float]]  # safe success and violations by row's name
+LONGEST = 80  # characters of a search; a method's name has no more
+SAFETY = ("safe_success", "violations")  # columns of gentle tasks alone
+LOWER_IS_BETTER = ("violations", "gap")
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")  # how a text begins that spreadsheets compute
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """Which rows of a board are shown, and in which order."""
+
+    sort: str = ""
+    search: str = ""
+    show: str = ""  # "methods" leaves out the rows to measure by
+
+    def of(self, board: Board, safety: Safety) -> tuple[Row, ...]:
+        """Return the rows, the best first by `sort`, else as they stand on the board."""
+        rows = board.methods if self.show == "methods" else board.rows
+        text = self.search[:LONGEST].casefold()
+        rows = tuple(row for row in rows if text in _names(row[1]).casefold())
+        return tuple(sorted(rows, key=lambda row: self._rank(cells(row, safety))))
+
+    def _rank(self, values: Mapping[str, object]) -> tuple[bool, float | str]:
+        value = values.get(self.sort) if self.sort in SORTS else None
+        if isinstance(value, str):
+            return False, value.casefold()
+        if not isinstance(value, int | float) or not math.isfinite(value):
+            return True, 0.0  # at the end, in the board's order
+        return False, value if self.sort in LOWER_IS_BETTER else -value
+
+
+SORTS = {
+    "m_test": "M_test",
+    "iqm": "IQM",
+    "normalised": "normalised return",
+    "safe_success": "safe success",
+    "violations": "violations",
+    "cvar_10": "CVaR 10%",
+    "worst_tenth": "worst tenth",
+    "gap": "gap over disabilities",
+    "seeds": "number of seeds",
+    "method": "name",
+    "submitter": "lab",
+}
+
+
+def cells(row: Row, safety: Safety) -> dict[str, str | float | None]:
+    """Return a row as the CSV's columns name it."""
+    standing, played = row
+    safe_success, violations = safety.get(standing.name, (None, None))
+    low, high = standing.m_test.mean_ci or (None, None)
+    return {
+        "place": standing.place,
+        "lowest": standing.lowest,
+        "method": played.newest.method,
+        "submitter": played.newest.submitter,
+        "reference": int(played.is_reference),
+        "seeds": len(played.submissions),
+        "m_test": standing.m_test.mean,
+        "m_test_low": low,
+        "m_test_high": high,
+        "iqm": standing.m_test.iqm,
+        "normalised": standing.normalised.mean if standing.normalised else None,
+        "safe_success": safe_success,
+        "violations": violations,
+        "cvar_10": standing.cvar.value if standing.cvar else None,
+        "worst_tenth": standing.worst_tenth.value,
+        "gap": standing.fairness.gap.value if standing.fairness else None,
+        "submission": played.newest.id,
+    }
+
+
+def board_csv(board: Board, safety: Safety) -> str:
+    """Return a board as CSV, each row with the version that scored it.
+
+    Names are texts of strangers: one that a spreadsheet would compute begins with an apostrophe.
+    """
+    out = io.StringIO()
+    lines = [cells(row, safety) | {"version": board.version} for row in board.rows]
+    writer = csv.DictWriter(out, list(lines[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _plain(value) for name, value in line.items()} for line in lines)
+    return out.getvalue()
+
+
+def old_version(site: Site, task: str, version: str) -> str | None:
+    """Return a version that a reader named, or None if it is the newest, which has no other name.
+
+    Raises:
+        NotFoundError: Nothing was scored under it.
+    """
+    versions = [id for id, _ in site.queries.versions(site.task(task))]
+    if version and version not in versions:
+        raise NotFoundError(f"The board of {task} never had such a version.")
+    return None if version in ("", *versions[:1]) else version
+
+
+def _plain(value: str | float | None) -> str | float | None:
+    return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value
+
+
+def _names(played: Played) -> str:
+    return f"{played.newest.method} {played.newest.submitter}"

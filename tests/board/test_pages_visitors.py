@@ -1,0 +1,298 @@
+"""What a visitor looks for: rows sorted and searched, a table to take away, a link that stays."""
+
+import csv
+import io
+import re
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from starlette.testclient import TestClient
+
+from assistax_board import pages
+from assistax_board.app import create_app
+from assistax_board.client import Client
+from assistax_board.pages.security import FIELD
+from assistax_board.problems import Problem
+from assistax_board.store.queries import Queries
+from tests.board.board_data import HOSTILE, VERSION, Robot, make_app
+from tests.board.fakes import TASK, advance, draft, new_service, new_submitter, work_off
+from tests.board.test_pages import Films, inline
+from tests.board.test_submit_form import filled, send
+
+BOARD = "/tasks/scratch"
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    with TestClient(make_app(tmp_path_factory.mktemp("visitors"))) as client:
+        yield client
+
+
+def methods(page: str) -> list[str]:
+    """Return the names of a board's rows, from above."""
+    return re.findall(r'data-label="Method"><a [^>]+>([^<]+)</a>', page)
+
+
+def test_rows_are_sorted_searched_and_filtered(client: TestClient) -> None:
+    every = methods(client.get(BOARD).text)
+    assert len(every) == 7
+    assert methods(client.get(f"{BOARD}?sort=m_test").text) == every
+    by_name = methods(client.get(f"{BOARD}?sort=method").text)
+    assert by_name == sorted(every, key=str.casefold) != every
+    alone = methods(client.get(f"{BOARD}?show=methods").text)
+    assert alone == [
+        name for name in every if name not in ("self-play", "uniform-random", "zero-action")
+    ]
+    page = client.get(f"{BOARD}?search=LAB&sort=seeds").text
+    assert methods(page) == ["ppo ego", "sac ego"]
+    assert "2 of 7 rows shown" in page
+    assert methods(client.get(f"{BOARD}?sort=nonsense").text) == every
+    assert client.get(f"{BOARD}?search={'x' * 81}").status_code == 422
+
+
+def test_what_was_searched_for_stays_a_text(client: TestClient) -> None:
+    page = client.get(BOARD, params={"search": HOSTILE[:80]}).text
+    assert "<script>alert" not in page
+    assert "&lt;script&gt;alert(1)" in page
+
+
+def test_a_board_is_taken_away_as_csv(client: TestClient) -> None:
+    answer = client.get(f"{BOARD}.csv")
+    assert answer.headers["content-type"] == "text/csv; charset=utf-8"
+    assert answer.headers["content-disposition"] == 'attachment; filename="scratch.csv"'
+    rows = list(csv.DictReader(io.StringIO(answer.text)))
+    names = [row["method"] for row in rows]
+    assert (names[0], names[1:3], HOSTILE in names) == ("self-play", ["ppo ego", "sac ego"], True)
+    first = rows[1]
+    assert (first["place"], first["lowest"], first["seeds"]) == ("1", "2", "4")
+    assert float(first["m_test_low"]) < float(first["m_test"]) < float(first["m_test_high"])
+    assert {row["version"] for row in rows} == {VERSION}
+    assert rows[0]["place"] == "" and rows[0]["reference"] == "1"
+    assert client.get(f"{BOARD}.csv?version={VERSION}").text == answer.text
+    for missing in (f"{BOARD}.csv?version=none", "/tasks/nowhere.csv", "/tasks/bed_bath.csv"):
+        assert client.get(missing).status_code == 404
+
+
+def test_a_name_is_no_formula_of_a_spreadsheet(tmp_path: Path) -> None:
+    robots = (Robot("lab", '=HYPERLINK("http://x")', 500.0), Robot("@lab", "mine", 4.0))
+    with TestClient(make_app(tmp_path, robots)) as reader:
+        rows = list(csv.DictReader(io.StringIO(reader.get(f"{BOARD}.csv").text)))
+    assert [row["method"] for row in rows] == ['\'=HYPERLINK("http://x")', "mine"]
+    assert [row["submitter"] for row in rows] == ["lab", "'@lab"]
+
+
+def test_a_link_with_a_version_shows_the_board_that_it_showed(tmp_path: Path) -> None:
+    old = new_service(tmp_path)
+    old.submit(new_submitter(old), draft(1.0, method="early"))
+    work_off(old)
+    [(version, _)] = old.queries.versions(TASK)
+    before = TestClient(create_app(old)).get(f"/tasks/{TASK}.csv").text
+    new = new_service(tmp_path, version=2)
+    advance(new, 60.0)
+    new.submit(new_submitter(new, "other"), draft(2.0, method="late"))
+    work_off(new, version=2)
+    reader = TestClient(create_app(new))
+    assert methods(reader.get(f"/tasks/{TASK}").text) == ["late"]
+    kept = reader.get(f"/tasks/{TASK}?version={version}").text
+    assert methods(kept) == ["early"]
+    assert "of an older version" in kept
+    assert reader.get(f"/tasks/{TASK}.csv?version={version}").text == before
+    newest = reader.get(f"/tasks/{TASK}?version={new.queries.versions(TASK)[0][0]}").text
+    assert "of an older version" not in newest
+    assert reader.get(f"/tasks/{TASK}?version=never").status_code == 404
+
+
+def test_a_method_has_a_page_with_its_history_and_partners(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    lab, other = new_submitter(service), new_submitter(service, "other")
+    ids = [service.submit(lab, draft(strength, f"r{strength}")) for strength in (1.0, 4.0)]
+    service.submit(lab, draft(2.0, "r2", method="another idea"))
+    service.submit(other, draft(3.0, "r3"))
+    work_off(service)
+    last = service.submit(lab, draft(5.0, "r5"))
+    reader = TestClient(create_app(service))
+    page = reader.get(f"/submissions/{last}/method").text
+    assert "3 submissions of this name" in page
+    listed = re.findall(r'<th scope="row"><a href="/submissions/(\w+)"', page)
+    assert set(listed) == {*ids, last}, "of this lab and name alone"
+    means = re.findall(r'<td>public</td>\s*<td class="number">([\d.]+)</td>', page)
+    assert sorted(round(float(mean)) for mean in means) == [2, 4]
+    assert "queued" in page
+    scored = reader.get(f"/submissions/{ids[0]}/method").text
+    assert "M_test of 2 seeds" in scored
+    assert scored.count('class="number shade-') == 2 * 60, "two seeds with 60 partners"
+    assert f'href="/submissions/{ids[0]}/method"' in reader.get(f"/submissions/{ids[0]}").text
+    assert reader.get("/submissions/none/method").status_code == 404
+
+
+def test_an_erased_labs_method_has_no_name_on_its_page(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    lab = new_submitter(service, "Lab of Ada")
+    id = service.submit(lab, draft(1.0, method="adas idea"))
+    work_off(service)
+    reader = TestClient(create_app(service))
+    assert "adas idea" in reader.get(f"/submissions/{id}/method").text
+    service.erase_submitter(lab)
+    reader = TestClient(create_app(service))
+    for address in (f"/submissions/{id}/method", f"/tasks/{TASK}/heatmap", f"/tasks/{TASK}.csv"):
+        page = reader.get(address).text
+        assert "Ada" not in page and "adas" not in page, address
+
+
+def test_methods_and_partners_are_a_map(client: TestClient) -> None:
+    page = client.get(f"{BOARD}/heatmap").text
+    assert page.count('class="number shade-') == 4 * 99, "the methods that compete"
+    assert "self-play" not in page
+    shades = [int(shade) for shade in re.findall(r'class="number shade-(\d)"', page)]
+    assert (min(shades), max(shades)) == (0, 9)
+    assert page.index("ppo ego") < page.index("scripted")
+    assert client.get("/tasks/bed_bath/heatmap").status_code == 404
+
+
+def test_the_home_page_says_what_this_is_and_who_leads(client: TestClient) -> None:
+    page = client.get("/").text
+    lead = re.search(r'<p class="lead">(.*?)</p>', page, re.DOTALL)
+    assert lead and lead[1].count(".") == 3, "three sentences"
+    leaders = re.findall(r'<span class="rank">(\d).*?<a href="/submissions/\w+">([^<]+)</a>', page)
+    assert [place for place, _ in leaders] == ["1", "1", "3"]
+    assert [name for _, name in leaders[:2]] == ["ppo ego", "sac ego"]
+    assert page.count("Nobody has been scored yet") == 2
+    assert "<figure>" not in page, "no film was made"
+
+
+def test_the_home_page_shows_the_film_that_was_made_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    films, address = Films(), "/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1"
+    monkeypatch.setattr(pages, "run_command", lambda arguments, registry: films(arguments))
+    with TestClient(make_app(tmp_path, ())) as reader:
+        token = re.search(rf'name="{FIELD}" value="(\w+)"', reader.get(address).text)
+        assert token
+        reader.post(address, data={FIELD: token[1]})
+        end = time.monotonic() + 30
+        while "<figure>" not in (page := reader.get("/").text) and time.monotonic() < end:
+            time.sleep(0.1)
+        film = re.search(r'class="film" src="([^"]+)"', page)
+        assert film
+        assert reader.get(film[1]).content == b"film"
+        assert f'href="{address}"' in page
+        assert inline(page) == []
+    [note] = (tmp_path / "films").glob("*/pair.json")
+    note.write_text(note.read_text().replace("ippo-d1-s0-v1", "gone"))
+    other = tmp_path / "other"
+    other.mkdir()
+    (tmp_path / "films").rename(other / "films")
+    with TestClient(make_app(other, ())) as reader:
+        assert "<figure>" not in reader.get("/").text, "of a pair that this server does not have"
+
+
+def entries(reader: TestClient, address: str = "/news.atom") -> list[dict[str, str]]:
+    """Return a feed's entries, each by its elements."""
+    root = ElementTree.fromstring(reader.get(address).text)
+    space = "{http://www.w3.org/2005/Atom}"
+    return [
+        {child.tag.removeprefix(space): child.get("href") or child.text or "" for child in entry}
+        for entry in root.iter(f"{space}entry")
+    ]
+
+
+def test_new_scores_and_seasons_are_a_feed(client: TestClient) -> None:
+    answer = client.get("/news.atom")
+    assert answer.headers["content-type"] == "application/atom+xml; charset=utf-8"
+    news = entries(client)
+    titles = [entry["title"] for entry in news]
+    assert len(news) == 4 + 3 + 1 + 2 + 1, "every seed, and one season"
+    assert titles[-1] == "Season Spring & <b>sun</b> of scratch opened"
+    assert any(title.startswith(f"{HOSTILE} by group on scratch: 95") for title in titles)
+    assert [entry["updated"] for entry in news] == sorted(
+        (entry["updated"] for entry in news), reverse=True
+    )
+    assert len({entry["id"] for entry in news}) == len(news)
+    assert all(client.get(entry["link"]).status_code == 200 for entry in news)
+    assert entries(client, "/tasks/scratch/news.atom") == news
+    assert entries(client, "/tasks/bed_bath/news.atom") == []
+    assert client.get("/tasks/nowhere/news.atom").status_code == 404
+
+
+def test_a_feed_is_bounded_and_read_from_the_database_once_for_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+    real = Queries.scores
+    monkeypatch.setattr(
+        Queries, "scores", lambda self, **which: asked.append(1) or real(self, **which)
+    )
+    with TestClient(make_app(tmp_path, (Robot("lab", "mine", 5.0, seeds=60),))) as reader:
+        news = [entries(reader) for _ in range(5)]
+    assert [len(feed) for feed in news] == [50] * 5
+    assert len(asked) == 1
+
+
+def test_a_robot_that_is_scored_again_keeps_its_entry(tmp_path: Path) -> None:
+    old = new_service(tmp_path)
+    old.submit(new_submitter(old), draft(1.0))
+    work_off(old)
+    before = entries(TestClient(create_app(old)))
+    new = new_service(tmp_path, version=2)
+    advance(new, 60.0)
+    new.adopt_version()
+    work_off(new, version=2)
+    after = entries(TestClient(create_app(new)))
+    assert [entry["id"] for entry in after] == [entry["id"] for entry in before]
+    assert after[0]["updated"] > before[0]["updated"]
+
+
+WORDS = {
+    "about": f"Learns slowly. {HOSTILE}",
+    "link": "https://example.org/a?b=1&c",
+    "citation": "@misc{x,\n}",
+}
+
+
+def test_a_methods_page_has_its_text_link_and_citation(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    lab = new_submitter(service)
+    id = service.submit(lab, draft(1.0, **WORDS))
+    later = service.submit(lab, draft(2.0, "r2"))
+    reader = TestClient(create_app(service))
+    page = reader.get(f"/submissions/{later}/method").text
+    assert "Learns slowly. &lt;script&gt;" in page and "<script>alert" not in page
+    assert 'href="https://example.org/a?b=1&amp;c" rel="nofollow' in page
+    assert "@misc{x,\n}" in page
+    assert inline(page) == []
+    service.erase_submitter(lab)
+    assert reader.get(f"/api/submissions/{id}").json()["about"] is None
+    assert "slowly" not in TestClient(create_app(service)).get(f"/submissions/{id}/method").text
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        {"about": "x" * 601},
+        {"about": "\x1b[2J"},
+        {"link": "javascript:alert(1)"},
+        {"link": "https://example.org/a b"},
+        {"link": "https://" + "x" * 200},
+        {"citation": "x" * 1001},
+    ],
+)
+def test_what_is_said_of_a_method_is_bounded(tmp_path: Path, words: dict[str, str]) -> None:
+    service = new_service(tmp_path)
+    with pytest.raises(Problem, match=r"at most|begins with"):
+        service.submit(new_submitter(service), draft(1.0, **words))
+    assert service.queries.submissions() == []
+
+
+def test_the_form_and_the_api_take_what_is_said_of_a_method(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    token = service.create_token(("submit",), submitter="lab")
+    with TestClient(create_app(service), follow_redirects=False) as reader:
+        form = filled(reader, token, **WORDS)
+        assert send(reader, form).status_code == 303
+        fields = {"task": TASK, "method": "mine", "request_id": "request-1"} | WORDS
+        assert Client("", token, transport=reader).submit(b"robot 1.0", **fields)
+    kept = [(row.about, row.link, row.citation) for row in service.queries.submissions()]
+    assert kept == [tuple(WORDS.values())] * 2
