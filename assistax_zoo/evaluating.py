@@ -198,8 +198,8 @@ def cross_play(
         1
     """
     how = How(task, episodes, seed, backend, stochastic, max_envs, _text(preferences))
-    folder, keep = _folder(out)
     cast = _population(egos, partners, task, release, zoo, lock)
+    folder, keep = _folder(out)  # none is made for what the zoo does not have
     options: dict[str, Any] = {"cluster": cluster, "replace": replace}
     with chosen_progress(progress, study_progress(f"crossplay {task}")) as on_progress:
         summary = play_population(cast, how, folder, on_progress=on_progress, **options)

@@ -46,7 +46,8 @@ def imports(tree: ast.AST) -> Iterator[tuple[str, bool]]:
         elif isinstance(node, ast.ImportFrom) and node.module:
             yield node.module, id(node) not in lazy
         elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "optional":
-            yield ast.literal_eval(node.args[0]), False
+            named = node.args[0]  # another expression is checked where the module is imported
+            yield from ((str(text), False) for text in [getattr(named, "value", None)] if text)
 
 
 def undeclared(path: str, source: str) -> Iterator[str]:

@@ -9,7 +9,7 @@ one role that way, exactly; training, acting and publishing all use it.
 
 from collections.abc import Mapping
 
-from population.networks.policy import Params
+from population.networks.seat import Params
 from population.networks.spec import ROLES
 
 SHARED = "shared"  # name of the learner of both roles

@@ -13,14 +13,13 @@ from population.networks import gru
 from population.networks.policy import (
     INITIAL_LOG_STD,
     LOG_STD_RANGE,
-    Carry,
     Critic,
     CriticSpec,
     Gaussian,
-    Params,
     Policy,
     normalise,
 )
+from population.networks.seat import Carry, Params
 from population.networks.spec import PolicySpec
 
 

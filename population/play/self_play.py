@@ -8,7 +8,8 @@ import numpy as np
 
 from assistax_base.statistics import iqm
 from population.environment import Environment
-from population.networks.policy import Params, Policy
+from population.networks.policy import Policy
+from population.networks.seat import Params
 from population.play.rollout import Rollout
 
 _RESAMPLES = 2000

@@ -13,7 +13,8 @@ from jaxtyping import Array, Float, Int
 
 from population.config import Member, populations
 from population.networks.members import member_map
-from population.networks.policy import Params, Policy
+from population.networks.policy import Policy
+from population.networks.seat import Params
 from population.trainers.experience import Batch
 
 # Partners of the zoo are the humans. A robot has joints to spare, in which it could differ from

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 from assistax_envs import select
 from population.environment import Environment, EnvState
 from population.networks.members import member_map, to_members, to_simulations
-from population.networks.policy import Carry, Gaussian, Params, Policy
+from population.networks.policy import Gaussian, Policy
+from population.networks.seat import Carry, Params
 from population.trainers.frozen_partners import FrozenPartners
 
 EVER = ("success", "violated")  # measures of an episode that hold once they held at a step

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 from assistax_envs.disability import Disability
 from population.environment import Environment
 from population.networks.members import member_map
-from population.networks.policy import Carry, Policy
+from population.networks.policy import Policy
+from population.networks.seat import Carry
 from population.networks.stack import PolicyStack
 
 

@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from population.networks.policy import Carry, Critic, Params
+from population.networks.policy import Critic
+from population.networks.seat import Carry, Params
 from population.networks.unrolled import unroll_critic
 
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from population.networks.policy import Params
+from population.networks.seat import Params
 
 _VARIANCE_FLOOR = 1e-6  # a feature that never moves is not blown up
 

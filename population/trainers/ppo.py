@@ -18,7 +18,8 @@ from population.environment import Environment
 from population.hyperparameters import PPOConfig
 from population.networks import shared_network
 from population.networks.members import member_map
-from population.networks.policy import Carry, Critic, Gaussian, Params, Policy, normalise
+from population.networks.policy import Critic, Gaussian, Policy, normalise
+from population.networks.seat import Carry, Params
 from population.networks.spec import Role
 from population.networks.unrolled import unroll_critic, unroll_policy
 from population.trainers import diversity, experience, gae, normaliser

@@ -18,7 +18,8 @@ import optax
 from population.environment import Environment
 from population.hyperparameters import SACConfig
 from population.networks.members import member_map
-from population.networks.policy import Gaussian, Params, normalise
+from population.networks.policy import Gaussian, normalise
+from population.networks.seat import Params
 from population.networks.spec import Role
 from population.trainers import experience, normaliser, replay_buffer
 from population.trainers.experience import Sampler

@@ -18,7 +18,8 @@ from population.config import Member, traced_values
 from population.environment import Environment
 from population.hyperparameters import TrainerConfig
 from population.networks.members import member_map
-from population.networks.policy import Critic, CriticSpec, Gaussian, Params, Policy
+from population.networks.policy import Critic, CriticSpec, Gaussian, Policy
+from population.networks.seat import Params
 from population.networks.spec import ROLES, PolicySpec, Role
 from population.trainers import experience, normaliser
 from population.trainers.experience import Batch, Sampler, Simulations

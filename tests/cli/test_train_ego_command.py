@@ -25,7 +25,7 @@ TINY = [
         (["--algorithm", "ippo"], "algorithm is 'ippo'; allowed are ppo, sac"),
         (
             ["--num-envs", "20", "--set", "minibatches=4"],
-            "num_envs is 20 with 99 partners; .* choose 396, or leave",
+            "num_envs is 20 with 99 partners; .* choose 396, or let it be chosen",
         ),
         (["--split", "halves"], "expected one split"),
         (["--preferences", "p1,p5"], "the humans of scratch have no preferences"),

@@ -71,7 +71,7 @@ def test_a_training_is_prepared_and_says_how_simulations_are_shared():
         ({"preferences": ["p1"]}, "the humans of scratch have no preferences"),
         (
             {"split": "half-s0-v0", "hyperparameters": {"num_envs": 20}},
-            "num_envs is 20 with 16 partners; .* choose 16, or leave",
+            "num_envs is 20 with 16 partners; .* choose 16, or let it be chosen",
         ),
     ],
 )

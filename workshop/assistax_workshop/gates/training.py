@@ -22,7 +22,7 @@ from evaluation.ego_training import shared_out
 from population.config import MIXED, make_members, make_run
 from population.hyperparameters import TrainerConfig, preset
 from population.networks.members import member_map, to_members, to_simulations
-from population.networks.policy import Carry
+from population.networks.seat import Carry
 from population.networks.stack import PolicyStack
 from population.runs.train import train
 from population.trainers.frozen_partners import FrozenPartners
