@@ -121,3 +121,41 @@ def curves(folder: Path, /, *, out: Path) -> None:
 
     draw_curves(folder, out)
     print(out)
+
+
+def persons(
+    task: str,
+    folder: Path,
+    /,
+    *,
+    seeds: str = "4",
+    steps: str = "24M",
+    num_envs: int = 2048,
+    backend: str = "auto",
+) -> None:
+    """Train robots with persons, told, with a memory and neither, and play them with strangers.
+
+    FOLDER/persons.json has what each robot earns with each person that it never met.
+
+    Args:
+        task: Gentle task.
+        folder: Of the result.
+        seeds: Robots of each kind: how many, or which.
+        steps: Environment steps of each robot.
+        num_envs: Simulations of each robot, and persons that it learns with.
+        backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
+
+    Example:
+        assistax-zoo gates persons gentle_bath runs/persons-bath --seeds 8
+    """
+    from assistax_workshop.gates.persons import train_with_persons
+
+    folder.mkdir(parents=True, exist_ok=True)
+    train_with_persons(
+        task,
+        folder,
+        seeds=parse_seeds(seeds),
+        steps=parse_steps(steps),
+        num_envs=num_envs,
+        backend=backend,
+    )

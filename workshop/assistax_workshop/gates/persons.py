@@ -1,0 +1,196 @@
+"""Robots that learn with persons: is it worth to be told, or to remember?
+
+Three kinds of robot are trained with the training side's persons, one person a simulation, and play
+with persons that they never met: PPO, PPO that is told the person's wishes, and PPO with a memory.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from assistax_base.files import write_json
+from assistax_envs import Env, make
+from assistax_envs.persons import PersonPlayer, person_params, persons
+from evaluation.figures.bootstrap import Estimate, estimate
+from evaluation.figures.metrics import paired_difference
+from population.config import MIXED, Member, TrainConfig
+from population.environment import Environment
+from population.hyperparameters import PPOConfig
+from population.networks.policy import Policy
+from population.runs.train import make_trainer, member_key
+from population.trainers.frozen_partners import FrozenPartners
+
+# Robots by name: what the environment tells them, and what the trainer changes. The first is what
+# the others are held against.
+ROBOTS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+    "ppo": (("human",), {}),
+    "told": (("human", "robot"), {}),
+    "gru": (("human",), {"torso": "gru"}),
+}
+# Sides of persons that no robot met, by name: the first number, how far apart, and the family.
+STRANGERS = {
+    "validation": (9, 10, "spring"),
+    "corners": (8000, 1, "spring"),
+    "muscle": (9000, 1, "muscle"),
+}
+SIDE = 200  # persons of each
+EPISODES = 2  # with each of them
+RESULT = "persons.json"
+
+
+class PersonPartners(FrozenPartners):
+    """Persons in the human's seat, one in each simulation of a member, as trainers ask for them.
+
+    Args:
+        player: Acts for them.
+        rows: The persons [P, 25].
+    """
+
+    def __init__(self, player: PersonPlayer, rows: Float[np.ndarray, "P W"]) -> None:
+        self.role, self.player, self.rows = "human", player, rows
+        self.ids = tuple(f"person-{place}" for place in range(len(rows)))
+
+    @property
+    def params(self) -> jax.Array:
+        """Their rows, as `act` takes them."""
+        return jnp.asarray(self.rows)
+
+    def check(self, env: Environment, num_envs: int) -> None:
+        """Check that there is one for each simulation of a member."""
+        if num_envs != len(self):
+            raise ValueError(f"num_envs is {num_envs} with {len(self)} persons; give as many")
+
+    def initial_carry(self, simulations: int) -> Any:
+        """Return their minds before the first observation, [N, ...]."""
+        return self.player.initial_carry((simulations,))
+
+    def act(
+        self, params: jax.Array, carry: Any, obs: jax.Array, first: jax.Array, members: int
+    ) -> tuple[Any, jax.Array]:
+        """Return new minds and actions [N, 3] of obs [N, O]; N is [member, person]."""
+        return self.player.act({"row": jnp.tile(params, (members, 1))}, carry, obs, first)
+
+
+def train_with_persons(
+    task: str,
+    folder: Path,
+    *,
+    seeds: Sequence[int] = range(4),
+    steps: int = 24_000_000,
+    num_envs: int = 2048,
+    backend: str = "auto",
+    horizon: int | None = None,
+    progress: Callable[[str], None] = print,
+) -> dict[str, Any]:
+    """Train each kind of robot, play it with strangers, and write what they earn.
+
+    Args:
+        task: Gentle task.
+        folder: Gets `persons.json`.
+        seeds: Of the robots.
+        steps: Environment steps of each robot.
+        num_envs: Simulations of each robot, and persons that it learns with.
+        backend: Physics.
+        horizon: Steps of an episode with strangers; the environment's if not given.
+        progress: Called with a line after each kind of robot and side of strangers.
+
+    Returns:
+        Returns [seed][person] and shares of safe success, by robot and side.
+    """
+    rows, rng = persons(task), np.random.default_rng(0)
+    training = np.array([number for number in range(8000) if number % 10 != 9])
+    met = rows[np.sort(rng.choice(training, num_envs, replace=False))]
+    earned: dict[str, Any] = {}
+    for name, (told, changes) in ROBOTS.items():
+        env = make(task, backend, told=told)
+        config = PPOConfig(num_envs=num_envs, learning_rate=5e-4, anneal_lr=True, **changes)
+        policy, params = _train(env, PersonPartners(PersonPlayer(task), met), config, seeds, steps)
+        earned[name] = {}
+        for side, (first, apart, family) in STRANGERS.items():
+            strangers = rows[first::apart][:SIDE]
+            earned[name][side] = _play(env, policy, params, strangers, family, horizon)
+            progress(_line(earned, name, side))
+    write_json(folder / RESULT, earned)
+    return earned
+
+
+def _train(
+    env: Env, partners: PersonPartners, config: PPOConfig, seeds: Sequence[int], steps: int
+) -> tuple[Policy, Any]:
+    """Return the robots' network and their parameters, leaves [M, ...]."""
+    members = tuple(Member(seed, MIXED) for seed in seeds)
+    run = TrainConfig(env.task, "ippo", members, steps, config, partners=partners.ids)
+    trainer: Any = make_trainer(run, env, partners)
+    keys = jnp.stack([member_key(member) for member in members])
+    body = person_params(env.task, np.tile(partners.rows, (len(members), 1)))
+    state, hyper = jax.jit(trainer.initial)(keys, body), trainer.hyper(members)
+    update = jax.jit(trainer.update, donate_argnums=0)
+    for _ in range(run.updates):
+        state, _ = update(state, hyper, partners.params)
+    return trainer.policies["robot"], trainer.policy_params(state.members)["robot"]
+
+
+def _play(
+    env: Env, policy: Policy, params: Any, rows: np.ndarray, family: str, horizon: int | None
+) -> dict[str, Any]:
+    """Return what robots [M] earn with persons [P]: their returns and shares of safe success."""
+    members, many = len(jax.tree.leaves(params)[0]), np.repeat(rows, EPISODES, axis=0)
+    keys = jnp.tile(jax.random.split(jax.random.key(99), len(many)), members)
+    body, player = (
+        person_params(env.task, np.tile(many, (members, 1))),
+        PersonPlayer(env.task, family),
+    )
+    row = jnp.asarray(np.tile(many, (members, 1)))
+
+    def step(loop: Any, time: jax.Array) -> tuple[Any, None]:
+        state, memory, mind, (total, success, violated) = loop
+        first = jnp.full(len(row), time == 0)
+        obs = state.obs["robot"].reshape(members, len(many), -1)
+        memory, robot = jax.vmap(policy.act)(params, memory, obs, first.reshape(members, -1))
+        mind, human = player.act({"row": row}, mind, state.obs["human"], first)
+        state = env.step(state, {"robot": robot.reshape(len(row), -1), "human": human})
+        measures: Any = state.measures
+        came = total + state.reward, success | measures.success, violated | measures.violated
+        return (state, memory, mind, came), None
+
+    @partial(jax.jit, static_argnames="steps")
+    def episodes(steps: int) -> tuple[jax.Array, jax.Array, jax.Array]:
+        memory = policy.initial_carry((members, len(many)))
+        none = jnp.zeros(len(row), bool)
+        came = jnp.zeros(len(row)), none, none
+        start = env.reset(keys, body), memory, player.initial_carry((len(row),)), came
+        return jax.lax.scan(step, start, jnp.arange(steps))[0][3]
+
+    total, success, violated = episodes(horizon or env.episode_length)
+    return {
+        "return": _by_person(total, members).tolist(),
+        "safe_success": _by_person(success & ~violated, members).tolist(),
+    }
+
+
+def _by_person(values: Array, members: int) -> Float[np.ndarray, "M P"]:
+    """Return means over the episodes with each person."""
+    return np.asarray(values, np.float64).reshape(members, -1, EPISODES).mean(axis=-1)
+
+
+def _line(earned: dict[str, Any], name: str, side: str) -> str:
+    """Return what a kind of robot earns with a side, and more than the first kind."""
+    scores = np.array(earned[name][side]["return"])
+    safe = np.mean(earned[name][side]["safe_success"])
+    text = f"{name} with {side}: {_shown(estimate(scores))}, safe success {safe:.0%}"
+    first = next(iter(earned))
+    if name == first:
+        return text
+    difference = paired_difference(scores, np.array(earned[first][side]["return"]))
+    return f"{text}, more than {first} by {_shown(difference)}"
+
+
+def _shown(value: Estimate) -> str:
+    low, high = value.mean_ci or (np.nan, np.nan)
+    return f"{value.mean:.1f} [{low:.1f}, {high:.1f}]"
