@@ -14,6 +14,7 @@ from starlette.testclient import TestClient
 from assistax_board import pages
 from assistax_board.app import create_app
 from assistax_board.client import Client
+from assistax_board.pages import behind
 from assistax_board.pages.cache import PageCache
 from assistax_board.pages.security import FIELD
 from assistax_board.problems import Problem
@@ -25,6 +26,12 @@ from tests.board.test_pages import Films, inline
 from tests.board.test_submit_form import filled, send
 
 BOARD = "/tasks/scratch"
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Boards are waited for, however busy this machine is."""
+    monkeypatch.setattr(behind, "PATIENCE", 60.0)
 
 
 @pytest.fixture(scope="module")
