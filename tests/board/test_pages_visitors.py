@@ -14,8 +14,11 @@ from starlette.testclient import TestClient
 from assistax_board import pages
 from assistax_board.app import create_app
 from assistax_board.client import Client
+from assistax_board.pages import behind
+from assistax_board.pages.cache import PageCache
 from assistax_board.pages.security import FIELD
 from assistax_board.problems import Problem
+from assistax_board.store.database import Database
 from assistax_board.store.queries import Queries
 from tests.board.board_data import HOSTILE, VERSION, Robot, make_app
 from tests.board.fakes import TASK, advance, draft, new_service, new_submitter, work_off
@@ -23,6 +26,12 @@ from tests.board.test_pages import Films, inline
 from tests.board.test_submit_form import filled, send
 
 BOARD = "/tasks/scratch"
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Boards are waited for, however busy this machine is."""
+    monkeypatch.setattr(behind, "PATIENCE", 60.0)
 
 
 @pytest.fixture(scope="module")
@@ -296,3 +305,21 @@ def test_the_form_and_the_api_take_what_is_said_of_a_method(tmp_path: Path) -> N
         assert Client("", token, transport=reader).submit(b"robot 1.0", **fields)
     kept = [(row.about, row.link, row.citation) for row in service.queries.submissions()]
     assert kept == [tuple(WORDS.values())] * 2
+
+
+def test_readers_do_not_ask_the_database(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever reads the same page in the same second gets the same bytes."""
+    monkeypatch.setattr(pages, "PageCache", lambda: PageCache(lambda: 0.0))
+    reads: list[int] = []
+    real = Database.read
+    monkeypatch.setattr(Database, "read", lambda self: reads.append(1) or real(self))
+    with TestClient(make_app(tmp_path)) as reader:
+        [first, *_] = re.findall(r'href="(/submissions/\w+)"', reader.get(BOARD).text)
+        addresses = (f"{BOARD}?search=ego", f"{BOARD}.csv", f"{BOARD}/heatmap", f"{first}/method")
+        for address in addresses:
+            reader.get(address)
+        asked = len(reads)
+        assert asked
+        for address in addresses * 3:
+            assert reader.get(address).status_code == 200
+    assert len(reads) == asked
