@@ -11,10 +11,8 @@ import numpy as np
 from flax import linen as nn
 from jaxtyping import Array, Bool, Float
 
+from population.networks.seat import Carry, Params
 from population.networks.spec import PolicySpec
-
-Params = dict[str, Any]  # nested dicts of arrays
-Carry = Any  # () for a feed-forward network, [..., H] for a recurrent one
 
 NORMALISED_LIMIT = 10.0  # normalised observations are clipped to this many standard deviations
 HIDDEN_SCALE = math.sqrt(2.0)  # orthogonal gain of hidden layers

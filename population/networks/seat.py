@@ -11,6 +11,9 @@ if TYPE_CHECKING:
 
     from population.networks.spec import Role
 
+Params = dict[str, Any]  # nested dicts of arrays
+Carry = Any  # () for a feed-forward network, [..., H] for a recurrent one
+
 
 class Player(Protocol):
     """Acts for policies of one spec, whose parameters it is given."""

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from population.environment import Environment, EnvState
-from population.networks.policy import Carry, Params
+from population.networks.seat import Carry, Params
 from population.play.layout import Layout
 from population.play.seats import act_all, initial_carries, noise_keys, widths
 from population.play.tally import Tally, accumulate, begin

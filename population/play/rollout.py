@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from population.environment import Environment
-from population.networks.policy import Params
+from population.networks.seat import Params
 from population.play.programs import Block, Loop, Programs, trip_count
 from population.play.tally import Tally
 

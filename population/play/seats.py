@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
 from population.networks.members import member_map
-from population.networks.policy import Carry, Params
+from population.networks.seat import Carry, Params
 from population.play.layout import Layout
 
 # Folded into an episode's key for action noise: the environment draws from the key itself.
