@@ -111,7 +111,7 @@ def test_a_run_without_files_gets_its_past_written(whole, tmp_path):
 def test_files_of_another_run_are_refused(whole, tmp_path):
     with pytest.raises(
         ValueError,
-        match="holds event files of another run of toy-ippo-d1-s0; choose another --tensor",
+        match="holds event files of another run of toy-ippo-d1-s0; choose another folder",
     ):
         EventFiles(CONFIG, tmp_path / "new", whole / "tb")
     EventFiles(CONFIG, whole / "run", whole / "tb").close()  # the run itself
