@@ -198,8 +198,9 @@ def cross_play(
         1
     """
     how = How(task, episodes, seed, backend, stochastic, max_envs, _text(preferences))
-    cast = _population(egos, partners, task, release, zoo, lock)
-    folder, keep = _folder(out)  # none is made for what the zoo does not have
+    opened = open_zoo(zoo)  # a zoo that is refused makes no folder
+    folder, keep = _folder(out)
+    cast = _population(egos, partners, task, release, opened, lock)
     options: dict[str, Any] = {"cluster": cluster, "replace": replace}
     with chosen_progress(progress, study_progress(f"crossplay {task}")) as on_progress:
         summary = play_population(cast, how, folder, on_progress=on_progress, **options)

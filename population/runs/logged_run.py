@@ -42,8 +42,8 @@ def run_training(
     Raises:
         ValueError: The packages of the extra `train` are not installed.
     """
-    for module in ("optax", "orbax.checkpoint"):
-        optional(module, "training", "train")
+    optional("optax", "training", "train")
+    optional("orbax.checkpoint", "training", "train")
     from assistax_envs import make
     from population.runs.train import train
 

@@ -88,6 +88,7 @@ def test_the_file_says_who_played(path: Path) -> None:
     assert (about["seed"], about["environment_version"]) == (4, 1)
 
 
+@pytest.mark.slow
 def test_an_episode_is_that_of_an_evaluation(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", STEPS)
     job = {"task": "scratch", "episodes": 2, "seed": 4, "backend": "native"}
@@ -99,6 +100,7 @@ def test_an_episode_is_that_of_an_evaluation(monkeypatch: pytest.MonkeyPatch) ->
     assert ended.to_list() == [True, True]
 
 
+@pytest.mark.slow
 def test_the_command_and_the_preference(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "pair.parquet"
     words = ["--task", "gentle_scratch", "--robot", "zero", "--human", "random", "--json"]

@@ -99,6 +99,7 @@ def test_a_saved_result_is_loaded_and_compared(
         az.compare(other, saved)
 
 
+@pytest.mark.slow
 def test_two_results_in_one_folder(zoo: az.Zoo, tmp_path: Path) -> None:
     """The second replaces the first if that is asked for, and the first then answers no more."""
     options: dict[str, Any] = {"out": tmp_path / "C", "split": "both"}
@@ -151,6 +152,7 @@ def test_a_job_that_was_replaced_meanwhile_draws_nothing(
     assert not (tmp_path / tables.SUMMARY_FILE).exists()
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_named_or_fetched(
     zoo: az.Zoo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -19,7 +19,7 @@ class Fate:
     """Sends signals; each moment is [function, calls since it was called, signal]."""
 
     def __init__(self, moments: list[tuple[str, int, int]], written: Path) -> None:
-        self._told = written
+        self._written = written
         self._moments: list[Any] = [list(moment) for moment in moments]
         self.calls = 0
 
@@ -33,7 +33,7 @@ class Fate:
                 moment[:2] = FIRST, self.calls + moment[1]
             if moment[0] == FIRST and self.calls >= moment[1]:
                 self._moments.remove(moment)
-                self._told.write_text(json.dumps(self.calls))
+                self._written.write_text(json.dumps(self.calls))
                 os.kill(os.getpid(), moment[2])
                 break
 

@@ -127,6 +127,7 @@ def test_admission_says_what_a_file_took_too_much_of(monkeypatch: pytest.MonkeyP
     assert refusal.value.code == "too_slow"
 
 
+@pytest.mark.slow
 def test_readers_do_not_wait_for_files_that_are_looked_at(tmp_path: Path) -> None:
     """Forty threads answer all requests; a file that takes long must keep none of them."""
     service, go_on = new_service(tmp_path), threading.Event()

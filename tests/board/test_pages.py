@@ -321,6 +321,7 @@ def test_films_have_so_much_room_on_the_disk(
     assert [videos.state(pair) for pair in pairs] == ["ready", "none", "ready", "ready"]
 
 
+@pytest.mark.slow
 def test_pages_and_films_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(guards, "PAGES", parse("40/minute"))
     monkeypatch.setattr(partner_routes, "FILMS", parse("2/hour"))

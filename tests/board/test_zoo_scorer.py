@@ -193,6 +193,7 @@ def test_a_version_accounts_for_all_that_decides_a_table(registry: Registry) -> 
     assert version_of["jax"] == decided["software"]["jax"]
 
 
+@pytest.mark.slow
 def test_a_private_release_is_played_under_ordinals(
     registry: Registry, files: dict[str, bytes], tmp_path: Path
 ) -> None:

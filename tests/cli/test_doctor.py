@@ -187,6 +187,7 @@ def test_an_added_zoo_that_was_changed_is_broken(
     assert "assistax-zoo remove lab" in examined(capsys, 1)["added"][0]["text"]
 
 
+@pytest.mark.slow
 def test_a_remote_matters_where_shards_are_missing(
     here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -151,6 +151,7 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
     assert "reference egos" not in printed.err  # played once for all policies
 
 
+@pytest.mark.slow
 def test_a_robot_of_unknown_code_is_replaced_only_if_that_is_asked_for(
     registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
@@ -214,6 +215,7 @@ def test_several_policies_are_seeds_of_one_method(
     assert summary["m_test"]["n"] == 2 * summary["partners"]["test"]
 
 
+@pytest.mark.slow
 def test_crossplay_fills_its_folder_with_self_play_on_the_diagonal(
     registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):

@@ -182,6 +182,7 @@ def test_a_plan_wastes_little():
     assert e * p * k > 0.8 * 16384
 
 
+@pytest.mark.slow
 def test_a_killed_run_resumes_to_the_same_file(tmp_path: Path):
     """SIGKILL while the third of fourteen chunks is being written."""
     script = (

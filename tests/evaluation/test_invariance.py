@@ -96,6 +96,7 @@ def test_the_tiles_are_the_jobs_own(backend: str):
     assert [len(chunk.tiles) for chunk in elsewhere] == [1]  # an accelerator wants one large batch
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", OURS)
 def test_neither_chunks_nor_their_order_change_a_value(backend: str):
     job = real_job(backend=backend)

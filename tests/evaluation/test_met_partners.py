@@ -210,6 +210,7 @@ def test_of_an_ego_whose_split_is_elsewhere_nothing_is_known(registry: Registry)
     assert not forged.known and "has another sha256" in forged.reason
 
 
+@pytest.mark.slow
 def test_what_is_not_known_is_said_with_every_figure(
     registry: Registry, tmp_path: Path, result: az.EvaluationResult
 ) -> None:

@@ -240,6 +240,7 @@ def test_the_registry_is_the_one_that_is_given(home: Path, tmp_path: Path) -> No
     assert not report.problems and "parameters, in" in report.absent[0]
 
 
+@pytest.mark.slow
 def test_a_folder_of_code_files_and_a_cross_play_is_replayed_with_them(
     home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -278,6 +279,7 @@ def evaluated(home: Path, robot: str, folder: Path) -> list[float]:
     return [summary.m_test.mean, *table["return"].to_list()]
 
 
+@pytest.mark.slow
 def test_a_robot_whose_weights_changed_is_not_answered_from_a_finished_folder(
     home: Path, tmp_path: Path
 ) -> None:

@@ -310,6 +310,7 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_checkpoint(tmp_
     assert not (tmp_path / "run" / "teams.json").exists()
 
 
+@pytest.mark.slow
 def test_a_full_disk_stops_with_a_message_and_the_run_goes_on_later(
     finished, tmp_path, monkeypatch
 ):

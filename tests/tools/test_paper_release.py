@@ -739,6 +739,7 @@ def test_pictures_are_those_that_the_data_allow():
     assert not figures(results())
 
 
+@pytest.mark.slow
 def test_the_committed_page_is_what_the_committed_tables_give(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ):

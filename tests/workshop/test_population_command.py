@@ -66,6 +66,7 @@ def rows(capsys, place, *more):
     return {row["group"]: row for row in json.loads(capsys.readouterr().out)["groups"]}
 
 
+@pytest.mark.slow
 def test_a_plan_is_trained_and_published_once(place, capsys):
     before = rows(capsys, place)
     assert (before["toy-one"]["missing"], before["toy-other"]["missing"]) == (2, 2)

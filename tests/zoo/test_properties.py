@@ -107,6 +107,7 @@ def test_several_patterns_are_their_union(teams: list[TeamId], patterns: list[st
     }
 
 
+@pytest.mark.slow
 @SETTINGS
 @seed(3)
 @given(POPULATIONS, st.randoms(use_true_random=False))
