@@ -9,7 +9,8 @@ import dataclasses
 import math
 from statistics import NormalDist
 
-from assistax_envs.versions import GENTLE_TASKS, TASKS
+from assistax_envs.registered import REGISTERED
+from assistax_envs.versions import TASKS
 
 _NORMAL = NormalDist()
 
@@ -180,7 +181,7 @@ PARAMETERS: dict[str, tuple[Parameter, ...]] = {
 }
 WIDTH = len(_SKIN)  # numbers of a row
 FOREARM = 16.0  # N: what a forearm and a hand weigh, and a force at which a carried arm is at ease
-SPARED = {task: 0.5 if task in GENTLE_TASKS else 0.0 for task in TASKS}
+SPARED = {task: 0.5 if REGISTERED[task].felt else 0.0 for task in TASKS}
 
 
 def index(task: str) -> dict[str, int]:
