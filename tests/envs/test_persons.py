@@ -102,7 +102,7 @@ def test_an_arm_weighs_and_turns_as_in_mujoco(task: str) -> None:
     weight = np.asarray(arm.gravity(jnp.asarray(angles)))
     data, dofs = mujoco.MjData(model), [model.joint(name).dofadr[0] for name in HUMAN_ACTUATORS]
     qpos = [model.joint(name).qposadr[0] for name in HUMAN_ACTUATORS]
-    # The pose in which episodes start has no public name, and fills the joints that are not the arm's.
+    # The pose in which episodes start has no public name; it fills the other joints.
     start = environment(task, "fused")._task.pose.angle
     for row, own in zip(angles, weight, strict=True):
         data.qpos[:] = start
