@@ -1,7 +1,9 @@
 """Migrations and tables say the same, and a writer is alone."""
 
+import gc
 import threading
 from pathlib import Path
+from typing import Any
 
 import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
@@ -72,3 +74,14 @@ def count(database: Database) -> int:
     with database.read() as connection:
         query = sa.select(sa.func.count()).select_from(submitters)
         return connection.execute(query).scalar_one()
+
+
+def test_a_database_that_nobody_holds_any_more_is_closed(tmp_path: Path) -> None:
+    database = Database(f"sqlite:///{tmp_path / 'service.db'}")
+    with database.read():
+        pass
+    pool: Any = database.engine.pool
+    assert pool.checkedin() == 1
+    del database
+    gc.collect()
+    assert pool.checkedin() == 0

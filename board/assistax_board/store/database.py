@@ -6,6 +6,7 @@ after another takes an advisory lock.
 """
 
 import contextlib
+import weakref
 from collections.abc import Generator
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,8 @@ class Database:
         )
         # Parameters may be hidden values, and errors end up in logs.
         self.engine = sa.create_engine(self.url, hide_parameters=True, **options)
+        # Whoever lets go of a database closes it: the pool would keep its connections open.
+        weakref.finalize(self, self.engine.dispose).atexit = False
         if self.is_sqlite:
             event.listen(self.engine, "connect", _prepare_sqlite)
             event.listen(self.engine, "begin", _begin_sqlite)
