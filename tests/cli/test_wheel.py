@@ -117,7 +117,7 @@ def test_the_core_alone_does_the_three_jobs_with_a_remote(
     evaluate = (*evaluate, "--partners", PARTNERS, "--include-own", "--out", "results")
     message = zoo(*evaluate, code=1)
     assert "parameters of 4 of 4 policies" in message and "--fetch does so" in message
-    assert "--from FOLDER" in zoo(*evaluate, "--fetch", code=1)
+    assert "--from names one" in zoo(*evaluate, "--fetch", code=1)
     assert zoo("config", "remote", remote) == f"{remote}\n"
     assert "M_test" in zoo(*evaluate, "--fetch")
     teams = ("--egos", "scratch/ippo-d1-s[01]-v1", "--partners", PARTNERS)
