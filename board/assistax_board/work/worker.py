@@ -146,49 +146,33 @@ class Worker:
 
     @contextlib.contextmanager
     def _beating(self, work: Work) -> Generator[None]:
-        over = threading.Event()
+        def beat() -> bool:
+            with contextlib.suppress(Problem, OSError):
+                self._client.beat(work)
+            return True
 
-        def beat() -> None:
-            while not over.wait(self._beat):
-                with contextlib.suppress(Problem, OSError):
-                    self._client.beat(work)
-
-        thread = threading.Thread(target=beat, daemon=True)
-        thread.start()
-        try:
+        with _again_and_again(beat, self._beat):
             yield
-        finally:
-            over.set()
-            thread.join()
 
     @contextlib.contextmanager
     def _watching(self, work: Work) -> Generator[None]:
         """Refuse a job that takes more than its budget, and begin anew without it."""
-        over = threading.Event()
         used, began, memory = time.process_time(), time.monotonic(), resident_bytes(os.getpid())
 
-        def watch() -> None:
-            while not over.wait(LOOK_SECONDS):
-                seconds, clock = time.process_time() - used, time.monotonic() - began
-                grown = resident_bytes(os.getpid()) - memory
-                limits = self._budget
-                if (
-                    seconds > limits.seconds
-                    or clock > limits.clock_seconds
-                    or grown > limits.memory
-                ):
-                    log.warning("job is too slow", extra={"fields": fields_of(work)})
-                    self._tell(self._client.refused, work, "too_slow")
-                    self._anew()
-                    return
+        def watch() -> bool:
+            seconds, clock = time.process_time() - used, time.monotonic() - began
+            grown = resident_bytes(os.getpid()) - memory
+            limits = self._budget
+            within = seconds <= limits.seconds and clock <= limits.clock_seconds
+            if within and grown <= limits.memory:
+                return True
+            log.warning("job is too slow", extra={"fields": fields_of(work)})
+            self._tell(self._client.refused, work, "too_slow")
+            self._anew()
+            return False
 
-        thread = threading.Thread(target=watch, daemon=True)
-        thread.start()
-        try:
+        with _again_and_again(watch, LOOK_SECONDS):
             yield
-        finally:
-            over.set()
-            thread.join()
 
     def _robot(self, work: Work) -> Any:
         if work.kind == "live":
@@ -210,3 +194,21 @@ class Worker:
         if sha256(data) != name:
             raise ValueError("an artefact arrived damaged")
         return data
+
+
+@contextlib.contextmanager
+def _again_and_again(look: Callable[[], bool], seconds: float) -> Generator[None]:
+    """Look every so many seconds beside what is done, until that is over or a look says no."""
+    over = threading.Event()
+
+    def go_on() -> None:
+        while not over.wait(seconds) and look():
+            pass
+
+    thread = threading.Thread(target=go_on, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
