@@ -7,11 +7,10 @@ import numpy as np
 import polars as pl
 
 from assistax_board.pages.behind import Behind
-from assistax_board.pages.boards import bounds_of
+from assistax_board.pages.boards import Played, bounds_of
 from assistax_board.places.boards import BoardRow, Method, Panel, board_rows
 from assistax_board.store.queries import Queries
 from assistax_board.store.shown import Season, Submission
-from assistax_board.vocabulary import REFERENCE
 from evaluation.figures.metrics import SEED_SDS
 from evaluation.record.columns import with_safety
 
@@ -19,24 +18,12 @@ PanelB = Callable[[str], Sequence[tuple[str, pl.DataFrame]]]  # season -> submis
 
 
 @dataclasses.dataclass(frozen=True)
-class Entry:
+class Entry(Played):
     """A method on panel B: its seeds, and how often they succeeded and hurt somebody."""
 
-    submissions: tuple[Submission, ...]  # the oldest first
-    returns: np.ndarray  # [S, P, K]
     success: float
     safe_success: float | None  # of gentle tasks
     violations: float | None
-
-    @property
-    def newest(self) -> Submission:
-        """The submission that stands for the method in addresses."""
-        return self.submissions[-1]
-
-    @property
-    def is_reference(self) -> bool:
-        """Whether the row is there to be measured by."""
-        return self.newest.submitter == REFERENCE
 
 
 class SeasonBoards:

@@ -17,6 +17,7 @@ from assistax_board.pages.routes.rows import (
     SORTS,
     View,
     board_csv,
+    board_of,
     old_version,
 )
 from assistax_board.pages.site import LIVE, NotFoundError, Site
@@ -42,9 +43,7 @@ def board_router(site: Site) -> APIRouter:
     @router.get("/tasks/{task}.csv")
     def table(request: Request, task: str, version: str = "") -> Response:
         def text() -> str:
-            board = site.boards.of(task, old_version(site, task, version))
-            if board is None:
-                raise NotFoundError(f"The board of {task} is empty, or being computed.")
+            board = board_of(site, task, version)
             return board_csv(board, safety_of(site, board))
 
         page = site.cache.page(f"board.csv {task} {version}", LIVE, text, "text/csv; charset=utf-8")

@@ -9,8 +9,8 @@ from starlette.responses import Response
 from assistax_board.pages.boards import Board
 from assistax_board.pages.charts import axis_over
 from assistax_board.pages.routes.boards import safety_of
-from assistax_board.pages.routes.rows import old_version
-from assistax_board.pages.site import LIVE, NotFoundError, Site
+from assistax_board.pages.routes.rows import board_of
+from assistax_board.pages.site import LIVE, Site
 from assistax_board.store.shown import Submission
 
 COLUMNS = 20  # methods beside one another; the best ones
@@ -32,9 +32,7 @@ def method_router(site: Site) -> APIRouter:
     @router.get("/tasks/{task}/heatmap")
     def heatmap(request: Request, task: str, version: str = "") -> Response:
         def values() -> dict[str, Any]:
-            board = site.boards.of(task, old_version(site, task, version))
-            if board is None:
-                raise NotFoundError(f"The board of {task} is empty, or being computed.")
+            board = board_of(site, task, version)
             return {"task": task, "board": board, **heatmap_values(board)}
 
         return site.page(request, f"{task} {version}", LIVE, "heatmap.html", values)

@@ -108,6 +108,18 @@ def old_version(site: Site, task: str, version: str) -> str | None:
     return None if version in ("", *versions[:1]) else version
 
 
+def board_of(site: Site, task: str, version: str) -> Board:
+    """Return the board of a task under a version that a reader named, or the newest.
+
+    Raises:
+        NotFoundError: Nothing was scored, or not under that version, or its board is not ready.
+    """
+    board = site.boards.of(task, old_version(site, task, version))
+    if board is None:
+        raise NotFoundError(f"The board of {task} is empty, or being computed.")
+    return board
+
+
 def _plain(value: str | float | None) -> str | float | None:
     return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value
 
