@@ -69,31 +69,20 @@ class Cast:
         published = [entry for entry in registry.policies if entry.id in robots.members]
         check_env_version(registry, [*published, *humans])
         robots = declare(robots, registry, task, trained_with)
-        teams = {human.team for human in humans} if baselines else set()
-        names = {*robots.members, *(human.id for human in humans)}
-        entries = [
-            entry
-            for entry in registry.policies
-            if entry.id in names or (entry.role == "robot" and entry.team in teams)
-        ]
-        sides = {human.id: split.side(human.team) for human in humans} if split else {}
-        roots = {
-            release: registry.root(release)
-            for release in sorted({entry.release for entry in entries})
-        }
+        entries = entries_of(registry, robots, humans, baselines)
         return cls(
             task=task,
             robots=robots,
             humans=registry_roster(registry, humans),
             split=split,
-            sides={name: side for name, side in sides.items() if side},
+            sides=sides_of(humans, split),
             releases=tuple(sorted({entry.release for entry in (*published, *humans)})),
             lock=registry.lock,
             met=met_partners(robots, humans),
             own_robots=own_robots(registry, humans) if baselines else None,
             baselines=baselines,
             record={
-                "registry": {"roots": roots, "lock": registry.lock},
+                "registry": {"roots": roots_of(registry, entries), "lock": registry.lock},
                 "met": describe_met(robots, trained_with),
                 "sources": describe_sources(registry, entries, split.id if split else None, ()),
             },
@@ -175,6 +164,33 @@ def check_env_version(registry: Registry, entries: Sequence[PolicyEntry]) -> Non
             next_step="choose policies of a release of this version (here "
             f"{listing(fitting)}), or install the assistax-zoo of release {entry.release}",
         )
+
+
+def entries_of(
+    registry: Registry, robots: Roster, humans: Sequence[PolicyEntry], baselines: bool
+) -> list[PolicyEntry]:
+    """Return all that is published of a study, in the registry's order.
+
+    With baselines these are also the robots of the humans' teams.
+    """
+    teams = {human.team for human in humans} if baselines else set()
+    names = {*robots.members, *(human.id for human in humans)}
+    return [
+        entry
+        for entry in registry.policies
+        if entry.id in names or (entry.role == "robot" and entry.team in teams)
+    ]
+
+
+def roots_of(registry: Registry, entries: Sequence[PolicyEntry]) -> dict[str, str]:
+    """Return the root of each release that the entries are of."""
+    return {release: registry.root(release) for release in sorted({e.release for e in entries})}
+
+
+def sides_of(humans: Sequence[PolicyEntry], split: Split | None) -> dict[str, str]:
+    """Return the side of each human that is on one, by id."""
+    sides = {human.id: split.side(human.team) for human in humans} if split else {}
+    return {name: side for name, side in sides.items() if side}
 
 
 def own_robots(registry: Registry, partners: Sequence[PolicyEntry]) -> tuple[Roster, Roster] | None:

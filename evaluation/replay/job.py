@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from assistax_base.errors import SplitError
-from evaluation.cast.cast import check_env_version, in_release
+from evaluation.cast.cast import check_env_version, entries_of, in_release, roots_of, sides_of
 from evaluation.cast.egos import read_egos
 from evaluation.cast.met_partners import MetPartners, declare, met_partners
 from evaluation.cast.robot_names import parse_reference
@@ -64,8 +64,8 @@ def rebuild_job(record: Record, registry: Registry, *, run_code: bool = False) -
     played = [*partners, *(entry for entry in registry.policies if entry.id in egos.members)]
     check_env_version(registry, played)
     env = make(task, backend=identity["backend"])
-    sides = {human.id: side for human in partners if split and (side := split.side(human.team))}
-    job = _job_of(identity, env, egos, registry_roster(registry, partners), sides)
+    humans = registry_roster(registry, partners)
+    job = _job_of(identity, env, egos, humans, sides_of(partners, split))
     _check_identity(identity, job)
     names = {entry.id for entry in partners}
     partners = [entry for entry in registry.policies if entry.id in names]
@@ -98,13 +98,7 @@ def source_problems(
 
     Return problems, and what could not be checked.
     """
-    names = {*rebuilt.job.egos.members, *(entry.id for entry in rebuilt.partners)}
-    teams = {entry.team for entry in rebuilt.partners} if references else set()
-    entries = [
-        entry
-        for entry in registry.policies
-        if entry.id in names or (entry.role == "robot" and entry.team in teams)
-    ]
+    entries = entries_of(registry, rebuilt.job.egos, rebuilt.partners, references)
     split = rebuilt.split.id if rebuilt.split else None
     expected = describe_sources(registry, entries, split, ())
     kept, said = manifest.get("sources"), manifest.get("registry")
@@ -117,8 +111,7 @@ def source_problems(
     ]
     if said.get("lock") != registry.lock:
         problems.append("the manifest names another lock than the one that is given")
-    roots = {release: registry.root(release) for release in sorted({e.release for e in entries})}
-    if said.get("roots") != roots:
+    if said.get("roots") != roots_of(registry, entries):
         unchecked = "the releases' roots: this registry has others, as one that grew or another has"
         return problems, [unchecked]
     return problems, []
