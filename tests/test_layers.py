@@ -2,7 +2,6 @@
 
 import ast
 import json
-import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -10,6 +9,8 @@ from pathlib import Path
 
 import pytest
 from jaxtyping import TypeCheckError
+
+from tools.house import raised_options
 
 ROOT = Path(__file__).parents[1]
 
@@ -180,6 +181,4 @@ def test_an_option_in_an_error_is_found() -> None:
 
 def options_raised(source: str) -> list[str]:
     """Return the options that raised texts name."""
-    raises = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Raise)]
-    texts = [node for error in raises for node in ast.walk(error) if isinstance(node, ast.Constant)]
-    return [option for text in texts for option in re.findall(r"--[a-z][\w-]*", str(text.value))]
+    return [option for _, option in raised_options(ast.parse(source))]

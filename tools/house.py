@@ -26,7 +26,7 @@ APART = ("physics/fused", "tasks/gentle_")  # counted apart: the engine, and the
 CLOSURES = {("open_zoo", "Partner"): 2000, ("evaluate",): 8150, ("cross_play",): 8150}
 MOST_STATEMENTS, MOST_DEPENDENCIES = 21950, 20  # of statements, what stood when rooms were made
 MOST_MODULES, MOST_LINES, MOST_FUNCTION_LINES, MOST_PARAMETERS = 12, 350, 60, 12
-OPTION = re.compile(r"(?<![\w-])--[a-z]")
+OPTION = re.compile(r"--[a-z][\w-]*")
 # What may stand once, and where: a pattern of source text, and the one file that may hold it.
 ONCE = {
     r"def (canonical_json|json_sha256)\(": "assistax_base/digest.py",
@@ -39,10 +39,11 @@ ONCE = {
 
 @dataclasses.dataclass(frozen=True)
 class Module:
-    """A module: its dotted name, file and tree."""
+    """A module: its dotted name, file, text and tree."""
 
     name: str
     path: Path
+    text: str
     tree: ast.Module
 
     @functools.cached_property
@@ -85,7 +86,8 @@ def read_modules(root: Path = ROOT) -> dict[str, Module]:
         for path in sorted((root / folder).rglob("*.py")):
             parts = path.relative_to(root / folder).with_suffix("").parts
             name = ".".join((package, *parts)).removesuffix(".__init__")
-            modules[name] = Module(name, path, ast.parse(path.read_text(encoding="utf-8")))
+            text = path.read_text(encoding="utf-8")
+            modules[name] = Module(name, path, text, ast.parse(text))
     return modules
 
 
@@ -160,6 +162,14 @@ def picture(modules: Mapping[str, Module]) -> str:
     return "\n".join(lines)
 
 
+def raised_options(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Yield the options of the command line that a module's errors name, each with its line."""
+    for raised in (node for node in ast.walk(tree) if isinstance(node, ast.Raise)):
+        for node in ast.walk(raised):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                yield from ((node.lineno, option) for option in OPTION.findall(node.value))
+
+
 def write_picture(root: Path = ROOT) -> bool:
     """Bring CONTRIBUTING's picture up to date; return whether it had to change."""
     path = root / "CONTRIBUTING.md"
@@ -178,14 +188,15 @@ def _sizes(modules: Mapping[str, Module], root: Path) -> Iterator[str]:
         count = sum(path.name != "__init__.py" for path in paths)
         if count > MOST_MODULES:
             yield f"{folder.relative_to(root)}: {count} modules, at most {MOST_MODULES}"
-    front = {*itertools.chain(*_literal(modules["assistax_zoo"].tree, "_HOMES").values())}
+    homes = _literal(modules["assistax_zoo"].tree, "_HOMES")
+    front = {(home, name) for home, names in homes.items() for name in names}
     for module in modules.values():
         place = module.path.relative_to(root)
-        lines = len(module.path.read_text(encoding="utf-8").splitlines())
+        lines = len(module.text.splitlines())
         if lines > MOST_LINES:
             yield f"{place}: {lines} lines, at most {MOST_LINES}"
         for function in module.functions:
-            if function.name in front:
+            if (module.name, function.name) in front:
                 continue
             long = (function.end_lineno or 0) - function.lineno + 1
             arguments = function.args
@@ -201,19 +212,15 @@ def _raised_options(modules: Mapping[str, Module], root: Path) -> Iterator[str]:
     for module in modules.values():
         if {"commands", "shell"} & {*module.name.split(".")}:
             continue
-        for raised in (node for node in ast.walk(module.tree) if isinstance(node, ast.Raise)):
-            for node in ast.walk(raised):
-                text = node.value if isinstance(node, ast.Constant) else None
-                if isinstance(text, str) and OPTION.search(text):
-                    line = getattr(node, "lineno", raised.lineno)
-                    yield f"{module.path.relative_to(root)}:{line}: an option in an error"
+        for line, _ in raised_options(module.tree):
+            yield f"{module.path.relative_to(root)}:{line}: an option in an error"
 
 
 def _second_copies(modules: Mapping[str, Module], root: Path) -> Iterator[str]:
     for module in modules.values():
         place = module.path.relative_to(root).as_posix()
         for pattern, home in ONCE.items():
-            if place != home and re.search(pattern, module.path.read_text(encoding="utf-8")):
+            if place != home and re.search(pattern, module.text):
                 yield f"{place}: has a second copy of what stands in {home}"
 
 

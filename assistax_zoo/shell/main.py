@@ -159,9 +159,10 @@ def build_app() -> App:
 
 def _add_subcommands(app: App, arguments: Sequence[str]) -> None:
     """Register the commands under one that also runs alone: it is loaded, so only if named."""
+    groups = all_groups()
     for name, path in all_commands().items():
         first, dot, second = name.partition(".")
-        if dot and first not in all_groups() and [first] == [*arguments[:1]]:
+        if dot and first not in groups and [first] == [*arguments[:1]]:
             app[first].command(path, name=second)
 
 

@@ -1,11 +1,12 @@
 """Errors of the libraries speak to users of Python too: they name no option of the command line."""
 
 import ast
-import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tools.house import raised_options
 
 ROOT = Path(__file__).parents[2]
 ROOMS = ("record", "figures", "replay", "plots", "report")
@@ -13,11 +14,7 @@ ROOMS = ("record", "figures", "replay", "plots", "report")
 
 def options_named(source: str) -> Iterator[str]:
     """Yield the options in texts of raises."""
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Raise):
-            for part in ast.walk(node):
-                if isinstance(part, ast.Constant) and isinstance(part.value, str):
-                    yield from re.findall(r"--[a-z][a-z-]+", part.value)
+    yield from (option for _, option in raised_options(ast.parse(source)))
 
 
 @pytest.mark.parametrize("room", ROOMS)

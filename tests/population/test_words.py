@@ -1,8 +1,9 @@
 """Options of the command line are named by commands alone: libraries have other callers."""
 
 import ast
-import re
 from pathlib import Path
+
+from tools.house import raised_options
 
 ROOT = Path(__file__).parents[2]
 LIBRARIES = (
@@ -17,14 +18,7 @@ LIBRARIES = (
 
 def options_in_raises(source: str) -> list[str]:
     """Return what the errors of a file say of options."""
-    return [
-        word
-        for node in ast.walk(ast.parse(source))
-        if isinstance(node, ast.Raise)
-        for part in ast.walk(node)
-        if isinstance(part, ast.Constant) and isinstance(part.value, str)
-        for word in re.findall(r"--[a-z][a-z-]*", part.value)
-    ]
+    return [option for _, option in raised_options(ast.parse(source))]
 
 
 def test_no_error_of_a_library_names_an_option() -> None:

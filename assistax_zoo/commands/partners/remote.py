@@ -15,7 +15,8 @@ from zoo.locations import default_remote, set_default_remote
 from zoo.lock import locked_entries, read_lock
 from zoo.locking import make_lock, write_lock
 from zoo.namespaces import plain_name, split_namespace
-from zoo.registry import load_registry
+from zoo.registry import Registry, load_registry
+from zoo.schema import PolicyEntry
 from zoo.transport.remotes import open_remote
 
 if TYPE_CHECKING:
@@ -69,10 +70,7 @@ def fetch(
         remote_registry(theirs, _accept(theirs.name, yes)) if theirs else load_registry(registry)
     )
     fields = {"algorithm": algorithm, "disability": disability, "role": role, "release": release}
-    entries = loaded.select(pattern, task=task, **fields)
-    if lock:
-        pinned = {entry.id for entry in locked_entries(loaded, read_lock(lock))}
-        entries = [entry for entry in entries if entry.id in pinned]
+    entries = _pinned(loaded, loaded.select(pattern, task=task, **fields), lock)
     what = f"fetch {remote.name if remote else ''}"
     with contextlib.ExitStack() as stack:
         report = fetch_entries(
@@ -85,6 +83,14 @@ def fetch(
     if theirs:
         lines += [f"its registry is {report.registry}: give it to other commands with --registry"]
     answer(json, vars(report), *lines)
+
+
+def _pinned(registry: Registry, entries: list[PolicyEntry], lock: Path | None) -> list[PolicyEntry]:
+    """Return the entries that a lock file pins; all without one."""
+    if lock is None:
+        return entries
+    pinned = {entry.id for entry in locked_entries(registry, read_lock(lock))}
+    return [entry for entry in entries if entry.id in pinned]
 
 
 def add(
