@@ -17,7 +17,6 @@ import numpy as np
 import polars as pl
 
 from assistax_envs import disability_params
-from assistax_envs.disability import Disability
 from assistax_envs.interrupts import interruptible
 from population.config import MIXED, Member, TrainConfig
 from population.devices import SECOND_AXIS, WHOLE, DeviceShares, state_specs
@@ -126,16 +125,14 @@ def initial_state(
     """Return the state of a run before its first update, on one device if there are no shares."""
     shares = shares or DeviceShares(len(config.members), jax.local_devices()[:1])
     keys = jnp.stack([member_key(member) for member in config.members])
-    settings: list[str | Disability] = []
-    likings: list[str] = []
-    for member in config.members:
-        if trainer.partners:
-            settings += trainer.partners.settings(config.trainer.num_envs)
-            if config.preferences:
-                likings += trainer.partners.likings(config.trainer.num_envs, config.preferences)
-        else:
-            settings += [member.disability] * config.trainer.num_envs
-    start = shares.put((keys, disability_params(settings, likings or None)))
+    envs, partners = config.trainer.num_envs, trainer.partners
+    humans = [
+        partners.humans(envs, config.preferences)
+        if partners
+        else disability_params([member.disability] * envs)
+        for member in config.members
+    ]
+    start = shares.put((keys, jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *humans)))
     initial = shares.jit(trainer.initial, state_specs(jax.eval_shape(trainer.initial, *start)))
     # Copied, so that no two leaves share a buffer: each is donated to the first update.
     return jax.tree.map(jnp.copy, initial(*start))

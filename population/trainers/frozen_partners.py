@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from assistax_envs import EnvParams, disability_params
 from assistax_envs.disability import Disability
 from population.environment import Environment
 from population.networks.members import member_map
@@ -91,6 +92,11 @@ class FrozenPartners:
             for partner in range(len(self))
             for turn in range(share)
         ]
+
+    def humans(self, num_envs: int, preferences: Sequence[str] = ()) -> EnvParams:
+        """Return the humans [N] of a member's simulations; without preferences they are drawn."""
+        liked = self.likings(num_envs, preferences) if preferences else None
+        return disability_params(self.settings(num_envs), liked)
 
     def initial_carry(self, simulations: int) -> tuple[Carry, ...]:
         """Return carries before the first observation, by stack [P, N / partners, ...]."""

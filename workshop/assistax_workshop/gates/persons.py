@@ -5,17 +5,16 @@ with persons that they never met: PPO, PPO that is told the person's wishes, and
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from assistax_base.files import write_json
-from assistax_envs import Env, make
+from assistax_envs import Env, EnvParams, make
 from assistax_envs.persons import PersonPlayer, person_params, persons
 from evaluation.figures.bootstrap import Estimate, estimate
 from evaluation.figures.metrics import paired_difference
@@ -23,7 +22,8 @@ from population.config import MIXED, Member, TrainConfig
 from population.environment import Environment
 from population.hyperparameters import PPOConfig
 from population.networks.policy import Policy
-from population.runs.train import make_trainer, member_key
+from population.play.rollout import Rollout
+from population.runs.train import initial_state, make_trainer
 from population.trainers.frozen_partners import FrozenPartners
 
 # Robots by name: what the environment tells them, and what the trainer changes. The first is what
@@ -60,6 +60,10 @@ class PersonPartners(FrozenPartners):
     def params(self) -> jax.Array:
         """Their rows, as `act` takes them."""
         return jnp.asarray(self.rows)
+
+    def humans(self, num_envs: int, preferences: Sequence[str] = ()) -> EnvParams:
+        """Return their bodies and their own wishes [P]."""
+        return person_params(self.player.controller.task, self.rows)
 
     def check(self, env: Environment, num_envs: int) -> None:
         """Check that there is one for each simulation of a member."""
@@ -127,9 +131,7 @@ def _train(
     members = tuple(Member(seed, MIXED) for seed in seeds)
     run = TrainConfig(env.task, "ippo", members, steps, config, partners=partners.ids)
     trainer: Any = make_trainer(run, env, partners)
-    keys = jnp.stack([member_key(member) for member in members])
-    body = person_params(env.task, np.tile(partners.rows, (len(members), 1)))
-    state, hyper = jax.jit(trainer.initial)(keys, body), trainer.hyper(members)
+    state, hyper = initial_state(run, trainer), trainer.hyper(members)
     update = jax.jit(trainer.update, donate_argnums=0)
     for _ in range(run.updates):
         state, _ = update(state, hyper, partners.params)
@@ -140,43 +142,15 @@ def _play(
     env: Env, policy: Policy, params: Any, rows: np.ndarray, family: str, horizon: int | None
 ) -> dict[str, Any]:
     """Return what robots [M] earn with persons [P]: their returns and shares of safe success."""
-    members, many = len(jax.tree.leaves(params)[0]), np.repeat(rows, EPISODES, axis=0)
-    keys = jnp.tile(jax.random.split(jax.random.key(99), len(many)), members)
-    body, player = (
-        person_params(env.task, np.tile(many, (members, 1))),
-        PersonPlayer(env.task, family),
-    )
-    row = jnp.asarray(np.tile(many, (members, 1)))
-
-    def step(loop: Any, time: jax.Array) -> tuple[Any, None]:
-        state, memory, mind, (total, success, violated) = loop
-        first = jnp.full(len(row), time == 0)
-        obs = state.obs["robot"].reshape(members, len(many), -1)
-        memory, robot = jax.vmap(policy.act)(params, memory, obs, first.reshape(members, -1))
-        mind, human = player.act({"row": row}, mind, state.obs["human"], first)
-        state = env.step(state, {"robot": robot.reshape(len(row), -1), "human": human})
-        measures: Any = state.measures
-        came = total + state.reward, success | measures.success, violated | measures.violated
-        return (state, memory, mind, came), None
-
-    @partial(jax.jit, static_argnames="steps")
-    def episodes(steps: int) -> tuple[jax.Array, jax.Array, jax.Array]:
-        memory = policy.initial_carry((members, len(many)))
-        none = jnp.zeros(len(row), bool)
-        came = jnp.zeros(len(row)), none, none
-        start = env.reset(keys, body), memory, player.initial_carry((len(row),)), came
-        return jax.lax.scan(step, start, jnp.arange(steps))[0][3]
-
-    total, success, violated = episodes(horizon or env.episode_length)
+    rollout = Rollout(env, [policy], [PersonPlayer(env.task, family)], length=horizon)
+    keys = jax.random.split(jax.random.key(99), (len(rows), EPISODES))
+    body, stack = person_params(env.task, rows), {"row": jnp.asarray(rows)}
+    tally = rollout.run([params], [stack], body, keys)  # [M, P, K]
+    safe = tally.success & ~tally.violated
     return {
-        "return": _by_person(total, members).tolist(),
-        "safe_success": _by_person(success & ~violated, members).tolist(),
+        "return": np.asarray(tally.returns, np.float64).mean(axis=-1).tolist(),
+        "safe_success": np.asarray(safe, np.float64).mean(axis=-1).tolist(),
     }
-
-
-def _by_person(values: Array, members: int) -> Float[np.ndarray, "M P"]:
-    """Return means over the episodes with each person."""
-    return np.asarray(values, np.float64).reshape(members, -1, EPISODES).mean(axis=-1)
 
 
 def _line(earned: dict[str, Any], name: str, side: str) -> str:
