@@ -23,7 +23,7 @@ FOLDERS = {
 }
 APART = ("physics/fused", "tasks/gentle_")  # counted apart: the engine, and the gentle tasks
 # The plays hold drawing, reports and Ray too (some 1,000), which results and `engine` offer.
-CLOSURES = {("open_zoo", "Partner"): 2000, ("evaluate",): 8150, ("cross_play",): 8150}
+CLOSURES = {("open_zoo", "Partner"): 2100, ("evaluate",): 8250, ("cross_play",): 8250}
 MOST_STATEMENTS, MOST_DEPENDENCIES = 21950, 20  # of statements, what stood when rooms were made
 MOST_MODULES, MOST_LINES, MOST_FUNCTION_LINES, MOST_PARAMETERS = 12, 350, 60, 12
 OPTION = re.compile(r"--[a-z][\w-]*")
@@ -59,14 +59,14 @@ class Module:
         kinds = ast.FunctionDef, ast.AsyncFunctionDef
         return [node for node in ast.walk(self.tree) if isinstance(node, kinds)]
 
-    def imports(self, modules: Mapping[str, "Module"], *, typing: bool = False) -> set[str]:
+    def imports(self, modules: Mapping[str, "Module"], *, named: bool = False) -> set[str]:
         """Return the modules of ours that it imports, inside functions too.
 
         Args:
             modules: All of ours, by name.
-            typing: With those that only type checkers import.
+            named: With those that it names as "module:function", to be loaded when they are used.
         """
-        skipped = set() if typing else _type_checking(self.tree)
+        skipped = _type_checking(self.tree)
         names = set()
         for node in ast.walk(self.tree):
             if id(node) in skipped:
@@ -76,6 +76,8 @@ class Module:
             elif isinstance(node, ast.ImportFrom) and node.module:
                 inside = {f"{node.module}.{alias.name}" for alias in node.names} & modules.keys()
                 names |= inside or {node.module}
+            elif named and isinstance(node, ast.Constant) and ":" in str(node.value):
+                names.add(str(node.value).partition(":")[0])
         return names & modules.keys() - {self.name}
 
 
@@ -100,7 +102,7 @@ def closure(modules: Mapping[str, Module], doors: tuple[str, ...]) -> set[str]:
         name = waiting.pop()
         if name not in reached:
             reached.add(name)
-            waiting += modules[name].imports(modules)
+            waiting += modules[name].imports(modules, named=True)
     return reached
 
 
