@@ -145,3 +145,15 @@ def large(tmp_path: Path) -> Registry:
     specs = {role: dataclasses.replace(spec, hidden=(128, 128)) for role, spec in SPECS.items()}
     teams = [trained_team(seed=seed, specs=specs) for seed in range(8)]
     return put(teams, tmp_path / "large" / "registry.json")
+
+
+@pytest.fixture
+def bare(large: Registry, hub: Hub, cache: Path, tmp_path: Path) -> Registry:
+    """The large registry without its shards, which the hub has."""
+    from zoo.registry import load_registry
+
+    hub.put("org/zoo", large.path.parent)
+    path = tmp_path / "bare" / "registry.json"
+    path.parent.mkdir()
+    path.write_bytes(large.path.read_bytes())
+    return load_registry(path)

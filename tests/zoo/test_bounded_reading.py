@@ -17,7 +17,7 @@ from assistax_zoo.shell.main import run
 from tests.zoo.hub_server import Fault, Hub
 from zoo.exports.card import find_cards, markdown_card
 from zoo.locations import cached_shard
-from zoo.registry import Registry, load_registry, parse_registry
+from zoo.registry import Registry, parse_registry
 from zoo.saving import save_registry
 from zoo.transport.fetch import fetch
 from zoo.transport.remotes import open_remote
@@ -103,16 +103,6 @@ def test_escapes_and_links_do_not_leave_a_card(registry: Registry, capsys) -> No
     assert run(["show", "scratch/ippo-d1-s0-v0", "--registry", str(registry.path)]) == 0
     shown = capsys.readouterr().out
     assert "owned" in shown and "\x1b" not in shown and "\x07" not in shown
-
-
-@pytest.fixture
-def bare(large: Registry, hub: Hub, cache: Path, tmp_path: Path) -> Registry:
-    """A registry without its shards, which the hub has."""
-    hub.put("org/zoo", large.path.parent)
-    path = tmp_path / "bare" / "registry.json"
-    path.parent.mkdir()
-    path.write_bytes(large.path.read_bytes())
-    return load_registry(path)
 
 
 def test_a_server_that_sends_a_byte_a_second_is_left(bare: Registry, hub: Hub, monkeypatch) -> None:

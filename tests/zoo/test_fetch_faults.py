@@ -31,18 +31,6 @@ SHARDS = "GET /org/zoo/resolve/.*safetensors"
 ROBOT = "GET /org/zoo/resolve/.*robot"
 
 
-@pytest.fixture
-def bare(large: Registry, hub: Hub, cache: Path, tmp_path: Path) -> Registry:
-    """The registry without its shards, which the hub has."""
-    from zoo.registry import load_registry
-
-    hub.put("org/zoo", large.path.parent)
-    path = tmp_path / "bare" / "registry.json"
-    path.parent.mkdir()
-    path.write_bytes(large.path.read_bytes())
-    return load_registry(path)
-
-
 def get(registry: Registry, pattern: str | None = None) -> Report:
     return fetch(registry, registry.select(pattern), open_remote("hf://org/zoo"))
 
