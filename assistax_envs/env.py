@@ -22,9 +22,10 @@ from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks import TASK_CLASSES, Measures, Sensors, Task
 from assistax_envs.tasks.base import HUMAN_ACTUATORS, HUMAN_JOINTS, ROBOT_JOINTS
 from assistax_envs.tremor import TremorFilter
-from assistax_envs.versions import TASKS, VERSIONS, engine
+from assistax_envs.versions import PLAYABLE, TASKS, VERSIONS, engine
 
 EPISODE_LENGTH = 1000  # control steps of 20 ms: always the full horizon
+AT_END = 0.02  # rad from an end of its range, where a joint counts as at its end
 LARGEST_STATE = 1e10  # beyond this MuJoCo itself calls a state unstable (mjMAXVAL)
 ELBOW = "human_right_elbow"
 
@@ -40,7 +41,7 @@ class EnvState:
     reward: jax.Array  # [N] of the step that led here
     terms: dict[str, jax.Array]  # [N] weighted reward terms; they sum to the reward
     measures: Measures
-    terminated: jax.Array  # [N] bool: always False, our tasks end by time only
+    terminated: jax.Array  # [N] bool: a protective stop ended the episode, of tasks that have it
     truncated: jax.Array  # [N] bool: this step was the episode's last
     step: jax.Array  # [N] int32 control steps since reset
     nonfinite: jax.Array  # [N] bool: physics diverged; frozen, earns 0 until the horizon
@@ -57,12 +58,15 @@ class Env:
         task: str | type,
         backend: str = "auto",
         weights: dict[str, float] | None = None,
+        version: int | None = None,
         **options: Any,
     ) -> None:
         of_task: Any = TASK_CLASSES[task] if isinstance(task, str) else task
         self.task = of_task.name
         self.backend = resolve_backend(backend)
-        self.version = VERSIONS[task] if isinstance(task, str) else 0  # 0: of no release
+        self.version = _version(task, version)
+        if isinstance(task, str) and len(PLAYABLE[task]) > 1:
+            options["version"] = self.version
         scene = getattr(of_task, "scene", self.task)
         _check_scene(scene, self.backend)
         self.engine: dict[str, str] = engine(self.backend)
@@ -70,6 +74,8 @@ class Env:
         self.model: mujoco.MjModel = build_model(scene)
         self._task: Task = of_task(self.model, weights, **options)
         self._sensors: Sensors = self._task.sensors
+        rules = getattr(self._task, "rules", None)
+        self._felt, self._stops = rules is not None, rules is not None and rules.stops
         self._physics = make_physics(self.model, self.backend)
         self._renderers: dict[tuple[int, int], Any] = {}  # by width and height
         self._tremor = TremorFilter(rate=1.0 / (SUBSTEPS * self.model.opt.timestep))
@@ -81,6 +87,9 @@ class Env:
             role: np.array([self.model.joint(name).qposadr[0] for name in names])
             for role, names in (("robot", ROBOT_JOINTS), ("human", HUMAN_JOINTS))
         }
+        arm = [self.model.joint(name) for name in HUMAN_ACTUATORS]
+        self._arm = np.array([joint.id for joint in arm])
+        self._arm_angles = np.array([joint.qposadr[0] for joint in arm])
         self._spared = SPARED if scene in SCENES else 0.0
         self._elbow = self.model.joint(ELBOW).id
         # The elbow's rest angle is where its scene starts it.
@@ -107,8 +116,10 @@ class Env:
         qpos, task = jax.vmap(self._task.reset)(start_keys, params)
         still = jnp.zeros((n, self.model.nv), jnp.float32)
         physics = PhysicsState(qpos, still, still)
-        readings = self._sensors.read(self._physics.forward(physics, self._joint_range(params)))
+        ranges = self._joint_range(params)
+        readings = self._sensors.read(self._physics.forward(physics, ranges))
         _, obs, terms, measures = self._task.transition(task, readings)
+        measures = self._with_ends(measures, physics, ranges)
         zero, false = jnp.zeros(n, jnp.float32), jnp.zeros(n, bool)
         return EnvState(
             physics=physics,
@@ -136,14 +147,15 @@ class Env:
 
         Returns:
             The next state. A simulation whose physics diverged keeps its last finite state and
-            earns 0.
+            earns 0. One that a protective stop ended is to be reset: what comes after counts for
+            nothing.
         """
         tremor, shake = self._shake(state)
         control = self._control(state.params, action, shake)
-        physics, values = self._physics.step(
-            state.physics, control, self._joint_range(state.params)
-        )
+        ranges = self._joint_range(state.params)
+        physics, values = self._physics.step(state.physics, control, ranges)
         task, obs, terms, measures = self._task.transition(state.task, self._sensors.read(values))
+        measures = self._with_ends(measures, physics, ranges)
         nonfinite = state.nonfinite | _diverged(physics, values, control)
         physics, task, obs, measures = select(
             nonfinite,
@@ -163,11 +175,20 @@ class Env:
             reward=sum(weighted.values(), start=jnp.zeros_like(state.reward)),
             terms=weighted,
             measures=measures,
+            terminated=measures.violated if self._stops else state.terminated,
             truncated=step >= self.episode_length,
             step=step,
             nonfinite=nonfinite,
             tremor=tremor,
         )
+
+    def _with_ends(self, measures: Measures, physics: PhysicsState, ranges: jax.Array) -> Measures:
+        """Add whether the human is touched while a joint of its arm is at its end."""
+        if not self._felt:
+            return measures
+        angles, ends = physics.qpos[:, self._arm_angles], ranges[:, self._arm]
+        at_end = (angles < ends[..., 0] + AT_END) | (angles > ends[..., 1] - AT_END)
+        return dataclasses.replace(measures, at_end=at_end.any(axis=1) & (measures.force > 0.0))
 
     def joint_positions(self, state: EnvState) -> dict[str, jax.Array]:
         """Return the joint angles of each role, rad: "robot" [N, 7] and "human" [N, 9]."""
@@ -260,6 +281,7 @@ def make(
     task: str | type,
     backend: str = "auto",
     weights: dict[str, float] | None = None,
+    version: int | None = None,
     **options: Any,
 ) -> Env:
     """Make the environment of `task`.
@@ -269,15 +291,16 @@ def make(
         backend: "fused" (CPUs and NVIDIA GPUs), "native" (MuJoCo on CPU threads), "mjx" (XLA),
             "mjx-warp" (NVIDIA GPUs), or "auto": the fastest one here.
         weights: reward weights by term that replace those of Table 5.
+        version: of the environment, one of `PLAYABLE[task]`; the newest if not given.
         options: of the task; arm assist has `rotation`, "printed" (default) or "aligned".
 
     Raises:
-        ValueError: the task, the backend or a weight's name is unknown, or the backend cannot run
-            here.
+        ValueError: the task, its version, the backend or a weight's name is unknown, or the backend
+            cannot run here.
     """
     if isinstance(task, str) and task not in TASKS:
         raise ValueError(f"task is {task!r}; allowed are {', '.join(TASKS)}")
-    return Env(task, backend, weights, **options)
+    return Env(task, backend, weights, version, **options)
 
 
 def select(mask: jax.Array, on_true: Any, on_false: Any) -> Any:
@@ -299,6 +322,18 @@ def _diverged(physics: PhysicsState, values: jax.Array, control: jax.Array) -> j
     """
     rows = jnp.concatenate([physics.qpos, physics.qvel, values, control], axis=-1)
     return ~jnp.all(jnp.abs(rows) < LARGEST_STATE, axis=-1)
+
+
+def _version(task: str | type, version: int | None) -> int:
+    """Return the version that is meant; 0, of no release, for a class from outside."""
+    if not isinstance(task, str):
+        return 0
+    if version is None:
+        return VERSIONS[task]
+    if version not in PLAYABLE[task]:
+        allowed = ", ".join(map(str, PLAYABLE[task]))
+        raise ValueError(f"version of {task} is {version}; this installation plays {allowed}")
+    return version
 
 
 def _check_scene(task: str, backend: str) -> None:

@@ -15,6 +15,7 @@ class Registered:
     # What of a human's preference matters here, and is observed; none: humans have no preferences.
     wishes: tuple[str, ...] = ()
     felt: bool = False  # whether all touches are felt: backends must give the frames of contacts
+    older: tuple[int, ...] = ()  # versions that can still be played; the class takes `version`
 
 
 REGISTERED: dict[str, Registered] = {
@@ -22,12 +23,24 @@ REGISTERED: dict[str, Registered] = {
     "bed_bath": Registered("bed_bath:BedBath", 1, "go", "pad", paper=True),
     "arm_assist": Registered("arm_assist:ArmAssist", 2, "lift", "hook", paper=True),
     "gentle_scratch": Registered(
-        "gentle_scratch:GentleScratch", 2, "stroke", "stick", wishes=("force", "speed"), felt=True
+        "gentle_scratch:GentleScratch",
+        3,
+        "stroke",
+        "stick",
+        wishes=("force", "speed"),
+        felt=True,
+        older=(2,),
     ),
     "gentle_bath": Registered(
-        "gentle_bath:GentleBath", 2, "wipe", "pad", wishes=("force", "speed"), felt=True
+        "gentle_bath:GentleBath", 3, "wipe", "pad", wishes=("force", "speed"), felt=True, older=(2,)
     ),
     "gentle_lift": Registered(
-        "gentle_lift:GentleLift", 2, "bring", "hook", wishes=("distance", "place"), felt=True
+        "gentle_lift:GentleLift",
+        3,
+        "bring",
+        "hook",
+        wishes=("distance", "place"),
+        felt=True,
+        older=(2,),
     ),
 }

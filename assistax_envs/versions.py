@@ -12,6 +12,11 @@ from assistax_envs.registered import REGISTERED
 
 VERSIONS: dict[str, int] = {name: task.version for name, task in REGISTERED.items()}
 
+# What can be played here: the newest version, and older ones whose partners are still met.
+PLAYABLE: dict[str, tuple[int, ...]] = {
+    name: (*task.older, task.version) for name, task in REGISTERED.items()
+}
+
 TASKS: tuple[str, ...] = tuple(REGISTERED)
 PAPER_TASKS: tuple[str, ...] = tuple(name for name, task in REGISTERED.items() if task.paper)
 GENTLE_TASKS: tuple[str, ...] = tuple(name for name, task in REGISTERED.items() if task.felt)

@@ -26,6 +26,8 @@ RAISED = 0.15  # m above rest that a forearm is held up without tiring
 AT_EASE = 0.8  # share of the strength that holding a posture may take
 SEEN = 0.25  # cosine of the angle from which on a point counts as shown
 THERE = 0.1  # m
+NEARER = 4  # steps of damped least squares from the table's posture to one that is nearer
+DAMPING = 1e-3  # m^2
 SOFTLY = 0.1  # width of that step
 
 
@@ -79,7 +81,8 @@ class Postures:
         if np.isfinite(self.help.most):
             load = jnp.asarray(self._load)[None] / strength[:, None]
             score = score - 4.0 * jnp.maximum(0.0, load - AT_EASE)
-        return jnp.asarray(self._angles)[score.argmax(axis=1)]
+        chosen = jnp.asarray(self._angles)[score.argmax(axis=1)]
+        return self._nearer(chosen, senses, place) if self.help.chooses == "brings" else chosen
 
     def there(self, senses: Senses, place: jax.Array) -> jax.Array:
         """Return whether the forearm lies where a person likes it, [N]; of `best`'s arguments."""
@@ -113,15 +116,32 @@ class Postures:
 
     def _brings(self, senses: Senses, place: jax.Array) -> jax.Array:
         """Return how near each posture brings the forearm to its place [N, M]; 1 for 10 cm."""
-        position, _ = self._arm.frames(senses.position)
-        goal = position[:, LOWER_ARM] + senses.to_place
-        if self._lift:  # the observed place is the middle one
-            across = jnp.asarray(ACROSS, jnp.float32)[None]
-            goal = goal + (place[:, None] - MIDDLE) * across
-        away = jnp.linalg.norm(
-            goal[:, None] - jnp.asarray(self._position)[None, :, LOWER_ARM], axis=-1
-        )
+        forearm = jnp.asarray(self._position)[None, :, LOWER_ARM]
+        away = jnp.linalg.norm(self._goal(senses, place)[:, None] - forearm, axis=-1)
         return -10.0 * away
+
+    def _goal(self, senses: Senses, place: jax.Array) -> jax.Array:
+        """Return where the forearm should lie [N, 3]."""
+        position, _ = self._arm.frames(senses.position)
+        return position[:, LOWER_ARM] + self._way(senses, place)
+
+    def _nearer(self, angles: jax.Array, senses: Senses, place: jax.Array) -> jax.Array:
+        """Return postures [N, 3] whose forearm lies nearer to its place than in `angles`.
+
+        The table's postures are up to 8 cm from a place, and a forearm rests within 6 cm of it.
+        """
+        goal = self._goal(senses, place)
+        low, high = jnp.asarray(self._arm.range.T)[:, None]
+        on_lower = jnp.ones(angles.shape[0], bool)
+        for _ in range(NEARER):
+            position, _ = self._arm.frames(angles)
+            forearm = position[:, LOWER_ARM]
+            jacobian = self._arm.jacobian(angles, forearm, on_lower)
+            square = jacobian @ jnp.swapaxes(jacobian, 1, 2) + DAMPING * jnp.eye(3)[None]
+            step = jnp.linalg.solve(square, (goal - forearm)[..., None])
+            turn = (jnp.swapaxes(jacobian, 1, 2) @ step)[..., 0]
+            angles = jnp.clip(angles + jnp.clip(turn, -0.2, 0.2), low, high)
+        return angles
 
     def _way(self, senses: Senses, place: jax.Array) -> jax.Array:
         """Return the way [N, 3] of the forearm to where a person likes it, m."""

@@ -16,7 +16,7 @@ from assistax_envs.persons.parameters import (
     left,
 )
 
-PROGRAM_VERSION = 1  # goes up when the same row acts otherwise in the same situation
+PROGRAM_VERSION = 2  # goes up when the same row acts otherwise in the same situation
 COUNT = 10_000
 INNER = 8_000  # persons inside 80% of every axis: training, and each tenth of them validation
 CORNERS = 9_000  # from INNER to here: beyond it on several axes, of the same program

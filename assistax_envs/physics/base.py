@@ -5,7 +5,9 @@ from typing import Protocol
 
 import jax
 import mujoco
+import numpy as np
 
+FELT_NUMBERS = 9  # of a felt contact: force, normal and tangent
 SUBSTEPS = 4  # physics steps of 5 ms in one control step of 20 ms
 
 
@@ -27,7 +29,7 @@ class Physics(Protocol):
     model: mujoco.MjModel
 
     def forward(self, state: PhysicsState, joint_range: jax.Array) -> jax.Array:
-        """Return the sensor values [N, nsensordata] of `state` under zero control.
+        """Return the sensor values [N, `values_width`] of `state` under zero control.
 
         `joint_range` [N, njnt, 2] replaces the model's joint limits, in rad.
         """
@@ -38,6 +40,20 @@ class Physics(Protocol):
     ) -> tuple[PhysicsState, jax.Array]:
         """Advance by `SUBSTEPS` under `control` [N, nu], and return the sensor values as well.
 
-        As MuJoCo defines them, those are of the state before the last substep.
+        As MuJoCo defines them, those are of the state before the last substep. Where contacts are
+        felt, the largest forces of all substeps follow: of each of `felt_sensors`, and of their
+        sum, in N.
         """
         ...
+
+
+def felt_sensors(model: mujoco.MjModel) -> np.ndarray:
+    """Return the ids of sensors of contact forces with frames: those of the gentle scenes."""
+    contact = model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT
+    return np.flatnonzero(contact & (model.sensor_dim == FELT_NUMBERS))
+
+
+def values_width(model: mujoco.MjModel) -> int:
+    """Return how many numbers a simulation's sensor values are."""
+    felt = len(felt_sensors(model))
+    return model.nsensordata + (felt + 1 if felt else 0)

@@ -9,7 +9,7 @@ import mujoco
 import mujoco.batch
 import numpy as np
 
-from assistax_envs.physics.base import SUBSTEPS, PhysicsState
+from assistax_envs.physics.base import SUBSTEPS, PhysicsState, felt_sensors, values_width
 
 # A Batch must not be entered by two threads, and uses all cores: programs on several devices take
 # turns.
@@ -25,11 +25,14 @@ class NativePhysics:
         # it unseen.
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self._batches: dict[int, mujoco.batch.Batch] = {}
+        self._width = values_width(model)
+        # [P, 3] columns of the forces that are felt
+        self._felt = model.sensor_adr[felt_sensors(model)][:, None] + np.arange(3)
 
     def forward(self, state: PhysicsState, joint_range: jax.Array) -> jax.Array:
         """See `Physics.forward`."""
         control = jnp.zeros((state.qpos.shape[0], self.model.nu), jnp.float32)
-        sensors = jax.ShapeDtypeStruct((state.qpos.shape[0], self.model.nsensordata), jnp.float32)
+        sensors = jax.ShapeDtypeStruct((state.qpos.shape[0], self._width), jnp.float32)
         return jax.pure_callback(self._forward, sensors, state, control, joint_range)
 
     def step(
@@ -38,7 +41,7 @@ class NativePhysics:
         """See `Physics.step`."""
         fields = (state.qpos, state.qvel, state.warmstart)
         shapes = tuple(jax.ShapeDtypeStruct(field.shape, jnp.float32) for field in fields)
-        sensors = jax.ShapeDtypeStruct((state.qpos.shape[0], self.model.nsensordata), jnp.float32)
+        sensors = jax.ShapeDtypeStruct((state.qpos.shape[0], self._width), jnp.float32)
         after, values = jax.pure_callback(
             self._step, (shapes, sensors), state, control, joint_range
         )
@@ -51,7 +54,8 @@ class NativePhysics:
         with _LOCK:
             batch = self._load(values)
             batch.forward()
-            return np.asarray(batch.bind("sensordata"), np.float32)
+            sensors = np.asarray(batch.bind("sensordata"), np.float32)
+            return np.column_stack([sensors, self._peaks(sensors)])
 
     def _step(
         self, state: PhysicsState, control: jax.Array, joint_range: jax.Array
@@ -59,12 +63,28 @@ class NativePhysics:
         values = _values(state, control, joint_range)
         with _LOCK:
             batch = self._load(values)
-            batch.step(nstep=SUBSTEPS)
+            peaks = self._advance(batch)
             names = ("qpos", "qvel", "qacc_warmstart", "sensordata")
             qpos, qvel, warmstart, sensors = (
                 np.asarray(batch.bind(name), np.float32) for name in names
             )
-            return (qpos, qvel, warmstart), sensors
+            return (qpos, qvel, warmstart), np.column_stack([sensors, peaks])
+
+    def _advance(self, batch: mujoco.batch.Batch) -> np.ndarray:
+        """Advance by a control step, and return the largest forces of its substeps."""
+        if not self._felt.size:
+            batch.step(nstep=SUBSTEPS)
+            return self._peaks(np.asarray(batch.bind("sensordata"), np.float32))
+        peaks = []
+        for _ in range(SUBSTEPS):
+            batch.step(nstep=1)
+            peaks.append(self._peaks(np.asarray(batch.bind("sensordata"), np.float32)))
+        return np.max(peaks, axis=0)
+
+    def _peaks(self, sensors: np.ndarray) -> np.ndarray:
+        """Return the sizes of felt forces, and their sum [N, P + 1]; [N, 0] where none is felt."""
+        size = np.linalg.norm(sensors[:, self._felt], axis=-1)
+        return np.column_stack([size, size.sum(axis=1)]) if self._felt.size else size
 
     def _load(self, values: dict[str, np.ndarray]) -> mujoco.batch.Batch:
         """Write values into the batch of their size, made on first use."""

@@ -68,6 +68,11 @@ class Measures:
     # Of the gentle tasks, whose sensors feel every touch:
     contact: jax.Array | None = None  # [N] N, the largest single contact
     violated: jax.Array | None = None  # [N] bool: some contact so far was above the hard limit
+    together: jax.Array | None = None  # [N] N, the largest sum of contacts at once
+    # [N] bool: touched with a joint of the right arm at an end of its range; by the environment
+    at_end: jax.Array | None = None
+    speed: jax.Array | None = None  # [N] m/s, of the tool
+    face: jax.Array | None = None  # [N] m, from the tool to the head
 
 
 # Fields of `Readings`: the sensors that they are read from, and a row's shape.

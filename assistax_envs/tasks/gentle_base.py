@@ -11,15 +11,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from assistax_envs.physics.base import felt_sensors
 from assistax_envs.preferences import PREFERENCES, VALUES, WISHES
-from assistax_envs.tasks.base import HUMAN_JOINTS, Pose, Readings, Sensors, rotate
+from assistax_envs.tasks.base import HUMAN_JOINTS, Measures, Pose, Readings, Sensors, rotate
+from assistax_envs.tasks.gentle_rules import Rules
 
 STEP = 0.02  # s, one control step
 SOFT = 10.0  # N, a gentle touch, after Assistive Gym's limit
-# N, of one contact. ISO/TS 15066 (Table A.2) has 65 N for the face, 140 to 160 N for hand and arm,
-# as what healthy adults bear in a quasi-static contact before it hurts. The people here are frail:
-# the least of them holds everywhere.
-HARD = 65.0
 FELT = 0.3  # N, from where on a touch counts as one
 LIGHTEST = 0.1  # N, below which the hook has let go
 
@@ -65,6 +63,9 @@ class TouchReadings(Readings):
 
     force: jax.Array  # [N] N, the magnitudes of its contacts, summed
     peak: jax.Array  # [N] N, the largest contact
+    hurt: jax.Array  # [N] bool: some contact is above the limit of its part of the human
+    together: jax.Array  # [N] N, the largest sum of contacts at once in any physics step
+    face: jax.Array  # [N] m, from the tool to the head's surface
     on_arm: jax.Array  # [N] N, of the tool on right arm and hand
     bent: jax.Array  # [N] rad, how far the trunk is bent from rest
 
@@ -72,21 +73,26 @@ class TouchReadings(Readings):
 class TouchSensors(Sensors):
     """Reads a gentle scene: a sensor of force and frame for every pair of robot and human."""
 
-    def __init__(self, model: mujoco.MjModel, pose: Pose) -> None:
+    def __init__(self, model: mujoco.MjModel, pose: Pose, rules: Rules) -> None:
         super().__init__(model)
-        named = [model.sensor(index) for index in range(model.nsensor)]
-        touches = [sensor for sensor in named if sensor.name.startswith(("force-", "touch-"))]
+        touches = [model.sensor(index) for index in felt_sensors(model)]
         self._touch = np.stack([np.arange(s.adr[0], s.adr[0] + s.dim[0]) for s in touches])
+        parts = [model.geom(int(sensor.refid[0])).name for sensor in touches]
+        self._limits = np.array([rules.limits[part] for part in parts], np.float32)
+        self._every_substep, self._peaks = rules.every_substep, model.nsensordata
         self._on_arm = np.array([sensor.name.startswith("force-") for sensor in touches])
         trunk = [i for i, name in enumerate(HUMAN_JOINTS) if "abdomen" in name]
         rest = pose.angle[[model.joint(HUMAN_JOINTS[i]).qposadr[0] for i in trunk]]
         self._trunk, self._rest = np.array(trunk), rest
+        self._head = _Head(model)
 
     def read(self, values: jax.Array) -> TouchReadings:
         """Split `values` [N, nsensordata] into readings; quaternions have w >= 0."""
         base = super().read(values)
         force, normal, tangent = jnp.split(values[:, self._touch], 3, axis=-1)  # [N, pairs, 3] each
         size = jnp.linalg.norm(force, axis=-1)
+        peaks = values[:, self._peaks :]  # of each pair, and of their sum
+        worst = peaks[:, :-1] if self._every_substep else size
         bent = jnp.abs(base.human_position[:, self._trunk] - self._rest[None]).max(axis=1)
         fields = {field.name: getattr(base, field.name) for field in dataclasses.fields(Readings)}
         fields["tool_orientation"] = _canonical(base.tool_orientation)
@@ -95,10 +101,52 @@ class TouchSensors(Sensors):
         return TouchReadings(
             **fields,
             force=size.sum(axis=1),
-            peak=size.max(axis=1),
+            peak=worst.max(axis=1),
+            hurt=(worst > self._limits[None]).any(axis=1),
+            together=peaks[:, -1],
+            face=self._head.distance(base.human_position[:, self._trunk], base.tool_position),
             on_arm=(size * self._on_arm[None]).sum(axis=1),
             bent=bent,
         )
+
+
+class _Head:
+    """Where the head is: the trunk's joints carry it."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)  # all joints at zero
+        joints = [model.joint(name).id for name in HUMAN_JOINTS if "abdomen" in name]
+        geom = model.geom("human_head")
+        self._anchor, self._axis = data.xanchor[joints], data.xaxis[joints]
+        self._centre, self._radius = data.geom_xpos[geom.id].copy(), float(geom.size[0])
+
+    def distance(self, angles: jax.Array, point: jax.Array) -> jax.Array:
+        """Return the distance [N] of points [N, 3] from its surface, m; `angles` [N, 3] in rad."""
+        centre = jnp.broadcast_to(jnp.asarray(self._centre, jnp.float32), point.shape)
+        for joint in reversed(range(angles.shape[1])):  # each joint moves what those after it moved
+            half = 0.5 * angles[:, joint : joint + 1]
+            axis = jnp.asarray(self._axis[joint], jnp.float32)[None]
+            turn = jnp.concatenate([jnp.cos(half), axis * jnp.sin(half)], axis=-1)
+            anchor = jnp.asarray(self._anchor[joint], jnp.float32)
+            centre = anchor + rotate(turn, centre - anchor)
+        return jnp.linalg.norm(point - centre, axis=-1) - self._radius
+
+
+def touch_measures(
+    r: TouchReadings, distance: jax.Array, success: jax.Array, violated: jax.Array
+) -> Measures:
+    """Return what evaluation records of a step of a gentle task; arguments [N]."""
+    return Measures(
+        force=r.force,
+        distance=distance,
+        success=success,
+        contact=r.peak,
+        violated=violated,
+        together=r.together,
+        speed=jnp.linalg.norm(r.tool_velocity, axis=-1),
+        face=r.face,
+    )
 
 
 def world_force(force: jax.Array, normal: jax.Array, tangent: jax.Array) -> jax.Array:
@@ -165,7 +213,7 @@ def costs(readings: TouchReadings, soft: float = SOFT) -> dict[str, jax.Array]:
         ),  # of anything but the tool on the arm
         "haste": share(jnp.linalg.norm(readings.tool_velocity, axis=-1) - 0.3, 0.5),
         "trunk": share(readings.bent - 0.05, 0.1),
-        "violation": -(readings.peak > HARD).astype(jnp.float32),
+        "violation": -readings.hurt.astype(jnp.float32),
     }
 
 

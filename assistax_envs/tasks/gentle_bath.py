@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from assistax_envs.tasks.arm_assist import LOWER_ARM
 from assistax_envs.tasks.base import Measures, Pose, observations, rotate
 from assistax_envs.tasks.bed_bath import START, arm_points
 from assistax_envs.tasks.gentle_base import (
     COSTS,
-    HARD,
     SOFT,
     STEP,
     Liking,
@@ -25,9 +25,11 @@ from assistax_envs.tasks.gentle_base import (
     bump,
     costs,
     in_segment,
+    touch_measures,
     wishes,
     with_preference,
 )
+from assistax_envs.tasks.gentle_rules import NEWEST, RULES
 
 # m from the middle of the pad, whose half length is 5.5 cm: a point under the pad is wiped
 NEAR = 0.04
@@ -37,7 +39,12 @@ PRESS = 0.5  # N, likewise
 # the arm rests, and what rolling it inward shows. Who rolled outward first, where there were points
 # too, stayed there: docs/tasks.md.
 UNDERSIDE = ((90.0, 270.0), (165.0, 340.0))
-ENOUGH = 17  # points wiped, of 25, that are success
+# Steps that a point is under the pad until it is clean, if it is wiped as it is liked: less liked
+# takes longer. So touching down does not decide what a point pays.
+DWELL = 75.0
+# Points wiped that are success, by version: of 25, and of the 12 on the forearm, which are all that
+# version 3 asks for. Nobody whose arm has half of its strength can show the upper arm's.
+ENOUGH = {2: 17, 3: 9}
 # m above the skin, where the way to a point is measured to: points that face the pad come first
 FACING = 0.03
 # m that half a turn of the arm counts for in that way. The shortest way to a point on the far side
@@ -53,7 +60,7 @@ WIPED = 9.0  # m, a distance beyond all others
 class WipeState:
     """Which points are left, and how the pad moved."""
 
-    left: jax.Array  # [K] 1 where a point is to be wiped, else 0
+    left: jax.Array  # [K] how much of a point is to be wiped: 1 at first, 0 once it is clean
     last: jax.Array  # [2, 3] tool a step ago in each segment's frame, m; NaN before the first step
     drift: jax.Array  # [2, 3] m/s, its smoothed velocity there
     nearest: jax.Array  # m, to the nearest point a step ago
@@ -76,18 +83,29 @@ class GentleBath:
         weights: dict[str, float] | None = None,
         told: tuple[str, ...] = ("human",),
         whatever: float = 0.2,
+        version: int = NEWEST,
     ) -> None:
-        """Prepare; `whatever` is the share of a point's pay that no liking changes."""
-        terms = {"progress": 20.0, "wipe": 10.0, "time": 0.1}
+        """Prepare; `whatever` is the share of a point's wiping that no liking changes.
+
+        Up to version 2 one step wipes a point and pays by how the human liked that step, and time
+        has a price until enough points are wiped.
+        """
+        self.rules, self._at_once = RULES[version], version < 3
+        terms = {"progress": 20.0, "wipe": 20.0}
+        if self._at_once:
+            terms |= {"wipe": 10.0, "time": 0.1}
         self.weights = terms | COSTS | {"violation": 40.0} | (weights or {})
         self.pose = Pose(model, START)
-        self.sensors = TouchSensors(model, self.pose)
+        self.sensors = TouchSensors(model, self.pose, self.rules)
         self._told, self._whatever = told, whatever
         segment, offset = arm_points(model)
         low, high = np.array(UNDERSIDE)[segment].T
         angle = np.degrees(np.arctan2(offset[:, 1], offset[:, 0])) - low
         under = angle % 360.0 < high - low
         self._segment, self._offset = segment[under], offset[under]
+        asked = np.ones(len(self._segment), bool) if self._at_once else self._segment == LOWER_ARM
+        self._asked = np.array(asked, np.float32)  # [K]
+        self._spared = int(asked.sum()) - ENOUGH[version]  # points that may stay unwiped
         radial = self._offset * np.array([1.0, 1.0, 0.0], np.float32)
         self._outward = radial / np.linalg.norm(radial, axis=1, keepdims=True)
         self._over = self._offset + FACING * self._outward
@@ -97,7 +115,7 @@ class GentleBath:
         pose_key, likes_key = jax.random.split(key)
         nan = jnp.full((), jnp.nan, jnp.float32)
         state = WipeState(
-            left=jnp.ones(len(self._segment), jnp.float32),
+            left=jnp.asarray(self._asked),
             last=jnp.full((2, 3), nan),
             drift=jnp.zeros((2, 3), jnp.float32),
             nearest=nan,
@@ -129,17 +147,15 @@ class GentleBath:
         gap, first = _distance(points, r), jnp.isnan(s.nearest)
         tool, drift, speed = self._slide(s, r, gap, first)
         way = _distance(over, r) + TURN * self._turned_away(tool)
-        gentle = (r.on_arm > PRESS) & (r.on_arm < SOFT) & (speed > SLIDE)
-        hit = (gap < NEAR) & (s.left > 0) & gentle[:, None]
-        liked = bump(r.on_arm, s.likes.force) * bump(speed, s.likes.speed)
-        left = s.left * (1.0 - hit)
-        done = left.sum(axis=1) <= len(self._segment) - ENOUGH
+        left, wiped = self._wiped(s, r, gap < NEAR, speed)
+        done = (left > 0).sum(axis=1) <= self._spared
         near = jnp.where(s.left > 0, way, WIPED).min(axis=1)
         terms = {
             "progress": jnp.where(first | (near >= WIPED), 0.0, s.nearest - near),
-            "wipe": hit.sum(axis=1) * (self._whatever + (1.0 - self._whatever) * liked),
-            "time": -(~done).astype(jnp.float32),
+            "wipe": wiped,
         } | costs(r)
+        if self._at_once:
+            terms["time"] = -(~done).astype(jnp.float32)
         after = jnp.where(left > 0, way, WIPED)
         row, upcoming = jnp.arange(done.shape[0]), after.argmin(axis=1)
         nearest = after.min(axis=1)
@@ -152,9 +168,26 @@ class GentleBath:
             left,
         )
         obs = with_preference(observations(r, *goal), s.likes.observed(self.name), self._told)
-        violated = s.violated | (r.peak > HARD)
+        violated = s.violated | r.hurt
         state = WipeState(left, tool, drift, nearest, violated, s.likes)
-        return state, obs, terms, Measures(r.force, near, done & ~violated, r.peak, violated)
+        return state, obs, terms, touch_measures(r, near, done & ~violated, violated)
+
+    def _wiped(
+        self, s: WipeState, r: TouchReadings, under: jax.Array, speed: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """Return what is left of each point [N, K], and how much was wiped [N], as it pays.
+
+        `under` [N, K] has the points under the pad, `speed` [N] is that of the pad over the skin.
+        """
+        liked = bump(r.on_arm, s.likes.force) * bump(speed, s.likes.speed)
+        well = self._whatever + (1.0 - self._whatever) * liked
+        most = SOFT if self._at_once else 2.0 * SOFT  # some people like 10 N
+        gentle = (r.on_arm > PRESS) & (r.on_arm < most) & (speed > SLIDE)
+        hit = under & (s.left > 0) & gentle[:, None]
+        if self._at_once:
+            return s.left * (1.0 - hit), hit.sum(axis=1) * well
+        left = jnp.maximum(s.left - hit * well[:, None] / DWELL, 0.0)
+        return left, (s.left - left).sum(axis=1)
 
     def _slide(
         self, s: WipeState, r: TouchReadings, gap: jax.Array, first: jax.Array

@@ -24,7 +24,6 @@ from assistax_envs.tasks.base import (
 )
 from assistax_envs.tasks.gentle_base import (
     COSTS,
-    HARD,
     LIGHTEST,
     STEP,
     Liking,
@@ -32,9 +31,11 @@ from assistax_envs.tasks.gentle_base import (
     TouchSensors,
     bump,
     costs,
+    touch_measures,
     wishes,
     with_preference,
 )
+from assistax_envs.tasks.gentle_rules import NEWEST, RULES
 
 # m: the forearm's place is so far from EDGE, across the waist. Everywhere there an arm slides off
 # the body by 7 to 13 cm if nobody holds it; a weak human can let it slide down the waist to a place
@@ -105,12 +106,14 @@ class GentleLift:
         model: mujoco.MjModel,
         weights: dict[str, float] | None = None,
         told: tuple[str, ...] = ("human",),
+        version: int = NEWEST,
     ) -> None:
+        self.rules = RULES[version]
         terms = {"approach": 10.0, "lift": 100.0, "there": 0.3, "rest": 1.0, "swing": 0.1}
         # A hook that carries touches more than the bar.
         self.weights = terms | COSTS | {"stray": 0.0, "violation": 20.0} | (weights or {})
         self.pose = Pose(model, START)
-        self.sensors = TouchSensors(model, self.pose)
+        self.sensors = TouchSensors(model, self.pose, self.rules)
         self._told = told
         joints = [model.joint(name) for name in HUMAN_ACTUATORS]
         self._arm = np.array([joint.qposadr[0] for joint in joints])
@@ -163,7 +166,7 @@ class GentleLift:
         } | costs(r, SOFT)
         held = jnp.where(rest, s.held + 1, 0)
         longest = jnp.maximum(s.longest, held)
-        violated = s.violated | (r.peak > HARD)
+        violated = s.violated | r.hurt
         to_middle = _place(MIDDLE)[None] - section
         goal = (
             towards,
@@ -178,7 +181,7 @@ class GentleLift:
         obs = with_preference(observations(r, *goal), seen, self._told)
         state = LiftState(s.waist, section, left, under, held, longest, violated, s.likes)
         done = (longest >= HOLD) & ~violated
-        return state, obs, terms, Measures(r.force, left, done, r.peak, violated)
+        return state, obs, terms, touch_measures(r, left, done, violated)
 
     def _slipped(self, pose: jax.Array, key: jax.Array) -> jax.Array:
         """Return the pose [nq] with the arm somewhere on its way."""

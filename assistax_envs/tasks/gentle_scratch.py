@@ -24,7 +24,6 @@ from assistax_envs.tasks.base import (
 from assistax_envs.tasks.gentle_base import (
     COSTS,
     FELT,
-    HARD,
     SOFT,
     STEP,
     Liking,
@@ -34,9 +33,11 @@ from assistax_envs.tasks.gentle_base import (
     bump,
     costs,
     in_segment,
+    touch_measures,
     wishes,
     with_preference,
 )
+from assistax_envs.tasks.gentle_rules import NEWEST, RULES
 from assistax_envs.tasks.scratch import START
 
 HALF = 0.01  # m, from the itch to either end, along the arm
@@ -49,6 +50,11 @@ STROKE = 0.012  # m, way of a stroke: what a liked speed means in time
 # the arm rests. By inverse kinematics from the robot's start, 2,000 points: of those inside 8% can
 # be touched, of those outside 84%.
 HIDDEN = ((90.0, 200.0), (150.0, 295.0))
+# The same by version. Of 1,536 itches in the arcs above the script scratches 24% with a human that
+# does nothing, near the arcs' ends; in those of version 3 it scratches 1%.
+ARCS = {2: HIDDEN, 3: ((110.0, 165.0), (175.0, 285.0))}
+# Share of itches there, by version: all of them, so that nobody can do without the human.
+HARD_TO_REACH = {2: 0.8, 3: 1.0}
 ENOUGH = 12  # strokes: half of what the slowest wish leaves time for, 33 less the way there
 
 
@@ -84,15 +90,26 @@ class GentleScratch:
         self,
         model: mujoco.MjModel,
         weights: dict[str, float] | None = None,
-        hard: float = 0.8,
+        hard: float | None = None,
         told: tuple[str, ...] = ("human",),
+        version: int = NEWEST,
     ) -> None:
-        """Prepare; `hard` is the share of itches out of reach while the arm rests."""
+        """Prepare.
+
+        Args:
+            model: The scene.
+            weights: Of reward terms, in place of the task's own.
+            hard: Share of itches out of reach while the arm rests; the version's own if not given.
+            told: Roles that observe the preference.
+            version: Of the environment.
+        """
+        self.rules = RULES[version]
         terms = {"progress": 20.0, "stroke": 1.0}
         self.weights = terms | COSTS | {"violation": 20.0} | (weights or {})
         self.pose = Pose(model, START)
-        self.sensors = TouchSensors(model, self.pose)
-        self._hard, self._told = hard, told
+        self.sensors = TouchSensors(model, self.pose, self.rules)
+        self._hard, self._told = HARD_TO_REACH[version] if hard is None else hard, told
+        self._arcs = ARCS[version]
         sites = [model.site(f"human_{segment}") for segment in ARM_SEGMENTS]
         self._radius = np.array([site.size[0] for site in sites], np.float32)
         self._half_length = np.array([site.size[1] for site in sites], np.float32)
@@ -152,7 +169,7 @@ class GentleScratch:
             time=jnp.where(arrived, 0.0, time),
             liked=jnp.where(arrived, 0.0, liked),
             strokes=s.strokes + arrived,
-            violated=s.violated | (r.peak > HARD),
+            violated=s.violated | r.hurt,
         )
         goal, left = self._goal(after, r, step, time)
         # How well the force was liked is for the human to feel: a robot that saw it would be told.
@@ -163,7 +180,7 @@ class GentleScratch:
             dataclasses.replace(after, distance=left),
             obs,
             terms,
-            Measures(r.force, distance, done, r.peak, after.violated),
+            touch_measures(r, distance, done, after.violated),
         )
 
     def _goal(
@@ -197,7 +214,7 @@ class GentleScratch:
         area = self._radius * self._half_length
         segment = jax.random.categorical(segment_key, jnp.log(area)).astype(jnp.int32)
         hidden = jax.random.bernoulli(side_key, self._hard)
-        low, high = jnp.moveaxis(jnp.asarray(HIDDEN)[segment], -1, 0)
+        low, high = jnp.moveaxis(jnp.asarray(self._arcs)[segment], -1, 0)
         share = jax.random.uniform(around_key)
         angle = jnp.where(hidden, low + share * (high - low), high + share * (360.0 - high + low))
         along = jax.random.uniform(along_key, minval=-1.0, maxval=1.0)

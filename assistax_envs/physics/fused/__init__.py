@@ -9,13 +9,15 @@ of a GPU. `runtime` compiles and calls it.
 The contract between the text and what calls it:
 
     #define W 8                   // lanes; 1 on a GPU
-    <Program.source>              // includes nothing; defines real, FN, LANES, lane, NV, NU, NWARM
+    <Program.source>              // includes nothing; defines real, FN, LANES, lane, NV, NU,
+                                  // NSENS, NPEAK, NWARM
 
     template <class Sensors>
     void substep(real* q, real* qd,                    // [NV] in and out
                  const real* u,                        // [NU] controls
                  const real* lo, const real* hi,       // [NV] range of every joint
                  Sensors& sensors,                     // sensors[k] = real; written if `last`
+                 real* peaks,                          // [NPEAK] raised to this substep's forces
                  bool last,
                  unsigned* warm,                       // [NWARM * W]
                  int* flags);                          // [W]

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax_envs.physics.base import SUBSTEPS, PhysicsState
+from assistax_envs.physics.base import SUBSTEPS, PhysicsState, values_width
 from assistax_envs.physics.fused.program import generate
 from assistax_envs.physics.fused.runtime import cache, cpu, gpu, toolchain
 
@@ -50,7 +50,7 @@ class FusedPhysics:
         size, model = state.qpos.shape[0], self.model
         shapes = [
             jax.ShapeDtypeStruct((size, width), jnp.float32)
-            for width in (model.nq, model.nv, model.nv, model.nsensordata)
+            for width in (model.nq, model.nv, model.nv, values_width(model))
         ]
         operands = [state.qpos, state.qvel, state.warmstart, control, joint_range]
         if self._platform == "gpu":
@@ -74,8 +74,7 @@ def register(model: mujoco.MjModel, platform: str) -> str:
 
 def source(model: mujoco.MjModel) -> str:
     """Return the text of the program of `model`."""
-    program = generate(model)
-    return program.source + f"#define NSENS {program.nsensordata}\n"
+    return generate(model).source
 
 
 def model_key(model: mujoco.MjModel) -> str:

@@ -5,6 +5,7 @@ from importlib import resources
 
 import mujoco
 
+from assistax_envs.physics.base import values_width
 from assistax_envs.physics.fused import collision, constraints, factorisation, inertia, kinematics
 from assistax_envs.physics.fused.checks import check_supported
 from assistax_envs.physics.fused.expressions import Block, Scalar, literal, minimum, text
@@ -154,6 +155,8 @@ def _sizes(model: mujoco.MjModel, dynamics: Dynamics) -> str:
         "NGEOM": len(dynamics.geoms),
         "NCANDIDATE": len(dynamics.places),
         "NFORCE": len(constraints.force_sensors(model)),
+        "NSENS": model.nsensordata,
+        "NPEAK": values_width(model) - model.nsensordata,
         "NWARM": _warm_words(dynamics),
         "MAX_CONTACTS": MAX_CONTACTS,
         "MAX_ROWS": limits + 4 * MAX_CONTACTS,
@@ -226,7 +229,8 @@ def _substep(model: mujoco.MjModel, dynamics: Dynamics) -> str:
         [
             "template <class Sensors>",
             "FN void substep(real* q, real* qd, const real* u, const real* lo, const real* hi,",
-            "                Sensors& sensors, bool last, unsigned* warm, Report& report) {",
+            "                Sensors& sensors, real* peaks, bool last, unsigned* warm,",
+            "                Report& report) {",
             *_in_stretches(lines[: dynamics.before]),
             f"real torque[NV] = {{{', '.join(map(text, dynamics.forces))}}};",
             "real sensed[9 * NFORCE + 1];",
@@ -234,7 +238,7 @@ def _substep(model: mujoco.MjModel, dynamics: Dynamics) -> str:
             f"mask acts = {text(dynamics.near)} < 0.0f;",
             "if (any(acts)) {",
             *_stage(dynamics),
-            "solve_constraints(now, torque, sensed, warm, report);",
+            "solve_constraints(now, torque, sensed, peaks, warm, report);",
             "} else {",
             "for (int k = 0; k < NWARM * W; ++k) warm[k] = 0;",
             "}",

@@ -26,10 +26,22 @@ FN void report_contact(const Rows& rows, const ContactList& list, int k, const r
   }
 }
 
+// Keep the largest force of each sensor so far, from the squares of this substep's, and the largest
+// sum of forces that act at once.
+FN void raise_peaks(const real* strongest, real* peaks) {
+  real sum = splat(0.0f);
+  UNROLL for (int s = 0; s < NPEAK - 1; ++s) {
+    real size = square_root(strongest[s]);
+    peaks[s] = maximum(peaks[s], size);
+    sum = sum + size;
+  }
+  if (NPEAK) peaks[NPEAK - 1] = maximum(peaks[NPEAK - 1], sum);
+}
+
 // Add J^T times the rows' forces to `torque`, in lanes that have rows.
 FN void apply_forces(const Stage& now, const Factored& f, const Rows& rows,
                      const ContactList& list, const real* forces, unsigned* warm, real* torque,
-                     real* sensed) {
+                     real* sensed, real* peaks) {
   real sum[NV], strongest[NFORCE + 1];
   UNROLL for (int i = 0; i < NV; ++i) sum[i] = splat(0.0f);
   UNROLL for (int s = 0; s < NFORCE; ++s) strongest[s] = splat(0.0f);
@@ -45,13 +57,14 @@ FN void apply_forces(const Stage& now, const Factored& f, const Rows& rows,
     report_contact(rows, list, k, edge, force, warm, strongest, sensed);
   }
   UNROLL for (int i = 0; i < NV; ++i) sum[i] = sum[i] / f.root[i];
+  raise_peaks(strongest, peaks);
   multiply_transposed(f.entries, sum);
   UNROLL for (int i = 0; i < NV; ++i) torque[i] = select(now.acts, torque[i] + sum[i], torque[i]);
 }
 
 // Add to `torque` what limits and contacts do; write the contact forces that sensors ask for.
-FN_CALLED void solve_constraints(const Stage& now, real* torque, real* sensed, unsigned* warm,
-                                 Report& report) {
+FN_CALLED void solve_constraints(const Stage& now, real* torque, real* sensed, real* peaks,
+                                 unsigned* warm, Report& report) {
   Factored f;
   Rows rows;
   ContactList list;
@@ -62,5 +75,5 @@ FN_CALLED void solve_constraints(const Stage& now, real* torque, real* sensed, u
   add_contacts(now, f, list, warm, rows);
   row_products(rows, products);
   newton(rows, rows.limits + 4 * rows.contacts, products, forces, report);
-  apply_forces(now, f, rows, list, forces, warm, torque, sensed);
+  apply_forces(now, f, rows, list, forces, warm, torque, sensed, peaks);
 }

@@ -12,6 +12,7 @@ import numpy as np
 from assistax_envs import TASKS as TASKS
 from assistax_envs.models import build_model
 from assistax_envs.models.gentle_scenes import SCENES
+from assistax_envs.physics.base import values_width
 from assistax_envs.physics.fused import generate
 from assistax_envs.physics.fused.runtime import cache, cpu
 
@@ -167,11 +168,11 @@ class Engine:
     ) -> None:
         program = generate(model)
         source = program.source.replace("contract(off)", f"contract({contraction})")
-        text = source + f"#define NSENS {program.nsensordata}\n"
+        text = source
         key = cache.key([text.encode(), str(lanes).encode(), *(x.encode() for x in features)])
         self._name = f"test_{key}"
-        self._widths = program.nq, program.nv, program.nv, program.nsensordata
-        self._range = model.jnt_range
+        self._widths = program.nq, program.nv, program.nv, values_width(model)
+        self._range, self._sensors = model.jnt_range, model.nsensordata
         cpu.register(self._name, key, lambda: text, lanes, features)
 
     def __call__(
@@ -185,7 +186,7 @@ class Engine:
         still, ranges = np.zeros_like(states.qvel), np.asarray(ranges, np.float32)
         values = states.qpos, states.qvel, still, states.ctrl, ranges
         qpos, qvel, _, sensors = call(*map(jnp.asarray, values), substeps=np.int32(substeps))
-        return np.asarray(qpos), np.asarray(qvel), np.asarray(sensors)
+        return np.asarray(qpos), np.asarray(qvel), np.asarray(sensors)[:, : self._sensors]
 
 
 @functools.cache

@@ -33,7 +33,8 @@ def trajectory(task: str) -> str:
     def play(state: PhysicsState) -> tuple[jax.Array, ...]:
         def step(state, control):
             state, sensors = physics.step(state, control, joint_range)
-            return state, (state.qpos, state.qvel, sensors)
+            # What the largest forces of substeps add comes after these.
+            return state, (state.qpos, state.qvel, sensors[:, : model.nsensordata])
 
         return jax.lax.scan(step, state, controls)[1]
 

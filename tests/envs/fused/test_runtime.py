@@ -31,11 +31,11 @@ typedef float real __attribute__((vector_size(4 * W)));
 #define LANES(l) for (int l = 0; l < W; ++l)
 FN float& lane(real& x, int l) { return ((float*)&x)[l]; }
 FN float lane(const real& x, int l) { return ((const float*)&x)[l]; }
-enum { NV = 1, NU = 1, NSENS = 3, NWARM = 1 };
+enum { NV = 1, NU = 1, NSENS = 3, NPEAK = 0, NWARM = 1 };
 struct Report { int flags[W] = {}, effort[W] = {}; };
 template <class Sensors>
 FN void substep(real* q, real* qd, const real* u, const real* lo, const real* hi,
-                Sensors& sensors, bool last, unsigned* warm, Report& report) {
+                Sensors& sensors, real* peaks, bool last, unsigned* warm, Report& report) {
   if (last) {
     sensors[0] = q[0];
     sensors[1] = qd[0] * 1e-30f;

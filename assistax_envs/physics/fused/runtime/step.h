@@ -38,7 +38,7 @@ FN void store_effort(float* to, const Report& report, const Places& at) {
 
 FN void simulate(const Arrays& a, long long first) {
   Places at = places(a, first);
-  real q[NV], qd[NV], u[NU], range[2 * NV], lo[NV], hi[NV], sensors[NSENS];
+  real q[NV], qd[NV], u[NU], range[2 * NV], lo[NV], hi[NV], sensors[NSENS + NPEAK];
   load(q, a.qpos, at, NV);
   load(qd, a.qvel, at, NV);
   load(u, a.control, at, NU);
@@ -46,11 +46,12 @@ FN void simulate(const Arrays& a, long long first) {
   for (int k = 0; k < NV; ++k) lo[k] = range[2 * k], hi[k] = range[2 * k + 1];
   unsigned warm[NWARM * W] = {0};
   Report report;
+  for (int k = 0; k < NPEAK; ++k) sensors[NSENS + k] = splat(0.0f);
   for (int s = 0; s < a.substeps; ++s)
-    substep(q, qd, u, lo, hi, sensors, s == a.substeps - 1, warm, report);
+    substep(q, qd, u, lo, hi, sensors, sensors + NSENS, s == a.substeps - 1, warm, report);
   spoil(qd, report.flags, NV);
   store(a.qpos_after, q, at, NV);
   store(a.qvel_after, qd, at, NV);
-  store(a.sensors, sensors, at, NSENS);
+  store(a.sensors, sensors, at, NSENS + NPEAK);
   store_effort(a.warmstart_after, report, at);
 }

@@ -1,0 +1,48 @@
+"""What hurts in a gentle task, by version of its environment."""
+
+import dataclasses
+from collections.abc import Mapping
+
+HARD = 65.0  # N, of one contact: what the face bears, the least of all limits below
+# N, of one contact, by part of the human: what healthy adults bear in a quasi-static contact before
+# it hurts (ISO/TS 15066:2016, Table A.2; the trunk has the abdomen's, which is less than the
+# chest's). Most of them are preliminary: Behrens et al. 2022 (doi 10.3389/frobt.2021.667818) and
+# Han et al. 2022 (doi 10.3390/s22082996) measured such thresholds.
+BEARABLE: dict[str, float] = {
+    "human_head": 65.0,
+    "human_torso": 110.0,
+    "human_upper_waist": 110.0,
+    "human_lower_waist": 110.0,
+    "human_right_upper_arm": 150.0,
+    "human_right_lower_arm": 160.0,
+    "human_right_hand": 140.0,
+    "right_thigh": 220.0,
+    "left_thigh": 220.0,
+}
+# The people here are frail, and nobody has measured what frail people bear: half of it is a choice.
+FRAIL = 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class Rules:
+    """How touches are judged.
+
+    Attributes:
+        limits: N, of one contact with a part of the human: above it is a violation.
+        every_substep: Whether contacts of all physics steps count; else of each control step's
+            last one, which is what sensors show.
+        stops: Whether a violation ends the episode, as a protective stop does.
+    """
+
+    limits: Mapping[str, float]
+    every_substep: bool
+    stops: bool
+
+
+RULES: dict[int, Rules] = {
+    2: Rules(dict.fromkeys(BEARABLE, HARD), every_substep=False, stops=False),
+    3: Rules(
+        {part: FRAIL * limit for part, limit in BEARABLE.items()}, every_substep=True, stops=True
+    ),
+}
+NEWEST = max(RULES)
