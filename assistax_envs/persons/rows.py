@@ -84,6 +84,17 @@ def side(number: int) -> str:
     return "validation" if number % 10 == 9 else "training"
 
 
+def numbers(of: str) -> np.ndarray:
+    """Return the numbers of all persons of a side, in order.
+
+    Raises:
+        ValueError: there is no such side.
+    """
+    if of not in SIDES:
+        raise ValueError(f"side is {of!r}; allowed are {', '.join(SIDES)}")
+    return np.array([number for number in range(COUNT) if side(number) == of])
+
+
 def drawn(task: str, secret: bytes, count: int) -> np.ndarray:
     """Return rows [count, 25] of persons from anywhere in the cube, from a secret.
 
