@@ -93,9 +93,9 @@ class Registry:
         entries = [entry for entry in self.policies if entry.id in wanted]
         named = [name for name in wanted if names_persons(name) and name.endswith("/human")]
         if named:
-            from zoo.persons.registered import find_person  # which makes rows by NumPy
+            from zoo.persons.registered import known_persons  # which makes rows by NumPy
 
-            entries += [someone for name in named if (someone := find_person(self.data, name))]
+            entries += known_persons(self.data, named)
         return entries
 
     def env_version(self, entry: PolicyEntry) -> int:

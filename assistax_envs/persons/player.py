@@ -55,6 +55,12 @@ class PersonPlayer:
         mind, action = self.controller.act(*given)
         return jax.tree.map(lambda leaf: leaf[:n].reshape(*shape, *leaf.shape[1:]), (mind, action))
 
+    def act_stack(
+        self, params: Any, carry: Mind, obs: jax.Array, first: jax.Array
+    ) -> tuple[Mind, jax.Array]:
+        """Act for stacked persons, "row" [P, 25] and obs [P, R, O]: at once, without a map."""
+        return self.act({"row": params["row"][:, None]}, carry, obs, first)
+
 
 def draw_persons(keys: jax.Array, numbers: np.ndarray) -> jax.Array:
     """Return whom of some persons each episode meets: their numbers [N], from its key [N].

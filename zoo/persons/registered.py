@@ -6,7 +6,7 @@ of their rows. Nothing is stored of a person: the formula gives the same rows ev
 
 import functools
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from assistax_base.digest import json_sha256, sha256
@@ -49,6 +49,7 @@ def _table_sha256(task: str) -> str:
     return sha256(persons(task).astype("<f4").tobytes())
 
 
+@functools.cache
 def check_table(release: str, task: str, table: Persons) -> None:
     """Hold a release's persons of a task against those that the installed program makes.
 
@@ -87,6 +88,11 @@ def find_person(data: RegistryFile, policy: str) -> PolicyEntry | None:
         return None
     check_table(release, task, table)
     return _entry(data, release, person(task, number))
+
+
+def known_persons(data: RegistryFile, policies: Iterable[str]) -> list[PolicyEntry]:
+    """Return the entries of those of some ids that are persons' and that there are."""
+    return [someone for policy in policies if (someone := find_person(data, policy))]
 
 
 def select_persons(data: RegistryFile, patterns: Sequence[str]) -> list[PolicyEntry]:
