@@ -62,7 +62,7 @@ class PersonPlayer:
         return self.act({"row": params["row"][:, None]}, carry, obs, first)
 
 
-def draw_persons(keys: jax.Array, numbers: np.ndarray) -> jax.Array:
+def draw_persons(keys: jax.Array, numbers: np.ndarray | jax.Array) -> jax.Array:
     """Return whom of some persons each episode meets: their numbers [N], from its key [N].
 
     The same key draws the same person, whatever else is drawn from it. `person_params` of their

@@ -112,6 +112,12 @@ def select_persons(data: RegistryFile, patterns: Sequence[str]) -> list[PolicyEn
     return entries
 
 
+def identities(teams: Iterable[str]) -> dict[str, str | None]:
+    """Return the sha256 of persons by their ids without a role, as releases of today have them."""
+    named = {team: parse_person(team) for team in teams}
+    return {team: person(of[1], of[2]).identity for team, of in named.items() if of}
+
+
 def person_stacks(entries: Sequence[PolicyEntry]) -> tuple[PolicyStack[Any], ...]:
     """Return a stack of rows for each task and family, in the order in which they first occur."""
     by_spec: dict[Any, list[PolicyEntry]] = {}
