@@ -20,9 +20,9 @@ from evaluation.play.study import context_of, make_job, seal, still_of
 from evaluation.record import tables
 from evaluation.record.record import Record
 from zoo.namespaces import split_namespace
-from zoo.persons.choosing import asks_for_persons
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
+from zoo.splitting.persons import asks_for_persons
 
 
 def cast_population(

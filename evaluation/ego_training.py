@@ -102,15 +102,8 @@ def prepare(
         raise ValueError(f"algorithm is {algorithm!r}; allowed are {', '.join(ALGORITHMS)}")
     changes = dict(hyperparameters or {})
     trainer = preset(ALGORITHMS[algorithm], **changes)
-    if partners not in (None, PERSONS):
-        raise ValueError(f"partners are {partners!r}; allowed are {PERSONS}, or a split's alone")
-    chosen = registry.split(task, split or partners)
-    if chosen.rule == PERSONS:
-        frozen = load_persons(registry, chosen, preferences)
-    elif partners:
-        raise ValueError(f"split {chosen.id} is none of persons; leave it or partners out")
-    else:
-        frozen = load_partners(registry, chosen)
+    chosen = _chosen_split(registry, task, split, partners)
+    frozen = _load_frozen(registry, chosen, preferences)
     shared = shared_out(trainer, len(frozen), keep="num_envs" in changes)
     config = make_run(
         task,
@@ -194,17 +187,33 @@ def load_partners(registry: Registry, split: Split) -> "FrozenPartners":
     return FrozenPartners(load_stacks(registry, entries), settings)
 
 
-def load_persons(registry: Registry, split: Split, preferences: Sequence[str]) -> "FrozenPartners":
-    """Return the persons of a split's training side, of whom each episode draws one."""
-    from assistax_envs.persons import PersonPlayer
-    from evaluation.cast.cast import check_env_version
-    from population.trainers.drawn_persons import DrawnPersons
+def _chosen_split(registry: Registry, task: str, split: str | None, partners: str | None) -> Split:
+    """Return the split whose training side is met; of persons where partners say so."""
+    if partners not in (None, PERSONS):
+        raise ValueError(f"partners are {partners!r}; allowed are {PERSONS}, or a split's alone")
+    chosen = registry.split(task, split or partners)
+    if partners and chosen.rule != PERSONS:
+        raise ValueError(f"split {chosen.id} is none of persons; leave it or partners out")
+    return chosen
 
+
+def _load_frozen(registry: Registry, split: Split, preferences: Sequence[str]) -> "FrozenPartners":
+    if split.rule != PERSONS:
+        return load_partners(registry, split)
     if preferences:
         raise ValueError(
             f"preferences are {', '.join(preferences)}, but persons have wishes of their own; "
             "leave preferences out"
         )
+    return load_persons(registry, split)
+
+
+def load_persons(registry: Registry, split: Split) -> "FrozenPartners":
+    """Return the persons of a split's training side, of whom each episode draws one."""
+    from assistax_envs.persons import PersonPlayer
+    from evaluation.cast.cast import check_env_version
+    from population.trainers.drawn_persons import DrawnPersons
+
     entries = registry.known(f"{team}/human" for team in split.train)
     check_env_version(registry, entries[:1])
     [stack] = load_stacks(registry, entries)  # the training side is of one family

@@ -16,9 +16,9 @@ from evaluation.cast.roster import Roster, paired_rosters, registry_roster
 from evaluation.record.manifest import describe_sources
 from zoo.ids import EGO
 from zoo.namespaces import split_namespace
-from zoo.persons.choosing import asks_for_persons, choose_persons
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
+from zoo.splitting.persons import asks_for_persons, choose_persons
 from zoo.splitting.sides import SIDES, parse_split
 
 
@@ -101,7 +101,7 @@ def choose_partners(
 
     The default split is that of the release that the matching partners are of, if they are of one,
     else the task's own. Persons, at most `persons` of them, are chosen by
-    `zoo.persons.choosing.choose_persons`.
+    `zoo.splitting.persons.choose_persons`.
     """
     if asks_for_persons(split, patterns):
         return choose_persons(registry.data, task, split, patterns, persons)

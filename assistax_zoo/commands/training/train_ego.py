@@ -33,8 +33,7 @@ def train_ego(
     """Train robots with the partners of a split's training half, which stay as they are.
 
     Every partner gets the same share of the simulations, under its own disability setting, and acts
-    with its most likely action. The test half is never loaded. The robots are written as policy
-    files, the seeds of one method.
+    with its most likely action. The test half is never loaded. Each seed's robot is a policy file.
 
     Args:
         task: Task, such as scratch.
