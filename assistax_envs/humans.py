@@ -24,6 +24,8 @@ class EnvParams:
     preference: jax.Array
     # `gentle_base.Liking` of persons, whose wishes are no row of the table; in place of preference.
     likes: Any = None
+    # int32: which of some persons it is, where somebody keeps count of that. No environment looks.
+    person: Any = None
 
 
 def disability_params(

@@ -35,6 +35,7 @@ def evaluate(
     task: str,
     split: str | None = None,
     partners: str | Sequence[str] | None = None,
+    persons: int | None = None,
     episodes: int | None = None,
     seed: int = 0,
     backend: str = "auto",
@@ -69,9 +70,11 @@ def evaluate(
         task: Task, such as "scratch".
         split: Partners: "test" (default), "train" or "both" sides of the default split, or another
             split's id (ID:both).
-        partners: Globs over partners, to play only some of those sides.
+        partners: Globs over partners, to play only some of those sides; "persons" for persons, or
+            globs over them, such as "gentle_scratch/person-08*-v3".
+        persons: How many persons, drawn of those that are meant; default 200.
         episodes: Of each pair; default 18 in the gentle tasks, where nine preferences take turns,
-            and 8 in the others.
+            4 with persons, and 8 in the others.
         seed: Of the episodes: each partner has its own, the same for every robot.
         backend: Physics: "auto" for the fastest one here, or its name.
         stochastic: Draw actions instead of taking each policy's most likely one.
@@ -118,7 +121,7 @@ def evaluate(
     names = _text(preferences)
     how = How(task, episodes, seed, backend, stochastic, max_envs, names, series)
     opened = _locked(open_zoo(zoo), lock, task, split)
-    chosen = choose_partners(opened.registry, task, split, partners or None)
+    chosen = choose_partners(opened.registry, task, split, partners or None, persons)
     needed = _needed(opened.registry, robots, chosen[1], references)
     if fetch:
         opened.fetch([entry.id for entry in needed])
@@ -154,6 +157,7 @@ def cross_play(
     *,
     task: str,
     release: str | None = None,
+    persons: int | None = None,
     episodes: int | None = None,
     seed: int = 0,
     backend: str = "auto",
@@ -171,10 +175,11 @@ def cross_play(
 
     Args:
         egos: Globs over robots, such as "scratch/ippo-*/robot"; all of the release if None.
-        partners: Globs over humans; all of the release if None.
+        partners: Globs over humans, or "persons"; all of the release if None.
         task: Task, such as "scratch".
         release: Release of both, where a glob names none; default the newest whole one
             that has the task.
+        persons: As in `evaluate`.
         episodes: As in `evaluate`, like all that follows but `cluster`.
         seed: Of the episodes.
         backend: Physics.
@@ -200,7 +205,7 @@ def cross_play(
     how = How(task, episodes, seed, backend, stochastic, max_envs, _text(preferences))
     opened = open_zoo(zoo)  # a zoo that is refused makes no folder
     folder, keep = _folder(out)
-    cast = _population(egos, partners, task, release, opened, lock)
+    cast = _population(egos, partners, task, release, opened, lock, persons)
     options: dict[str, Any] = {"cluster": cluster, "replace": replace}
     with chosen_progress(progress, study_progress(f"crossplay {task}")) as on_progress:
         summary = play_population(cast, how, folder, on_progress=on_progress, **options)
@@ -216,6 +221,7 @@ def play_share(
     partners: Globs = None,
     *,
     release: str | None = None,
+    persons: int | None = None,
     zoo: "str | Path | Zoo | None" = None,
     lock: Path | str | None = None,
     progress: Shown = True,
@@ -229,11 +235,12 @@ def play_share(
         egos: As in `cross_play`, like all that follows.
         partners: Globs over humans.
         release: Release of both.
+        persons: How many persons.
         zoo: Where policies come from.
         lock: Lock file of a paper.
         progress: Show it, or a function that is told of it.
     """
-    cast = _population(egos, partners, how.task, release, zoo, lock)
+    cast = _population(egos, partners, how.task, release, zoo, lock, persons)
     env, job = make_job(how, cast.robots, cast.humans, cast.sides)
     with chosen_progress(progress, study_progress(f"crossplay {how.task}")) as shown:
         return run_share(env, job, out, share, max_envs=how.max_envs, on_progress=shown)
@@ -246,11 +253,12 @@ def _population(
     release: str | None,
     zoo: "str | Path | Zoo | None",
     lock: Path | str | None,
+    persons: int | None,
 ) -> Cast:
     """Return the cast of a cross-play: all of the task where no glob is given."""
     registry = _locked(open_zoo(zoo), lock, task, None).registry
     return cast_population(
-        registry, task, egos or f"{task}/*", partners or f"{task}/*", release=release
+        registry, task, egos or f"{task}/*", partners or f"{task}/*", release, persons
     )
 
 

@@ -81,6 +81,7 @@ def train_ego(
     *,
     folder: Path | str | None = None,
     split: str | None = None,
+    partners: str | None = None,
     seeds: int | Sequence[int] = 1,
     steps: int = 20_000_000,
     hyperparameters: Mapping[str, Any] | None = None,
@@ -97,6 +98,7 @@ def train_ego(
         algorithm: "ppo" or "sac".
         folder: Of the run; one that was interrupted goes on. Default a new temporary one.
         split: Split whose training half are the partners; default the release's own.
+        partners: "persons" for a new person of the training side each episode.
         seeds: How many, numbered from 0, or which.
         steps: Environment steps of each robot, rounded up to whole updates.
         hyperparameters: Changes of the preset, such as {"learning_rate": 3e-4, "torso": "gru"}.
@@ -126,7 +128,14 @@ def train_ego(
     registry = open_zoo(zoo).registry
     chosen: dict[str, Any] = {"hyperparameters": hyperparameters, "preferences": preferences}
     training = prepare(
-        registry, task, split=split, algorithm=algorithm, seeds=seeds, steps=steps, **chosen
+        registry,
+        task,
+        split=split,
+        partners=partners,
+        algorithm=algorithm,
+        seeds=seeds,
+        steps=steps,
+        **chosen,
     )
     line = contextlib.closing(TrainingLine(f"{task} {algorithm}"))
     with chosen_progress(progress, line) as report:

@@ -7,7 +7,7 @@ from typing import Any
 
 from assistax_base.cluster import RayCluster
 from assistax_base.errors import SplitError
-from evaluation.cast.cast import Cast, in_release, release_in
+from evaluation.cast.cast import Cast, choose_partners, in_release, release_in
 from evaluation.cast.roster import registry_roster
 from evaluation.figures.saved_tables import save_crossplay
 from evaluation.figures.summary import CrossPlaySummary
@@ -22,6 +22,7 @@ from evaluation.record.record import Record
 from zoo.namespaces import split_namespace
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
+from zoo.splitting.persons import asks_for_persons
 
 
 def cast_population(
@@ -30,24 +31,30 @@ def cast_population(
     robots: str | Sequence[str],
     humans: str | Sequence[str],
     release: str | None = None,
+    persons: int | None = None,
 ) -> Cast:
     """Return the cast of a population: robots and humans by globs over policy or team ids.
 
     They are of a release, the task's default if not given; a glob that names a release is taken at
-    its word.
+    its word. In place of humans there may be persons, "persons" for those of the test side, at most
+    `persons` of them.
 
     Raises:
         ZooError: The registry cannot give them.
     """
     share_cores()
     egos = in_release(registry, robots, release, task=task, role="robot")
-    partners = in_release(registry, humans, release, task=task, role="human")
+    if asks_for_persons(None, humans):
+        split, partners = choose_partners(registry, task, None, humans, persons)
+    else:
+        partners = in_release(registry, humans, release, task=task, role="human")
+        split = _split(registry, task, partners, release)
     return Cast.of(
         registry,
         task=task,
         robots=registry_roster(registry, egos),
         humans=partners,
-        split=_split(registry, task, partners, release),
+        split=split,
     )
 
 

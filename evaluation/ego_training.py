@@ -10,6 +10,7 @@ from population.config import MIXED, Member, TrainConfig, check_names, make_run,
 from population.hyperparameters import TrainerConfig, preset
 from population.runs.logged_run import run_training
 from population.runs.trained import TrainedRun
+from zoo.ids import PERSONS
 from zoo.met.claims import side_met
 from zoo.met.published import Met
 from zoo.parameters.storage import load_stacks, write_policy_file
@@ -38,6 +39,8 @@ class EgoTraining:
     def summary(self) -> str:
         """How the simulations are shared out, in a line."""
         envs, count = self.config.trainer.num_envs, len(self.partners)
+        if self.split.rule == PERSONS:
+            return f"a new person each episode, of the {len(self.split.train)} of {self.split.id}"
         share = f"{envs // count} simulation{'s' * (envs > count)} each"
         likes = ", ".join(self.config.preferences)
         line = f"{count} partners of {self.split.id}{f' under {likes}' if likes else ''}, {share}"
@@ -60,6 +63,7 @@ def prepare(
     task: str,
     *,
     split: str | None = None,
+    partners: str | None = None,
     algorithm: str = "ppo",
     seeds: int | Sequence[int] = 1,
     steps: int = 20_000_000,
@@ -79,6 +83,7 @@ def prepare(
         task: Task.
         split: Split whose training half are the partners: an id or the beginning of one; default
             the release's own.
+        partners: "persons" for a new person of the training side each episode; else networks.
         algorithm: "ppo" or "sac".
         seeds: How many, numbered from 0, or which.
         steps: Environment steps of each robot, rounded up to whole updates.
@@ -97,9 +102,9 @@ def prepare(
         raise ValueError(f"algorithm is {algorithm!r}; allowed are {', '.join(ALGORITHMS)}")
     changes = dict(hyperparameters or {})
     trainer = preset(ALGORITHMS[algorithm], **changes)
-    chosen = registry.split(task, split)
-    shared = shared_out(trainer, len(chosen.train), keep="num_envs" in changes)
-    partners = load_partners(registry, chosen)
+    chosen = _chosen_split(registry, task, split, partners)
+    frozen = _load_frozen(registry, chosen, preferences)
+    shared = shared_out(trainer, len(frozen), keep="num_envs" in changes)
     config = make_run(
         task,
         algorithm,
@@ -109,10 +114,10 @@ def prepare(
         self_play_episodes=0,
         checkpoint_every=checkpoint_every,
         updates_per_call=updates_per_call,
-        partners=partners.ids,
+        partners=frozen.ids,
         preferences=preferences or chosen.preferences.get("train", ()),
     )
-    return EgoTraining(config, partners, chosen, side_met(registry, chosen), trainer.num_envs)
+    return EgoTraining(config, frozen, chosen, side_met(registry, chosen), trainer.num_envs)
 
 
 def train_egos(
@@ -180,6 +185,39 @@ def load_partners(registry: Registry, split: Split) -> "FrozenPartners":
     entries = [registry.policy(f"{team}/human") for team in split.train]
     settings = {entry.id: entry.partner_setting for entry in entries}
     return FrozenPartners(load_stacks(registry, entries), settings)
+
+
+def _chosen_split(registry: Registry, task: str, split: str | None, partners: str | None) -> Split:
+    """Return the split whose training side is met; of persons where partners say so."""
+    if partners not in (None, PERSONS):
+        raise ValueError(f"partners are {partners!r}; allowed are {PERSONS}, or a split's alone")
+    chosen = registry.split(task, split or partners)
+    if partners and chosen.rule != PERSONS:
+        raise ValueError(f"split {chosen.id} is none of persons; leave it or partners out")
+    return chosen
+
+
+def _load_frozen(registry: Registry, split: Split, preferences: Sequence[str]) -> "FrozenPartners":
+    if split.rule != PERSONS:
+        return load_partners(registry, split)
+    if preferences:
+        raise ValueError(
+            f"preferences are {', '.join(preferences)}, but persons have wishes of their own; "
+            "leave preferences out"
+        )
+    return load_persons(registry, split)
+
+
+def load_persons(registry: Registry, split: Split) -> "FrozenPartners":
+    """Return the persons of a split's training side, of whom each episode draws one."""
+    from assistax_envs.persons import PersonPlayer
+    from evaluation.cast.cast import check_env_version
+    from population.trainers.drawn_persons import DrawnPersons
+
+    entries = registry.known(f"{team}/human" for team in split.train)
+    check_env_version(registry, entries[:1])
+    [stack] = load_stacks(registry, entries)  # the training side is of one family
+    return DrawnPersons(PersonPlayer(split.task), stack.params["row"], split.id)
 
 
 def write_egos(run: TrainedRun, training: EgoTraining) -> TrainedEgos:

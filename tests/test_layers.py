@@ -27,6 +27,7 @@ LAYERS = {
         "assistax_envs.versions",
         "assistax_envs.disability",
         "assistax_envs.preferences",
+        "assistax_envs.persons",
     ),
     "evaluation": ("assistax_base", "assistax_envs", "population", "zoo"),
     "assistax_zoo": ("assistax_base", "assistax_envs", "population", "zoo", "evaluation"),

@@ -3,6 +3,7 @@
     team    task/algorithm-dN-sM-vR         scratch/ippo-d3-s5-v1
     ego     task/algorithm-ego-sM-vR        scratch/ppo-ego-s0-v1    a robot without a human
     policy  task/algorithm-dN-sM-vR/role    scratch/ippo-d3-s5-v1/human
+    person  task/person-NNNNN-vR            gentle_scratch/person-00042-v3    of five digits
 
 All lower case. Task and algorithm start with a letter and hold letters, digits and underscores; d
 is the disability setting, s the training seed, v the release; numbers have no leading zeros. A
@@ -29,7 +30,13 @@ _TEAM = re.compile(
     rf"(?:(?P<namespace>{_NAME}):)?(?P<task>{_NAME})/(?P<algorithm>{_NAME})"
     rf"-(?P<disability>d[1-9][0-9]{{0,3}}|ego)-s(?P<seed>{_SEED})-(?P<release>v{_NUMBER})"
 )
+_PERSON = re.compile(
+    rf"(?:(?P<namespace>{_NAME}):)?(?P<task>{_NAME})/person-(?P<number>[0-9]{{5}})"
+    rf"-(?P<release>v{_NUMBER})(?:/human)?"
+)
 _MAX_SEED = 2**63  # a season's seeds have as many bits as fit a table's column
+PERSON, OWN = "person", "own"  # of whom ids say it, and whose body is no disability setting
+PERSONS = "persons"  # what their splits are called, by their beginning
 EGO = "ego"  # stands for the disability setting where no human was trained
 
 
@@ -101,6 +108,19 @@ def parse_team(text: str) -> TeamId:
         release=match["release"],
         namespace=match["namespace"] or "",
     )
+
+
+def parse_person(text: str) -> tuple[str, str, int, str] | None:
+    """Return namespace, task, number and release of a person's id; None of any other text."""
+    match = _PERSON.fullmatch(text)
+    if match is None:
+        return None
+    return match["namespace"] or "", match["task"], int(match["number"]), match["release"]
+
+
+def names_persons(pattern: str) -> bool:
+    """Return whether an id or glob is of persons: they are named as such, or not meant."""
+    return f"/{PERSON}-" in pattern
 
 
 def same_team(team: str, other: str) -> bool:

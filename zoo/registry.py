@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from assistax_base.errors import (
 from assistax_base.validated import first_problem
 from zoo.history.merkle import check_roots, release_root, with_roots
 from zoo.history.own_splits import own_splits
-from zoo.ids import parse_team
+from zoo.ids import PERSONS, names_persons, parse_team
 from zoo.locations import (
     REGISTRY_VARIABLE,
     added_registries,
@@ -83,7 +83,20 @@ class Registry:
         for entry in self.policies:
             if entry.id == policy_id:
                 return entry
+        if names_persons(policy_id) and (someone := self.known([policy_id])):
+            return someone[0]
         refuse_unknown(policy_id, [entry.id for entry in self.policies])
+
+    def known(self, ids: Iterable[str]) -> list[PolicyEntry]:
+        """Return the policies of these ids that there are: in registry order, then persons."""
+        wanted = dict.fromkeys(ids)
+        entries = [entry for entry in self.policies if entry.id in wanted]
+        named = [name for name in wanted if names_persons(name) and name.endswith("/human")]
+        if named:
+            from zoo.persons.registered import known_persons  # which makes rows by NumPy
+
+            entries += known_persons(self.data, named)
+        return entries
 
     def env_version(self, entry: PolicyEntry) -> int:
         """Return the version of its task's environment that a policy was trained on."""
@@ -118,10 +131,20 @@ class Registry:
     ) -> list[PolicyEntry]:
         """Return the policies that match, in registry order, as `zoo.selection.select` does.
 
+        Persons are meant where a pattern says so, as "gentle_scratch/person-*-v3", and come last.
+
         Raises:
             UnknownIdError: Nothing matches; the nearest ids are named.
         """
-        return select(self.policies, pattern, **fields)
+        patterns = [pattern] if isinstance(pattern, str) else list(pattern or ())
+        named = [text for text in patterns if names_persons(text)]
+        if not named:
+            return select(self.policies, pattern, **fields)
+        from zoo.persons.registered import select_persons
+
+        others = [text for text in patterns if text not in named]
+        chosen = select(self.policies, others, **fields) if others else []
+        return [*chosen, *select(select_persons(self.data, named), named, **fields)]
 
     def of_task(self, task: str, role: str) -> list[PolicyEntry]:
         """Return a task's robots or humans, those of its default release, in registry order.
@@ -145,6 +168,11 @@ class Registry:
             SplitError: There is no such split, or its content differs from its sha256.
             LeakageError: A team, or the same parameters, stand on both sides.
         """
+        if PERSONS in (id or ""):
+            from zoo.persons.registered import person_split
+
+            if dealt := person_split(self.data, task, str(id)):
+                return dealt
         namespace, name = split_namespace(id or release or "")
         if namespace in self.parts and namespace:
             arguments = {"id": name or None} if id else {"release": name}

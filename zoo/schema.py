@@ -89,6 +89,14 @@ class Citation(StrictModel):
     url: Annotated[str, Field(pattern=r"^(https?://[^\s{}\\]{1,300})?$")] = ""
 
 
+class Persons(StrictModel):
+    """Persons of a task: rows of numbers that a formula gives, see `zoo.persons`."""
+
+    program: Annotated[int, Field(ge=1)]  # version of what acts by a row
+    count: Annotated[int, Field(ge=1, le=100_000)]
+    sha256: Sha256  # of the table of rows, little-endian float32
+
+
 class Release(StrictModel):
     """A release: its date, the versions of its environments, its default splits, and its root."""
 
@@ -97,6 +105,7 @@ class Release(StrictModel):
     environments: dict[Name, Annotated[int, Field(ge=1)]]
     # By task, the id of the default split; it moves to a new split when the release grows.
     splits: dict[Name, str] = {}
+    persons: dict[Name, Persons] = {}  # by task
     citation: Citation | None = None
     root: Sha256 | None = None  # over all of the release, see `zoo.history.merkle`
     signature: Annotated[str, Field(pattern=r"^[0-9a-f]{128}$")] | None = None  # Ed25519, hex
@@ -173,7 +182,7 @@ class Split(StrictModel):
     id: str
     task: Name
     release: ReleaseName
-    rule: Rule
+    rule: Rule | Literal["persons"]  # whose sides their numbers say, see `zoo.persons`
     held_out: str | None = None
     n: int | None = None
     seed: Count
@@ -229,6 +238,8 @@ class RegistryFile(StrictModel):
         if len(splits) != len(self.splits):
             raise ValueError("a split id stands twice in splits")
         for name, release in self.releases.items():
+            for task in release.persons:
+                _known(f"releases.{name}.persons", task, release.environments)
             for task, split in release.splits.items():
                 _known(f"releases.{name}.splits", split, splits)
                 if splits[split] != (task, name):
@@ -274,15 +285,15 @@ class PolicyEntry:
     task: str
     algorithm: str
     role: Role
-    disability: str  # "d3"; "ego" for a robot without a human
+    disability: str  # "d3"; "ego" for a robot without a human; "own" for a person
     setting: Disability | None  # what "d3" is, as the registry has it
     seed: int
     release: str  # "v1"
-    spec: PolicySpec
-    shard: str  # path relative to the registry's folder
+    spec: PolicySpec  # of persons `zoo.persons.seat.PersonSpec`
+    shard: str  # path relative to the registry's folder; "" for a person
     row: int
-    sha256: str  # of the row's canonical bytes
-    run: str  # key of its provenance in `runs`
+    sha256: str  # of the row's canonical bytes; a person's identity
+    run: str  # key of its provenance in `runs`; "" for a person
     training: Training
     self_play: SelfPlay | None
     trained_against: TrainedAgainst | None = None  # of egos

@@ -101,6 +101,7 @@ def split_id(content: Mapping[str, Any]) -> str:
         "leave-one-algorithm-out": f"without-{content['held_out']}",
         "leave-one-disability-out": f"without-{content['held_out']}",
         "small-train": f"small-{content['n']}",
+        "persons": "-".join(filter(None, ("persons", content["held_out"]))),
     }.get(str(content["rule"]), str(content["rule"]))
     digest = json_sha256(content)[:8]
     slug = "-".join((slug, *content.get("preferences", {}).get("test", ())))

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from assistax_envs.persons.parameters import PARAMETERS, Parameter
-    from assistax_envs.persons.player import PersonPlayer, person_params
-    from assistax_envs.persons.rows import COUNT, Person, card, person, persons
+    from assistax_envs.persons.player import PersonPlayer, draw_persons, person_params
+    from assistax_envs.persons.rows import COUNT, Person, card, numbers, person, persons
 
 # Loaded on first use: the table of parameters needs neither JAX nor MuJoCo.
 _HOMES = {
@@ -16,6 +16,8 @@ _HOMES = {
     "Person": "rows",
     "PersonPlayer": "player",
     "card": "rows",
+    "draw_persons": "player",
+    "numbers": "rows",
     "person": "rows",
     "person_params": "player",
     "persons": "rows",
@@ -28,6 +30,8 @@ __all__ = [
     "Person",
     "PersonPlayer",
     "card",
+    "draw_persons",
+    "numbers",
     "person",
     "person_params",
     "persons",

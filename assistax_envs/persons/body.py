@@ -200,4 +200,9 @@ def _turned(vector: np.ndarray, turns: list[tuple[jax.Array, jax.Array]]) -> jax
 
 
 def _apply(turn: jax.Array, vector: jax.Array) -> jax.Array:
-    return (turn * vector[:, None, :]).sum(-1)
+    """Return a rotation's image of a vector, [N, 3].
+
+    Column by column: a sum over an axis of three took three quarters of a person's time on a CPU.
+    """
+    first, second, third = (turn[..., place] * vector[:, None, place] for place in range(3))
+    return first + second + third

@@ -17,6 +17,7 @@ from assistax_envs.tasks.gentle_base import Liking
 # and rounded otherwise, so that a person's last bits would depend on where in a batch it stands. A
 # batch of another size is another program, and may still differ in the last bit.
 LANES = 16
+_STREAM = 2**31 - 2  # folded into an episode's key to draw a person: the start is drawn from it too
 
 
 class PersonPlayer:
@@ -54,8 +55,27 @@ class PersonPlayer:
         mind, action = self.controller.act(*given)
         return jax.tree.map(lambda leaf: leaf[:n].reshape(*shape, *leaf.shape[1:]), (mind, action))
 
+    def act_stack(
+        self, params: Any, carry: Mind, obs: jax.Array, first: jax.Array
+    ) -> tuple[Mind, jax.Array]:
+        """Act for stacked persons, "row" [P, 25] and obs [P, R, O]: at once, without a map."""
+        return self.act({"row": params["row"][:, None]}, carry, obs, first)
 
-def person_params(task: str, rows: np.ndarray) -> EnvParams:
+
+def draw_persons(keys: jax.Array, numbers: np.ndarray | jax.Array) -> jax.Array:
+    """Return whom of some persons each episode meets: their numbers [N], from its key [N].
+
+    The same key draws the same person, whatever else is drawn from it. `person_params` of their
+    rows is the human that the environment is reset with, and "row" is what `PersonPlayer` acts by.
+    """
+
+    def draw(key: jax.Array) -> jax.Array:
+        return jax.random.randint(jax.random.fold_in(key, _STREAM), (), 0, len(numbers))
+
+    return jnp.asarray(numbers)[jax.vmap(draw)(keys)]
+
+
+def person_params(task: str, rows: np.ndarray | jax.Array) -> EnvParams:
     """Return the bodies and wishes that the environment needs of persons with rows [N, 25].
 
     Strength and tremor are the person's own, and not taken twice.

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import hashlib
+from typing import Any
 
 import numpy as np
 
@@ -84,6 +85,17 @@ def side(number: int) -> str:
     return "validation" if number % 10 == 9 else "training"
 
 
+def numbers(of: str) -> np.ndarray:
+    """Return the numbers of all persons of a side, in order.
+
+    Raises:
+        ValueError: there is no such side.
+    """
+    if of not in SIDES:
+        raise ValueError(f"side is {of!r}; allowed are {', '.join(SIDES)}")
+    return np.array([number for number in range(COUNT) if side(number) == of])
+
+
 def drawn(task: str, secret: bytes, count: int) -> np.ndarray:
     """Return rows [count, 25] of persons from anywhere in the cube, from a secret.
 
@@ -98,26 +110,37 @@ def drawn(task: str, secret: bytes, count: int) -> np.ndarray:
 
 def card(someone: Person) -> str:
     """Return a person's numbers as text, each beside its range and, where there is one, a grade."""
-    task, row = someone.task, someone.row
-    lines = [f"{someone.name} of {task}: {someone.side}, {someone.family}"]
+    lines = [f"{someone.name} of {someone.task}: {someone.side}, {someone.family}"]
     lines.append(f"identity {someone.identity}")
-    for parameter, value in zip(PARAMETERS[task], row, strict=True):
-        unit = "" if parameter.unit == "1" else f" {parameter.unit}"
-        bounds = f"{parameter.low:g} to {parameter.high:g}{unit}"
-        none = f", none in {parameter.none:.0%}" if parameter.none else ""
-        lines.append(f"{parameter.name:17} {value:8.4g}{unit:10} [{bounds}{none}]")
-    return "\n".join([*lines, *_grades(task, row)])
+    for name, number in described_numbers(someone).items():
+        unit = "" if number["unit"] == "1" else f" {number['unit']}"
+        bounds = f"{number['low']:g} to {number['high']:g}{unit}"
+        none = f", none in {number['none']:.0%}" if number["none"] else ""
+        lines.append(f"{name:17} {number['value']:8.4g}{unit:10} [{bounds}{none}]")
+    return "\n".join([*lines, *(f"{name}: {text}" for name, text in grades(someone).items())])
 
 
-def _grades(task: str, row: np.ndarray) -> list[str]:
-    place = index(task)
+def described_numbers(someone: Person) -> dict[str, dict[str, Any]]:
+    """Return a person's numbers by name, each with its unit, its range and who has none of it."""
+    return {
+        parameter.name: {
+            "value": float(f"{value:.4g}"),
+            **{name: getattr(parameter, name) for name in ("unit", "low", "high", "none")},
+        }
+        for parameter, value in zip(PARAMETERS[someone.task], someone.row, strict=True)
+    }
+
+
+def grades(someone: Person) -> dict[str, str]:
+    """Return what stands on clinicians' scales beside some of a person's numbers."""
+    task, row, place = someone.task, someone.row, index(someone.task)
     strength = left(task, float(row[place["strength"]]))
     share = left(task, float(row[place["range"]]))
-    return [
-        f"MRC grade of what a seat at full strength leaves: {grade(MRC, strength)}",
-        f"modified Ashworth: {grade(ASHWORTH, float(row[place['spasticity']]))}",
-        f"range of motion of the elbow: {share:.0%}",
-    ]
+    return {
+        "MRC grade of what a seat at full strength leaves": grade(MRC, strength),
+        "modified Ashworth": grade(ASHWORTH, float(row[place["spasticity"]])),
+        "range of motion of the elbow": f"{share:.0%}",
+    }
 
 
 def _rows(task: str, points: np.ndarray) -> np.ndarray:

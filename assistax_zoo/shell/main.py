@@ -37,6 +37,7 @@ COMMANDS = {
     "crossplay": "assistax_zoo.commands.evaluation.evaluate:crossplay",
     "compare": "assistax_zoo.commands.evaluation.report:compare",
     "strategies": "assistax_zoo.commands.evaluation.report:strategies",
+    "persons": "assistax_zoo.commands.evaluation.persons:persons",
     "report": "assistax_zoo.commands.evaluation.report:report",
     "replay": "assistax_zoo.commands.partners.provenance:replay",
     "train": "assistax_zoo.commands.training.train:train",

@@ -18,6 +18,7 @@ from zoo.ids import EGO
 from zoo.namespaces import split_namespace
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
+from zoo.splitting.persons import asks_for_persons, choose_persons
 from zoo.splitting.sides import SIDES, parse_split
 
 
@@ -90,13 +91,22 @@ class Cast:
 
 
 def choose_partners(
-    registry: Registry, task: str, split: str | None, patterns: str | Sequence[str] | None
+    registry: Registry,
+    task: str,
+    split: str | None,
+    patterns: str | Sequence[str] | None,
+    persons: int | None = None,
 ) -> tuple[Split, list[PolicyEntry]]:
     """Return the split that `split` names, and the humans of its sides that match `patterns`.
 
     The default split is that of the release that the matching partners are of, if they are of one,
-    else the task's own.
+    else the task's own. Persons, at most `persons` of them, are chosen by
+    `zoo.splitting.persons.choose_persons`.
     """
+    if asks_for_persons(split, patterns):
+        return choose_persons(registry.data, task, split, patterns, persons)
+    if persons is not None:
+        raise ValueError(f"persons is {persons}, but other partners are named; leave it out")
     name, side = parse_split(split, registry.parts)
     humans = registry.select(patterns, task=task, role="human")
     releases = {entry.release for entry in humans}
@@ -135,7 +145,7 @@ def in_release(
         chosen = registry.select(pattern, task=task, role=role, release=None if named else default)
         teams = [entry for entry in chosen if entry.disability != EGO]
         matching |= {entry.id for entry in teams or chosen}
-    return [entry for entry in registry.policies if entry.id in matching]
+    return registry.known(matching)
 
 
 def release_in(registry: Registry, task: str, release: str | None, namespace: str) -> str:
@@ -174,12 +184,8 @@ def entries_of(
     With baselines these are also the robots of the humans' teams.
     """
     teams = {human.team for human in humans} if baselines else set()
-    names = {*robots.members, *(human.id for human in humans)}
-    return [
-        entry
-        for entry in registry.policies
-        if entry.id in names or (entry.role == "robot" and entry.team in teams)
-    ]
+    own = [e.id for e in registry.policies if e.role == "robot" and e.team in teams]
+    return registry.known([*robots.members, *(human.id for human in humans), *own])
 
 
 def roots_of(registry: Registry, entries: Sequence[PolicyEntry]) -> dict[str, str]:
@@ -189,8 +195,10 @@ def roots_of(registry: Registry, entries: Sequence[PolicyEntry]) -> dict[str, st
 
 def sides_of(humans: Sequence[PolicyEntry], split: Split | None) -> dict[str, str]:
     """Return the side of each human that is on one, by id."""
-    sides = {human.id: split.side(human.team) for human in humans} if split else {}
-    return {name: side for name, side in sides.items() if side}
+    if split is None:
+        return {}
+    dealt = {**dict.fromkeys(split.test, "test"), **dict.fromkeys(split.train, "train")}
+    return {human.id: dealt[human.team] for human in humans if human.team in dealt}
 
 
 def own_robots(registry: Registry, partners: Sequence[PolicyEntry]) -> tuple[Roster, Roster] | None:

@@ -14,7 +14,7 @@ class How:
     Attributes:
         task: Task, such as scratch.
         episodes: Episodes of each pair; default 18 in the gentle tasks, where nine preferences take
-            turns, and 8 in the others.
+            turns, 4 with persons, and 8 in the others.
         seed: Seed of the episodes: each partner has its own, the same for every robot.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
         stochastic: Draw actions instead of taking each policy's most likely one.
@@ -59,6 +59,9 @@ class How:
     def episodes_of_pair(self) -> int:
         """How many episodes a pair plays."""
         return self.episodes or default_episodes(self.task, self.series)
+
+
+PERSON_EPISODES = 4  # of a pair with a person, who has one wish, and of whom there are many
 
 
 def default_episodes(task: str, series: int = 1) -> int:

@@ -13,9 +13,10 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import polars as pl
 
-from assistax_envs import disability_params
+from assistax_envs import EnvParams, disability_params
 from assistax_envs.interrupts import wait_for
 from evaluation.cast.egos import Clipping, call_ego
 from evaluation.cast.roster import HostEgo, Roster
@@ -133,15 +134,11 @@ class Runner:
         robots = [] if _host(job, tile) else _taken(job.egos, tile.egos)
         humans = _taken(job.partners, tile.partners)
         ids = tuple(name for stack in humans for name in stack.ids)
-        settings = [
-            member.setting or str(member.disability) for member in job.partners.describe(ids)
-        ]
         episodes = _padded(tile.episodes, tile.at_once * job.series)
-        preferences = job.preferences_of(ids, episodes) if job.preferences else None
         block = (
             [stack.params for stack in robots],
             [stack.params for stack in humans],
-            disability_params(settings, preferences),
+            _humans(job, humans, ids, episodes),
             job.seeds(ids, episodes),
         )
         specs = (tuple(stack.spec for stack in seat) for seat in (robots, humans))
@@ -200,6 +197,18 @@ def _first_of_each_program(chunks: Sequence[Chunk]) -> list[Tile]:
 def _host(job: Job, tile: Tile) -> HostEgo | None:
     """Return the robot from outside that plays in a tile, if one does."""
     return job.egos.host(tile.egos[0].stack)
+
+
+def _humans(
+    job: Job, stacks: Sequence[PolicyStack], ids: Sequence[str], episodes: Sequence[int]
+) -> EnvParams:
+    """Return the humans [P] of stacks: persons as their rows say, others by their settings."""
+    if job.own_wishes:
+        own = [stack.spec.humans(stack.params) for stack in stacks]
+        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *own)
+    settings = [member.setting or str(member.disability) for member in job.partners.describe(ids)]
+    preferences = job.preferences_of(ids, episodes) if job.preferences else None
+    return disability_params(settings, preferences)
 
 
 def _taken(roster: Roster, slices: Sequence[StackSlice]) -> list[PolicyStack]:

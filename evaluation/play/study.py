@@ -1,6 +1,7 @@
 """What both studies share: the job, the folder that stays its own, and the record."""
 
 import contextlib
+import math
 from collections.abc import Generator, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,8 +11,8 @@ from evaluation.cast.cast import Cast
 from evaluation.cast.roster import Roster
 from evaluation.figures.summary import Context, SplitName
 from evaluation.play.evaluator import Evaluation
-from evaluation.play.how import How
-from evaluation.play.jobs import Job
+from evaluation.play.how import PERSON_EPISODES, How
+from evaluation.play.jobs import Job, brings_wishes
 from evaluation.record import manifest
 from zoo.schema import Split
 
@@ -26,6 +27,11 @@ def make_job(
     from assistax_envs import make
 
     env = make(how.task, backend=how.backend)
+    persons = brings_wishes(humans)
+    episodes, turns = how.episodes_of_pair, how.turns
+    if persons:
+        episodes = how.episodes or math.ceil(PERSON_EPISODES / how.series) * how.series
+        turns = () if how.preferences is None else turns
     job = Job(
         task=how.task,
         env_version=env.version,
@@ -33,13 +39,13 @@ def make_job(
         engine=getattr(env, "engine", {}),
         egos=robots,
         partners=humans,
-        episodes=how.episodes_of_pair,
+        episodes=episodes,
         seed=how.seed,
         stochastic=how.stochastic,
         series=how.series,
         own_episodes=True,
         sides=sides or {},
-        preferences=how.turns,
+        preferences=turns,
     )
     return env, job
 

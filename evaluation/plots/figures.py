@@ -1,7 +1,7 @@
 """Figures of finished folders: read what was saved, draw it, write the file."""
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from evaluation.figures import curves
 from evaluation.plots import charts
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import Order, arrange
+from evaluation.plots.persons import person_panels
 from evaluation.plots.population import population_grid
 from evaluation.plots.style import check_path, save_figure
 from evaluation.plots.sweep import sweep_panels
@@ -52,6 +53,17 @@ def evaluation_figure(folders: Sequence[Path], kind: str, path: Path) -> Figure:
     caption = f"Bands: pointwise 95% bootstrap.\n{charts.provenance(summaries)}"
     profiles = dict(zip(summaries, read, strict=True))
     return save_figure(charts.performance_profile(profiles, task=task, caption=caption), path)
+
+
+def persons_figure(summary: Mapping[str, Any], path: Path) -> Figure:
+    """Draw which numbers of persons matter, as `summarise_parameters` returns it."""
+    caption = (
+        f"Robots: {summary['egos']}; episodes: {summary['episodes']}. Cells: means over persons, "
+        f"in {summary['bins']} bins of equal counts of each number. Bars: omega squared of the "
+        "bins, 95% basic bootstrap over persons; + where the outcome rises with the number; "
+        "dotted: what chance reaches with the largest of all."
+    )
+    return save_figure(person_panels(summary, caption=caption), path)
 
 
 def crossplay_figure(folder: Path, path: Path, order: Order | None = None) -> Figure:

@@ -191,9 +191,8 @@ def _check_releases(
     except ZooError as error:
         yield "problem", str(error)
         return
-    known = {entry.id: entry for entry in registry.policies}
     for release, named in sources["releases"].items():
-        entries = [entry for name in named["policies"] if (entry := known.get(name))]
+        entries = registry.known(named["policies"])
         here = {entry.id: entry.sha256 for entry in entries}
         if chosen is None and here != named["policies"]:
             text = f"policies of {shorten(str(recorded))}; another registry may have them"
@@ -209,7 +208,7 @@ def _check_releases(
 
 
 def _check_parameters(registry: Registry, entries: Sequence[PolicyEntry]) -> Iterator[Finding]:
-    for shard in dict.fromkeys(entry.shard for entry in entries):
+    for shard in dict.fromkeys(entry.shard for entry in entries if entry.shard):
         path = registry.shard_path(shard)
         if not path.is_file():
             yield "absent", f"parameters, in {path}"

@@ -67,8 +67,7 @@ def rebuild_job(record: Record, registry: Registry, *, run_code: bool = False) -
     humans = registry_roster(registry, partners)
     job = _job_of(identity, env, egos, humans, sides_of(partners, split))
     _check_identity(identity, job)
-    names = {entry.id for entry in partners}
-    partners = [entry for entry in registry.policies if entry.id in names]
+    partners = registry.known(entry.id for entry in partners)
     result = Evaluation(record.table, summary.env_steps_per_second, 0.0)
     release = _release(summary, split, played)
     context = context_of(job, result, split=split, release=release, lock=registry.lock)

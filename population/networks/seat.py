@@ -16,7 +16,10 @@ Carry = Any  # () for a feed-forward network, [..., H] for a recurrent one
 
 
 class Player(Protocol):
-    """Acts for policies of one spec, whose parameters it is given."""
+    """Acts for policies of one spec, whose parameters it is given.
+
+    One that has `act_stack` acts for stacked policies at once, [G, R, O]; others are mapped over.
+    """
 
     def initial_carry(self, batch_shape: tuple[int, ...]) -> Any:
         """Return the memory before the first observation, leaves [*batch, ...]."""
@@ -34,7 +37,11 @@ class Player(Protocol):
 
 
 class Seat(Protocol):
-    """Describes policies that can be stacked and mapped over; hashable."""
+    """Describes policies that can be stacked and mapped over; hashable.
+
+    One of humans that has `humans(params)` says who they are, the `EnvParams` of stacked
+    parameters; of others their disability setting and preference say it.
+    """
 
     @property
     def role(self) -> "Role":

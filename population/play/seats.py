@@ -53,8 +53,9 @@ def _act(
     # depend on the block.
     obs = jnp.broadcast_to(obs, (obs.shape[0], _at_least_two(rows), obs.shape[2]))
     first = jnp.broadcast_to(first, obs.shape[:2])
-    if keys is None:
-        carry, action = member_map(policy.act)(params, carry, obs, first)
+    if keys is None or not hasattr(policy, "step"):  # who has no distribution draws nothing
+        act = getattr(policy, "act_stack", None) or member_map(policy.act)
+        carry, action = act(params, carry, obs, first)
         return carry, action[:, :rows]
     carry, gaussian = member_map(policy.step)(params, carry, obs, first)
     keys = jnp.broadcast_to(keys, obs.shape[:2])

@@ -136,7 +136,12 @@ def collect(
         if partners:
             role = partners.role
             partner_carry, action[role] = partners.act(
-                partner_params, partner_carry, state.env.obs[role], state.first, members
+                partner_params,
+                partner_carry,
+                state.env.obs[role],
+                state.first,
+                members,
+                state.env.params,
             )
         after = env.step(state.env, action)
         terminated = after.terminated | after.nonfinite

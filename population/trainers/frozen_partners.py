@@ -98,15 +98,25 @@ class FrozenPartners:
         liked = self.likings(num_envs, preferences) if preferences else None
         return disability_params(self.settings(num_envs), liked)
 
+    def renewed(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
+        """Return the humans [N] of episodes that begin from `keys` [N]: those who were there."""
+        return humans
+
     def initial_carry(self, simulations: int) -> tuple[Carry, ...]:
         """Return carries before the first observation, by stack [P, N / partners, ...]."""
         share = simulations // len(self)
         return tuple(policy.initial_carry((len(stack), share)) for policy, stack in self._pairs())
 
     def act(
-        self, params: Any, carry: tuple[Carry, ...], obs: jax.Array, first: jax.Array, members: int
+        self,
+        params: Any,
+        carry: tuple[Carry, ...],
+        obs: jax.Array,
+        first: jax.Array,
+        members: int,
+        humans: Any = None,
     ) -> tuple[tuple[Carry, ...], jax.Array]:
-        """Return new carries and actions [N, A] of obs [N, O].
+        """Return new carries and actions [N, A] of obs [N, O], whoever the `humans` [N] are.
 
         N is [member, partner, simulation].
         """

@@ -104,7 +104,7 @@ class Trainer(abc.ABC):
         """
         split = jax.vmap(lambda key: jax.random.split(key, 4))(keys)
         envs, length = self.config.num_envs, self.env.episode_length
-        env_state = self.env.reset(_simulation_keys(split[:, 0], envs), env_params)
+        env_state = self._reset(split[:, 0], env_params)
         stagger = jax.vmap(lambda key: jax.random.randint(key, (envs,), 0, length))(split[:, 1])
         return TrainState(
             members=member_map(self._initial_member)(split[:, 2], split[:, 3]),
@@ -122,9 +122,7 @@ class Trainer(abc.ABC):
         """
         members = state.members
         keys = jax.vmap(lambda key: jax.random.split(key, 4))(members.key)
-        fresh = self.env.reset(
-            _simulation_keys(keys[:, 0], self.config.num_envs), state.simulations.env.params
-        )
+        fresh = self._reset(keys[:, 0], state.simulations.env.params)
         steps = self.config.rollout_steps
         act_keys = jax.vmap(lambda key: jax.random.split(key, steps), out_axes=1)(keys[:, 1])
         simulations, batch = experience.collect(
@@ -189,6 +187,13 @@ class Trainer(abc.ABC):
         if not self.config.normalise:
             return actor
         return {**actor, "normaliser": normaliser.to_params(member.statistics[role])}
+
+    def _reset(self, keys: jax.Array, humans: Any) -> Any:
+        """Start an episode in each simulation [N], from members' keys [M]."""
+        keys = _simulation_keys(keys, self.config.num_envs)
+        return self.env.reset(
+            keys, self.partners.renewed(humans, keys) if self.partners else humans
+        )
 
     def _initial_member(self, key: jax.Array, carried: jax.Array) -> MemberState:
         statistics = {

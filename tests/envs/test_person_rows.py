@@ -3,10 +3,12 @@
 import hashlib
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
 from assistax_envs.persons.parameters import PARAMETERS, WIDTH, Parameter
+from assistax_envs.persons.player import draw_persons
 from assistax_envs.persons.rows import (
     BEYOND,
     CORNERS,
@@ -15,6 +17,7 @@ from assistax_envs.persons.rows import (
     SIDES,
     card,
     drawn,
+    numbers,
     person,
     persons,
     side,
@@ -101,6 +104,19 @@ def test_training_lies_inside_and_corners_lie_beyond(task: str) -> None:
     assert (beyond[:INNER] == 0).all() and (beyond[CORNERS:] == 0).all()
     # Below 0.4 or 0.5 everybody has no tremor and no spasticity: those two hide a lower end.
     assert (beyond[INNER:CORNERS] >= BEYOND - 2).all()
+
+
+def test_an_episode_draws_its_person_from_its_key() -> None:
+    training = numbers("training")
+    assert len(training) == 7200 and all(side(int(number)) == "training" for number in training)
+    keys = jax.random.split(jax.random.key(5), 4000)
+    met = np.asarray(draw_persons(keys, training))
+    np.testing.assert_array_equal(met, draw_persons(keys, training))
+    assert set(met.tolist()) <= set(training.tolist())
+    assert len(np.unique(met)) > 3000  # of 4000 draws with replacement among 7200, some 3069
+    np.testing.assert_array_equal(met[7:9], draw_persons(keys[7:9], training))
+    with pytest.raises(ValueError, match="allowed are training, validation, test"):
+        numbers("hidden")
 
 
 def test_a_secret_draws_the_same_hidden_persons() -> None:

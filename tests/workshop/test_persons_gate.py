@@ -6,19 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import assistax_envs
-from assistax_envs.persons import PersonPlayer
-from assistax_envs.persons import persons as rows_of
 from assistax_workshop.gates import persons
-from assistax_workshop.gates.persons import PersonPartners, train_with_persons
-
-
-def test_there_is_a_person_for_each_simulation() -> None:
-    partners = PersonPartners(PersonPlayer("gentle_scratch"), rows_of("gentle_scratch")[:4])
-    env = assistax_envs.make("gentle_scratch", "native")
-    partners.check(env, 4)
-    with pytest.raises(ValueError, match="num_envs is 8 with 4 persons"):
-        partners.check(env, 8)
+from assistax_workshop.gates.persons import train_with_persons
 
 
 @pytest.mark.slow

@@ -8,6 +8,8 @@ from typing import Any
 
 from assistax_base.errors import printable
 from assistax_base.files import atomic_write
+from assistax_envs.persons.rows import described_numbers, grades, person
+from zoo.ids import OWN, parse_person
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 
@@ -29,7 +31,28 @@ def find_cards(registry: Registry, name: str) -> list[dict[str, Any]]:
         UnknownIdError: There is none of that id; the nearest ids are named.
     """
     entries = [entry for entry in registry.policies if name in (entry.id, entry.team)]
-    return [policy_card(registry, entry) for entry in entries or [registry.policy(name)]]
+    if not entries:
+        person = parse_person(name) and not name.endswith("/human")
+        entries = [registry.policy(f"{name}/human" if person else name)]
+    return [
+        (person_card if entry.disability == OWN else policy_card)(registry, entry)
+        for entry in entries
+    ]
+
+
+def person_card(registry: Registry, entry: PolicyEntry) -> dict[str, Any]:
+    """Return everything known of a person, each number beside its range, JSON-ready."""
+    someone = person(entry.task, entry.row)
+    return {
+        "id": entry.id,
+        "team": entry.team,
+        "release": entry.release,
+        "side": someone.side,
+        "spec": entry.spec.to_json(),
+        "numbers": described_numbers(someone),
+        "grades": grades(someone),
+        "sha256": entry.sha256,
+    }
 
 
 def policy_card(registry: Registry, entry: PolicyEntry) -> dict[str, Any]:
@@ -83,6 +106,8 @@ def markdown_card(cards: Sequence[Mapping[str, Any]], image: str | None = None) 
         image: Path or address of a picture, as it is to stand in the card.
     """
     first, many = cards[0], len(cards) > 1
+    if "numbers" in first:
+        return render("person.md", card=first, image=image)
     setting = (f"{name.replace('_', ' ')} {value}" for name, value in first["disability"].items())
     summary = {"release": first["release"], "disability": ", ".join(setting), **_figures(first)}
     summary |= {f"side of {split}": side for split, side in first["splits"].items()}

@@ -9,6 +9,7 @@ from assistax_base.digest import sha256
 from assistax_base.errors import ExportError
 from assistax_base.files import atomic_write
 from population.networks.spec import PolicySpec
+from zoo.ids import OWN
 from zoo.met.published import met_in_training
 from zoo.parameters.storage import load_stacks, read_policy_file
 from zoo.registry import Registry
@@ -57,6 +58,9 @@ def _read_policy(
         return read_policy_file(name)
     loaded = registry()
     entry = loaded.policy(name)
+    if entry.disability == OWN:
+        expected, found = "a policy with parameters", "a person, who is a program and its numbers"
+        raise ExportError(name, expected, found, "read its numbers: `assistax-zoo show`")
     [stack] = load_stacks(loaded, [entry])
     met = met_in_training(loaded, entry).claim if entry.role == "robot" else {}
     metadata = {

@@ -1,10 +1,10 @@
 """One digest for all that a release is: the root of a Merkle tree over its entries.
 
 A leaf is the sha256 of one entry: a team with its self-play, an ego, a shard, a run's provenance, a
-split, a disability setting that is used, and the release's own record. A tree's node is the sha256
-of its children's; an odd one goes up as it is. Entries are written without the fields that are at
-their defaults, so that a later schema gives the same leaves. A release grows by leaves, and never
-loses one but its own record, which names its default splits.
+split, a disability setting that is used, a task's persons, and the release's own record. A tree's
+node is the sha256 of its children's; an odd one goes up as it is. Entries are written without the
+fields that are at their defaults, so that a later schema gives the same leaves. A release grows by
+leaves, and never loses one but its own record, which names its default splits.
 """
 
 from collections.abc import Mapping
@@ -27,11 +27,10 @@ def leaves(data: RegistryFile, release: str) -> dict[str, str]:
     }
     shards = {row.shard for _, entry in members.values() for row in entry.policies.values()}
     used = {disability for disability, _ in members.values()} - {EGO}
-    entries: dict[str, Any] = {
-        f"{RECORD} {release}": data.releases[release].model_copy(
-            update={"root": None, "signature": None}
-        )
-    }
+    record = data.releases[release]
+    apart = {"root": None, "signature": None, "persons": {}}
+    entries: dict[str, Any] = {f"{RECORD} {release}": record.model_copy(update=apart)}
+    entries |= {f"persons {task}": table for task, table in record.persons.items()}
     entries |= {
         f"{'ego' if disability == EGO else 'team'} {name}": entry
         for name, (disability, entry) in members.items()

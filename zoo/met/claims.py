@@ -6,8 +6,16 @@ from typing import Any
 from pydantic import ValidationError
 
 from assistax_base.errors import IdError, shorten
-from zoo.ids import parse_team
-from zoo.met.published import CLAIMED, Humans, Met, humans_of, met_in_training
+from zoo.ids import PERSONS, parse_person, parse_team
+from zoo.met.published import (
+    CLAIMED,
+    Humans,
+    Met,
+    humans_of,
+    met_in_training,
+    split_of_persons,
+)
+from zoo.persons.registered import identities
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split, TrainedAgainst
 
@@ -16,7 +24,9 @@ NOBODY = "nobody"  # what is declared of a robot that met no partner of the zoo
 
 def side_met(registry: Registry, split: Split) -> Met:
     """Return what a robot met that was trained with a split's training side."""
-    partners = humans_of(registry.data.teams, split.train)
+    persons = split.rule == PERSONS
+    teams = registry.data.teams
+    partners = identities(split.train) if persons else humans_of(teams, split.train)
     against = TrainedAgainst(split=split.id, sha256=split.sha256)
     return Met(source="registry", partners=partners, split=against)
 
@@ -29,7 +39,9 @@ def claimed_met(registry: Registry, metadata: Mapping[str, Any]) -> Met:
     if "met" in metadata:
         try:
             if not set(metadata["met"]) - set(CLAIMED):
-                return Met.model_validate({"source": "file", **metadata["met"]})
+                return _with_persons(
+                    registry, Met.model_validate({"source": "file", **metadata["met"]})
+                )
         except (ValidationError, TypeError):
             pass
         return Met(source="not known", reason="its file does not say it in a known form")
@@ -75,7 +87,7 @@ def declared_met(registry: Registry, task: str, trained_with: str | Sequence[str
             partners |= {entry.team: entry.sha256 for entry in chosen}
         else:
             splits.append(registry.split(task, name))
-            partners |= humans_of(registry.data.teams, splits[-1].train)
+            partners |= side_met(registry, splits[-1]).partners
     split = splits[0] if len(splits) == len(names) == 1 else None
     against = TrainedAgainst(split=split.id, sha256=split.sha256) if split else None
     return Met(source="declared", partners=partners, split=against)
@@ -89,9 +101,21 @@ def known_humans(entries: Iterable[PolicyEntry], humans: Humans) -> frozenset[st
     )
 
 
+def _with_persons(registry: Registry, met: Met) -> Met:
+    """Return a file's claim with the persons whose split it names, who are too many for a file."""
+    if met.split is None or met.partners:
+        return met
+    if (dealt := split_of_persons(registry, met.split)) is None:
+        reason = (
+            f"split {shorten(met.split.split)}, of which its file speaks, is not in this registry"
+        )
+        return Met(source="not known", split=met.split, reason=reason)
+    return met.model_copy(update={"partners": identities(dealt.train)})
+
+
 def _names_teams(text: str) -> bool:
     """Return whether a text is a glob, or the id of a team or a policy, and no split's."""
-    if set(text) & set("*?["):
+    if set(text) & set("*?[") or parse_person(text):
         return True
     try:
         parse_team(text.removesuffix("/human").removesuffix("/robot"))

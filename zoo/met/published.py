@@ -11,8 +11,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from assistax_base.digest import json_sha256
-from assistax_base.errors import shorten
+from assistax_base.errors import SplitError, shorten
 from zoo.namespaces import plain_name, split_namespace
+from zoo.persons.registered import identities, person_split
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Sha256, Split, StrictModel, Team, TrainedAgainst
 
@@ -38,10 +39,14 @@ class Met(StrictModel):
         """What a file of the robot says, JSON-ready; empty where nothing is known."""
         if not self.known:
             return {}
-        return {"met": self.model_dump(mode="json", include=set(CLAIMED), exclude_none=True)}
+        said = set(CLAIMED)
+        if self.split is not None and len(self.partners) > MOST_NAMED:
+            said -= {"partners"}  # whom the split says
+        return {"met": self.model_dump(mode="json", include=said, exclude_none=True)}
 
 
 NOT_KNOWN = Met(source="not known")
+MOST_NAMED = 1000  # partners that a file names one by one
 CLAIMED = ("own", "partners", "split")
 
 
@@ -57,6 +62,8 @@ def met_in_training(registry: Registry, robot: PolicyEntry) -> Met:
     if against is None:
         teams = registry.part(namespace).data.teams
         return Met(source="registry", own=humans_of(teams, [robot.team], namespace))
+    if (dealt := split_of_persons(registry, against)) is not None:
+        return Met(source="registry", partners=identities(dealt.train), split=against)
     named = [
         (place, teams, split)
         for place, teams, split in _published_splits(registry, namespace)
@@ -70,6 +77,16 @@ def met_in_training(registry: Registry, robot: PolicyEntry) -> Met:
     problem = "has another sha256 in this registry" if named else "is not in this registry"
     reason = f"split {shorten(against.split)}, with whose training side it was trained, {problem}"
     return Met(source="not known", split=against, reason=reason)
+
+
+def split_of_persons(registry: Registry, against: TrainedAgainst) -> Split | None:
+    """Return the split of persons that is named, None where it is none or not here as it was."""
+    task = plain_name(against.split).partition("/")[0]
+    try:
+        dealt = person_split(registry.data, task, against.split)
+    except SplitError:
+        return None
+    return dealt if dealt and dealt.sha256 == against.sha256 else None
 
 
 def _published_splits(

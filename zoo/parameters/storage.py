@@ -24,6 +24,8 @@ from population.networks.tensors import (
     row_sha256,
     take_row,
 )
+from zoo.ids import OWN
+from zoo.persons.registered import person_stacks
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 
@@ -47,6 +49,8 @@ def load_stacks(registry: Registry, entries: Iterable[PolicyEntry]) -> tuple[Pol
         FormatError: A shard's content contradicts the registry.
     """
     entries = list(entries)
+    persons = [entry for entry in entries if entry.disability == OWN]
+    entries = [entry for entry in entries if entry.disability != OWN]
     leaves = load_leaves(registry, entries)
     forms: dict[PolicySpec, tuple[str, dict[str, tuple[int, ...]]]] = {}
     for entry in entries:
@@ -54,7 +58,8 @@ def load_stacks(registry: Registry, entries: Iterable[PolicyEntry]) -> tuple[Pol
         first, expected = forms.setdefault(entry.spec, (entry.id, form))
         if form != expected:
             raise FormatError(f"parameters of {entry.id}", f"the leaves of {first}", "others")
-    return stack_policies((entry.id, entry.spec, _float32(leaves[entry.id])) for entry in entries)
+    stacks = stack_policies((entry.id, entry.spec, _float32(leaves[entry.id])) for entry in entries)
+    return (*stacks, *person_stacks(persons))
 
 
 def load_leaves(registry: Registry, entries: Iterable[PolicyEntry]) -> dict[str, Leaves]:

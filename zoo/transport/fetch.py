@@ -76,7 +76,7 @@ def fetch(
     """
     began = time.perf_counter()
     policies: dict[str, list[PolicyEntry]] = {}
-    for entry in entries:
+    for entry in filter(_has_bytes, entries):
         policies.setdefault(split_namespace(entry.shard)[0], []).append(entry)
     counts, sources = [0, 0, 0], []  # shards, of them present, bytes
     for namespace, members in policies.items():
@@ -103,7 +103,7 @@ def check_local(registry: Registry, entries: Iterable[PolicyEntry]) -> None:
     Raises:
         RemoteError: Some are missing.
     """
-    shards = [entry.shard for entry in entries]
+    shards = [entry.shard for entry in filter(_has_bytes, entries)]
     missing = {shard for shard in shards if not registry.shard_path(shard).is_file()}
     if missing:
         raise RemoteError(
@@ -114,6 +114,10 @@ def check_local(registry: Registry, entries: Iterable[PolicyEntry]) -> None:
             "nothing was loaded",
             remedy="fetch before",
         )
+
+
+def _has_bytes(entry: PolicyEntry) -> bool:
+    return bool(entry.shard)  # a person has none
 
 
 def remote_registry(remote: Remote, accept: Accept = take_none) -> Registry:

@@ -87,6 +87,7 @@ def crossplay(
     out: Path,
     egos: tuple[str, ...] = (),
     partners: tuple[str, ...] = (),
+    persons: int | None = None,
     release: str | None = None,
     share: Annotated[str | None, Parameter(name=("--share", "--block"))] = None,
     replace: bool = False,
@@ -104,7 +105,8 @@ def crossplay(
         out: Folder for the tables and the figure.
         egos: Glob over robots, such as 'scratch/ippo-*/robot'; repeat it for more; all if not
             given.
-        partners: Glob over humans; repeat it for more; all if not given.
+        partners: Glob over humans; repeat it for more; persons for persons; all if not given.
+        persons: How many persons, drawn of those that are meant; default 200.
         release: Release of both, where a glob names none; default the newest whole one
             that has the task.
         share: Simulate only a share, such as 2/4; with the parts of all, the command without
@@ -124,7 +126,7 @@ def crossplay(
     with stdout_is_data():
         from assistax_zoo.evaluating import cross_play, play_share
 
-        where: dict[str, Any] = {"release": release, **source.given()}
+        where: dict[str, Any] = {"release": release, "persons": persons, **source.given()}
         if part:
             done = vars(play_share(part, how, out, egos, partners, **where))
             summary = {**done, "share": share, "block": share}  # its name in earlier versions

@@ -65,7 +65,8 @@ def _partners(registry: Registry, release: str | None, lock: Path | None) -> str
     """Return the entry of what was played with."""
     pinned = read_lock(lock) if lock else None
     name = release or (pinned.release if pinned else registry.release)
-    registry.select(release=name)  # refuses an unknown one
+    if name not in registry.data.releases:
+        registry.select(release=name)  # which refuses it
     published = registry.data.releases[name]
     part, plain = registry.part_of(name)
     splits, facts = published.splits.values(), [f"root {registry.root(name)}"]

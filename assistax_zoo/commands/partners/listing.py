@@ -2,15 +2,16 @@
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from assistax_base.errors import printable
+from assistax_base.errors import UnknownIdError, printable
 from assistax_zoo.commands.partners.provenance import verify_results
 from assistax_zoo.shell.console import answer, progress, stdout_is_data
 from population.networks.spec import Role
 from zoo.exports.card import find_cards, write_card
+from zoo.persons.registered import person_glob, person_tables
 from zoo.registry import Registry, load_registry
 from zoo.schema import SelfPlay
 
@@ -48,11 +49,18 @@ def list_policies(
     """
     fields = {"algorithm": algorithm, "disability": disability, "role": role, "release": release}
     loaded = load_registry(registry)
-    entries = loaded.select(pattern, task=task, **fields)
+    whole = not (pattern or algorithm or disability or role == "robot")
+    persons = list(_person_lines(loaded, task, release)) if whole else []
+    try:
+        entries = loaded.select(pattern, task=task, **fields)
+    except UnknownIdError:
+        if not persons:
+            raise
+        entries = []
     rows = [(entry.id, *_figures(entry.self_play)) for entry in entries]
     columns = ("policy", "self-play", "95% interval", "episodes")
     lines = table_lines(columns, rows, f"{len(entries)} policies")
-    answer(json, [entry.brief() for entry in entries], *lines)
+    answer(json, [entry.brief() for entry in entries], *lines, *persons)
 
 
 def show(
@@ -139,6 +147,14 @@ def verify(
         raise SystemExit(1)
 
 
+def _person_lines(registry: Registry, task: str | None, release: str | None) -> Iterator[str]:
+    """Yield a line for each task's persons of a release, by the glob that names them."""
+    for its_release, its_task, table in person_tables(registry.data):
+        if task in (None, its_task) and release in (None, its_release):
+            glob = person_glob(its_task, its_release)
+            yield f"{glob}: {table.count} persons, partners made of numbers"
+
+
 def _report_lines(report: "Report") -> list[str]:
     done = "verified" if report.ok else f"{len(report.problems)} problems in"
     return [
@@ -146,7 +162,7 @@ def _report_lines(report: "Report") -> list[str]:
         *(f"note: {note}" for note in report.notes),
         *(f"root of {release}: {root}" for release, root in report.roots.items()),
         f"{done} {report.shards} shards ({report.bytes} bytes), {report.policies} policies, "
-        f"{report.splits} splits of {report.registry}",
+        f"{report.splits} splits, {report.persons} persons of {report.registry}",
     ]
 
 
@@ -161,6 +177,10 @@ def _card_lines(card: dict[str, Any]) -> list[str]:
 
 
 def _text(value: Any) -> str:
+    if isinstance(value, dict) and "low" in value:  # a person's number, beside its range
+        unit = "" if value["unit"] == "1" else value["unit"]
+        none = f", none in {value['none']:.0%}" if value["none"] else ""
+        return f"{value['value']:<8g} {unit:9} [{value['low']:g} to {value['high']:g}{none}]"
     if isinstance(value, dict):
         return ", ".join(f"{key} {item}" for key, item in value.items()) or "-"
     return "-" if value is None else str(value)

@@ -4,11 +4,12 @@ import json as jsonlib
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from assistax_zoo.commands.options import Training, parse_names
 from assistax_zoo.commands.training.train import shown_training
 from assistax_zoo.shell.console import answer, command_line
+from zoo.ids import PERSONS
 from zoo.registry import load_registry
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ def train_ego(
     task: str,
     out: Path,
     split: str | None = None,
+    partners: Literal["persons"] | None = None,
     algorithm: str = "ppo",
     steps: str = "20M",
     preferences: str | None = None,
@@ -31,14 +33,14 @@ def train_ego(
     """Train robots with the partners of a split's training half, which stay as they are.
 
     Every partner gets the same share of the simulations, under its own disability setting, and acts
-    with its most likely action. The test half is never loaded. The robots are written as policy
-    files, the seeds of one method.
+    with its most likely action. The test half is never loaded. Each seed's robot is a policy file.
 
     Args:
         task: Task, such as scratch.
         out: Folder of the run; its folder policies holds a .safetensors file for each seed.
         split: Split whose training half are the partners: an id or the beginning of one; default
             the release's own.
+        partners: persons for a new person of the training side each episode, in place of networks.
         algorithm: ppo or sac.
         steps: Environment steps of each robot, such as 500k, 20M or 2e7; rounded up to whole
             updates.
@@ -64,6 +66,7 @@ def train_ego(
             load_registry(registry),
             task,
             split=split,
+            partners=partners,
             algorithm=algorithm,
             preferences=parse_names(preferences),
             **what,
@@ -81,13 +84,15 @@ def _report(egos: "TrainedEgos", json: bool, json_lines: bool) -> None:
     result = {
         "run": str(run.folder),
         "split": egos.split.id,
-        "partners": len(run.config.partners),
+        "partners": len(egos.split.train),
         "policies": [str(path) for path in egos.files],
     }
     files = egos.files[0] if len(egos.files) == 1 else egos.files[0].parent / "*.safetensors"
+    whom = "--split both"
+    if egos.split.rule == PERSONS:
+        whom = "--partners persons"
     lines = [
         f"{len(egos.files)} robots in {egos.files[0].parent}; next:",
-        f"assistax-zoo evaluate --task {run.config.task} --split both --policy "
-        f"{shlex.quote(str(files))}",
+        f"assistax-zoo evaluate --task {run.config.task} {whom} --policy {shlex.quote(str(files))}",
     ]
     answer(json, result, *([jsonlib.dumps(result)] if json_lines else lines))

@@ -1,6 +1,6 @@
 """Robots that learn with persons: is it worth to be told, or to remember?
 
-Three kinds of robot are trained with the training side's persons, one person a simulation, and play
+Three kinds of robot are trained with the training side's persons, a new one each episode, and play
 with persons that they never met: PPO, PPO that is told the person's wishes, and PPO with a memory.
 """
 
@@ -11,20 +11,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from assistax_base.files import write_json
-from assistax_envs import Env, EnvParams, make
-from assistax_envs.persons import PersonPlayer, person_params, persons
+from assistax_envs import Env, make
+from assistax_envs.persons import PersonPlayer, numbers, person_params, persons
 from evaluation.figures.bootstrap import Estimate, estimate
 from evaluation.figures.metrics import paired_difference
 from population.config import MIXED, Member, TrainConfig
-from population.environment import Environment
 from population.hyperparameters import PPOConfig
 from population.networks.policy import Policy
 from population.play.rollout import Rollout
 from population.runs.train import initial_state, make_trainer
-from population.trainers.frozen_partners import FrozenPartners
+from population.trainers.drawn_persons import DrawnPersons
 
 # Robots by name: what the environment tells them, and what the trainer changes. The first is what
 # the others are held against.
@@ -42,43 +40,6 @@ STRANGERS = {
 SIDE = 200  # persons of each
 EPISODES = 2  # with each of them
 RESULT = "persons.json"
-
-
-class PersonPartners(FrozenPartners):
-    """Persons in the human's seat, one in each simulation of a member, as trainers ask for them.
-
-    Args:
-        player: Acts for them.
-        rows: The persons [P, 25].
-    """
-
-    def __init__(self, player: PersonPlayer, rows: Float[np.ndarray, "P W"]) -> None:
-        self.role, self.player, self.rows = "human", player, rows
-        self.ids = tuple(f"person-{place}" for place in range(len(rows)))
-
-    @property
-    def params(self) -> jax.Array:
-        """Their rows, as `act` takes them."""
-        return jnp.asarray(self.rows)
-
-    def humans(self, num_envs: int, preferences: Sequence[str] = ()) -> EnvParams:
-        """Return their bodies and their own wishes [P]."""
-        return person_params(self.player.controller.task, self.rows)
-
-    def check(self, env: Environment, num_envs: int) -> None:
-        """Check that there is one for each simulation of a member."""
-        if num_envs != len(self):
-            raise ValueError(f"num_envs is {num_envs} with {len(self)} persons; give as many")
-
-    def initial_carry(self, simulations: int) -> Any:
-        """Return their minds before the first observation, [N, ...]."""
-        return self.player.initial_carry((simulations,))
-
-    def act(
-        self, params: jax.Array, carry: Any, obs: jax.Array, first: jax.Array, members: int
-    ) -> tuple[Any, jax.Array]:
-        """Return new minds and actions [N, 3] of obs [N, O]; N is [member, person]."""
-        return self.player.act({"row": jnp.tile(params, (members, 1))}, carry, obs, first)
 
 
 def train_with_persons(
@@ -99,7 +60,7 @@ def train_with_persons(
         folder: Gets `persons.json`.
         seeds: Of the robots.
         steps: Environment steps of each robot.
-        num_envs: Simulations of each robot, and persons that it learns with.
+        num_envs: Simulations of each robot.
         backend: Physics.
         horizon: Steps of an episode with strangers; the environment's if not given.
         progress: Called with a line after each kind of robot and side of strangers.
@@ -107,14 +68,14 @@ def train_with_persons(
     Returns:
         Returns [seed][person] and shares of safe success, by robot and side.
     """
-    rows, rng = persons(task), np.random.default_rng(0)
-    training = np.array([number for number in range(8000) if number % 10 != 9])
-    met = rows[np.sort(rng.choice(training, num_envs, replace=False))]
+    rows = persons(task)
+    met = rows[numbers("training")]
     earned: dict[str, Any] = {}
     for name, (told, changes) in ROBOTS.items():
         env = make(task, backend, told=told)
         config = PPOConfig(num_envs=num_envs, learning_rate=5e-4, anneal_lr=True, **changes)
-        policy, params = _train(env, PersonPartners(PersonPlayer(task), met), config, seeds, steps)
+        partners = DrawnPersons(PersonPlayer(task), met, "persons")
+        policy, params = _train(env, partners, config, seeds, steps)
         earned[name] = {}
         for side, (first, apart, family) in STRANGERS.items():
             strangers = rows[first::apart][:SIDE]
@@ -125,7 +86,7 @@ def train_with_persons(
 
 
 def _train(
-    env: Env, partners: PersonPartners, config: PPOConfig, seeds: Sequence[int], steps: int
+    env: Env, partners: DrawnPersons, config: PPOConfig, seeds: Sequence[int], steps: int
 ) -> tuple[Policy, Any]:
     """Return the robots' network and their parameters, leaves [M, ...]."""
     members = tuple(Member(seed, MIXED) for seed in seeds)

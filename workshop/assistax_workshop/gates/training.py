@@ -91,7 +91,13 @@ class OneEach(FrozenPartners):
         return tuple(p.initial_carry((count, simulations // count)) for p in self._policies)
 
     def act(
-        self, params: Any, carry: tuple[Carry, ...], obs: jax.Array, first: jax.Array, members: int
+        self,
+        params: Any,
+        carry: tuple[Carry, ...],
+        obs: jax.Array,
+        first: jax.Array,
+        members: int,
+        humans: Any = None,
     ) -> tuple[tuple[Carry, ...], jax.Array]:
         """See `FrozenPartners.act`."""
         [policy] = self._policies

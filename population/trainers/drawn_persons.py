@@ -1,0 +1,78 @@
+"""Persons as partners of an ego: each episode meets another, whom its key draws."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from assistax_envs import EnvParams
+from assistax_envs.persons import PersonPlayer, draw_persons, person_params
+from population.environment import Environment
+from population.trainers.frozen_partners import FrozenPartners
+
+
+class DrawnPersons(FrozenPartners):
+    """Persons of whom each episode draws one, by its key: a run that goes on meets the same ones.
+
+    Who is in a simulation stands in its `EnvParams`, as a place among the rows.
+
+    Args:
+        player: Acts for them.
+        rows: All of them [P, 25].
+        name: What they are called together, such as the id of their split.
+    """
+
+    def __init__(self, player: PersonPlayer, rows: Float[jax.Array, "P W"], name: str) -> None:
+        self.role, self.player, self.rows, self.ids = "human", player, jnp.asarray(rows), (name,)
+
+    @property
+    def params(self) -> jax.Array:
+        """Their rows, as `act` takes them."""
+        return self.rows
+
+    def check(self, env: Environment, num_envs: int) -> None:
+        """Check that they are of the environment's task.
+
+        Raises:
+            ValueError: They are not.
+        """
+        task = self.player.controller.task
+        if env.task != task:
+            raise ValueError(f"persons of {task} cannot sit in {env.task}; give those of its task")
+
+    def humans(self, num_envs: int, preferences: Sequence[str] = ()) -> EnvParams:
+        """Return the first person [N] in all simulations: `renewed` draws where episodes begin.
+
+        Raises:
+            ValueError: Preferences are given, and persons have wishes of their own.
+        """
+        if preferences:
+            raise ValueError("persons have wishes of their own; leave preferences out")
+        return self._of(jnp.zeros(num_envs, jnp.int32))
+
+    def renewed(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
+        """Return whom the episodes meet that begin from `keys` [N]."""
+        return self._of(draw_persons(keys, jnp.arange(len(self.rows), dtype=jnp.int32)))
+
+    def initial_carry(self, simulations: int) -> Any:
+        """Return their minds before the first observation, [N, ...]."""
+        return self.player.initial_carry((simulations,))
+
+    def act(
+        self,
+        params: jax.Array,
+        carry: Any,
+        obs: jax.Array,
+        first: jax.Array,
+        members: int,
+        humans: Any = None,
+    ) -> tuple[Any, jax.Array]:
+        """Return new minds and actions [N, 3] of obs [N, O]."""
+        return self.player.act({"row": params[humans.person]}, carry, obs, first)
+
+    def _of(self, places: jax.Array) -> EnvParams:
+        humans = person_params(self.player.controller.task, self.rows[places])
+        return dataclasses.replace(humans, person=places)

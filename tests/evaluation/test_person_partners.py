@@ -1,0 +1,180 @@
+"""Evaluations, cross-plays and trainings with persons in place of networks."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from assistax_base.errors import SplitError, UnknownIdError
+from assistax_envs.persons import numbers, person, person_params, persons
+from assistax_zoo import cross_play, evaluate
+from evaluation.cast.cast import choose_partners
+from evaluation.cast.roster import joined, registry_roster
+from evaluation.ego_training import prepare
+from evaluation.play.how import How
+from evaluation.play.runner import Runner
+from evaluation.play.study import make_job
+from evaluation.play.tiles import plan
+from evaluation.replay.replay import replay_folder
+from zoo.met.claims import claimed_met, declared_met, side_met
+from zoo.registry import load_registry
+
+TASK, EGO = "gentle_scratch", "gentle_scratch/ppo-ego-s0-v2/robot"
+CORNERS = "gentle_scratch/person-08*-v3"
+
+
+@pytest.mark.parametrize(
+    ("split", "patterns", "of", "count"),
+    [
+        (None, "persons", ("test",), 200),
+        ("persons", None, ("test",), 200),
+        ("persons:validation", None, ("validation",), 200),
+        ("validation", ["persons"], ("validation",), 200),
+        ("train", "persons", ("training",), 200),
+        ("both", "persons", ("training", "test"), 200),
+        (None, CORNERS, ("test",), 200),
+        (None, "gentle_scratch/person-000*9-v3", ("training", "validation"), 0),
+    ],
+)
+def test_a_user_says_of_which_side(split, patterns, of, count) -> None:
+    registry = load_registry()
+    if not count:  # each tenth is of validation, which the split of the test side has not
+        with pytest.raises(UnknownIdError, match="validation"):
+            choose_partners(registry, TASK, split, patterns)
+        return
+    chosen, humans = choose_partners(registry, TASK, split, patterns)
+    assert len(humans) == count
+    assert {person(TASK, entry.row).side for entry in humans} == set(of)
+    assert chosen.rule == "persons"
+
+
+def test_fewer_persons_are_a_part_of_more() -> None:
+    registry = load_registry()
+    some, more = (
+        {entry.id for entry in choose_partners(registry, TASK, None, "persons", most)[1]}
+        for most in (20, 50)
+    )
+    assert len(some) == 20 and len(more) == 50 and some < more
+    every = choose_partners(registry, TASK, "validation", "persons", 10_000)[1]
+    assert [entry.row for entry in every] == numbers("validation").tolist()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "words"),
+    [
+        ((TASK, None, ["persons", "gentle_scratch/ippo-*"]), ValueError, "play them apart"),
+        ((TASK, None, "gentle_scratch/ippo-*", 9), ValueError, "persons is 9"),
+        (("scratch", None, "persons"), SplitError, "no persons"),
+        ((TASK, "half", "persons"), ValueError, "none of persons"),
+        ((TASK, "persons-s0-v9", None), SplitError, "persons-s0-v3"),
+    ],
+)
+def test_what_is_no_choice_is_refused(arguments, error, words) -> None:
+    with pytest.raises(error, match=words):
+        choose_partners(load_registry(), *arguments)
+
+
+def job_of(rows: tuple[int, ...], **how):
+    registry = load_registry()
+    ids = [f"gentle_scratch/person-{row:05d}-v3/human" for row in rows]
+    robots = registry_roster(registry, [registry.policy(EGO)])
+    humans = registry_roster(registry, registry.known(ids))
+    return make_job(How(TASK, backend="native", **how), robots, humans)
+
+
+def test_persons_bring_their_bodies_and_wishes() -> None:
+    env, job = job_of((3, 8000, 9500))
+    assert job.preferences == () and job.episodes == 4
+    [chunk] = plan(job, 512)
+    _, block, ids = Runner(env, job)._block(chunk.tiles[0])  # private: what the environment gets
+    rows = [int(name.split("-")[1]) for name in ids]
+    expected = person_params(TASK, persons(TASK)[rows])
+    np.testing.assert_array_equal(block[2].elbow_range, expected.elbow_range)
+    np.testing.assert_array_equal(block[2].likes.force, expected.likes.force)
+    assert [len(stack["row"]) for stack in block[1]] == [2, 1]  # a stack for each family
+
+
+def test_preferences_and_company_are_refused() -> None:
+    with pytest.raises(ValueError, match="wishes of their own; leave preferences out"):
+        job_of((3,), preferences="p1")
+    _, job = job_of((3,))
+    registry = load_registry()
+    others = registry_roster(registry, [registry.policy("gentle_scratch/ippo-d1-s0-v2/human")])
+    with pytest.raises(ValueError, match="play them apart"):
+        dataclasses.replace(job, partners=joined(job.partners, others))
+    assert job_of((3,), series=3)[1].episodes == 6
+
+
+@pytest.mark.slow
+def test_a_person_plays_the_same_beside_others() -> None:
+    """Whoever plays beside it: values of another shape differ in rounding, which contacts grow."""
+    tables = {}
+    for rows in ((8000,), (8000, 8001, 8002)):
+        env, job = job_of(rows, episodes=2)
+        runner = Runner(env, job, length=40)
+        parts: list[pl.DataFrame] = []
+        runner.run(plan(job, 512), lambda _, played, parts=parts: parts.append(played))
+        tables[len(rows)] = pl.concat(parts).filter(pl.col("partner").str.contains("08000"))
+    one, three = tables[1], tables[3]
+    assert one["key"].to_list() == three["key"].to_list()
+    np.testing.assert_allclose(one["distance_mean"], three["distance_mean"], atol=1e-3)
+    assert (one["human_travel"].to_numpy() > 0.0).all()
+
+
+@pytest.mark.slow
+def test_an_evaluation_with_persons_is_replayed(tmp_path: Path) -> None:
+    options = {"episodes": 1, "backend": "fused", "progress": False}
+    result = evaluate(
+        EGO, task=TASK, partners="persons", persons=6, references=False, out=tmp_path, **options
+    )
+    assert result.episodes.height == 6 and "preference" not in result.episodes.columns
+    assert set(result.episodes["side"]) == {"test"}
+    assert set(result.episodes["partner_algorithm"]) <= {"spring", "muscle"}
+    report = replay_folder(tmp_path, load_registry(), sample=2, seed=0)
+    assert report.ok and report.exact, report.problems
+
+
+@pytest.mark.slow
+def test_a_cross_play_takes_persons(tmp_path: Path) -> None:
+    options = {"episodes": 1, "backend": "fused", "progress": False}
+    result = cross_play(
+        ["gentle_scratch/ippo-d1-s[01]-v2"],
+        "persons",
+        task=TASK,
+        persons=3,
+        out=tmp_path,
+        **options,
+    )
+    assert result.pairs.height == 6
+    assert (tmp_path / "crossplay.png").is_file()
+
+
+def test_a_robot_that_trains_with_persons_says_whom_it_meets() -> None:
+    registry = load_registry()
+    training = prepare(registry, TASK, partners="persons", steps=1)
+    assert training.config.partners == (training.split.id,)
+    assert training.summary.startswith("a new person each episode, of the 7200 of gentle_scratch/")
+    claim = training.met.claim
+    assert set(claim["met"]) == {"own", "split"}  # seven thousand names stand in no file
+    met = claimed_met(registry, claim)
+    assert met == side_met(registry, training.split).model_copy(update={"source": "file"})
+    assert met.partners["gentle_scratch/person-00042-v3"] == person(TASK, 42).identity
+    assert "gentle_scratch/person-00049-v3" not in met.partners
+    assert declared_met(registry, TASK, "persons").partners == met.partners
+    other = {"met": {"split": {**claim["met"]["split"], "sha256": "0" * 64}}}
+    assert not claimed_met(registry, other).known
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"partners": "people"}, "allowed are persons"),
+        ({"partners": "persons", "preferences": ["p1"]}, "leave preferences out"),
+        ({"partners": "persons", "split": "without-mep"}, "none of persons|custom"),
+    ],
+)
+def test_a_training_that_is_none_is_refused(changes, words) -> None:
+    with pytest.raises((ValueError, SplitError), match=words):
+        prepare(load_registry(), TASK, steps=1, **changes)

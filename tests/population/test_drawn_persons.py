@@ -1,0 +1,94 @@
+"""Robots that meet a new person each episode: whom they meet, and that a run can go on."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import assistax_envs
+from assistax_envs.persons import PersonPlayer, numbers, person_params, persons
+from population.config import MIXED, Member, TrainConfig
+from population.hyperparameters import PPOConfig
+from population.runs.train import initial_state, make_trainer
+from population.trainers.drawn_persons import DrawnPersons
+
+TASK = "gentle_scratch"
+ROWS = persons(TASK)[numbers("training")]
+
+
+@pytest.fixture(scope="module")
+def partners() -> DrawnPersons:
+    return DrawnPersons(PersonPlayer(TASK), jnp.asarray(ROWS), "everybody")
+
+
+def test_each_episode_brings_the_body_and_wishes_of_whom_its_key_draws(
+    partners: DrawnPersons,
+) -> None:
+    keys = jax.random.split(jax.random.key(3), 40)
+    humans = partners.renewed(partners.humans(40), keys)
+    met = np.asarray(humans.person)
+    assert len(set(met.tolist())) > 35  # of 7200
+    expected = person_params(TASK, ROWS[met])
+    for name in ("elbow_range", "likes"):
+        leaves = zip(
+            jax.tree.leaves(getattr(humans, name)),
+            jax.tree.leaves(getattr(expected, name)),
+            strict=True,
+        )
+        assert all(np.array_equal(here, there) for here, there in leaves)
+    again = partners.renewed(humans, keys[:7])
+    np.testing.assert_array_equal(again.person, met[:7])
+
+
+def test_who_is_there_is_who_acts(partners: DrawnPersons) -> None:
+    humans = partners.renewed(partners.humans(32), jax.random.split(jax.random.key(4), 32))
+    obs = 0.3 * jax.random.normal(jax.random.key(5), (32, 53))
+    first, carry = jnp.ones(32, bool), partners.initial_carry(32)
+    _, actions = partners.act(partners.params, carry, obs, first, 2, humans)
+    rows = {"row": jnp.asarray(ROWS)[humans.person]}
+    _, expected = partners.player.act(rows, carry, obs, first)
+    np.testing.assert_array_equal(actions, expected)
+    others = dataclasses.replace(humans, person=humans.person[::-1])
+    _, changed = partners.act(partners.params, carry, obs, first, 2, others)
+    assert not np.array_equal(actions, changed)
+
+
+def test_what_does_not_fit_is_refused(partners: DrawnPersons) -> None:
+    with pytest.raises(ValueError, match="wishes of their own; leave preferences out"):
+        partners.humans(4, ("p1",))
+    env = assistax_envs.make("gentle_bath", "native")
+    with pytest.raises(ValueError, match="persons of gentle_scratch cannot sit in gentle_bath"):
+        partners.check(env, 4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("torso", ["mlp", "gru"])
+def test_who_is_met_changes_where_an_episode_ends_and_a_run_goes_on(
+    partners: DrawnPersons, torso: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env = assistax_envs.make(TASK, "native")
+    monkeypatch.setattr(env, "episode_length", 6)
+    config = PPOConfig(num_envs=4, rollout_steps=4, minibatches=1, hidden=(8, 8), torso=torso)
+    run = TrainConfig(TASK, "ppo", (Member(0, MIXED),), 1, config, partners=partners.ids)
+    trainer = make_trainer(run, env, partners)
+    update = jax.jit(trainer.update)
+    hyper = trainer.hyper(run.members)
+    state, met, steps = initial_state(run, trainer), [], []
+    states = [state]
+    for _ in range(4):
+        met.append(np.asarray(state.simulations.env.params.person))
+        steps.append(np.asarray(state.simulations.env.step))
+        state, _ = update(state, hyper, partners.params)
+        states.append(state)
+    assert len(set(np.concatenate(met).tolist())) > 6
+    for before, after, old, new in zip(met, met[1:], steps, steps[1:], strict=False):
+        ended = new < old + config.rollout_steps
+        np.testing.assert_array_equal(before != after, ended)
+    again = states[2]
+    for _ in range(2):
+        again, _ = update(again, hyper, partners.params)
+    for here, there in zip(jax.tree.leaves(again), jax.tree.leaves(states[4]), strict=True):
+        if not jnp.issubdtype(here.dtype, jax.dtypes.prng_key):
+            np.testing.assert_array_equal(here, there)

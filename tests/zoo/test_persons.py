@@ -1,0 +1,188 @@
+"""Persons in the registry: found by id and glob, dealt into splits, held against their sha256."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from assistax_base.errors import (
+    ExportError,
+    IntegrityError,
+    LockError,
+    RegistryError,
+    RegistryVersionError,
+    SplitError,
+    UnknownIdError,
+)
+from assistax_envs.persons.rows import COUNT, person, persons, side
+from assistax_envs.versions import GENTLE_TASKS, VERSIONS
+from zoo.exports.card import find_cards, markdown_card
+from zoo.exports.policies import export_policy
+from zoo.history.merkle import leaves, lost_leaves, with_roots
+from zoo.ids import parse_person
+from zoo.locking import make_lock
+from zoo.parameters.storage import load_stacks
+from zoo.registry import Registry, load_registry, read_registry
+from zoo.transport.fetch import check_local
+from zoo.verify import verify
+
+ROOT = Path(__file__).parents[2]
+# What stood in the registry before it had persons.
+ROOTS = {
+    "v0": "59c61e2c4007e45aa96f4f852f4633e4f741753e06d80dac27b7d6758245576a",
+    "v1": "c793a38815adea5e3e61221726885b5a1358346242d9b2e1eb7509eb9b0455e5",
+    "v2": "64e5456a00b1e0ec1ff9afd68c7b02b11cf54de1fb25f66aca959a13cddbf774",
+}
+TASK, SOMEBODY = "gentle_scratch", "gentle_scratch/person-00042-v3/human"
+
+
+@pytest.fixture(scope="module")
+def official() -> Registry:
+    return read_registry(ROOT / "registry.json")
+
+
+def changed(official: Registry, folder: Path, **fields: object) -> Registry:
+    """Return a registry whose table of scratch's persons has other fields, with its roots."""
+    release = official.data.releases["v3"]
+    table = release.persons[TASK].model_copy(update=fields)
+    release = release.model_copy(update={"persons": {**release.persons, TASK: table}})
+    releases = {**official.data.releases, "v3": release}
+    data = with_roots(official.data.model_copy(update={"releases": releases}))
+    return dataclasses.replace(official, data=data, path=folder / "registry.json")
+
+
+def test_the_release_has_ten_thousand_persons_a_task(official: Registry) -> None:
+    release = official.data.releases["v3"]
+    assert tuple(sorted(release.persons)) == tuple(sorted(GENTLE_TASKS))
+    assert release.environments == {task: VERSIONS[task] for task in GENTLE_TASKS}
+    assert {table.count for table in release.persons.values()} == {COUNT}
+    assert official.release == "v2" and official.release_of(TASK) == "v2"  # v3 is not whole
+    assert {name: official.root(name) for name in ROOTS} == ROOTS
+
+
+def test_a_person_is_found_by_its_id(official: Registry) -> None:
+    entry, someone = official.policy(SOMEBODY), person(TASK, 42)
+    assert (entry.id, entry.role, entry.seed, entry.release) == (SOMEBODY, "human", 42, "v3")
+    assert entry.sha256 == someone.identity and entry.algorithm == "spring"
+    assert official.env_version(entry) == VERSIONS[TASK]
+    [stack] = load_stacks(official, [entry])
+    np.testing.assert_array_equal(stack.params["row"], someone.row[None])
+    check_local(official, [entry])
+    assert official.known([SOMEBODY, "gentle_scratch/ippo-d1-s0-v2/human", "nobody"])[1] == entry
+
+
+@pytest.mark.parametrize(
+    "missing",
+    [
+        "gentle_scratch/person-10000-v3/human",
+        "gentle_scratch/person-00042-v2/human",
+        "gentle_scratch/person-00042-v3/robot",
+        "gentle_scratch/person-42-v3/human",
+        "scratch/person-00042-v3/human",
+        "lab:gentle_scratch/person-00042-v3/human",
+    ],
+)
+def test_nobody_else_is_found(official: Registry, missing: str) -> None:
+    with pytest.raises(UnknownIdError):
+        official.policy(missing)
+
+
+def test_globs_find_persons_only_where_they_say_so(official: Registry) -> None:
+    corners = official.select("gentle_scratch/person-08*-v3")
+    assert [entry.row for entry in corners] == list(range(8000, 9000))
+    [stack] = load_stacks(official, corners)
+    np.testing.assert_array_equal(stack.params["row"], persons(TASK)[8000:9000])
+    both = load_stacks(official, official.select("gentle_scratch/person-*999-v3"))
+    assert [len(stack) for stack in both] == [9, 1]  # of two families
+    assert not any("person" in entry.id for entry in official.select("gentle_scratch/*"))
+    with pytest.raises(UnknownIdError):
+        official.select("gentle_scratch/person-*-v3", role="robot")
+    mixed = official.select(["gentle_scratch/person-0004*-v3", "gentle_scratch/ippo-d1-s0-v2"])
+    assert len(mixed) == 12
+
+
+def test_ids_of_persons_have_one_spelling() -> None:
+    assert parse_person(SOMEBODY) == ("", TASK, 42, "v3")
+    assert parse_person("lab:gentle_scratch/person-00042-v3") == ("lab", TASK, 42, "v3")
+    for text in ("gentle_scratch/person-042-v3", "gentle_scratch/person-00042", "person-00042-v3"):
+        assert parse_person(text) is None
+
+
+def test_persons_are_dealt_as_their_numbers_say(official: Registry) -> None:
+    test, validation = (official.split(TASK, name) for name in ("persons", "persons-validation"))
+    assert test.train == validation.train
+    for split, expected in ((test, "test"), (validation, "validation")):
+        sides = {"train": "training", "test": expected}
+        for name, dealt in sides.items():
+            numbers = [int(team.split("-")[1]) for team in getattr(split, name)]
+            assert numbers == [number for number in range(COUNT) if side(number) == dealt]
+        assert official.split(TASK, split.id) == split
+        assert official.split(TASK, split.id.removeprefix(f"{TASK}/")) == split
+    assert not set(validation.test) & {*test.train, *test.test}
+    with pytest.raises(SplitError, match="persons-s0-v3"):
+        official.split(TASK, "persons-s0-v3-00000000")
+    with pytest.raises(SplitError, match="no persons"):
+        official.split("scratch", "persons")
+
+
+def test_no_person_stands_on_two_sides(official: Registry) -> None:
+    identities = [person(TASK, number).identity for number in range(COUNT)]
+    assert len(set(identities)) == COUNT
+
+
+@pytest.mark.parametrize(
+    ("fields", "error", "words"),
+    [
+        ({"program": 2}, RegistryVersionError, "program 2"),
+        ({"sha256": "0" * 64}, IntegrityError, "sha256 000"),
+        ({"count": 9999}, IntegrityError, "9999 rows"),
+    ],
+)
+def test_other_rows_than_those_of_the_release_are_refused(
+    official: Registry, tmp_path: Path, fields: dict, error: type, words: str
+) -> None:
+    registry = changed(official, tmp_path, **fields)
+    for look in (lambda: registry.policy(SOMEBODY), lambda: registry.select("*/person-00042-v3")):
+        with pytest.raises(error, match=words):
+            look()
+    problems = verify(registry).problems
+    assert any(words in problem for problem in problems)
+
+
+def test_verify_counts_persons_and_published_ones_never_change(
+    official: Registry, tmp_path: Path
+) -> None:
+    report = verify(official)
+    assert report.ok and report.persons == 3 * COUNT
+    assert f"persons {TASK}" in leaves(official.data, "v3")
+    other = changed(official, tmp_path, program=2)
+    assert lost_leaves(official.data, other.data) == [f"persons {TASK}"]
+
+
+def test_persons_of_no_environment_are_refused(official: Registry, tmp_path: Path) -> None:
+    data = json.loads((ROOT / "registry.json").read_text())
+    data["releases"]["v3"]["persons"]["scratch"] = data["releases"]["v3"]["persons"][TASK]
+    path = tmp_path / "registry.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(RegistryError, match=r"releases.v3.persons"):
+        load_registry(path)
+
+
+def test_a_card_prints_each_number_beside_its_range(official: Registry) -> None:
+    for name in (SOMEBODY, SOMEBODY.removesuffix("/human")):
+        [card] = find_cards(official, name)
+    assert card["side"] == "training" and len(card["numbers"]) == 25
+    assert card["numbers"]["liked_force"] == {
+        "value": 7.014, "unit": "N", "low": 1.5, "high": 10.0, "none": 0.0,
+    }  # fmt: skip
+    assert json.loads(json.dumps(card)) == card
+    assert "| liked_force | 7.014 N | 1.5 to 10.0 |" in markdown_card([card])
+
+
+def test_a_lock_and_an_export_refuse_persons(official: Registry, tmp_path: Path) -> None:
+    with pytest.raises(LockError, match="the release's root pins"):
+        make_lock(official, [official.policy(SOMEBODY)])
+    with pytest.raises(ExportError, match="a person, who is a program"):
+        export_policy(SOMEBODY, "safetensors", tmp_path / "x.safetensors", lambda: official)

@@ -1,0 +1,214 @@
+"""The persons that a registry's releases name: found by id or glob, their table held to its sha256.
+
+A release names for each task the program, how many persons there are, and the sha256 of the table
+of their rows. Nothing is stored of a person: the formula gives the same rows everywhere.
+"""
+
+import functools
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+from assistax_base.digest import json_sha256, sha256
+from assistax_base.errors import IntegrityError, RegistryVersionError, SplitError
+from assistax_envs.disability import Disability
+from assistax_envs.persons.parameters import index
+from assistax_envs.persons.rows import COUNT, PROGRAM_VERSION, Person, numbers, person, persons
+from population.networks.stack import PolicyStack
+from zoo.ids import OWN, PERSON, PERSONS, compile_pattern, parse_person
+from zoo.namespaces import qualify_split, split_namespace
+from zoo.persons.seat import PersonSpec
+from zoo.schema import Persons, PolicyEntry, RegistryFile, Split, Training
+from zoo.splits import split_id
+
+VALIDATION = "validation"
+# Side of a split, by split: the persons of which sides of `rows.SIDES` these are.
+DEALT = {"": ("training", "test"), VALIDATION: ("training", VALIDATION)}
+
+
+def person_tables(data: RegistryFile) -> Iterator[tuple[str, str, Persons]]:
+    """Yield release, task and table of all persons, in the registry's order of releases."""
+    for release, entry in data.releases.items():
+        for task, table in entry.persons.items():
+            yield release, task, table
+
+
+def person_glob(task: str, release: str) -> str:
+    """Return the glob over all persons of a task in a release."""
+    return _team(task, 0, release).replace("-00000-", "-*-") + "/human"
+
+
+def described(task: str) -> Persons:
+    """Return what a release says of a task's persons as they are here."""
+    digest = _table_sha256(task)
+    return Persons(program=PROGRAM_VERSION, count=COUNT, sha256=digest)
+
+
+@functools.cache
+def _table_sha256(task: str) -> str:
+    return sha256(persons(task).astype("<f4").tobytes())
+
+
+@functools.cache
+def check_table(release: str, task: str, table: Persons) -> None:
+    """Hold a release's persons of a task against those that the installed program makes.
+
+    Raises:
+        RegistryVersionError: The program is another one.
+        IntegrityError: The rows are others.
+    """
+    here, what = described(task), f"persons of {task} in release {release}"
+    if table.program != here.program:
+        raise RegistryVersionError(
+            what,
+            f"persons of program {here.program}, as installed",
+            f"program {table.program}",
+            next_step="install the assistax-zoo of this release",
+        )
+    if table != here:
+        raise IntegrityError(
+            what,
+            f"{table.count} rows of sha256 {table.sha256}",
+            f"{here.count} rows of sha256 {here.sha256}",
+            "take the registry from where it was published, or report that this machine makes "
+            "other rows",
+            "nobody was loaded",
+        )
+
+
+def find_person(data: RegistryFile, policy: str) -> PolicyEntry | None:
+    """Return the entry of one person by its id; None where the registry has none of it."""
+    named = parse_person(policy)
+    if named is None:
+        return None
+    namespace, task, number, release = named
+    release = f"{namespace}:{release}" if namespace else release
+    table = data.releases[release].persons.get(task) if release in data.releases else None
+    if table is None or number >= table.count:
+        return None
+    check_table(release, task, table)
+    return _entry(data, release, person(task, number))
+
+
+def known_persons(data: RegistryFile, policies: Iterable[str]) -> list[PolicyEntry]:
+    """Return the entries of those of some ids that are persons' and that there are."""
+    return [someone for policy in policies if (someone := find_person(data, policy))]
+
+
+def select_persons(data: RegistryFile, patterns: Sequence[str]) -> list[PolicyEntry]:
+    """Return the entries of all persons that match one of several globs, in their order."""
+    matches = [compile_pattern(pattern).match for pattern in patterns]
+    entries = []
+    for release, task, table in person_tables(data):
+        teams = [_team(task, number, release) for number in range(table.count)]
+        chosen = [
+            number
+            for number, team in enumerate(teams)
+            if any(match(team) or match(f"{team}/human") for match in matches)
+        ]
+        if chosen:
+            check_table(release, task, table)
+        entries += [_entry(data, release, person(task, number)) for number in chosen]
+    return entries
+
+
+def identities(teams: Iterable[str]) -> dict[str, str | None]:
+    """Return the sha256 of persons by their ids without a role, as releases of today have them."""
+    named = {team: parse_person(team) for team in teams}
+    return {team: person(of[1], of[2]).identity for team, of in named.items() if of}
+
+
+def person_stacks(entries: Sequence[PolicyEntry]) -> tuple[PolicyStack[Any], ...]:
+    """Return a stack of rows for each task and family, in the order in which they first occur."""
+    by_spec: dict[Any, list[PolicyEntry]] = {}
+    for entry in entries:
+        by_spec.setdefault(entry.spec, []).append(entry)
+    return tuple(
+        PolicyStack(
+            spec, tuple(e.id for e in some), {"row": persons(spec.task)[[e.row for e in some]]}
+        )
+        for spec, some in by_spec.items()
+    )
+
+
+def person_splits(data: RegistryFile, task: str) -> Iterator[Split]:
+    """Yield the splits of a task's persons, of which nothing is stored either.
+
+    Of each release one is tested with the test side's, and one with the validation side's.
+    """
+    for release, of, _ in person_tables(data):
+        if of == task:
+            yield from (_split(task, release, side) for side in DEALT)
+
+
+def person_split(data: RegistryFile, task: str, name: str) -> Split | None:
+    """Return the split of persons that an id, or its beginning, names; None of another split.
+
+    Raises:
+        SplitError: It is called a split of persons, and there is none of this name.
+    """
+    namespace, plain = split_namespace(name)
+    plain = plain.removeprefix(f"{task}/")
+    if not re.match(rf"{PERSONS}(-|$)", plain):
+        return None
+    known = [split for split in person_splits(data, task)]
+    full = f"{namespace}:{task}/{plain}" if namespace else f"{task}/{plain}"
+    matching = [split for split in known if split.id == full]
+    side = VALIDATION if plain == f"{PERSONS}-{VALIDATION}" else None
+    if not matching and plain in (PERSONS, f"{PERSONS}-{VALIDATION}"):
+        matching = [
+            split
+            for split in known
+            if split.held_out == side and split_namespace(split.id)[0] == namespace
+        ][-1:]  # of the newest release that has any
+    if not matching:
+        allowed = ", ".join(split.id for split in known) or "none, for it has no persons"
+        raise SplitError(f"split {name} of task {task}", f"one of {allowed}", "none of this name")
+    return matching[0]
+
+
+@functools.cache
+def _split(task: str, release: str, held_out: str) -> Split:
+    namespace, plain = split_namespace(release)
+    train, test = (
+        tuple(_team(task, n, plain) for n in numbers(side).tolist()) for side in DEALT[held_out]
+    )
+    fields = {"task": task, "release": plain, "rule": PERSONS, "held_out": held_out or None}
+    content = {**fields, "n": None, "seed": 0, "train": train, "test": test}
+    names = {"id": split_id(content), "sha256": json_sha256(content)}
+    split = Split.model_validate({**content, **names})
+    return qualify_split(split, namespace) if namespace else split
+
+
+def _entry(data: RegistryFile, release: str, someone: Person) -> PolicyEntry:
+    team = _team(someone.task, someone.number, release)
+    spec: Any = PersonSpec(someone.task, someone.family)
+    return PolicyEntry(
+        id=f"{team}/human",
+        team=team,
+        task=someone.task,
+        algorithm=someone.family,
+        role="human",
+        disability=OWN,
+        # Strength and tremor are in what a person does, see `assistax_envs.persons.player`.
+        setting=Disability(1.0, float(someone.row[index(someone.task)["range"]]), 0.0),
+        seed=someone.number,
+        release=release,
+        spec=spec,
+        shard="",
+        row=someone.number,
+        sha256=someone.identity,
+        run="",
+        training=_untrained(data.releases[release].environments[someone.task]),
+        self_play=None,
+    )
+
+
+@functools.cache
+def _untrained(version: int) -> Training:
+    return Training(steps=0, env_version=version, backend="none")
+
+
+def _team(task: str, number: int, release: str) -> str:
+    namespace, plain = split_namespace(release)
+    return f"{namespace}{':' * bool(namespace)}{task}/{PERSON}-{number:05d}-{plain}"

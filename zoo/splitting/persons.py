@@ -1,0 +1,84 @@
+"""What a user asks of persons: of which side, which of them, and how many."""
+
+from collections.abc import Sequence
+
+from assistax_base.digest import sha256
+from assistax_base.errors import UnknownIdError
+from zoo.ids import PERSONS, names_persons
+from zoo.persons.registered import VALIDATION, known_persons, person_split, select_persons
+from zoo.schema import PolicyEntry, RegistryFile, Split
+from zoo.splitting.sides import SIDES
+
+MOST = 200  # persons of a side, where nobody says how many: a command then takes minutes
+
+
+def asks_for_persons(split: str | None, patterns: str | Sequence[str] | None) -> bool:
+    """Return whether persons are meant, by a split's name or by all patterns over partners.
+
+    Raises:
+        ValueError: Persons stand beside other partners.
+    """
+    texts = [patterns] if isinstance(patterns, str) else list(patterns or ())
+    named = [text for text in texts if text == PERSONS or names_persons(text)]
+    if named and len(named) < len(texts):
+        other = next(text for text in texts if text not in named)
+        raise ValueError(
+            f"partners are {named[0]!r} beside {other!r}; persons bring wishes of their own, so "
+            "play them apart from others"
+        )
+    return bool(named) or PERSONS in (split or "")
+
+
+def choose_persons(
+    data: RegistryFile,
+    task: str,
+    split: str | None,
+    patterns: str | Sequence[str] | None,
+    most: int | None = None,
+) -> tuple[Split, list[PolicyEntry]]:
+    """Return the split that is meant, and the persons of its side that are to be played.
+
+    Args:
+        data: The registry.
+        task: Whose persons.
+        split: A side (test, validation, train, both), by default test, or of globs both; a split of
+            persons, or its beginning; or both, as "persons:validation".
+        patterns: "persons", or globs over persons.
+        most: How many of those that match; which is a draw that does not depend on how many, and
+            fewer are a part of more.
+
+    Raises:
+        ValueError: There is no such side, or no such person on it.
+        ZooError: The registry has no persons of the task, or not unchanged.
+    """
+    texts = [patterns] if isinstance(patterns, str) else list(patterns or ())
+    globs = [text for text in texts if text != PERSONS]
+    name, side = _parsed(split, default="both" if globs else "test")
+    dealt = person_split(data, task, name)
+    if dealt is None:
+        raise ValueError(f"split {split!r} is none of persons; name {PERSONS}, or one of its sides")
+    wanted = [team for of in SIDES[side] for team in getattr(dealt, of)]
+    if globs:
+        matching = {entry.team for entry in select_persons(data, globs)}
+        wanted = [team for team in wanted if team in matching]
+    if not wanted:
+        raise UnknownIdError(
+            f"persons {', '.join(globs)}",
+            f"persons on the {side} side of {dealt.id}",
+            "none that match",
+            f"choose others, or another side: {', '.join((*SIDES, VALIDATION))}",
+        )
+    drawn = sorted(wanted, key=lambda team: sha256(team.encode()))[: MOST if most is None else most]
+    return dealt, known_persons(data, sorted(f"{team}/human" for team in drawn))
+
+
+def _parsed(text: str | None, default: str) -> tuple[str, str]:
+    """Return a split's name and a side of it, of what a user says."""
+    sides = (*SIDES, VALIDATION)
+    name, _, side = (text or "").rpartition(":")
+    if side not in sides:
+        name, side = text or "", default
+    if side == VALIDATION:
+        namespace = name.rpartition(":")[0] + ":" * (":" in name)
+        return f"{namespace}{PERSONS}-{VALIDATION}", "test"
+    return name or PERSONS, side
