@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 from assistax_base.files import atomic_path
-from assistax_envs import Disability, Env, EnvState, disability_params
+from assistax_envs import Disability, Env, EnvParams, EnvState, disability_params
 from assistax_envs.preferences import check_preferences
 from evaluation.cast.seats import Seated, seat_policy
 from evaluation.play.jobs import episode_seeds
@@ -45,6 +45,7 @@ def play(
     episode: int = 0,
     preference: str | None = None,
     partner: str | None = None,
+    humans: EnvParams | None = None,
 ) -> Iterator[EnvState]:
     """Yield the states of one episode, each [1], from its start on.
 
@@ -59,11 +60,12 @@ def play(
         episode: which episode of that evaluation.
         preference: what the human of a gentle task likes; drawn if not given.
         partner: the human's id, if it is a partner of the zoo: its starts are its own.
+        humans: a person's own body and wishes [1], in place of a setting and a preference.
     """
     key = jax.random.key(np.uint32(episode_seeds(seed, [episode], partner)[0]))
     preferences = None if preference is None else [preference]
     reset, step = _programs(env)
-    state = reset(key[None], disability_params([disability], preferences))
+    state = reset(key[None], humans or disability_params([disability], preferences))
     yield state
     for _ in range(env.episode_length if steps is None else steps):
         seats = {"robot": robot, "human": human}
@@ -112,6 +114,11 @@ class Pair:
         self.env, self.references = env, {"robot": robot, "human": human}
         self._registry, self._seed, self._preference = registry, seed, preference
         self.seats = self._seated(0)
+        if self.seats["human"].humans is not None and (disability or preference):
+            raise ValueError(
+                f"{human} is a person, with a body and wishes of its own; leave disability and "
+                "preference out"
+            )
         self.setting = disability or self.seats["human"].setting or "d1"
 
     def _seated(self, episode: int) -> dict[str, Seated]:
@@ -141,9 +148,10 @@ class Pair:
 
         seats = self._seated(episode) if episode else self.seats
         acting = (heard(role, act) for role, act in seats.items())
-        card = self.seats["human"].card
-        partner = None if card is None else card.id
-        options = {"episode": episode, "preference": self._preference, "partner": partner}
+        human = self.seats["human"]
+        partner = None if human.card is None else human.card.id
+        options: dict[str, Any] = {"episode": episode, "preference": self._preference}
+        options |= {"partner": partner, "humans": human.humans}
         yield from play(
             self.env, *acting, self.setting, self._seed, self.length, stepped, **options
         )

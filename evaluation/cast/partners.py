@@ -48,6 +48,12 @@ class Partner:
         self._params = jax.device_put(params)
         self._carry: Any = None
 
+    @property
+    def humans(self) -> Any:
+        """A person's own `EnvParams` [1], its body and wishes; None of others."""
+        own = getattr(self.spec, "humans", None)
+        return own and own(jax.tree.map(lambda leaf: leaf[None], self._params))
+
     def reset(self, rows: int | None = None) -> None:
         """Forget the episode; `rows`, how many begin, is what evaluators say, and is not needed."""
         del rows

@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -26,6 +27,7 @@ class Seated:
     act: Callable[[np.ndarray], np.ndarray]
     setting: Disability | None = None  # a human's, where its zoo or its file says it
     card: PolicyEntry | None = None  # of a policy of the zoo
+    humans: Any = None  # a person's own `EnvParams` [1]
 
     def __call__(self, obs: Float[np.ndarray, " O"]) -> Float[np.ndarray, " A"]:
         """Act once."""
@@ -76,7 +78,7 @@ def seat_policy(
 def _seated(policy: Partner, role: str, env: Environment, task: str) -> Seated:
     """Return a policy in its seat, which must be the role's."""
     check_seat(policy.id, policy.spec, role, env, task)
-    return Seated(policy.act, policy.setting, policy.card)
+    return Seated(policy.act, policy.setting, policy.card, policy.humans)
 
 
 def _outside(reference: str, role: str, env: Environment, registry: Registry, task: str) -> Seated:

@@ -8,11 +8,15 @@ import polars as pl
 import pytest
 
 from assistax_base.errors import SplitError, UnknownIdError
+from assistax_envs import Disability, make
 from assistax_envs.persons import numbers, person, person_params, persons
+from assistax_envs.persons.parameters import index
 from assistax_zoo import cross_play, evaluate
 from evaluation.cast.cast import choose_partners
+from evaluation.cast.partners import zoo_partner
 from evaluation.cast.roster import joined, registry_roster
 from evaluation.ego_training import prepare
+from evaluation.film import Pair
 from evaluation.play.how import How
 from evaluation.play.runner import Runner
 from evaluation.play.study import make_job
@@ -105,6 +109,22 @@ def test_preferences_and_company_are_refused() -> None:
     with pytest.raises(ValueError, match="play them apart"):
         dataclasses.replace(job, partners=joined(job.partners, others))
     assert job_of((3,), series=3)[1].episodes == 6
+
+
+def test_a_film_shows_a_person_with_its_own_body_and_wishes() -> None:
+    registry = load_registry()
+    name = "gentle_scratch/person-00042-v3"
+    partner, row = zoo_partner(registry, name), persons(TASK)[[42]]
+    np.testing.assert_array_equal(partner.humans.likes.force, person_params(TASK, row).likes.force)
+    assert partner.setting == Disability(1.0, float(row[0][index(TASK)["range"]]), 0.0)
+    env = make(TASK, "native")
+    pair = Pair(env, "zero", name, lambda: registry, steps=1)
+    *_, state = pair.play(lambda: None)
+    np.testing.assert_array_equal(state.params.likes.force, partner.humans.likes.force)
+    assert np.abs(partner.act(np.zeros(partner.spec.observation_size, np.float32))).max() <= 1.0
+    for options in ({"preference": "p1"}, {"disability": "d3"}):
+        with pytest.raises(ValueError, match="leave disability and preference out"):
+            Pair(env, "zero", name, lambda: registry, **options)
 
 
 @pytest.mark.slow

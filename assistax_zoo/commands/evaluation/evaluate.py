@@ -7,9 +7,11 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from assistax_base.errors import listing
 from assistax_zoo.commands.options import Against, Engine, Source
 from assistax_zoo.shell.console import answer, new_table, print_json, print_table, stdout_is_data
 from evaluation.play.how import How
+from zoo.ids import OWN
 
 Figure = dict[str, Any] | None
 
@@ -176,7 +178,7 @@ def _print_evaluation(summary: dict[str, Any]) -> None:
     rows = [(name, summary[key]) for name, key in names]
     for key in ("by_algorithm", "by_disability", "by_preference", "by_place"):
         word = "episode " * (key == "by_place")
-        rows += [(f"  {word}{name}", figure) for name, figure in summary[key].items()]
+        rows += [(f"  {word}{name}", fig) for name, fig in summary[key].items() if name != OWN]
     _print_figures(title, rows)
     if summary["safe_success"]:
         rows = [(name, summary[name.replace(" ", "_")]) for name in ("safe success", "violations")]
@@ -192,6 +194,9 @@ def _print_evaluation(summary: dict[str, Any]) -> None:
 def _print_references(references: dict[str, Figure], relative: dict[str, Any]) -> None:
     rows = [(name.replace("_", " "), figure) for name, figure in references.items()]
     _print_figures("to compare with: the same partners and episodes", rows)
+    if relative["normalised_return"] is None:
+        print("nobody's best response is known, so that nothing is relative to one")
+        return
     rows = [("normalised return", relative["normalised_return"]), ("BR-Prox", relative["br_prox"])]
     title = "relative to zero action (0) and the best response known (1)"
     _print_figures(title, rows, "share of that range", digits=2)
@@ -200,8 +205,9 @@ def _print_references(references: dict[str, Figure], relative: dict[str, Any]) -
             f"regret {relative['regret']['mean']:.1f}; within {coverage['epsilon']:.0%} of the "
             f"best response: {coverage['value']:.0%}"
         )
-    if unscorable := ", ".join(relative["unscorable"]):
-        print(f"without a scale, best response at or below zero action: {unscorable}")
+    if unscorable := relative["unscorable"]:
+        names = listing(unscorable, 5)
+        print(f"without a scale, best response at or below zero action: {names}")
 
 
 def _print_crossplay(summary: dict[str, Any]) -> None:
