@@ -241,7 +241,7 @@ def play_share(
         progress: Show it, or a function that is told of it.
     """
     cast = _population(egos, partners, how.task, release, zoo, lock, persons)
-    env, job = make_job(how, cast.robots, cast.humans, cast.sides)
+    env, job = make_job(how, cast.robots, cast.humans, cast.sides, cast.version)
     with chosen_progress(progress, study_progress(f"crossplay {how.task}")) as shown:
         return run_share(env, job, out, share, max_envs=how.max_envs, on_progress=shown)
 

@@ -9,6 +9,7 @@ from assistax_zoo.zoos import Zoo, open_zoo
 
 if TYPE_CHECKING:
     from evaluation.film import Pair
+    from zoo.registry import Registry
 
 
 def render(
@@ -61,11 +62,17 @@ def render(
     """
     from assistax_envs import make
     from assistax_envs.interrupts import interruptible
+    from evaluation.cast.seats import version_of
     from evaluation.film import Pair
 
     rates = _rates(Path(out), fps, (width, height), sheet)
     who = {"disability": disability, "preference": preference}
-    env, registry = make(task, "native"), lambda: open_zoo(zoo).registry
+
+    def registry() -> "Registry":
+        return open_zoo(zoo).registry
+
+    version = version_of({"robot": robot, "human": human}, task, registry)
+    env = make(task, "native", version=version)
     pair = Pair(env, robot, human, registry, steps=steps, seed=seed, **who)
     caption = (f"robot {robot}", f"human {human}")
     size = {"camera": camera, "width": width, "height": height, "caption": caption}

@@ -65,11 +65,14 @@ def trajectories(
     """
     from assistax_envs import make
     from assistax_envs.interrupts import interruptible
+    from evaluation.cast.seats import version_of
     from evaluation.film import Pair
 
     if episodes < 1:
         raise ValueError(f"episodes is {episodes}; give at least 1")
-    env, registry = make(task, backend), open_zoo(zoo).registry
+    registry = open_zoo(zoo).registry
+    version = version_of({"robot": robot, "human": human}, task, lambda: registry)
+    env = make(task, backend, version=version)
     who = {"disability": disability, "preference": preference}
     pair = Pair(env, robot, human, lambda: registry, steps=steps, seed=seed, **who)
     table = interruptible(lambda check: _record_all(pair, episodes, check, on_step))

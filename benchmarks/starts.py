@@ -51,7 +51,7 @@ def measure_luck(task: str, robot: str, seeds: int, *, backend: str = "auto") ->
     robots = read_egos([robot], registry, task)
     cast = Cast.of(registry, task=task, robots=robots, humans=partners, split=split)
     how = How(task, episodes * seeds, backend=backend)
-    env, job = make_job(how, cast.robots, cast.humans, cast.sides)
+    env, job = make_job(how, cast.robots, cast.humans, cast.sides, cast.version)
     if split.preferences:
         job = job.with_side_preferences(split.preferences)
     returns = {

@@ -81,12 +81,12 @@ def cross_play(
         ValueError: The folder holds another job, or cannot be written.
     """
     check_folder(folder)
-    env, job = make_job(how, cast.robots, cast.humans, cast.sides)
+    env, job = make_job(how, cast.robots, cast.humans, cast.sides, cast.version)
     options: dict[str, Any] = {"max_envs": how.max_envs, "on_progress": on_progress}
     if replace:
         make_way(env, job, folder)
     if cluster is not None:
-        make_env = partial(type(env), how.task, env.backend)
+        make_env = partial(type(env), how.task, env.backend, version=cast.version)
         run_blocks_on_ray(make_env, job, folder, cluster, **options)
     result = run_job(env, job, folder, **options)
     releases = ", ".join(cast.releases)

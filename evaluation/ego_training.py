@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assistax_base.files import atomic_write
+from assistax_envs.versions import VERSIONS
 from population.config import MIXED, Member, TrainConfig, check_names, make_run, numbered
 from population.hyperparameters import TrainerConfig, preset
 from population.runs.logged_run import run_training
@@ -116,6 +117,7 @@ def prepare(
         updates_per_call=updates_per_call,
         partners=frozen.ids,
         preferences=preferences or chosen.preferences.get("train", ()),
+        env_version=_older_version(registry, chosen),
     )
     return EgoTraining(config, frozen, chosen, side_met(registry, chosen), trainer.num_envs)
 
@@ -197,6 +199,15 @@ def _chosen_split(registry: Registry, task: str, split: str | None, partners: st
     return chosen
 
 
+def _older_version(registry: Registry, split: Split) -> int | None:
+    """Return the version of the environment that a split's partners play; None for the newest."""
+    from evaluation.cast.cast import env_version
+
+    entries = registry.known(f"{team}/human" for team in split.train)
+    version = env_version(registry, split.task, entries)
+    return None if version == VERSIONS[split.task] else version
+
+
 def _load_frozen(registry: Registry, split: Split, preferences: Sequence[str]) -> "FrozenPartners":
     if split.rule != PERSONS:
         return load_partners(registry, split)
@@ -211,11 +222,9 @@ def _load_frozen(registry: Registry, split: Split, preferences: Sequence[str]) -
 def load_persons(registry: Registry, split: Split) -> "FrozenPartners":
     """Return the persons of a split's training side, of whom each episode draws one."""
     from assistax_envs.persons import PersonPlayer
-    from evaluation.cast.cast import check_env_version
     from population.trainers.drawn_persons import DrawnPersons
 
     entries = registry.known(f"{team}/human" for team in split.train)
-    check_env_version(registry, entries[:1])
     [stack] = load_stacks(registry, entries)  # the training side is of one family
     return DrawnPersons(PersonPlayer(split.task), stack.params["row"], split.id)
 

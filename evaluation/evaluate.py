@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from assistax_envs.versions import VERSIONS
 from evaluation.cast.cast import Cast
 from evaluation.cast.egos import probe_egos, read_egos
 from evaluation.cast.met_partners import check_new
@@ -104,7 +103,7 @@ def evaluate(
     if references is not None:
         advice = f"choose another cache with ${CACHE_VARIABLE}, or leave reference egos out"
         check_folder(references, advice)
-    pairs = None if crossplay is None else _crossplay_pairs(crossplay, cast.task)
+    pairs = None if crossplay is None else _crossplay_pairs(crossplay, cast.task, cast.version)
     check_new(cast.sides, cast.met.left_out(cast.sides), include_own)
     env, job, split = _job(cast, how, references is not None)
     playing: dict[str, Any] = {"max_envs": how.max_envs, "on_progress": on_progress}
@@ -128,7 +127,7 @@ def _job(cast: Cast, how: How, baselines: bool) -> "tuple[Env, Job, Split]":
     """Return the environment, the job, and the split that it is of; robots from outside answer."""
     if cast.split is None or (baselines and not cast.baselines):
         raise ValueError("the cast has no split, or no baselines; make it with `cast_robots`")
-    env, job = make_job(how, cast.robots, cast.humans, cast.sides)
+    env, job = make_job(how, cast.robots, cast.humans, cast.sides, cast.version)
     probe_egos(cast.robots, cast.task, env.observation_size["robot"], env.action_size["robot"])
     if cast.split.preferences and how.preferences is None:
         job = job.with_side_preferences(cast.split.preferences)
@@ -143,14 +142,14 @@ def _own_files(cast: Cast, crossplay: Path | None) -> list[Path]:
     return files
 
 
-def _crossplay_pairs(folder: Path, task: str) -> pl.DataFrame:
+def _crossplay_pairs(folder: Path, task: str, env_version: int) -> pl.DataFrame:
     """Read the pairs of a finished cross-play of this task and environment version."""
     check_whole(folder)
     summary = tables.read_json(folder / tables.SUMMARY_FILE)
     its_task, version = summary.get("task"), summary.get("env_version")
-    if (its_task, version) != (task, VERSIONS[task]):
+    if (its_task, version) != (task, env_version):
         raise ValueError(
             f"{folder} is of task {its_task}, environment version {version}; best responses are of "
-            f"a cross-play of {task}, version {VERSIONS[task]}"
+            f"a cross-play of {task}, version {env_version}"
         )
     return tables.read_parquet(folder / tables.PAIRS_FILE)

@@ -54,6 +54,7 @@ class TrainConfig:
     # What their humans like, in turns; all, drawn anew each episode, if none are named.
     preferences: Many[str] = ()
     precision: Precision = "float32"  # of the parameters that are written, and then evaluated
+    env_version: PositiveInt | None = None  # of the environment; the newest if not given
 
     def __post_init__(self) -> None:
         if self.preferences:
@@ -120,6 +121,8 @@ class TrainConfig:
             del content["preferences"]
         if self.precision == "float32":
             del content["precision"]
+        if self.env_version is None:
+            del content["env_version"]
         return content
 
     @classmethod
@@ -144,6 +147,7 @@ def make_run(
     partners: Sequence[str] = (),
     preferences: Sequence[str] = (),
     precision: Precision = "float32",
+    env_version: int | None = None,
 ) -> TrainConfig:
     """Return a run; what is None is the trainer's own."""
     return TrainConfig(
@@ -158,6 +162,7 @@ def make_run(
         partners=tuple(partners),
         preferences=tuple(preferences),
         precision=precision,
+        env_version=env_version,
     )
 
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from assistax_base.errors import RegistryVersionError, SplitError, listing
-from assistax_envs.versions import VERSIONS
+from assistax_envs.versions import PLAYABLE, VERSIONS
 from evaluation.cast.met_partners import MetPartners, declare, describe_met, met_partners
 from evaluation.cast.roster import Roster, paired_rosters, registry_roster
 from evaluation.record.manifest import describe_sources
@@ -27,6 +27,7 @@ class Cast:
     """Robots and the humans that they meet."""
 
     task: str
+    version: int  # of the task's environment, in which all that are published were trained
     robots: Roster
     humans: Roster
     split: Split | None  # of the humans; None of a population without one
@@ -68,11 +69,12 @@ class Cast:
             ZooError: The registry cannot give them, or they are of another environment version.
         """
         published = [entry for entry in registry.policies if entry.id in robots.members]
-        check_env_version(registry, [*published, *humans])
+        version = env_version(registry, task, [*published, *humans])
         robots = declare(robots, registry, task, trained_with)
         entries = entries_of(registry, robots, humans, baselines)
         return cls(
             task=task,
+            version=version,
             robots=robots,
             humans=registry_roster(registry, humans),
             split=split,
@@ -155,25 +157,37 @@ def release_in(registry: Registry, task: str, release: str | None, namespace: st
     return f"{namespace}:{release}" if namespace and ":" not in release else release
 
 
-def check_env_version(registry: Registry, entries: Sequence[PolicyEntry]) -> None:
-    """Refuse policies of a release whose environment is not the installed version."""
-    for entry in entries:
-        version, trained = VERSIONS[entry.task], registry.env_version(entry)
-        if trained == version:
+def env_version(registry: Registry, task: str, entries: Sequence[PolicyEntry]) -> int:
+    """Return the version of a task's environment that policies of a registry play together.
+
+    It is that in which all of them were trained; the newest where there are none.
+
+    Raises:
+        RegistryVersionError: They were trained in several versions, or in one that cannot be played
+            here.
+    """
+    playable, version = PLAYABLE[task], VERSIONS[task]
+    for place, entry in enumerate(entries):
+        trained = registry.env_version(entry)
+        if trained == version or (place == 0 and trained in playable):
+            version = trained
             continue
         fitting = [
             name
             for name, release in registry.data.releases.items()
-            if release.environments.get(entry.task) == version
+            if release.environments.get(task) in ((version,) if place else playable)
         ]
+        others = f"as {entries[0].id} was trained" if place else "as installed"
         raise RegistryVersionError(
             f"policy {entry.id}",
-            expected=f"version {version} of environment {entry.task}, as installed",
+            expected=f"version {version if place else listing(map(str, playable))} of environment "
+            f"{task}, {others}",
             found=f"release {entry.release}, trained on version {trained}",
             done="nothing was evaluated",
             next_step="choose policies of a release of this version (here "
             f"{listing(fitting)}), or install the assistax-zoo of release {entry.release}",
         )
+    return version
 
 
 def entries_of(

@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from assistax_envs.disability import DISABILITY_SETTINGS, Disability
+from assistax_envs.versions import VERSIONS
+from evaluation.cast.cast import env_version
 from evaluation.cast.egos import call_ego, read_egos
 from evaluation.cast.partners import Partner, zoo_partner
 from evaluation.cast.robot_names import parse_reference
@@ -73,6 +75,23 @@ def seat_policy(
         setting = DISABILITY_SETTINGS.get(str(metadata.get("disability")))
         policy = Partner(reference, spec, params, setting)
     return _seated(policy, role, env, task)
+
+
+def version_of(references: Mapping[str, str], task: str, registry: Callable[[], Registry]) -> int:
+    """Return the version of the environment that policies of a zoo play together.
+
+    Args:
+        references: By role, as in `seat_policy`.
+        task: The environment's.
+        registry: Read where a reference asks for it.
+
+    Raises:
+        ZooError: Policies are not there, or play no version together.
+    """
+    named = {role: parse_reference(reference) for role, reference in references.items()}
+    sources = [(role, name.source) for role, name in named.items() if name.kind == "zoo"]
+    entries = [entry for role, source in sources for entry in registry().select(source, role=role)]
+    return env_version(registry(), task, entries) if entries else VERSIONS[task]
 
 
 def _seated(policy: Partner, role: str, env: Environment, task: str) -> Seated:

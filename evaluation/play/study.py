@@ -21,12 +21,19 @@ if TYPE_CHECKING:
 
 
 def make_job(
-    how: How, robots: Roster, humans: Roster, sides: Mapping[str, str] | None = None
+    how: How,
+    robots: Roster,
+    humans: Roster,
+    sides: Mapping[str, str] | None = None,
+    version: int | None = None,
 ) -> "tuple[Env, Job]":
-    """Return the environment and the job of robots with humans, on their sides of a split."""
+    """Return the environment and the job of robots with humans, on their sides of a split.
+
+    `version` is the environment's; the newest if not given.
+    """
     from assistax_envs import make
 
-    env = make(how.task, backend=how.backend)
+    env = make(how.task, backend=how.backend, version=version)
     persons = brings_wishes(humans)
     episodes, turns = how.episodes_of_pair, how.turns
     if persons:

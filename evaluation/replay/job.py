@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from assistax_base.errors import SplitError
-from evaluation.cast.cast import check_env_version, entries_of, in_release, roots_of, sides_of
+from evaluation.cast.cast import entries_of, env_version, in_release, roots_of, sides_of
 from evaluation.cast.egos import read_egos
 from evaluation.cast.met_partners import MetPartners, declare, met_partners
 from evaluation.cast.robot_names import parse_reference
@@ -62,8 +62,8 @@ def rebuild_job(record: Record, registry: Registry, *, run_code: bool = False) -
     declared = manifest.get("met", {}).get("declared")
     egos = declare(egos, registry, task, declared)
     played = [*partners, *(entry for entry in registry.policies if entry.id in egos.members)]
-    check_env_version(registry, played)
-    env = make(task, backend=identity["backend"])
+    version = env_version(registry, task, played)
+    env = make(task, backend=identity["backend"], version=version)
     humans = registry_roster(registry, partners)
     job = _job_of(identity, env, egos, humans, sides_of(partners, split))
     _check_identity(identity, job)

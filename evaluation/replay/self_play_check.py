@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from assistax_base.errors import ZooError
-from assistax_envs.versions import VERSIONS
+from assistax_envs.versions import PLAYABLE
 from evaluation.cast.roster import paired_rosters
 from evaluation.play.evaluator import MAX_ENVS, check_sizes
 from evaluation.play.jobs import Job
@@ -111,8 +111,7 @@ def check_self_play(
 ) -> SelfPlayReport:
     """Load and step every entry, and replay the self-play of every team that is whole among them.
 
-    Teams of another version of the environment are not replayed: the installed one is not what
-    their returns are of.
+    Teams of a version of the environment that cannot be played here are not replayed.
 
     Args:
         registry: The registry.
@@ -131,11 +130,13 @@ def check_self_play(
     unfit = {name for names, _ in steps for name in names}
     problems += [problem for _, problem in steps]
     outdated = {
-        entry.team for entry in entries if registry.env_version(entry) != VERSIONS.get(entry.task)
+        entry.team
+        for entry in entries
+        if registry.env_version(entry) not in PLAYABLE.get(entry.task, ())
     }
     teams: list[TeamReplay] = []
-    for task, pairs in _teams(sound, unfit, outdated).items():
-        env = (make_env or make)(task, backend)
+    for (task, version), pairs in _teams(registry, sound, unfit, outdated).items():
+        env = make_env(task, backend) if make_env else make(task, backend, version=version)
         backend = env.backend
         try:
             teams += _replay(registry, env, pairs, episodes)
@@ -223,15 +224,19 @@ def _misstep(stack: PolicyStack) -> list[tuple[tuple[str, ...], str]]:
 
 
 def _teams(
-    entries: Sequence[PolicyEntry], unfit: Collection[str], outdated: Collection[str]
-) -> dict[str, list[Pair]]:
-    """Return the robot and the human of each whole team, by task."""
+    registry: Registry,
+    entries: Sequence[PolicyEntry],
+    unfit: Collection[str],
+    outdated: Collection[str],
+) -> dict[tuple[str, int], list[Pair]]:
+    """Return the robot and the human of each whole team, by task and version of it."""
     fit = {entry.id: entry for entry in entries if entry.id not in unfit}
-    teams: dict[str, list[Pair]] = {}
+    teams: dict[tuple[str, int], list[Pair]] = {}
     for entry in fit.values():
         human = fit.get(f"{entry.team}/human")
         if entry.role == "robot" and human and entry.team not in outdated:
-            teams.setdefault(entry.task, []).append((entry, human))
+            place = entry.task, registry.env_version(entry)
+            teams.setdefault(place, []).append((entry, human))
     return teams
 
 

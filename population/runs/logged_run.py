@@ -59,7 +59,7 @@ def run_training(
             for report_to in reports:
                 report_to(state)
 
-        env = make(config.task, backend)
+        env = make(config.task, backend, version=config.env_version)
         train(
             config,
             env,

@@ -70,7 +70,7 @@ def test_an_evaluation_with_its_references(tmp_path: Path):
     settings = How("scratch", 2, seed=7, backend="native")
     egos = read_egos(robots, registry, "scratch")
     cast = Cast.of(registry, task="scratch", robots=egos, humans=chosen, split=split)
-    env, job = make_job(settings, cast.robots, cast.humans, cast.sides)
+    env, job = make_job(settings, cast.robots, cast.humans, cast.sides, cast.version)
     job = with_common_starts(job)
     run_job(env, job, tmp_path / "out")
     assert_golden(tmp_path / "out" / tables.EPISODES_FILE, "evaluate")
@@ -90,7 +90,7 @@ def test_a_crossplay_with_drawn_actions(tmp_path: Path):
     split = registry.split("bed_bath", release="v1")
     egos = registry_roster(registry, robots)
     cast = Cast.of(registry, task="bed_bath", robots=egos, humans=humans, split=split)
-    env, job = make_job(settings, cast.robots, cast.humans, cast.sides)
+    env, job = make_job(settings, cast.robots, cast.humans, cast.sides, cast.version)
     run_job(env, with_common_starts(job), tmp_path)
     assert_golden(tmp_path / tables.EPISODES_FILE, "crossplay")
 

@@ -10,6 +10,7 @@ from assistax_workshop.gates.audit_teams import Teams, read_robots, read_teams, 
 from assistax_zoo.evaluating import Shown
 from assistax_zoo.shell.console import chosen_progress, study_progress
 from assistax_zoo.zoos import Zoo, open_zoo
+from evaluation.cast.cast import env_version as version_together
 from evaluation.play.how import How
 from zoo.registry import Registry
 
@@ -31,6 +32,7 @@ def audit(
     episodes: int = EPISODES,
     seed: int = 0,
     backend: str = "auto",
+    env_version: int | None = None,
     zoo: str | Path | Zoo | None = None,
     out: Path | str | None = None,
     progress: Shown = True,
@@ -51,6 +53,7 @@ def audit(
         episodes: Of each pair, two or more.
         seed: Of the episodes.
         backend: Physics: "auto" for the fastest one here, or its name.
+        env_version: Version of the environment; default that of published teams, else the newest.
         zoo: Where teams come from, as in `open_zoo`.
         out: Folder for the episodes, in which an audit that was stopped goes on.
         progress: Show it, or a function that is told of it.
@@ -72,7 +75,9 @@ def audit(
     pairs = {"told": told, "blind": blind, "recurrent": recurrent}
     policies = _read(read_robots, robots, registry, task) | _read(read_teams, pairs, registry, task)
     policies |= _read(read_trained_egos, egos, registry, task)
-    play = partial(audit_task, episodes=episodes, seed=seed, backend=backend)
+    if env_version is None:
+        env_version = version_together(registry, task, registry.known(own.robots.ids))
+    play = partial(audit_task, episodes=episodes, seed=seed, backend=backend, version=env_version)
     shown = chosen_progress(progress, study_progress(f"audit {task}"))
     with tempfile.TemporaryDirectory() as temporary, shown as on_progress:
         return play(task, own, Others(**policies), Path(out or temporary), on_progress=on_progress)

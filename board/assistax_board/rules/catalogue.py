@@ -72,13 +72,13 @@ class ZooCatalogue:
         from importlib.metadata import version
 
         from assistax_envs.preferences import preferences_of
-        from assistax_envs.versions import VERSIONS, engine
+        from assistax_envs.versions import engine
         from evaluation.play.jobs import EVALUATOR_VERSION
 
         wishes = self._registry.split(task).preferences.get("test") or preferences_of(task)
         return ({"preferences": list(wishes)} if wishes else {}) | {
             "task": task,
-            "env_version": VERSIONS[task],
+            "env_version": self._registry.env_version(self._entries(task)[0]),
             "evaluator": EVALUATOR_VERSION,
             "engine": engine(self._backend),
             "jax": version("jax"),

@@ -51,7 +51,7 @@ class ZooScorer:
             return self._play(work, egos, hidden, entries)
 
     def _play(self, work: Work, egos: Any, registry: Any, entries: list[Any]) -> pl.DataFrame:
-        from evaluation.cast.cast import check_env_version, own_robots
+        from evaluation.cast.cast import env_version, own_robots
         from evaluation.cast.roster import registry_roster
         from evaluation.figures.normalised import REFERENCE_ROWS
         from evaluation.play.baselines import reference_job
@@ -59,10 +59,10 @@ class ZooScorer:
         from evaluation.play.how import How
         from evaluation.play.study import make_job
 
-        check_env_version(registry, entries)
+        version = env_version(registry, work.task, entries)
         seed, preferences = int(work.seed, 16), ",".join(work.preferences) or None
         how = How(work.task, work.episodes, seed, self._backend, preferences=preferences)
-        env, job = make_job(how, egos, registry_roster(registry, entries))
+        env, job = make_job(how, egos, registry_roster(registry, entries), version=version)
         if work.kind == "reference" and work.format in REFERENCE_ROWS:
             job = reference_job(env, job, str(work.format), own_robots(registry, entries))
         with tempfile.TemporaryDirectory() as folder:

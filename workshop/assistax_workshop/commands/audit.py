@@ -45,6 +45,7 @@ def audit(
     episodes: int = 18,
     seed: int = 0,
     backend: str = "auto",
+    env_version: int | None = None,
     out: Path | None = None,
     registry: str | None = None,
     json: bool = False,
@@ -61,6 +62,8 @@ def audit(
         episodes: Episodes of each pair; each preference twice if not given.
         seed: Seed of the episodes.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
+        env_version: Version of the environment; that of published teams, else the newest, if not
+            given.
         out: Folder for the episodes; an audit that was stopped goes on.
         registry: Registry to read instead of the installed one: a file, a folder or an address.
         json: Print JSON.
@@ -80,6 +83,7 @@ def audit(
                 episodes=episodes,
                 seed=seed,
                 backend=backend,
+                env_version=env_version,
                 zoo=registry,
                 out=out,
             )

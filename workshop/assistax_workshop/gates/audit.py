@@ -18,8 +18,8 @@ import polars as pl
 
 from assistax_envs import disability_params, make
 from assistax_envs.preferences import PREFERENCES, VALUES, WISHES, preferences_of
-from assistax_envs.tasks.gentle_base import FELT, HARD, Liking
-from assistax_envs.versions import VERSIONS
+from assistax_envs.tasks.gentle_base import FELT, Liking
+from assistax_envs.tasks.gentle_rules import HARD
 from assistax_workshop.gates.audit_gates import (
     Condition,
     Gate,
@@ -114,6 +114,7 @@ def audit_task(
     episodes: int = EPISODES,
     seed: int = 0,
     backend: str = "auto",
+    version: int | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Audit:
     """Play every condition that somebody can play, and hold the figures against their bars.
@@ -127,11 +128,12 @@ def audit_task(
             human.
         seed: Of the episodes.
         backend: Physics.
+        version: Of the environment; the newest if not given.
         on_progress: Told how far each condition is.
     """
     share_cores()
     _check(task, teams, others, episodes)
-    table = _Tables(task, folder, episodes, seed, backend, on_progress)
+    table = _Tables(task, folder, episodes, seed, backend, version, on_progress)
     env = table.env()
     played = _play(table, env, teams, others)
     touch = touches(env, teams, episodes, seed)
@@ -140,7 +142,7 @@ def audit_task(
     figures = {
         str(name): condition_figures(table) for name, table in played.items() if table.height
     }
-    about = task, VERSIONS[task], env.backend, teams.robots.ids, episodes
+    about = task, env.version, env.backend, teams.robots.ids, episodes
     return Audit(*about, tuple(gates), figures | {str(Condition.TOUCH): touch})
 
 
@@ -216,10 +218,11 @@ class _Tables:
     episodes: int
     seed: int
     backend: str
+    version: int | None
     on_progress: Callable[[Progress], None] | None
 
     def env(self, **options: Any) -> Any:
-        return make(self.task, self.backend, **options)
+        return make(self.task, self.backend, version=self.version, **options)
 
     def play(
         self,

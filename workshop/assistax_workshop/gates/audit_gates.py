@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from assistax_envs.registered import REGISTERED
-from assistax_envs.tasks.gentle_base import HARD
+from assistax_envs.tasks.gentle_rules import HARD
 from evaluation.figures.bootstrap import RESAMPLES, draw_counts
 from evaluation.figures.metrics import Traits, cross_play
 from evaluation.record.columns import with_safety

@@ -88,7 +88,7 @@ def evaluate(
         trained_with=split,
     )
     how = How(task, episodes, backend=backend)
-    usual, job = make_job(how, cast.robots, cast.humans, cast.sides)
+    usual, job = make_job(how, cast.robots, cast.humans, cast.sides, cast.version)
     if manifest.preferences:
         job = job.with_side_preferences(manifest.preferences)
     job = dataclasses.replace(job, engine={**job.engine, "condition": "told"})
