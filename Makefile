@@ -12,7 +12,7 @@ FAST := -m "not slow and not attack"
 
 help:
 	@echo 'make demo       evaluate a robot on partners it never saw, and plot a cross-play matrix'
-	@echo 'make results    write docs/results.md and its figures from the tables in docs/data/v1'
+	@echo 'make results    write docs/log/results-v1.md and its figures from the tables in docs/data/v1'
 	@echo 'make site       write the documentation as pages to build/site'
 	@echo 'make bench      speed of environments, training, evaluator and registry on this machine'
 	@echo 'make test       lint, types, tests'
@@ -35,7 +35,7 @@ demo: $(STAMP)
 	@echo 'the cross-play matrix, clustered:          demo/crossplay.png'
 
 results: $(STAMP)
-	$(BIN)/python -m tools.release_page page --release v1 --data docs/data/v1 --out docs/results.md
+	$(BIN)/python -m tools.release_page page --release v1 --data docs/data/v1 --out docs/log/results-v1.md --images docs/images/v1
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks env

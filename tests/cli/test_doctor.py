@@ -114,7 +114,7 @@ def test_a_missing_extra_is_named_with_the_line_that_installs_it(
 def test_every_extra_that_is_named_exists() -> None:
     """In messages, docs and docstrings."""
     known = set(PROJECT["optional-dependencies"])
-    files = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
+    files = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
     for package in (
         "assistax_base",
         "assistax_envs",

@@ -117,7 +117,7 @@ def test_a_card_is_written_with_its_picture(zoo: Path, tmp_path: Path, capsys) -
 
 
 def test_a_robot_of_one_s_own_is_shared_in_two_commands(tmp_path: Path, capsys) -> None:
-    """As docs/share.md says."""
+    """As docs/publish.md says."""
     mine = tmp_path / "my-zoo"
     assert (
         run(["publish", str(write_run(tmp_path / "run")), "--release", "v0", "--to", str(mine)])

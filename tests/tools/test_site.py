@@ -19,9 +19,11 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_every_page_is_built_and_in_the_navigation(built: Path) -> None:
     settings = (ROOT / "zensical.toml").read_text(encoding="utf-8")
-    for path in (*(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("*.ipynb")):
-        assert (built / f"{path.stem}.html").is_file()
-        assert f'"{path.stem}.md"' in settings, f"{path.name} is not in nav of zensical.toml"
+    docs = ROOT / "docs"
+    for path in (*docs.rglob("*.md"), *docs.glob("*.ipynb")):
+        page = path.relative_to(docs).with_suffix("").as_posix()
+        assert (built / f"{page}.html").is_file()
+        assert f'"{page}.md"' in settings, f"{page} is not in nav of zensical.toml"
 
 
 def test_no_table_is_left_as_text(built: Path) -> None:
@@ -75,7 +77,7 @@ def test_a_planted_defect_stops_the_build(
 ) -> None:
     # The defect is planted in a page between its source and the build.
     relink = site._relink
-    monkeypatch.setattr(site, "_relink", lambda text: f"{relink(text)}\n\n{planted}\n")
+    monkeypatch.setattr(site, "_relink", lambda *page: f"{relink(*page)}\n\n{planted}\n")
     with pytest.raises(ValueError, match=re.escape(message)):
         site.build(tmp_path)
 
