@@ -138,6 +138,7 @@ def _relink(text: str, up: str = "") -> str:
     The site has docs/ and the pages beside it in one folder; `up` leads to it from the page's.
     """
     text = re.sub(rf'(\]\(|src="){up}(?:docs/|\.\./)', rf"\1{up}", text)
+    text = re.sub(r"(\]\((?:\.\./)*)README\.md", r"\1index.md", text)
     text = _BLOCK.sub(r"\1\n\2", text)
     # On a phone a picture is read at its own size, one touch away.
     text = re.sub(r"^(!\[[^\]]*\]\(([^)]+)\))$", r"[\1](\2)", text, flags=re.MULTILINE)
