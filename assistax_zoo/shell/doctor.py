@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from assistax_base.errors import ZooError, printable, shorten
+from assistax_base.errors import ZooError, counted, printable, shorten
 from assistax_envs import compiled
 from assistax_zoo.shell.caches import KINDS, held
 from assistax_zoo.shell.requirements import extras, missing_of, required_python, version_of
@@ -224,7 +224,7 @@ def _roots(topic: str, name: str, registry: Registry) -> Iterator[Finding]:
     }
     if not problems:
         here = f"{shards - absent} of {shards} shards here"
-        text = f"{len(registry.policies)} policies, {here}, releases"
+        text = f"{counted(len(registry.policies), 'policy')}, {here}, releases"
         text = f"{name}: {text} {', '.join(registry.data.releases)}, roots hold"
         yield Finding(topic, "ok", text, details)
 

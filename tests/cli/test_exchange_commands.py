@@ -206,7 +206,7 @@ def test_deep_replays_a_published_team(capsys, monkeypatch) -> None:
     assert (
         "mujoco 3." in out
         and f"ok      {V0_TEAM}" in out
-        and "replayed 1 teams of 1 episodes on native" in out
+        and "replayed 1 team of 1 episode on native" in out
     )
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from assistax_zoo.shell.installed import COMMANDS, ELSEWHERE
+from assistax_zoo.shell.installed import COMMANDS, ELSEWHERE, INSTALL
 from zoo.registry import load_registry
 
 ROOT = Path(__file__).parents[2]
@@ -135,10 +135,10 @@ def test_the_core_alone_does_the_three_jobs_with_a_remote(
 def test_the_core_names_what_a_command_lacks(core: Path, call: Callable[..., str]) -> None:
     zoo = functools.partial(call, core / "assistax-zoo", code=1)
     for name, commands in ELSEWHERE.items():
-        assert f"pip install {name}\n" in zoo(*commands[-1], "--help")
+        assert f"{INSTALL[name]}\n" in zoo(*commands[-1], "--help")
     assert "pip install 'assistax-zoo[train]'" in zoo("train", "--task", "scratch", "--out", "run")
     text = "import assistax_zoo as az; az.audit('scratch', [])"
-    assert f"pip install {WORKSHOP}" in call(core / "python", "-c", text, code=1)
+    assert INSTALL[WORKSHOP] in call(core / "python", "-c", text, code=1)
 
 
 @pytest.mark.slow

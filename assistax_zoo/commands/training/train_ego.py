@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from assistax_base.errors import counted
 from assistax_zoo.commands.options import Training, parse_names
 from assistax_zoo.commands.training.train import shown_training
 from assistax_zoo.shell.console import answer, command_line
@@ -86,7 +87,7 @@ def _report(egos: "TrainedEgos", json: bool, json_lines: bool) -> None:
     }
     files = egos.files[0] if len(egos.files) == 1 else egos.files[0].parent / "*.safetensors"
     lines = [
-        f"{len(egos.files)} robots in {egos.files[0].parent}; next:",
+        f"{counted(len(egos.files), 'robot')} in {egos.files[0].parent}; next:",
         f"assistax-zoo evaluate --task {run.config.task} --split both --policy "
         f"{shlex.quote(str(files))}",
     ]
