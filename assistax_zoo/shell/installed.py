@@ -31,8 +31,8 @@ ELSEWHERE = {
     ),
 }
 INSTALL = {
-    "assistax-zoo-board": "pip install . ./workshop ./board",
-    "assistax-zoo-workshop": "pip install . ./workshop",
+    "assistax-zoo-board": "pip install -e . -e ./workshop -e ./board",
+    "assistax-zoo-workshop": "pip install -e . -e ./workshop",
 }
 
 
