@@ -157,7 +157,7 @@ def fetch(
     source: "str | Path | Zoo | None" = None,
     **fields: Any,
 ) -> Report:
-    """Bring policies of a zoo onto this machine, verified; what is here is only verified.
+    """Bring policies of a zoo onto this machine; files that are present are only verified.
 
     Args:
         pattern: Glob over ids, such as "scratch/ippo-*/human", or several; all if None.

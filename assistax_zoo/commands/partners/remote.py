@@ -37,7 +37,7 @@ def fetch(
     yes: bool = False,
     json: bool = False,
 ) -> None:
-    """Fetch partners from a remote into the cache; what is here already is only verified.
+    """Fetch partners from a remote into the cache; files that are present are verified.
 
     The cache is ~/.cache/assistax-zoo, or $ASSISTAX_ZOO_CACHE. An interrupted fetch goes on where
     it was.
