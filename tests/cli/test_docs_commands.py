@@ -15,7 +15,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 NOT_WORDS = {"&", "|", ">", ">>", "&&", "||", ";"}  # what ends a command in a shell
 
 
-def commands(text: str) -> Iterator[list[str]]:
+def printed_commands(text: str) -> Iterator[list[str]]:
     """Yield the words after `assistax-zoo` of each line in blocks for a shell."""
     for block in re.findall(r"```(?:sh|bash|console)\n(.*?)```", text, re.DOTALL):
         for line in block.replace("\\\n", " ").splitlines():
@@ -38,7 +38,7 @@ def parse(words: list[str]) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_command_of_the_page_parses(page: Path) -> None:
     wrong = []
-    for words in commands(page.read_text(encoding="utf-8")):
+    for words in printed_commands(page.read_text(encoding="utf-8")):
         if words == ["--install-completion"]:
             continue
         try:
@@ -51,7 +51,7 @@ def test_every_command_of_the_page_parses(page: Path) -> None:
 def test_the_guides_have_commands() -> None:
     for name in ("start", "robot", "training", "publish", "run_board"):
         page = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
-        assert len(list(commands(page))) >= 4, name
+        assert len(list(printed_commands(page))) >= 4, name
 
 
 @pytest.mark.parametrize(
@@ -64,6 +64,6 @@ def test_the_guides_have_commands() -> None:
     ],
 )
 def test_a_planted_mistake_is_found(line: str) -> None:
-    ((words),) = commands(f"```sh\n{line}\n```")
+    ((words),) = printed_commands(f"```sh\n{line}\n```")
     with pytest.raises(CycloptsError):
         parse(words)
